@@ -1,0 +1,186 @@
+"""The abstract instruments of the bench, in the field's terms; SI units, the unit in every name.
+
+Everything in ``hpe_rig`` outside ``hpe_rig.bench`` knows the instruments through this file alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Setting = str | int | float | bool
+
+
+class InstrumentError(Exception):
+    """An instrument refused, changed or did not answer something; says what, why and what to try."""
+
+    def __init__(self, role: str, what: str, why: str, remedy: str) -> None:
+        super().__init__(f"{role}: {what}. {why}. Try: {remedy}.")
+        self.role = role
+        self.what = what
+        self.why = why
+        self.remedy = remedy
+
+
+class DeadlineError(InstrumentError):
+    """The records that were expected did not arrive in time."""
+
+
+class Clock(Protocol):
+    """Time as the bench knows it: the wall clock on metal, the world's clock on the twin."""
+
+    def now_s(self) -> float: ...
+
+    def sleep(self, duration_s: float) -> None: ...
+
+
+class Wire(Protocol):
+    """One text connection to a SCPI instrument. Messages carry no terminator."""
+
+    def write(self, message: str) -> None: ...
+
+    def read(self) -> str:
+        """Return one reply line; raise ``TimeoutError`` when none comes."""
+        ...
+
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Who answered: vendor, model, serial number and firmware as the instrument states them."""
+
+    vendor: str
+    model: str
+    serial: str
+    firmware: str
+
+
+@dataclass(frozen=True, slots=True)
+class TriggerPulse:
+    """The single pulse of the master trigger."""
+
+    width_s: float
+    high_v: float
+    load_ohm: float
+
+
+@dataclass(frozen=True, slots=True)
+class PulseTrain:
+    """A finite train of TTL pulses, started by an external trigger after ``delay_s``."""
+
+    rate_hz: float
+    count: int
+    delay_s: float
+    width_s: float
+    high_v: float
+    load_ohm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Toneburst:
+    """A finite sine burst, started by an external trigger after ``delay_s``."""
+
+    carrier_hz: float
+    cycles: int
+    amplitude_vpp: float
+    delay_s: float
+    load_ohm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Capture:
+    """One record a trigger, ``record_count`` of them; sample 0 comes ``trigger_delay_samples`` after the trigger."""
+
+    sample_rate_hz: float
+    record_samples: int
+    trigger_delay_samples: int
+    record_count: int
+    input_range_v: float
+    trigger_level_v: float
+
+
+@dataclass(frozen=True, slots=True)
+class RecordBlock:
+    """Consecutive records of one capture.
+
+    ``codes`` int16 (record, sample), zero-centred; volts = ``codes * volts_per_code + volts_offset``.
+    ``trigger_time_s`` float64 (record,), from the board's own counter, relative to its reset at arming.
+    """
+
+    first_record: int
+    codes: NDArray[np.int16]
+    trigger_time_s: NDArray[np.float64]
+    volts_per_code: float
+    volts_offset: float
+
+
+class Instrument(Protocol):
+    """What every instrument of the bench can do."""
+
+    @property
+    def role(self) -> str: ...
+
+    def identify(self) -> Identity: ...
+
+    def snapshot(self) -> Mapping[str, Setting]:
+        """Return the settings as read back from the instrument."""
+        ...
+
+    def make_safe(self) -> None:
+        """Switch the output off or abort the capture, and verify it; raise ``InstrumentError`` if not proven."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class MasterTrigger(Instrument, Protocol):
+    """Starts everything: one pulse on software command."""
+
+    def configure(self, pulse: TriggerPulse) -> None: ...
+
+    def verify(self) -> None:
+        """Read every programmed setting back and raise ``InstrumentError`` where it differs."""
+        ...
+
+    def enable_output(self) -> None: ...
+
+    def fire(self) -> None: ...
+
+
+class PulseGenerator(Instrument, Protocol):
+    """A triggered train of TTL pulses."""
+
+    def configure(self, train: PulseTrain) -> None: ...
+
+    def verify(self) -> None: ...
+
+    def enable_output(self) -> None: ...
+
+
+class ToneburstGenerator(Instrument, Protocol):
+    """A triggered sine burst."""
+
+    def configure(self, burst: Toneburst) -> None: ...
+
+    def verify(self) -> None: ...
+
+    def enable_output(self) -> None: ...
+
+
+class Digitizer(Instrument, Protocol):
+    """A triggered multi-record digitizer whose trigger output fires the tracking pulser."""
+
+    def configure(self, capture: Capture) -> None: ...
+
+    def verify(self) -> None: ...
+
+    def arm(self) -> None: ...
+
+    def records(self, deadline_s: float) -> Iterator[RecordBlock]:
+        """Yield what was captured, in order; raise ``DeadlineError`` when the clock passes ``deadline_s``."""
+        ...

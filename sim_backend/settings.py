@@ -1,0 +1,137 @@
+"""The ``[simulation]`` section of a scene: what the twin simulates; validated here, in the twin's own words.
+
+Provenance of every default is in its description: *paper* (Table I or Sec. III of the source paper), *manual*
+(instrument reference), *assumed* (no source; set it in the scene where it matters).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Triple = tuple[Positive, Positive, Positive]
+
+
+class Section(BaseModel):
+    """A frozen table of settings that refuses keys it does not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class Specimen(Section):
+    """A Voigt medium driven by the radiation force of the excitation beam."""
+
+    shear_modulus_pa: Positive = 7.25e3
+    """Shear elasticity mu1 (paper: gelatin 12 %, 7.25 kPa)."""
+    shear_viscosity_pa_s: NonNegative = 1.0
+    """Shear viscosity mu2 (paper: 1.0 Pa s)."""
+    density_kg_per_m3: Positive = 1000.0
+    """Mass density (assumed)."""
+    force_density_n_per_m3: Positive = 4.0e6
+    """Body force at the focus while a toneburst of ``reference_drive_vpp`` is on (assumed)."""
+    reference_drive_vpp: Positive = 1.0
+    """Toneburst amplitude at the generator that gives ``force_density_n_per_m3``; force goes with its square."""
+    resonance_hz: Positive = 3.0e6
+    """Centre of the transducer's transmit band (paper: 3.0 MHz)."""
+
+
+class MotionComponent(Section):
+    """One sinusoid of a prescribed motion, D(t) = amplitude sin(2 pi f t + phase), t from the master trigger's edge."""
+
+    frequency_hz: Positive
+    """Vibration frequency."""
+    amplitude_m: NonNegative
+    """Peak displacement D_0 at the focus."""
+    phase_rad: Finite = 0.0
+    """Vibration phase."""
+
+
+class Beams(Section):
+    """Gaussian excitation and tracking beams; widths are the sigmas E and T of eq. (8) and (12)."""
+
+    excitation_width_m: Triple = (0.17e-3, 0.17e-3, 1.80e-3)
+    """E_x, E_y, E_z (paper, Table I)."""
+    tracking_width_m: Triple = (0.078e-3, 0.078e-3, 0.83e-3)
+    """T_x, T_y, T_z (paper, Table I)."""
+    focus_depth_m: Positive = 70.0e-3
+    """Distance z_F from the transducer to the common focus (paper: 70 mm)."""
+
+
+class Scatterers(Section):
+    """Point scatterers, uniform in a box around the focus."""
+
+    volume_m: Triple = (1.0e-3, 1.0e-3, 5.0e-3)
+    """Box x_v, y_v, z_v, centred on the focus (paper, Table I)."""
+    per_cell: NonNegative = 11.0
+    """Scatterers per resolution cell, the volume where the tracking beam is above -6 dB (paper, Table I)."""
+    axial_delay: Literal["two_way", "none"] = "two_way"
+    """Whether the echo of a scatterer carries the delay of its depth; "none" is eq. (11) read literally."""
+    bandwidth: Annotated[float, Field(gt=0, le=2)] = 0.065
+    """Fractional bandwidth BW of the Hann echo pulse, eq. (9), relative to the tracking carrier (paper, Table I)."""
+
+
+class Receiver(Section):
+    """Receive chain between transducer and digitizer."""
+
+    snr_db: Finite | None = None
+    """Echo power at rest in the reference gate over noise power; absent: no noise is drawn."""
+    reference_gate_m: Positive = 1.0e-3
+    """Length of the reference gate around the focus in which ``snr_db`` and ``echo_rms_v`` hold."""
+    echo_rms_v: Positive = 0.1
+    """Root mean square of the resting echo in the reference gate for a 3-cycle pulse of ``reference_pulse_vpp``."""
+    reference_pulse_vpp: Positive = 1.0
+    """Tracking pulse amplitude at the generator that gives ``echo_rms_v``."""
+    toneburst_leak_v: NonNegative = 2.0
+    """Amplitude at the digitizer while a toneburst of the specimen's reference drive is transmitted (assumed)."""
+    toneburst_echo_gain: NonNegative = 1.0
+    """Echo of the toneburst relative to a tracking echo of the same drive, after the 3 MHz notch (assumed)."""
+
+
+class Instruments(Section):
+    """The simulated instruments' own properties."""
+
+    dual_port_memory: bool = True
+    """Whether the digitizer has the optional dual-port memory that AutoDMA needs."""
+    samples_per_channel: Annotated[int, Field(ge=1024)] = 8_388_608
+    """On-board memory of the digitizer (assumed)."""
+    fpga_version: Annotated[int, Field(ge=1)] = 19
+    """FPGA version of the digitizer; 18 and below hold at most 1000 single-port records (manual)."""
+    generator_latency_s: NonNegative = 100.0e-9
+    """Trigger input to first output edge of a 33250A (manual, from memory: < 100 ns)."""
+    digitizer_latency_s: NonNegative = 0.0
+    """Trigger input to sample 0 without trigger delay (assumed)."""
+    aux_latency_s: NonNegative = 0.0
+    """Trigger input to rising edge of the AUX trigger output (assumed)."""
+    message_time_s: NonNegative = 1.0e-3
+    """Time one SCPI message takes (assumed)."""
+
+
+class SimulationSettings(Section):
+    """Everything the twin is told apart from what the drivers program."""
+
+    seed: Annotated[int, Field(ge=0)] = 1
+    """Seed of every random number drawn."""
+    sound_speed_m_per_s: Positive = 1540.0
+    """Longitudinal sound speed c (paper, Table I)."""
+    specimen: Specimen | None = None
+    """A medium moved by the tonebursts; exclusive with ``motion``."""
+    motion: tuple[MotionComponent, ...] | None = None
+    """Prescribed motion (eq. 13); exclusive with ``specimen``."""
+    beams: Beams = Beams()
+    """Excitation and tracking beams."""
+    scatterers: Scatterers = Scatterers()
+    """What echoes."""
+    receiver: Receiver = Receiver()
+    """What happens to the echo before the digitizer."""
+    instruments: Instruments = Instruments()
+    """What the simulated instruments are."""
+
+    @model_validator(mode="after")
+    def _one_cause_of_motion(self) -> SimulationSettings:
+        if self.specimen is not None and self.motion is not None:
+            raise ValueError("specimen and motion exclude each other: remove [simulation.specimen] or [[simulation.motion]]")
+        return self
