@@ -1,0 +1,227 @@
+"""The bench file: which instruments, at which addresses, wired how, within which limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of, parse_toml
+from hpe_rig.scene import NonNegative, Positive, Section
+
+GeneratorRole = Literal["master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"]
+GENERATOR_ROLES: tuple[GeneratorRole, ...] = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
+EXCITATION_ROLES: tuple[GeneratorRole, ...] = ("burst_train", "toneburst")
+
+Outlet = Literal[
+    "master.output", "burst_train.output", "toneburst.output", "tracking_train.output", "tracking_pulser.output", "digitizer.aux"
+]
+Inlet = Literal[
+    "burst_train.trigger",
+    "toneburst.trigger",
+    "tracking_train.trigger",
+    "tracking_pulser.trigger",
+    "digitizer.trigger",
+    "transducer.drive",
+]
+
+
+class Generator(Section):
+    """One function generator."""
+
+    model: Literal["33250A"] = "33250A"
+    """Model that plays the role."""
+    address: str | None = None
+    """VISA resource name; not used on the simulated bench."""
+    latency_s: NonNegative = 0.0
+    """Trigger input to first output edge."""
+    load_ohm: Annotated[float, Field(ge=1, strict=True)] = 50.0
+    """Load at the output; inf for a high-impedance input."""
+    amplitude_vpp: Positive | None = None
+    """Output amplitude of the tracking pulser."""
+
+
+class Generators(Section):
+    """The generators by role."""
+
+    master: Generator
+    """Master trigger: one pulse starts everything."""
+    burst_train: Generator | None = None
+    """Pulse train at f_r that triggers the toneburst generator."""
+    toneburst: Generator | None = None
+    """Toneburst generator."""
+    tracking_train: Generator
+    """Delayed pulse train at f_prf that triggers the digitizer."""
+    tracking_pulser: Generator
+    """Generator of the tracking pulse, fired by the digitizer's trigger output."""
+
+
+class DigitizerBoard(Section):
+    """The digitizer."""
+
+    model: Literal["ATS460"] = "ATS460"
+    """Board model."""
+    system_id: Annotated[int, Field(ge=1, strict=True)] = 1
+    """Alazar system number."""
+    board_id: Annotated[int, Field(ge=1, strict=True)] = 1
+    """Alazar board number in its system."""
+    dual_port_memory: Annotated[bool, Field(strict=True)] = False
+    """Whether the board has the optional dual-port memory, so that records stream out while others come in."""
+    samples_per_channel: Annotated[int, Field(ge=1024, strict=True)] = 8_388_608
+    """On-board memory; bounds a capture where there is no dual-port memory."""
+    max_records: Annotated[int, Field(ge=1, strict=True)] = 256_000
+    """Most records of a capture without dual-port memory; 1000 for FPGA version 18 and below."""
+    latency_s: NonNegative = 0.0
+    """Trigger input to sample 0 without trigger delay."""
+    aux_latency_s: NonNegative = 0.0
+    """Trigger input to rising edge of the trigger output."""
+    aux_waits_for_trigger_delay: Annotated[bool, Field(strict=True)] = False
+    """Whether the trigger output rises only after the trigger delay (not established for the ATS460)."""
+    trigger_level_v: Positive = 1.5
+    """Level of the external trigger input."""
+
+
+class Wire(Section):
+    """One cable from an output to an input."""
+
+    source: Outlet
+    """Where the cable starts."""
+    target: Inlet
+    """Where it ends."""
+    delay_s: NonNegative = 0.0
+    """Propagation delay of the cable and of what stands in it."""
+
+
+class Limits(Section):
+    """What the bench must never exceed."""
+
+    full_drive_vpp: Positive
+    """Toneburst amplitude at the generator that gives the force F_0."""
+    max_duty: Annotated[float, Field(gt=0, le=1, strict=True)]
+    """Largest f_r T_b."""
+    max_burst_length_s: Positive
+    """Longest toneburst."""
+    max_bursts: Annotated[int, Field(ge=1, strict=True)]
+    """Most tonebursts in a train."""
+
+
+class BenchFile(Section):
+    """One bench."""
+
+    title: str
+    """One line that says which bench this is."""
+    simulated: Annotated[bool, Field(strict=True)]
+    """True for the twin; decides which wires are opened and is written into every file."""
+    limits: Limits
+    """What the bench must never exceed."""
+    generators: Generators
+    """The generators by role."""
+    digitizer: DigitizerBoard
+    """The digitizer."""
+    wiring: tuple[Wire, ...]
+    """The cables."""
+
+    def path_delay_s(self, source: str, target: str) -> float:
+        """Return the delay of the cable from ``source`` to ``target``; NaN where there is none."""
+        delays = [wire.delay_s for wire in self.wiring if (wire.source, wire.target) == (source, target)]
+        return delays[0] if delays else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class BenchText:
+    """A bench with the text that it was read from, kept verbatim for the run file."""
+
+    name: str
+    text: str
+    bench: BenchFile
+
+
+@dataclass(frozen=True, slots=True)
+class BoardModel:
+    """What a digitizer model accepts (instrument reference, section 2)."""
+
+    sample_rates_hz: tuple[float, ...]
+    input_ranges_v: tuple[float, ...]
+    record_multiple: int
+    record_minimum: int
+    max_trigger_delay_samples: int
+
+
+BOARD_MODELS = MappingProxyType(
+    {
+        "ATS460": BoardModel(
+            sample_rates_hz=(1e6, 2e6, 5e6, 10e6, 20e6, 50e6, 100e6, 125e6),
+            input_ranges_v=(0.02, 0.04, 0.05, 0.08, 0.1, 0.2, 0.4, 0.5, 0.8, 1.0, 2.0, 4.0),
+            record_multiple=16,
+            record_minimum=128,
+            max_trigger_delay_samples=9_999_999,
+        )
+    }
+)
+
+
+def parse_bench(name: str, text: str) -> BenchText:
+    """Return the bench in ``text``; raise ``SettingsError`` with every mistake."""
+    tables = parse_toml(text, f"bench {name}")
+    mistakes = mistakes_of(BenchFile, tables)
+    if not mistakes:
+        bench = BenchFile.model_validate(tables)
+        mistakes = _missing_addresses(bench) + _missing_wires(bench)
+    if mistakes:
+        raise SettingsError(f"bench {name}", mistakes)
+    return BenchText(name, text, bench)
+
+
+def read_bench(path: Path | None = None) -> BenchText:
+    """Return the bench in the TOML file ``path``, or the shipped simulated bench where that is None."""
+    if path is None:
+        shipped = resources.files("hpe_rig") / "benches" / "simulated.toml"
+        return parse_bench("simulated", shipped.read_text(encoding="utf-8"))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        what = f"cannot be read ({error})"
+        raise SettingsError(f"bench {path}", [Mistake("", what, "hpe-rig new-bench prints one to start from")]) from None
+    return parse_bench(path.stem, text)
+
+
+def _generators(bench: BenchFile) -> Mapping[str, Generator]:
+    pairs = ((role, getattr(bench.generators, role)) for role in GENERATOR_ROLES)
+    return {role: generator for role, generator in pairs if generator is not None}
+
+
+def _missing_addresses(bench: BenchFile) -> list[Mistake]:
+    if bench.simulated:
+        return []
+    return [
+        Mistake(f"generators.{role}.address", "this key is required on a real bench", 'a VISA name such as "GPIB0::10::INSTR"')
+        for role, generator in _generators(bench).items()
+        if not generator.address
+    ]
+
+
+def _missing_wires(bench: BenchFile) -> list[Mistake]:
+    needed = [
+        ("master.output", "tracking_train.trigger"),
+        ("tracking_train.output", "digitizer.trigger"),
+        ("digitizer.aux", "tracking_pulser.trigger"),
+        ("tracking_pulser.output", "transducer.drive"),
+    ]
+    if bench.generators.burst_train is not None and bench.generators.toneburst is not None:
+        needed += [
+            ("master.output", "burst_train.trigger"),
+            ("burst_train.output", "toneburst.trigger"),
+            ("toneburst.output", "transducer.drive"),
+        ]
+    remedy = '[[wiring]] with source = "{}" and target = "{}"'
+    return [
+        Mistake("wiring", f"no cable from {source} to {target}", remedy.format(source, target))
+        for source, target in needed
+        if math.isnan(bench.path_delay_s(source, target))
+    ]

@@ -1,0 +1,136 @@
+"""Every mistake of a settings file at once: path, value, bound and a suggestion for a misspelt key."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+Model = TypeVar("Model", bound=BaseModel)
+Path = tuple[str | int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """One thing wrong with a settings file: where it stands, what is wrong and what to do."""
+
+    path: str
+    what: str
+    remedy: str
+
+    def __str__(self) -> str:
+        return f"{self.path}: {self.what}. Try: {self.remedy}." if self.path else f"{self.what}. Try: {self.remedy}."
+
+
+class SettingsError(Exception):
+    """A settings file that cannot be used; ``mistakes`` holds all that was found."""
+
+    def __init__(self, source: str, mistakes: Sequence[Mistake]) -> None:
+        plural = "mistake" if len(mistakes) == 1 else "mistakes"
+        lines = "\n".join(f"  {mistake}" for mistake in mistakes)
+        super().__init__(f"{source}: {len(mistakes)} {plural}\n{lines}")
+        self.source = source
+        self.mistakes = tuple(mistakes)
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """Return the tables of ``text``; raise ``SettingsError`` with line and column where it is not TOML."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(source, [Mistake("", f"not valid TOML: {error}", "correct that line")]) from None
+
+
+def mistakes_of(model: type[BaseModel], tables: Mapping[str, Any], prefix: Path = ()) -> list[Mistake]:
+    """Return all mistakes of ``tables`` as settings of ``model``; empty where there are none."""
+    try:
+        model.model_validate(tables)
+    except ValidationError as error:
+        return [_mistake(dict(entry), model, tables, prefix) for entry in error.errors(include_url=False)]
+    return []
+
+
+def dotted(path: Path) -> str:
+    """Return a TOML path in the form ``excitation.burst_length_s[2]``."""
+    text = ""
+    for part in path:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+    return text
+
+
+def _mistake(entry: dict[str, Any], model: type[BaseModel], tables: Mapping[str, Any], prefix: Path) -> Mistake:
+    path: Path = entry["loc"]
+    if path and path[-1] == 0 and not isinstance(_value_at(tables, path[:-1]), list | tuple):
+        path = path[:-1]
+    what, remedy = _words(entry, path, _keys_at(model, path[:-1]), tables)
+    return Mistake(dotted(prefix + path), what, remedy)
+
+
+_BOUNDS = {
+    "greater_than": ("gt", "above"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "below"),
+    "less_than_equal": ("le", "at most"),
+}
+_KINDS = {
+    "float": "a number",
+    "int": "a whole number",
+    "bool": "true or false",
+    "string": "a text in quotes",
+    "tuple": "a list",
+    "model": "a table",
+    "dict": "a table",
+}
+
+
+def _words(entry: dict[str, Any], path: Path, keys: Sequence[str], tables: Mapping[str, Any]) -> tuple[str, str]:
+    kind, value, context = entry["type"], entry["input"], entry.get("ctx", {})
+    if kind == "missing" and path and isinstance(path[-1], int):
+        return "this entry of the list is absent", "give every entry; none is optional"
+    if kind == "missing":
+        return "this key is required and absent", f"add it; its section knows: {', '.join(keys)}"
+    if kind == "extra_forbidden":
+        close = difflib.get_close_matches(str(path[-1]), keys, n=1, cutoff=0.5)
+        known = f"the keys here are {', '.join(keys)}"
+        return "unknown key", f"did you mean {close[0]}? ({known})" if close else f"remove it; {known}"
+    if kind in _BOUNDS:
+        key, word = _BOUNDS[kind]
+        return f"{value!r} is out of bounds, it must be {word} {context[key]:g}", f"a value {word} {context[key]:g}"
+    if kind == "finite_number":
+        return f"{value!r} is not finite", "a finite number"
+    if kind == "literal_error":
+        return f"{value!r} is not one of the choices", f"one of {context['expected']}"
+    if kind in ("too_short", "too_long"):
+        bound = context.get("min_length", context.get("max_length"))
+        return f"{len(value)} entries where {bound} are needed", f"a list of {bound}"
+    expected = next((words for prefix, words in _KINDS.items() if kind.startswith(prefix)), None)
+    if expected:
+        return f"{value!r} is not {expected}", f"{expected} without quotes" if "number" in expected else expected
+    text = str(context.get("error", entry["msg"]))
+    what, _, remedy = text.partition(": ")
+    return what, remedy or "see the message"
+
+
+def _value_at(tables: Any, path: Path) -> Any:
+    for part in path:
+        tables = tables[part] if isinstance(tables, Mapping) and part in tables else None
+    return tables
+
+
+def _keys_at(model: type[BaseModel], path: Path) -> list[str]:
+    """Return the keys of the section at ``path``, following sub-models through options, lists and tuples."""
+    for part in path:
+        if isinstance(part, str) and part in model.model_fields:
+            model = next(_models_in(model.model_fields[part].annotation), model)
+    return list(model.model_fields)
+
+
+def _models_in(annotation: Any) -> Any:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in getattr(annotation, "__args__", ()):
+        yield from _models_in(inner)

@@ -1,0 +1,191 @@
+"""The scene: what is measured and on which specimen. TOML, SI units, the unit in every key; validated at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of, parse_toml
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Fraction = Annotated[float, Field(gt=0, le=1, strict=True)]
+Count = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
+Triple = tuple[Positive, Positive, Positive]
+
+
+def _as_list(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+OneOrMorePositive = Annotated[
+    tuple[Positive, ...], BeforeValidator(_as_list, json_schema_input_type=Positive | list[Positive]), Field(min_length=1)
+]
+OneOrMoreFractions = Annotated[
+    tuple[Fraction, ...], BeforeValidator(_as_list, json_schema_input_type=Fraction | list[Fraction]), Field(min_length=1)
+]
+
+
+class Section(BaseModel):
+    """A frozen table of settings that refuses keys it does not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class Excitation(Section):
+    """The tonebursts that push; without this section nothing pushes and no excitation generator is opened."""
+
+    burst_rate_hz: Positive
+    """Repetition rate f_r of the tonebursts."""
+    burst_length_s: OneOrMorePositive
+    """Length T_b of a toneburst; a list measures each length in turn."""
+    burst_count: Count
+    """Number of tonebursts in a train."""
+    carrier_hz: Positive = 3.0e6
+    """Frequency f_0 of the toneburst."""
+    force_fraction: OneOrMoreFractions = (1.0,)
+    """Radiation force F as a fraction of F_0, the force at the bench's full drive; a list measures each in turn."""
+
+
+class Tracking(Section):
+    """The pulses that track the motion."""
+
+    pulse_rate_hz: Positive
+    """Repetition rate f_prf of the tracking pulses."""
+    delay_s: NonNegative = 0.0
+    """Delay t_d from the master trigger to the start of the tracking train."""
+    pulse_count: Count | None = None
+    """Number of tracking pulses; absent: as many periods as the burst train lasts."""
+    cycles: Annotated[int, Field(ge=1, le=1000, strict=True)] = 3
+    """Cycles of one tracking pulse."""
+    carrier_hz: Positive = 9.0e6
+    """Frequency f_f of the tracking pulse."""
+    allow_interference: Annotated[bool, Field(strict=True)] = False
+    """Measure although tonebursts overlap tracking pulses or gates; the plan then warns where it would refuse."""
+
+
+class Acquisition(Section):
+    """What is recorded."""
+
+    gate_depth_m: Positive
+    """Distance from the transducer to the middle of the gate."""
+    gate_length_m: Positive = 1.0e-3
+    """Gate length l_g."""
+    sound_speed_m_per_s: Positive = 1540.0
+    """Longitudinal sound speed c assumed between transducer and gate."""
+    sample_rate_hz: Positive = 100.0e6
+    """Sampling rate F_s of the digitizer."""
+    record_samples: Annotated[int, Field(ge=1, le=10_000_000, strict=True)] = 512
+    """Samples of one record; the record is placed around the gate."""
+    input_range_v: Positive = 0.8
+    """Full scale of the digitizer's input, plus and minus."""
+    repeats: Count = 1
+    """How often every shot is repeated."""
+    shot_period_s: Positive | None = None
+    """Time between master triggers; absent: as soon as the trains have ended."""
+
+
+class Beams(Section):
+    """What is known of the beams; without this section no beam-averaging factor is predicted."""
+
+    excitation_width_m: Triple
+    """E_x, E_y, E_z: sigmas of the displacement's Gaussian, eq. (12)."""
+    tracking_width_m: Triple
+    """T_x, T_y, T_z: sigmas of the tracking beam's Gaussian, eq. (8)."""
+
+
+class Processing(Section):
+    """How records become amplitude and phase."""
+
+    estimator: Literal["coherent", "cross_spectrum"] = "coherent"
+    """Motion estimator; cross_spectrum is the paper's chain."""
+    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    """Vibration frequencies f_v wanted; absent: f_r and its multiples up to the tenth below f_prf / 2."""
+    window_start_s: NonNegative = 0.0
+    """Start of the slow-time window after the first tracking pulse."""
+    window_length_s: Positive | None = None
+    """Length T_s of the slow-time window; absent: to the last pulse."""
+    synchronous: Annotated[bool, Field(strict=True)] = False
+    """Require a burst period that is a whole multiple of the pulse period."""
+
+
+class Scene(Section):
+    """One measurement."""
+
+    title: str
+    """One line that says what is measured."""
+    excitation: Excitation | None = None
+    """The tonebursts that push."""
+    tracking: Tracking
+    """The pulses that track."""
+    acquisition: Acquisition
+    """What is recorded."""
+    beams: Beams | None = None
+    """What is known of the beams."""
+    processing: Processing = Processing()
+    """How records become amplitude and phase."""
+    simulation: dict[str, Any] | None = None
+    """What the twin simulates, in the twin's own words; a real bench leaves it out."""
+
+    @property
+    def wanted_frequencies_hz(self) -> tuple[float, ...]:
+        """Vibration frequencies to estimate, in Hz, as asked or as the excitation implies."""
+        if self.processing.frequencies_hz is not None:
+            return self.processing.frequencies_hz
+        if self.excitation is None:
+            return ()
+        rate_hz = self.excitation.burst_rate_hz
+        return tuple(n * rate_hz for n in range(1, 11) if n * rate_hz < self.tracking.pulse_rate_hz / 2)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneText:
+    """A scene with the text that it was read from, kept verbatim for the run file."""
+
+    name: str
+    text: str
+    scene: Scene
+
+
+SimulationCheck = Callable[[Mapping[str, Any]], list[Mistake]]
+
+
+def parse_scene(name: str, text: str, simulation_check: SimulationCheck | None = None) -> SceneText:
+    """Return the scene in ``text``; raise ``SettingsError`` with every mistake.
+
+    ``simulation_check`` is the twin's own check of ``[simulation]``; None leaves that section unread.
+    """
+    tables = parse_toml(text, f"scene {name}")
+    mistakes = mistakes_of(Scene, tables)
+    simulation = tables.get("simulation")
+    if simulation_check is not None and isinstance(simulation, Mapping):
+        mistakes += simulation_check(simulation)
+    if mistakes:
+        raise SettingsError(f"scene {name}", mistakes)
+    return SceneText(name, text, Scene.model_validate(tables))
+
+
+def shipped_scenes() -> dict[str, str]:
+    """Return the shipped scenes' texts by name."""
+    folder = resources.files("hpe_rig") / "scenes"
+    files = sorted((file for file in folder.iterdir() if file.name.endswith(".toml")), key=lambda file: file.name)
+    return {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
+
+
+def scene_text(name_or_path: str) -> tuple[str, str]:
+    """Return name and text of a shipped scene or of a TOML file; raise ``SettingsError`` with what exists."""
+    shipped = shipped_scenes()
+    if name_or_path in shipped:
+        return name_or_path, shipped[name_or_path]
+    path = Path(name_or_path)
+    try:
+        return path.stem, path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
+        what = f"neither a shipped scene nor a readable file ({reason})"
+        raise SettingsError(f"scene {name_or_path}", [Mistake("", what, f"a path, or one of {', '.join(shipped)}")]) from None

@@ -1,0 +1,106 @@
+"""Configure -> verify -> arm -> enable -> fire -> collect -> safe, shot by shot; yields records, stores nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+from drivers.interfaces import DeadlineError, RecordBlock
+from hpe_rig.bench import Bench
+from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
+
+
+class Step(StrEnum):
+    """What the sequencer is about to do."""
+
+    CONFIGURE = "configure"
+    VERIFY = "verify"
+    ARM = "arm"
+    ENABLE = "enable outputs"
+    FIRE = "fire"
+    COLLECT = "collect"
+    SAFE = "outputs off"
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where the sequencer stands: ``records`` of the shot's planned records have arrived."""
+
+    step: Step
+    shot: Shot
+    records: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ShotBlock:
+    """Records of one shot, as they arrive."""
+
+    shot: Shot
+    block: RecordBlock
+
+
+Observer = Callable[[Progress], None]
+
+
+def unobserved(progress: Progress) -> None:
+    """Take notice of nothing."""
+
+
+def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Iterator[ShotBlock]:
+    """Yield the records of every shot of ``plan``; after each shot, and on any exception, every output is off.
+
+    A shot whose records stop before the deadline yields those that came; ``DeadlineError`` is raised when none did.
+    """
+    next_start_s = bench.clock.now_s()
+    for shot in plan.shots:
+        try:
+            _prepare(shot, bench, observer)
+            wait_s = next_start_s - bench.clock.now_s()
+            if wait_s > 0:
+                bench.clock.sleep(wait_s)
+            observer(Progress(Step.FIRE, shot))
+            next_start_s = bench.clock.now_s() + plan.shot_period_s
+            bench.master.fire()
+            yield from _collect(shot, bench, observer)
+        finally:
+            bench.make_safe()
+        observer(Progress(Step.SAFE, shot, shot.capture.record_count))
+
+
+def _prepare(shot: Shot, bench: Bench, observer: Observer) -> None:
+    observer(Progress(Step.CONFIGURE, shot))
+    bench.master.configure(shot.master)
+    if bench.burst_train is not None and shot.burst_train is not None:
+        bench.burst_train.configure(shot.burst_train)
+    if bench.toneburst is not None and shot.toneburst is not None:
+        bench.toneburst.configure(shot.toneburst)
+    bench.tracking_train.configure(shot.tracking_train)
+    bench.tracking_pulser.configure(shot.tracking_pulser)
+    bench.digitizer.configure(shot.capture)
+    instruments = (bench.master, bench.burst_train, bench.toneburst, bench.tracking_train, bench.tracking_pulser)
+    generators = [instrument for instrument in instruments if instrument is not None]
+    observer(Progress(Step.VERIFY, shot))
+    for generator in generators:
+        generator.verify()
+    bench.digitizer.verify()
+    observer(Progress(Step.ARM, shot))
+    bench.digitizer.arm()
+    observer(Progress(Step.ENABLE, shot))
+    # Downstream first: nothing may trigger an output that is not ready for it.
+    for generator in reversed(generators):
+        generator.enable_output()
+
+
+def _collect(shot: Shot, bench: Bench, observer: Observer) -> Iterator[ShotBlock]:
+    deadline_s = bench.clock.now_s() + shot.train_end_s + SAFETY_MARGIN_S
+    arrived = 0
+    observer(Progress(Step.COLLECT, shot))
+    try:
+        for block in bench.digitizer.records(deadline_s):
+            arrived += block.codes.shape[0]
+            yield ShotBlock(shot, block)
+            observer(Progress(Step.COLLECT, shot, arrived))
+    except DeadlineError:
+        if not arrived:
+            raise
