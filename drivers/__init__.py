@@ -1,1 +1,1 @@
-"""What talks to metal: each driver speaks to its instrument through a wire that a real transport or the twin provides."""
+"""What talks to metal: each driver speaks through a wire that a real transport or the twin provides."""
