@@ -80,6 +80,12 @@ class Bench:
         """Every open instrument, in the order of making safe."""
         return tuple(getattr(self, role) for role in SAFE_ORDER if getattr(self, role) is not None)
 
+    @property
+    def generators(self) -> tuple[MasterTrigger | PulseGenerator | ToneburstGenerator, ...]:
+        """The open generators, in the order of the trigger's way."""
+        chain = (self.master, self.burst_train, self.toneburst, self.tracking_train, self.tracking_pulser)
+        return tuple(generator for generator in chain if generator is not None)
+
     def make_safe(self) -> None:
         """Switch every output off and abort the capture, each guarded on its own; raise ``UnsafeBenchError``."""
         failures: list[tuple[str, BaseException]] = []
@@ -108,6 +114,13 @@ def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
     return mistakes_of(SimulationSettings, tables, ("simulation",))
 
 
+def simulation_schema() -> dict[str, Any]:
+    """Return the JSON schema of the ``[simulation]`` section."""
+    from sim_backend.settings import SimulationSettings
+
+    return SimulationSettings.model_json_schema()
+
+
 @contextmanager
 def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str]) -> Iterator[Bench]:
     """Yield the bench with the instruments of ``roles`` open; make it safe, verified, on every way out."""
@@ -128,7 +141,7 @@ def _open_twin(scene: Scene, bench: BenchFile, roles: Sequence[str], stack: Exit
 
     declared: dict[str, Any] = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
     if scene.beams is not None:
-        declared["beams"] = scene.beams.model_dump()
+        declared["beams"] = scene.beams.model_dump(exclude={"pulse_length_m"})
     settings = SimulationSettings.model_validate(declared | (scene.simulation or {}))
     world = World(settings, [(wire.source, wire.target, wire.delay_s) for wire in bench.wiring])
     wires = {role: cast(InstrumentWire, world.wire(role)) for role in roles if role != "digitizer"}

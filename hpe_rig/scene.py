@@ -97,6 +97,8 @@ class Beams(Section):
     """E_x, E_y, E_z: sigmas of the displacement's Gaussian, eq. (12)."""
     tracking_width_m: Triple
     """T_x, T_y, T_z: sigmas of the tracking beam's Gaussian, eq. (8)."""
+    pulse_length_m: Positive | None = None
+    """Axial length c T / 2 of the tracking pulse as received, T its full length; absent: that of its cycles."""
 
 
 class Processing(Section):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from drivers.interfaces import DeadlineError, RecordBlock
+from drivers.interfaces import DeadlineError, RecordBlock, Setting
 from hpe_rig.bench import Bench
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 
@@ -33,6 +33,14 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True)
+class ShotReady:
+    """A shot is programmed and verified; ``settings`` are those of every instrument, read back, by role."""
+
+    shot: Shot
+    settings: Mapping[str, Mapping[str, Setting]]
+
+
+@dataclass(frozen=True, slots=True)
 class ShotBlock:
     """Records of one shot, as they arrive."""
 
@@ -40,6 +48,14 @@ class ShotBlock:
     block: RecordBlock
 
 
+@dataclass(frozen=True, slots=True)
+class ShotDone:
+    """A shot has ended and every output is off."""
+
+    shot: Shot
+
+
+Event = ShotReady | ShotBlock | ShotDone
 Observer = Callable[[Progress], None]
 
 
@@ -47,15 +63,16 @@ def unobserved(progress: Progress) -> None:
     """Take notice of nothing."""
 
 
-def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Iterator[ShotBlock]:
-    """Yield the records of every shot of ``plan``; after each shot, and on any exception, every output is off.
+def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Iterator[Event]:
+    """Yield what happens in every shot of ``plan``; after each shot, and on any exception, every output is off.
 
     A shot whose records stop before the deadline yields those that came; ``DeadlineError`` is raised when none did.
     """
     next_start_s = bench.clock.now_s()
     for shot in plan.shots:
         try:
-            _prepare(shot, bench, observer)
+            yield ShotReady(shot, _configure(shot, bench, observer))
+            _enable(shot, bench, observer)
             wait_s = next_start_s - bench.clock.now_s()
             if wait_s > 0:
                 bench.clock.sleep(wait_s)
@@ -66,9 +83,10 @@ def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Iterat
         finally:
             bench.make_safe()
         observer(Progress(Step.SAFE, shot, shot.capture.record_count))
+        yield ShotDone(shot)
 
 
-def _prepare(shot: Shot, bench: Bench, observer: Observer) -> None:
+def _configure(shot: Shot, bench: Bench, observer: Observer) -> Mapping[str, Mapping[str, Setting]]:
     observer(Progress(Step.CONFIGURE, shot))
     bench.master.configure(shot.master)
     if bench.burst_train is not None and shot.burst_train is not None:
@@ -78,17 +96,18 @@ def _prepare(shot: Shot, bench: Bench, observer: Observer) -> None:
     bench.tracking_train.configure(shot.tracking_train)
     bench.tracking_pulser.configure(shot.tracking_pulser)
     bench.digitizer.configure(shot.capture)
-    instruments = (bench.master, bench.burst_train, bench.toneburst, bench.tracking_train, bench.tracking_pulser)
-    generators = [instrument for instrument in instruments if instrument is not None]
     observer(Progress(Step.VERIFY, shot))
-    for generator in generators:
-        generator.verify()
-    bench.digitizer.verify()
+    for instrument in (*bench.generators, bench.digitizer):
+        instrument.verify()
+    return bench.snapshot()
+
+
+def _enable(shot: Shot, bench: Bench, observer: Observer) -> None:
     observer(Progress(Step.ARM, shot))
     bench.digitizer.arm()
     observer(Progress(Step.ENABLE, shot))
     # Downstream first: nothing may trigger an output that is not ready for it.
-    for generator in reversed(generators):
+    for generator in reversed(bench.generators):
         generator.enable_output()
 
 

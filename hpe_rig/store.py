@@ -29,6 +29,7 @@ from drivers.interfaces import RecordBlock
 from hpe_rig.bench_file import BenchText
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.records import MISSING, ShotRecords, pulse_index
+from hpe_rig.result import Result
 from hpe_rig.scene import SceneText
 
 FORMAT = "hpe_rig run"
@@ -90,14 +91,17 @@ class RunWriter:
         echo[shot.index, index[kept]] = block.codes[kept]
         self._records["trigger_time_s"][shot.index, index[kept]] = block.trigger_time_s[kept]
 
-    def finish_shot(
-        self, shot: Shot, snapshot: Mapping[str, Mapping[str, Any]], true_displacement_m: NDArray[np.float64] | None
-    ) -> None:
-        """Write what is known after a shot: the settings read back and, on the twin, the true displacement."""
-        self._file["snapshot"][shot.index] = json.dumps(snapshot, sort_keys=True)
-        if true_displacement_m is not None:
-            valid = np.flatnonzero(np.isfinite(self._records["trigger_time_s"][shot.index]))
-            self._file["truth/displacement_m"][shot.index, valid] = true_displacement_m[: valid.size]
+    def settings(self, shot: Shot, settings: Mapping[str, Mapping[str, Any]]) -> None:
+        """Write the instruments' settings as read back for ``shot``."""
+        self._file["snapshot"][shot.index] = json.dumps(settings, sort_keys=True)
+
+    def truth(self, shot: Shot, displacement_m: NDArray[np.float64]) -> None:
+        """Write the true displacement at the focus for each record of ``shot``, shape (record,)."""
+        valid = np.flatnonzero(np.isfinite(self._records["trigger_time_s"][shot.index]))
+        self._file["truth/displacement_m"][shot.index, valid] = displacement_m[: valid.size]
+
+    def flush(self) -> None:
+        """Hand what was written to the operating system."""
         self._file.flush()
 
 
@@ -206,3 +210,51 @@ def _with_axes(group: h5py.Group, dataset: h5py.Dataset, units: str) -> None:
     dataset.attrs["units"] = units
     for axis, name in zip(range(dataset.ndim), ("shot", "pulse", "sample"), strict=False):
         dataset.dims[axis].attach_scale(group[name])
+
+
+def result_path(run_path: Path, estimator: str) -> Path:
+    """Return the path of the result file beside a run file."""
+    return run_path.with_name(f"{run_path.stem}.{estimator}.h5")
+
+
+def write_result(path: Path, result: Result) -> None:
+    """Write ``result`` to ``path``, replacing an earlier result there; raise ``StoreError`` if it cannot be written.
+
+    Group ``results``: one dataset an estimate's value, dimensions shot and frequency, NaN where a value is unknown.
+    """
+    rows = [shot.estimates for shot in result.shots]
+    try:
+        with h5py.File(path, "w") as file:
+            for name in ("title", "run_file", "simulated", "estimator", "phase_reference"):
+                file.attrs[name] = getattr(result, name)
+            file["json"] = json.dumps(result.as_dict())
+            group = file.create_group("results")
+            group["shot"] = [shot.shot for shot in result.shots]
+            group["frequency"] = [estimate.frequency_hz for estimate in rows[0]]
+            group["frequency"].attrs["units"] = "Hz"
+            for name in ("shot", "frequency"):
+                group[name].make_scale(name)
+            for name, units in _RESULT_UNITS.items():
+                values = [[_number(getattr(estimate, name)) for estimate in row] for row in rows]
+                dataset = group.create_dataset(name, data=values, dtype="f8")
+                dataset.attrs["units"] = units
+                dataset.dims[0].attach_scale(group["shot"])
+                dataset.dims[1].attach_scale(group["frequency"])
+    except OSError as error:
+        raise StoreError(f"{path} cannot be written ({error}). Try: a folder that is writable.") from None
+
+
+_RESULT_UNITS = {
+    "amplitude_m": "m",
+    "amplitude_uncertainty_m": "m",
+    "phase_rad": "rad",
+    "phase_uncertainty_rad": "rad",
+    "averaging_factor": "1",
+    "speckle_relative": "1",
+    "true_amplitude_m": "m",
+    "true_phase_rad": "rad",
+}
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value

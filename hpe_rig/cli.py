@@ -1,0 +1,198 @@
+"""The commands of ``hpe-rig``; each imports what it needs when it is called, so that ``--help`` stays light."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ParamSpec
+
+import typer
+
+if TYPE_CHECKING:
+    from hpe_rig.result import Result
+    from hpe_rig.run import Setup
+    from hpe_rig.sequencer import Observer
+
+P = ParamSpec("P")
+
+app = typer.Typer(
+    help="Measure harmonic motion with pulsed ultrasound excitation, on the bench or on its twin.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A shipped scene's name or a TOML file.")]
+BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file; absent: the simulated bench.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+Estimator = Annotated[str | None, typer.Option(help="coherent or cross_spectrum; absent: as the scene says.")]
+
+EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 1, 3, 130, 143
+
+
+def guarded(command: Callable[P, None]) -> Callable[P, None]:
+    """Return ``command`` such that every expected failure ends in a message and an exit code, never in a traceback."""
+
+    @functools.wraps(command)
+    def guard(*args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            command(*args, **kwargs)
+        except typer.Exit:
+            raise
+        except BaseException as error:
+            failure = _failure(error)
+            if failure is None:
+                raise
+            typer.echo(f"hpe-rig: {failure[0]}", err=True)
+            raise typer.Exit(failure[1]) from None
+
+    return guard
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+@app.command()
+@guarded
+def run(
+    scene: SceneName,
+    bench: BenchPath = None,
+    output: Annotated[Path | None, typer.Option(help="Run file; absent: SCENE.h5 here, numbered if taken.")] = None,
+    estimator: Estimator = None,
+    json: Json = False,
+) -> None:
+    """Plan, acquire, store, estimate: one measurement from the scene to the table."""
+    from hpe_rig.run import Stages, measure, prepare, process
+
+    stages = Stages()
+    setup = prepare(scene, bench, stages)
+    with _progress(setup, quiet=json) as observer:
+        path = measure(setup, output, observer, stages)
+    _print(process(path, estimator, stages), json)
+
+
+@app.command()
+@guarded
+def process(run_file: Path, estimator: Estimator = None, json: Json = False) -> None:
+    """Estimate again from a stored run, also with another estimator."""
+    from hpe_rig.run import Stages
+    from hpe_rig.run import process as process_run
+
+    _print(process_run(run_file, estimator, Stages()), json)
+
+
+@app.command()
+@guarded
+def check(scene: SceneName, bench: BenchPath = None) -> None:
+    """Print the plan: timeline, checks, what is left out, expected duration and file size. Opens nothing."""
+    from hpe_rig.run import Stages, prepare
+    from hpe_rig.timeline import plan_text
+
+    setup = prepare(scene, bench, Stages(), refuse=False)
+    typer.echo(plan_text(setup.scene.scene.title, setup.plan, setup.findings))
+    if any(finding.level == "refused" for finding in setup.findings):
+        raise typer.Exit(EXIT_MISTAKE)
+
+
+@app.command()
+@guarded
+def scenes() -> None:
+    """List the shipped scenes."""
+    from hpe_rig.scene import parse_scene, shipped_scenes
+
+    for name, text in shipped_scenes().items():
+        typer.echo(f"{name:20} {parse_scene(name, text).scene.title}")
+
+
+@app.command()
+@guarded
+def new(
+    name: Annotated[str, typer.Argument(help="The new scene's name; NAME.toml is written here.")],
+    like: Annotated[str, typer.Option(help="The scene to start from.")] = "bovine-muscle",
+) -> None:
+    """Copy a shipped scene, or the simulated bench file with --like bench, to a file of your own."""
+    from hpe_rig.bench_file import read_bench
+    from hpe_rig.scene import scene_text
+
+    text = read_bench().text if like == "bench" else scene_text(like)[1]
+    path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        typer.echo(f"{path} exists and is never overwritten. Try: another name.", err=True)
+        raise typer.Exit(EXIT_MISTAKE) from None
+    typer.echo(f"{path}: edit it, then hpe-rig check {path}" if like != "bench" else f"{path}: edit it, then --bench {path}")
+
+
+@app.command()
+@guarded
+def schema(
+    of: Annotated[str, typer.Argument(help="scene, bench or simulation")] = "scene",
+) -> None:
+    """Print the JSON schema of a scene, a bench file or the [simulation] section, for editors."""
+    import json
+
+    from hpe_rig.run import json_schema
+
+    typer.echo(json.dumps(json_schema(of), indent=2))
+
+
+def _print(result: Result, json: bool) -> None:
+    if json:
+        import json as json_format
+
+        typer.echo(json_format.dumps(result.as_dict(), indent=2))
+        return
+    from hpe_rig.table import print_result
+
+    print_result(result)
+
+
+@contextmanager
+def _progress(setup: Setup, quiet: bool) -> Iterator[Observer]:
+    from hpe_rig.sequencer import Progress, unobserved
+
+    if quiet or not sys.stderr.isatty():
+        yield unobserved
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    total = sum(shot.capture.record_count for shot in setup.plan.shots)
+    with Bar(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=total)
+
+        def observe(progress: Progress) -> None:
+            done = progress.shot.index * progress.shot.capture.record_count + progress.records
+            bar.update(task, completed=done, description=f"shot {progress.shot.index + 1}: {progress.step.value}")
+
+        yield observe
+
+
+def _failure(error: BaseException) -> tuple[str, int] | None:
+    """Return message and exit code of an expected failure, None for a bug."""
+    from drivers.interfaces import InstrumentError
+    from hpe_rig.bench import Terminated, UnsafeBenchError
+    from hpe_rig.conflicts import PlanError
+    from hpe_rig.mistakes import SettingsError
+    from hpe_rig.store import StoreError
+
+    kept = "every output is off, verified; the run file holds the records that had arrived"
+    match error:
+        case UnsafeBenchError():
+            return str(error), EXIT_UNSAFE
+        case SettingsError() | PlanError() | StoreError():
+            return str(error), EXIT_MISTAKE
+        case InstrumentError():
+            return str(error), EXIT_INSTRUMENT
+        case KeyboardInterrupt():
+            return f"interrupted: {kept}", EXIT_INTERRUPTED
+        case Terminated():
+            return f"terminated: {kept}", EXIT_TERMINATED
+    return None

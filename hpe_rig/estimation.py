@@ -1,0 +1,117 @@
+"""Stored records -> estimates of every shot, with the truth beside them where the twin knows it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.plan import Plan, Shot
+from hpe_rig.processing import EchoGate, HarmonicFit, Motion, drift_between_halves, estimate, least_squares
+from hpe_rig.processing.conditioning import codes_to_volts, remove_offset
+from hpe_rig.records import ShotRecords
+from hpe_rig.result import Estimate, ShotResult
+from hpe_rig.scene import Scene
+from hpe_rig.store import StoredRun
+from hpe_rig.theory import beam_averaging_factor, speckle_relative
+
+CODE_LIMITS = (-8192, 8191)
+
+
+def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) -> tuple[ShotResult, ...]:
+    """Return the estimates of every shot that has records."""
+    prediction = predicted_averaging(scene, estimator)
+    results = []
+    for shot, records in zip(plan.shots, stored.records, strict=True):
+        if not records.valid.any():
+            continue
+        truth_m = None if stored.true_displacement_m is None else stored.true_displacement_m[shot.index]
+        results.append(_estimate_shot(scene, shot, records, truth_m, estimator, prediction))
+    return tuple(results)
+
+
+def predicted_averaging(scene: Scene, estimator: str) -> tuple[float | None, float | None]:
+    """Return the predicted tracked over peak displacement and its relative speckle spread; None without beams."""
+    if scene.beams is None:
+        return None, None
+    tracking, acquisition, beams = scene.tracking, scene.acquisition, scene.beams
+    pulse_m = tracking.cycles / tracking.carrier_hz * acquisition.sound_speed_m_per_s / 2
+    pulse_m = beams.pulse_length_m or pulse_m
+    geometry = (beams.excitation_width_m, beams.tracking_width_m, acquisition.gate_length_m, pulse_m)
+    windowed = estimator == "cross_spectrum"
+    return beam_averaging_factor(*geometry, hann_gate=windowed), speckle_relative(*geometry, hann_gate=windowed)
+
+
+def slow_time_window(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
+    """Return which pulses lie in the processing window, shape (pulse,)."""
+    processing = scene.processing
+    after_first_s = shot.timeline.pulse_onset_s - shot.timeline.pulse_onset_s[0]
+    end_s = math.inf if processing.window_length_s is None else processing.window_start_s + processing.window_length_s
+    half_s = 0.5 / shot.tracking_train.rate_hz
+    inside: NDArray[np.bool_] = (after_first_s > processing.window_start_s - half_s) & (after_first_s < end_s - half_s)
+    return inside
+
+
+def _estimate_shot(
+    scene: Scene,
+    shot: Shot,
+    records: ShotRecords,
+    truth_m: NDArray[np.float64] | None,
+    estimator: str,
+    prediction: tuple[float | None, float | None],
+) -> ShotResult:
+    inside = slow_time_window(scene, shot)
+    codes, valid = records.codes[inside][:, shot.gate], records.valid[inside]
+    volts = codes_to_volts(codes, records.volts_per_code, records.volts_offset)
+    # Pulse and toneburst both travel to the gate, so the way there cancels against the reference.
+    time_s = shot.timeline.pulse_onset_s[inside] - shot.timeline.reference_s
+    echoes = EchoGate(
+        volts=remove_offset(volts),
+        sample_rate_hz=shot.capture.sample_rate_hz,
+        pulse_time_s=time_s,
+        carrier_hz=scene.tracking.carrier_hz,
+        sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
+        valid=valid,
+    )
+    frequencies_hz = np.array(scene.wanted_frequencies_hz)
+    fit = estimate(echoes, frequencies_hz, estimator)
+    truth = None if truth_m is None else _fit_truth(time_s, truth_m[inside], frequencies_hz)
+    clipped = int(np.isin(codes[valid], CODE_LIMITS).any(axis=-1).sum())
+    return ShotResult(
+        shot=shot.index,
+        repeat=shot.repeat,
+        burst_length_s=shot.timeline.burst_length_s or None,
+        force_fraction=shot.force_fraction,
+        pulses_used=int(valid.sum()),
+        pulses_missing=int((~valid).sum()),
+        residual_m=float(fit.residual_rms_m),
+        estimates=tuple(_estimate(fit, truth, index, prediction) for index in range(frequencies_hz.size)),
+        warnings=tuple(_warnings(shot, valid, clipped, echoes, frequencies_hz, estimator)),
+    )
+
+
+def _fit_truth(
+    time_s: NDArray[np.float64], truth_m: NDArray[np.float64], frequencies_hz: NDArray[np.float64]
+) -> HarmonicFit | None:
+    known = np.isfinite(truth_m)
+    if known.sum() < 2 * frequencies_hz.size + 2:
+        return None
+    motion = Motion(time_s, np.where(known, truth_m, 0.0), np.zeros(truth_m.shape), known)
+    return least_squares(motion, frequencies_hz)
+
+
+def _estimate(
+    fit: HarmonicFit, truth: HarmonicFit | None, index: int, prediction: tuple[float | None, float | None]
+) -> Estimate:
+    return Estimate(
+        frequency_hz=float(fit.frequency_hz[index]),
+        amplitude_m=float(fit.amplitude_m[index]),
+        amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
+        phase_rad=float(fit.phase_rad[index]),
+        phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
+        averaging_factor=prediction[0],
+        speckle_relative=prediction[1],
+        true_amplitude_m=None if truth is None else float(truth.amplitude_m[index]),
+        true_phase_rad=None if truth is None else float(truth.phase_rad[index]),
+    )

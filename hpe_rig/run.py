@@ -1,0 +1,144 @@
+"""Scene -> result: the only file that knows every stage."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hpe_rig.bench import Bench, check_simulation, open_bench, simulation_schema
+from hpe_rig.bench_file import BenchFile, BenchText, parse_bench, read_bench
+from hpe_rig.conflicts import Finding, findings, refuse_conflicts
+from hpe_rig.mistakes import Mistake, SettingsError
+from hpe_rig.plan import Plan, make_plan
+from hpe_rig.result import Result
+from hpe_rig.scene import Scene, SceneText, parse_scene, scene_text
+from hpe_rig.sequencer import Event, Observer, ShotBlock, ShotDone, ShotReady, acquire, unobserved
+from hpe_rig.store import RunWriter, free_path, read_run, result_path, versions, write_result
+
+
+class Stages:
+    """Wall time by stage, in the order the stages were entered."""
+
+    def __init__(self) -> None:
+        self.run_time_s: dict[str, float] = {}
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        start_s = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.run_time_s[name] = self.run_time_s.get(name, 0.0) + time.perf_counter() - start_s
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """A measurement ready to run."""
+
+    scene: SceneText
+    bench: BenchText
+    plan: Plan
+    findings: tuple[Finding, ...]
+
+
+def prepare(
+    scene_name: str, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
+) -> Setup:
+    """Return the planned measurement; raise ``SettingsError`` or, unless told otherwise, ``PlanError``."""
+    with (stages or Stages())("plan"):
+        bench = read_bench(bench_path)
+        check = check_simulation if bench.bench.simulated else None
+        scene = parse_scene(*scene_text(scene_name), check)
+        plan = make_plan(scene.scene, bench.bench)
+        found = tuple(findings(scene.scene, bench.bench, plan))
+        if refuse:
+            refuse_conflicts(found)
+    return Setup(scene, bench, plan, found)
+
+
+def measure(
+    setup: Setup, path: Path | None = None, observer: Observer = unobserved, stages: Stages | None = None
+) -> Path:
+    """Acquire every shot into a new run file and return its path; every output is off when it returns or raises."""
+    stages = stages or Stages()
+    refuse_conflicts(setup.findings)
+    path = path or free_path(setup.scene.name, Path())
+    with RunWriter(path, setup.scene, setup.bench, setup.plan) as writer, ExitStack() as stack:
+        with stages("open bench"):
+            bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles))
+        with stages("acquire"), closing(acquire(setup.plan, bench, observer)) as events:
+            for event in events:
+                _record(event, bench, writer)
+    return path
+
+
+def _record(event: Event, bench: Bench, writer: RunWriter) -> None:
+    match event:
+        case ShotReady(shot, settings):
+            writer.settings(shot, settings)
+        case ShotBlock(shot, block):
+            writer.append(shot, block)
+        case ShotDone(shot):
+            truth_m = bench.true_displacement_m()
+            if truth_m is not None:
+                writer.truth(shot, truth_m)
+            writer.flush()
+
+
+def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:
+    """Return the result of the run in ``path`` and write it beside the run file."""
+    from hpe_rig.estimation import estimate_run
+
+    stages = stages or Stages()
+    with stages("read"):
+        stored = read_run(path)
+        scene = parse_scene(stored.scene_name, stored.scene_toml).scene
+        bench = parse_bench(stored.bench_name, stored.bench_toml).bench
+        plan = make_plan(scene, bench)
+    chosen = _known_estimator(estimator or scene.processing.estimator)
+    with stages("process"):
+        shots = estimate_run(scene, plan, stored, chosen)
+    warnings = tuple(str(finding) for finding in findings(scene, bench, plan) if finding.level != "passed")
+    if stored.status != "complete":
+        warnings += (f"the run is {stored.status}: not every record was acquired",)
+    result = Result(
+        title=scene.title,
+        run_file=path.name,
+        simulated=stored.simulated,
+        status=stored.status,
+        estimator=chosen,
+        phase_reference=phase_reference(scene),
+        shots=shots,
+        warnings=warnings,
+        left_out=tuple((item.what, item.why) for item in plan.left_out),
+        versions=versions(),
+        run_time_s=stages.run_time_s,
+    )
+    with stages("write result"):
+        write_result(result_path(path, chosen), result)
+    return result
+
+
+def phase_reference(scene: Scene) -> str:
+    """Return in words what phase zero means; propagation to the focus is removed from both sides."""
+    start = "the arrival of the first toneburst" if scene.excitation else "the master trigger, its edge carried"
+    return f"sin(2 pi f t + phase) of the motion at the gate, t from {start} at the gate's depth"
+
+
+def _known_estimator(name: str) -> str:
+    known = ("coherent", "cross_spectrum")
+    if name not in known:
+        raise SettingsError("processing", [Mistake("estimator", f"{name!r} is unknown", f"one of {', '.join(known)}")])
+    return name
+
+
+def json_schema(of: str) -> dict[str, Any]:
+    """Return the JSON schema of a scene, a bench file or the twin's settings."""
+    schemas = {"scene": Scene.model_json_schema, "bench": BenchFile.model_json_schema, "simulation": simulation_schema}
+    if of not in schemas:
+        raise SettingsError(f"schema {of}", [Mistake("", "there is no such schema", f"one of {', '.join(schemas)}")])
+    return schemas[of]()
