@@ -1,0 +1,98 @@
+"""One board of the vendor's library, found by its ids; every call is checked."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from typing import final
+
+from drivers.alazar_api import STATUS_FAILED, AlazarLibrary, BoardOption, Capability, Channel, Parameter, StatusBit
+from drivers.alazar_codes import FAILED, SUCCESS, UNSUPPORTED_FUNCTION, check
+from drivers.interfaces import InstrumentError
+
+VersionCall = Callable[..., int]
+
+
+@final
+class AlazarBoard:
+    """The board's handle and what can be asked of it."""
+
+    def __init__(self, library: AlazarLibrary, role: str, system_id: int, board_id: int, kind: int) -> None:
+        self.library = library
+        self.role = role
+        handle = library.AlazarGetBoardBySystemID(system_id, board_id)
+        if not handle:
+            raise InstrumentError(
+                role,
+                f"no board with system_id {system_id} and board_id {board_id}",
+                "the board is not seated, has no driver, or has other ids",
+                "look the ids up in the vendor's own program and put them in the bench file",
+            )
+        self.handle = handle
+        found = library.AlazarGetBoardKind(handle)
+        if found != kind:
+            why = "another model sits in this machine"
+            what = f"the board is of kind {found}, expected {kind}"
+            raise InstrumentError(role, what, why, "give the ids of the right board in the bench file")
+
+    def call(self, function: Callable[..., int], *arguments: object) -> None:
+        """Call a function whose first argument is the handle; raise ``InstrumentError`` unless it succeeds."""
+        check(int(function(self.handle, *arguments)), function.__name__, self.role)
+
+    def capability(self, capability: Capability) -> int:
+        """Return one fixed property of the board."""
+        value = ctypes.c_uint32()
+        self.call(self.library.AlazarQueryCapability, int(capability), 0, ctypes.byref(value))
+        return int(value.value)
+
+    def parameter(self, parameter: Parameter) -> int | None:
+        """Return one state of the board, or None where this board or SDK does not report it."""
+        value = ctypes.c_long()
+        code = self.library.AlazarGetParameter(self.handle, Channel.A, int(parameter), ctypes.byref(value))
+        if code in (FAILED, UNSUPPORTED_FUNCTION):
+            return None
+        check(code, "AlazarGetParameter", self.role)
+        return int(value.value)
+
+    def channel_info(self) -> tuple[int, int]:
+        """Return the memory in samples per channel, and the bits per sample."""
+        samples, bits = ctypes.c_uint32(), ctypes.c_uint8()
+        self.call(self.library.AlazarGetChannelInfo, ctypes.byref(samples), ctypes.byref(bits))
+        return int(samples.value), int(bits.value)
+
+    def sdk_version(self) -> str:
+        """Return the version of the vendor's library."""
+        return self._version(self.library.AlazarGetSDKVersion)
+
+    def driver_version(self) -> str:
+        """Return the version of the vendor's kernel driver."""
+        return self._version(self.library.AlazarGetDriverVersion)
+
+    def has_dual_port_memory(self) -> bool:
+        """Return whether the board can be read while it captures."""
+        return bool(self.capability(Capability.BOARD_OPTIONS_LOW) & BoardOption.DUAL_PORT_MEMORY)
+
+    def most_records(self, record_samples: int) -> int:
+        """Return how many records of this length the on-board memory holds."""
+        value = ctypes.c_uint32()
+        self.call(self.library.AlazarGetMaxRecordsCapable, record_samples, ctypes.byref(value))
+        return int(value.value)
+
+    def busy(self) -> bool:
+        """Return whether a capture is running."""
+        return bool(self.library.AlazarBusy(self.handle))
+
+    def input_clipped(self) -> bool:
+        """Return whether the board reports that channel A left its range."""
+        status = self.library.AlazarGetStatus(self.handle)
+        if status == STATUS_FAILED:
+            what = f"AlazarGetStatus returned {STATUS_FAILED:#x}"
+            raise InstrumentError(
+                self.role, what, "the board does not answer", "restart the machine, check the board's seat"
+            )
+        return bool(status & StatusBit.CHANNEL_A_CLIPPED)
+
+    def _version(self, function: VersionCall) -> str:
+        parts = tuple(ctypes.c_uint8() for _ in range(3))
+        code = function(*map(ctypes.byref, parts))
+        return ".".join(str(part.value) for part in parts) if code == SUCCESS else "unknown"

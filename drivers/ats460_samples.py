@@ -1,0 +1,57 @@
+"""From the board's memory layout to codes, volts and trigger times (reference 2.5 and 2.6); pure functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+CODE_BITS: Final = 14
+PADDING_BITS: Final = 2
+ZERO_CODE: Final = 1 << (CODE_BITS - 1)
+LOWEST_CODE: Final = -ZERO_CODE
+HIGHEST_CODE: Final = ZERO_CODE - 1
+CENTRE_CODE: Final = 8191.5
+TIMESTAMP_HIGH_MASK: Final = 0xFF
+
+
+@dataclass(frozen=True, slots=True)
+class RawRecords:
+    """Consecutive records as the board delivers them: ``words`` uint16 (record, sample), ``counts`` int64 (record,)."""
+
+    first_record: int
+    words: NDArray[np.uint16]
+    counts: NDArray[np.int64]
+
+
+def header_record_dtype(record_samples: int) -> np.dtype[Any]:
+    """Return the layout of one record of one channel behind its header, as traditional AutoDMA writes it."""
+    return np.dtype([("header", "<u4", (4,)), ("words", "<u2", (record_samples,))])
+
+
+def timestamp_counts(headers: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """Return the 40 bit trigger counter (record,) from ``headers`` (record, 4)."""
+    low, high = headers[:, 2].astype(np.int64), headers[:, 3].astype(np.int64) & TIMESTAMP_HIGH_MASK
+    return (high << 32) | low
+
+
+def codes(words: NDArray[np.uint16]) -> NDArray[np.int16]:
+    """Return zero-centred codes, -8192 .. 8191, from left-justified words of any shape."""
+    return (words >> PADDING_BITS).astype(np.int16) - np.int16(ZERO_CODE)
+
+
+def any_at_full_scale(values: NDArray[np.int16]) -> bool:
+    """Return whether any code is the lowest or the highest."""
+    return bool(np.any(values == LOWEST_CODE) or np.any(values == HIGHEST_CODE))
+
+
+def volts_per_code(input_range_v: float) -> float:
+    """Return the volts of one code when the input spans +-``input_range_v``."""
+    return input_range_v / CENTRE_CODE
+
+
+def volts_offset(input_range_v: float) -> float:
+    """Return the volts of zero-centred code 0: half a code, since zero volts lies between two codes."""
+    return 0.5 * volts_per_code(input_range_v)
