@@ -37,6 +37,8 @@ class Specimen(Section):
     """Toneburst amplitude at the generator that gives ``force_density_n_per_m3``; force goes with its square."""
     resonance_hz: Positive = 3.0e6
     """Centre of the transducer's transmit band (paper: 3.0 MHz)."""
+    resonance_quality: Positive = 2.34
+    """Quality of that band as one damped mode (paper: -16 dB at 9 MHz)."""
 
 
 class MotionComponent(Section):
@@ -85,6 +87,8 @@ class Receiver(Section):
     """Root mean square of the resting echo in the reference gate for a 3-cycle pulse of ``reference_pulse_vpp``."""
     reference_pulse_vpp: Positive = 1.0
     """Tracking pulse amplitude at the generator that gives ``echo_rms_v``."""
+    reference_carrier_hz: Positive = 9.0e6
+    """Carrier of the pulse that gives ``echo_rms_v`` (paper: 9.0 MHz)."""
     toneburst_leak_v: NonNegative = 2.0
     """Amplitude at the digitizer while a toneburst of the specimen's reference drive is transmitted (assumed)."""
     toneburst_echo_gain: NonNegative = 1.0
@@ -133,5 +137,7 @@ class SimulationSettings(Section):
     @model_validator(mode="after")
     def _one_cause_of_motion(self) -> SimulationSettings:
         if self.specimen is not None and self.motion is not None:
-            raise ValueError("specimen and motion exclude each other: remove [simulation.specimen] or [[simulation.motion]]")
+            raise ValueError(
+                "specimen and motion exclude each other: remove [simulation.specimen] or [[simulation.motion]]"
+            )
         return self
