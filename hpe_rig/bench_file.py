@@ -20,7 +20,12 @@ GENERATOR_ROLES: tuple[GeneratorRole, ...] = ("master", "burst_train", "toneburs
 EXCITATION_ROLES: tuple[GeneratorRole, ...] = ("burst_train", "toneburst")
 
 Outlet = Literal[
-    "master.output", "burst_train.output", "toneburst.output", "tracking_train.output", "tracking_pulser.output", "digitizer.aux"
+    "master.output",
+    "burst_train.output",
+    "toneburst.output",
+    "tracking_train.output",
+    "tracking_pulser.output",
+    "digitizer.aux",
 ]
 Inlet = Literal[
     "burst_train.trigger",
@@ -187,7 +192,9 @@ def read_bench(path: Path | None = None) -> BenchText:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         what = f"cannot be read ({error})"
-        raise SettingsError(f"bench {path}", [Mistake("", what, "hpe-rig new-bench prints one to start from")]) from None
+        raise SettingsError(
+            f"bench {path}", [Mistake("", what, "hpe-rig new-bench prints one to start from")]
+        ) from None
     return parse_bench(path.stem, text)
 
 
@@ -200,7 +207,11 @@ def _missing_addresses(bench: BenchFile) -> list[Mistake]:
     if bench.simulated:
         return []
     return [
-        Mistake(f"generators.{role}.address", "this key is required on a real bench", 'a VISA name such as "GPIB0::10::INSTR"')
+        Mistake(
+            f"generators.{role}.address",
+            "this key is required on a real bench",
+            'a VISA name such as "GPIB0::10::INSTR"',
+        )
         for role, generator in _generators(bench).items()
         if not generator.address
     ]

@@ -127,7 +127,9 @@ def new(
     except FileExistsError:
         typer.echo(f"{path} exists and is never overwritten. Try: another name.", err=True)
         raise typer.Exit(EXIT_MISTAKE) from None
-    typer.echo(f"{path}: edit it, then hpe-rig check {path}" if like != "bench" else f"{path}: edit it, then --bench {path}")
+    typer.echo(
+        f"{path}: edit it, then hpe-rig check {path}" if like != "bench" else f"{path}: edit it, then --bench {path}"
+    )
 
 
 @app.command()

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpe_rig.bench_file import BOARD_MODELS, BenchFile
+from hpe_rig.interference import admissible_delays_s, disturbed_pulses, forbidden_window_s
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.scene import Scene
 
@@ -59,42 +59,6 @@ def _us(time_s: float) -> str:
     return f"{time_s * 1e6:.4g} us"
 
 
-def forbidden_window_s(shot: Shot) -> tuple[float, float]:
-    """Return the start and end, relative to a toneburst's onset, between which no tracking pulse may be fired.
-
-    A pulse is disturbed when it is fired into the toneburst, or when its gate meets the toneburst or an echo of it
-    from any depth down to the gate's far end.
-    """
-    gate_start_s, gate_end_s = shot.timeline.gate_offset_s
-    return -(gate_end_s + shot.timeline.pulse_length_s), shot.timeline.burst_length_s + gate_end_s - gate_start_s
-
-
-def disturbed_pulses(shot: Shot) -> NDArray[np.bool_]:
-    """Return which tracking pulses a toneburst or its echo disturbs, shape (pulse,)."""
-    pulses, bursts = shot.timeline.pulse_onset_s, shot.timeline.burst_onset_s
-    if not bursts.size:
-        return np.zeros(pulses.shape, np.bool_)
-    start_s, end_s = forbidden_window_s(shot)
-    latest = np.searchsorted(bursts, pulses - start_s, side="left") - 1
-    return (latest >= 0) & (pulses < bursts[np.maximum(latest, 0)] + end_s)
-
-
-def admissible_delays_s(shot: Shot) -> list[tuple[float, float]]:
-    """Return the intervals of t_d, modulo the pulse period, in which no tracking pulse is disturbed."""
-    period_s = 1 / shot.tracking_train.rate_hz
-    start_s, end_s = forbidden_window_s(shot)
-    if end_s - start_s >= period_s:
-        return []
-    offset_s = shot.timeline.pulse_onset_s[0] - shot.tracking_train.delay_s
-    starts = np.sort(np.round((shot.timeline.burst_onset_s - offset_s + start_s) % period_s, 12))
-    free, end = [], starts[0] + end_s - start_s
-    for start in (*starts[1:], starts[0] + period_s):
-        if start > end + 1e-9:
-            free.append((float(end), float(start)))
-        end = max(end, start + end_s - start_s)
-    return [(low % period_s, low % period_s + high - low) for low, high in free]
-
-
 def _interference(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     if scene.excitation is None:
         return
@@ -129,7 +93,10 @@ def _record_in_period(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Fi
     busy_s = (capture.trigger_delay_samples + capture.record_samples) / capture.sample_rate_hz
     text = f"a record ends {_us(busy_s)} after its trigger, the pulse period is {_us(period_s)}"
     yield _finding(
-        "record in period", busy_s < period_s, text, f"acquisition.record_samples or tracking.pulse_rate_hz below {1 / busy_s:.4g} Hz"
+        "record in period",
+        busy_s < period_s,
+        text,
+        f"acquisition.record_samples or tracking.pulse_rate_hz below {1 / busy_s:.4g} Hz",
     )
 
 
@@ -137,11 +104,17 @@ def _depth(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     acquisition = scene.acquisition
     far_m = acquisition.gate_depth_m + acquisition.gate_length_m / 2
     limit_hz = acquisition.sound_speed_m_per_s / (2 * far_m)
-    text = f"tracking.pulse_rate_hz = {scene.tracking.pulse_rate_hz:g} Hz, c/2z at the gate's far end is {limit_hz:.5g} Hz"
-    yield _finding("depth", scene.tracking.pulse_rate_hz <= limit_hz, text, f"a pulse rate of at most {limit_hz:.5g} Hz")
+    text = (
+        f"tracking.pulse_rate_hz = {scene.tracking.pulse_rate_hz:g} Hz, c/2z at the gate's far end is {limit_hz:.5g} Hz"
+    )
+    yield _finding(
+        "depth", scene.tracking.pulse_rate_hz <= limit_hz, text, f"a pulse rate of at most {limit_hz:.5g} Hz"
+    )
     near_m = acquisition.gate_depth_m - acquisition.gate_length_m / 2
     text = f"the gate starts {near_m * 1e3:.4g} mm from the transducer"
-    yield _finding("gate depth", near_m > 0, text, "acquisition.gate_depth_m of more than half acquisition.gate_length_m")
+    yield _finding(
+        "gate depth", near_m > 0, text, "acquisition.gate_depth_m of more than half acquisition.gate_length_m"
+    )
 
 
 def _aliasing(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
@@ -153,7 +126,10 @@ def _aliasing(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     highest_hz, rate_hz = max(frequencies_hz), scene.tracking.pulse_rate_hz
     text = f"highest of processing.frequencies_hz is {highest_hz:g} Hz, tracking.pulse_rate_hz = {rate_hz:g} Hz"
     yield _finding(
-        "aliasing", rate_hz > 2 * highest_hz, text, f"a pulse rate above {2 * highest_hz:g} Hz, or frequencies below {rate_hz / 2:g} Hz"
+        "aliasing",
+        rate_hz > 2 * highest_hz,
+        text,
+        f"a pulse rate above {2 * highest_hz:g} Hz, or frequencies below {rate_hz / 2:g} Hz",
     )
     if scene.excitation is not None:
         alias = [f for f in frequencies_hz if not _whole(f / scene.excitation.burst_rate_hz)]
@@ -173,7 +149,12 @@ def _resolution(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]
     text = f"processing window of {window_s * 1e3:.4g} ms in a tracking train of {train_s * 1e3:.4g} ms"
     wanted_s = processing.window_start_s + (processing.window_length_s or 0)
     if wanted_s > train_s or window_s <= 0:
-        yield Finding("window", "refused", text, f"window_start_s plus window_length_s within {train_s:g} s, or more tracking.pulse_count")
+        yield Finding(
+            "window",
+            "refused",
+            text,
+            f"window_start_s plus window_length_s within {train_s:g} s, or more tracking.pulse_count",
+        )
         return
     gaps_hz = np.diff([0.0, *frequencies_hz])
     needed_s = 1 / float(gaps_hz.min()) if gaps_hz.min() > 0 else math.inf
@@ -205,11 +186,15 @@ def _board(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     text = f"acquisition.input_range_v = {capture.input_range_v:g} V on the {board.model}"
     yield _finding("input range", capture.input_range_v in model.input_ranges_v, text, f"one of {ranges} V")
     good = capture.record_samples >= model.record_minimum and capture.record_samples % model.record_multiple == 0
-    nearest = max(model.record_minimum, model.record_multiple * math.ceil(capture.record_samples / model.record_multiple))
+    nearest = max(
+        model.record_minimum, model.record_multiple * math.ceil(capture.record_samples / model.record_multiple)
+    )
     text = f"acquisition.record_samples = {capture.record_samples}, the {board.model} takes multiples of "
     text += f"{model.record_multiple} from {model.record_minimum}"
     yield _finding("record length", good, text, f"acquisition.record_samples = {nearest}")
-    text = f"trigger delay of {capture.trigger_delay_samples} samples, the board holds {model.max_trigger_delay_samples}"
+    text = (
+        f"trigger delay of {capture.trigger_delay_samples} samples, the board holds {model.max_trigger_delay_samples}"
+    )
     good = capture.trigger_delay_samples <= model.max_trigger_delay_samples
     yield _finding("trigger delay", good, text, "a gate nearer to the transducer")
     nyquist_hz, carrier_hz = capture.sample_rate_hz / 2, scene.tracking.carrier_hz
@@ -232,13 +217,18 @@ def _periods(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     longest_s = max(shot.train_end_s for shot in plan.shots)
     period_s = scene.acquisition.shot_period_s
     if period_s is not None:
-        text = f"trains end {longest_s * 1e3:.4g} ms after the master trigger, acquisition.shot_period_s = {period_s * 1e3:.4g} ms"
-        yield _finding("master period", longest_s < period_s, text, f"a shot period above {longest_s:.4g} s, or shorter trains")
+        text = f"trains end {longest_s * 1e3:.4g} ms after the master trigger, "
+        text += f"acquisition.shot_period_s = {period_s * 1e3:.4g} ms"
+        yield _finding(
+            "master period", longest_s < period_s, text, f"a shot period above {longest_s:.4g} s, or shorter trains"
+        )
     if scene.excitation is not None and scene.processing.synchronous:
         ratio = scene.tracking.pulse_rate_hz / scene.excitation.burst_rate_hz
         nearest = max(1, round(ratio)) * scene.excitation.burst_rate_hz
         text = f"the burst period holds {ratio:g} pulse periods, processing.synchronous = true wants a whole number"
-        yield _finding("synchronous", _whole(ratio), text, f"tracking.pulse_rate_hz = {nearest:g}, or synchronous = false")
+        yield _finding(
+            "synchronous", _whole(ratio), text, f"tracking.pulse_rate_hz = {nearest:g}, or synchronous = false"
+        )
 
 
 def _excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
@@ -246,14 +236,20 @@ def _excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]
     if excitation is None:
         return
     if bench.generators.burst_train is None or bench.generators.toneburst is None:
-        remedy = "[generators.burst_train] and [generators.toneburst] in the bench file, or a scene without [excitation]"
+        remedy = (
+            "[generators.burst_train] and [generators.toneburst] in the bench file, or a scene without [excitation]"
+        )
         yield Finding("excitation generators", "refused", "the bench has no generators for [excitation]", remedy)
     length_s, rate_hz = max(excitation.burst_length_s), excitation.burst_rate_hz
     duty = length_s * rate_hz
     text = f"duty f_r T_b = {duty:.3g}, limits.max_duty = {limits.max_duty:g}"
-    yield _finding("duty", duty <= limits.max_duty, text, f"excitation.burst_length_s of at most {_us(limits.max_duty / rate_hz)}")
+    yield _finding(
+        "duty", duty <= limits.max_duty, text, f"excitation.burst_length_s of at most {_us(limits.max_duty / rate_hz)}"
+    )
     text = f"excitation.burst_length_s = {_us(length_s)}, limits.max_burst_length_s = {_us(limits.max_burst_length_s)}"
-    yield _finding("burst length", length_s <= limits.max_burst_length_s, text, f"at most {_us(limits.max_burst_length_s)}")
+    yield _finding(
+        "burst length", length_s <= limits.max_burst_length_s, text, f"at most {_us(limits.max_burst_length_s)}"
+    )
     text = f"excitation.burst_count = {excitation.burst_count}, limits.max_bursts = {limits.max_bursts}"
     yield _finding("bursts", excitation.burst_count <= limits.max_bursts, text, f"at most {limits.max_bursts}")
     for burst_length_s in excitation.burst_length_s:
@@ -261,7 +257,9 @@ def _excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]
         nearest_s = max(1, round(cycles)) / excitation.carrier_hz
         text = f"a toneburst of {_us(burst_length_s)} at {excitation.carrier_hz:g} Hz has {cycles:.6g} cycles"
         good = cycles >= 1 - 1e-9 and _whole(cycles)
-        yield _finding("whole cycles", good, text, f"excitation.burst_length_s = {nearest_s:.9g}, a whole number of cycles")
+        yield _finding(
+            "whole cycles", good, text, f"excitation.burst_length_s = {nearest_s:.9g}, a whole number of cycles"
+        )
 
 
 def _tracking_train(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
@@ -270,7 +268,12 @@ def _tracking_train(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Find
         remedy = "tracking.pulse_count (without [excitation] there is no burst train to fill)"
         yield Finding("pulse count", "refused", "the number of tracking pulses is not given", remedy)
     elif count < 4:
-        yield Finding("pulse count", "refused", f"{count} tracking pulses cannot show a vibration", "tracking.pulse_count of 4 or more")
+        yield Finding(
+            "pulse count",
+            "refused",
+            f"{count} tracking pulses cannot show a vibration",
+            "tracking.pulse_count of 4 or more",
+        )
     pulse_s, period_s = plan.shots[0].timeline.pulse_length_s, 1 / scene.tracking.pulse_rate_hz
     if pulse_s >= period_s:
         text = f"a tracking pulse of {_us(pulse_s)} does not fit the pulse period of {_us(period_s)}"
@@ -281,11 +284,17 @@ def _simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]
     if not bench.simulated:
         return
     if scene.simulation is None:
-        yield Finding("simulation", "refused", "a simulated bench without [simulation] has nothing to measure", "a [simulation] section")
+        yield Finding(
+            "simulation",
+            "refused",
+            "a simulated bench without [simulation] has nothing to measure",
+            "a [simulation] section",
+        )
         return
     speed, assumed = scene.simulation.get("sound_speed_m_per_s"), scene.acquisition.sound_speed_m_per_s
     if isinstance(speed, int | float) and speed != assumed:
-        text = f"simulation.sound_speed_m_per_s = {speed:g} m/s, the gate assumes acquisition.sound_speed_m_per_s = {assumed:g} m/s"
+        text = f"simulation.sound_speed_m_per_s = {speed:g} m/s, "
+        text += f"the gate assumes acquisition.sound_speed_m_per_s = {assumed:g} m/s"
         yield Finding("sound speed", "warning", text, "equal values, unless the mismatch is what is studied")
 
 

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.plan import Plan, Shot
-from hpe_rig.processing import EchoGate, HarmonicFit, Motion, drift_between_halves, estimate, least_squares
+from hpe_rig.processing import (
+    Drift,
+    EchoGate,
+    Estimator,
+    HarmonicFit,
+    Motion,
+    drift_between_halves,
+    estimate,
+    least_squares,
+)
 from hpe_rig.processing.conditioning import codes_to_volts, remove_offset
 from hpe_rig.records import ShotRecords
 from hpe_rig.result import Estimate, ShotResult
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoredRun
-from hpe_rig.theory import beam_averaging_factor, speckle_relative
+from hpe_rig.theory import GateWindow, beam_averaging_factor, speckle_spread
 
 CODE_LIMITS = (-8192, 8191)
 
 
-def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) -> tuple[ShotResult, ...]:
+def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimator) -> tuple[ShotResult, ...]:
     """Return the estimates of every shot that has records."""
     prediction = predicted_averaging(scene, estimator)
     results = []
@@ -31,7 +41,7 @@ def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) ->
     return tuple(results)
 
 
-def predicted_averaging(scene: Scene, estimator: str) -> tuple[float | None, float | None]:
+def predicted_averaging(scene: Scene, estimator: Estimator) -> tuple[float | None, float | None]:
     """Return the predicted tracked over peak displacement and its relative speckle spread; None without beams."""
     if scene.beams is None:
         return None, None
@@ -39,8 +49,11 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[float | None, flo
     pulse_m = tracking.cycles / tracking.carrier_hz * acquisition.sound_speed_m_per_s / 2
     pulse_m = beams.pulse_length_m or pulse_m
     geometry = (beams.excitation_width_m, beams.tracking_width_m, acquisition.gate_length_m, pulse_m)
-    windowed = estimator == "cross_spectrum"
-    return beam_averaging_factor(*geometry, hann_gate=windowed), speckle_relative(*geometry, hann_gate=windowed)
+    window: GateWindow = "hann" if estimator == "cross_spectrum" else "none"
+    factor = beam_averaging_factor(*geometry, gate_window=window)
+    # A fixed seed: a prediction is a function of the scene alone.
+    spread = speckle_spread(*geometry, np.random.default_rng(0), gate_window=window)
+    return factor, spread / factor
 
 
 def slow_time_window(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
@@ -58,7 +71,7 @@ def _estimate_shot(
     shot: Shot,
     records: ShotRecords,
     truth_m: NDArray[np.float64] | None,
-    estimator: str,
+    estimator: Estimator,
     prediction: tuple[float | None, float | None],
 ) -> ShotResult:
     inside = slow_time_window(scene, shot)
@@ -74,7 +87,7 @@ def _estimate_shot(
         sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
         valid=valid,
     )
-    frequencies_hz = np.array(scene.wanted_frequencies_hz)
+    frequencies_hz = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
     fit = estimate(echoes, frequencies_hz, estimator)
     truth = None if truth_m is None else _fit_truth(time_s, truth_m[inside], frequencies_hz)
     clipped = int(np.isin(codes[valid], CODE_LIMITS).any(axis=-1).sum())
@@ -87,7 +100,7 @@ def _estimate_shot(
         pulses_missing=int((~valid).sum()),
         residual_m=float(fit.residual_rms_m),
         estimates=tuple(_estimate(fit, truth, index, prediction) for index in range(frequencies_hz.size)),
-        warnings=tuple(_warnings(shot, valid, clipped, echoes, frequencies_hz, estimator)),
+        warnings=tuple(_warnings(valid, clipped, fit, _drift(echoes, frequencies_hz, estimator))),
     )
 
 
@@ -115,3 +128,27 @@ def _estimate(
         true_amplitude_m=None if truth is None else float(truth.amplitude_m[index]),
         true_phase_rad=None if truth is None else float(truth.phase_rad[index]),
     )
+
+
+def _drift(echoes: EchoGate, frequencies_hz: NDArray[np.float64], estimator: Estimator) -> Drift | None:
+    try:
+        return drift_between_halves(echoes, frequencies_hz, estimator)
+    except ValueError:
+        # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
+        return None
+
+
+def _warnings(valid: NDArray[np.bool_], clipped: int, fit: HarmonicFit, drift: Drift | None) -> Iterator[str]:
+    missing = int((~valid).sum())
+    if missing:
+        yield f"{missing} of {valid.size} records are missing: triggers were lost or came while the digitizer was busy"
+    if clipped:
+        yield f"{clipped} records reach the digitizer's full scale in the gate: raise acquisition.input_range_v"
+    if drift is not None and drift.suspicious.any():
+        rows = np.flatnonzero(drift.suspicious)
+        words = ", ".join(f"{fit.frequency_hz[i]:g} Hz {drift.relative_change[i] * 100:+.0f} %" for i in rows)
+        yield (
+            f"the amplitude changes from the first half of the pulses to the second ({words}): tonebursts are missing, "
+            "or the motion is not stationary; compare the bench's burst count with excitation.burst_count, or move "
+            "processing.window_start_s past the start-up"
+        )

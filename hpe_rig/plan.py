@@ -163,7 +163,11 @@ def _shot(
             tracking.pulse_rate_hz, pulse_count(scene), tracking.delay_s, bench.generators.tracking_train.load_ohm
         ),
         tracking_pulser=Toneburst(
-            tracking.carrier_hz, tracking.cycles, pulser.amplitude_vpp or bench.limits.full_drive_vpp, 0.0, pulser.load_ohm
+            tracking.carrier_hz,
+            tracking.cycles,
+            pulser.amplitude_vpp or bench.limits.full_drive_vpp,
+            0.0,
+            pulser.load_ohm,
         ),
         capture=capture,
         timeline=_timeline(scene, bench, burst_length_s, capture),
@@ -238,7 +242,9 @@ def _left_out(scene: Scene, bench: BenchFile) -> list[LeftOut]:
     if scene.beams is None:
         out.append(LeftOut("predicted beam averaging", "the scene has no [beams]"))
     if not bench.simulated:
-        out.append(LeftOut("the twin", "the bench is real" + (", [simulation] is not read" if scene.simulation else "")))
+        out.append(
+            LeftOut("the twin", "the bench is real" + (", [simulation] is not read" if scene.simulation else ""))
+        )
         return out
     simulation = scene.simulation or {}
     if "snr_db" not in simulation.get("receiver", {}):
@@ -247,4 +253,3 @@ def _left_out(scene: Scene, bench: BenchFile) -> list[LeftOut]:
         motion = "the motion is prescribed" if "motion" in simulation else "nothing moves"
         out.append(LeftOut("specimen response", f"{motion}: the scene has no [simulation.specimen]"))
     return out
-

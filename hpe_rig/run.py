@@ -12,10 +12,10 @@ from typing import Any
 from hpe_rig.bench import Bench, check_simulation, open_bench, simulation_schema
 from hpe_rig.bench_file import BenchFile, BenchText, parse_bench, read_bench
 from hpe_rig.conflicts import Finding, findings, refuse_conflicts
-from hpe_rig.mistakes import Mistake, SettingsError
+from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of
 from hpe_rig.plan import Plan, make_plan
 from hpe_rig.result import Result
-from hpe_rig.scene import Scene, SceneText, parse_scene, scene_text
+from hpe_rig.scene import Processing, Scene, SceneText, parse_scene, scene_text
 from hpe_rig.sequencer import Event, Observer, ShotBlock, ShotDone, ShotReady, acquire, unobserved
 from hpe_rig.store import RunWriter, free_path, read_run, result_path, versions, write_result
 
@@ -99,7 +99,11 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
         scene = parse_scene(stored.scene_name, stored.scene_toml).scene
         bench = parse_bench(stored.bench_name, stored.bench_toml).bench
         plan = make_plan(scene, bench)
-    chosen = _known_estimator(estimator or scene.processing.estimator)
+    asked = {"estimator": estimator or scene.processing.estimator}
+    mistakes = mistakes_of(Processing, asked, ("processing",))
+    if mistakes:
+        raise SettingsError("command line", mistakes)
+    chosen = Processing.model_validate(asked).estimator
     with stages("process"):
         shots = estimate_run(scene, plan, stored, chosen)
     warnings = tuple(str(finding) for finding in findings(scene, bench, plan) if finding.level != "passed")
@@ -127,13 +131,6 @@ def phase_reference(scene: Scene) -> str:
     """Return in words what phase zero means; propagation to the focus is removed from both sides."""
     start = "the arrival of the first toneburst" if scene.excitation else "the master trigger, its edge carried"
     return f"sin(2 pi f t + phase) of the motion at the gate, t from {start} at the gate's depth"
-
-
-def _known_estimator(name: str) -> str:
-    known = ("coherent", "cross_spectrum")
-    if name not in known:
-        raise SettingsError("processing", [Mistake("estimator", f"{name!r} is unknown", f"one of {', '.join(known)}")])
-    return name
 
 
 def json_schema(of: str) -> dict[str, Any]:

@@ -24,10 +24,14 @@ def _as_list(value: Any) -> Any:
 
 
 OneOrMorePositive = Annotated[
-    tuple[Positive, ...], BeforeValidator(_as_list, json_schema_input_type=Positive | list[Positive]), Field(min_length=1)
+    tuple[Positive, ...],
+    BeforeValidator(_as_list, json_schema_input_type=Positive | list[Positive]),
+    Field(min_length=1),
 ]
 OneOrMoreFractions = Annotated[
-    tuple[Fraction, ...], BeforeValidator(_as_list, json_schema_input_type=Fraction | list[Fraction]), Field(min_length=1)
+    tuple[Fraction, ...],
+    BeforeValidator(_as_list, json_schema_input_type=Fraction | list[Fraction]),
+    Field(min_length=1),
 ]
 
 
@@ -190,4 +194,6 @@ def scene_text(name_or_path: str) -> tuple[str, str]:
     except (OSError, UnicodeDecodeError) as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
         what = f"neither a shipped scene nor a readable file ({reason})"
-        raise SettingsError(f"scene {name_or_path}", [Mistake("", what, f"a path, or one of {', '.join(shipped)}")]) from None
+        raise SettingsError(
+            f"scene {name_or_path}", [Mistake("", what, f"a path, or one of {', '.join(shipped)}")]
+        ) from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -63,7 +63,7 @@ def unobserved(progress: Progress) -> None:
     """Take notice of nothing."""
 
 
-def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Iterator[Event]:
+def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Generator[Event, None, None]:
     """Yield what happens in every shot of ``plan``; after each shot, and on any exception, every output is off.
 
     A shot whose records stop before the deadline yields those that came; ``DeadlineError`` is raised when none did.

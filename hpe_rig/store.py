@@ -74,7 +74,9 @@ class RunWriter:
     def __enter__(self) -> RunWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         failed = "failed" if kind is not None and issubclass(kind, Exception) else "aborted"
         self._file.attrs["status"] = "complete" if kind is None else failed
         self._file.close()

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hpe_rig.bench_file import read_bench
-from hpe_rig.conflicts import admissible_delays_s, disturbed_pulses, findings
+from hpe_rig.conflicts import findings
+from hpe_rig.interference import admissible_delays_s, disturbed_pulses
 from hpe_rig.plan import Shot, burst_path_s, make_plan, tracking_path_s
 from hpe_rig.scene import Scene, parse_scene, shipped_scenes
 

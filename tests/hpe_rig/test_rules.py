@@ -19,7 +19,9 @@ def modules_after(statement: str) -> set[str]:
 
 
 def test_help_imports_no_numerics_and_no_instruments() -> None:
-    loaded = modules_after("import sys\nsys.argv = ['hpe-rig', '--help']\nfrom hpe_rig.cli import app\ntry: app()\nexcept SystemExit: pass")
+    loaded = modules_after(
+        "import sys\nsys.argv = ['hpe-rig', '--help']\nfrom hpe_rig.cli import app\ntry: app()\nexcept SystemExit: pass"
+    )
     assert not loaded.intersection(HEAVY)
 
 
@@ -36,7 +38,9 @@ def test_checking_a_scene_on_metal_loads_neither_twin_nor_visa(tmp_path: Path) -
     )
     path = tmp_path / "metal.toml"
     path.write_text(bench, encoding="utf-8")
-    statement = f"from pathlib import Path\nfrom hpe_rig.run import prepare\nprepare('bovine-muscle', Path({str(path)!r}))"
+    statement = (
+        f"from pathlib import Path\nfrom hpe_rig.run import prepare\nprepare('bovine-muscle', Path({str(path)!r}))"
+    )
     assert not modules_after(statement).intersection({"sim_backend", "pyvisa"})
 
 

@@ -1,0 +1,44 @@
+"""When tonebursts and their echoes disturb tracking pulses and gates, and which t_d they do not."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.plan import Shot
+
+
+def forbidden_window_s(shot: Shot) -> tuple[float, float]:
+    """Return the start and end, relative to a toneburst's onset, between which no tracking pulse may be fired.
+
+    A pulse is disturbed when it is fired into the toneburst, or when its gate meets the toneburst or an echo of it
+    from any depth down to the gate's far end.
+    """
+    gate_start_s, gate_end_s = shot.timeline.gate_offset_s
+    return -(gate_end_s + shot.timeline.pulse_length_s), shot.timeline.burst_length_s + gate_end_s - gate_start_s
+
+
+def disturbed_pulses(shot: Shot) -> NDArray[np.bool_]:
+    """Return which tracking pulses a toneburst or its echo disturbs, shape (pulse,)."""
+    pulses, bursts = shot.timeline.pulse_onset_s, shot.timeline.burst_onset_s
+    if not bursts.size:
+        return np.zeros(pulses.shape, np.bool_)
+    start_s, end_s = forbidden_window_s(shot)
+    latest = np.searchsorted(bursts, pulses - start_s, side="left") - 1
+    return (latest >= 0) & (pulses < bursts[np.maximum(latest, 0)] + end_s)
+
+
+def admissible_delays_s(shot: Shot) -> list[tuple[float, float]]:
+    """Return the intervals of t_d, modulo the pulse period, in which no tracking pulse is disturbed."""
+    period_s = 1 / shot.tracking_train.rate_hz
+    start_s, end_s = forbidden_window_s(shot)
+    if end_s - start_s >= period_s:
+        return []
+    offset_s = shot.timeline.pulse_onset_s[0] - shot.tracking_train.delay_s
+    starts = np.sort(np.round((shot.timeline.burst_onset_s - offset_s + start_s) % period_s, 12))
+    free, end = [], starts[0] + end_s - start_s
+    for start in (*starts[1:], starts[0] + period_s):
+        if start > end + 1e-9:
+            free.append((float(end), float(start)))
+        end = max(end, start + end_s - start_s)
+    return [(low % period_s, low % period_s + high - low) for low, high in free]
