@@ -1,4 +1,4 @@
-"""The VISA wire over a loopback TCP socket that serves a scripted instrument."""
+"""The VISA wire over a loopback TCP socket that serves the simulated generator, or a script where that must misbehave."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from drivers.agilent_33250a import PulseGenerator33250A
 from drivers.interfaces import InstrumentError, PulseTrain
 from drivers.scpi import ScpiSession
 from drivers.visa_wire import VisaWire
+from sim_backend.clock import SimulatedClock
+from sim_backend.generator_33250a import Generator33250A
 
 TRAIN = PulseTrain(rate_hz=5e3, count=1000, delay_s=10e-3, width_s=10e-6, high_v=4.0, load_ohm=math.inf)
 TIMEOUT_S = 0.15
@@ -92,14 +94,21 @@ def test_a_reply_arrives_without_its_line_end(scripted, opened) -> None:
         wire.close()
 
 
-def test_a_generator_is_configured_over_the_socket_as_over_the_scripted_wire(scripted, opened) -> None:
-    direct, remote = scripted(), scripted()
-    PulseGenerator33250A(direct, "burst_train").configure(TRAIN)
+def test_the_simulated_generator_behind_a_socket_is_programmed_as_it_is_directly(opened) -> None:
+    direct, remote = (Generator33250A(SimulatedClock(), 100e-9) for _ in range(2))
+    generators = [PulseGenerator33250A(direct, "burst_train")]
     with served(remote) as address:
-        generator = PulseGenerator33250A(opened(address), "burst_train")
-        generator.configure(TRAIN)
-        generator.close()
-    assert remote.messages == direct.messages
+        generators.append(PulseGenerator33250A(opened(address), "burst_train"))
+        for generator in generators:
+            generator.configure(TRAIN)
+            generator.verify()
+            generator.enable_output()
+        assert generators[0].snapshot() == generators[1].snapshot()
+        generators[1].make_safe()
+        generators[1].close()
+    assert remote.registers != direct.registers
+    generators[0].make_safe()
+    assert remote.registers == direct.registers
 
 
 def test_silence_is_a_timeout_after_the_time_that_was_set(scripted, opened) -> None:
