@@ -1,9 +1,11 @@
-"""The VISA wire over a loopback TCP socket that serves the simulated generator, or a script where that must misbehave."""
+"""The VISA wire over a loopback socket or terminal that serves the simulated generator, or a script that misbehaves."""
 
 from __future__ import annotations
 
 import math
+import os
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -41,7 +43,7 @@ def served(instrument, delays_s: dict[str, float] | None = None) -> Iterator[str
                 instrument.write(message)
                 answer(instrument, lines)
 
-    thread = threading.Thread(target=serve)
+    thread = threading.Thread(target=serve, daemon=True)
     thread.start()
     try:
         yield f"TCPIP0::127.0.0.1::{listener.getsockname()[1]}::SOCKET"
@@ -175,3 +177,36 @@ def test_closing_twice_is_no_error(scripted) -> None:
         wire = VisaWire(address, TIMEOUT_S, backend="@py")
         wire.close()
         wire.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
+def test_a_serial_address_sets_the_instruments_line_and_takes_remote_control_first(scripted) -> None:
+    import tty
+
+    instrument = scripted()
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+
+    def serve() -> None:
+        with open(ours, "rb", buffering=0, closefd=False) as lines:
+            instrument.write(read_line(lines))
+            instrument.write(read_line(lines))
+            os.write(ours, instrument.read().encode() + b"\n")
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    wire = VisaWire(f"ASRL{os.ttyname(theirs)}::INSTR", 1.0, backend="@py")
+    wire.write("*IDN?")
+    assert "33250A" in wire.read()
+    wire.close()
+    thread.join(timeout=5)
+    os.close(ours)
+    os.close(theirs)
+    assert instrument.messages == ["SYST:REM", "*IDN?"]
+
+
+def read_line(lines) -> str:
+    received = b""
+    while not received.endswith(b"\n"):
+        received += lines.read(1)
+    return received.decode().strip()
