@@ -1,0 +1,247 @@
+"""The main job end to end: scene, plan, real drivers on the twin, file, estimates."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from drivers import agilent_33250a
+from drivers.interfaces import PulseTrain
+from hpe_rig.bench import open_bench
+from hpe_rig.bench_file import read_bench
+from hpe_rig.result import Result
+from hpe_rig.run import Setup, measure, prepare, process
+from hpe_rig.sequencer import ShotBlock, acquire
+from hpe_rig.store import StoreError, read_run
+
+Prepare = Callable[..., Setup]
+Measure = Callable[..., Result]
+NOISE = "snr_db = 40.0"
+
+
+def test_bovine_muscle_finds_every_harmonic_of_the_specimen_within_the_speckle_spread(measured: Measure) -> None:
+    result = measured("bovine-muscle")
+    assert result.simulated
+    assert result.status == "complete"
+    assert not result.warnings
+    (shot,) = result.shots
+    assert not shot.warnings
+    assert [estimate.frequency_hz for estimate in shot.estimates] == [100.0 * n for n in range(1, 11)]
+    for estimate in shot.estimates:
+        assert estimate.predicted_amplitude_m is not None
+        assert estimate.speckle_relative is not None
+        assert estimate.phase_error_rad is not None
+        speckle_m = estimate.speckle_relative * estimate.predicted_amplitude_m
+        # Three standard deviations of the one speckle draw and of the noise together.
+        tolerance_m = 3 * np.hypot(speckle_m, estimate.amplitude_uncertainty_m)
+        assert abs(estimate.amplitude_m - estimate.predicted_amplitude_m) < tolerance_m
+        assert abs(estimate.phase_error_rad) < 4 * estimate.phase_uncertainty_rad + np.radians(0.2)
+
+
+def test_the_same_scene_gives_the_same_file_bit_for_bit(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared("bovine-muscle")
+    first, second = (measure(setup, tmp_path / f"{name}.h5") for name in "ab")
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_another_seed_gives_another_file(prepared: Prepare, tmp_path: Path) -> None:
+    first = measure(prepared("table-1"), tmp_path / "a.h5")
+    second = measure(prepared("table-1", ("seed = 1", "seed = 2")), tmp_path / "b.h5")
+    assert not np.array_equal(read_run(first).records[0].codes, read_run(second).records[0].codes)
+
+
+def test_single_port_and_dual_port_boards_record_the_same(prepared: Prepare, tmp_path: Path) -> None:
+    single = ("[simulation]\n", "[simulation]\ninstruments = {dual_port_memory = false}\n")
+    first = measure(prepared("table-1"), tmp_path / "a.h5")
+    second = measure(prepared("table-1", single), tmp_path / "b.h5")
+    np.testing.assert_array_equal(read_run(first).records[0].codes, read_run(second).records[0].codes)
+
+
+def test_force_components_vanish_at_multiples_of_the_inverse_burst_length(measured: Measure, tmp_path: Path) -> None:
+    # eq. (18): |F_n| has its zeros at n f_r = m / T_b; 1 kHz at T_b = 1 ms, against 900 and 1100 Hz beside it.
+    bench = tmp_path / "long-bursts.toml"
+    text = read_bench().text.replace("max_duty = 0.05", "max_duty = 0.2").replace("250e-6", "2e-3")
+    bench.write_text(text, encoding="utf-8")
+    result = measured(
+        "bovine-muscle",
+        ("burst_length_s = 100e-6", "burst_length_s = 1e-3"),
+        ("delay_s = 130e-6", "delay_s = 130e-6\nallow_interference = true"),
+        ("synchronous = true", "synchronous = true\nfrequencies_hz = [100, 900, 1000, 1100]"),
+        bench=bench,
+    )
+    low, below, zero, above = (estimate.true_amplitude_m for estimate in result.shots[0].estimates)
+    assert low and below and zero is not None and above
+    assert zero < 1e-3 * min(below, above)
+
+
+def test_a_driver_that_programs_half_the_bursts_is_caught_by_the_result(
+    measured: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = agilent_33250a.PulseGenerator33250A.configure
+
+    def half(self: agilent_33250a.PulseGenerator33250A, train: PulseTrain) -> None:
+        count = train.count // 2 if self.role == "burst_train" else train.count
+        whole(self, PulseTrain(train.rate_hz, count, train.delay_s, train.width_s, train.high_v, train.load_ohm))
+
+    monkeypatch.setattr(agilent_33250a.PulseGenerator33250A, "configure", half)
+    (shot,) = measured("bovine-muscle").shots
+    assert any("tonebursts are missing" in warning for warning in shot.warnings)
+
+
+def test_interference_that_is_forced_through_shows_in_the_echoes(prepared: Prepare, tmp_path: Path) -> None:
+    clean = prepared("bovine-muscle")
+    forced = prepared("bovine-muscle", ("delay_s = 130e-6", "delay_s = 20e-6\nallow_interference = true"))
+    assert [finding.level for finding in forced.findings if finding.level != "passed"] == ["warning"]
+    rms = []
+    for index, setup in enumerate((clean, forced)):
+        run = read_run(measure(setup, tmp_path / f"{index}.h5"))
+        gate = setup.plan.shots[0].gate
+        codes = run.records[0].codes[:, gate].astype(float)
+        rms.append(np.sqrt((codes**2).mean(axis=1)))
+    # Every fortieth pulse, the one that follows a burst, stands out of the forced run and none out of the clean one.
+    middle = np.median(rms[1])
+    loud = np.flatnonzero(rms[1] > 1.5 * middle)
+    assert loud.tolist() == list(range(0, 800, 40))
+    assert (rms[0] < 1.5 * np.median(rms[0])).all()
+
+
+def test_a_wrong_burst_rate_in_the_driver_shows_as_a_wrong_measurement(
+    measured: Measure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = agilent_33250a.PulseGenerator33250A.configure
+
+    def fast(self: agilent_33250a.PulseGenerator33250A, train: PulseTrain) -> None:
+        rate_hz = 200.0 if self.role == "burst_train" else train.rate_hz
+        whole(self, PulseTrain(rate_hz, train.count, train.delay_s, train.width_s, train.high_v, train.load_ohm))
+
+    monkeypatch.setattr(agilent_33250a.PulseGenerator33250A, "configure", fast)
+    result = measured(
+        "bovine-muscle",
+        ("burst_count = 20", "burst_count = 40"),
+        ("delay_s = 130e-6", "delay_s = 130e-6\npulse_count = 800"),
+    )
+    estimates = {estimate.frequency_hz: estimate for estimate in result.shots[0].estimates}
+    assert estimates[100.0].amplitude_m < 0.01 * estimates[200.0].amplitude_m
+
+
+def test_both_estimators_agree_on_one_run(prepared: Prepare, tmp_path: Path) -> None:
+    run_file = measure(prepared("table-1", (NOISE, "")), tmp_path / "run.h5")
+    coherent, paper = (process(run_file, name).shots[0].estimates[0] for name in ("coherent", "cross_spectrum"))
+    assert coherent.true_amplitude_m == pytest.approx(1e-6, rel=1e-3)
+    # Two gates' speckle averages of the same echoes: 6 and 8 % apart from the mean (model notes, section 1).
+    assert paper.amplitude_m == pytest.approx(coherent.amplitude_m, rel=0.2)
+    for estimate in (coherent, paper):
+        assert abs(estimate.phase_error_rad or 0) < np.radians(0.5)
+        assert (tmp_path / "run.cross_spectrum.h5").exists()
+
+
+def test_records_and_results_open_in_xarray_with_coordinates_and_units(measured: Measure, tmp_path: Path) -> None:
+    result = measured("table-1")
+    run_file = tmp_path / result.run_file
+    with xr.open_dataset(run_file, group="records", engine="h5netcdf") as records:
+        assert dict(records.sizes) == {"shot": 1, "pulse": 101, "sample": 512}
+        assert records["echo"].attrs["units"] == "V"
+        assert float(abs(records["echo"]).max()) < 0.8
+        assert records["sample"].attrs["units"] == "s"
+    with xr.open_dataset(
+        run_file.with_suffix("").with_suffix(".coherent.h5"), group="results", engine="h5netcdf"
+    ) as table:
+        assert float(table["amplitude_m"].sel(frequency=200.0, shot=0)) == result.shots[0].estimates[0].amplitude_m
+
+
+def test_the_run_file_keeps_scene_settings_and_provenance(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared("bovine-muscle")
+    path = measure(setup, tmp_path / "run.h5")
+    with h5py.File(path) as file:
+        assert file["scene"].asstr()[()] == setup.scene.text
+        settings = json.loads(file["snapshot"].asstr()[0])
+        assert set(settings) == set(setup.plan.roles)
+        assert file.attrs["status"] == "complete"
+        assert bool(file.attrs["simulated"])
+        assert {"version_hpe_rig", "version_numpy", "version_commit"} <= set(file.attrs)
+
+
+def test_an_existing_run_file_is_never_overwritten(prepared: Prepare, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    path.write_bytes(b"precious")
+    with pytest.raises(StoreError, match="never overwritten"):
+        measure(prepared("table-1"), path)
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("content", [b"", b"no HDF5 at all", b"\x89HDF\r\n\x1a\n" + b"\0" * 100])
+def test_a_foreign_file_is_refused_with_a_message(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "foreign.h5"
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match="foreign"):
+        process(path)
+
+
+def test_an_interrupted_run_can_be_processed_as_far_as_it_came(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared("table-1", ("[acquisition]", "[acquisition]\nrepeats = 3"))
+    path = tmp_path / "run.h5"
+
+    def stop_in_the_second_shot(progress: object) -> None:
+        if getattr(progress, "shot").index == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        measure(setup, path, stop_in_the_second_shot)
+    result = process(path)
+    assert result.status == "aborted"
+    assert [shot.shot for shot in result.shots] == [0]
+    assert any("aborted" in warning for warning in result.warnings)
+
+
+def test_a_scene_without_excitation_opens_no_excitation_generator(prepared: Prepare) -> None:
+    setup = prepared("table-1")
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        assert bench.burst_train is None
+        assert bench.toneburst is None
+        blocks = [event for event in acquire(setup.plan, bench) if isinstance(event, ShotBlock)]
+    assert sum(event.block.codes.shape[0] for event in blocks) == 101
+
+
+def test_the_command_line_runs_checks_lists_copies_and_processes(tmp_path: Path) -> None:
+    def rig(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "hpe_rig", *arguments]
+        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+
+    assert "bovine-muscle" in rig("scenes").stdout
+    assert rig("new", "mine", "--like", "table-1").returncode == 0
+    assert rig("new", "mine", "--like", "table-1").returncode == 2
+    assert "checks:" in rig("check", "mine.toml").stdout
+    done = rig("run", "mine.toml", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["shots"][0]["estimates"][0]["frequency_hz"] == 200.0
+    assert "SIMULATED" in rig("process", "mine.h5").stdout
+    assert json.loads(rig("schema").stdout)["properties"]["tracking"]
+    wrong = rig("run", "nowhere")
+    assert wrong.returncode == 2
+    assert "bovine-muscle" in wrong.stderr
+    assert "Traceback" not in wrong.stderr
+    (tmp_path / "mine.toml").write_text("[tracking]\npulse_rate_hz = 0\n", encoding="utf-8")
+    assert rig("check", "mine.toml").returncode == 2
+
+
+def test_a_repeat_keeps_the_scatterers_and_draws_new_noise(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared("table-1", ("[acquisition]", "[acquisition]\nrepeats = 2"))
+    first, second = (records.codes for records in read_run(measure(setup, tmp_path / "run.h5")).records)
+    assert not np.array_equal(first, second)
+    echo = first[:, setup.plan.shots[0].gate].astype(float), second[:, setup.plan.shots[0].gate].astype(float)
+    assert np.corrcoef(echo[0].ravel(), echo[1].ravel())[0, 1] > 0.99
+
+
+def test_prepare_accepts_a_bench_file(tmp_path: Path) -> None:
+    path = tmp_path / "other.toml"
+    path.write_text(read_bench().text.replace("delay_s = 10e-9", "delay_s = 1e-6"), encoding="utf-8")
+    setup = prepare("bovine-muscle", path)
+    assert setup.plan.shots[0].timeline.reference_s == pytest.approx(5e-9 + 100e-9 + 5e-9 + 100e-9 + 1e-6)

@@ -1,0 +1,109 @@
+"""Whatever happens at whatever step, every output of the twin is off and its digitizer idle."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hpe_rig.bench import Bench, Terminated, open_bench
+from hpe_rig.run import Setup
+from hpe_rig.sequencer import Progress, Step, acquire
+
+Prepare = Callable[..., Setup]
+
+
+def run_until(setup: Setup, step: Step, error: BaseException) -> Bench:
+    """Run the sequencer, raise ``error`` as it enters ``step``, and return the bench as it was left."""
+    seen: list[Bench] = []
+
+    def observe(progress: Progress) -> None:
+        if progress.step is step:
+            raise error
+
+    with pytest.raises(type(error)), open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        seen.append(bench)
+        for _ in acquire(setup.plan, bench, observe):
+            pass
+    return seen[0]
+
+
+def assert_safe(bench: Bench) -> None:
+    assert bench.world is not None
+    assert not any(bench.world.outputs_on().values())
+    assert bench.world.digitizer_idle()
+
+
+@pytest.mark.parametrize("step", list(Step))
+@pytest.mark.parametrize(
+    "error", [KeyboardInterrupt(), Terminated(), RuntimeError("a bug")], ids=lambda e: type(e).__name__
+)
+@pytest.mark.parametrize("dual_port", [True, False])
+def test_an_interruption_at_any_step_leaves_outputs_off_and_the_digitizer_idle(
+    prepared: Prepare, step: Step, error: BaseException, dual_port: bool
+) -> None:
+    memory = ("[simulation]\n", f"[simulation]\ninstruments = {{dual_port_memory = {str(dual_port).lower()}}}\n")
+    assert_safe(run_until(prepared("bovine-muscle", memory), step, error))
+
+
+def test_outputs_are_on_when_the_master_fires(prepared: Prepare) -> None:
+    setup = prepared("bovine-muscle")
+    on: dict[str, bool] = {}
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        assert bench.world is not None
+        world = bench.world
+
+        def observe(progress: Progress) -> None:
+            if progress.step is Step.FIRE:
+                on.update(world.outputs_on())
+
+        for _ in acquire(setup.plan, bench, observe):
+            pass
+    assert all(on.values())
+    assert_safe(bench)
+
+
+def test_a_consumer_that_stops_early_leaves_outputs_off(prepared: Prepare) -> None:
+    setup = prepared("bovine-muscle")
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        events = acquire(setup.plan, bench)
+        next(events)
+        next(events)
+        events.close()
+        assert_safe(bench)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a console's Ctrl-C cannot be sent to one process on Windows")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_in_the_middle_of_a_run_ends_with_its_code_and_a_readable_file(
+    tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    script = f"""
+import os, signal, sys
+from hpe_rig import sequencer
+fire = sequencer._collect
+def collect(*args):
+    os.kill(os.getpid(), {int(number)})
+    yield from fire(*args)
+sequencer._collect = collect
+sys.argv = ["hpe-rig", "run", "table-1", "--output", "run.h5"]
+from hpe_rig.cli import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == code, done.stderr
+    assert "every output is off, verified" in done.stderr
+    assert "Traceback" not in done.stderr
+    again = subprocess.run(
+        [sys.executable, "-m", "hpe_rig", "process", "run.h5"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert "Traceback" not in again.stderr
