@@ -43,9 +43,9 @@ def remove_offset(volts: FloatArray) -> FloatArray:
     One number for all pulses: a mean of each record would add its noise to that record, and a mean over pulses at
     each sample would remove the resting echo, which is what carries the phase.
     """
-    return volts - volts.mean(axis=(-2, -1), keepdims=True)
+    return np.asarray(volts - volts.mean(axis=(-2, -1), keepdims=True))
 
 
 def hann(count: int) -> FloatArray:
     """Return a Hann window (count,) sampled at the middle of its intervals: symmetric, with a mean of exactly 1/2."""
-    return np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2
+    return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2)

@@ -100,7 +100,7 @@ def filter_states(
     for k, row in enumerate(matrix):
         if process_variance[k] > 0:
             stacked = np.vstack([root.T, np.sqrt(process_variance[k]) * np.eye(states)])
-            root = np.linalg.qr(stacked, mode="r").T
+            root = np.linalg.qr(stacked)[1].T
         seen = root.T @ row
         innovation_variance = 1.0 + seen @ seen
         gain = root @ seen / innovation_variance
@@ -139,7 +139,7 @@ def design(
             f"try at least {states + 1} pulses or fewer frequencies"
         )
     columns = [harmonic_columns(time_s, frequency_hz)] + [np.ones((time_s.size, 1))] * constant
-    matrix = np.hstack(columns)[valid]
+    matrix: FloatArray = np.hstack(columns)[valid]
     condition = np.linalg.cond(matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny))
     if not condition <= largest_condition:
         raise ValueError(_unresolved(time_s[valid], frequency_hz, condition, largest_condition))
@@ -181,7 +181,7 @@ def _polar_covariance(radial: FloatArray, amplitude: FloatArray) -> FloatArray:
     # variance of phase is across / amplitude^2 unless that passes the limit: one scale covers both
     scale = 1 / np.sqrt(np.maximum(amplitude**2, across / PHASE_VARIANCE_LIMIT).clip(min=np.finfo(np.float64).tiny))
     weights = np.stack([np.ones_like(scale), scale], axis=-1)
-    return radial * weights[..., :, None] * weights[..., None, :]
+    return np.asarray(radial * weights[..., :, None] * weights[..., None, :])
 
 
 def _require_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
@@ -205,7 +205,7 @@ def _unresolved(time_s: FloatArray, frequency_hz: FloatArray, condition: float, 
     span_s = float(time_s[-1] - time_s[0])
     closest_hz = float(np.min(np.diff(np.sort(frequency_hz), prepend=0.0)))
     return (
-        f"frequencies {frequency_hz.tolist()} Hz cannot be told apart (condition {condition:.3g}, limit {limit:g}): the "
-        f"closest two, zero included, are {closest_hz:g} Hz apart and watched for {span_s:g} s, or valid pulses are "
-        f"spaced badly; try at least {1 / closest_hz:g} s or other frequencies"
+        f"frequencies {frequency_hz.tolist()} Hz cannot be told apart (condition {condition:.3g}, limit {limit:g}): "
+        f"the closest two, zero included, are {closest_hz:g} Hz apart and watched for {span_s:g} s, or the valid "
+        f"pulses are spaced badly; try at least {1 / closest_hz:g} s or other frequencies"
     )

@@ -174,7 +174,7 @@ def _mean_frequency(cross: ComplexArray, frequency_hz: FloatArray) -> FloatArray
     """
     energy = cross.real.sum(axis=-2)
     total = energy.sum(axis=-1)
-    mean_hz = (energy @ frequency_hz) / np.where(total > 0, total, 1.0)
+    mean_hz: FloatArray = (energy @ frequency_hz) / np.where(total > 0, total, 1.0)
     usable = (total > 0) & (mean_hz >= frequency_hz[0]) & (mean_hz <= frequency_hz[-1])
     if not usable.all():
         raise ValueError(

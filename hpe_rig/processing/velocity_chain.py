@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hpe_rig.processing.conditioning import hann
 from hpe_rig.processing.harmonic import HarmonicFit, design, filter_states, fit_from_state, harmonic_columns
 from hpe_rig.processing.motion import Velocity
+from hpe_rig.processing.velocity_noise import per_pulse, velocity_noise
 
 FloatArray = NDArray[np.float64]
 
@@ -37,9 +38,8 @@ def velocity_to_harmonics(
     """Return amplitude and phase of the displacement from its velocity, frequency by frequency.
 
     The gain sinc(f / f_prf) of the difference, its half-interval delay and the 90 degrees between velocity and
-    displacement are removed. The covariance takes the noise of the pulses as white, so that of neighbouring
-    velocities as correlated by -1/2, and carries it through every step. Raises ``ValueError`` for unevenly spaced
-    pulses and as ``least_squares`` does. Source: paper Sec. II.A and III.B.2.
+    displacement are removed. The covariance carries the noise that ``velocity_noise`` finds through every step. Raises
+    ``ValueError`` for unevenly spaced pulses and as ``least_squares`` does. Source: paper Sec. II.A and III.B.2.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
@@ -49,11 +49,13 @@ def velocity_to_harmonics(
         state, functional = _one_frequency(velocity, frequency_hz, index, everything, interval_s)
         states.append(state)
         functionals.append(functional)
-    noise = _pulse_noise(velocity, everything, interval_s)
-    pulses = _per_pulse(np.concatenate(functionals), interval_s)
-    covariance = noise[..., None, None] * (pulses @ pulses.T)
+    pulse_variance, interval_variance = velocity_noise(velocity, everything, frequency_hz, interval_s)
+    over_intervals = np.concatenate(functionals)
+    over_pulses = per_pulse(over_intervals, interval_s)
+    covariance = pulse_variance[..., None, None] * (over_pulses @ over_pulses.T)
+    covariance = covariance + interval_variance[..., None, None] * (over_intervals @ over_intervals.T)
     used = int(np.count_nonzero(np.append(velocity.valid, False) | np.insert(velocity.valid, 0, False)))
-    return fit_from_state(frequency_hz, np.concatenate(states, axis=-1), covariance, noise, used)
+    return fit_from_state(frequency_hz, np.concatenate(states, axis=-1), covariance, pulse_variance, used)
 
 
 def _even_interval_s(velocity: Velocity) -> float:
@@ -61,7 +63,7 @@ def _even_interval_s(velocity: Velocity) -> float:
     spread_s = float(np.ptp(velocity.interval_s))
     if spread_s > 1e-3 * interval_s:
         raise ValueError(
-            f"pulse intervals differ by {spread_s:g} s around {interval_s:g} s: the band-pass needs an even pulse rate; "
+            f"pulse intervals differ by {spread_s:g} s around {interval_s:g} s: the band-pass needs an even rate; "
             "mark missing pulses as invalid instead of leaving them out, or use the estimator 'coherent'"
         )
     return interval_s
@@ -119,29 +121,10 @@ def _fill_matrix(velocity: Velocity, frequency_hz: FloatArray, everything: Float
     if not missing.any():
         return np.zeros((0, int(velocity.valid.sum())))
     columns = harmonic_columns(velocity.time_s, frequency_hz)[missing]
-    return np.hstack([columns, np.ones((len(columns), 1))]) @ np.linalg.pinv(everything)
+    return np.asarray(np.hstack([columns, np.ones((len(columns), 1))]) @ np.linalg.pinv(everything))
 
 
 def _filled(values: FloatArray, valid: NDArray[np.bool_], fill: FloatArray) -> FloatArray:
-    filled = values.copy()
+    filled: FloatArray = values.copy()
     filled[..., ~valid] = values[..., valid] @ fill.T
     return filled
-
-
-def _per_pulse(functional: FloatArray, interval_s: float) -> FloatArray:
-    """Return rows (row, pulse) over pulse displacements from rows (row, interval) over velocities."""
-    rows = np.zeros((functional.shape[0], functional.shape[1] + 1))
-    rows[:, 1:] += functional / interval_s
-    rows[:, :-1] -= functional / interval_s
-    return rows
-
-
-def _pulse_noise(velocity: Velocity, everything: FloatArray, interval_s: float) -> FloatArray:
-    """Return the displacement variance (...) of one pulse that explains the velocities' residual."""
-    q = np.linalg.qr(everything)[0]
-    values = velocity.velocity_m_per_s[..., velocity.valid]
-    residual = values - (values @ q) @ q.T
-    spread = np.zeros((q.shape[1], velocity.valid.size))
-    spread[:, velocity.valid] = q.T
-    expected = 2 * len(q) / interval_s**2 - np.sum(_per_pulse(spread, interval_s) ** 2)
-    return np.sum(residual**2, axis=-1) / expected
