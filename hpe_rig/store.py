@@ -43,7 +43,10 @@ class StoreError(Exception):
 def versions() -> dict[str, str]:
     """Return the versions that shaped the numbers, and the commit the package was built from where it is known."""
     packages = {name: metadata.version(name) for name in ("numpy", "scipy", "h5py")}
-    own = metadata.version("hpe-rig")
+    try:
+        own = metadata.version("hpe-rig")
+    except metadata.PackageNotFoundError:
+        own = "not installed"
     commit = own.partition("+g")[2].partition(".")[0] or "unknown"
     return {"hpe_rig": own, "commit": commit, "python": platform.python_version(), **packages}
 

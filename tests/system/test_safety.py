@@ -26,10 +26,14 @@ def run_until(setup: Setup, step: Step, error: BaseException) -> Bench:
         if progress.step is step:
             raise error
 
-    with pytest.raises(type(error)), open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
-        seen.append(bench)
-        for _ in acquire(setup.plan, bench, observe):
-            pass
+    def measure() -> None:
+        with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+            seen.append(bench)
+            for _ in acquire(setup.plan, bench, observe):
+                pass
+
+    with pytest.raises(type(error)):
+        measure()
     return seen[0]
 
 
