@@ -1,15 +1,23 @@
-"""Trigger wiring: edges and bursts as arrays in integer picoseconds."""
+"""Trigger wiring: voltage steps, bursts and cables as arrays in integer picoseconds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 from numpy.typing import NDArray
 
 Picoseconds = NDArray[np.int64]
+Volts = NDArray[np.float64]
 
 PS_PER_S = 1_000_000_000_000
+
+SOURCE_OHM = 50.0
+"""Output impedance of every source (33250A: manual; AUX output: assumed)."""
+DRIVE_INPUT_OHM = 50.0
+"""Input impedance of the transducer's amplifier (assumed)."""
 
 
 def to_ps(time_s: float) -> int:
@@ -37,3 +45,154 @@ class Capture:
     first_sample_ps: Picoseconds
     sample_period_ps: int
     samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Steps of an output's open-circuit voltage, by time; every array has shape (step,)."""
+
+    time_ps: Picoseconds
+    before_v: Volts
+    after_v: Volts
+
+
+@dataclass(frozen=True, slots=True)
+class Emission:
+    """What an instrument put out for what came in; ``ignored`` counts the triggers that it was too busy for."""
+
+    steps: Steps
+    bursts: Bursts
+    ignored: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Wire:
+    """A cable from an output ("master.output") to an input ("burst_train.trigger")."""
+
+    source: str
+    target: str
+    delay_ps: int
+
+
+Respond = Callable[[Steps], Emission]
+
+
+def no_steps() -> Steps:
+    """Return a voltage that never changes."""
+    return Steps(np.empty(0, np.int64), np.empty(0), np.empty(0))
+
+
+def no_bursts() -> Bursts:
+    """Return silence."""
+    return Bursts(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0))
+
+
+def joined_steps(parts: Iterable[Steps]) -> Steps:
+    """Return the steps of all ``parts`` by time; steps of one time keep their order."""
+    parts = [part for part in parts if part.time_ps.size]
+    if not parts:
+        return no_steps()
+    time_ps = np.concatenate([part.time_ps for part in parts])
+    before_v, after_v = (np.concatenate([getattr(part, name) for part in parts]) for name in ("before_v", "after_v"))
+    order = np.argsort(time_ps, kind="stable")
+    return Steps(time_ps[order], before_v[order], after_v[order])
+
+
+def joined_bursts(parts: Iterable[Bursts]) -> Bursts:
+    """Return the bursts of all ``parts`` by onset."""
+    parts = [part for part in parts if part.onset_ps.size]
+    if not parts:
+        return no_bursts()
+    order = np.argsort(np.concatenate([part.onset_ps for part in parts]), kind="stable")
+    names = ("onset_ps", "end_ps", "carrier_hz", "cycles", "amplitude_vpp")
+    return Bursts(*(np.concatenate([getattr(part, name) for part in parts])[order] for name in names))
+
+
+def crossings(steps: Steps, level_v: float, rising: bool, input_ohm: float) -> Picoseconds:
+    """Return when an input of ``input_ohm`` sees the voltage pass ``level_v``: int64 (edge,)."""
+    share = input_ohm / (input_ohm + SOURCE_OHM)
+    before, after = steps.before_v * share, steps.after_v * share
+    passed = (before < level_v) & (after >= level_v) if rising else (before >= level_v) & (after < level_v)
+    return steps.time_ps[passed]
+
+
+def accepted(trigger_ps: Picoseconds, busy_ps: int, limit: int | None = None) -> NDArray[np.intp]:
+    """Return the indices of the triggers that find an instrument idle which is busy ``busy_ps`` after each.
+
+    ``trigger_ps`` is sorted; a trigger exactly ``busy_ps`` after an accepted one is accepted too. At most ``limit``.
+    """
+    if np.all(np.diff(trigger_ps) >= busy_ps):
+        return np.arange(trigger_ps.size)[:limit]
+    # Duration is constant: one jump an accepted trigger, not a step a trigger.
+    taken: list[int] = []
+    index = 0
+    while index < trigger_ps.size and (limit is None or len(taken) < limit):
+        taken.append(index)
+        idle_from = np.searchsorted(trigger_ps, trigger_ps[index] + busy_ps, side="left")
+        index = max(index + 1, int(idle_from))
+    return np.array(taken, np.intp)
+
+
+def wires_of(
+    wiring: Sequence[tuple[str, str, float]], sources: Sequence[str], targets: Sequence[str]
+) -> tuple[Wire, ...]:
+    """Return the cables of ``wiring``; raise ``ValueError`` for an end that does not exist or a delay below 0."""
+    for source, target, delay_s in wiring:
+        if source not in sources:
+            raise ValueError(f"wiring: no output {source!r}; the twin has {', '.join(sources)}")
+        if target not in targets:
+            raise ValueError(f"wiring: no input {target!r}; the twin has {', '.join(targets)}")
+        if not delay_s >= 0:
+            raise ValueError(
+                f"wiring: {source} -> {target} has a delay of {delay_s} s; a cable cannot answer before it is asked"
+            )
+    return tuple(Wire(source, target, to_ps(delay_s)) for source, target, delay_s in wiring)
+
+
+def trigger_order(wires: Sequence[Wire], roles: Sequence[str]) -> tuple[str, ...]:
+    """Return ``roles`` so that each comes after what triggers it; raise ``ValueError`` where the wiring has a loop."""
+    graph: dict[str, set[str]] = {role: set() for role in roles}
+    for wire in wires:
+        if wire.target.endswith(".trigger"):
+            graph[_role(wire.target)].add(_role(wire.source))
+    try:
+        return tuple(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        raise ValueError(
+            f"wiring: a loop of triggers, {' -> '.join(error.args[1])}; remove one of its cables"
+        ) from None
+
+
+def propagate(wires: Sequence[Wire], respond: Mapping[str, Respond]) -> dict[str, Emission]:
+    """Return what every role of ``respond`` puts out, evaluated along the wiring; an unwired input sees nothing."""
+    emissions: dict[str, Emission] = {}
+    for role in trigger_order(wires, tuple(respond)):
+        arriving = [
+            _delayed(emissions[_role(wire.source)].steps, wire.delay_ps)
+            for wire in wires
+            if wire.target == f"{role}.trigger"
+        ]
+        emissions[role] = respond[role](joined_steps(arriving))
+    return emissions
+
+
+def driven(wires: Sequence[Wire], emissions: Mapping[str, Emission], roles: Sequence[str]) -> Bursts:
+    """Return the bursts of ``roles`` as they arrive at the transducer, in volts across its amplifier's input."""
+    share = DRIVE_INPUT_OHM / (DRIVE_INPUT_OHM + SOURCE_OHM)
+    arriving = []
+    for wire in wires:
+        if wire.target == "transducer.drive" and _role(wire.source) in roles:
+            bursts = emissions[_role(wire.source)].bursts
+            onset_ps, end_ps = bursts.onset_ps + wire.delay_ps, bursts.end_ps + wire.delay_ps
+            arriving.append(
+                replace(bursts, onset_ps=onset_ps, end_ps=end_ps, amplitude_vpp=bursts.amplitude_vpp * share)
+            )
+    return joined_bursts(arriving)
+
+
+def _role(end: str) -> str:
+    return end.partition(".")[0]
+
+
+def _delayed(steps: Steps, delay_ps: int) -> Steps:
+    return replace(steps, time_ps=steps.time_ps + delay_ps)

@@ -1,0 +1,304 @@
+"""The command table of a 33250A: header -> what it sets and what it answers, as functions of the registers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from sim_backend import registers_33250a as registers
+from sim_backend.registers_33250a import Coerced, Registers, load_share
+from sim_backend.scpi_text import ScpiError, boolean, keyword, number, quoted, real_reply
+
+Write = Callable[[Registers, tuple[str, ...]], Coerced]
+Read = Callable[[Registers, tuple[str, ...]], str]
+Limits = Callable[[Registers], tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What one header does; None where the form without or with ``?`` does not exist."""
+
+    write: Write | None
+    read: Read | None
+
+
+def _one(arguments: tuple[str, ...]) -> str:
+    if not arguments:
+        raise ScpiError(-109, "Missing parameter")
+    if len(arguments) > 1:
+        raise ScpiError(-108, "Parameter not allowed")
+    return arguments[0]
+
+
+def _extreme(text: str, limits: tuple[float, float]) -> float | None:
+    low, high = limits
+    return {"MIN": low, "MINIMUM": low, "MAX": high, "MAXIMUM": high}.get(text.upper())
+
+
+def _number(
+    units: str,
+    limits: Limits,
+    get: Callable[[Registers], float],
+    put: Callable[[Registers, float], Coerced],
+    infinite: bool = False,
+    convert: Callable[[Registers, float, str], float] = lambda state, value, unit: value,
+) -> Setting:
+    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        text = _one(arguments)
+        value = _extreme(text, limits(state))
+        if infinite and text.upper() in ("INF", "INFINITY"):
+            value = math.inf
+        return put(state, convert(state, *number(text, units)) if value is None else value)
+
+    def read(state: Registers, arguments: tuple[str, ...]) -> str:
+        if not arguments:
+            return real_reply(get(state))
+        value = _extreme(_one(arguments), limits(state))
+        if value is None:
+            raise ScpiError(-224, "Illegal parameter value")
+        return real_reply(value)
+
+    return Setting(write, read)
+
+
+def _plain(units: str, low: float, high: float, field: str, quantity: str) -> Setting:
+    def put(state: Registers, value: float) -> Coerced:
+        value, errors = registers.clipped(value, low, high, quantity)
+        return Coerced(replace(state, **{field: value}), errors)  # type: ignore[arg-type]
+
+    return _number(units, lambda state: (low, high), lambda state: getattr(state, field), put)
+
+
+def _choice(words: str, get: Callable[[Registers], str], put: Callable[[Registers, str], Coerced]) -> Setting:
+    return Setting(
+        lambda state, arguments: put(state, keyword(_one(arguments), words.split())),
+        lambda state, arguments: get(state),
+    )
+
+
+def _word(words: str, field: str) -> Setting:
+    return _choice(
+        words,
+        lambda state: getattr(state, field),
+        lambda state, word: Coerced(replace(state, **{field: word})),  # type: ignore[arg-type]
+    )
+
+
+def _switch(get: Callable[[Registers], bool], put: Callable[[Registers, bool], Coerced]) -> Setting:
+    return Setting(
+        lambda state, arguments: put(state, boolean(_one(arguments))), lambda state, arguments: str(int(get(state)))
+    )
+
+
+def _flag(field: str) -> Setting:
+    return _switch(
+        lambda state: getattr(state, field),
+        lambda state, on: Coerced(replace(state, **{field: on})),  # type: ignore[arg-type]
+    )
+
+
+def _mode(name: str) -> Setting:
+    return _switch(lambda state: state.modulation == name, lambda state, on: registers.set_modulation(state, name, on))
+
+
+def _rms_per_vpp(state: Registers) -> float:
+    return {"SIN": 0.5 / math.sqrt(2), "RAMP": 0.5 / math.sqrt(3), "NOIS": 0.1}.get(state.function, 0.5)
+
+
+def _to_vpp(state: Registers, value: float, unit: str) -> float:
+    unit = state.unit if unit in ("", "V") else unit
+    if unit == "DBM":
+        if math.isinf(state.load_ohm):
+            raise ScpiError(-221, "Settings conflict; amplitude units cannot be dBm at high-Z load")
+        return math.sqrt(state.load_ohm * 1e-3 * 10 ** (value / 10)) / _rms_per_vpp(state)
+    return value / _rms_per_vpp(state) if unit == "VRMS" else value
+
+
+def _in_unit(state: Registers, vpp: float) -> float:
+    if state.unit == "DBM":
+        return 10 * math.log10((vpp * _rms_per_vpp(state)) ** 2 / (state.load_ohm * 1e-3))
+    return vpp * _rms_per_vpp(state) if state.unit == "VRMS" else vpp
+
+
+def _amplitude_limits(state: Registers) -> tuple[float, float]:
+    share = load_share(state)
+    return registers.SMALLEST_VPP * share, 2 * (registers.PEAK_V - abs(state.offset_v)) * share
+
+
+def _amplitude() -> Setting:
+    def limits(state: Registers) -> tuple[float, float]:
+        low, high = _amplitude_limits(state)
+        return _in_unit(state, low), _in_unit(state, high)
+
+    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        text = _one(arguments)
+        vpp = _extreme(text, _amplitude_limits(state))
+        if vpp is None:
+            vpp = _to_vpp(state, *number(text, "VPP VRMS DBM V"))
+        return registers.set_amplitude(state, vpp / load_share(state))
+
+    shown = _number(
+        "", limits, lambda state: _in_unit(state, state.amplitude_v * load_share(state)), registers.set_amplitude
+    )
+    return Setting(write, shown.read)
+
+
+def _level(
+    open_limits: Limits, get: Callable[[Registers], float], put: Callable[[Registers, float], Coerced]
+) -> Setting:
+    def limits(state: Registers) -> tuple[float, float]:
+        low, high = open_limits(state)
+        return low * load_share(state), high * load_share(state)
+
+    return _number(
+        "V",
+        limits,
+        lambda state: get(state) * load_share(state),
+        lambda state, value: put(state, value / load_share(state)),
+    )
+
+
+def _offset_limits(state: Registers) -> tuple[float, float]:
+    room = registers.PEAK_V - state.amplitude_v / 2
+    return -room, room
+
+
+def _gap_v(state: Registers) -> float:
+    return registers.LEVEL_GAP_V / load_share(state)
+
+
+def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
+    frequency_hz, errors = registers.clipped(frequency_hz, *registers.frequency_limits_hz(state), "frequency")
+    return registers.settle_frequency(Coerced(replace(state, frequency_hz=frequency_hz), errors))
+
+
+def _put_period(state: Registers, period_s: float) -> Coerced:
+    low, high = registers.FREQUENCY_LIMITS_HZ["PULS"]
+    period_s, errors = registers.clipped(period_s, 1 / high, 1 / low, "pulse period")
+    return registers.settle_frequency(
+        registers.settle_pulse(Coerced(replace(state, frequency_hz=1 / period_s), errors))
+    )
+
+
+def _put_edge(state: Registers, edge_s: float) -> Coerced:
+    edge_s, errors = registers.clipped(edge_s, *registers.edge_limits_s(state), "pulse edge time")
+    return Coerced(replace(state, edge_s=edge_s), errors)
+
+
+def _put_duty(state: Registers, percent: float) -> Coerced:
+    percent, errors = registers.clipped(percent, *registers.duty_limits_percent(state), "duty cycle")
+    return Coerced(replace(state, duty_percent=percent), errors)
+
+
+def _put_delay(state: Registers, delay_s: float) -> Coerced:
+    delay_s, errors = registers.clipped(delay_s, *registers.DELAY_LIMITS_S, "trigger delay")
+    return registers.settle_burst(Coerced(replace(state, delay_s=delay_s), errors))
+
+
+def _phase() -> Setting:
+    def limits(state: Registers) -> tuple[float, float]:
+        return (-360.0, 360.0) if state.angle_unit == "DEG" else (-2 * math.pi, 2 * math.pi)
+
+    def put(state: Registers, angle: float) -> Coerced:
+        angle, errors = registers.clipped(angle, *limits(state), "burst phase")
+        degrees = angle if state.angle_unit == "DEG" else math.degrees(angle)
+        return Coerced(replace(state, burst_phase_deg=degrees), errors)
+
+    def get(state: Registers) -> float:
+        return state.burst_phase_deg if state.angle_unit == "DEG" else math.radians(state.burst_phase_deg)
+
+    def convert(state: Registers, angle: float, unit: str) -> float:
+        if unit in ("", state.angle_unit):
+            return angle
+        return math.degrees(angle) if unit == "RAD" else math.radians(angle)
+
+    return _number("DEG RAD", limits, get, put, convert=convert)
+
+
+def _text() -> Setting:
+    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        return Coerced(replace(state, display_text=quoted(_one(arguments))))
+
+    return Setting(write, lambda state, arguments: f'"{state.display_text}"')
+
+
+def _range() -> Setting:
+    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        once = _one(arguments).upper() == "ONCE"
+        return Coerced(replace(state, range_auto="0" if once else str(int(boolean(arguments[0])))))
+
+    return Setting(write, lambda state, arguments: state.range_auto)
+
+
+def _clear_text(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+    return Coerced(replace(state, display_text=""))
+
+
+SETTINGS = {
+    "[SOURce:]FUNCtion[:SHAPe]": _choice(
+        "SINusoid SQUare RAMP PULSe NOISe DC USER", lambda state: state.function, registers.set_function
+    ),
+    "[SOURce:]FUNCtion:SQUare:DCYCle": _number(
+        "", registers.duty_limits_percent, lambda state: state.duty_percent, _put_duty
+    ),
+    "[SOURce:]FUNCtion:RAMP:SYMMetry": _plain("", 0.0, 100.0, "symmetry_percent", "symmetry"),
+    "[SOURce:]FREQuency[:CW]": _number(
+        "HZ", registers.frequency_limits_hz, lambda state: state.frequency_hz, _put_frequency
+    ),
+    "[SOURce:]VOLTage[:LEVel][:IMMediate][:AMPLitude]": _amplitude(),
+    "[SOURce:]VOLTage[:LEVel][:IMMediate]:OFFSet": _level(
+        _offset_limits, lambda state: state.offset_v, registers.set_offset
+    ),
+    "[SOURce:]VOLTage[:LEVel][:IMMediate]:HIGH": _level(
+        lambda state: (state.low_v + _gap_v(state), registers.PEAK_V), lambda state: state.high_v, registers.set_high
+    ),
+    "[SOURce:]VOLTage[:LEVel][:IMMediate]:LOW": _level(
+        lambda state: (-registers.PEAK_V, state.high_v - _gap_v(state)), lambda state: state.low_v, registers.set_low
+    ),
+    "[SOURce:]VOLTage:RANGe:AUTO": _range(),
+    "[SOURce:]VOLTage:UNIT": _choice("VPP VRMS DBM", lambda state: state.unit, registers.set_unit),
+    "[SOURce:]PULSe:PERiod": _number(
+        "S", lambda state: (20e-9, 2000.0), lambda state: 1 / state.frequency_hz, _put_period
+    ),
+    "[SOURce:]PULSe:WIDTh": _number("S", registers.width_limits_s, lambda state: state.width_s, registers.set_width),
+    "[SOURce:]PULSe:TRANsition": _number("S", registers.edge_limits_s, lambda state: state.edge_s, _put_edge),
+    "[SOURce:]BURSt:STATe": _switch(lambda state: state.burst, registers.set_burst),
+    "[SOURce:]BURSt:MODE": _choice("TRIGgered GATed", lambda state: state.burst_mode, registers.set_burst_mode),
+    "[SOURce:]BURSt:NCYCles": _number(
+        "",
+        lambda state: (1.0, float(registers.MOST_CYCLES)),
+        lambda state: state.cycles,
+        registers.set_cycles,
+        infinite=True,
+    ),
+    "[SOURce:]BURSt:INTernal:PERiod": _number(
+        "S",
+        lambda state: registers.BURST_PERIOD_LIMITS_S,
+        lambda state: state.burst_period_s,
+        registers.set_burst_period,
+    ),
+    "[SOURce:]BURSt:PHASe": _phase(),
+    "[SOURce:]BURSt:GATE:POLarity": _word("NORMal INVerted", "gate_polarity"),
+    "[SOURce:]AM:STATe": _mode("AM"),
+    "[SOURce:]FM:STATe": _mode("FM"),
+    "[SOURce:]FSKey:STATe": _mode("FSK"),
+    "[SOURce:]SWEep:STATe": _mode("SWE"),
+    "OUTPut[:STATe]": _flag("output"),
+    "OUTPut:LOAD": _number(
+        "OHM", lambda state: registers.LOAD_LIMITS_OHM, lambda state: state.load_ohm, registers.set_load, infinite=True
+    ),
+    "OUTPut:POLarity": _word("NORMal INVerted", "polarity"),
+    "OUTPut:SYNC[:STATe]": _flag("sync"),
+    "OUTPut:TRIGger[:STATe]": _switch(lambda state: state.trigger_output, registers.set_trigger_output),
+    "OUTPut:TRIGger:SLOPe": _word("POSitive NEGative", "trigger_output_slope"),
+    "TRIGger:SOURce": _choice("IMMediate EXTernal BUS", lambda state: state.trigger_source, registers.set_source),
+    "TRIGger:SLOPe": _word("POSitive NEGative", "trigger_slope"),
+    "TRIGger:DELay": _number("S", lambda state: registers.DELAY_LIMITS_S, lambda state: state.delay_s, _put_delay),
+    "UNIT:ANGLe": _word("DEGree RADian", "angle_unit"),
+    "DISPlay[:WINDow][:STATe]": _flag("display"),
+    "DISPlay[:WINDow]:TEXT[:DATA]": _text(),
+    "DISPlay[:WINDow]:TEXT:CLEar": Setting(_clear_text, None),
+    "SYSTem:BEEPer:STATe": _flag("beeper"),
+}
+"""Every setting of the twin's 33250A by header (reference, 1.4)."""

@@ -1,0 +1,279 @@
+"""The simulated bench: programmed registers -> edges along the wiring -> bursts -> volts at the digitizer.
+
+Assumed: motion left over from before a capture is forgotten if every output was off when the capture was armed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.alazar_library import AlazarLibrary
+from sim_backend.board_ats460 import Arming, Board, BoardSettings, Taken, latencies_of
+from sim_backend.clock import SimulatedClock
+from sim_backend.edges import (
+    PS_PER_S,
+    Bursts,
+    Capture,
+    Emission,
+    Picoseconds,
+    Respond,
+    Steps,
+    crossings,
+    driven,
+    propagate,
+    to_ps,
+    trigger_order,
+    wires_of,
+)
+from sim_backend.emission_33250a import TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V
+from sim_backend.generator_33250a import Generator33250A
+from sim_backend.settings import SimulationSettings
+
+GENERATORS = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
+PULSER = "tracking_pulser"
+SOURCES = (*(f"{role}.output" for role in GENERATORS), "digitizer.aux")
+TARGETS = (*(f"{role}.trigger" for role in GENERATORS), "digitizer.trigger", "transducer.drive")
+FAR_PS = 1 << 60
+
+
+class Physics(Protocol):
+    """From what was transmitted to what was received."""
+
+    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> NDArray[np.float64]: ...
+
+    def focus_displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int) -> NDArray[np.float64]: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """What every instrument puts out if nothing more is programmed, and what of it reaches the transducer."""
+
+    emissions: Mapping[str, Emission]
+    tonebursts: Bursts
+    pulses: Bursts
+    taken: Taken | None
+    until_ps: int
+
+
+@dataclass(frozen=True, slots=True)
+class Captured:
+    """One arming with everything that its records depend on."""
+
+    arming: Arming
+    taken: Taken
+    tonebursts: Bursts
+    pulses: Bursts
+    origin_ps: int
+
+    @property
+    def capture(self) -> Capture:
+        """The capture in the words of the physics."""
+        settings, index = self.arming.settings, self.arming.index
+        first_ps = self.taken.first_sample_ps
+        return Capture(index, self.origin_ps, first_ps, settings.sample_period_ps, settings.record_samples)
+
+
+class InstrumentWire:
+    """The text connection to one generator; every message takes its time."""
+
+    def __init__(self, generator: Generator33250A, clock: SimulatedClock, message_time_s: float) -> None:
+        self._generator = generator
+        self._clock = clock
+        self._message_time_s = message_time_s
+
+    def write(self, message: str) -> None:
+        """Send a message."""
+        self._clock.sleep(self._message_time_s)
+        self._generator.write(message)
+
+    def read(self) -> str:
+        """Return one reply; raise ``TimeoutError`` when none comes."""
+        return self._generator.read()
+
+    def close(self) -> None:
+        """Hang up; the instrument goes on as programmed."""
+        self._generator.close()
+
+
+class World:
+    """Five generators and a digitizer, wired; time passes with what the program does.
+
+    ``wiring`` lists (source, target, delay in seconds); what is not wired is not triggered. Raises ``ValueError`` for
+    an end that does not exist and for a loop. ``acoustics`` replaces the twin's own.
+    """
+
+    def __init__(
+        self,
+        settings: SimulationSettings,
+        wiring: Sequence[tuple[str, str, float]],
+        acoustics: Physics | None = None,
+    ) -> None:
+        instruments = settings.instruments
+        self._settings = settings
+        self._wires = wires_of(wiring, SOURCES, TARGETS)
+        trigger_order(self._wires, (*GENERATORS, "digitizer"))
+        self._physics = acoustics
+        self.clock = SimulatedClock()
+        self._generators = {role: Generator33250A(self.clock, instruments.generator_latency_s) for role in GENERATORS}
+        self.board = Board(latencies_of(instruments.digitizer_latency_s, instruments.aux_latency_s))
+        self._evaluated: tuple[int, Evaluation] | None = None
+        self._recorded: tuple[Captured, NDArray[np.float64], int] | None = None
+        self._past: list[Captured] = []
+
+    def wire(self, role: str) -> InstrumentWire:
+        """Return a text connection to the generator of ``role``; raise ``ValueError`` for a role that is none."""
+        if role not in self._generators:
+            raise ValueError(f"no generator {role!r} on the simulated bench; it has {', '.join(GENERATORS)}")
+        return InstrumentWire(self._generators[role], self.clock, self._settings.instruments.message_time_s)
+
+    def alazar_library(self) -> AlazarLibrary:
+        """Return the digitizer's function table, freshly loaded."""
+        return AlazarLibrary(self, self._settings.instruments)
+
+    def outputs_on(self) -> dict[str, bool]:
+        """Return which generators' outputs are on, by role."""
+        return {role: generator.registers.output for role, generator in self._generators.items()}
+
+    def digitizer_idle(self) -> bool:
+        """Return whether the digitizer waits for no trigger and takes no record."""
+        if not self.board.running:
+            return True
+        complete = self.taken(self.clock.now_ps).complete(self.clock.now_ps)
+        return complete >= self.board.armings[-1].settings.record_count
+
+    def emissions(self) -> tuple[Bursts, Bursts, dict[str, int]]:
+        """Return tonebursts and tracking pulses at the transducer, and the ignored triggers by role.
+
+        They reach back to the last arming of the digitizer with every output off, and forward to the end of every
+        train that is already triggered.
+        """
+        evaluation = self._evaluate(self.clock.now_ps)
+        ignored = {role: emission.ignored for role, emission in evaluation.emissions.items()}
+        return evaluation.tonebursts, evaluation.pulses, ignored
+
+    def true_displacement_m(self, capture_index: int = -1) -> NDArray[np.float64]:
+        """Return the true displacement at the focus when each record's tracking pulse got there: (record,).
+
+        NaN where no pulse was fired. ``capture_index`` counts the armings of this world, from the last if negative.
+        """
+        captures = [*self._past, self._captured(self._evaluate(self.clock.now_ps))] if self.board.armings else []
+        if not -len(captures) <= capture_index < len(captures):
+            raise IndexError(
+                f"capture {capture_index} of {len(captures)}: arm the digitizer before asking for the truth"
+            )
+        captured = captures[capture_index]
+        onset_ps = _pulse_of_each_record(captured)
+        fired = onset_ps >= 0
+        flight_ps = to_ps(self._settings.beams.focus_depth_m / self._settings.sound_speed_m_per_s)
+        displacement_m = np.full(onset_ps.size, np.nan)
+        displacement_m[fired] = self._acoustics().focus_displacement_m(
+            captured.tonebursts, onset_ps[fired] + flight_ps, captured.origin_ps
+        )
+        return displacement_m
+
+    # What the digitizer's library asks for
+
+    def arm(self, settings: BoardSettings) -> None:
+        """Start a capture with ``settings``."""
+        self.board.stop(self.clock.now_ps)
+        if self.board.armings:
+            self._past.append(self._captured(self._evaluate(self.clock.now_ps)))
+        if not any(self.outputs_on().values()):
+            # Everything is cut by then: a long measurement costs no more a shot than a short one.
+            for generator in self._generators.values():
+                generator.forget_past()
+            self.board.armings.clear()
+        self.board.arm(self.clock.now_ps, settings)
+        self._recorded = None
+
+    def taken(self, until_ps: int) -> Taken:
+        """Return the records of the last arming, as far as known at least to ``until_ps``."""
+        return self._captured(self._evaluate(until_ps)).taken
+
+    def volts(self, until_ps: int) -> NDArray[np.float64]:
+        """Return the voltage at channel A for the records of ``taken``: (record, sample)."""
+        captured = self._captured(self._evaluate(until_ps))
+        if self._recorded is not None and _same_inputs(self._recorded[0], captured):
+            volts = self._recorded[1]
+        else:
+            volts = self._acoustics().record_volts(captured.tonebursts, captured.pulses, captured.capture)
+            if self._recorded is not None:
+                # What has been recorded stays, whatever is programmed later.
+                _, before, complete = self._recorded
+                volts[:complete] = before[:complete]
+        self._recorded = (captured, volts, captured.taken.complete(self.clock.now_ps))
+        return volts
+
+    def _acoustics(self) -> Physics:
+        if self._physics is None:
+            from sim_backend.acoustics import Acoustics
+
+            self._physics = Acoustics(self._settings)
+        return self._physics
+
+    def _evaluate(self, until_ps: int) -> Evaluation:
+        version = self.board.changes + sum(generator.changes for generator in self._generators.values())
+        if self._evaluated is not None and self._evaluated[0] == version and self._evaluated[1].until_ps >= until_ps:
+            return self._evaluated[1]
+        horizon_ps = -(-(until_ps + 1) // PS_PER_S) * PS_PER_S if self._is_endless() else FAR_PS
+        evaluation = self._propagate(horizon_ps)
+        self._evaluated = (version, evaluation)
+        return evaluation
+
+    def _is_endless(self) -> bool:
+        board = self.board
+        return any(generator.endless for generator in self._generators.values()) or board.times_out
+
+    def _propagate(self, until_ps: int) -> Evaluation:
+        taken: list[Taken] = []
+
+        def digitizer(arriving: Steps) -> Emission:
+            emission, records = self.board.respond(arriving, until_ps)
+            taken.extend(records)
+            return emission
+
+        respond: dict[str, Respond] = {
+            role: partial(generator.emission, until_ps=until_ps) for role, generator in self._generators.items()
+        }
+        emissions = propagate(self._wires, {**respond, "digitizer": digitizer})
+        excitation = [role for role in GENERATORS if role != PULSER]
+        tonebursts, pulses = driven(self._wires, emissions, excitation), driven(self._wires, emissions, [PULSER])
+        return Evaluation(emissions, tonebursts, pulses, taken[-1] if taken else None, until_ps)
+
+    def _captured(self, evaluation: Evaluation) -> Captured:
+        if evaluation.taken is None:
+            raise ValueError("the digitizer was never armed: start a capture first")
+        arming, taken = self.board.armings[-1], evaluation.taken
+        edges_ps = crossings(evaluation.emissions["master"].steps, TRIGGER_LEVEL_V, True, TRIGGER_INPUT_OHM)
+        first_ps = taken.tick_ps[0] if taken.tick_ps.size else arming.start_ps
+        before_ps = edges_ps[edges_ps <= first_ps]
+        origin_ps = int(before_ps[-1]) if before_ps.size else arming.start_ps
+        return Captured(arming, taken, evaluation.tonebursts, evaluation.pulses, origin_ps)
+
+
+def _pulse_of_each_record(captured: Captured) -> Picoseconds:
+    """Return the onset of the pulse that each record's trigger fired, -1 where there is none: int64 (record,)."""
+    tick_ps, onset_ps = captured.taken.tick_ps, captured.pulses.onset_ps
+    first = np.searchsorted(onset_ps, tick_ps)
+    following_ps = np.append(tick_ps[1:], FAR_PS)
+    padded_ps = np.append(onset_ps, FAR_PS)
+    return np.where(padded_ps[first] < following_ps, padded_ps[first], -1)
+
+
+def _same_inputs(one: Captured, other: Captured) -> bool:
+    if one is other:
+        return True
+    same = one.origin_ps == other.origin_ps and one.arming.index == other.arming.index
+    same = same and np.array_equal(one.taken.first_sample_ps, other.taken.first_sample_ps)
+    names = ("onset_ps", "end_ps", "carrier_hz", "cycles", "amplitude_vpp")
+    return same and all(
+        np.array_equal(getattr(getattr(one, bursts), name), getattr(getattr(other, bursts), name))
+        for bursts in ("tonebursts", "pulses")
+        for name in names
+    )
