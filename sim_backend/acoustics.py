@@ -27,6 +27,9 @@ FocusMotion = Callable[[Bursts, Picoseconds, int], Floats]
 _SCATTERER_STREAM = 0
 _NOISE_STREAM = 1
 
+# Relative; a thousandth of a 14-bit code of a full-scale echo is 1e-7, its phase error a pm of motion.
+_ECHO_TOLERANCE = 1e-8
+
 
 class Acoustics:
     """The specimen, its scatterers and the receive chain of one world; the scatterers stay for all captures."""
@@ -136,6 +139,7 @@ class Acoustics:
             shape,
             _after_arrival_s(sample_ps, arrival_s),
             self._settings.sound_speed_m_per_s,
+            _ECHO_TOLERANCE,
             shift_s=(age_ps - age_ps[0]) / PS_PER_S,
         )
         block *= strength_v[burst, None]

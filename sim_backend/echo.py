@@ -125,7 +125,7 @@ def node_count(
     nodes = 2
     while nodes < _MOST_NODES:
         smooth = 4 * math.exp(min(0.0, nodes * math.log(max(theta, 1e-300) / 2) - math.lgamma(nodes + 1)))
-        if smooth + edge * nodes ** -(order + 0.5) <= tolerance and nodes > theta:
+        if smooth + edge * nodes ** -(order + 0.5) <= tolerance / 2 and nodes > theta:
             break
         nodes += 1
     return nodes
