@@ -117,6 +117,8 @@ def late(role: str, arrived: int, expected: int, deadline_s: float) -> DeadlineE
     return DeadlineError(
         role,
         f"{arrived} of {expected} records delivered by the deadline at {deadline_s:.6g} s",
-        "triggers are missing: a generator is off or misses its own trigger, a cable is open, or the level is too high",
-        "check the trigger chain master, tracking_train, digitizer and trigger_level_v",
+        "triggers are missing (a generator is off or untriggered, a cable is open, the level is too high) or came "
+        "while the record before was still running",
+        "check the trigger chain master, tracking_train, digitizer, trigger_level_v, and that delay and record fit "
+        "the pulse period",
     )
