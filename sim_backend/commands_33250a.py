@@ -6,8 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from sim_backend import levels_33250a as levels
 from sim_backend import registers_33250a as registers
-from sim_backend.registers_33250a import Coerced, Registers, load_share
+from sim_backend import timing_33250a as timing
+from sim_backend.levels_33250a import load_share
+from sim_backend.registers_33250a import Coerced, Registers
 from sim_backend.scpi_text import ScpiError, boolean, keyword, number, quoted, real_reply
 
 Write = Callable[[Registers, tuple[str, ...]], Coerced]
@@ -99,7 +102,7 @@ def _flag(field: str) -> Setting:
 
 
 def _mode(name: str) -> Setting:
-    return _switch(lambda state: state.modulation == name, lambda state, on: registers.set_modulation(state, name, on))
+    return _switch(lambda state: state.modulation == name, lambda state, on: timing.set_modulation(state, name, on))
 
 
 def _rms_per_vpp(state: Registers) -> float:
@@ -136,10 +139,10 @@ def _amplitude() -> Setting:
         vpp = _extreme(text, _amplitude_limits(state))
         if vpp is None:
             vpp = _to_vpp(state, *number(text, "VPP VRMS DBM V"))
-        return registers.set_amplitude(state, vpp / load_share(state))
+        return levels.set_amplitude(state, vpp / load_share(state))
 
     shown = _number(
-        "", limits, lambda state: _in_unit(state, state.amplitude_v * load_share(state)), registers.set_amplitude
+        "", limits, lambda state: _in_unit(state, state.amplitude_v * load_share(state)), levels.set_amplitude
     )
     return Setting(write, shown.read)
 
@@ -169,31 +172,29 @@ def _gap_v(state: Registers) -> float:
 
 
 def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
-    frequency_hz, errors = registers.clipped(frequency_hz, *registers.frequency_limits_hz(state), "frequency")
-    return registers.settle_frequency(Coerced(replace(state, frequency_hz=frequency_hz), errors))
+    frequency_hz, errors = registers.clipped(frequency_hz, *timing.frequency_limits_hz(state), "frequency")
+    return timing.settle_frequency(Coerced(replace(state, frequency_hz=frequency_hz), errors))
 
 
 def _put_period(state: Registers, period_s: float) -> Coerced:
     low, high = registers.FREQUENCY_LIMITS_HZ["PULS"]
     period_s, errors = registers.clipped(period_s, 1 / high, 1 / low, "pulse period")
-    return registers.settle_frequency(
-        registers.settle_pulse(Coerced(replace(state, frequency_hz=1 / period_s), errors))
-    )
+    return timing.settle_frequency(timing.settle_pulse(Coerced(replace(state, frequency_hz=1 / period_s), errors)))
 
 
 def _put_edge(state: Registers, edge_s: float) -> Coerced:
-    edge_s, errors = registers.clipped(edge_s, *registers.edge_limits_s(state), "pulse edge time")
+    edge_s, errors = registers.clipped(edge_s, *timing.edge_limits_s(state), "pulse edge time")
     return Coerced(replace(state, edge_s=edge_s), errors)
 
 
 def _put_duty(state: Registers, percent: float) -> Coerced:
-    percent, errors = registers.clipped(percent, *registers.duty_limits_percent(state), "duty cycle")
+    percent, errors = registers.clipped(percent, *timing.duty_limits_percent(state), "duty cycle")
     return Coerced(replace(state, duty_percent=percent), errors)
 
 
 def _put_delay(state: Registers, delay_s: float) -> Coerced:
     delay_s, errors = registers.clipped(delay_s, *registers.DELAY_LIMITS_S, "trigger delay")
-    return registers.settle_burst(Coerced(replace(state, delay_s=delay_s), errors))
+    return timing.settle_burst(Coerced(replace(state, delay_s=delay_s), errors))
 
 
 def _phase() -> Setting:
@@ -237,46 +238,46 @@ def _clear_text(state: Registers, arguments: tuple[str, ...]) -> Coerced:
 
 SETTINGS = {
     "[SOURce:]FUNCtion[:SHAPe]": _choice(
-        "SINusoid SQUare RAMP PULSe NOISe DC USER", lambda state: state.function, registers.set_function
+        "SINusoid SQUare RAMP PULSe NOISe DC USER", lambda state: state.function, timing.set_function
     ),
     "[SOURce:]FUNCtion:SQUare:DCYCle": _number(
-        "", registers.duty_limits_percent, lambda state: state.duty_percent, _put_duty
+        "", timing.duty_limits_percent, lambda state: state.duty_percent, _put_duty
     ),
     "[SOURce:]FUNCtion:RAMP:SYMMetry": _plain("", 0.0, 100.0, "symmetry_percent", "symmetry"),
     "[SOURce:]FREQuency[:CW]": _number(
-        "HZ", registers.frequency_limits_hz, lambda state: state.frequency_hz, _put_frequency
+        "HZ", timing.frequency_limits_hz, lambda state: state.frequency_hz, _put_frequency
     ),
     "[SOURce:]VOLTage[:LEVel][:IMMediate][:AMPLitude]": _amplitude(),
     "[SOURce:]VOLTage[:LEVel][:IMMediate]:OFFSet": _level(
-        _offset_limits, lambda state: state.offset_v, registers.set_offset
+        _offset_limits, lambda state: state.offset_v, levels.set_offset
     ),
     "[SOURce:]VOLTage[:LEVel][:IMMediate]:HIGH": _level(
-        lambda state: (state.low_v + _gap_v(state), registers.PEAK_V), lambda state: state.high_v, registers.set_high
+        lambda state: (state.low_v + _gap_v(state), registers.PEAK_V), lambda state: state.high_v, levels.set_high
     ),
     "[SOURce:]VOLTage[:LEVel][:IMMediate]:LOW": _level(
-        lambda state: (-registers.PEAK_V, state.high_v - _gap_v(state)), lambda state: state.low_v, registers.set_low
+        lambda state: (-registers.PEAK_V, state.high_v - _gap_v(state)), lambda state: state.low_v, levels.set_low
     ),
     "[SOURce:]VOLTage:RANGe:AUTO": _range(),
-    "[SOURce:]VOLTage:UNIT": _choice("VPP VRMS DBM", lambda state: state.unit, registers.set_unit),
+    "[SOURce:]VOLTage:UNIT": _choice("VPP VRMS DBM", lambda state: state.unit, levels.set_unit),
     "[SOURce:]PULSe:PERiod": _number(
         "S", lambda state: (20e-9, 2000.0), lambda state: 1 / state.frequency_hz, _put_period
     ),
-    "[SOURce:]PULSe:WIDTh": _number("S", registers.width_limits_s, lambda state: state.width_s, registers.set_width),
-    "[SOURce:]PULSe:TRANsition": _number("S", registers.edge_limits_s, lambda state: state.edge_s, _put_edge),
-    "[SOURce:]BURSt:STATe": _switch(lambda state: state.burst, registers.set_burst),
-    "[SOURce:]BURSt:MODE": _choice("TRIGgered GATed", lambda state: state.burst_mode, registers.set_burst_mode),
+    "[SOURce:]PULSe:WIDTh": _number("S", timing.width_limits_s, lambda state: state.width_s, timing.set_width),
+    "[SOURce:]PULSe:TRANsition": _number("S", timing.edge_limits_s, lambda state: state.edge_s, _put_edge),
+    "[SOURce:]BURSt:STATe": _switch(lambda state: state.burst, timing.set_burst),
+    "[SOURce:]BURSt:MODE": _choice("TRIGgered GATed", lambda state: state.burst_mode, timing.set_burst_mode),
     "[SOURce:]BURSt:NCYCles": _number(
         "",
         lambda state: (1.0, float(registers.MOST_CYCLES)),
         lambda state: state.cycles,
-        registers.set_cycles,
+        timing.set_cycles,
         infinite=True,
     ),
     "[SOURce:]BURSt:INTernal:PERiod": _number(
         "S",
         lambda state: registers.BURST_PERIOD_LIMITS_S,
         lambda state: state.burst_period_s,
-        registers.set_burst_period,
+        timing.set_burst_period,
     ),
     "[SOURce:]BURSt:PHASe": _phase(),
     "[SOURce:]BURSt:GATE:POLarity": _word("NORMal INVerted", "gate_polarity"),
@@ -286,13 +287,13 @@ SETTINGS = {
     "[SOURce:]SWEep:STATe": _mode("SWE"),
     "OUTPut[:STATe]": _flag("output"),
     "OUTPut:LOAD": _number(
-        "OHM", lambda state: registers.LOAD_LIMITS_OHM, lambda state: state.load_ohm, registers.set_load, infinite=True
+        "OHM", lambda state: registers.LOAD_LIMITS_OHM, lambda state: state.load_ohm, levels.set_load, infinite=True
     ),
     "OUTPut:POLarity": _word("NORMal INVerted", "polarity"),
     "OUTPut:SYNC[:STATe]": _flag("sync"),
-    "OUTPut:TRIGger[:STATe]": _switch(lambda state: state.trigger_output, registers.set_trigger_output),
+    "OUTPut:TRIGger[:STATe]": _switch(lambda state: state.trigger_output, timing.set_trigger_output),
     "OUTPut:TRIGger:SLOPe": _word("POSitive NEGative", "trigger_output_slope"),
-    "TRIGger:SOURce": _choice("IMMediate EXTernal BUS", lambda state: state.trigger_source, registers.set_source),
+    "TRIGger:SOURce": _choice("IMMediate EXTernal BUS", lambda state: state.trigger_source, timing.set_source),
     "TRIGger:SLOPe": _word("POSitive NEGative", "trigger_slope"),
     "TRIGger:DELay": _number("S", lambda state: registers.DELAY_LIMITS_S, lambda state: state.delay_s, _put_delay),
     "UNIT:ANGLe": _word("DEGree RADian", "angle_unit"),

@@ -51,17 +51,6 @@ class Physics(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Evaluation:
-    """What every instrument puts out if nothing more is programmed, and what of it reaches the transducer."""
-
-    emissions: Mapping[str, Emission]
-    tonebursts: Bursts
-    pulses: Bursts
-    taken: Taken | None
-    until_ps: int
-
-
-@dataclass(frozen=True, slots=True)
 class Captured:
     """One arming with everything that its records depend on."""
 
@@ -77,6 +66,17 @@ class Captured:
         settings, index = self.arming.settings, self.arming.index
         first_ps = self.taken.first_sample_ps
         return Capture(index, self.origin_ps, first_ps, settings.sample_period_ps, settings.record_samples)
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """What every instrument puts out if nothing more is programmed, and what of it reaches the transducer."""
+
+    emissions: Mapping[str, Emission]
+    tonebursts: Bursts
+    pulses: Bursts
+    captured: Captured | None
+    until_ps: int
 
 
 class InstrumentWire:
@@ -162,7 +162,7 @@ class World:
 
         NaN where no pulse was fired. ``capture_index`` counts the armings of this world, from the last if negative.
         """
-        captures = [*self._past, self._captured(self._evaluate(self.clock.now_ps))] if self.board.armings else []
+        captures = [*self._past, self._captured(self.clock.now_ps)] if self.board.armings else []
         if not -len(captures) <= capture_index < len(captures):
             raise IndexError(
                 f"capture {capture_index} of {len(captures)}: arm the digitizer before asking for the truth"
@@ -183,7 +183,7 @@ class World:
         """Start a capture with ``settings``."""
         self.board.stop(self.clock.now_ps)
         if self.board.armings:
-            self._past.append(self._captured(self._evaluate(self.clock.now_ps)))
+            self._past.append(self._captured(self.clock.now_ps))
         if not any(self.outputs_on().values()):
             # Everything is cut by then: a long measurement costs no more a shot than a short one.
             for generator in self._generators.values():
@@ -194,11 +194,11 @@ class World:
 
     def taken(self, until_ps: int) -> Taken:
         """Return the records of the last arming, as far as known at least to ``until_ps``."""
-        return self._captured(self._evaluate(until_ps)).taken
+        return self._captured(until_ps).taken
 
     def volts(self, until_ps: int) -> NDArray[np.float64]:
         """Return the voltage at channel A for the records of ``taken``: (record, sample)."""
-        captured = self._captured(self._evaluate(until_ps))
+        captured = self._captured(until_ps)
         if self._recorded is not None and _same_inputs(self._recorded[0], captured):
             volts = self._recorded[1]
         else:
@@ -206,7 +206,7 @@ class World:
             if self._recorded is not None:
                 # What has been recorded stays, whatever is programmed later.
                 _, before, complete = self._recorded
-                volts[:complete] = before[:complete]
+                volts = np.concatenate([before[:complete], volts[complete:]])
         self._recorded = (captured, volts, captured.taken.complete(self.clock.now_ps))
         return volts
 
@@ -244,17 +244,24 @@ class World:
         emissions = propagate(self._wires, {**respond, "digitizer": digitizer})
         excitation = [role for role in GENERATORS if role != PULSER]
         tonebursts, pulses = driven(self._wires, emissions, excitation), driven(self._wires, emissions, [PULSER])
-        return Evaluation(emissions, tonebursts, pulses, taken[-1] if taken else None, until_ps)
+        captured = self._capture_of(emissions, taken[-1], tonebursts, pulses) if taken else None
+        return Evaluation(emissions, tonebursts, pulses, captured, until_ps)
 
-    def _captured(self, evaluation: Evaluation) -> Captured:
-        if evaluation.taken is None:
-            raise ValueError("the digitizer was never armed: start a capture first")
-        arming, taken = self.board.armings[-1], evaluation.taken
-        edges_ps = crossings(evaluation.emissions["master"].steps, TRIGGER_LEVEL_V, True, TRIGGER_INPUT_OHM)
+    def _capture_of(
+        self, emissions: Mapping[str, Emission], taken: Taken, tonebursts: Bursts, pulses: Bursts
+    ) -> Captured:
+        arming = self.board.armings[-1]
+        edges_ps = crossings(emissions["master"].steps, TRIGGER_LEVEL_V, True, TRIGGER_INPUT_OHM)
         first_ps = taken.tick_ps[0] if taken.tick_ps.size else arming.start_ps
         before_ps = edges_ps[edges_ps <= first_ps]
         origin_ps = int(before_ps[-1]) if before_ps.size else arming.start_ps
-        return Captured(arming, taken, evaluation.tonebursts, evaluation.pulses, origin_ps)
+        return Captured(arming, taken, tonebursts, pulses, origin_ps)
+
+    def _captured(self, until_ps: int) -> Captured:
+        captured = self._evaluate(until_ps).captured
+        if captured is None:
+            raise ValueError("the digitizer was never armed: start a capture first")
+        return captured
 
 
 def _pulse_of_each_record(captured: Captured) -> Picoseconds:
