@@ -59,8 +59,10 @@ def _residual_spectrum(
     # the fit has emptied the bins next to the wanted frequencies and at zero
     free = (distance_hz * count * interval_s > 1) & (grid_hz > 0) & (grid_hz < 0.5 / interval_s)
     power = np.abs(np.fft.rfft(step, axis=-1)[..., free]) ** 2 / used
-    # first and last pulse occur once only: their noise is not differenced
-    shape = ((count - 1) * (2 * np.sin(np.pi * grid_hz[free] * interval_s)) ** 2 + 2) / count
+    # a pulse at the edge of a gap or of the train occurs in one interval only: its noise is not differenced
+    differenced = int(np.count_nonzero(velocity.valid[:-1] & velocity.valid[1:]))
+    alone = 2 * (used - differenced)
+    shape = (differenced * (2 * np.sin(np.pi * grid_hz[free] * interval_s)) ** 2 + alone) / used
     return power, shape
 
 

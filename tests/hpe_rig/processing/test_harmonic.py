@@ -1,0 +1,221 @@
+"""Displacement to amplitude and phase: recovery, agreement of the estimators, truth of covariances, refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hpe_rig.processing import (
+    HarmonicFit,
+    Motion,
+    Velocity,
+    drift_between_halves,
+    kalman,
+    least_squares,
+    velocity_to_harmonics,
+)
+from hpe_rig.processing.harmonic import PHASE_VARIANCE_LIMIT
+from hpe_rig.processing.motion import EchoGate
+
+FloatArray = NDArray[np.float64]
+
+HARMONICS = [100.0 * n for n in range(1, 11)]
+AMPLITUDES = np.array([900.0, 700, 520, 400, 310, 240, 190, 150, 110, 80]) * 1e-9
+PHASES = np.linspace(-3, 3, 10)
+
+
+def _motion(displacement_m: FloatArray, time_s: FloatArray, valid: NDArray[np.bool_] | None = None) -> Motion:
+    flags = np.ones(time_s.size, dtype=bool) if valid is None else valid
+    return Motion(time_s, np.where(flags, displacement_m, np.nan), np.zeros_like(displacement_m), flags)
+
+
+def _sum_of_sines(time_s: FloatArray) -> FloatArray:
+    return np.asarray(np.sin(2 * np.pi * np.outer(time_s, HARMONICS) + PHASES) @ AMPLITUDES)
+
+
+def _velocity(displacement_m: FloatArray, rate_hz: float, valid: NDArray[np.bool_] | None = None) -> Velocity:
+    count = displacement_m.shape[-1] - 1
+    flags = np.ones(count, dtype=bool) if valid is None else valid
+    velocity = np.where(flags, np.diff(displacement_m) * rate_hz, np.nan)
+    return Velocity((np.arange(count) + 0.5) / rate_hz, np.full(count, 1 / rate_hz), velocity, flags)
+
+
+@pytest.mark.parametrize("estimator", [least_squares, kalman])
+def test_ten_harmonics_and_a_constant_are_recovered_at_once(estimator: object) -> None:
+    assert callable(estimator)
+    time_s = np.arange(400) / 4000
+    fit: HarmonicFit = estimator(_motion(_sum_of_sines(time_s) + 5e-6, time_s), HARMONICS)
+    # least squares is exact; the Kalman filter's prior of 1e10 pulls by 1e-10 of the constant and a rounding of 1e-7
+    np.testing.assert_allclose(fit.amplitude_m, AMPLITUDES, rtol=1e-6)
+    np.testing.assert_allclose(fit.phase_rad, PHASES, atol=1e-6)
+    assert fit.background_m == pytest.approx(5e-6, rel=1e-9, abs=0)
+
+
+def test_times_with_an_offset_of_1e5_s_lose_no_phase() -> None:
+    time_s = 1e5 + np.arange(400) / 4096
+    since_s = time_s - 1e5
+    # 1e5 s is a whole number of periods of every multiple of 100 Hz and of 0.25 Hz
+    fit = least_squares(_motion(3e-7 * np.sin(2 * np.pi * 733.25 * since_s + 0.7), time_s), [733.25])
+    assert fit.phase_rad[0] == pytest.approx(0.7, abs=1e-10)
+
+
+def test_kalman_without_process_noise_equals_least_squares_with_gaps() -> None:
+    generator = np.random.default_rng(1)
+    time_s = np.arange(300) / 4000
+    valid = generator.random(300) > 0.2
+    motion = _motion(_sum_of_sines(time_s) + 1e-8 * generator.standard_normal((5, 300)), time_s, valid)
+    batch, recursive = least_squares(motion, HARMONICS), kalman(motion, HARMONICS)
+    # the prior, 1e10 times the noise variance, pulls states by 1e-10; rounding of Potter's form adds as much
+    np.testing.assert_allclose(recursive.state, batch.state, rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(recursive.covariance, batch.covariance, rtol=1e-5, atol=1e-30)
+    assert recursive.pulses == int(valid.sum())
+
+
+def test_kalman_with_process_noise_follows_an_amplitude_that_steps() -> None:
+    time_s = np.arange(2000) / 4000
+    amplitude = np.where(np.arange(2000) < 1000, 1e-6, 4e-7)
+    noise = 1e-8 * np.random.default_rng(2).standard_normal(2000)
+    motion = _motion(amplitude * np.sin(2 * np.pi * 200 * time_s) + noise, time_s)
+    followed, averaged = kalman(motion, [200.0], process_noise=1e-3), kalman(motion, [200.0])
+    assert followed.amplitude_m[0] == pytest.approx(4e-7, rel=0.05)
+    assert averaged.amplitude_m[0] == pytest.approx(7e-7, rel=0.05)
+
+
+@pytest.mark.parametrize("prior", [1e-15, 1e15])
+def test_kalman_covariance_stays_positive_for_any_prior(prior: float) -> None:
+    time_s = np.arange(500) / 4000
+    noise = np.random.default_rng(3).standard_normal(500)
+    fit = kalman(_motion(noise, time_s), [200.0, 400.0], prior=prior)
+    assert (np.linalg.eigvalsh(fit.state_covariance) > 0).all()
+
+
+def test_stated_covariance_of_least_squares_is_true() -> None:
+    time_s = np.arange(100) / 4000
+    generator = np.random.default_rng(5)
+    truth = 1e-6 * np.sin(2 * np.pi * 200 * time_s + 1.1)
+    fit = least_squares(_motion(truth + 1e-7 * generator.standard_normal((20000, 100)), time_s), [200.0, 400.0])
+    # 20000 draws: a variance of 1 is known to sqrt(2/20000) = 0.01; 95 degrees of freedom make it 95/93; three sigma
+    for error, variance in (
+        (fit.amplitude_m[:, 0] - 1e-6, fit.covariance[:, 0, 0, 0]),
+        (fit.phase_rad[:, 0] - 1.1, fit.covariance[:, 0, 1, 1]),
+    ):
+        assert np.mean(error**2 / variance) == pytest.approx(95 / 93, abs=0.03)
+
+
+def test_no_motion_and_no_noise_give_finite_covariances() -> None:
+    time_s = np.arange(100) / 4000
+    still = least_squares(_motion(np.zeros(100), time_s), [200.0])
+    assert np.isfinite(still.covariance).all()
+    noisy = least_squares(_motion(1e-9 * np.random.default_rng(6).standard_normal(100), time_s), [200.0])
+    assert 0 < noisy.covariance[0, 1, 1] <= PHASE_VARIANCE_LIMIT
+    assert (np.linalg.eigvalsh(noisy.covariance) >= 0).all()
+
+
+@pytest.mark.parametrize("frequency_hz", [120.0, 200.0, 213.7, 800.0, 1333.3, 1900.0])
+def test_velocity_chain_removes_gain_delay_and_90_degrees_exactly(frequency_hz: float) -> None:
+    time_s = np.arange(101) / 4000
+    displacement = 1e-6 * np.sin(2 * np.pi * frequency_hz * time_s - 2.0) + 3e-6
+    fit = velocity_to_harmonics(_velocity(displacement, 4000), [frequency_hz])
+    # exact but for the prior of the Kalman filter, 1e-10, and rounding of the differences
+    assert fit.amplitude_m[0] == pytest.approx(1e-6, rel=1e-7, abs=0)
+    assert fit.phase_rad[0] == pytest.approx(-2.0, abs=1e-7)
+
+
+def test_velocity_chain_equals_the_papers_times_two_for_whole_cycles() -> None:
+    time_s = np.arange(101) / 4000
+    displacement = 1e-6 * np.sin(2 * np.pi * 200 * time_s + 0.5) + 1e-7 * np.sin(2 * np.pi * 600 * time_s)
+    velocity = _velocity(displacement, 4000)
+    windowed = velocity.velocity_m_per_s / (2 * np.pi * 200) * np.sin(np.pi * (np.arange(100) + 0.5) / 100) ** 2
+    columns = np.exp(-2j * np.pi * 200 * velocity.time_s)
+    papers_m = 2 * abs(windowed @ columns) * 2 / 100
+    fit = velocity_to_harmonics(velocity, [200.0])
+    assert fit.amplitude_m[0] * np.sinc(200 / 4000) == pytest.approx(papers_m, rel=1e-7, abs=0)
+
+
+def test_velocity_chain_separates_ten_harmonics_with_gaps() -> None:
+    time_s = np.arange(401) / 4000
+    valid = np.random.default_rng(7).random(400) > 0.1
+    fit = velocity_to_harmonics(_velocity(_sum_of_sines(time_s), 4000, valid), HARMONICS)
+    np.testing.assert_allclose(fit.amplitude_m, AMPLITUDES, rtol=1e-7)
+    np.testing.assert_allclose(fit.phase_rad, PHASES, atol=1e-7)
+
+
+@pytest.mark.parametrize("gaps", [False, True])
+def test_stated_covariance_of_the_velocity_chain_is_true(gaps: bool) -> None:
+    time_s = np.arange(101) / 4000
+    generator = np.random.default_rng(8)
+    valid = generator.random(100) > (0.2 if gaps else 0.0)
+    truth = 1e-6 * np.sin(2 * np.pi * 200 * time_s + 1.1)
+    noisy = truth + 1e-7 * generator.standard_normal((3000, 101))
+    fit = velocity_to_harmonics(_velocity(noisy, 4000, valid), [200.0])
+    # variance known to sqrt(2/3000) = 0.026; the noise estimate from about 100 differences (80 with gaps) has a
+    # relative variance of 3/100, so the mean of its inverse is 1.03 to 1.04, and 1 % false alarms lower it by 0.01
+    for error, variance in (
+        (fit.amplitude_m[:, 0] - 1e-6, fit.covariance[:, 0, 0, 0]),
+        (fit.phase_rad[:, 0] - 1.1, fit.covariance[:, 0, 1, 1]),
+    ):
+        assert np.mean(error**2 / variance) == pytest.approx(1.03, abs=0.09)
+
+
+def test_velocity_noise_that_does_not_cancel_is_found_and_stated() -> None:
+    time_s = np.arange(101) / 4000
+    generator = np.random.default_rng(9)
+    velocity = _velocity(1e-6 * np.sin(2 * np.pi * 200 * time_s) + np.zeros((1000, 1)), 4000)
+    noisy = velocity.velocity_m_per_s + 1e-4 * generator.standard_normal((1000, 100))
+    fit = velocity_to_harmonics(Velocity(velocity.time_s, velocity.interval_s, noisy, velocity.valid), [200.0])
+    error = fit.amplitude_m[:, 0] - 1e-6
+    # taken as differenced pulse noise, the variance would be stated 14 times too small
+    assert np.mean(error**2 / fit.covariance[:, 0, 0, 0]) == pytest.approx(1.05, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("frequencies_hz", "pulses", "message"),
+    [
+        ([], 100, "no vibration frequency"),
+        ([0.0], 100, "above zero"),
+        ([float("nan")], 100, "finite"),
+        ([200.0, 200.0], 100, "twice"),
+        ([2000.0], 100, "half the pulse rate of 4000 Hz"),
+        ([200.0, 400.0], 5, "5 valid pulses cannot give 5 unknowns"),
+        ([200.0, 200.1], 100, "cannot be told apart"),
+        ([0.5], 100, "cannot be told apart"),
+    ],
+)
+def test_what_pulses_cannot_tell_is_refused_with_the_reason(
+    frequencies_hz: list[float], pulses: int, message: str
+) -> None:
+    time_s = np.arange(pulses) / 4000
+    motion = _motion(np.sin(time_s), time_s)
+    for estimator in (least_squares, kalman):
+        with pytest.raises(ValueError, match=message):
+            estimator(motion, frequencies_hz)
+
+
+def test_uneven_pulses_are_refused_by_the_velocity_chain() -> None:
+    velocity = _velocity(np.zeros(101), 4000)
+    interval_s = velocity.interval_s.copy()
+    interval_s[50] *= 1.5
+    uneven = Velocity(velocity.time_s, interval_s, velocity.velocity_m_per_s, velocity.valid)
+    with pytest.raises(ValueError, match="coherent"):
+        velocity_to_harmonics(uneven, [200.0])
+
+
+def _rigid_echoes(displacement_m: FloatArray, seed: int) -> EchoGate:
+    sample_s = (np.arange(130) - 65) / 100e6
+    late_s = sample_s - 2 * displacement_m[:, None] / 1540
+    volts = np.exp(-((late_s / 2e-7) ** 2)) * np.cos(2 * np.pi * 9e6 * late_s)
+    volts = volts + 0.03 * np.random.default_rng(seed).standard_normal(volts.shape)
+    pulses = displacement_m.size
+    return EchoGate(volts, 100e6, np.arange(pulses) / 4000, 9e6, 1540.0, np.ones(pulses, dtype=bool))
+
+
+def test_a_motion_that_stops_halfway_is_suspicious_and_a_steady_one_is_not() -> None:
+    time_s = np.arange(400) / 4000
+    steady = 1e-6 * np.sin(2 * np.pi * 200 * time_s)
+    halved = np.where(time_s < 0.05, steady, 0.5 * steady)
+    assert not drift_between_halves(_rigid_echoes(steady, 1), [200.0]).suspicious.any()
+    drift = drift_between_halves(_rigid_echoes(halved, 1), [200.0])
+    assert drift.suspicious.all()
+    assert drift.relative_change[0] == pytest.approx(-2 / 3, rel=0.1)
+    assert drift.significance[0] < -5

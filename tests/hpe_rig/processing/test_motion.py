@@ -1,0 +1,152 @@
+"""Echoes to motion: both estimators on targets whose motion is known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hpe_rig.processing import EchoGate, Estimator, coherent, cross_spectrum, estimate
+
+if TYPE_CHECKING:
+    from conftest import TableOne
+
+FloatArray = NDArray[np.float64]
+
+
+def _sine(table_one: TableOne, amplitude_m: float = 1e-6) -> FloatArray:
+    return amplitude_m * np.sin(2 * np.pi * table_one.frequency_hz * table_one.pulse_time_s + table_one.phase_rad)
+
+
+# cross_spectrum reads one bin, which may lie half a bin (100 MHz / 2048 / 2) beside the centre of the echo
+BIN = 100e6 / 2048 / 2 / 9e6
+
+
+@pytest.mark.parametrize("amplitude_m", [1e-13, 1e-9, 1e-6])
+@pytest.mark.parametrize(("estimator", "tolerance"), [("coherent", 1e-6), ("cross_spectrum", BIN)])
+def test_a_rigid_target_without_noise_is_recovered(
+    table_one: TableOne, estimator: Estimator, tolerance: float, amplitude_m: float
+) -> None:
+    # rounding: 1e-13 m turns the phase by 7e-9 rad, known to 1e-16 / sqrt(bins x pulses): 1e-8 of it
+    fit = estimate(table_one.gate(table_one.rigid(_sine(table_one, amplitude_m))), [200.0], estimator)
+    assert fit.amplitude_m[0] == pytest.approx(amplitude_m, rel=tolerance, abs=0)
+    assert fit.phase_rad[0] == pytest.approx(table_one.phase_rad, abs=1e-6)
+
+
+def test_motion_away_from_the_transducer_is_positive(table_one: TableOne) -> None:
+    ramp = np.linspace(0, 2e-6, 50)
+    echoes = table_one.gate(table_one.rigid(ramp))
+    np.testing.assert_allclose(np.diff(coherent(echoes).displacement_m), np.diff(ramp), rtol=1e-3)
+    np.testing.assert_allclose(cross_spectrum(echoes).velocity_m_per_s, np.diff(ramp) * 4000, rtol=1e-3)
+
+
+def test_coherent_follows_motion_of_many_wavelengths(table_one: TableOne) -> None:
+    # 100 um is 2.3 wavelengths of phase; the largest step, 31 um, stays below the quarter wavelength of 42.8 um
+    truth = _sine(table_one, 100e-6)
+    found = coherent(table_one.gate(table_one.rigid(truth))).displacement_m
+    np.testing.assert_allclose(found - found[0], truth - truth[0], atol=1e-3 * 100e-6)
+
+
+@pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
+def test_leading_axes_equal_a_loop_and_a_gain_changes_nothing(
+    table_one: TableOne, speckle_draws: FloatArray, estimator: Estimator
+) -> None:
+    together = estimate(table_one.gate(7.3 * speckle_draws[:4].reshape(2, 2, 100, 130)), [200.0], estimator)
+    for index in range(4):
+        alone = estimate(table_one.gate(speckle_draws[index]), [200.0], estimator)
+        np.testing.assert_allclose(together.amplitude_m.reshape(4, 1)[index], alone.amplitude_m, rtol=1e-9)
+
+
+def test_missing_pulses_leave_coherent_as_if_they_had_never_been_there(
+    table_one: TableOne, speckle_draws: FloatArray
+) -> None:
+    valid = np.ones(100, dtype=bool)
+    valid[[0, 17, 18, 60]] = False
+    volts = np.where(valid[:, None], speckle_draws[0], np.nan)
+    gappy = coherent(table_one.gate(volts, valid))
+    whole = table_one.gate(speckle_draws[0])
+    short = coherent(
+        replace(whole, volts=whole.volts[valid], pulse_time_s=whole.pulse_time_s[valid], valid=np.ones(96, dtype=bool))
+    )
+    np.testing.assert_array_equal(gappy.displacement_m[valid], short.displacement_m)
+    assert np.isnan(gappy.displacement_m[~valid]).all()
+
+
+def test_a_missing_pulse_costs_cross_spectrum_two_intervals_and_no_other(
+    table_one: TableOne, speckle_draws: FloatArray
+) -> None:
+    valid = np.ones(100, dtype=bool)
+    valid[40] = False
+    gappy = cross_spectrum(table_one.gate(np.where(valid[:, None], speckle_draws[0], np.nan), valid))
+    whole = cross_spectrum(table_one.gate(speckle_draws[0]))
+    assert np.flatnonzero(~gappy.valid).tolist() == [39, 40]
+    np.testing.assert_array_equal(gappy.velocity_m_per_s[gappy.valid], whole.velocity_m_per_s[gappy.valid])
+
+
+@pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
+def test_twenty_missing_pulses_leave_the_estimate_in_place(table_one: TableOne, estimator: Estimator) -> None:
+    valid = np.ones(100, dtype=bool)
+    valid[np.random.default_rng(3).choice(100, 20, replace=False)] = False
+    echoes = table_one.gate(np.where(valid[:, None], table_one.rigid(_sine(table_one)), np.nan), valid)
+    fit = estimate(echoes, [200.0], estimator)
+    assert fit.amplitude_m[0] == pytest.approx(1e-6, rel=BIN, abs=0)
+    assert fit.phase_rad[0] == pytest.approx(table_one.phase_rad, abs=1e-6)
+    assert fit.pulses <= 80
+
+
+def test_dividing_by_the_carrier_scales_by_peak_over_carrier(table_one: TableOne) -> None:
+    echoes = table_one.gate(table_one.rigid(_sine(table_one)))
+    centre = cross_spectrum(echoes, padding=1).velocity_m_per_s
+    carrier = cross_spectrum(echoes, padding=1, divide_by="carrier").velocity_m_per_s
+    # unpadded, bins are 100 MHz / 130 apart and the one next to 9 MHz is the 12th: 9.23 MHz
+    np.testing.assert_allclose(carrier / centre, 12 / 130 * 100e6 / 9e6, rtol=1e-12)
+
+
+@pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
+def test_a_strong_offset_and_3_mhz_leak_outside_the_band_are_not_tracked(
+    table_one: TableOne, speckle_draws: FloatArray, estimator: Estimator
+) -> None:
+    samples = np.arange(130)
+    # 3.077 MHz is the 4th bin of the gate, so neither leaks into the coherent band; the Hann gate bounds the other
+    unwanted = 50 + 50 * np.cos(2 * np.pi * 4 * samples / 130)
+    clean, dirty = (
+        estimate(table_one.gate(volts), [200.0], estimator).amplitude_m[0]
+        for volts in (speckle_draws[1], speckle_draws[1] + unwanted)
+    )
+    assert dirty == pytest.approx(clean, rel=2e-2)
+
+
+def test_the_variance_of_a_pulse_is_that_of_its_noise(table_one: TableOne, speckle_draws: FloatArray) -> None:
+    generator = np.random.default_rng(4)
+    echo = speckle_draws[2, 0]
+    volts = echo + generator.standard_normal((40, 100, 130)) * np.sqrt(np.mean(echo**2) / 100)
+    motion = coherent(table_one.gate(volts))
+    spread = np.var(motion.displacement_m, axis=-1, ddof=1).mean()
+    # 4000 displacements: their variance is known to sqrt(2 / 4000) = 2.2 %; three of these
+    assert motion.variance_m2.mean() == pytest.approx(spread, rel=0.067)
+
+
+def test_echoes_that_do_not_fit_are_refused_with_the_reason(table_one: TableOne) -> None:
+    volts = table_one.rigid(_sine(table_one))
+    broken = volts.copy()
+    broken[3, 5] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        table_one.gate(broken)
+    with pytest.raises(ValueError, match="do not fit"):
+        table_one.gate(volts, np.ones(99, dtype=bool))
+    with pytest.raises(ValueError, match="out of order"):
+        replace(table_one.gate(volts), pulse_time_s=table_one.pulse_time_s[::-1])
+
+
+@pytest.mark.parametrize("estimator", [coherent, cross_spectrum])
+def test_gates_without_echo_or_with_one_pulse_are_refused(table_one: TableOne, estimator: object) -> None:
+    assert callable(estimator)
+    silent = table_one.gate(np.zeros((100, 130)))
+    with pytest.raises(ValueError, match="no echo"):
+        estimator(silent)
+    lonely: EchoGate = table_one.gate(np.ones((100, 130)), np.arange(100) == 5)
+    with pytest.raises(ValueError, match="1 valid pulses"):
+        estimator(lonely)
