@@ -184,6 +184,7 @@ class Ats460:
             for raw in mode.records(deadline_s):
                 yield self._block(capture, raw)
         finally:
+            # Here and not in the mode: a reader that stops half way closes this iterator, and no inner one.
             self._disarm()
 
     def _block(self, capture: Capture, raw: RawRecords) -> RecordBlock:

@@ -27,8 +27,8 @@ WAIT_SLICE_MS: Final = 100
 class DualPortCapture:
     """One capture at a time through a ring of page-aligned buffers.
 
-    The buffers live from ``arm`` until the transfer is aborted, which ``records`` does on every way out. If the abort
-    itself fails they are kept: the board might still write into them.
+    The buffers live from ``arm`` until ``abort``, which must follow on every way out, also after the last record.
+    If the abort itself fails they are kept: the board might still write into them.
     """
 
     name = "dual_port_autodma"
@@ -67,18 +67,15 @@ class DualPortCapture:
     def records(self, deadline_s: float) -> Iterator[RawRecords]:
         """Yield each buffer's records as it fills; raise ``DeadlineError`` when one is not full by the deadline."""
         ring = tuple(self._buffers)
-        try:
-            for index in range(self._buffer_count):
-                buffer = ring[index % len(ring)]
-                self._wait(buffer, index, deadline_s)
-                filled = buffer.copy(self._dtype, self.records_per_block)
-                # Back to the board before anyone works on the copy, so that slow work costs no records.
-                if index + len(ring) < self._buffer_count:
-                    self._post(buffer)
-                words = np.ascontiguousarray(filled["words"]).astype(np.uint16, copy=False)
-                yield RawRecords(index * self.records_per_block, words, timestamp_counts(filled["header"]))
-        finally:
-            self.abort()
+        for index in range(self._buffer_count):
+            buffer = ring[index % len(ring)]
+            self._wait(buffer, index, deadline_s)
+            filled = buffer.copy(self._dtype, self.records_per_block)
+            # Back to the board before anyone works on the copy, so that slow work costs no records.
+            if index + len(ring) < self._buffer_count:
+                self._post(buffer)
+            words = np.ascontiguousarray(filled["words"]).astype(np.uint16, copy=False)
+            yield RawRecords(index * self.records_per_block, words, timestamp_counts(filled["header"]))
 
     def abort(self) -> None:
         """End the transfer if one was begun, then free the buffers."""

@@ -61,10 +61,8 @@ class SinglePortCapture:
 
     def records(self, deadline_s: float) -> Iterator[RawRecords]:
         """Yield all records after the last has come; at the deadline those that came, then raise ``DeadlineError``."""
-        try:
-            arrived = self._wait(deadline_s)
-        finally:
-            self.abort()
+        arrived = self._wait(deadline_s)
+        self.abort()
         yield from self._read(arrived)
         if arrived < self._capture.record_count:
             raise late(self._board.role, arrived, self._capture.record_count, deadline_s)

@@ -156,6 +156,20 @@ def test_both_ways_to_capture_give_the_same_records_and_times() -> None:
     np.testing.assert_allclose(np.diff(single[1]), np.diff(dual[1]), rtol=0, atol=1e-12)
 
 
+def test_more_buffers_than_are_in_the_ring_arrive_complete_and_in_order() -> None:
+    rig = Rig(dual=True)
+    capture = dataclasses.replace(LONG_CAPTURE, record_count=7 * 32)
+    rig.fire(capture)
+    expected = volts(capture.record_count, capture.record_samples)
+    firsts = []
+    for block in rig.digitizer.records(rig.deadline_s()):
+        firsts.append(block.first_record)
+        read = block.codes * block.volts_per_code + block.volts_offset
+        np.testing.assert_allclose(read, expected[firsts[-1] :][:32], rtol=0, atol=block.volts_per_code)
+    assert firsts == list(range(0, 224, 32))
+    assert len(rig.memory.buffers) < len(firsts)
+
+
 def test_trigger_times_come_at_the_pulse_rate_within_the_counters_step(rig: Rig) -> None:
     times_s = rig.shot(CAPTURE)[1]
     assert np.all(np.abs(np.diff(times_s) - 1 / RATE_HZ) <= 2 / CAPTURE.sample_rate_hz)
