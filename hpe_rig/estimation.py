@@ -77,8 +77,7 @@ def _estimate_shot(
     inside = slow_time_window(scene, shot)
     codes, valid = records.codes[inside][:, shot.gate], records.valid[inside]
     volts = codes_to_volts(codes, records.volts_per_code, records.volts_offset)
-    # Pulse and toneburst both travel to the gate, so the way there cancels against the reference.
-    time_s = shot.timeline.pulse_onset_s[inside] - shot.timeline.reference_s
+    time_s = shot.timeline.sensing_s[inside] - shot.timeline.reference_s
     echoes = EchoGate(
         volts=remove_offset(volts),
         sample_rate_hz=shot.capture.sample_rate_hz,

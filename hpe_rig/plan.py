@@ -35,9 +35,18 @@ class Timeline:
     record_offset_s: tuple[float, float]
 
     @property
+    def sensing_s(self) -> NDArray[np.float64]:
+        """When each tracking pulse reaches the middle of the gate and senses its motion, shape (pulse,)."""
+        return self.pulse_onset_s + self._way_s
+
+    @property
     def reference_s(self) -> float:
-        """Phase reference: onset of the first toneburst, or the master trigger's edge where nothing pushes."""
-        return float(self.burst_onset_s[0]) if self.burst_onset_s.size else 0.0
+        """Phase reference: arrival of the first toneburst at the gate, or the master's edge where nothing pushes."""
+        return float(self.burst_onset_s[0]) + self._way_s if self.burst_onset_s.size else 0.0
+
+    @property
+    def _way_s(self) -> float:
+        return sum(self.gate_offset_s) / 4
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from hpe_rig.plan import Plan, make_plan
 from hpe_rig.result import Result
 from hpe_rig.scene import Processing, Scene, SceneText, parse_scene, scene_text
 from hpe_rig.sequencer import Event, Observer, ShotBlock, ShotDone, ShotReady, acquire, unobserved
-from hpe_rig.store import RunWriter, free_path, read_run, result_path, versions, write_result
+from hpe_rig.store import RunWriter, StoreError, free_path, read_run, result_path, versions, write_result
 
 
 class Stages:
@@ -106,6 +106,8 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
     chosen = Processing.model_validate(asked).estimator
     with stages("process"):
         shots = estimate_run(scene, plan, stored, chosen)
+    if not shots:
+        raise StoreError(f"{path} holds no records, the run is {stored.status}. Try: measure again.")
     warnings = tuple(str(finding) for finding in findings(scene, bench, plan) if finding.level != "passed")
     if stored.status != "complete":
         warnings += (f"the run is {stored.status}: not every record was acquired",)
@@ -128,9 +130,9 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
 
 
 def phase_reference(scene: Scene) -> str:
-    """Return in words what phase zero means; propagation to the focus is removed from both sides."""
-    start = "the arrival of the first toneburst" if scene.excitation else "the master trigger, its edge carried"
-    return f"sin(2 pi f t + phase) of the motion at the gate, t from {start} at the gate's depth"
+    """Return in words what phase zero means; the way from transducer to gate is accounted for."""
+    start = "the first toneburst's arrival at the gate" if scene.excitation else "the master trigger's edge"
+    return f"of sin(2 pi f t + phase), the motion at the gate, with t from {start}"
 
 
 def json_schema(of: str) -> dict[str, Any]:

@@ -181,40 +181,43 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
     file.attrs.update(attributes | {f"version_{name}": text for name, text in versions().items()})
     file["scene"], file["bench"] = scene.text, bench.text
     file.create_dataset("snapshot", len(plan.shots), h5py.string_dtype())
+    _name_axes(file, {"shot": np.arange(len(plan.shots))}, {})
 
 
 def _create_records(file: h5py.File, plan: Plan) -> h5py.Group:
     shots, capture = plan.shots, plan.shots[0].capture
     shape = (len(shots), capture.record_count, capture.record_samples)
     group = file.create_group("records")
+    # The CF names: readers that know them turn codes into volts and missing records into NaN by themselves.
     pulses_a_chunk = max(1, min(capture.record_count, math.ceil(1e6 / (2 * capture.record_samples))))
     group.create_dataset("echo", shape, "i2", chunks=(1, pulses_a_chunk, shape[2]), fillvalue=MISSING)
-    # The CF names: readers that know them turn codes into volts and missing records into NaN by themselves.
-    group["echo"].attrs.update({"units": "V", "scale_factor": np.nan, "add_offset": np.nan, "_FillValue": MISSING})
+    group["echo"].attrs.update({"scale_factor": np.nan, "add_offset": np.nan, "_FillValue": MISSING})
+    group.create_dataset("trigger_time_s", shape[:2], "f8", fillvalue=np.nan)
+    group["pulse_onset_s"] = np.stack([shot.timeline.pulse_onset_s for shot in shots])
+    group["burst_length_s"] = [shot.timeline.burst_length_s for shot in shots]
+    group["force_fraction"] = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
+    group["repeat"] = [shot.repeat for shot in shots]
     sample_s = plan.shots[0].timeline.record_offset_s[0] + np.arange(shape[2]) / capture.sample_rate_hz
-    scales = {"shot": np.arange(shape[0]), "pulse": np.arange(shape[1]), "sample": sample_s}
-    for name, values in scales.items():
-        group[name] = values
-        group[name].make_scale(name)
+    units = {"echo": "V", "trigger_time_s": "s", "pulse_onset_s": "s", "burst_length_s": "s"}
+    _name_axes(group, {"shot": np.arange(shape[0]), "pulse": np.arange(shape[1]), "sample": sample_s}, units)
     group["sample"].attrs.update({"units": "s", "long_name": "time after the onset of the tracking pulse"})
-    _with_axes(group, group.create_dataset("trigger_time_s", shape[:2], "f8", fillvalue=np.nan), "s")
-    onset_s = np.stack([shot.timeline.pulse_onset_s for shot in shots])
-    _with_axes(group, group.create_dataset("pulse_onset_s", data=onset_s), "s")
-    lengths_s = [shot.timeline.burst_length_s for shot in shots]
-    _with_axes(group, group.create_dataset("burst_length_s", data=lengths_s), "s")
-    forces = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
-    _with_axes(group, group.create_dataset("force_fraction", data=forces), "1")
-    _with_axes(group, group.create_dataset("repeat", data=[shot.repeat for shot in shots]), "1")
-    _with_axes(group, group["echo"], "V")
     if file.attrs["simulated"]:
-        file.create_dataset("truth/displacement_m", shape[:2], "f8", fillvalue=np.nan).attrs["units"] = "m"
+        truth = file.create_group("truth")
+        truth.create_dataset("displacement_m", shape[:2], "f8", fillvalue=np.nan)
+        _name_axes(truth, {"shot": np.arange(shape[0]), "pulse": np.arange(shape[1])}, {"displacement_m": "m"})
     return group
 
 
-def _with_axes(group: h5py.Group, dataset: h5py.Dataset, units: str) -> None:
-    dataset.attrs["units"] = units
-    for axis, name in zip(range(dataset.ndim), ("shot", "pulse", "sample"), strict=False):
-        dataset.dims[axis].attach_scale(group[name])
+def _name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:
+    """Give every dataset of ``group`` its units and, axis by axis in this order, the named scales."""
+    datasets = [item for item in group.values() if isinstance(item, h5py.Dataset) and item.ndim]
+    for name, values in scales.items():
+        group[name] = values
+        group[name].make_scale(name)
+    for dataset in datasets:
+        dataset.attrs["units"] = units.get(dataset.name.rpartition("/")[2], "1")
+        for axis, name in zip(range(dataset.ndim), scales, strict=False):
+            dataset.dims[axis].attach_scale(group[name])
 
 
 def result_path(run_path: Path, estimator: str) -> Path:
@@ -234,17 +237,13 @@ def write_result(path: Path, result: Result) -> None:
                 file.attrs[name] = getattr(result, name)
             file["json"] = json.dumps(result.as_dict())
             group = file.create_group("results")
-            group["shot"] = [shot.shot for shot in result.shots]
-            group["frequency"] = [estimate.frequency_hz for estimate in rows[0]]
-            group["frequency"].attrs["units"] = "Hz"
-            for name in ("shot", "frequency"):
-                group[name].make_scale(name)
-            for name, units in _RESULT_UNITS.items():
+            for name in _RESULT_UNITS:
                 values = [[_number(getattr(estimate, name)) for estimate in row] for row in rows]
-                dataset = group.create_dataset(name, data=values, dtype="f8")
-                dataset.attrs["units"] = units
-                dataset.dims[0].attach_scale(group["shot"])
-                dataset.dims[1].attach_scale(group["frequency"])
+                group.create_dataset(name, data=values, dtype="f8")
+            frequency_hz = np.array([estimate.frequency_hz for estimate in rows[0]])
+            shots = np.array([shot.shot for shot in result.shots])
+            _name_axes(group, {"shot": shots, "frequency": frequency_hz}, _RESULT_UNITS)
+            group["frequency"].attrs["units"] = "Hz"
     except OSError as error:
         raise StoreError(f"{path} cannot be written ({error}). Try: a folder that is writable.") from None
 

@@ -9,17 +9,21 @@ from rich.table import Table
 
 from hpe_rig.result import Estimate, Result, ShotResult
 
+TABLE_WIDTH = 120
+
 
 def print_result(result: Result) -> None:
     """Print every shot's table, warnings, what was left out and the run time by stage."""
-    console = Console(soft_wrap=True, highlight=False)
+    # A pipe has no width of its own; the table is not to be squeezed into the 80 columns taken for it.
+    console = Console(soft_wrap=True, highlight=False, markup=False, width=max(TABLE_WIDTH, Console().width))
     source = "SIMULATED" if result.simulated else "measured"
-    console.print(f"\n[bold]{result.title}[/bold]\n{source}, {result.run_file}, estimator {result.estimator}")
+    console.print(f"\n{result.title}", style="bold")
+    console.print(f"{source}, {result.run_file}, estimator {result.estimator}")
     for shot in result.shots:
         console.print(_shot_table(shot))
     console.print(f"phase: {result.phase_reference}; uncertainties: standard, noise only")
     for warning in (*result.warnings, *(text for shot in result.shots for text in shot.warnings)):
-        console.print(f"[bold]WARNING[/bold] {warning}")
+        console.print(f"WARNING {warning}", style="bold")
     if result.left_out:
         console.print("left out: " + "; ".join(f"{what} ({why})" for what, why in result.left_out))
     total_s = sum(result.run_time_s.values())
@@ -31,9 +35,9 @@ def _shot_table(shot: ShotResult) -> Table:
     known = any(estimate.true_amplitude_m is not None for estimate in shot.estimates)
     predicted = any(estimate.averaging_factor is not None for estimate in shot.estimates)
     table = Table(title=_shot_title(shot), title_justify="left", box=None, header_style="bold")
-    headers = ["f / Hz", "amplitude / nm", "u / nm", "phase / deg", "u / deg", "SNR / dB"]
-    headers += ["true peak / nm", "error / %", "phase error / deg"] if known else []
-    headers += ["averaging", "speckle u / %"] if predicted else []
+    headers = ["f\nHz", "amplitude\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "SNR\ndB"]
+    headers += ["true peak\nnm", "error\n%", "phase error\ndeg"] if known else []
+    headers += ["averaging\npredicted", "speckle u\n%"] if predicted else []
     for header in headers:
         table.add_column(header, justify="right")
     for estimate in shot.estimates:

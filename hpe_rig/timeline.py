@@ -29,7 +29,7 @@ _ORDER = {"refused": 0, "warning": 1, "passed": 2}
 def _drawing(shot: Shot) -> Iterator[str]:
     """Draw the first pulse periods after the first toneburst; one column is the same time in every row."""
     line, period_s = shot.timeline, 1 / shot.tracking_train.rate_hz
-    start_s, span_s = line.reference_s, 2 * period_s
+    start_s, span_s = float(line.burst_onset_s[0]) if line.burst_onset_s.size else 0.0, 2 * period_s
     pulses = [time_s for time_s in line.pulse_onset_s[:8] if time_s < start_s + span_s]
     bursts = [time_s for time_s in line.burst_onset_s[:8] if time_s < start_s + span_s]
 

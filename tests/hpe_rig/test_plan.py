@@ -127,6 +127,13 @@ def test_a_scene_without_excitation_needs_no_excitation_generator() -> None:
     assert plan.shots[0].timeline.reference_s == 0.0
 
 
+def test_times_are_those_at_the_gate() -> None:
+    line = make_plan(MUSCLE, BENCH).shots[0].timeline
+    way_s = 70e-3 / 1540
+    np.testing.assert_allclose(line.sensing_s - line.pulse_onset_s, way_s, rtol=1e-9)
+    assert line.reference_s == pytest.approx(line.burst_onset_s[0] + way_s)
+
+
 def test_shipped_scenes_have_no_conflicts() -> None:
     for scene in (MUSCLE, TABLE_1):
         assert {item.level for item in findings(scene, BENCH, make_plan(scene, BENCH))} == {"passed"}

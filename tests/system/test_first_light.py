@@ -20,7 +20,7 @@ from hpe_rig.bench_file import read_bench
 from hpe_rig.result import Result
 from hpe_rig.run import Setup, measure, prepare, process
 from hpe_rig.sequencer import Progress, ShotBlock, acquire
-from hpe_rig.store import StoreError, read_run
+from hpe_rig.store import StoreError, read_run, result_path
 
 Prepare = Callable[..., Setup]
 Measure = Callable[..., Result]
@@ -138,6 +138,7 @@ def test_both_estimators_agree_on_one_run(prepared: Prepare, tmp_path: Path) -> 
     # Two gates' speckle averages of the same echoes: 6 and 8 % apart from the mean (model notes, section 1).
     assert paper.amplitude_m == pytest.approx(coherent.amplitude_m, rel=0.2)
     for estimate in (coherent, paper):
+        assert abs(estimate.phase_rad) < np.radians(0.5)
         assert abs(estimate.phase_error_rad or 0) < np.radians(0.5)
         assert (tmp_path / "run.cross_spectrum.h5").exists()
 
@@ -150,9 +151,7 @@ def test_records_and_results_open_in_xarray_with_coordinates_and_units(measured:
         assert records["echo"].attrs["units"] == "V"
         assert float(abs(records["echo"]).max()) < 0.8
         assert records["sample"].attrs["units"] == "s"
-    with xr.open_dataset(
-        run_file.with_suffix("").with_suffix(".coherent.h5"), group="results", engine="h5netcdf"
-    ) as table:
+    with xr.open_dataset(result_path(run_file, "coherent"), group="results", engine="h5netcdf") as table:
         assert float(table["amplitude_m"].sel(frequency=200.0, shot=0)) == result.shots[0].estimates[0].amplitude_m
 
 
@@ -243,4 +242,6 @@ def test_prepare_accepts_a_bench_file(tmp_path: Path) -> None:
     path = tmp_path / "other.toml"
     path.write_text(read_bench().text.replace("delay_s = 10e-9", "delay_s = 1e-6"), encoding="utf-8")
     setup = prepare("bovine-muscle", path)
-    assert setup.plan.shots[0].timeline.reference_s == pytest.approx(5e-9 + 100e-9 + 5e-9 + 100e-9 + 1e-6)
+    assert setup.plan.shots[0].timeline.reference_s == pytest.approx(
+        5e-9 + 100e-9 + 5e-9 + 100e-9 + 1e-6 + 70e-3 / 1540
+    )
