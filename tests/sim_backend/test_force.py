@@ -54,7 +54,7 @@ def test_transducer_responds_16_db_less_at_9_mhz_than_at_its_resonance():
 
 
 def test_harmonics_of_the_force_train_follow_eq_18():
-    """Fourier integral over one period of the pulses that come out, against a f_r T_b sinc(n f_r T_b) exp(-j pi n ...)."""
+    """Fourier integral over one period of the pulse that comes out, against the printed spectrum."""
     rate_hz, burst_s = 100.0, 100e-6
     force = radiation_force(bursts([0]), Specimen(), 0.0)
     n = np.arange(1, 120)

@@ -29,7 +29,7 @@ def periodic_displacement(specimen, rate_hz, time_s, harmonics, width_m=WIDTH_M,
 
 
 def series_rest_m(specimen, cut_hz):
-    """Bound of the terms beyond the cut: |2 F_n U| <= 4 f_r / w |U|, and U falls like w^-2 there, which sums to U / pi."""
+    """Bound of the terms beyond the cut: |2 F_n U| <= 4 f_r |U| / w, and U falls like w^-2 there: U / pi in all."""
     return abs(frequency_response(specimen, WIDTH_M, np.array([cut_hz]))[0]) / np.pi
 
 
@@ -175,7 +175,7 @@ def test_table_interpolates_the_step_response(modulus_pa, viscosity_pa_s):
 
 
 def test_medium_accelerates_at_first_like_a_free_mass():
-    """At once after the onset nothing but inertia acts: u = q f t^2 / 2 rho, q = the divergence-free share of the force."""
+    """At first nothing but inertia acts: u = q f t^2 / 2 rho, q the divergence-free share of the force."""
     specimen = Specimen(shear_viscosity_pa_s=0.0)
     time_s = np.array([1e-6])
     sx, _, sz = WIDTH_M
