@@ -44,11 +44,9 @@ def velocity_to_harmonics(
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
     everything = design(velocity.time_s, velocity.valid, frequency_hz, largest_condition)
-    states, functionals = [], []
-    for index in range(frequency_hz.size):
-        state, functional = _one_frequency(velocity, frequency_hz, index, everything, interval_s)
-        states.append(state)
-        functionals.append(functional)
+    fill = _fill_matrix(velocity, frequency_hz, everything)
+    each = [_one_frequency(velocity, frequency_hz, index, fill, interval_s) for index in range(frequency_hz.size)]
+    states, functionals = zip(*each, strict=True)
     pulse_variance, interval_variance = velocity_noise(velocity, everything, frequency_hz, interval_s)
     over_intervals = np.concatenate(functionals)
     over_pulses = per_pulse(over_intervals, interval_s)
@@ -70,35 +68,29 @@ def _even_interval_s(velocity: Velocity) -> float:
 
 
 def _one_frequency(
-    velocity: Velocity, frequency_hz: FloatArray, index: int, everything: FloatArray, interval_s: float
+    velocity: Velocity, frequency_hz: FloatArray, index: int, fill: FloatArray, interval_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the state (..., 2) of one frequency and the rows (2, interval) that give it from the velocities."""
-    f = frequency_hz[index]
-    columns = harmonic_columns(velocity.time_s, frequency_hz[index : index + 1])
-    window = hann(velocity.valid.size)
+    f, valid = frequency_hz[index], velocity.valid
     half_width_hz = _half_width_hz(frequency_hz, index)
+    window = hann(valid.size)
 
-    def windowed(series: FloatArray) -> FloatArray:
-        passed = band_pass(series, 1 / interval_s, f - half_width_hz, f + half_width_hz)
-        return (passed * window)[..., velocity.valid]
+    def passed(series: FloatArray) -> FloatArray:
+        return band_pass(series, 1 / interval_s, f - half_width_hz, f + half_width_hz)
 
-    def kalman_states(series: FloatArray) -> FloatArray:
-        matrix = columns[velocity.valid]
-        return filter_states(matrix, windowed(series), np.zeros(len(matrix)), PRIOR)[0]
-
-    fill = _fill_matrix(velocity, frequency_hz, everything)
-    displacement = _filled(velocity.velocity_m_per_s, velocity.valid, fill) / (2 * np.pi * f)
-    turn = _velocity_turn(f, interval_s)
-    correction = turn @ np.linalg.inv(kalman_states(columns.T).T)
-    state = kalman_states(displacement) @ correction.T
-    rows = correction @ np.linalg.pinv(columns[velocity.valid]) * window[velocity.valid]
-    spread = np.zeros((2, velocity.valid.size))
-    spread[:, velocity.valid] = rows
+    columns = harmonic_columns(velocity.time_s, frequency_hz[index : index + 1])
+    solver = np.linalg.pinv(columns[valid])
+    response = solver @ (passed(columns.T) * window)[:, valid].T
+    correction = _velocity_turn(f, interval_s) @ np.linalg.inv(response) / (2 * np.pi * f)
+    windowed = (passed(_filled(velocity.velocity_m_per_s, valid, fill)) * window)[..., valid]
+    state = filter_states(columns[valid], windowed, np.zeros(int(valid.sum())), PRIOR)[0] @ correction.T
+    rows = np.zeros((2, valid.size))
+    rows[:, valid] = correction @ solver * window[valid]
     # the band-pass is its own transpose, so it carries the rows back to the velocities before it
-    back = band_pass(spread, 1 / interval_s, f - half_width_hz, f + half_width_hz)
-    functional = np.zeros_like(back)
-    functional[:, velocity.valid] = back[:, velocity.valid] + back[:, ~velocity.valid] @ fill
-    return state, functional / (2 * np.pi * f)
+    back = passed(rows)
+    back[:, valid] += back[:, ~valid] @ fill
+    back[:, ~valid] = 0.0
+    return state, back
 
 
 def _half_width_hz(frequency_hz: FloatArray, index: int) -> float:

@@ -53,7 +53,7 @@ class TableOne:
         return np.asarray(inside * (0.5 + 0.5 * np.cos(bandwidth * carrier)) * np.cos(carrier), dtype=np.float64)
 
     def gate_time_s(self) -> FloatArray:
-        return (np.arange(self.samples) - (self.samples - 1) / 2) / self.sample_rate_hz
+        return np.asarray((np.arange(self.samples) - (self.samples - 1) / 2) / self.sample_rate_hz, dtype=np.float64)
 
     def rigid(self, displacement_m: FloatArray, bandwidth: float = 0.2) -> FloatArray:
         """One target in the middle of the gate, its pulse wholly inside: (pulse, sample)."""
