@@ -113,9 +113,8 @@ class Coerced:
 
 def clipped(value: float, low: float, high: float, quantity: str) -> tuple[float, tuple[Error, ...]]:
     """Return ``value`` within the limits, and the error that says which of them it hit."""
-    slack = ROUNDING * max(abs(low), abs(high) if math.isfinite(high) else 0.0)
-    if value > high + slack:
+    if value > high + ROUNDING * abs(high):
         return high, ((-222, f"Data out of range; {quantity}; value clipped to upper limit"),)
-    if value < low - slack:
+    if value < low - ROUNDING * abs(low):
         return low, ((-222, f"Data out of range; {quantity}; value clipped to lower limit"),)
     return min(max(value, low), high), ()

@@ -1,0 +1,306 @@
+"""The simulated bench as a whole: programmed through its wires, judged by what reaches transducer and digitizer."""
+
+import ctypes
+
+import numpy as np
+import pytest
+
+from sim_backend.settings import SimulationSettings, Specimen
+from sim_backend.world import World
+
+FIG_2 = [
+    ("master.output", "burst_train.trigger", 5e-9),
+    ("master.output", "tracking_train.trigger", 5e-9),
+    ("burst_train.output", "toneburst.trigger", 5e-9),
+    ("tracking_train.output", "digitizer.trigger", 5e-9),
+    ("digitizer.aux", "tracking_pulser.trigger", 5e-9),
+    ("toneburst.output", "transducer.drive", 10e-9),
+    ("tracking_pulser.output", "transducer.drive", 10e-9),
+]
+BOARD, SAMPLES = 0x460, 256
+TTL = "*RST;:OUTP:LOAD INF;:FUNC PULS;:FREQ {rate};:PULS:WIDT 1E-5;:VOLT:HIGH 4;LOW 0"
+TRAIN = TTL + ";:TRIG:SOUR EXT;DEL {delay};:BURS:NCYC {count};STAT 1;:OUTP 1"
+BURST = "*RST;:FREQ {carrier};:VOLT 1;:TRIG:SOUR EXT;:BURS:NCYC {cycles};STAT 1;:OUTP 1"
+MASTER = TTL.format(rate=1000) + ";:TRIG:SOUR BUS;:BURS:STAT 1;:OUTP 1"
+
+
+class Counting:
+    """Volts that tell the record number and how often they were asked for; displacement that tells the time."""
+
+    def __init__(self):
+        self.captures = []
+
+    def record_volts(self, tonebursts, pulses, capture):
+        self.captures.append(capture)
+        record = np.arange(capture.first_sample_ps.size)[:, None]
+        return 1e-4 * record + 1e-2 * len(self.captures) + np.zeros(capture.samples)
+
+    def focus_displacement_m(self, tonebursts, time_ps, origin_ps):
+        return (time_ps - origin_ps) * 1e-12
+
+
+class Bench:
+    """A world with its wires and its digitizer, programmed for 20 bursts and a delayed train of pulses."""
+
+    def __init__(self, wiring=FIG_2, world=None):
+        self.acoustics = Counting()
+        self.world = world or World(SimulationSettings(), wiring, self.acoustics)
+        self.library = self.world.alazar_library()
+
+    def send(self, role, message):
+        wire = self.world.wire(role)
+        wire.write(message)
+        wire.write("SYST:ERR?")
+        assert wire.read() == '+0,"No error"'
+
+    def program(self, pulses=40, delay=300e-6, bursts=20, toneburst=BURST.format(carrier=3e6, cycles=600)):
+        self.send("tracking_pulser", BURST.format(carrier=9e6, cycles=3))
+        self.send("tracking_train", TRAIN.format(rate=4000, delay=delay, count=pulses))
+        self.send("toneburst", toneburst)
+        self.send("burst_train", TRAIN.format(rate=100, delay=0, count=bursts))
+        self.send("master", MASTER)
+
+    def arm(self, records=40, per_buffer=10):
+        board = self.library
+        board.AlazarSetCaptureClock(BOARD, 1, 0x24, 0, 0)
+        board.AlazarInputControl(BOARD, 1, 2, 9, 2)
+        board.AlazarSetTriggerOperation(BOARD, 0, 0, 2, 1, 166, 1, 3, 1, 128)
+        board.AlazarSetTriggerDelay(BOARD, 8000)
+        board.AlazarSetRecordSize(BOARD, 0, SAMPLES)
+        assert board.AlazarBeforeAsyncRead(BOARD, 1, 0, SAMPLES, per_buffer, records, 1) == 512
+        self.buffer = (ctypes.c_uint8 * (2 * SAMPLES * per_buffer + 32))()
+        self.address = ctypes.addressof(self.buffer) + -ctypes.addressof(self.buffer) % 32
+        self.size = 2 * SAMPLES * per_buffer
+        assert board.AlazarPostAsyncBuffer(BOARD, self.address, self.size) == 512
+        assert board.AlazarStartCapture(BOARD) == 512
+
+    def next_words(self, timeout_ms=100):
+        answer = self.library.AlazarWaitAsyncBufferComplete(BOARD, self.address, timeout_ms)
+        if answer != 512:
+            return None
+        words = np.frombuffer(ctypes.string_at(self.address, self.size), "<u2").reshape(-1, SAMPLES)
+        self.library.AlazarPostAsyncBuffer(BOARD, self.address, self.size)
+        return words
+
+    def all_off(self):
+        for role in self.world.outputs_on():
+            self.send(role, "OUTP 0")
+
+    def fire(self):
+        """Return the time of the master's edge."""
+        self.world.wire("master").write("*TRG")
+        return self.world.clock.now_ps + 100_000
+
+
+def test_twenty_bursts_at_100_hz_and_a_delayed_train_start_from_one_edge():
+    bench = Bench()
+    bench.arm()
+    bench.program()
+    edge_ps = bench.fire()
+    tonebursts, pulses, ignored = bench.world.emissions()
+    # Cables 5 + 5 + 10 ns and two generators of 100 ns.
+    assert np.array_equal(tonebursts.onset_ps, edge_ps + 220_000 + 10_000_000_000 * np.arange(20))
+    assert np.all(tonebursts.end_ps - tonebursts.onset_ps == 200_000_000)
+    # 5 + 5 + 5 + 10 ns, two generators and t_d; the digitizer's clock adds less than a sample.
+    late_ps = pulses.onset_ps - (edge_ps + 225_000 + 300_000_000 + 250_000_000 * np.arange(40))
+    assert np.all((late_ps >= 0) & (late_ps < 10_000))
+    assert set(ignored.values()) == {0}
+
+
+def test_records_follow_their_trigger_by_the_trigger_delay_and_share_its_clock():
+    bench = Bench()
+    bench.arm()
+    bench.program()
+    edge_ps = bench.fire()
+    assert bench.next_words() is not None
+    (capture,) = bench.acoustics.captures
+    first_ps = capture.first_sample_ps
+    assert np.all(first_ps % 10_000 == 0)
+    since_trigger_ps = first_ps - (edge_ps + 110_000 + 300_000_000 + 250_000_000 * np.arange(40))
+    assert np.all((since_trigger_ps >= 80_000_000) & (since_trigger_ps < 80_010_000))
+    assert (capture.origin_ps, capture.samples, capture.sample_period_ps) == (edge_ps, SAMPLES, 10_000)
+
+
+def test_triggers_that_arrive_while_a_burst_runs_are_ignored_and_counted():
+    bench = Bench()
+    bench.arm()
+    bench.program(toneburst=BURST.format(carrier=1e3, cycles=15))
+    bench.fire()
+    tonebursts, _, ignored = bench.world.emissions()
+    # Each burst lasts 15 ms, so that every second trigger of 10 ms finds it running.
+    assert (tonebursts.onset_ps.size, ignored["toneburst"]) == (10, 10)
+
+
+def test_a_second_master_pulse_during_the_trains_is_ignored():
+    bench = Bench()
+    bench.arm(records=80)
+    bench.program(pulses=80)
+    bench.fire()
+    bench.fire()
+    tonebursts, pulses, ignored = bench.world.emissions()
+    assert (tonebursts.onset_ps.size, pulses.onset_ps.size) == (20, 80)
+    assert (ignored["burst_train"], ignored["tracking_train"]) == (1, 1)
+
+
+def test_triggers_during_a_record_are_ignored_and_do_not_fire_the_pulser():
+    bench = Bench()
+    bench.arm(records=20)
+    bench.library.AlazarAbortAsyncRead(BOARD)
+    bench.library.AlazarSetTriggerDelay(BOARD, 30_000)
+    bench.library.AlazarSetRecordSize(BOARD, 0, SAMPLES)
+    bench.library.AlazarBeforeAsyncRead(BOARD, 1, 0, SAMPLES, 10, 20, 1)
+    bench.library.AlazarStartCapture(BOARD)
+    bench.program(pulses=40)
+    bench.fire()
+    _, pulses, ignored = bench.world.emissions()
+    assert (pulses.onset_ps.size, ignored["digitizer"]) == (20, 20)
+
+
+@pytest.mark.parametrize("missing", range(len(FIG_2)))
+def test_what_is_not_wired_does_not_happen(missing):
+    bench = Bench(FIG_2[:missing] + FIG_2[missing + 1 :])
+    bench.arm()
+    bench.program()
+    bench.fire()
+    tonebursts, pulses, _ = bench.world.emissions()
+    tracks = missing not in (1, 3, 4, 6)
+    assert tonebursts.onset_ps.size == (0 if missing in (0, 2, 5) else 20)
+    assert pulses.onset_ps.size == (40 if tracks else 0)
+    assert (bench.next_words() is None) == (missing in (1, 3))
+
+
+def test_an_output_switched_off_cuts_its_train_and_keeps_what_was_recorded():
+    bench = Bench()
+    bench.arm()
+    bench.program()
+    bench.fire()
+    first = bench.next_words()
+    bench.send("tracking_pulser", "OUTP 0")
+    pulses = bench.world.emissions()[1]
+    assert np.all(pulses.onset_ps < bench.world.clock.now_ps)
+    assert pulses.onset_ps.size < 40
+    second = bench.next_words()
+    # The physics was asked again; the volts that it gives by then would show in the first records too.
+    assert len(bench.acoustics.captures) == 2
+    assert first[0, 0] >> 2 == round(0.01 / 0.8 * 8191.5 + 8191.5)
+    assert second[-1, 0] >> 2 == round((0.02 + 19e-4) / 0.8 * 8191.5 + 8191.5)
+
+
+def test_the_physics_is_asked_once_a_capture():
+    bench = Bench()
+    bench.arm()
+    bench.program()
+    bench.fire()
+    for _ in range(4):
+        assert bench.next_words() is not None
+    assert bench.next_words() is None
+    assert len(bench.acoustics.captures) == 1
+
+
+def test_a_running_toneburst_is_cut_at_output_off():
+    bench = Bench()
+    bench.arm()
+    bench.program(toneburst=BURST.format(carrier=1e3, cycles=15))
+    bench.fire()
+    bench.send("toneburst", "OUTP 0")
+    tonebursts = bench.world.emissions()[0]
+    assert tonebursts.onset_ps.size == 1
+    # Switched off one message after the master was fired; three generators and two cables stand before the burst.
+    length_s = (tonebursts.end_ps - tonebursts.onset_ps)[0] * 1e-12
+    assert length_s == pytest.approx(1e-3 - 310e-9, abs=1e-12)
+    assert tonebursts.cycles[0] == pytest.approx(1e3 * length_s, rel=1e-9)
+
+
+def test_a_forgotten_burst_mode_drives_without_end():
+    bench = Bench()
+    bench.arm()
+    bench.program(toneburst="*RST;:FREQ 3E6;:VOLT 1;:OUTP 1")
+    bench.fire()
+    tonebursts = bench.world.emissions()[0]
+    assert tonebursts.onset_ps.size == 1
+    assert tonebursts.end_ps[0] > bench.world.clock.now_ps
+    assert bench.next_words() is not None
+
+
+def test_true_displacement_is_that_at_the_pulses_arrival_and_nan_without_a_pulse():
+    bench = Bench()
+    bench.arm()
+    bench.program()
+    edge_ps = bench.fire()
+    bench.world.clock.sleep(5e-3)
+    bench.send("tracking_pulser", "OUTP 0")
+    truth = bench.world.true_displacement_m()
+    onset_ps = bench.world.emissions()[1].onset_ps
+    expected = (onset_ps - edge_ps) * 1e-12 + 70e-3 / 1540
+    assert truth[: onset_ps.size] == pytest.approx(expected, abs=1e-12)
+    assert np.all(np.isnan(truth[onset_ps.size :]))
+    assert truth.size == 40
+
+
+def test_captures_keep_their_truth_and_the_history_does_not_grow():
+    bench = Bench()
+    truths = []
+    for _ in range(3):
+        bench.arm()
+        bench.program()
+        bench.fire()
+        while bench.next_words() is not None:
+            pass
+        truths.append(bench.world.true_displacement_m())
+        bench.all_off()
+        bench.library.AlazarAbortAsyncRead(BOARD)
+        assert bench.world.emissions()[1].onset_ps.size == 40
+    assert [bench.acoustics.captures[shot].index for shot in range(3)] == [0, 1, 2]
+    for shot, truth in enumerate(truths):
+        assert np.array_equal(bench.world.true_displacement_m(shot), truth)
+    with pytest.raises(IndexError):
+        bench.world.true_displacement_m(3)
+
+
+def test_outputs_and_digitizer_tell_whether_they_are_safe():
+    bench = Bench()
+    bench.program()
+    assert set(bench.world.outputs_on().values()) == {True}
+    assert bench.world.digitizer_idle()
+    bench.arm()
+    assert not bench.world.digitizer_idle()
+    bench.library.AlazarAbortAsyncRead(BOARD)
+    bench.all_off()
+    assert bench.world.digitizer_idle()
+    assert set(bench.world.outputs_on().values()) == {False}
+
+
+def test_a_message_takes_its_time_and_sleeping_takes_none_of_ours():
+    world = World(SimulationSettings(), FIG_2, Counting())
+    world.wire("master").write("*CLS")
+    world.clock.sleep(3600.0)
+    assert world.clock.now_s() == pytest.approx(3600.001, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("wiring", "reason"),
+    [
+        ([("master.sync", "toneburst.trigger", 0.0)], "no output"),
+        ([("master.output", "toneburst.gate", 0.0)], "no input"),
+        (
+            [("digitizer.aux", "tracking_train.trigger", 0.0), ("tracking_train.output", "digitizer.trigger", 0.0)],
+            "loop",
+        ),
+    ],
+)
+def test_impossible_wiring_is_refused_at_once(wiring, reason):
+    with pytest.raises(ValueError, match=reason):
+        World(SimulationSettings(), wiring)
+
+
+def test_the_same_messages_give_the_same_bytes_with_the_twins_own_physics():
+    def words():
+        bench = Bench(world=World(SimulationSettings(specimen=Specimen(), receiver={"snr_db": 20.0}), FIG_2))
+        bench.arm()
+        bench.program()
+        bench.fire()
+        return bench.next_words()
+
+    first, second = words(), words()
+    assert np.array_equal(first, second)
+    assert np.ptp(first.astype(int)) > 0
