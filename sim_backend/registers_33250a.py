@@ -6,7 +6,6 @@ open-circuit voltages, so that a change of the declared load rescales what is di
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 Error = tuple[int, str]

@@ -76,7 +76,7 @@ def single_port(world, pre=0, pulses=RECORDS):
             break
         world.clock.sleep(1e-3)
     records = []
-    memory, address = buffer_of(2 * (SAMPLES + 16))
+    _memory, address = buffer_of(2 * (SAMPLES + 16))
     for record in range(1, RECORDS + 1):
         assert library.AlazarRead(BOARD, 1, c_void_p(address), 2, c_long(record), -pre, SAMPLES) == 512
         records.append(ctypes.string_at(address, 2 * SAMPLES))
@@ -132,7 +132,7 @@ def test_two_channels_alternate_record_by_record_and_the_unconnected_one_is_flat
 
 
 def test_headers_carry_record_number_and_time_stamp():
-    library, data = auto_dma(world_of(), headers=True)
+    _library, data = auto_dma(world_of(), headers=True)
     rows = np.frombuffer(data, np.uint8).reshape(RECORDS, 16 + 2 * SAMPLES)
     header = rows[:, :16].copy().view("<u4").astype(np.int64)
     count = header[:, 2] | (header[:, 3] & 0xFF) << 32
@@ -179,7 +179,7 @@ def test_signed_format_is_twos_complement():
     library.AlazarStartCapture(BOARD)
     fire(world)
     world.clock.sleep(1.0)
-    memory, address = buffer_of(2 * SAMPLES)
+    _memory, address = buffer_of(2 * SAMPLES)
     library.AlazarRead(BOARD, 1, address, 2, 1, 0, SAMPLES)
     signed = np.frombuffer(ctypes.string_at(address, 2 * SAMPLES), "<i2") >> 2
     expected = 0.5 * np.sin(0.01 * np.arange(SAMPLES))
@@ -287,7 +287,7 @@ def started(world, buffers=2):
 def test_buffers_are_refused_with_their_codes():
     library, memories = started(world_of())
     size = 2 * SAMPLES * PER_BUFFER
-    memory, address = buffer_of(2 * size)
+    _memory, address = buffer_of(2 * size)
     refused = {
         (0, size): 531,
         (memories[0][1], size): 583,
@@ -317,7 +317,7 @@ def test_waiting_without_triggers_times_out_after_the_time_asked_for():
 def test_waiting_before_the_start_times_out():
     library = loaded(world_of())
     library.AlazarBeforeAsyncRead(BOARD, 1, 0, SAMPLES, PER_BUFFER, RECORDS, 1)
-    memory, address = buffer_of(2 * SAMPLES * PER_BUFFER)
+    _memory, address = buffer_of(2 * SAMPLES * PER_BUFFER)
     library.AlazarPostAsyncBuffer(BOARD, address, 2 * SAMPLES * PER_BUFFER)
     assert library.AlazarWaitAsyncBufferComplete(BOARD, address, 5) == 579
 
@@ -373,7 +373,7 @@ def test_fewer_triggers_leave_it_busy_and_after_abort_what_came_can_be_read():
     world.clock.sleep(1.0)
     assert (library.AlazarBusy(BOARD), library.AlazarTriggered(BOARD)) == (1, 1)
     library.AlazarAbortCapture(BOARD)
-    memory, address = buffer_of(2 * SAMPLES)
+    _memory, address = buffer_of(2 * SAMPLES)
     answers = [library.AlazarRead(BOARD, 1, address, 2, record, 0, SAMPLES) for record in (5, 6)]
     assert answers == [512, 539]
 

@@ -21,6 +21,7 @@ BOARD, SAMPLES = 0x460, 256
 TTL = "*RST;:OUTP:LOAD INF;:FUNC PULS;:FREQ {rate};:PULS:WIDT 1E-5;:VOLT:HIGH 4;LOW 0"
 TRAIN = TTL + ";:TRIG:SOUR EXT;DEL {delay};:BURS:NCYC {count};STAT 1;:OUTP 1"
 BURST = "*RST;:FREQ {carrier};:VOLT 1;:TRIG:SOUR EXT;:BURS:NCYC {cycles};STAT 1;:OUTP 1"
+TONEBURST = BURST.format(carrier=3e6, cycles=600)
 MASTER = TTL.format(rate=1000) + ";:TRIG:SOUR BUS;:BURS:STAT 1;:OUTP 1"
 
 
@@ -53,7 +54,7 @@ class Bench:
         wire.write("SYST:ERR?")
         assert wire.read() == '+0,"No error"'
 
-    def program(self, pulses=40, delay=300e-6, bursts=20, toneburst=BURST.format(carrier=3e6, cycles=600)):
+    def program(self, pulses=40, delay=300e-6, bursts=20, toneburst=TONEBURST):
         self.send("tracking_pulser", BURST.format(carrier=9e6, cycles=3))
         self.send("tracking_train", TRAIN.format(rate=4000, delay=delay, count=pulses))
         self.send("toneburst", toneburst)
