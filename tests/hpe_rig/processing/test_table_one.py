@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from hpe_rig.processing import HarmonicFit, estimate
 from hpe_rig.theory import harmonic_bound
+from sim_backend.acoustics import draw_echoes
+from sim_backend.settings import SimulationSettings
 
 if TYPE_CHECKING:
     from conftest import TableOne
@@ -89,16 +91,20 @@ def test_coherent_jitter_is_within_ten_percent_of_the_bound(
     assert np.sqrt(np.mean(np.square(jitter_m))) / bound_m == pytest.approx(1.0, abs=0.1)
 
 
-def test_cross_spectrum_jitter_is_about_twice_the_bound_where_the_peak_is_single(
+def test_cross_spectrum_jitter_is_half_again_the_bound_and_reaches_that_of_the_notes(
     table_one: TableOne, speckle_draws: FloatArray
 ) -> None:
-    # model-notes 4: 36.3 nm for one draw that tracks 804 nm; draws differ, their median is compared
-    jitter_m = _jitters_m(table_one, speckle_draws, 40, 20.0, "cross_spectrum")
-    assert 22e-9 < np.median(jitter_m) < 40e-9
+    jitter_m = _jitters_m(table_one, speckle_draws, 20, 20.0, "cross_spectrum")
+    bound_m, _ = harmonic_bound(1e-6, 130, 100, 100.0, 9e6, 1540.0)
+    # Hann gate 1.22 and Hann slow time 1.23 (theory 2 and 3); the median of 30 jitters, each known to 1/sqrt(38) =
+    # 16 % and differing by draw as much again, is known to 1.25 x 0.22 / sqrt(30) = 5 %; three of these
+    assert np.median(jitter_m) / bound_m == pytest.approx(1.22 * 1.23, rel=0.15)
+    # model-notes 4 had one draw whose peak is less sure
+    assert jitter_m.min() < 36.3e-9 < jitter_m.max()
 
 
 @pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
-@pytest.mark.parametrize("snr_db", [10.0, 20.0, 40.0])
+@pytest.mark.parametrize("snr_db", [10.0, 30.0])
 def test_stated_uncertainties_are_true(
     table_one: TableOne, speckle_draws: FloatArray, estimator: Name, snr_db: float
 ) -> None:
@@ -109,3 +115,15 @@ def test_stated_uncertainties_are_true(
         squares.append(error[:, 0] ** 2 / np.diagonal(fit.covariance[:, 0], axis1=-2, axis2=-1))
     # 1200 draws: sqrt(2 / 1200) = 0.041, three of them, around 1.02 (95 degrees of freedom) to 1.04 (differences)
     np.testing.assert_allclose(np.mean(squares, axis=(0, 1)), 1.03, atol=0.13)
+
+
+@pytest.mark.parametrize(("estimator", "expected"), [("coherent", 0.887), ("cross_spectrum", 0.892)])
+def test_the_twins_echoes_track_the_expected_part_of_the_peak(
+    table_one: TableOne, estimator: Name, expected: float
+) -> None:
+    motion = np.sin(2 * np.pi * table_one.frequency_hz * table_one.pulse_time_s + table_one.phase_rad)
+    settings, generator = SimulationSettings(), np.random.default_rng(25)
+    volts = np.stack(
+        [draw_echoes(settings, table_one.amplitude_m * motion, table_one.gate_time_s(), generator) for _ in range(500)]
+    )
+    _check_tracked(table_one, volts, estimator, expected)
