@@ -144,8 +144,10 @@ def test_headers_carry_record_number_and_time_stamp():
     assert rows[:, 16:].tobytes() == auto_dma(world_of())[1]
 
 
-def test_single_port_time_stamps_agree_in_both_forms():
-    library, _ = single_port(world_of())
+def test_single_port_time_stamps_count_from_the_start_in_both_forms():
+    world = world_of()
+    start_ps = world.clock.now_ps
+    library, _ = single_port(world)
     address, high, low, stamp = c_uint32(), c_uint32(), c_uint32(), c_uint64()
     counts = []
     for record in range(1, RECORDS + 1):
@@ -155,6 +157,23 @@ def test_single_port_time_stamps_agree_in_both_forms():
         assert stamp.value == counts[-1]
         assert library.AlazarGetWhoTriggeredBySystemID(1, 1, record) == 3
     assert set(np.diff(counts)) == {10_000}
+    since_start_ps = world.taken(world.clock.now_ps).tick_ps - start_ps
+    assert counts == (since_start_ps // 20_000).tolist()
+
+
+def test_time_stamps_reset_once_count_on_through_later_captures():
+    world = world_of()
+    library = loaded(world, count=1)
+    assert library.AlazarResetTimeStamp(BOARD, 0) == 512
+    reset_ps, stamp, counts = world.clock.now_ps, c_uint64(), []
+    for _ in range(2):
+        library.AlazarStartCapture(BOARD)
+        fire(world)
+        world.clock.sleep(0.1)
+        library.AlazarGetTriggerTimestamp(BOARD, 1, byref(stamp))
+        counts.append((stamp.value, (int(world.taken(world.clock.now_ps).tick_ps[0]) - reset_ps) // 20_000))
+    assert counts[0][0] == counts[0][1]
+    assert counts[1][0] == counts[1][1] > counts[0][0] + 5_000_000
 
 
 def test_pre_trigger_moves_the_record_and_not_the_trigger():
