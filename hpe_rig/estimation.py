@@ -50,10 +50,23 @@ def predicted_averaging(scene: Scene, estimator: Estimator) -> tuple[float | Non
     pulse_m = beams.pulse_length_m or pulse_m
     geometry = (beams.excitation_width_m, beams.tracking_width_m, acquisition.gate_length_m, pulse_m)
     window: GateWindow = "hann" if estimator == "cross_spectrum" else "none"
-    factor = beam_averaging_factor(*geometry, gate_window=window)
     # A fixed seed: a prediction is a function of the scene alone.
     spread = speckle_spread(*geometry, np.random.default_rng(0), gate_window=window)
-    return factor, spread / factor
+    return beam_averaging_factor(*geometry, gate_window=window), spread
+
+
+def driven_frequencies_hz(scene: Scene, pulses: int) -> NDArray[np.float64]:
+    """Return every frequency that the tonebursts drive up to half the pulse rate, wanted or not, shape (frequency,).
+
+    Empty where nothing pushes, and where ``pulses`` are too few to fit them all in each half of the window.
+    """
+    if scene.excitation is None:
+        return np.zeros(0)
+    rate_hz = scene.excitation.burst_rate_hz
+    highest = math.floor(scene.tracking.pulse_rate_hz / 2 / rate_hz * (1 + 1e-9))
+    driven = np.array([rate_hz * n for n in range(1, highest + 1)], dtype=np.float64)
+    unknowns = 2 * (driven.size + len(scene.wanted_frequencies_hz)) + 1
+    return driven if pulses > 4 * unknowns else np.zeros(0)
 
 
 def slow_time_window(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
@@ -87,8 +100,9 @@ def _estimate_shot(
         valid=valid,
     )
     frequencies_hz = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
-    fit = estimate(echoes, frequencies_hz, estimator)
-    truth = None if truth_m is None else _fit_truth(time_s, truth_m[inside], frequencies_hz)
+    also_hz = driven_frequencies_hz(scene, int(valid.sum()))
+    fit = estimate(echoes, frequencies_hz, estimator, also_hz)
+    truth = None if truth_m is None else _fit_truth(time_s, truth_m[inside], frequencies_hz, also_hz)
     clipped = int(np.isin(codes[valid], CODE_LIMITS).any(axis=-1).sum())
     return ShotResult(
         shot=shot.index,
@@ -99,18 +113,21 @@ def _estimate_shot(
         pulses_missing=int((~valid).sum()),
         residual_m=float(fit.residual_rms_m),
         estimates=tuple(_estimate(fit, truth, index, prediction) for index in range(frequencies_hz.size)),
-        warnings=tuple(_warnings(valid, clipped, fit, _drift(echoes, frequencies_hz, estimator))),
+        warnings=tuple(_warnings(valid, clipped, fit, _drift(echoes, frequencies_hz, estimator, also_hz))),
     )
 
 
 def _fit_truth(
-    time_s: NDArray[np.float64], truth_m: NDArray[np.float64], frequencies_hz: NDArray[np.float64]
+    time_s: NDArray[np.float64],
+    truth_m: NDArray[np.float64],
+    frequencies_hz: NDArray[np.float64],
+    also_hz: NDArray[np.float64],
 ) -> HarmonicFit | None:
     known = np.isfinite(truth_m)
-    if known.sum() < 2 * frequencies_hz.size + 2:
+    if known.sum() < 2 * (frequencies_hz.size + also_hz.size) + 2:
         return None
     motion = Motion(time_s, np.where(known, truth_m, 0.0), np.zeros(truth_m.shape), known)
-    return least_squares(motion, frequencies_hz)
+    return least_squares(motion, frequencies_hz, also_hz=also_hz)
 
 
 def _estimate(
@@ -129,9 +146,11 @@ def _estimate(
     )
 
 
-def _drift(echoes: EchoGate, frequencies_hz: NDArray[np.float64], estimator: Estimator) -> Drift | None:
+def _drift(
+    echoes: EchoGate, frequencies_hz: NDArray[np.float64], estimator: Estimator, also_hz: NDArray[np.float64]
+) -> Drift | None:
     try:
-        return drift_between_halves(echoes, frequencies_hz, estimator)
+        return drift_between_halves(echoes, frequencies_hz, estimator, also_hz)
     except ValueError:
         # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
         return None

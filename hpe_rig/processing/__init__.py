@@ -15,6 +15,7 @@ Positive displacement is away from the transducer.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -46,14 +47,19 @@ Estimator = Literal["coherent", "cross_spectrum"]
 
 
 def estimate(
-    echoes: EchoGate, frequencies_hz: FloatArray | list[float], estimator: Estimator = "coherent"
+    echoes: EchoGate,
+    frequencies_hz: FloatArray | list[float],
+    estimator: Estimator = "coherent",
+    also_hz: FloatArray | Sequence[float] = (),
 ) -> HarmonicFit:
     """Return amplitude and phase of the motion at every frequency, from all valid pulses.
 
-    Raises ``ValueError`` for an unknown estimator, and when echoes or pulses cannot carry the estimate.
+    ``also_hz`` are frequencies that the motion has as well and that are not wanted; "coherent" fits them along, the
+    band-pass of "cross_spectrum" needs no such help. Raises ``ValueError`` for an unknown estimator, and when echoes or
+    pulses cannot carry the estimate.
     """
     if estimator == "coherent":
-        return least_squares(coherent(echoes), frequencies_hz)
+        return least_squares(coherent(echoes), frequencies_hz, also_hz=also_hz)
     if estimator == "cross_spectrum":
         return velocity_to_harmonics(cross_spectrum(echoes), frequencies_hz)
     raise ValueError(f"estimator {estimator!r} does not exist: try 'coherent' or 'cross_spectrum'")
@@ -74,14 +80,17 @@ class Drift:
 
 
 def drift_between_halves(
-    echoes: EchoGate, frequencies_hz: FloatArray | list[float], estimator: Estimator = "coherent"
+    echoes: EchoGate,
+    frequencies_hz: FloatArray | list[float],
+    estimator: Estimator = "coherent",
+    also_hz: FloatArray | Sequence[float] = (),
 ) -> Drift:
     """Return the change of amplitude between both halves: suspicious where bursts are missing or motion decays.
 
     Raises ``ValueError`` as ``estimate`` does when half the pulses cannot carry the estimate.
     """
     middle = echoes.valid.size // 2
-    first, second = (estimate(_part(echoes, part), frequencies_hz, estimator) for part in _halves(middle))
+    first, second = (estimate(_part(echoes, part), frequencies_hz, estimator, also_hz) for part in _halves(middle))
     mean = (first.amplitude_m + second.amplitude_m) / 2
     change = second.amplitude_m - first.amplitude_m
     sigma = np.sqrt(first.covariance[..., 0, 0] + second.covariance[..., 0, 0])

@@ -6,6 +6,7 @@ estimated at once. State order: in-phase and quadrature of each frequency, then 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -44,22 +45,29 @@ class HarmonicFit:
 
 
 def least_squares(
-    motion: Motion, frequencies_hz: FloatArray | list[float], *, largest_condition: float = 100.0
+    motion: Motion,
+    frequencies_hz: FloatArray | list[float],
+    *,
+    also_hz: FloatArray | Sequence[float] = (),
+    largest_condition: float = 100.0,
 ) -> HarmonicFit:
     """Return all amplitudes and phases from one QR least-squares fit, with covariance from the residual.
 
-    Every valid pulse has the same weight; the covariance takes the residual as white. Raises ``ValueError`` when the
-    pulses cannot tell the frequencies apart (see ``design``).
+    ``also_hz`` are frequencies that are there as well: fitted, so that they are no residual, and not returned; half
+    the pulse rate may be among them. Every valid pulse has the same weight; the covariance takes the residual as
+    white. Raises ``ValueError`` when the pulses cannot tell the frequencies apart (see ``design``).
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
-    matrix = design(motion.time_s, motion.valid, frequency_hz, largest_condition)
+    matrix = design(motion.time_s, motion.valid, frequency_hz, largest_condition, also_hz=also_hz)
     q, r = np.linalg.qr(matrix)
     displacement = motion.displacement_m[..., motion.valid]
     inverse = solve_triangular(r, np.eye(r.shape[0]))
     state = (displacement @ q) @ inverse.T
     residual = displacement - state @ matrix.T
     variance = np.sum(residual**2, axis=-1) / (matrix.shape[0] - matrix.shape[1])
-    return fit_from_state(frequency_hz, state, variance[..., None, None] * (inverse @ inverse.T), variance, len(matrix))
+    wanted = slice(0, 2 * frequency_hz.size + 1)
+    covariance = variance[..., None, None] * (inverse @ inverse.T)[wanted, wanted]
+    return fit_from_state(frequency_hz, state[..., wanted], covariance, variance, len(matrix))
 
 
 def kalman(
@@ -123,27 +131,46 @@ def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray
 
 
 def design(
-    time_s: FloatArray, valid: BoolArray, frequency_hz: FloatArray, largest_condition: float, *, constant: bool = True
+    time_s: FloatArray,
+    valid: BoolArray,
+    frequency_hz: FloatArray,
+    largest_condition: float,
+    *,
+    constant: bool = True,
+    also_hz: FloatArray | Sequence[float] = (),
 ) -> FloatArray:
-    """Return the model matrix (valid pulse, state).
+    """Return the model matrix (valid pulse, state): wanted frequencies, constant, then the others (``also_hz``).
 
     Raises ``ValueError`` for no or non-positive or repeated frequencies, a frequency at or above half the pulse rate,
     too few pulses, or frequencies too close for the time they are watched.
     """
     _require_frequencies(time_s, frequency_hz)
-    states = 2 * frequency_hz.size + constant
+    others = _other_columns(time_s, frequency_hz, np.asarray(also_hz, dtype=np.float64))
+    states = 2 * frequency_hz.size + constant + others.shape[1]
     found = int(valid.sum())
     if found <= states:
         raise ValueError(
             f"{found} valid pulses cannot give {states} unknowns and their uncertainty: too few; "
             f"try at least {states + 1} pulses or fewer frequencies"
         )
-    columns = [harmonic_columns(time_s, frequency_hz)] + [np.ones((time_s.size, 1))] * constant
+    columns = [harmonic_columns(time_s, frequency_hz), *[np.ones((time_s.size, 1))] * constant, others]
     matrix: FloatArray = np.hstack(columns)[valid]
     condition = np.linalg.cond(matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny))
     if not condition <= largest_condition:
         raise ValueError(_unresolved(time_s[valid], frequency_hz, condition, largest_condition))
     return matrix
+
+
+def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray) -> FloatArray:
+    """Return the columns of ``also_hz`` without those of ``frequency_hz``; half the pulse rate has only one."""
+    rate_hz = 1 / float(np.median(np.diff(time_s)))
+    new_hz = also_hz[~np.isclose(also_hz[:, None], frequency_hz, rtol=1e-9, atol=0).any(axis=1)]
+    below = new_hz[new_hz < rate_hz / 2 * (1 - 1e-6)]
+    columns = harmonic_columns(time_s, below) if below.size else np.zeros((time_s.size, 0))
+    if np.isclose(new_hz, rate_hz / 2, rtol=1e-6, atol=0).any():
+        alternating = np.cos(np.pi * np.round((time_s - time_s[0]) * rate_hz))
+        columns = np.hstack([columns, alternating[:, None]])
+    return columns
 
 
 def fit_from_state(

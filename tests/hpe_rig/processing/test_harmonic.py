@@ -219,3 +219,16 @@ def test_a_motion_that_stops_halfway_is_suspicious_and_a_steady_one_is_not() -> 
     assert drift.suspicious.all()
     assert drift.relative_change[0] == pytest.approx(-2 / 3, rel=0.1)
     assert drift.significance[0] < -5
+
+
+def test_harmonics_fitted_along_are_no_residual_up_to_half_the_pulse_rate() -> None:
+    time_s = np.arange(400) / 2000
+    displacement = _sum_of_sines(time_s)  # its tenth harmonic is half the pulse rate: an alternating sign
+    alone = least_squares(_motion(displacement, time_s), HARMONICS[:3])
+    along = least_squares(_motion(displacement, time_s), HARMONICS[:3], also_hz=HARMONICS)
+    np.testing.assert_array_equal(along.frequency_hz, HARMONICS[:3])
+    np.testing.assert_allclose(along.amplitude_m, AMPLITUDES[:3], rtol=1e-9)
+    np.testing.assert_allclose(along.phase_rad, PHASES[:3], atol=1e-9)
+    assert along.state.shape == (7,)
+    # what is left is rounding, against the rms of all that was not asked for
+    assert along.residual_rms_m < 1e-9 * alone.residual_rms_m
