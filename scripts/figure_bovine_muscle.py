@@ -4,6 +4,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from hpe_rig.result import Estimate
@@ -19,7 +20,8 @@ def main() -> None:
         result = process(measure(prepare("bovine-muscle"), Path(folder) / "run.h5"))
     FOLDER.mkdir(exist_ok=True)
     figure = draw(result.shots[0].estimates)
-    figure.savefig(FOLDER / "bovine-muscle.svg", metadata={"Date": None})
+    with rc_context({"svg.hashsalt": "hpe_rig", "svg.fonttype": "none"}):
+        figure.savefig(FOLDER / "bovine-muscle.svg", metadata={"Date": None})
 
 
 def draw(estimates: tuple[Estimate, ...]) -> Figure:
@@ -35,7 +37,7 @@ def draw(estimates: tuple[Estimate, ...]) -> Figure:
     left.fill_between(frequency_hz, *band, color="#56B4E9", alpha=0.35, lw=0, label="predicted, 2 speckle sd")
     nm = np.array([(item.amplitude_m, 2 * item.amplitude_uncertainty_m) for item in estimates]).T * 1e9
     left.errorbar(frequency_hz, *nm, fmt="o", ms=4, color=ESTIMATE, label="estimate, 2 u")
-    left.set(xlabel="vibration frequency (Hz)", ylabel="displacement amplitude (nm)", yscale="log")
+    left.set(xlabel="vibration frequency (Hz)", ylabel="displacement amplitude (nm)", ylim=(0, None))
     left.legend(frameon=False, fontsize=8)
     truth = np.unwrap([item.true_phase_rad or 0.0 for item in estimates])
     error = np.array([item.phase_error_rad or 0.0 for item in estimates])
