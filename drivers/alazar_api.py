@@ -98,6 +98,7 @@ class Adma(IntFlag):
     TRADITIONAL = 0x000
     EXTERNAL_STARTCAPTURE = 0x001
     ENABLE_RECORD_HEADERS = 0x008
+    NPT = 0x200
 
 
 class Parameter(IntEnum):

@@ -34,10 +34,16 @@ class AlazarBoard:
             why = "another model sits in this machine"
             what = f"the board is of kind {found}, expected {kind}"
             raise InstrumentError(role, what, why, "give the ids of the right board in the bench file")
+        major = self.sdk_version().partition(".")[0]
+        self._sdk_major = int(major) if major.isdecimal() else None
 
     def call(self, function: Callable[..., int], *arguments: object) -> None:
         """Call a function whose first argument is the handle; raise ``InstrumentError`` unless it succeeds."""
-        check(int(function(self.handle, *arguments)), function.__name__, self.role)
+        self.check(int(function(self.handle, *arguments)), function.__name__)
+
+    def check(self, code: int, call: str) -> None:
+        """Raise ``InstrumentError`` unless ``code`` is success, in the words of the installed SDK's version."""
+        check(code, call, self.role, self._sdk_major)
 
     def capability(self, capability: Capability) -> int:
         """Return one fixed property of the board."""
@@ -51,7 +57,7 @@ class AlazarBoard:
         code = self.library.AlazarGetParameter(self.handle, Channel.A, int(parameter), ctypes.byref(value))
         if code in (FAILED, UNSUPPORTED_FUNCTION):
             return None
-        check(code, "AlazarGetParameter", self.role)
+        self.check(code, "AlazarGetParameter")
         return int(value.value)
 
     def channel_info(self) -> tuple[int, int]:
@@ -83,14 +89,14 @@ class AlazarBoard:
         return bool(self.library.AlazarBusy(self.handle))
 
     def input_clipped(self) -> bool:
-        """Return whether the board reports that channel A left its range."""
+        """Return whether the board reports that an input left its range."""
         status = self.library.AlazarGetStatus(self.handle)
         if status == STATUS_FAILED:
             what = f"AlazarGetStatus returned {STATUS_FAILED:#x}"
             raise InstrumentError(
                 self.role, what, "the board does not answer", "restart the machine, check the board's seat"
             )
-        return bool(status & StatusBit.CHANNEL_A_CLIPPED)
+        return bool(status & (StatusBit.CHANNEL_A_CLIPPED | StatusBit.CHANNEL_B_CLIPPED))
 
     def _version(self, function: VersionCall) -> str:
         parts = tuple(ctypes.c_uint8() for _ in range(3))

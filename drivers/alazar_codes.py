@@ -6,47 +6,32 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
+from drivers.alazar_meanings import MEANINGS
 from drivers.interfaces import InstrumentError
 
 SUCCESS: Final = 512
 FAILED: Final = 513
 UNSUPPORTED_FUNCTION: Final = 533
 WAIT_TIMEOUT: Final = 579
+OLD_SDK: Final = 5
+"""Last major version whose 604 and 607 are those of the old guide."""
 
-# In the vendor's order, from 512 without a gap; 592 and above came with later SDKs.
-_NAMES: Final = """
-Success Failed AccessDenied DmaChannelUnavailable DmaChannelInvalid DmaChannelTypeError DmaInProgress DmaDone DmaPaused
-DmaNotPaused DmaCommandInvalid DmaManReady DmaManNotReady DmaInvalidChannelPriority DmaManCorrupted
-DmaInvalidElementIndex DmaNoMoreElements DmaSglInvalid DmaSglQueueFull NullParam InvalidBusIndex UnsupportedFunction
-InvalidPciSpace InvalidIopSpace InvalidSize InvalidAddress InvalidAccessType InvalidIndex MuNotReady MuFifoEmpty
-MuFifoFull InvalidRegister DoorbellClearFailed InvalidUserPin InvalidUserState EepromNotPresent EepromTypeNotSupported
-EepromBlank ConfigAccessFailed InvalidDeviceInfo NoActiveDriver InsufficientResources ObjectAlreadyAllocated
-AlreadyInitialized NotInitialized BadConfigRegEndianMode InvalidPowerState PowerDown FlybyNotSupported
-NotSupportThisChannel NoAction HSNotSupported VPDNotSupported VpdNotEnabled NoMoreCap InvalidOffset BadPinDirection
-PciTimeout DmaChannelClosed DmaChannelError InvalidHandle BufferNotReady InvalidData DoNothing DmaSglBuildFailed
-PMNotSupported InvalidDriverVersion WaitTimeout WaitCanceled BufferTooSmall BufferOverflow InvalidBuffer
-InvalidRecordsPerBuffer DmaPending LockAndProbePagesFailed WaitAbandoned WaitFailed TransferComplete PllNotLocked
-NotSupportedInDualChannelMode NotSupportedInQuadChannelMode FileIoError InvalidClockFrequency InvalidSkipTable
-InvalidDspModule DESOnlySupportedInSingleChannelMode InconsistentChannel DspFiniteRecordsPerAcquisition
-NotEnoughNptFooters InvalidNptFooter OCTIgnoreBadClockNotSupported
-"""
-
-# Their meaning changed between SDK versions, so no name is given for them.
+# Their meaning changed between SDK versions, so that they have a name only where the version is known.
 AMBIGUOUS: Final = frozenset({603, 604, 607})
-
-RETURN_CODES: Final[Mapping[int, str]] = MappingProxyType(
-    {code: f"Api{name}" for code, name in enumerate(_NAMES.split(), SUCCESS)}
-    | {
-        605: "ApiOCT605",
-        606: "ApiOCT606",
-        608: "ApiFftSizeTooLarge",
-        609: "ApiGPUError",
-        610: "ApiAcquisitionModeOnlySupportedInFifoStreaming",
-        611: "ApiInterleaveNotSupportedInTraditionalMode",
-        612: "ApiRecordHeadersNotSupported",
-        613: "ApiRecordFootersNotSupported",
+_OLD_NAMES: Final[Mapping[int, tuple[str, str]]] = MappingProxyType(
+    {
+        604: ("ApiRecordTooHigh", "a record above 1000 has no time stamp with FPGA version 18 and below"),
+        607: ("ApiTooManyRecords", "the record count exceeds 1000 with FPGA version 18 and below"),
     }
 )
+_NEW_NAMES: Final[Mapping[int, tuple[str, str]]] = MappingProxyType(
+    {
+        603: ("ApiError1", "too many single-port records"),
+        604: ("ApiError2", "too many single-port records"),
+        607: ("ApiNetworkError", "the connection to the board's server failed"),
+    }
+)
+RETURN_CODES: Final[Mapping[int, str]] = MappingProxyType({code: name for code, (name, _) in MEANINGS.items()})
 
 # What to suspect first: (cause, remedy).
 _BY_CODE: Final[Mapping[int, tuple[str, str]]] = MappingProxyType(
@@ -81,20 +66,35 @@ _BY_CALL: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
         ),
     }
 )
+_UNSUSPECTED: Final = (
+    "no cause is known for this code",
+    "run again, restart the machine if it stays, and see the error list of your SDK version",
+)
 
 
-def check(code: int, call: str, role: str) -> None:
-    """Return if ``code`` is success; else raise ``InstrumentError`` with call, number, name and likely cause."""
+def check(code: int, call: str, role: str, sdk_major: int | None = None) -> None:
+    """Return if ``code`` is success; else raise ``InstrumentError`` with call, number, name, meaning and remedy."""
     if code == SUCCESS:
         return
-    meaning = f"see the error list of your SDK version, where {code} has its own meaning"
-    unknown = ("no cause is known for this code", meaning)
-    why, remedy = _BY_CALL.get(call) or _BY_CODE.get(code) or unknown
-    raise InstrumentError(role, f"{call} returned {code} ({code_name(code)})", why, remedy)
+    name, meaning = _entry(code, sdk_major)
+    why, remedy = _BY_CALL.get(call) or _BY_CODE.get(code) or _UNSUSPECTED
+    raise InstrumentError(role, f"{call} returned {code} ({name}), {meaning}", why, remedy)
 
 
-def code_name(code: int) -> str:
+def code_name(code: int, sdk_major: int | None = None) -> str:
     """Return the vendor's name of ``code``."""
+    return _entry(code, sdk_major)[0]
+
+
+def code_meaning(code: int, sdk_major: int | None = None) -> str:
+    """Return in words what ``code`` says."""
+    return _entry(code, sdk_major)[1]
+
+
+def _entry(code: int, sdk_major: int | None) -> tuple[str, str]:
+    unnamed = "its name depends on the SDK version", "which is not known"
+    if code in AMBIGUOUS and sdk_major is None:
+        return unnamed
     if code in AMBIGUOUS:
-        return "its name depends on the SDK version"
-    return RETURN_CODES.get(code, "unknown code")
+        return (_OLD_NAMES if sdk_major is not None and sdk_major <= OLD_SDK else _NEW_NAMES).get(code, unnamed)
+    return MEANINGS.get(code, ("unknown code", "no SDK version known here has this code"))

@@ -1,4 +1,4 @@
-"""The AlazarTech ATS460 as the bench's digitizer: channel A, external trigger, AUX trigger output."""
+"""The AlazarTech ATS460 as the bench's digitizer: external trigger, AUX trigger output, echoes at channel A."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import asdict
 from typing import Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.alazar_api import (
     ATS460_KIND,
@@ -26,10 +27,10 @@ from drivers.alazar_api import (
 )
 from drivers.alazar_board import AlazarBoard
 from drivers.ats460_dual_port import DualPortCapture
-from drivers.ats460_limits import RANGE_IDS, RATE_IDS, capture_mistakes, level_code, refuse
+from drivers.ats460_limits import RANGE_IDS, RATE_IDS, Mode, capture_mistakes, level_code, refuse
 from drivers.ats460_samples import CODE_BITS, RawRecords, any_at_full_scale, codes, volts_offset, volts_per_code
 from drivers.ats460_single_port import SinglePortCapture
-from drivers.interfaces import Capture, Clock, Identity, InstrumentError, RecordBlock, Setting
+from drivers.interfaces import Capture, Clock, Identity, InstrumentError, MonitorRecords, RecordBlock, Setting
 from drivers.page_buffer import PageBuffer
 
 UNSIGNED_FORMAT: Final = 0
@@ -39,8 +40,9 @@ ZERO_LEVEL_CODE: Final = 128
 
 @final
 class Ats460:
-    """One board; which of its two ways to capture is taken follows from its memory.
+    """One board; which of its ways to capture is taken follows from its memory, unless ``mode`` says.
 
+    ``monitor_range_v`` is the range of channel B, which is recorded along with the echoes where it is given.
     ``allocate`` makes the page-aligned memory that the board writes into.
     """
 
@@ -52,10 +54,15 @@ class Ats460:
         system_id: int = 1,
         board_id: int = 1,
         allocate: Callable[[int], PageBuffer] = PageBuffer,
+        mode: Mode | None = None,
+        monitor_range_v: float | None = None,
     ) -> None:
         self._board = AlazarBoard(library, role, system_id, board_id, ATS460_KIND)
         self._clock = clock
         self._allocate = allocate
+        self._wanted_mode = mode
+        self._monitor_range_v = monitor_range_v
+        self._channels = (Channel.A,) if monitor_range_v is None else (Channel.A, Channel.B)
         self._capture: Capture | None = None
         self._mode: SinglePortCapture | DualPortCapture | None = None
         self._clipped = False
@@ -74,12 +81,13 @@ class Ats460:
 
     def configure(self, capture: Capture) -> None:
         """Program the board; raise ``InstrumentError`` for what it cannot do, all of it at once."""
-        refuse(self.role, capture_mistakes(capture))
+        chosen = self._chosen_mode()
+        fpga = self._board.capability(Capability.FPGA_VERSION)
+        refuse(self.role, capture_mistakes(capture, chosen, fpga, self._monitor_range_v))
         self._disarm()
         self._capture = self._mode = None
         self._program(capture)
-        dual = self._board.has_dual_port_memory()
-        mode = (DualPortCapture if dual else SinglePortCapture)(self._board, self._clock, capture, self._allocate)
+        mode = self._made_mode(chosen, capture)
         mode.prepare()
         self._capture, self._mode = capture, mode
 
@@ -148,9 +156,12 @@ class Ats460:
 
     def make_safe(self) -> None:
         """Abort whatever is captured and free its memory; raise ``InstrumentError`` if the board stays busy."""
-        self._disarm()
-        if self._board.busy():
-            self._board.call(self._board.library.AlazarAbortCapture)
+        try:
+            self._disarm()
+        finally:
+            # Even where memory could not be freed the board is to stop.
+            if self._board.busy():
+                self._board.call(self._board.library.AlazarAbortCapture)
         if self._board.busy():
             why = "the abort had no effect"
             raise InstrumentError(
@@ -161,13 +172,30 @@ class Ats460:
         """Abort what is running; the vendor's interface has nothing to close."""
         self._disarm()
 
+    def _chosen_mode(self) -> Mode:
+        dual = self._board.has_dual_port_memory()
+        mode = self._wanted_mode or ("traditional" if dual else "single_port")
+        if mode != "single_port" and not dual:
+            what = f"acquisition mode {mode} needs dual-port memory"
+            raise InstrumentError(self.role, what, "this board has none", 'acquisition_mode = "single_port"')
+        return mode
+
+    def _made_mode(self, mode: Mode, capture: Capture) -> SinglePortCapture | DualPortCapture:
+        parts = self._board, self._clock, capture, self._allocate, self._channels
+        return SinglePortCapture(*parts) if mode == "single_port" else DualPortCapture(*parts, npt=mode == "npt")
+
+    def _ranges_v(self, capture: Capture) -> dict[Channel, float]:
+        monitor = {} if self._monitor_range_v is None else {Channel.B: self._monitor_range_v}
+        return {Channel.A: capture.input_range_v, **monitor}
+
     def _program(self, capture: Capture) -> None:
         board, lib = self._board, self._board.library
-        rate_id, range_id = RATE_IDS[capture.sample_rate_hz], RANGE_IDS[capture.input_range_v]
         level = level_code(capture.trigger_level_v)
-        board.call(lib.AlazarSetCaptureClock, int(ClockSource.INTERNAL), rate_id, 0, 0)
-        board.call(lib.AlazarInputControl, int(Channel.A), int(Coupling.DC), range_id, int(Impedance.OHM_50))
-        board.call(lib.AlazarSetBWLimit, int(Channel.A), 0)
+        board.call(lib.AlazarSetCaptureClock, int(ClockSource.INTERNAL), RATE_IDS[capture.sample_rate_hz], 0, 0)
+        for channel, range_v in self._ranges_v(capture).items():
+            inputs = int(channel), int(Coupling.DC), RANGE_IDS[range_v], int(Impedance.OHM_50)
+            board.call(lib.AlazarInputControl, *inputs)
+            board.call(lib.AlazarSetBWLimit, int(channel), 0)
         external = (int(TriggerEngine.J), int(TriggerSource.EXTERNAL), int(TriggerSlope.POSITIVE), level)
         unused = (int(TriggerEngine.K), int(TriggerSource.DISABLE), int(TriggerSlope.POSITIVE), ZERO_LEVEL_CODE)
         board.call(lib.AlazarSetTriggerOperation, int(TriggerOperation.J), *external, *unused)
@@ -191,12 +219,22 @@ class Ats460:
         values = codes(raw.words)
         self._clipped = self._clipped or any_at_full_scale(values) or self._board.input_clipped()
         return RecordBlock(
-            first_record=raw.first_record,
-            codes=values,
-            trigger_time_s=raw.counts.astype(np.float64) * SAMPLES_PER_TIMESTAMP / capture.sample_rate_hz,
-            volts_per_code=volts_per_code(capture.input_range_v),
-            volts_offset=volts_offset(capture.input_range_v),
+            raw.first_record,
+            values[0],
+            self._trigger_time_s(capture, raw),
+            volts_per_code(capture.input_range_v),
+            volts_offset(capture.input_range_v),
+            self._monitor(values),
         )
+
+    def _trigger_time_s(self, capture: Capture, raw: RawRecords) -> NDArray[np.float64]:
+        if raw.counts is None:
+            return np.full(raw.words.shape[1], np.nan)
+        return raw.counts.astype(np.float64) * SAMPLES_PER_TIMESTAMP / capture.sample_rate_hz
+
+    def _monitor(self, values: NDArray[np.int16]) -> MonitorRecords | None:
+        range_v = self._monitor_range_v
+        return None if range_v is None else MonitorRecords(values[1], volts_per_code(range_v), volts_offset(range_v))
 
     def _programmed(self) -> dict[str, Setting]:
         if self._capture is None or self._mode is None:
@@ -205,7 +243,8 @@ class Ats460:
             "acquisition_mode": self._mode.name,
             "records_per_block": self._mode.records_per_block,
             "trigger_level_code": level_code(self._capture.trigger_level_v),
-            "input_channel": Channel.A.name,
+            "input_channels": "".join(channel.name for channel in self._channels),
+            **({} if self._monitor_range_v is None else {"monitor_range_v": self._monitor_range_v}),
             "input_coupling": Coupling.DC.name,
             "input_impedance_ohm": 50.0,
             "aux_output": AuxMode.OUT_TRIGGER.name,

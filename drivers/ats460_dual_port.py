@@ -1,4 +1,4 @@
-"""Dual-port capture: traditional AutoDMA, records leave the board while it captures."""
+"""Dual-port capture: AutoDMA, traditional or NPT; records leave the board while it captures."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Final, final
 
 import numpy as np
 
-from drivers.alazar_api import Adma, Channel, TimestampReset
+from drivers.alazar_api import Adma, Channel, Parameter, TimestampReset
 from drivers.alazar_board import AlazarBoard
-from drivers.alazar_codes import WAIT_TIMEOUT, check
+from drivers.alazar_codes import WAIT_TIMEOUT
 from drivers.ats460_limits import pre_trigger_samples, records_per_buffer
-from drivers.ats460_samples import RawRecords, header_record_dtype, timestamp_counts
+from drivers.ats460_samples import RawRecords, buffer_bytes, unpacked
 from drivers.ats460_single_port import late
 from drivers.interfaces import Capture, Clock, InstrumentError
 from drivers.page_buffer import PageBuffer
@@ -28,17 +28,22 @@ class DualPortCapture:
     """One capture at a time through a ring of page-aligned buffers.
 
     The buffers live from ``arm`` until ``abort``, which must follow on every way out, also after the last record.
-    If the abort itself fails they are kept: the board might still write into them.
+    If the abort itself fails they are kept: the board might still write into them. NPT records carry no trigger time.
     """
 
-    name = "dual_port_autodma"
-
     def __init__(
-        self, board: AlazarBoard, clock: Clock, capture: Capture, allocate: Callable[[int], PageBuffer]
+        self,
+        board: AlazarBoard,
+        clock: Clock,
+        capture: Capture,
+        allocate: Callable[[int], PageBuffer],
+        channels: tuple[Channel, ...] = (Channel.A,),
+        npt: bool = False,
     ) -> None:
         self._board, self._clock, self._capture, self._allocate = board, clock, capture, allocate
-        self.records_per_block = records_per_buffer(capture)
-        self._dtype = header_record_dtype(capture.record_samples)
+        self._channels, self._npt = channels, npt
+        self.name = "npt" if npt else "traditional"
+        self.records_per_block = records_per_buffer(capture, len(channels))
         self._buffer_count = capture.record_count // self.records_per_block
         self.armed = False
         self._buffers: list[PageBuffer] = []
@@ -56,8 +61,11 @@ class DualPortCapture:
         try:
             board.call(board.library.AlazarResetTimeStamp, int(TimestampReset.ALWAYS))
             self._announce()
+            size = buffer_bytes(
+                self._capture.record_samples, self.records_per_block, len(self._channels), not self._npt
+            )
             for _ in range(min(MOST_BUFFERS, max(LEAST_BUFFERS, self._buffer_count))):
-                self._buffers.append(self._allocate(self._dtype.itemsize * self.records_per_block))
+                self._buffers.append(self._allocate(size))
                 self._post(self._buffers[-1])
             board.call(board.library.AlazarStartCapture)
         except BaseException:
@@ -66,16 +74,15 @@ class DualPortCapture:
 
     def records(self, deadline_s: float) -> Iterator[RawRecords]:
         """Yield each buffer's records as it fills; raise ``DeadlineError`` when one is not full by the deadline."""
-        ring = tuple(self._buffers)
+        ring, samples = tuple(self._buffers), self._capture.record_samples
         for index in range(self._buffer_count):
             buffer = ring[index % len(ring)]
             self._wait(buffer, index, deadline_s)
-            filled = buffer.copy(self._dtype, self.records_per_block)
+            filled = buffer.copy(np.dtype(np.uint8), buffer.size_bytes)
             # Back to the board before anyone works on the copy, so that slow work costs no records.
             if index + len(ring) < self._buffer_count:
                 self._post(buffer)
-            words = np.ascontiguousarray(filled["words"]).astype(np.uint16, copy=False)
-            yield RawRecords(index * self.records_per_block, words, timestamp_counts(filled["header"]))
+            yield unpacked(filled, index * self.records_per_block, len(self._channels), samples, self._npt)
 
     def abort(self) -> None:
         """End the transfer if one was begun, then free the buffers."""
@@ -91,14 +98,15 @@ class DualPortCapture:
 
     def _announce(self) -> None:
         board, capture = self._board, self._capture
+        mode = Adma.NPT if self._npt else Adma.TRADITIONAL | Adma.ENABLE_RECORD_HEADERS
         board.call(
             board.library.AlazarBeforeAsyncRead,
-            int(Channel.A),
+            sum(self._channels),
             -pre_trigger_samples(capture),
             capture.record_samples,
             self.records_per_block,
             capture.record_count,
-            int(Adma.EXTERNAL_STARTCAPTURE | Adma.TRADITIONAL | Adma.ENABLE_RECORD_HEADERS),
+            int(Adma.EXTERNAL_STARTCAPTURE | mode),
         )
 
     def _post(self, buffer: PageBuffer) -> None:
@@ -115,7 +123,8 @@ class DualPortCapture:
             timeout_ms = min(WAIT_SLICE_MS, remaining_ms)
             code = board.library.AlazarWaitAsyncBufferComplete(board.handle, buffer.address, timeout_ms)
             if code != WAIT_TIMEOUT:
-                check(code, "AlazarWaitAsyncBufferComplete", board.role)
+                board.check(code, "AlazarWaitAsyncBufferComplete")
                 return
             if remaining_ms == 0:
-                raise late(board.role, index * self.records_per_block, self._capture.record_count, deadline_s)
+                captured = board.parameter(Parameter.RECORDS_CAPTURED)
+                raise late(board.role, index * self.records_per_block, self._capture.record_count, deadline_s, captured)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Final
+from typing import Final, Literal
 
 from drivers.interfaces import Capture, InstrumentError
 
@@ -49,6 +49,7 @@ RANGE_IDS: Final[Mapping[float, int]] = MappingProxyType(
 )
 LEAST_RECORD_SAMPLES: Final = 128
 RECORD_ALIGNMENT: Final = 16
+RECORD_ALIGNMENT_NPT: Final = 32
 PRE_TRIGGER_ALIGNMENT: Final = 64
 LONGEST_DELAY_SAMPLES: Final = 9_999_999
 MOST_RECORDS: Final = 0x7FFF_FFFE
@@ -56,6 +57,12 @@ TRIGGER_RANGE_V: Final = 5.0
 HEADER_BYTES: Final = 16
 BUFFER_LIMIT_BYTES: Final = 4 * 2**20
 BUFFER_WANTED_BYTES: Final = 2**20
+# The part of a capture that is lost, at most, when its last trigger does not come: a part-filled buffer stays unread.
+LARGEST_BUFFER_SHARE: Final = 1 / 8
+OLD_FPGA: Final = 18
+OLD_FPGA_RECORDS: Final = 1000
+
+Mode = Literal["single_port", "traditional", "npt"]
 
 
 def refuse(role: str, mistakes: Sequence[str]) -> None:
@@ -65,9 +72,14 @@ def refuse(role: str, mistakes: Sequence[str]) -> None:
         raise InstrumentError(role, "; ".join(mistakes), why, "change the value in the scene or bench file")
 
 
-def capture_mistakes(capture: Capture) -> list[str]:
-    """Return what an ATS460 cannot do of ``capture``."""
+def capture_mistakes(
+    capture: Capture, mode: Mode = "traditional", fpga: int = OLD_FPGA + 1, monitor_range_v: float | None = None
+) -> list[str]:
+    """Return what an ATS460 with FPGA version ``fpga`` cannot do of ``capture`` in ``mode``."""
     return [
+        *([] if monitor_range_v is None else _one_of("monitor_range_v", monitor_range_v, RANGE_IDS)),
+        *(_npt_mistakes(capture) if mode == "npt" else []),
+        *(_old_fpga_mistakes(capture, fpga) if mode == "single_port" else []),
         *_one_of("sample_rate_hz", capture.sample_rate_hz, RATE_IDS),
         *_one_of("input_range_v", capture.input_range_v, RANGE_IDS),
         *_record_mistakes(capture.record_samples),
@@ -87,11 +99,11 @@ def level_code(level_v: float) -> int:
     return int(128 + 127 * level_v / TRIGGER_RANGE_V)
 
 
-def records_per_buffer(capture: Capture) -> int:
-    """Return the divisor of the record count whose buffer is nearest to 1 MiB, all under the board's 4 MiB limit."""
-    size_bytes = HEADER_BYTES + 2 * capture.record_samples
-    fitting = [count for count in _divisors(capture.record_count) if count * size_bytes < BUFFER_LIMIT_BYTES]
-    return min(fitting, key=lambda count: abs(math.log(count * size_bytes / BUFFER_WANTED_BYTES)))
+def records_per_buffer(capture: Capture, channels: int = 1) -> int:
+    """Return the largest divisor of the record count that fills at most 1 MiB and an eighth of the capture."""
+    size_bytes = channels * (HEADER_BYTES + 2 * capture.record_samples)
+    most = min(BUFFER_WANTED_BYTES / size_bytes, capture.record_count * LARGEST_BUFFER_SHARE)
+    return max(count for count in _divisors(capture.record_count) if count <= max(1.0, most))
 
 
 def _divisors(count: int) -> list[int]:
@@ -105,6 +117,21 @@ def _record_mistakes(samples: int) -> list[str]:
         *_outside("record_samples", samples, LEAST_RECORD_SAMPLES, longest),
         *_no_multiple("record_samples", samples, RECORD_ALIGNMENT),
     ]
+
+
+def _npt_mistakes(capture: Capture) -> list[str]:
+    before = pre_trigger_samples(capture)
+    return [
+        *_no_multiple("record_samples of NPT records", capture.record_samples, RECORD_ALIGNMENT_NPT),
+        *([f"{before} pre-trigger samples, NPT records have none"] if before else []),
+    ]
+
+
+def _old_fpga_mistakes(capture: Capture, fpga: int) -> list[str]:
+    if fpga > OLD_FPGA or capture.record_count <= OLD_FPGA_RECORDS:
+        return []
+    held = f"a board with FPGA version {fpga} (up to {OLD_FPGA}) holds {OLD_FPGA_RECORDS}"
+    return [f"record_count = {capture.record_count}, {held}"]
 
 
 def _delay_mistakes(delay: int, record_samples: int) -> list[str]:

@@ -15,20 +15,39 @@ LOWEST_CODE: Final = -ZERO_CODE
 HIGHEST_CODE: Final = ZERO_CODE - 1
 CENTRE_CODE: Final = 8191.5
 TIMESTAMP_HIGH_MASK: Final = 0xFF
+HEADER_BYTES: Final = 16
 
 
 @dataclass(frozen=True, slots=True)
 class RawRecords:
-    """Consecutive records as the board delivers them: ``words`` uint16 (record, sample), ``counts`` int64 (record,)."""
+    """Consecutive records as the board delivers them.
+
+    ``words`` uint16 (channel, record, sample); ``counts`` int64 (record,), None where the board states no time.
+    """
 
     first_record: int
     words: NDArray[np.uint16]
-    counts: NDArray[np.int64]
+    counts: NDArray[np.int64] | None
 
 
 def header_record_dtype(record_samples: int) -> np.dtype[Any]:
     """Return the layout of one record of one channel behind its header, as traditional AutoDMA writes it."""
     return np.dtype([("header", "<u4", (4,)), ("words", "<u2", (record_samples,))])
+
+
+def buffer_bytes(record_samples: int, records: int, channels: int, headers: bool) -> int:
+    """Return the size of an AutoDMA buffer."""
+    return (2 * record_samples + (HEADER_BYTES if headers else 0)) * records * channels
+
+
+def unpacked(data: NDArray[np.uint8], first_record: int, channels: int, record_samples: int, npt: bool) -> RawRecords:
+    """Return the records of one AutoDMA buffer: R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ..."""
+    if npt:
+        words = data.view("<u2").reshape(channels, -1, record_samples)
+        return RawRecords(first_record, words.astype(np.uint16, copy=False), None)
+    filled = data.view(header_record_dtype(record_samples)).reshape(-1, channels)
+    words = np.ascontiguousarray(filled["words"].swapaxes(0, 1)).astype(np.uint16, copy=False)
+    return RawRecords(first_record, words, timestamp_counts(filled["header"][:, 0]))
 
 
 def timestamp_counts(headers: NDArray[np.uint32]) -> NDArray[np.int64]:

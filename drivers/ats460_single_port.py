@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import Final, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.alazar_api import Channel, Parameter, TimestampReset
 from drivers.alazar_board import AlazarBoard
@@ -28,9 +29,15 @@ class SinglePortCapture:
     name = "single_port"
 
     def __init__(
-        self, board: AlazarBoard, clock: Clock, capture: Capture, allocate: Callable[[int], PageBuffer]
+        self,
+        board: AlazarBoard,
+        clock: Clock,
+        capture: Capture,
+        allocate: Callable[[int], PageBuffer],
+        channels: tuple[Channel, ...] = (Channel.A,),
     ) -> None:
         self._board, self._clock, self._capture, self._allocate = board, clock, capture, allocate
+        self._channels = channels
         self.armed = False
         self.records_per_block = min(
             capture.record_count, max(1, BUFFER_WANTED_BYTES // (WORD_BYTES * capture.record_samples))
@@ -92,16 +99,18 @@ class SinglePortCapture:
         try:
             for first in range(0, arrived, self.records_per_block):
                 indices = range(first, min(first + self.records_per_block, arrived))
-                words = np.stack([self._words(buffer, index) for index in indices])
+                words = np.stack(
+                    [[self._words(buffer, channel, index) for index in indices] for channel in self._channels]
+                )
                 yield RawRecords(first, words, np.array([self._count(index) for index in indices], np.int64))
         finally:
             buffer.free()
 
-    def _words(self, buffer: PageBuffer, index: int) -> np.ndarray[tuple[int, ...], np.dtype[np.uint16]]:
+    def _words(self, buffer: PageBuffer, channel: Channel, index: int) -> NDArray[np.uint16]:
         board, samples = self._board, self._capture.record_samples
         offset = -pre_trigger_samples(self._capture)
         # The vendor counts records from 1.
-        board.call(board.library.AlazarRead, int(Channel.A), buffer.address, WORD_BYTES, index + 1, offset, samples)
+        board.call(board.library.AlazarRead, int(channel), buffer.address, WORD_BYTES, index + 1, offset, samples)
         return buffer.copy(np.dtype("<u2"), samples).astype(np.uint16, copy=False)
 
     def _count(self, index: int) -> int:
@@ -110,11 +119,12 @@ class SinglePortCapture:
         return int(count.value)
 
 
-def late(role: str, arrived: int, expected: int, deadline_s: float) -> DeadlineError:
-    """Return the error for records that did not come in time."""
+def late(role: str, arrived: int, expected: int, deadline_s: float, captured: int | None = None) -> DeadlineError:
+    """Return the error for records that did not come in time; ``captured`` of them reached the board's memory."""
+    unread = "" if captured is None or captured <= arrived else f" ({captured} captured, some in a part-filled buffer)"
     return DeadlineError(
         role,
-        f"{arrived} of {expected} records delivered by the deadline at {deadline_s:.6g} s",
+        f"{arrived} of {expected} records delivered by the deadline at {deadline_s:.6g} s{unread}",
         "triggers are missing (a generator is off or untriggered, a cable is open, the level is too high) or came "
         "while the record before was still running",
         "check the trigger chain master, tracking_train, digitizer, trigger_level_v, and that delay and record fit "

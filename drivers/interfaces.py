@@ -105,11 +105,21 @@ class Capture:
 
 
 @dataclass(frozen=True, slots=True)
+class MonitorRecords:
+    """Records of the second input: ``codes`` int16 (record, sample), in volts as those of ``RecordBlock``."""
+
+    codes: NDArray[np.int16]
+    volts_per_code: float
+    volts_offset: float
+
+
+@dataclass(frozen=True, slots=True)
 class RecordBlock:
     """Consecutive records of one capture.
 
     ``codes`` int16 (record, sample), zero-centred; volts = ``codes * volts_per_code + volts_offset``.
-    ``trigger_time_s`` float64 (record,), from the board's own counter, relative to its reset at arming.
+    ``trigger_time_s`` float64 (record,), from the board's own counter, relative to its reset at arming; NaN where the
+    way to capture states none. ``monitor`` holds the same records of the second input, where that is recorded.
     """
 
     first_record: int
@@ -117,6 +127,7 @@ class RecordBlock:
     trigger_time_s: NDArray[np.float64]
     volts_per_code: float
     volts_offset: float
+    monitor: MonitorRecords | None = None
 
 
 class Instrument(Protocol):
@@ -183,4 +194,8 @@ class Digitizer(Instrument, Protocol):
 
     def records(self, deadline_s: float) -> Iterator[RecordBlock]:
         """Yield what was captured, in order; raise ``DeadlineError`` when the clock passes ``deadline_s``."""
+        ...
+
+    def clipped(self) -> bool:
+        """Return whether an input left its range since arming."""
         ...

@@ -66,10 +66,28 @@ def test_records_per_buffer_divide_the_count_and_fit_the_buffer(sixteenths: int,
     per_buffer = records_per_buffer(capture)
     assert count % per_buffer == 0
     assert per_buffer * header_record_dtype(capture.record_samples).itemsize < BUFFER_LIMIT_BYTES
+    assert per_buffer == 1 or per_buffer <= count / 8
 
 
-def test_a_prime_record_count_still_fills_a_whole_buffer() -> None:
-    assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=997)) == 997
+def test_a_buffer_takes_a_mebibyte_of_a_long_capture_and_one_record_of_a_prime_count() -> None:
+    assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=10_000)) == 250
+    assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=10_000), channels=2) == 125
+    assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=997)) == 1
+
+
+def test_npt_records_have_their_own_alignment_and_no_pre_trigger() -> None:
+    wrong = dataclasses.replace(CAPTURE, record_samples=2032, trigger_delay_samples=-64)
+    assert capture_mistakes(wrong) == []
+    alignment, before = capture_mistakes(wrong, "npt")
+    assert "2016 or 2048" in alignment
+    assert "64 pre-trigger samples" in before
+
+
+def test_an_old_fpga_holds_a_thousand_single_port_records_and_any_number_of_autodma_records() -> None:
+    many = dataclasses.replace(CAPTURE, record_count=1001)
+    assert "FPGA version 18" in capture_mistakes(many, "single_port", 18)[0]
+    assert capture_mistakes(many, "single_port", 19) == []
+    assert capture_mistakes(many, "traditional", 18) == []
 
 
 @given(st.integers(0, 2**14 - 1))
