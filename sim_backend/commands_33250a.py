@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from sim_backend import levels_33250a as levels
 from sim_backend import registers_33250a as registers
 from sim_backend import timing_33250a as timing
 from sim_backend.levels_33250a import load_share
+from sim_backend.models_33250a import Model
 from sim_backend.registers_33250a import Coerced, Registers
 from sim_backend.scpi_text import ScpiError, boolean, keyword, number, quoted, real_reply
 
@@ -176,9 +177,13 @@ def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
     return timing.settle_frequency(Coerced(replace(state, frequency_hz=frequency_hz), errors))
 
 
+def _period_limits_s(state: Registers) -> tuple[float, float]:
+    low_hz, high_hz = state.model.frequency_limits_hz["PULS"]
+    return 1 / high_hz, 1 / low_hz
+
+
 def _put_period(state: Registers, period_s: float) -> Coerced:
-    low, high = registers.FREQUENCY_LIMITS_HZ["PULS"]
-    period_s, errors = registers.clipped(period_s, 1 / high, 1 / low, "pulse period")
+    period_s, errors = registers.clipped(period_s, *_period_limits_s(state), "pulse period")
     return timing.settle_frequency(timing.settle_pulse(Coerced(replace(state, frequency_hz=1 / period_s), errors)))
 
 
@@ -193,7 +198,7 @@ def _put_duty(state: Registers, percent: float) -> Coerced:
 
 
 def _put_delay(state: Registers, delay_s: float) -> Coerced:
-    delay_s, errors = registers.clipped(delay_s, *registers.DELAY_LIMITS_S, "trigger delay")
+    delay_s, errors = registers.clipped(delay_s, *state.model.delay_limits_s, "trigger delay")
     return timing.settle_burst(Coerced(replace(state, delay_s=delay_s), errors))
 
 
@@ -259,23 +264,21 @@ SETTINGS = {
     ),
     "[SOURce:]VOLTage:RANGe:AUTO": _range(),
     "[SOURce:]VOLTage:UNIT": _choice("VPP VRMS DBM", lambda state: state.unit, levels.set_unit),
-    "[SOURce:]PULSe:PERiod": _number(
-        "S", lambda state: (20e-9, 2000.0), lambda state: 1 / state.frequency_hz, _put_period
-    ),
+    "[SOURce:]PULSe:PERiod": _number("S", _period_limits_s, lambda state: 1 / state.frequency_hz, _put_period),
     "[SOURce:]PULSe:WIDTh": _number("S", timing.width_limits_s, lambda state: state.width_s, timing.set_width),
     "[SOURce:]PULSe:TRANsition": _number("S", timing.edge_limits_s, lambda state: state.edge_s, _put_edge),
     "[SOURce:]BURSt:STATe": _switch(lambda state: state.burst, timing.set_burst),
     "[SOURce:]BURSt:MODE": _choice("TRIGgered GATed", lambda state: state.burst_mode, timing.set_burst_mode),
     "[SOURce:]BURSt:NCYCles": _number(
         "",
-        lambda state: (1.0, float(registers.MOST_CYCLES)),
+        lambda state: (1.0, float(state.model.most_cycles)),
         lambda state: state.cycles,
         timing.set_cycles,
         infinite=True,
     ),
     "[SOURce:]BURSt:INTernal:PERiod": _number(
         "S",
-        lambda state: registers.BURST_PERIOD_LIMITS_S,
+        lambda state: state.model.burst_period_limits_s,
         lambda state: state.burst_period_s,
         timing.set_burst_period,
     ),
@@ -295,7 +298,7 @@ SETTINGS = {
     "OUTPut:TRIGger:SLOPe": _word("POSitive NEGative", "trigger_output_slope"),
     "TRIGger:SOURce": _choice("IMMediate EXTernal BUS", lambda state: state.trigger_source, timing.set_source),
     "TRIGger:SLOPe": _word("POSitive NEGative", "trigger_slope"),
-    "TRIGger:DELay": _number("S", lambda state: registers.DELAY_LIMITS_S, lambda state: state.delay_s, _put_delay),
+    "TRIGger:DELay": _number("S", lambda state: state.model.delay_limits_s, lambda state: state.delay_s, _put_delay),
     "UNIT:ANGLe": _word("DEGree RADian", "angle_unit"),
     "DISPlay[:WINDow][:STATe]": _flag("display"),
     "DISPlay[:WINDow]:TEXT[:DATA]": _text(),
@@ -303,3 +306,16 @@ SETTINGS = {
     "SYSTem:BEEPer:STATe": _flag("beeper"),
 }
 """Every setting of the twin's 33250A by header (reference, 1.4)."""
+
+
+def settings_of(model: Model) -> Mapping[str, Setting]:
+    """Return the settings of ``model`` by header; the series spell those of the pulse differently."""
+    pulse = "[SOURce:]PULSe:"
+
+    def spelled(header: str) -> str:
+        if not header.startswith(pulse):
+            return header
+        own = header.replace(pulse, f"[SOURce:]{model.pulse_node}:")
+        return own + model.both_edges_node if own.endswith("TRANsition") else own
+
+    return {spelled(header): setting for header, setting in SETTINGS.items()}

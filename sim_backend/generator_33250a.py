@@ -4,44 +4,53 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 from sim_backend.clock import SimulatedClock
-from sim_backend.commands_33250a import SETTINGS, Setting
+from sim_backend.commands_33250a import Setting, settings_of
 from sim_backend.edges import Emission, Steps, to_ps
 from sim_backend.emission_33250a import is_endless, respond, shapes_output
+from sim_backend.models_33250a import AGILENT_33250A, MODELS, Model
 from sim_backend.registers_33250a import Registers
 from sim_backend.scpi_text import Command, HeaderTable, ScpiError
 from sim_backend.status_33250a import Status
 
 Form = TypeVar("Form")
 
-IDENTITY = "Agilent Technologies,33250A,0,2.01-1.01-2.00-03-2"
 SCPI_VERSION = "1999.0"
 """Per manual; an emulator that was compared with hardware answers 1994.0 (unresolved)."""
 
 
 class Generator33250A:
-    """One simulated 33250A; what it puts out follows from its history by ``emission``."""
+    """One simulated 33250A or sibling; what it puts out follows from its history by ``emission``.
 
-    def __init__(self, clock: SimulatedClock, latency_s: float) -> None:
+    Assumed of local mode, into which the front panel puts an instrument on RS-232: settings are refused with error 550,
+    queries are answered.
+    """
+
+    def __init__(self, clock: SimulatedClock, latency_s: float, model: Model = AGILENT_33250A) -> None:
         self._clock = clock
         self._latency_ps = to_ps(latency_s)
         self._replies: list[str] = []
-        self._history: list[tuple[int, Registers]] = [(clock.now_ps, Registers())]
+        self._table = TABLES[model.name]
+        self.registers = Registers(model)
+        self._history: list[tuple[int, Registers]] = [(clock.now_ps, self.registers)]
         self._software_ps: list[int] = []
-        self.registers = Registers()
+        self._over_serial = False
+        # On GPIB the bus itself claims the instrument; RS-232 has no such line.
+        self._local = True
         self.status = Status()
         self.changes = 0
 
-    def write(self, message: str) -> None:
+    def write(self, message: str, over_serial: bool = False) -> None:
         """Carry out the commands of ``message``; a mistake goes to the error queue and ends the message."""
+        self._over_serial = over_serial
         if self._replies:
             self._replies.clear()
             self.status.queue(-410, "Query INTERRUPTED")
         try:
-            for command in TABLE.commands(message):
+            for command in self._table.commands(message):
                 reply = self._carry_out(command)
                 if reply is not None:
                     self._replies.append(reply)
@@ -59,6 +68,20 @@ class Generator33250A:
     def close(self) -> None:
         """Forget a reply that nobody read; the instrument itself stays as it is."""
         self._replies.clear()
+
+    def serial_poll(self) -> int:
+        """Return the status byte as the bus reads it, without a message."""
+        return int(self.status.byte(self.message_waiting))
+
+    def hold(self, local: bool) -> None:
+        """Go to local or to remote mode; raise ``ScpiError`` 514 where the message did not come over RS-232."""
+        if not self._over_serial:
+            raise ScpiError(514, "Command allowed only with RS-232")
+        self._local = local
+
+    def press_local(self) -> None:
+        """Have somebody press the Local key at the front panel."""
+        self._local = True
 
     @property
     def message_waiting(self) -> bool:
@@ -86,7 +109,7 @@ class Generator33250A:
 
     def reset(self) -> None:
         """Return to the power-on state; the beeper keeps its setting."""
-        self._become(replace(Registers(), beeper=self.registers.beeper))
+        self._become(Registers(self.registers.model, beeper=self.registers.beeper))
 
     def trigger(self) -> None:
         """Start a burst, whatever the trigger source; raise ``ScpiError`` -211 where bursts are off."""
@@ -109,6 +132,8 @@ class Generator33250A:
 
     def _carry_out(self, command: Command[Setting | Action]) -> str | None:
         entry, arguments = command.entry, command.arguments
+        if self._over_serial and self._local and not command.query and entry not in REMOTE:
+            raise ScpiError(550, "Command not allowed in local")
         if isinstance(entry, Action):
             return entry.carry_out(self, command.query, arguments)
         if command.query:
@@ -155,16 +180,12 @@ def _wait_and_answer(instrument: Generator33250A) -> str:
     return "1"
 
 
-def _serial_only(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
-    raise ScpiError(514, "Command allowed only with RS-232")
-
-
 def _beep(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
     """Make no noise: there is nobody to hear it."""
 
 
 ACTIONS: Mapping[str, Action] = {
-    "*IDN": Action(query=lambda instrument: IDENTITY),
+    "*IDN": Action(query=lambda instrument: instrument.registers.model.identity),
     "*RST": Action(lambda instrument, arguments: instrument.reset()),
     "*CLS": Action(lambda instrument, arguments: instrument.status.clear()),
     "*TRG": Action(lambda instrument, arguments: instrument.trigger_from_bus()),
@@ -185,11 +206,14 @@ ACTIONS: Mapping[str, Action] = {
     "SYSTem:ERRor[:NEXT]": Action(query=lambda instrument: instrument.status.next_error()),
     "SYSTem:VERSion": Action(query=lambda instrument: SCPI_VERSION),
     "SYSTem:BEEPer[:IMMediate]": Action(_beep),
-    "SYSTem:LOCal": Action(_serial_only),
-    "SYSTem:REMote": Action(_serial_only),
-    "SYSTem:RWLock": Action(_serial_only),
+    "SYSTem:LOCal": Action(lambda instrument, arguments: instrument.hold(True)),
+    "SYSTem:REMote": Action(lambda instrument, arguments: instrument.hold(False)),
+    "SYSTem:RWLock": Action(lambda instrument, arguments: instrument.hold(False)),
     "STATus:QUEStionable:CONDition": Action(query=lambda instrument: "+0"),
     "STATus:QUEStionable[:EVENt]": Action(query=lambda instrument: "+0"),
 }
 
-TABLE: HeaderTable[Setting | Action] = HeaderTable({**SETTINGS, **ACTIONS})
+REMOTE = (ACTIONS["SYSTem:REMote"], ACTIONS["SYSTem:RWLock"])
+TABLES: Mapping[str, HeaderTable[Setting | Action]] = {
+    model.name: HeaderTable({**settings_of(model), **ACTIONS}, model.numbered) for model in MODELS.values()
+}

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from sim_backend.models_33250a import AGILENT_33250A, Model
+
 Error = tuple[int, str]
 
 PEAK_V = 10.0
@@ -16,31 +18,12 @@ SMALLEST_VPP = 2e-3
 """Smallest open-circuit amplitude: 1 mVpp into 50 ohm (a driver's argument limits, taken from the manual)."""
 LEVEL_GAP_V = 1e-3
 """Least distance of the high from the low level, as displayed."""
-FREQUENCY_LIMITS_HZ = {
-    "SIN": (1e-6, 80e6),
-    "SQU": (1e-6, 80e6),
-    "RAMP": (1e-6, 1e6),
-    "PULS": (500e-6, 50e6),
-    "USER": (1e-6, 25e6),
-    "NOIS": (1e-6, 80e6),
-    "DC": (1e-6, 80e6),
-}
-"""Frequency limits by function (manual; noise and DC have none of their own)."""
-FINITE_BURST_CEILING_HZ = 25e6
-"""Above it sine and square can only burst without end (manual)."""
-MOST_CYCLES = 1_000_000
-WIDTH_LIMITS_S = (8e-9, 2000.0)
-EDGE_LIMITS_S = (5e-9, 1e-3)
-BURST_PERIOD_LIMITS_S = (1e-6, 500.0)
-DELAY_LIMITS_S = (0.0, 85.0)
 LOAD_LIMITS_OHM = (1.0, 10_000.0)
 
 # Assumed: no source was found for these.
 EDGE_SHARE_OF_WIDTH = 0.625
 EDGES_IN_PERIOD = 1.6
 BURST_MARGIN_S = 200e-9
-WIDEST_AT_PERIOD_S = ((200.0, 2e-6), (20.0, 200e-9))
-"""Longest period -> smallest pulse width beyond it."""
 
 ROUNDING = 1e-12
 """A limit that is itself computed counts as kept within this relative error."""
@@ -48,8 +31,12 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class Registers:
-    """Everything a program can set; the defaults are the power-on state. Levels are open-circuit volts."""
+    """Everything a program can set, and the model whose limits it meets; the defaults are the power-on state.
 
+    Levels are open-circuit volts.
+    """
+
+    model: Model = AGILENT_33250A
     function: str = "SIN"
     frequency_hz: float = 1e3
     high_v: float = 0.1

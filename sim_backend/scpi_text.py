@@ -49,9 +49,13 @@ def split_outside_quotes(text: str, separator: str) -> list[str]:
 
 
 class HeaderTable(Generic[Entry]):
-    """Headers such as ``[SOURce:]FREQuency[:CW]`` with their entries, in every accepted spelling."""
+    """Headers such as ``[SOURce:]FREQuency[:CW]`` with their entries, in every accepted spelling.
 
-    def __init__(self, entries: Mapping[str, Entry]) -> None:
+    With ``numbered`` a node may carry the number of the only channel, as in ``SOUR1:FREQ``.
+    """
+
+    def __init__(self, entries: Mapping[str, Entry], numbered: bool = False) -> None:
+        self._numbered = numbered
         self._short: dict[str, str] = {}
         self._entries: dict[tuple[str, ...], Entry] = {}
         for pattern, entry in entries.items():
@@ -71,11 +75,19 @@ class HeaderTable(Generic[Entry]):
         return [tuple(filter(None, nodes)) for nodes in itertools.product(*choices)]
 
     def find(self, nodes: Iterable[str]) -> Entry:
-        """Return the entry of a header; raise ``ScpiError`` -113 where there is none."""
+        """Return the entry of a header; raise ``ScpiError`` -113 where there is none, -114 for another channel."""
+        if self._numbered:
+            nodes = [self._of_channel_one(node) for node in nodes]
         found = self._entries.get(tuple(self._short.get(node.upper(), "?") for node in nodes))
         if found is None:
             raise ScpiError(-113, "Undefined header")
         return found
+
+    def _of_channel_one(self, node: str) -> str:
+        plain = node.rstrip("0123456789")
+        if node[len(plain) :] not in ("", "1"):
+            raise ScpiError(-114, "Header suffix out of range")
+        return plain
 
     def commands(self, message: str) -> Iterable[Command[Entry]]:
         """Yield the commands of ``message``; raise ``ScpiError`` at the first that is none.

@@ -7,16 +7,9 @@ from dataclasses import replace
 
 from sim_backend.registers_33250a import (
     BURST_MARGIN_S,
-    BURST_PERIOD_LIMITS_S,
-    EDGE_LIMITS_S,
     EDGE_SHARE_OF_WIDTH,
     EDGES_IN_PERIOD,
-    FINITE_BURST_CEILING_HZ,
-    FREQUENCY_LIMITS_HZ,
-    MOST_CYCLES,
     ROUNDING,
-    WIDEST_AT_PERIOD_S,
-    WIDTH_LIMITS_S,
     Coerced,
     Error,
     Registers,
@@ -26,17 +19,17 @@ from sim_backend.registers_33250a import (
 
 def width_limits_s(registers: Registers) -> tuple[float, float]:
     """Return the pulse widths that the period leaves room for."""
+    narrowest_s, widest_s = registers.model.width_limits_s
     period_s = 1 / registers.frequency_hz
-    lowest = next((width for longest, width in WIDEST_AT_PERIOD_S if period_s > longest), WIDTH_LIMITS_S[0])
-    return lowest, min(WIDTH_LIMITS_S[1], period_s - EDGES_IN_PERIOD * registers.edge_s)
+    lowest = next((width for longest, width in registers.model.narrowest_s if period_s > longest), narrowest_s)
+    return lowest, min(widest_s, period_s - EDGES_IN_PERIOD * registers.edge_s)
 
 
 def edge_limits_s(registers: Registers) -> tuple[float, float]:
     """Return the edge times that pulse width and period leave room for."""
     room_s = (1 / registers.frequency_hz - registers.width_s) / EDGES_IN_PERIOD
-    return EDGE_LIMITS_S[0], max(
-        EDGE_LIMITS_S[0], min(EDGE_LIMITS_S[1], EDGE_SHARE_OF_WIDTH * registers.width_s, room_s)
-    )
+    fastest_s, slowest_s = registers.model.edge_limits_s
+    return fastest_s, max(fastest_s, min(slowest_s, EDGE_SHARE_OF_WIDTH * registers.width_s, room_s))
 
 
 def duty_limits_percent(registers: Registers) -> tuple[float, float]:
@@ -48,13 +41,13 @@ def duty_limits_percent(registers: Registers) -> tuple[float, float]:
 
 def frequency_limits_hz(registers: Registers) -> tuple[float, float]:
     """Return the frequencies of the present function."""
-    return FREQUENCY_LIMITS_HZ[registers.function]
+    return registers.model.frequency_limits_hz[registers.function]
 
 
 def set_function(registers: Registers, function: str) -> Coerced:
     """Return the registers with another function; the frequency and what hangs on it may give way."""
     state = Coerced(registers).changed(function=function)
-    low, high = FREQUENCY_LIMITS_HZ[function]
+    low, high = registers.model.frequency_limits_hz[function]
     frequency_hz = min(max(registers.frequency_hz, low), high)
     if frequency_hz != registers.frequency_hz:
         verb = "reduced" if frequency_hz < registers.frequency_hz else "increased"
@@ -94,7 +87,7 @@ def set_width(registers: Registers, width_s: float) -> Coerced:
     """Return the registers with another pulse width; the edge time may give way."""
     width_s, errors = clipped(width_s, *width_limits_s(registers), "pulse width")
     state = Coerced(replace(registers, width_s=width_s), errors)
-    edge_s = max(EDGE_LIMITS_S[0], EDGE_SHARE_OF_WIDTH * width_s)
+    edge_s = max(registers.model.edge_limits_s[0], EDGE_SHARE_OF_WIDTH * width_s)
     if registers.edge_s > edge_s * (1 + ROUNDING):
         state = state.changed("pulse edge time decreased due to pulse width", edge_s=edge_s)
     return state
@@ -126,7 +119,7 @@ def set_cycles(registers: Registers, cycles: float) -> Coerced:
     """Return the registers with another burst count; inf and an internal trigger exclude each other."""
     errors: tuple[Error, ...] = ()
     if not math.isinf(cycles):
-        cycles, errors = clipped(round(cycles), 1, MOST_CYCLES, "burst count")
+        cycles, errors = clipped(round(cycles), 1, registers.model.most_cycles, "burst count")
     state = Coerced(replace(registers, cycles=cycles), errors)
     if math.isinf(cycles) and registers.trigger_source == "IMM":
         state = state.changed("trigger source changed to BUS due to infinite burst", trigger_source="BUS")
@@ -139,7 +132,7 @@ def set_source(registers: Registers, source: str) -> Coerced:
     if source == "EXT" and registers.trigger_output:
         state = state.changed("trigger output turned off by external trigger", trigger_output=False)
     if source == "IMM" and math.isinf(registers.cycles):
-        state = state.changed("burst count changed due to immediate trigger", cycles=float(MOST_CYCLES))
+        state = state.changed("burst count changed due to immediate trigger", cycles=float(registers.model.most_cycles))
     return settle_burst(state)
 
 
@@ -160,7 +153,7 @@ def set_burst_mode(registers: Registers, mode: str) -> Coerced:
 
 def set_burst_period(registers: Registers, period_s: float) -> Coerced:
     """Return the registers with another internal burst period."""
-    lowest, highest = BURST_PERIOD_LIMITS_S
+    lowest, highest = registers.model.burst_period_limits_s
     if registers.trigger_source == "IMM" and math.isfinite(registers.cycles):
         lowest = min(highest, max(lowest, registers.burst_s + BURST_MARGIN_S))
     period_s, errors = clipped(period_s, lowest, highest, "burst period")
@@ -171,16 +164,16 @@ def settle_burst(state: Coerced) -> Coerced:
     """Return a burst that its frequency can do and, with the internal trigger, one that fits the burst period."""
     registers = state.registers
     finite = math.isfinite(registers.cycles) and registers.burst_mode == "TRIG"
-    if registers.burst and finite and registers.frequency_hz > FINITE_BURST_CEILING_HZ:
-        state = state.changed("frequency reduced for burst mode", frequency_hz=FINITE_BURST_CEILING_HZ)
+    if registers.burst and finite and registers.frequency_hz > registers.model.finite_burst_ceiling_hz:
+        state = state.changed("frequency reduced for burst mode", frequency_hz=registers.model.finite_burst_ceiling_hz)
     if registers.trigger_source != "IMM" or not finite:
         return state
     needed_s = state.registers.burst_s + BURST_MARGIN_S
     if needed_s > registers.burst_period_s * (1 + ROUNDING):
-        period_s = min(needed_s, BURST_PERIOD_LIMITS_S[1])
+        period_s = min(needed_s, registers.model.burst_period_limits_s[1])
         state = state.changed("burst period increased to fit entire burst", burst_period_s=period_s)
-    if needed_s > BURST_PERIOD_LIMITS_S[1]:
-        most = math.floor((BURST_PERIOD_LIMITS_S[1] - BURST_MARGIN_S) * state.registers.frequency_hz)
+    if needed_s > registers.model.burst_period_limits_s[1]:
+        most = math.floor((registers.model.burst_period_limits_s[1] - BURST_MARGIN_S) * state.registers.frequency_hz)
         state = state.changed("burst count reduced to fit entire burst", cycles=float(max(1, most)))
     room_s = max(0.0, state.registers.burst_period_s - state.registers.burst_s - BURST_MARGIN_S)
     if registers.delay_s > room_s + ROUNDING:

@@ -33,6 +33,7 @@ from sim_backend.edges import (
 )
 from sim_backend.emission_33250a import TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V
 from sim_backend.generator_33250a import Generator33250A
+from sim_backend.models_33250a import MODELS
 from sim_backend.settings import SimulationSettings
 
 GENERATORS = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
@@ -82,7 +83,10 @@ class Evaluation:
 class InstrumentWire:
     """The text connection to one generator; every message takes its time."""
 
-    def __init__(self, generator: Generator33250A, clock: SimulatedClock, message_time_s: float) -> None:
+    def __init__(
+        self, generator: Generator33250A, clock: SimulatedClock, message_time_s: float, over_serial: bool = False
+    ) -> None:
+        self._over_serial = over_serial
         self._generator = generator
         self._clock = clock
         self._message_time_s = message_time_s
@@ -90,11 +94,15 @@ class InstrumentWire:
     def write(self, message: str) -> None:
         """Send a message."""
         self._clock.sleep(self._message_time_s)
-        self._generator.write(message)
+        self._generator.write(message, self._over_serial)
 
     def read(self) -> str:
         """Return one reply; raise ``TimeoutError`` when none comes."""
         return self._generator.read()
+
+    def serial_poll(self) -> int:
+        """Return the status byte as the bus reads it, without a message."""
+        return self._generator.serial_poll()
 
     def close(self) -> None:
         """Hang up; the instrument goes on as programmed."""
@@ -105,7 +113,8 @@ class World:
     """Five generators and a digitizer, wired; time passes with what the program does.
 
     ``wiring`` lists (source, target, delay in seconds); what is not wired is not triggered. Raises ``ValueError`` for
-    an end that does not exist and for a loop. ``acoustics`` replaces the twin's own.
+    an end that does not exist and for a loop. ``acoustics`` replaces the twin's own; ``models`` names the generators
+    that are no 33250A, by role.
     """
 
     def __init__(
@@ -113,6 +122,7 @@ class World:
         settings: SimulationSettings,
         wiring: Sequence[tuple[str, str, float]],
         acoustics: Physics | None = None,
+        models: Mapping[str, str] | None = None,
     ) -> None:
         instruments = settings.instruments
         self._settings = settings
@@ -120,17 +130,24 @@ class World:
         trigger_order(self._wires, (*GENERATORS, "digitizer"))
         self._physics = acoustics
         self.clock = SimulatedClock()
-        self._generators = {role: Generator33250A(self.clock, instruments.generator_latency_s) for role in GENERATORS}
+        self._generators = {
+            role: Generator33250A(
+                self.clock, instruments.generator_latency_s, MODELS[(models or {}).get(role, "33250A")]
+            )
+            for role in GENERATORS
+        }
         self.board = Board(latencies_of(instruments.digitizer_latency_s, instruments.aux_latency_s))
         self._evaluated: tuple[int, Evaluation] | None = None
         self._recorded: tuple[Captured, NDArray[np.float64], int] | None = None
         self._past: list[Captured] = []
 
-    def wire(self, role: str) -> InstrumentWire:
+    def wire(self, role: str, over_serial: bool = False) -> InstrumentWire:
         """Return a text connection to the generator of ``role``; raise ``ValueError`` for a role that is none."""
         if role not in self._generators:
             raise ValueError(f"no generator {role!r} on the simulated bench; it has {', '.join(GENERATORS)}")
-        return InstrumentWire(self._generators[role], self.clock, self._settings.instruments.message_time_s)
+        return InstrumentWire(
+            self._generators[role], self.clock, self._settings.instruments.message_time_s, over_serial
+        )
 
     def alazar_library(self) -> AlazarLibrary:
         """Return the digitizer's function table, freshly loaded."""
