@@ -35,6 +35,8 @@ from hpe_rig.scene import Scene
 if TYPE_CHECKING:
     from sim_backend.world import World
 
+SAFE_ATTEMPTS = 2
+"""How often an instrument is asked to be safe before it counts as unreachable: one lost reply is no lost bench."""
 SAFE_ORDER = ("toneburst", "burst_train", "master", "tracking_pulser", "tracking_train", "digitizer")
 """Order of making safe: what pushes first."""
 
@@ -88,15 +90,7 @@ class Bench:
 
     def make_safe(self) -> None:
         """Switch every output off and abort the capture, each guarded on its own; raise ``UnsafeBenchError``."""
-        failures: list[tuple[str, BaseException]] = []
-        with uninterrupted():
-            for instrument in self.instruments:
-                try:
-                    instrument.make_safe()
-                except Exception as error:
-                    failures.append((instrument.role, error))
-        if failures:
-            raise UnsafeBenchError(failures)
+        make_safe(self.instruments)
 
     def snapshot(self) -> dict[str, Mapping[str, Setting]]:
         """Return every instrument's settings as read back, by role."""
@@ -124,14 +118,20 @@ def simulation_schema() -> dict[str, Any]:
 @contextmanager
 def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str]) -> Iterator[Bench]:
     """Yield the bench with the instruments of ``roles`` open; make it safe, verified, on every way out."""
-    with ExitStack() as stack:
+    with interruptible(), ExitStack() as stack:
         opened = (_open_twin if bench.simulated else _open_metal)(scene, bench, roles, stack)
-        stack.enter_context(interruptible())
+        for instrument in opened.instruments:
+            stack.callback(_close_quietly, instrument)
+        # Nothing is sent to a stranger at a wrong address, not even to switch it off.
+        known: list[Instrument] = []
         try:
+            for instrument in opened.instruments:
+                instrument.identify()
+                known.append(instrument)
             opened.make_safe()
             yield opened
         finally:
-            opened.make_safe()
+            make_safe(known)
 
 
 def _open_twin(scene: Scene, bench: BenchFile, roles: Sequence[str], stack: ExitStack) -> Bench:
@@ -179,7 +179,7 @@ def _assemble(
         return ToneburstGenerator33250A(wires[role], role)
 
     board = bench.digitizer
-    opened = Bench(
+    return Bench(
         simulated=bench.simulated,
         clock=clock,
         master=MasterTrigger33250A(wires["master"], "master"),
@@ -190,10 +190,28 @@ def _assemble(
         digitizer=Ats460(library, clock, system_id=board.system_id, board_id=board.board_id),
         world=world,
     )
-    for instrument in opened.instruments:
-        instrument.identify()
-        stack.callback(_close_quietly, instrument)
-    return opened
+
+
+def make_safe(instruments: Sequence[Instrument]) -> None:
+    """Make each of ``instruments`` safe, whatever happens to the others; raise ``UnsafeBenchError`` for those left."""
+    with uninterrupted():
+        failures = [(item.role, error) for item in instruments if (error := _unsafe(item)) is not None]
+        # Inside, so that an interrupt that was held back cannot take this message's place.
+        if failures:
+            raise UnsafeBenchError(failures)
+
+
+def _unsafe(instrument: Instrument) -> Exception | None:
+    """Return why ``instrument`` could not be proven safe; None where it was."""
+    failure: Exception | None = None
+    for _ in range(SAFE_ATTEMPTS):
+        try:
+            instrument.make_safe()
+        except Exception as error:
+            failure = error
+        else:
+            return None
+    return failure
 
 
 def _close_quietly(instrument: Instrument) -> None:
