@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from typing import final
+from typing import Any, final
 
 from drivers.alazar_api import STATUS_FAILED, AlazarLibrary, BoardOption, Capability, Channel, Parameter, StatusBit
 from drivers.alazar_codes import FAILED, SUCCESS, UNSUPPORTED_FUNCTION, check
@@ -20,7 +20,7 @@ class AlazarBoard:
     def __init__(self, library: AlazarLibrary, role: str, system_id: int, board_id: int, kind: int) -> None:
         self.library = library
         self.role = role
-        handle = library.AlazarGetBoardBySystemID(system_id, board_id)
+        handle = self.ask(library.AlazarGetBoardBySystemID, system_id, board_id)
         if not handle:
             raise InstrumentError(
                 role,
@@ -29,7 +29,7 @@ class AlazarBoard:
                 "look the ids up in the vendor's own program and put them in the bench file",
             )
         self.handle = handle
-        found = library.AlazarGetBoardKind(handle)
+        found = self.ask(library.AlazarGetBoardKind, handle)
         if found != kind:
             why = "another model sits in this machine"
             what = f"the board is of kind {found}, expected {kind}"
@@ -39,7 +39,15 @@ class AlazarBoard:
 
     def call(self, function: Callable[..., int], *arguments: object) -> None:
         """Call a function whose first argument is the handle; raise ``InstrumentError`` unless it succeeds."""
-        self.check(int(function(self.handle, *arguments)), function.__name__)
+        self.check(int(self.ask(function, self.handle, *arguments)), function.__name__)
+
+    def ask(self, function: Callable[..., Any], *arguments: object) -> Any:
+        """Return what ``function`` answers; raise ``InstrumentError`` where the library itself broke down."""
+        try:
+            return function(*arguments)
+        except OSError as error:
+            what, why = f"{function.__name__} broke down: {error}", "the library or its driver is damaged"
+            raise InstrumentError(self.role, what, why, "restart the machine, reinstall driver and SDK") from error
 
     def check(self, code: int, call: str) -> None:
         """Raise ``InstrumentError`` unless ``code`` is success, in the words of the installed SDK's version."""
@@ -54,7 +62,8 @@ class AlazarBoard:
     def parameter(self, parameter: Parameter) -> int | None:
         """Return one state of the board, or None where this board or SDK does not report it."""
         value = ctypes.c_long()
-        code = self.library.AlazarGetParameter(self.handle, Channel.A, int(parameter), ctypes.byref(value))
+        ask = self.handle, Channel.A, int(parameter), ctypes.byref(value)
+        code = self.ask(self.library.AlazarGetParameter, *ask)
         if code in (FAILED, UNSUPPORTED_FUNCTION):
             return None
         self.check(code, "AlazarGetParameter")
@@ -86,11 +95,11 @@ class AlazarBoard:
 
     def busy(self) -> bool:
         """Return whether a capture is running."""
-        return bool(self.library.AlazarBusy(self.handle))
+        return bool(self.ask(self.library.AlazarBusy, self.handle))
 
     def input_clipped(self) -> bool:
         """Return whether the board reports that an input left its range."""
-        status = self.library.AlazarGetStatus(self.handle)
+        status = self.ask(self.library.AlazarGetStatus, self.handle)
         if status == STATUS_FAILED:
             what = f"AlazarGetStatus returned {STATUS_FAILED:#x}"
             raise InstrumentError(
@@ -100,5 +109,5 @@ class AlazarBoard:
 
     def _version(self, function: VersionCall) -> str:
         parts = tuple(ctypes.c_uint8() for _ in range(3))
-        code = function(*map(ctypes.byref, parts))
+        code = self.ask(function, *map(ctypes.byref, parts))
         return ".".join(str(part.value) for part in parts) if code == SUCCESS else "unknown"

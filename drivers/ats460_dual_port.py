@@ -121,7 +121,8 @@ class DualPortCapture:
                 raise InstrumentError(board.role, "the capture was aborted", why, "start the shot again")
             remaining_ms = max(0, math.ceil((deadline_s - self._clock.now_s()) * 1e3))
             timeout_ms = min(WAIT_SLICE_MS, remaining_ms)
-            code = board.library.AlazarWaitAsyncBufferComplete(board.handle, buffer.address, timeout_ms)
+            wait = board.library.AlazarWaitAsyncBufferComplete
+            code = board.ask(wait, board.handle, buffer.address, timeout_ms)
             if code != WAIT_TIMEOUT:
                 board.check(code, "AlazarWaitAsyncBufferComplete")
                 return
