@@ -1,32 +1,37 @@
-"""The Agilent 33250A and the three generator roles it plays: master trigger, pulse train, toneburst.
+"""The Agilent 33250A, its siblings, and the three generator roles: master trigger, pulse train, toneburst.
 
 Each group of settings is one message, after which the error queue is drained and the group read back. The order
 avoids passing through a state that the instrument would resolve by itself. APPLy is never sent: it switches the
-output on at once.
+output on at once. Registers carry the 33250A's headers; a sibling's spelling is put in when they are sent.
 """
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Final, Literal, Never, final
 
+from drivers.generator_models import AGILENT_33250A, MODELS, GeneratorModel, model_named
 from drivers.interfaces import Identity, InstrumentError, PulseTrain, Setting, Toneburst, TriggerPulse, Wire
 from drivers.limits_33250a import (
-    EDGE_S,
     pulse_train_mistakes,
     refuse,
     toneburst_mistakes,
     trigger_pulse_mistakes,
+    wiring_mistakes,
 )
 from drivers.read_back import Readable, Register, number, short_form, switch, whole_number
-from drivers.scpi import ScpiSession
+from drivers.scpi import RefusedError, ScpiSession
 
-MODEL: Final = "33250A"
 OUTPUT_OFF: Final = Register("output_on", "OUTP", False)
 OUTPUT_ON: Final = Register("output_on", "OUTP", True)
 RESET_WIDTH_S: Final = 100e-6
 RESET_PERIOD_S: Final = 1e-3
+# What rescales other settings or limits them: where it changes, the instrument is programmed from its reset state.
+FROM_RESET: Final = frozenset({"OUTP:LOAD", "VOLT:UNIT", "FUNC", "TRIG:SOUR", "BURS:MODE"})
+COUPLED: Final = frozenset({"FREQ", "PULS:WIDT"})
 # Levels are made of amplitude and offset, so that zero comes back as a small difference.
 LEVEL_TOLERANCE_V: Final = 1e-9
 
@@ -57,74 +62,128 @@ READABLE: Final = (
 Group = tuple[str, tuple[Register, ...]]
 
 
+Limits = Callable[[GeneratorModel], list[str]]
+Program = Callable[[GeneratorModel], Sequence[Group]]
+
+
 @final
 class Agilent33250A:
-    """The commands that all roles share; the state is the instrument's, here is only what was asked of it."""
+    """The commands that all roles share; the state is the instrument's, here is only what was asked of it.
 
-    def __init__(self, wire: Wire, role: str) -> None:
+    ``series`` is the name in ``generator_models`` that must answer; empty accepts every one of them.
+    """
+
+    def __init__(self, wire: Wire, role: str, series: str = "") -> None:
         self.role = role
+        self._series = series
         self._session = ScpiSession(wire, role)
+        self._model = AGILENT_33250A
         self._programmed: tuple[Register, ...] = ()
 
     def identify(self) -> Identity:
-        """Return who answers ``*IDN?``; raise ``InstrumentError`` if it is no 33250A.
+        """Return who answers ``*IDN?``; raise ``InstrumentError`` if it is no 33250A or sibling, or the wrong one.
 
         The vendor is not compared: later instruments of the same model carry another company's name.
         """
         reply = self._session.query("*IDN?")
         fields = [field.strip() for field in reply.split(",")]
-        if len(fields) < 4 or fields[1].upper() != MODEL:
+        model = model_named(fields[1]) if len(fields) > 3 else None
+        if model is None or self._series not in ("", model.name):
+            expected = self._series or " or ".join(known.name for known in MODELS)
             raise InstrumentError(
                 self.role,
-                f"*IDN? was answered with {reply!r}, expected model {MODEL}",
+                f"*IDN? was answered with {reply!r}, expected model {expected}",
                 "the address in the bench file belongs to another instrument",
-                f"give {self.role} the address of a {MODEL} in the bench file",
+                f"give {self.role} the address of a {expected} in the bench file, or its model",
             )
+        self._model = model
         return Identity(fields[0], fields[1], fields[2], ",".join(fields[3:]))
 
-    def configure(self, groups: Sequence[Group]) -> None:
-        """Reset, then program group by group with the output off; ``InstrumentError`` at the first that fails."""
-        self._programmed = ()
-        self.identify()
-        self._session.write("OUTP 0", "*CLS", "*RST")
-        self._session.verify("reset", (OUTPUT_OFF,))
-        for name, registers in groups:
-            self._session.program(name, registers)
-        self._programmed = tuple(register for _, registers in groups for register in registers)
+    def configure(self, program: Program, limits: Limits) -> None:
+        """Program with the output off: what changed since the last time, else everything from the reset state.
+
+        Raises ``InstrumentError`` for what ``limits`` lists, before a setting is sent, and at the first group that
+        fails.
+        """
+        before, self._programmed = self._programmed, ()
+        if not before:
+            self.identify()
+        refuse(self.role, self._model, limits(self._model))
+        groups = program(self._model)
+        registers = tuple(register for _, group in groups for register in group)
+        changed = _changed(before, registers)
+        if changed is None:
+            self._from_reset(groups)
+        else:
+            self._session.program("changes", self._spelled((OUTPUT_OFF, *changed)))
+        self._programmed = registers
 
     def verify(self) -> None:
         """Read every programmed setting back; raise ``InstrumentError`` where it differs or an error is queued."""
         self._require_configured("verify")
-        self._session.verify("settings", self._programmed)
+        self._session.verify("settings", self._spelled(self._programmed))
 
     def enable_output(self) -> None:
         """Switch the output on, verified."""
         self._require_configured("enable_output")
-        self._session.program("output", (OUTPUT_ON,))
+        self._session.program("output", self._spelled((OUTPUT_ON,)))
 
     def fire(self) -> None:
         """Trigger one burst by command; raise ``InstrumentError`` if the output is off or the trigger is ignored."""
         self._require_configured("fire")
         # The relay opens by itself on an overload; the trigger would then be accepted and nothing emitted.
-        self._session.verify("output before the trigger", (OUTPUT_ON,))
+        self._session.verify("output before the trigger", self._spelled((OUTPUT_ON,)))
         self._session.write("*TRG")
         self._session.verify("trigger by command", ())
 
     def snapshot(self) -> Mapping[str, Setting]:
         """Return every setting of ``READABLE`` as the instrument states it, and its ``*IDN?`` fields."""
         identity = self.identify()
-        settings = {item.key: item.decode(self._session.query(f"{item.header}?")) for item in READABLE}
+        replies = self._session.query_all([f"{self._model.header(item.header)}?" for item in READABLE])
+        settings = {item.key: self._decoded(item, reply) for item, reply in zip(READABLE, replies, strict=True)}
         return {"model": identity.model, "vendor": identity.vendor, "firmware": identity.firmware, **settings}
 
     def make_safe(self) -> None:
         """Switch the output off in whatever state the instrument is, and prove it by read-back."""
-        # Errors from before must not hide behind, nor be blamed on, this one command.
-        self._session.write("*CLS", OUTPUT_OFF.command)
-        self._session.verify("output off", (OUTPUT_OFF,))
+        try:
+            self._switch_off()
+        except RefusedError:
+            # Somebody may have pressed Local at an instrument on RS-232: it takes no setting until it is told to.
+            # Elsewhere the command is an error, and cleared with the others.
+            self._session.write("SYST:REM")
+            self._switch_off()
 
     def close(self) -> None:
         """Close the connection; the instrument keeps its state."""
         self._session.close()
+
+    def _switch_off(self) -> None:
+        (off,) = self._spelled((OUTPUT_OFF,))
+        # The switch goes first, so that nothing before it can keep it from being carried out. Errors from before must
+        # neither hide behind nor be blamed on it; what it did itself, the read-back tells.
+        self._session.write(off.command, "*CLS")
+        self._session.verify("output off", (off,))
+
+    def _from_reset(self, groups: Sequence[Group]) -> None:
+        (off,) = self._spelled((OUTPUT_OFF,))
+        self._session.write(off.command, "*CLS", "*RST")
+        self._session.verify("reset", (off,))
+        for name, registers in groups:
+            self._session.program(name, self._spelled(registers))
+
+    def _spelled(self, registers: Sequence[Register]) -> tuple[Register, ...]:
+        return tuple(replace(register, header=self._model.header(register.header)) for register in registers)
+
+    def _decoded(self, item: Readable, reply: str) -> Setting:
+        try:
+            return item.decode(reply)
+        except ValueError:
+            raise InstrumentError(
+                self.role,
+                f"{item.header}? was answered with {reply!r}, which is no {item.key}",
+                "the connection garbles replies, or another program shares it",
+                "check the cable and the line's settings, end other programs",
+            ) from None
 
     def _require_configured(self, action: str) -> None:
         if not self._programmed:
@@ -133,10 +192,14 @@ class Agilent33250A:
 
 
 class GeneratorRole(ABC):
-    """What every role of the instrument can do; the roles differ in what they program."""
+    """What every role of the instrument can do; the roles differ in what they program.
 
-    def __init__(self, wire: Wire, role: str) -> None:
-        self._generator = Agilent33250A(wire, role)
+    ``max_vpp`` is the largest swing into the declared load that what hangs on the output may see.
+    """
+
+    def __init__(self, wire: Wire, role: str, series: str = "", max_vpp: float = math.inf) -> None:
+        self._generator = Agilent33250A(wire, role, series)
+        self._max_vpp = max_vpp
 
     @abstractmethod
     def configure(self, program: Never, /) -> None:
@@ -178,17 +241,22 @@ class MasterTrigger33250A(GeneratorRole):
 
     def configure(self, pulse: TriggerPulse) -> None:
         """Program one pulse on ``*TRG``; raise ``InstrumentError`` for what the instrument cannot do or changed."""
-        refuse(self.role, trigger_pulse_mistakes(pulse))
         # The burst of one pulse lasts one period, so the period only has to hold the pulse.
         period_s = max(RESET_PERIOD_S, 2 * pulse.width_s)
-        groups = [
-            _load(pulse.load_ohm),
-            _pulses(1.0 / period_s, pulse.width_s),
-            _levels(pulse.high_v),
-            _trigger("BUS"),
-            _burst(1, 0.0),
-        ]
-        self._generator.configure(groups)
+
+        def program(model: GeneratorModel) -> list[Group]:
+            return [
+                _load(pulse.load_ohm),
+                _pulses(1.0 / period_s, pulse.width_s, model.edge_s),
+                _levels(pulse.high_v),
+                _trigger("BUS"),
+                _burst(1, 0.0),
+            ]
+
+        def limits(model: GeneratorModel) -> list[str]:
+            return [*trigger_pulse_mistakes(pulse, model), *wiring_mistakes("high_v", pulse.high_v, self._max_vpp)]
+
+        self._generator.configure(program, limits)
 
     def fire(self) -> None:
         """Emit the pulse; see ``Agilent33250A.fire``."""
@@ -201,15 +269,20 @@ class PulseGenerator33250A(GeneratorRole):
 
     def configure(self, train: PulseTrain) -> None:
         """Program the train; raise ``InstrumentError`` for what the instrument cannot do or changed."""
-        refuse(self.role, pulse_train_mistakes(train))
-        groups = [
-            _load(train.load_ohm),
-            _pulses(train.rate_hz, train.width_s),
-            _levels(train.high_v),
-            _trigger("EXT"),
-            _burst(train.count, train.delay_s),
-        ]
-        self._generator.configure(groups)
+
+        def program(model: GeneratorModel) -> list[Group]:
+            return [
+                _load(train.load_ohm),
+                _pulses(train.rate_hz, train.width_s, model.edge_s),
+                _levels(train.high_v),
+                _trigger("EXT"),
+                _burst(train.count, train.delay_s),
+            ]
+
+        def limits(model: GeneratorModel) -> list[str]:
+            return [*pulse_train_mistakes(train, model), *wiring_mistakes("high_v", train.high_v, self._max_vpp)]
+
+        self._generator.configure(program, limits)
 
 
 @final
@@ -218,14 +291,22 @@ class ToneburstGenerator33250A(GeneratorRole):
 
     def configure(self, burst: Toneburst) -> None:
         """Program the burst; raise ``InstrumentError`` for what the instrument cannot do or changed."""
-        refuse(self.role, toneburst_mistakes(burst))
-        groups = [
-            _load(burst.load_ohm),
-            _sine(burst.carrier_hz, burst.amplitude_vpp),
-            _trigger("EXT"),
-            _burst(burst.cycles, burst.delay_s),
-        ]
-        self._generator.configure(groups)
+
+        def program(model: GeneratorModel) -> list[Group]:
+            return [
+                _load(burst.load_ohm),
+                _sine(burst.carrier_hz, burst.amplitude_vpp),
+                _trigger("EXT"),
+                _burst(burst.cycles, burst.delay_s),
+            ]
+
+        def limits(model: GeneratorModel) -> list[str]:
+            return [
+                *toneburst_mistakes(burst, model),
+                *wiring_mistakes("amplitude_vpp", burst.amplitude_vpp, self._max_vpp),
+            ]
+
+        self._generator.configure(program, limits)
 
 
 def _load(load_ohm: float) -> Group:
@@ -233,12 +314,22 @@ def _load(load_ohm: float) -> Group:
     return "load", (Register("load_ohm", "OUTP:LOAD", float(load_ohm)), Register("amplitude_unit", "VOLT:UNIT", "VPP"))
 
 
-def _pulses(rate_hz: float, width_s: float) -> Group:
+def _changed(before: Sequence[Register], after: Sequence[Register]) -> tuple[Register, ...] | None:
+    """Return what of ``after`` is not held already; None where it cannot be changed one by one."""
+    held = {register.header: register for register in before}
+    changed = tuple(register for register in after if held.get(register.header) != register)
+    headers = {register.header for register in changed}
+    if headers & FROM_RESET or headers >= COUPLED or not headers <= held.keys():
+        return None
+    return changed
+
+
+def _pulses(rate_hz: float, width_s: float, edge_s: float) -> Group:
     """Order rate and width so that the width after a reset, 100 us, never meets a period too short for it."""
     rate = Register("rate_hz", "FREQ", float(rate_hz))
     width = Register("width_s", "PULS:WIDT", float(width_s))
     order = (width, rate) if width_s <= RESET_WIDTH_S else (rate, width)
-    return "pulse", (Register("function", "FUNC", "PULS"), Register("edge_s", "PULS:TRAN", EDGE_S), *order)
+    return "pulse", (Register("function", "FUNC", "PULS"), Register("edge_s", "PULS:TRAN", edge_s), *order)
 
 
 def _sine(carrier_hz: float, amplitude_vpp: float) -> Group:

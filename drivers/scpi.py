@@ -13,6 +13,9 @@ from drivers.read_back import Register, argument
 
 # A 33250A queues 20 errors; a few reads more, so that the final "no error" is seen as well.
 QUEUE_READS: Final = 25
+ERROR_QUERY: Final = "SYST:ERR?"
+# Keeps a message and its reply within 256 characters, which even the smallest RS-232 buffer takes.
+MOST_QUERIES: Final = 8
 STALE_READS: Final = 32
 HIGHEST_TOKEN: Final = 255
 
@@ -42,11 +45,21 @@ class QueuedError:
 
 
 @final
+class RefusedError(InstrumentError):
+    """The instrument queued ``errors`` or holds other settings than it was sent."""
+
+    def __init__(self, role: str, what: str, why: str, remedy: str, errors: tuple[QueuedError, ...]) -> None:
+        super().__init__(role, what, why, remedy)
+        self.errors = errors
+
+
+@final
 class ScpiSession:
     """Commands and answers over ``wire``; every failure is an ``InstrumentError`` that names ``role``.
 
-    A reply that did not come in time may still come late. The session therefore is dirty from each query until its
-    reply, and a dirty session first throws away what is on the wire and proves that answers fit questions again.
+    A reply that did not come in time may still come late. The session therefore is dirty from each query until a reply
+    that fits it, and a dirty session first throws away what is on the wire and proves that answers fit questions again.
+    One thread at a time holds the session, from a setting to its read-back.
     """
 
     def __init__(self, wire: Wire, role: str) -> None:
@@ -73,31 +86,32 @@ class ScpiSession:
             self._dirty = False
             return reply
 
+    def query_all(self, commands: Sequence[str]) -> tuple[str, ...]:
+        """Return the replies to ``commands``, asked in as few messages as the buffers allow; none may hold a ``;``."""
+        with self._lock:
+            chunks = (commands[start : start + MOST_QUERIES] for start in range(0, len(commands), MOST_QUERIES))
+            return tuple(reply for chunk in chunks for reply in self._query_joined(chunk))
+
     def drain_errors(self) -> tuple[QueuedError, ...]:
         """Return the errors queued since the last drain, oldest first, and leave the queue empty."""
-        found: list[QueuedError] = []
-        for _ in range(QUEUE_READS):
-            error = self._next_error()
-            if error.number == 0:
-                return tuple(found)
-            found.append(error)
-        raise InstrumentError(
-            self.role,
-            f"the error queue is not empty after {QUEUE_READS} reads, the last one {found[-1]}",
-            "something keeps causing errors, or the replies are not those of SYST:ERR?",
-            "end other programs that talk to the instrument, power it off and on",
-        )
+        with self._lock:
+            return self._drain(self.query(ERROR_QUERY))
 
     def program(self, group: str, registers: Sequence[Register]) -> None:
         """Send ``registers`` as one message, then verify them."""
-        self.write(*(register.command for register in registers))
-        self.verify(group, registers)
+        with self._lock:
+            self.write(*(register.command for register in registers))
+            self.verify(group, registers)
 
     def verify(self, group: str, registers: Sequence[Register]) -> None:
-        """Raise ``InstrumentError`` for queued errors and for each register that reads back other than programmed."""
-        errors = self.drain_errors()
-        replies = [(register, self.query(register.query)) for register in registers]
-        changed = [(register, reply) for register, reply in replies if not register.holds(reply)]
+        """Raise ``RefusedError`` for queued errors and for each register that reads back other than programmed."""
+        with self._lock:
+            # The error queue comes last, so that it tells of the read-back as well.
+            *replies, entry = self.query_all([*(register.query for register in registers), ERROR_QUERY])
+            errors = self._drain(entry)
+        changed = [
+            (register, reply) for register, reply in zip(registers, replies, strict=True) if not register.holds(reply)
+        ]
         if errors or changed:
             raise _refused(self.role, group, errors, changed)
 
@@ -105,15 +119,46 @@ class ScpiSession:
         """Close the wire."""
         self._wire.close()
 
-    def _next_error(self) -> QueuedError:
-        reply = self.query("SYST:ERR?")
-        code, _, text = reply.partition(",")
+    def _query_joined(self, commands: Sequence[str]) -> list[str]:
+        """Return the replies to ``commands``, asked in one message; only the last reply may hold a ``;``."""
+        reply = self.query(joined(commands))
+        replies = reply.split(";", len(commands) - 1)
+        if len(replies) == len(commands):
+            return replies
+        errors = ", ".join(map(str, self.drain_errors())) or "nothing"
+        # Whatever answered, what it says next need not be meant for what is asked next.
+        self._dirty = True
+        raise InstrumentError(
+            self.role,
+            f"{len(commands)} queries had {len(replies)} replies: {joined(commands)!r} was answered with {reply!r}",
+            f"a query was not understood, a part was lost, or the reply is another's; the error queue holds {errors}",
+            "compare the instrument's model with the bench file, end other programs that talk to it",
+        )
+
+    def _drain(self, entry: str) -> tuple[QueuedError, ...]:
+        """Return ``entry`` and what is queued behind it."""
+        found: list[QueuedError] = []
+        while (error := self._queued(entry)).number != 0:
+            found.append(error)
+            if len(found) == QUEUE_READS:
+                raise InstrumentError(
+                    self.role,
+                    f"the error queue is not empty after {QUEUE_READS} reads, the last one {found[-1]}",
+                    "something keeps causing errors, or the replies are not those of SYST:ERR?",
+                    "end other programs that talk to the instrument, power it off and on",
+                )
+            entry = self.query(ERROR_QUERY)
+        return tuple(found)
+
+    def _queued(self, entry: str) -> QueuedError:
+        code, _, text = entry.partition(",")
         try:
             return QueuedError(int(code), text.strip().strip('"'))
         except ValueError:
+            self._dirty = True
             raise InstrumentError(
                 self.role,
-                f"SYST:ERR? was answered with {reply!r}, not with a number and a text",
+                f"SYST:ERR? was answered with {entry!r}, not with a number and a text",
                 "the address belongs to another kind of instrument, or two programs share the connection",
                 "compare the address in the bench file with the instrument's, end the other program",
             ) from None
@@ -178,12 +223,12 @@ def joined(commands: Sequence[str]) -> str:
 
 
 def _refused(
-    role: str, group: str, errors: Sequence[QueuedError], changed: Sequence[tuple[Register, str]]
-) -> InstrumentError:
+    role: str, group: str, errors: tuple[QueuedError, ...], changed: Sequence[tuple[Register, str]]
+) -> RefusedError:
     differences = [f"{r.key} ({r.header}) programmed {argument(r.value)}, read back {reply}" for r, reply in changed]
     queue = ["error queue: " + ", ".join(map(str, errors))] if errors else []
     causes = dict.fromkeys(CAUSES[error.number] for error in errors if error.number in CAUSES)
     why = "; ".join(causes) or "the instrument rounded or refused the value, or the front panel was used"
     keys = ", ".join(register.key for register, _ in changed) or group
     remedy = f"change {keys} in the scene or bench file to what the instrument can do"
-    return InstrumentError(role, f"{group}: " + "; ".join(differences + queue), why, remedy)
+    return RefusedError(role, f"{group}: " + "; ".join(differences + queue), why, remedy, errors)

@@ -1,11 +1,22 @@
-"""Wires that play an instrument by a script, for what the twin does not do: misbehave."""
+"""Wires that play an instrument by a script, for what the twin does not do, and every real wire to the twin."""
 
 from __future__ import annotations
 
+import sys
+import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass
 
 import pytest
+
+from drivers.interfaces import Wire
+from drivers.visa_wire import VisaInterface, VisaWire
+from sim_backend.clock import SimulatedClock
+from sim_backend.generator_33250a import Generator33250A
+from sim_backend.wires import TRANSPORTS, Emulator
+from sim_backend.world import InstrumentWire
 
 IDENTITY = "Agilent Technologies,33250A,0,2.04-1.01-2.00-03-2"
 
@@ -28,8 +39,9 @@ class ScriptedInstrument:
 
     def write(self, message: str) -> None:
         self.messages.append(message)
-        for part in message.split(";"):
-            self._obey(part.lstrip(":"))
+        replies = [reply for part in message.split(";") if (reply := self._obey(part.lstrip(":"))) is not None]
+        if replies:
+            self.outbox.append(";".join(replies))
 
     def read(self) -> str:
         if not self.outbox:
@@ -39,23 +51,72 @@ class ScriptedInstrument:
     def close(self) -> None:
         self.closed = True
 
-    def _obey(self, part: str) -> None:
+    def _obey(self, part: str) -> str | None:
         header, _, argument = part.partition(" ")
         if header == "SYST:ERR?":
-            self.outbox.append(self.errors.popleft() if self.errors else '+0,"No error"')
-        elif header == "*CLS":
+            return self.errors.popleft() if self.errors else '+0,"No error"'
+        if header.endswith("?"):
+            return self.replies.get(header[:-1], self.held.get(header[:-1]))
+        if header == "*CLS":
             self.errors.clear()
         elif header == "*RST":
             self.held = {"OUTP": "0"}
-        elif header.endswith("?"):
-            name = header[:-1]
-            reply = self.replies.get(name, self.held.get(name))
-            if reply is not None:
-                self.outbox.append(reply)
         else:
             self.held[header] = "+9.9000000000000E+37" if argument == "INF" else argument
+        return None
 
 
 @pytest.fixture
 def scripted() -> Callable[..., ScriptedInstrument]:
     return ScriptedInstrument
+
+
+IN_PROCESS = "in process"
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
+WIRES = [
+    IN_PROCESS,
+    *(pytest.param(name, marks=needs_pty) if name == "serial" else name for name in TRANSPORTS),
+]
+# Long enough for a busy machine, short enough to wait for.
+TIMEOUT_S = 0.4
+
+
+@dataclass(frozen=True)
+class Line:
+    """A simulated instrument and a wire that reaches it."""
+
+    transport: str
+    instrument: Generator33250A
+    wire: Wire
+
+
+@contextmanager
+def reaching(transport: str, instrument: Generator33250A) -> Iterator[Wire]:
+    if transport == IN_PROCESS:
+        yield instrument
+        return
+
+    def seen(role: str, over_serial: bool) -> InstrumentWire:
+        return InstrumentWire(instrument, SimulatedClock(), 0.0, over_serial)
+
+    with ExitStack() as stack:
+        served = stack.enter_context(Emulator(transport, seen, ("instrument",), threading.RLock())).served["instrument"]
+        interface = VisaInterface(served.interface, TIMEOUT_S) if served.interface else None
+        if interface:
+            stack.callback(interface.close)
+        wire = VisaWire(served.address, TIMEOUT_S, "@py", interface)
+        stack.callback(wire.close)
+        yield wire
+
+
+@pytest.fixture
+def reach() -> Callable[[str, Generator33250A], AbstractContextManager[Wire]]:
+    return reaching
+
+
+@pytest.fixture(scope="module", params=WIRES)
+def line(request: pytest.FixtureRequest) -> Iterator[Line]:
+    """Yield one simulated 33250A for the whole module, over one wire after the other."""
+    instrument = Generator33250A(SimulatedClock(), 100e-9)
+    with reaching(request.param, instrument) as wire:
+        yield Line(request.param, instrument, wire)

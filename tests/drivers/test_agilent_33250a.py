@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-from drivers.agilent_33250a import MasterTrigger33250A, PulseGenerator33250A, ToneburstGenerator33250A
+from drivers.agilent_33250a import READABLE, MasterTrigger33250A, PulseGenerator33250A, ToneburstGenerator33250A
 from drivers.interfaces import (
     Identity,
     InstrumentError,
@@ -100,14 +100,13 @@ def test_bursts_are_never_gated_nor_endless_and_enabled_last(scripted, role_type
 
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
-def test_every_changed_setting_is_read_back_after_its_error_queue_was_drained(scripted, role_type, program) -> None:
+def test_every_changed_setting_is_read_back_with_the_error_queue(scripted, role_type, program) -> None:
     wire = scripted()
     role_type(wire, "x").configure(program)
     for place, message in enumerate(wire.messages):
         if "?" not in message and "*RST" not in message:
             headers = [part.lstrip(":").split()[0] for part in message.split(";")]
-            assert wire.messages[place + 1] == "SYST:ERR?"
-            assert wire.messages[place + 2 : place + 2 + len(headers)] == [f"{header}?" for header in headers]
+            assert wire.messages[place + 1].split(";:") == [*(f"{header}?" for header in headers), "SYST:ERR?"]
 
 
 @pytest.mark.parametrize("width_s", [1e-6, 100e-6, 150e-6])
@@ -232,14 +231,84 @@ IMPOSSIBLE = [
 
 
 @pytest.mark.parametrize(("role_type", "program", "texts"), IMPOSSIBLE)
-def test_what_the_instrument_cannot_do_is_refused_with_both_numbers_before_a_word_is_sent(
+def test_what_the_instrument_cannot_do_is_refused_with_both_numbers_before_a_setting_is_sent(
     scripted, role_type, program, texts
 ) -> None:
     wire = scripted()
     with pytest.raises(InstrumentError) as caught:
         role_type(wire, "x").configure(program)
     assert all(text in str(caught.value) for text in texts)
-    assert wire.messages == []
+    assert wire.messages == ["*IDN?"]
+
+
+@pytest.mark.parametrize(("role_type", "program"), ROLES)
+def test_more_than_the_wiring_bears_is_refused_before_a_setting_is_sent(scripted, role_type, program) -> None:
+    wire = scripted()
+    with pytest.raises(InstrumentError, match=r"is above max_vpp = 0\.1"):
+        role_type(wire, "x", max_vpp=0.1).configure(program)
+    assert wire.messages == ["*IDN?"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "sent"),
+    [
+        ({}, "OUTP 0"),
+        ({"delay_s": 2e-3}, "OUTP 0;:TRIG:DEL 2.000000000000E-03"),
+        ({"rate_hz": 4e3, "count": 7}, "OUTP 0;:FREQ 4.000000000000E+03;:BURS:NCYC 7"),
+        ({"high_v": 3.0}, "OUTP 0;:VOLT:HIGH 3.000000000000E+00"),
+    ],
+)
+def test_a_sweep_sends_only_what_changed_in_one_message_with_one_reply(scripted, changes, sent) -> None:
+    wire = scripted()
+    generator = PulseGenerator33250A(wire, "tracking_train")
+    generator.configure(TRAIN)
+    wire.messages.clear()
+    generator.configure(dataclasses.replace(TRAIN, **changes))
+    assert wire.messages[0] == sent
+    assert len(wire.messages) == 2
+
+
+@pytest.mark.parametrize("changes", [{"load_ohm": 50.0}, {"rate_hz": 2e4, "width_s": 2e-6}])
+def test_settings_that_drag_others_along_are_programmed_from_the_reset_state(scripted, changes) -> None:
+    wire = scripted()
+    generator = PulseGenerator33250A(wire, "tracking_train")
+    generator.configure(TRAIN)
+    wire.messages.clear()
+    generator.configure(dataclasses.replace(TRAIN, **changes))
+    assert "OUTP 0;*CLS;*RST" in wire.messages
+
+
+def test_after_a_failure_everything_is_programmed_again(scripted) -> None:
+    wire = scripted()
+    generator = PulseGenerator33250A(wire, "tracking_train")
+    generator.configure(TRAIN)
+    wire.errors.append('-222,"Data out of range"')
+    with pytest.raises(InstrumentError):
+        generator.configure(dataclasses.replace(TRAIN, delay_s=0.0))
+    wire.messages.clear()
+    generator.configure(TRAIN)
+    assert "OUTP 0;*CLS;*RST" in wire.messages
+
+
+def test_a_declared_model_that_does_not_answer_is_refused(scripted) -> None:
+    with pytest.raises(InstrumentError, match="expected model 33500B"):
+        PulseGenerator33250A(scripted(), "burst_train", series="33500B").configure(TRAIN)
+
+
+@pytest.mark.parametrize("reply", ["", "garbage", "33250A", "Agilent Technologies,33250A", "a,33251A,0,1"])
+def test_a_wrong_identity_is_refused(scripted, reply: str) -> None:
+    wire = scripted(replies={"*IDN": reply})
+    with pytest.raises(InstrumentError, match="expected model 33250A or"):
+        MasterTrigger33250A(wire, "master").identify()
+
+
+def test_a_reply_that_is_no_number_is_an_instrument_error_in_the_snapshot(scripted) -> None:
+    wire = scripted()
+    generator = PulseGenerator33250A(wire, "burst_train")
+    generator.configure(TRAIN)
+    wire.replies |= {item.header: "+1" for item in READABLE} | {"TRIG:DEL": "?!"}
+    with pytest.raises(InstrumentError, match=r"TRIG:DEL\? was answered with '\?!', which is no delay_s"):
+        generator.snapshot()
 
 
 def test_high_impedance_doubles_the_largest_amplitude(scripted) -> None:

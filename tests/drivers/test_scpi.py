@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 
 import pytest
 
 from drivers.interfaces import InstrumentError
 from drivers.read_back import Register
-from drivers.scpi import QUEUE_READS, ScpiSession, joined
+from drivers.scpi import QUEUE_READS, RefusedError, ScpiSession, joined
+from sim_backend.clock import SimulatedClock
+from sim_backend.generator_33250a import Generator33250A
 
 RATE = Register("rate_hz", "FREQ", 100.0)
 COUNT = Register("count", "BURS:NCYC", 20)
@@ -52,10 +55,68 @@ def test_joined_commands_each_start_at_the_root_and_common_ones_stay_bare() -> N
     assert joined(["OUTP 0", "*CLS", "FUNC PULS", "PULS:WIDT 1E-5"]) == "OUTP 0;*CLS;:FUNC PULS;:PULS:WIDT 1E-5"
 
 
-def test_a_group_goes_out_as_one_message_then_errors_then_read_back(scripted) -> None:
+def test_a_group_goes_out_as_one_message_and_comes_back_with_the_error_queue_in_another(scripted) -> None:
     wire = scripted()
     ScpiSession(wire, "master").program("train", [RATE, COUNT])
-    assert wire.messages == ["FREQ 1.000000000000E+02;:BURS:NCYC 20", "SYST:ERR?", "FREQ?", "BURS:NCYC?"]
+    assert wire.messages == ["FREQ 1.000000000000E+02;:BURS:NCYC 20", "FREQ?;:BURS:NCYC?;:SYST:ERR?"]
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_an_error_at_each_position_of_a_group_is_an_error_that_names_it(place: int) -> None:
+    """The instrument stops at the first command that it does not know; what stands before it has been carried out."""
+    registers = [RATE, COUNT, Register("delay_s", "TRIG:DEL", 1e-3)]
+    registers[place] = Register("nonsense", "NON:SENS", 1.0)
+    session = ScpiSession(Generator33250A(SimulatedClock(), 0.0), "master")
+    with pytest.raises(InstrumentError) as caught:
+        session.program("train", registers)
+    assert "NON:SENS" in str(caught.value)
+    assert "-113" in str(caught.value) or place == 0
+    assert float(session.query("FREQ?")) == (1000.0 if place == 0 else 100.0)
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_a_coercion_at_each_position_of_a_group_is_found(scripted, place: int) -> None:
+    registers = [Register(f"key_{index}", f"HEAD:NUM{index}", 1.0) for index in range(4)]
+    wire = scripted(replies={f"HEAD:NUM{place}": "+2.0000000000000E+00"})
+    with pytest.raises(RefusedError, match=f"key_{place} "):
+        ScpiSession(wire, "master").program("group", registers)
+
+
+def test_an_error_queue_that_overflowed_is_told_with_every_error_and_is_empty_afterwards() -> None:
+    session = ScpiSession(Generator33250A(SimulatedClock(), 0.0), "master")
+    for _ in range(30):
+        session.write("FREQ 1E12")
+    errors = session.drain_errors()
+    assert [error.number for error in errors] == [-222] * 19 + [-350]
+    assert session.drain_errors() == ()
+
+
+@pytest.mark.parametrize("reply", ["+1.0E+02", '+1.0E+02;+0,"No error"', "+1.0E+02;+20;", "\x00\xff;\x80;\x81", ";;"])
+def test_half_a_reply_and_garbage_are_errors_and_the_next_answer_fits_its_question(scripted, reply: str) -> None:
+    wire = scripted()
+    session = ScpiSession(wire, "master")
+    session.write(RATE.command, COUNT.command)
+    read = wire.read
+    wire.read = lambda: (setattr(wire, "read", read), wire.outbox.clear(), reply)[-1]
+    with pytest.raises(InstrumentError, match="master"):
+        session.verify("train", [RATE, COUNT])
+    session.verify("train", [RATE, COUNT])
+
+
+def test_two_threads_share_one_session_without_mixing_their_answers() -> None:
+    session = ScpiSession(Generator33250A(SimulatedClock(), 0.0), "master")
+    wrong: list[str] = []
+
+    def ask(header: str, answer: str) -> None:
+        wrong.extend(reply for _ in range(300) if (reply := session.query(header)) != answer)
+
+    pairs = [("FUNC?", "SIN"), ("OUTP?", "0"), ("TRIG:SOUR?", "IMM")]
+    threads = [threading.Thread(target=ask, args=pair) for pair in pairs]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
 
 
 def test_a_coerced_value_is_an_error_that_names_the_setting_and_both_values(scripted) -> None:

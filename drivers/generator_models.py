@@ -1,0 +1,109 @@
+"""What tells the 33250A and its siblings apart, chosen by ``*IDN?``: limits, channel number, pulse headers.
+
+Sources: 33250A from the instrument reference, 1.4. 33500 series: its manual's burst and pulse pages (count, 6 MHz
+ceiling of counted sine bursts, least width). The 33600A shares that manual's commands, its ceiling is taken to be the
+same. Assumed, from memory of the data sheets: the siblings' pulse rates, edges, delays, and the 33220A's row.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Final
+
+Range = tuple[float, float]
+CHANNEL_HEADERS: Final = {"OUTP:TRIG": "OUTP:TRIG", "OUTP": "OUTP1", "TRIG": "TRIG1"}
+
+
+@dataclass(frozen=True, slots=True)
+class GeneratorModel:
+    """One instrument type.
+
+    ``burst_carrier_hz`` is of counted sine bursts; ``narrowest_s`` lists (period above which it holds, least width);
+    ``edge_s`` is the fastest pulse edge.
+    """
+
+    name: str
+    pattern: str
+    pulse_rate_hz: Range
+    burst_carrier_hz: Range
+    cycles: tuple[int, int]
+    delay_s: Range
+    width_s: Range
+    edge_s: float
+    narrowest_s: tuple[Range, ...] = ()
+    channel_number: bool = False
+    pulse_node: str = "PULS"
+
+    def header(self, header: str) -> str:
+        """Return how this model spells a header of the 33250A."""
+        own = header.replace("PULS:", f"{self.pulse_node}:", 1)
+        if not self.channel_number:
+            return own
+        for start, numbered in CHANNEL_HEADERS.items():
+            if own == start or own.startswith(f"{start}:"):
+                return numbered + own[len(start) :]
+        return f"SOUR1:{own}"
+
+    def least_width_s(self, period_s: float) -> float:
+        """Return the narrowest pulse at a period."""
+        return next((width for above_s, width in self.narrowest_s if period_s > above_s), self.width_s[0])
+
+
+AGILENT_33250A: Final = GeneratorModel(
+    name="33250A",
+    pattern=r"33250A",
+    pulse_rate_hz=(500e-6, 50e6),
+    # Above it the instrument does infinite bursts only, and those are never wanted here.
+    burst_carrier_hz=(1e-6, 25e6),
+    cycles=(1, 1_000_000),
+    delay_s=(0.0, 85.0),
+    width_s=(8e-9, 2000.0),
+    edge_s=5e-9,
+    # Assumed numbers: that the least width grows with the period is known.
+    narrowest_s=((200.0, 2e-6), (20.0, 200e-9)),
+)
+MODELS: Final = (
+    AGILENT_33250A,
+    GeneratorModel(
+        name="33220A",
+        pattern=r"33220A",
+        pulse_rate_hz=(500e-6, 5e6),
+        burst_carrier_hz=(1e-6, 6e6),
+        cycles=(1, 50_000),
+        delay_s=(0.0, 85.0),
+        width_s=(20e-9, 2000.0),
+        edge_s=5e-9,
+        narrowest_s=((100.0, 2e-6), (10.0, 200e-9)),
+        pulse_node="FUNC:PULS",
+    ),
+    GeneratorModel(
+        name="33500B",
+        pattern=r"335\d\d[AB]",
+        pulse_rate_hz=(1e-6, 20e6),
+        burst_carrier_hz=(1e-6, 6e6),
+        cycles=(1, 100_000_000),
+        delay_s=(0.0, 1000.0),
+        width_s=(16e-9, 1e6),
+        edge_s=8.4e-9,
+        channel_number=True,
+        pulse_node="FUNC:PULS",
+    ),
+    GeneratorModel(
+        name="33600A",
+        pattern=r"336\d\dA",
+        pulse_rate_hz=(1e-6, 80e6),
+        burst_carrier_hz=(1e-6, 6e6),
+        cycles=(1, 100_000_000),
+        delay_s=(0.0, 1000.0),
+        width_s=(5e-9, 1e6),
+        edge_s=2.9e-9,
+        channel_number=True,
+        pulse_node="FUNC:PULS",
+    ),
+)
+
+
+def model_named(name: str) -> GeneratorModel | None:
+    """Return the model that ``name``, the second field of ``*IDN?``, belongs to; None for a stranger."""
+    return next((model for model in MODELS if re.fullmatch(model.pattern, name.strip().upper())), None)
