@@ -1,0 +1,185 @@
+"""Tracking pulses, all in one form: a few complex exponentials on a compact support, eq. (9) and beyond.
+
+    p(t) = Re sum_m c_m exp(j w_m t)   for start <= t < end, else 0.
+
+The Hann pulse is exactly that with three exponentials. A Gaussian, a burst through a transducer's band and a measured
+shape are the Fourier series of their support, cut where the rest is below a tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+# A -6 dB full width is this many standard deviations of a Gaussian amplitude spectrum.
+_WIDTH_OVER_SIGMA = 2 * math.sqrt(2 * math.log(2))
+_FINEST_TOLERANCE = 1e-13
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """A pulse on a compact support that is a sum of exponentials; time 0 is its nominal arrival."""
+
+    start_s: float
+    end_s: float
+    frequency_hz: tuple[float, ...]
+    amplitude: tuple[complex, ...]
+
+
+def hann_pulse(carrier_hz: float, bandwidth: float) -> Pulse:
+    """Return the tracking echo of eq. (9): a cosine under a Hann window of length 1/(BW f), centred on its arrival."""
+    half = 0.5 / (bandwidth * carrier_hz)
+    frequency_hz = (carrier_hz * (1 - bandwidth), carrier_hz, carrier_hz * (1 + bandwidth))
+    return Pulse(-half, half, frequency_hz, (0.25, 0.5, 0.25))
+
+
+def rectangular_burst(carrier_hz: float, duration_s: float) -> Pulse:
+    """Return a sine burst of unit amplitude that begins at its arrival with a rising zero crossing."""
+    return Pulse(0.0, duration_s, (carrier_hz,), (-1j,))
+
+
+def gaussian_pulse(carrier_hz: float, bandwidth: float, tolerance: float = 1e-10) -> Pulse:
+    """Return a cosine under a Gaussian whose amplitude spectrum is -6 dB wide by ``bandwidth`` times the carrier.
+
+    The support ends where the Gaussian falls below ``tolerance`` (at least 1e-13), relative to its peak.
+    """
+    width_hz = bandwidth * carrier_hz / _WIDTH_OVER_SIGMA
+    half = math.sqrt(-2 * math.log(max(tolerance, _FINEST_TOLERANCE))) / (2 * math.pi * width_hz)
+
+    def spectrum(frequency_hz: Floats) -> Complexes:
+        upper = np.exp(-0.5 * np.square((frequency_hz - carrier_hz) / width_hz))
+        lower = np.exp(-0.5 * np.square((frequency_hz + carrier_hz) / width_hz))
+        return np.asarray((upper + lower) / (2 * math.sqrt(2 * math.pi) * width_hz), dtype=np.complex128)
+
+    return from_spectrum(spectrum, -half, half, tolerance)
+
+
+def band_limited_burst(
+    carrier_hz: float, cycles: float, centre_hz: float, bandwidth: float, tolerance: float = 1e-10
+) -> Pulse:
+    """Return a sine burst of ``cycles`` through a transducer of Gaussian band, two passes in one, begun at time 0.
+
+    ``bandwidth`` is the band's -6 dB width over ``centre_hz``. The peak is that of a long burst at the band's centre.
+    """
+    width_hz = bandwidth * centre_hz / _WIDTH_OVER_SIGMA
+    ringing = math.sqrt(-2 * math.log(max(tolerance, _FINEST_TOLERANCE))) / (2 * math.pi * width_hz)
+    duration_s = cycles / carrier_hz
+
+    def spectrum(frequency_hz: Floats) -> Complexes:
+        band = np.exp(-0.5 * np.square((np.abs(frequency_hz) - centre_hz) / width_hz))
+
+        def gate(offset_hz: Floats) -> Complexes:
+            turn = np.exp(-1j * np.pi * offset_hz * duration_s)
+            return np.asarray(duration_s * np.sinc(offset_hz * duration_s) * turn)
+
+        return np.asarray(band * (gate(frequency_hz - carrier_hz) - gate(frequency_hz + carrier_hz)) / 2j)
+
+    return from_spectrum(spectrum, -ringing, duration_s + ringing, tolerance)
+
+
+def from_spectrum(spectrum: object, start_s: float, end_s: float, tolerance: float) -> Pulse:
+    """Return the pulse whose Fourier transform is ``spectrum(frequency_hz)``, one that is over outside start and end.
+
+    Periods of the support carry the Fourier series; terms that together are below ``tolerance`` are left out.
+    """
+    assert callable(spectrum)
+    period_s = end_s - start_s
+    count = 64
+    while True:
+        frequency_hz = np.arange(count) / period_s
+        amplitude = 2 / period_s * np.asarray(spectrum(frequency_hz), dtype=np.complex128)
+        amplitude[0] /= 2
+        strong = np.abs(amplitude)
+        if strong[-count // 8 :].sum() < 0.1 * tolerance * strong.sum() or count >= 1 << 16:
+            break
+        count *= 2
+    return _strong_terms(start_s, end_s, frequency_hz, amplitude, tolerance)
+
+
+def sampled_pulse(value: Floats, sample_rate_hz: float, start_s: float, tolerance: float = 1e-10) -> Pulse:
+    """Return the band-limited pulse through measured samples ``value`` (sample,), the first at ``start_s``.
+
+    The samples are one period of a Fourier series: begin and end them near zero. Raises ValueError where a sample is
+    not finite, all are zero, or an end is above a tenth of the peak.
+    """
+    if not np.isfinite(value).all():
+        bad = int(np.flatnonzero(~np.isfinite(value))[0])
+        raise ValueError(f"pulse sample {bad} is {value[bad]}: remove it from the measured pulse")
+    peak = float(np.abs(value).max(initial=0.0))
+    if peak == 0.0:
+        raise ValueError("every sample of the measured pulse is 0: record it with the transducer connected")
+    if max(abs(value[0]), abs(value[-1])) > 0.1 * peak:
+        raise ValueError(
+            f"the measured pulse ends at {max(abs(value[0]), abs(value[-1])):.3g} with a peak of {peak:.3g}: it is cut "
+            "off; record more before and after it, or taper its ends"
+        )
+    count = len(value)
+    frequency_hz = np.arange(count // 2 + 1) * sample_rate_hz / count
+    amplitude = np.fft.rfft(value) * np.exp(-2j * np.pi * frequency_hz * start_s) * (2 / count)
+    amplitude[0] /= 2
+    if count % 2 == 0:
+        amplitude[-1] /= 2
+    return _strong_terms(start_s, start_s + count / sample_rate_hz, frequency_hz, amplitude, tolerance)
+
+
+def attenuated(pulse: Pulse, loss_db_per_hz: float) -> Pulse:
+    """Return the pulse behind a loss that grows in proportion to frequency: each exponential by its own loss.
+
+    Exact for a Fourier series whose support has room for the broader pulse; the Hann pulse keeps its support, which
+    leaves steps of the order of (loss across its band in Np)^2 / 4 at its ends.
+    """
+    loss_np = loss_db_per_hz * math.log(10) / 20
+    pairs = zip(pulse.frequency_hz, pulse.amplitude, strict=True)
+    return replace(pulse, amplitude=tuple(amplitude * math.exp(-loss_np * abs(hz)) for hz, amplitude in pairs))
+
+
+def waveform(pulse: Pulse, time_s: Floats) -> Floats:
+    """Return the pulse at ``time_s``, any shape, relative to its arrival."""
+    inside = (time_s >= pulse.start_s) & (time_s < pulse.end_s)
+    return np.where(inside, extended(pulse, time_s), 0.0)
+
+
+def extended(pulse: Pulse, time_s: Floats) -> Floats:
+    """Return the pulse's exponentials at ``time_s``, any shape, as if its support had no end."""
+    value = np.zeros(time_s.shape)
+    for frequency_hz, amplitude in zip(pulse.frequency_hz, pulse.amplitude, strict=True):
+        angle = 2 * np.pi * frequency_hz * time_s
+        value += amplitude.real * np.cos(angle)
+        if amplitude.imag != 0:
+            value -= amplitude.imag * np.sin(angle)
+    return value
+
+
+def phasors(pulse: Pulse, time_s: Floats, sign: int) -> Complexes:
+    """Return exp(sign j w_m t), (frequency, *time): two exponentials where the frequencies are evenly spaced."""
+    omega = 2 * np.pi * np.array(pulse.frequency_hz)
+    step = (omega[-1] - omega[0]) / max(1, len(omega) - 1)
+    out = np.empty((len(omega), *time_s.shape), dtype=np.complex128)
+    np.exp(sign * 1j * omega[0] * time_s, out=out[0])
+    if len(omega) > 2 and np.abs(np.diff(omega) - step).max() <= 1e-14 * np.abs(omega).max():
+        turn = np.exp(sign * 1j * step * time_s)
+        for term in range(1, len(omega)):
+            # Anew every sixteenth, so that rounding does not grow along the series.
+            if term % 16 == 0:
+                np.exp(sign * 1j * omega[term] * time_s, out=out[term])
+            else:
+                np.multiply(out[term - 1], turn, out=out[term])
+    else:
+        for term in range(1, len(omega)):
+            np.exp(sign * 1j * omega[term] * time_s, out=out[term])
+    return out
+
+
+def _strong_terms(start_s: float, end_s: float, frequency_hz: Floats, amplitude: Complexes, tolerance: float) -> Pulse:
+    strong = np.abs(amplitude)
+    budget = tolerance * strong.sum() / 2
+    first = int(np.searchsorted(np.cumsum(strong), budget))
+    last = len(strong) - int(np.searchsorted(np.cumsum(strong[::-1]), budget))
+    kept = slice(first, max(last, first + 1))
+    return Pulse(start_s, end_s, tuple(frequency_hz[kept].tolist()), tuple(amplitude[kept].tolist()))
