@@ -90,6 +90,8 @@ class DigitizerBoard(Section):
     """Whether the trigger output rises only after the trigger delay (not established for the ATS460)."""
     trigger_level_v: Positive = 1.5
     """Level of the external trigger input."""
+    acquisition_mode: Literal["single_port", "traditional"] | None = None
+    """Way to capture; absent: AutoDMA with record headers where there is dual-port memory, else single port."""
 
 
 class Wire(Section):
@@ -114,6 +116,40 @@ class Limits(Section):
     """Longest toneburst."""
     max_bursts: Annotated[int, Field(ge=1, strict=True)]
     """Most tonebursts in a train."""
+    max_drive_vpp: Positive | None = None
+    """Largest amplitude of a generator that drives the transducer; absent: the instrument's own limit."""
+    max_mechanical_index: Positive = 1.9
+    """Largest derated mechanical index (FDA, track 3)."""
+    max_sppa_w_per_m2: Positive = 1.9e6
+    """Largest derated pulse-average intensity; within it the mechanical index may be exceeded (FDA, track 3)."""
+    max_spta_w_per_m2: Positive = 7.2e3
+    """Largest derated time-average intensity (FDA, track 3)."""
+
+
+class DriveCalibration(Section):
+    """What a hydrophone in water measured at the focus for one kind of drive."""
+
+    carrier_hz: Positive
+    """Carrier that was driven."""
+    amplitude_vpp: Positive
+    """Generator amplitude that was set."""
+    rarefaction_pa: Positive
+    """Peak rarefactional pressure, not derated."""
+    sppa_w_per_m2: Positive
+    """Pulse-average intensity, not derated."""
+
+
+class Calibration(Section):
+    """Acoustic output of transducer, amplifier and generator together, from which every plan's output is estimated."""
+
+    source: str
+    """Who measured what when, or that it is assumed."""
+    focus_depth_m: Positive
+    """Distance between transducer and focus; the way over which the output is derated."""
+    toneburst: DriveCalibration | None = None
+    """The toneburst that pushes."""
+    tracking_pulse: DriveCalibration | None = None
+    """The pulse that tracks."""
 
 
 class BenchFile(Section):
@@ -125,6 +161,8 @@ class BenchFile(Section):
     """True for the twin; decides which wires are opened and is written into every file."""
     limits: Limits
     """What the bench must never exceed."""
+    calibration: Calibration | None = None
+    """Acoustic output; absent: it is not estimated, and said so."""
     generators: Generators
     """The generators by role."""
     digitizer: DigitizerBoard
