@@ -116,10 +116,16 @@ def simulation_schema() -> dict[str, Any]:
 
 
 @contextmanager
-def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str]) -> Iterator[Bench]:
-    """Yield the bench with the instruments of ``roles`` open; make it safe, verified, on every way out."""
+def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot: int = 0) -> Iterator[Bench]:
+    """Yield the bench with the instruments of ``roles`` open; make it safe, verified, on every way out.
+
+    ``first_shot`` is the index of the first shot to come: a twin that goes on with a run draws on its noise from there.
+    """
     with interruptible(), ExitStack() as stack:
-        opened = (_open_twin if bench.simulated else _open_metal)(scene, bench, roles, stack)
+        if bench.simulated:
+            opened = _open_twin(scene, bench, roles, stack, first_shot)
+        else:
+            opened = _open_metal(scene, bench, roles, stack)
         for instrument in opened.instruments:
             stack.callback(_close_quietly, instrument)
         # Nothing is sent to a stranger at a wrong address, not even to switch it off.
@@ -134,7 +140,7 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str]) -> Iterator
             make_safe(known)
 
 
-def _open_twin(scene: Scene, bench: BenchFile, roles: Sequence[str], stack: ExitStack) -> Bench:
+def _open_twin(scene: Scene, bench: BenchFile, roles: Sequence[str], stack: ExitStack, first_shot: int) -> Bench:
     from drivers.alazar_api import AlazarLibrary
     from sim_backend.settings import SimulationSettings
     from sim_backend.world import World
@@ -143,7 +149,8 @@ def _open_twin(scene: Scene, bench: BenchFile, roles: Sequence[str], stack: Exit
     if scene.beams is not None:
         declared["beams"] = scene.beams.model_dump(exclude={"pulse_length_m"})
     settings = SimulationSettings.model_validate(declared | (scene.simulation or {}))
-    world = World(settings, [(wire.source, wire.target, wire.delay_s) for wire in bench.wiring])
+    wiring = [(wire.source, wire.target, wire.delay_s) for wire in bench.wiring]
+    world = World(settings, wiring, first_capture=first_shot)
     wires = {role: cast(InstrumentWire, world.wire(role)) for role in roles if role != "digitizer"}
     library = cast(AlazarLibrary, world.alazar_library())
     return _assemble(bench, wires, library, world.clock, world, stack)

@@ -114,7 +114,7 @@ class World:
 
     ``wiring`` lists (source, target, delay in seconds); what is not wired is not triggered. Raises ``ValueError`` for
     an end that does not exist and for a loop. ``acoustics`` replaces the twin's own; ``models`` names the generators
-    that are no 33250A, by role.
+    that are no 33250A, by role. ``first_capture`` is the index of the first arming, from which its noise is drawn.
     """
 
     def __init__(
@@ -123,6 +123,7 @@ class World:
         wiring: Sequence[tuple[str, str, float]],
         acoustics: Physics | None = None,
         models: Mapping[str, str] | None = None,
+        first_capture: int = 0,
     ) -> None:
         instruments = settings.instruments
         self._settings = settings
@@ -136,7 +137,9 @@ class World:
             )
             for role in GENERATORS
         }
-        self.board = Board(latencies_of(instruments.digitizer_latency_s, instruments.aux_latency_s))
+        self.board = Board(
+            latencies_of(instruments.digitizer_latency_s, instruments.aux_latency_s), count=first_capture
+        )
         self._evaluated: tuple[int, Evaluation] | None = None
         self._recorded: tuple[Captured, NDArray[np.float64], int] | None = None
         self._past: list[Captured] = []
