@@ -82,7 +82,8 @@ def _record(event: Event, bench: Bench, writer: RunWriter) -> None:
             writer.settings(shot, settings)
         case ShotBlock(shot, block):
             writer.append(shot, block)
-        case ShotDone(shot):
+        case ShotDone(shot, clipped):
+            writer.clipped(shot, clipped)
             truth_m = bench.true_displacement_m()
             if truth_m is not None:
                 writer.truth(shot, truth_m)
@@ -109,6 +110,11 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
     if not shots:
         raise StoreError(f"{path} holds no records, the run is {stored.status}. Try: measure again.")
     warnings = tuple(str(finding) for finding in findings(scene, bench, plan) if finding.level != "passed")
+    warnings += tuple(
+        f"shot {shot + 1}: the digitizer's input left its range of {scene.acquisition.input_range_v:g} V, in the gate "
+        "or outside it: raise acquisition.input_range_v"
+        for shot in stored.clipped
+    )
     if stored.status != "complete":
         warnings += (f"the run is {stored.status}: not every record was acquired",)
     result = Result(

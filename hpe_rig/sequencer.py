@@ -50,9 +50,10 @@ class ShotBlock:
 
 @dataclass(frozen=True, slots=True)
 class ShotDone:
-    """A shot has ended and every output is off."""
+    """A shot has ended and every output is off; ``clipped`` says whether the digitizer's input left its range."""
 
     shot: Shot
+    clipped: bool
 
 
 Event = ShotReady | ShotBlock | ShotDone
@@ -83,7 +84,7 @@ def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Genera
         finally:
             bench.make_safe()
         observer(Progress(Step.SAFE, shot, shot.capture.record_count))
-        yield ShotDone(shot)
+        yield ShotDone(shot, bench.digitizer.clipped())
 
 
 def _configure(shot: Shot, bench: Bench, observer: Observer) -> Mapping[str, Mapping[str, Setting]]:

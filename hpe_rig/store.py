@@ -5,7 +5,8 @@ Layout, format version 1::
     /                      attributes: format, format_version, title, simulated, status, versions, commit, seed
     /scene, /bench         TOML text; /snapshot (shot,) JSON of the settings read back
     /records               echo (shot, pulse, sample) int16 with scale_factor and add_offset to volts,
-                           trigger_time_s and pulse_onset_s (shot, pulse); scales shot, pulse, sample
+                           trigger_time_s and pulse_onset_s (shot, pulse); clipped (shot,) 1 where the input left its
+                           range; scales shot, pulse, sample
     /truth                 displacement_m (shot, pulse), simulated runs only
 """
 
@@ -105,6 +106,10 @@ class RunWriter:
         valid = np.flatnonzero(np.isfinite(self._records["trigger_time_s"][shot.index]))
         self._file["truth/displacement_m"][shot.index, valid] = displacement_m[: valid.size]
 
+    def clipped(self, shot: Shot, clipped: bool) -> None:
+        """Write whether the digitizer's input left its range during ``shot``."""
+        self._records["clipped"][shot.index] = clipped
+
     def flush(self) -> None:
         """Hand what was written to the operating system."""
         self._file.flush()
@@ -112,7 +117,10 @@ class RunWriter:
 
 @dataclass(frozen=True, slots=True)
 class StoredRun:
-    """What a run file holds; ``true_displacement_m`` (shot, pulse) is None for a real bench."""
+    """What a run file holds; ``true_displacement_m`` (shot, pulse) is None for a real bench.
+
+    ``clipped`` are the indices of the shots during which the digitizer's input left its range.
+    """
 
     path: Path
     scene_name: str
@@ -123,6 +131,7 @@ class StoredRun:
     status: str
     records: tuple[ShotRecords, ...]
     true_displacement_m: NDArray[np.float64] | None
+    clipped: tuple[int, ...] = ()
 
 
 def read_run(path: Path) -> StoredRun:
@@ -163,6 +172,7 @@ def _stored_run(file: h5py.File, path: Path) -> StoredRun:
         status=str(file.attrs["status"]),
         records=records,
         true_displacement_m=file["truth/displacement_m"][()] if simulated else None,
+        clipped=tuple(int(shot) for shot in np.flatnonzero(group["clipped"][()])) if "clipped" in group else (),
     )
 
 
@@ -197,6 +207,7 @@ def _create_records(file: h5py.File, plan: Plan) -> h5py.Group:
     group["burst_length_s"] = [shot.timeline.burst_length_s for shot in shots]
     group["force_fraction"] = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
     group["repeat"] = [shot.repeat for shot in shots]
+    group["clipped"] = np.zeros(len(shots), np.int8)
     sample_s = plan.shots[0].timeline.record_offset_s[0] + np.arange(shape[2]) / capture.sample_rate_hz
     units = {"echo": "V", "trigger_time_s": "s", "pulse_onset_s": "s", "burst_length_s": "s"}
     _name_axes(group, {"shot": np.arange(shape[0]), "pulse": np.arange(shape[1]), "sample": sample_s}, units)

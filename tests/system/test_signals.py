@@ -1,0 +1,245 @@
+"""Killed, lost, clipped, unreachable: what is left running, what the file holds and what the user is told."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from drivers.agilent_33250a import Agilent33250A, MasterTrigger33250A
+from drivers.interfaces import DeadlineError, InstrumentError
+from hpe_rig import bench as bench_module
+from hpe_rig.bench import UnsafeBenchError, open_bench
+from hpe_rig.plan import SAFETY_MARGIN_S
+from hpe_rig.run import Setup, measure, process
+from hpe_rig.sequencer import acquire
+from hpe_rig.store import RunWriter, read_run
+from sim_backend.edges import PS_PER_S
+from sim_backend.world import World
+
+Prepare = Callable[..., Setup]
+posix = pytest.mark.skipif(os.name == "nt", reason="a console's signals cannot be sent to one process on Windows")
+
+
+@pytest.fixture
+def worlds(monkeypatch: pytest.MonkeyPatch) -> list[World]:
+    """Return a list that every simulated world made from now on is put into."""
+    made: list[World] = []
+    make = World.__init__
+
+    def noted(world: World, *args: Any, **kwargs: Any) -> None:
+        make(world, *args, **kwargs)
+        made.append(world)
+
+    monkeypatch.setattr(World, "__init__", noted)
+    return made
+
+
+def assert_safe(world: World) -> None:
+    assert not any(world.outputs_on().values())
+    assert world.digitizer_idle()
+
+
+def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_train(
+    prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
+) -> None:
+    """SIGKILL stops everything between two I/O calls: the twin then runs on with what is programmed by then."""
+    setup = prepared("bovine-muscle")
+    shot = setup.plan.shots[0]
+    train_s = shot.timeline.burst_onset_s[-1] + shot.timeline.burst_length_s
+    fired_s: list[float] = []
+    left_s: list[float] = []
+    fire = MasterTrigger33250A.fire
+
+    def noted_fire(master: MasterTrigger33250A) -> None:
+        fired_s.append(worlds[0].clock.now_s())
+        fire(master)
+
+    def if_killed_now() -> None:
+        (world,) = worlds
+        tonebursts, pulses, _ = world.emissions()
+        ends_ps = np.concatenate([tonebursts.end_ps, pulses.end_ps])
+        left_s.append(max(0.0, (ends_ps.max(initial=0) - world.clock.now_ps) / PS_PER_S))
+        latest_ps = world.clock.now_ps + round((train_s + 1e-3) * PS_PER_S)
+        assert tonebursts.end_ps.max(initial=0) <= latest_ps
+        assert tonebursts.onset_ps.size <= 20
+
+    wire = World.wire
+
+    def watched_wire(world: World, role: str) -> Any:
+        made = wire(world, role)
+        write = made.write
+
+        def watched(message: str) -> None:
+            write(message)
+            if_killed_now()
+
+        made.write = watched
+        return made
+
+    monkeypatch.setattr(World, "wire", watched_wire)
+    monkeypatch.setattr(MasterTrigger33250A, "fire", noted_fire)
+    measure(setup, tmp_path / "run.h5")
+    assert len(fired_s) == 1
+    print(f"killed at any of {len(left_s)} messages: the bench goes on for at most {max(left_s):.4f} s")
+    # It must have been seen running, and never for longer than its finite trains.
+    assert 0 < max(left_s) <= shot.train_end_s + 1e-3
+
+
+@posix
+def test_a_killed_run_leaves_a_file_that_no_later_run_overwrites(tmp_path: Path) -> None:
+    script = """
+import os, signal, sys
+from hpe_rig import run
+record = run._record
+def killed(event, bench, writer):
+    record(event, bench, writer)
+    if type(event).__name__ == "ShotBlock":
+        writer.flush()
+        os.kill(os.getpid(), signal.SIGKILL)
+run._record = killed
+sys.argv = ["hpe-rig", "run", "table-1", "--output", "run.h5"]
+from hpe_rig.cli import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, cwd=tmp_path, check=False)
+    assert done.returncode == -signal.SIGKILL
+    again = subprocess.run(
+        [sys.executable, "-m", "hpe_rig", "run", "table-1", "--output", "run.h5"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert again.returncode == 2
+    assert "never overwritten" in again.stderr
+
+
+def test_an_error_while_records_are_stored_leaves_the_bench_safe(
+    prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
+) -> None:
+    append, calls = RunWriter.append, []
+
+    def full(writer: RunWriter, *arguments: Any) -> None:
+        calls.append(arguments)
+        if len(calls) == 3:
+            raise OSError("no space left on the device")
+        append(writer, *arguments)
+
+    monkeypatch.setattr(RunWriter, "append", full)
+    with pytest.raises(OSError, match="no space left"):
+        measure(prepared("bovine-muscle"), tmp_path / "run.h5")
+    assert_safe(worlds[0])
+    run = read_run(tmp_path / "run.h5")
+    assert run.status == "failed"
+    assert run.records[0].valid.sum() == 2 * len(calls[0][1].codes)
+
+
+def test_an_error_while_processing_leaves_the_bench_safe_and_the_run_complete(
+    prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
+) -> None:
+    def fails(*arguments: Any) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("hpe_rig.estimation.estimate_run", fails)
+    path = measure(prepared("table-1"), tmp_path / "run.h5")
+    with pytest.raises(ZeroDivisionError):
+        process(path)
+    assert_safe(worlds[0])
+    assert read_run(path).status == "complete"
+
+
+def test_a_lost_master_ends_the_shot_when_the_plan_says_so(
+    prepared: Prepare, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
+) -> None:
+    setup = prepared("bovine-muscle")
+    fired_s: list[float] = []
+    monkeypatch.setattr(MasterTrigger33250A, "fire", lambda master: fired_s.append(worlds[0].clock.now_s()))
+
+    def run() -> None:
+        with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+            for _ in acquire(setup.plan, bench):
+                pass
+
+    with pytest.raises(DeadlineError, match="0 of 800"):
+        run()
+    assert_safe(worlds[0])
+    waited_s = worlds[0].clock.now_s() - fired_s[0]
+    # Making the bench safe afterwards takes a message of 1 ms each and the session's own waits.
+    assert waited_s <= setup.plan.shots[0].train_end_s + SAFETY_MARGIN_S + 0.5
+
+
+def test_an_input_beyond_its_range_becomes_a_warning_of_the_result(prepared: Prepare, tmp_path: Path) -> None:
+    small = ("[acquisition]", "[acquisition]\ninput_range_v = 0.05")
+    clean, loud = (
+        process(measure(prepared("table-1", *edits), tmp_path / f"{name}.h5"))
+        for name, edits in (("clean", ()), ("loud", (small,)))
+    )
+    assert not any("left its range" in warning for warning in clean.warnings)
+    assert any("shot 1: the digitizer's input left its range of 0.05 V" in warning for warning in loud.warnings)
+    with h5py.File(tmp_path / "loud.h5") as file:
+        assert file["records/clipped"][()].tolist() == [1]
+
+
+def test_an_output_that_cannot_be_proven_off_is_named_even_when_ctrl_c_comes_meanwhile(
+    prepared: Prepare, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup = prepared("bovine-muscle")
+    off = Agilent33250A.make_safe
+    deaf: list[str] = []
+
+    def unreachable(generator: Agilent33250A) -> None:
+        if generator.role in deaf:
+            signal.raise_signal(signal.SIGINT)
+            raise InstrumentError(generator.role, "no reply", "its power is off", "switch it off by hand")
+        off(generator)
+
+    monkeypatch.setattr(Agilent33250A, "make_safe", unreachable)
+
+    def run() -> None:
+        with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles):
+            deaf.append("toneburst")
+
+    with pytest.raises(UnsafeBenchError, match=r"MAY STILL BE DRIVING.*toneburst") as caught:
+        run()
+    assert caught.value.roles == ("toneburst",)
+    assert "by hand, now" in str(caught.value)
+
+
+def test_an_unreachable_output_has_its_own_exit_code(tmp_path: Path) -> None:
+    script = """
+import sys
+from drivers.agilent_33250a import Agilent33250A
+off, calls = Agilent33250A.make_safe, []
+def deaf(generator):
+    calls.append(generator.role)
+    if calls.count("toneburst") > 1 and generator.role == "toneburst":
+        raise TimeoutError("nothing came")
+    off(generator)
+Agilent33250A.make_safe = deaf
+sys.argv = ["hpe-rig", "run", "bovine-muscle", "--output", "run.h5"]
+from hpe_rig.cli import main
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 3
+    assert "THE BENCH MAY STILL BE DRIVING: not proven off: toneburst" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_checks_of_these_tests_can_fail(
+    prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
+) -> None:
+    """A bench that is left as it is, is seen to drive."""
+    monkeypatch.setattr(bench_module, "make_safe", lambda instruments: None)
+    measure(prepared("bovine-muscle"), tmp_path / "run.h5")
+    with pytest.raises(AssertionError):
+        assert_safe(worlds[0])
