@@ -40,16 +40,20 @@ Inlet = Literal[
 class Generator(Section):
     """One function generator."""
 
-    model: Literal["33250A"] = "33250A"
-    """Model that plays the role."""
+    model: Literal["33250A", "33220A", "33500B", "33600A"] = "33250A"
+    """Model, or series, that plays the role and must answer at the address."""
     address: str | None = None
     """VISA resource name; not used on the simulated bench."""
+    interface: str | None = None
+    """VISA resource name of the adapter in front of it, such as PRLGX-TCPIP0::host::1234::INTFC; absent: none."""
     latency_s: NonNegative = 0.0
     """Trigger input to first output edge."""
     load_ohm: Annotated[float, Field(ge=1, strict=True)] = 50.0
     """Load at the output; inf for a high-impedance input."""
     amplitude_vpp: Positive | None = None
     """Output amplitude of the tracking pulser."""
+    max_vpp: Positive | None = None
+    """Largest swing into the load that what hangs on the output bears; its driver refuses more."""
 
 
 class Generators(Section):
@@ -159,6 +163,8 @@ class BenchFile(Section):
     """One line that says which bench this is."""
     simulated: Annotated[bool, Field(strict=True)]
     """True for the twin; decides which wires are opened and is written into every file."""
+    transport: Literal["socket", "serial", "hislip", "vxi11", "prologix"] | None = None
+    """How VISA reaches the simulated generators, by loopback; absent: they are called in process."""
     limits: Limits
     """What the bench must never exceed."""
     calibration: Calibration | None = None
@@ -244,7 +250,8 @@ def _generators(bench: BenchFile) -> Mapping[str, Generator]:
 def _missing_addresses(bench: BenchFile) -> list[Mistake]:
     if bench.simulated:
         return []
-    return [
+    simulated_only = [Mistake("transport", "only the simulated bench has one", "remove it: the address says it all")]
+    return (simulated_only if bench.transport else []) + [
         Mistake(
             f"generators.{role}.address",
             "this key is required on a real bench",
