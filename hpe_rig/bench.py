@@ -5,13 +5,11 @@ The one place that chooses wires: the real drivers stand on VISA and the vendor'
 
 from __future__ import annotations
 
-import signal
-import threading
+import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from types import FrameType
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -28,7 +26,8 @@ from drivers.interfaces import (
     ToneburstGenerator,
 )
 from drivers.interfaces import Wire as InstrumentWire
-from hpe_rig.bench_file import BenchFile
+from hpe_rig.bench_file import GENERATOR_ROLES, BenchFile
+from hpe_rig.interrupts import interruptible, uninterrupted
 from hpe_rig.mistakes import Mistake, mistakes_of
 from hpe_rig.scene import Scene
 
@@ -122,10 +121,8 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
     ``first_shot`` is the index of the first shot to come: a twin that goes on with a run draws on its noise from there.
     """
     with interruptible(), ExitStack() as stack:
-        if bench.simulated:
-            opened = _open_twin(scene, bench, roles, stack, first_shot)
-        else:
-            opened = _open_metal(scene, bench, roles, stack)
+        reached = _reach_twin(_declared(scene), bench, first_shot) if bench.simulated else _reach_metal(bench, stack)
+        opened = _assemble(bench, roles, reached)
         for instrument in opened.instruments:
             stack.callback(_close_quietly, instrument)
         # Nothing is sent to a stranger at a wrong address, not even to switch it off.
@@ -140,62 +137,111 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
             make_safe(known)
 
 
-def _open_twin(scene: Scene, bench: BenchFile, roles: Sequence[str], stack: ExitStack, first_shot: int) -> Bench:
-    from drivers.alazar_api import AlazarLibrary
-    from sim_backend.settings import SimulationSettings
-    from sim_backend.world import World
+@contextmanager
+def open_each(bench: BenchFile) -> Iterator[Mapping[str, Instrument | Exception]]:
+    """Yield every instrument of the bench file by role, identified, or why it is not there; nothing is changed.
 
+    On the way out those that are there are made safe, verified.
+    """
+    roles = [role for role in GENERATOR_ROLES if getattr(bench.generators, role) is not None]
+    with interruptible(), ExitStack() as stack:
+        reached = _reach_twin({}, bench, 0) if bench.simulated else _reach_metal(bench, stack)
+        found: dict[str, Instrument | Exception] = {}
+        try:
+            for role in (*roles, "digitizer"):
+                try:
+                    instrument = reached.instrument(role, bench)
+                    stack.callback(_close_quietly, instrument)
+                    instrument.identify()
+                    found[role] = instrument
+                except (InstrumentError, OSError) as error:
+                    found[role] = error
+            yield found
+        finally:
+            make_safe([item for item in found.values() if not isinstance(item, Exception)])
+
+
+def visa_addresses() -> tuple[str, ...]:
+    """Return the addresses of the VISA instruments that can be found; empty where none or no VISA is there."""
+    import warnings
+
+    import pyvisa
+
+    for backend in ("", "@py"):
+        try:
+            with warnings.catch_warnings():
+                # Which of its optional parts pyvisa-py lacks is no concern of who looks for instruments.
+                warnings.simplefilter("ignore")
+                return tuple(pyvisa.ResourceManager(backend).list_resources())
+        except (pyvisa.Error, ValueError, OSError):
+            continue
+    return ()
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How the instruments of one bench are reached: a wire a generator, one library, one clock."""
+
+    wire: Callable[[str], InstrumentWire]
+    library: Callable[[], Any]
+    clock: Clock
+    world: World | None
+
+    def instrument(self, role: str, bench: BenchFile) -> Any:
+        """Return the driver of ``role`` on its wire."""
+        from drivers.agilent_33250a import MasterTrigger33250A, PulseGenerator33250A, ToneburstGenerator33250A
+        from drivers.ats460 import Ats460
+
+        if role == "digitizer":
+            board, library = bench.digitizer, self.library()
+            return Ats460(library, self.clock, role, board.system_id, board.board_id, mode=board.acquisition_mode)
+        if role in ("toneburst", "tracking_pulser"):
+            return ToneburstGenerator33250A(self.wire(role), role, max_vpp=bench.limits.max_drive_vpp or math.inf)
+        return (MasterTrigger33250A if role == "master" else PulseGenerator33250A)(self.wire(role), role)
+
+
+def _declared(scene: Scene) -> dict[str, Any]:
+    """Return what a scene declares of the specimen, as the twin's settings."""
     declared: dict[str, Any] = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
     if scene.beams is not None:
         declared["beams"] = scene.beams.model_dump(exclude={"pulse_length_m"})
-    settings = SimulationSettings.model_validate(declared | (scene.simulation or {}))
+    return declared | (scene.simulation or {})
+
+
+def _reach_twin(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int) -> Reach:
+    from sim_backend.settings import SimulationSettings
+    from sim_backend.world import World
+
+    settings = SimulationSettings.model_validate(simulation)
     wiring = [(wire.source, wire.target, wire.delay_s) for wire in bench.wiring]
     world = World(settings, wiring, first_capture=first_shot)
-    wires = {role: cast(InstrumentWire, world.wire(role)) for role in roles if role != "digitizer"}
-    library = cast(AlazarLibrary, world.alazar_library())
-    return _assemble(bench, wires, library, world.clock, world, stack)
+    return Reach(lambda role: cast(InstrumentWire, world.wire(role)), world.alazar_library, world.clock, world)
 
 
-def _open_metal(scene: Scene, bench: BenchFile, roles: Sequence[str], stack: ExitStack) -> Bench:
+def _reach_metal(bench: BenchFile, stack: ExitStack) -> Reach:
     from drivers.alazar_api import load_library
     from drivers.visa_wire import VisaWire
 
-    wires: dict[str, InstrumentWire] = {}
-    for role in roles:
-        if role != "digitizer":
-            wires[role] = VisaWire(getattr(bench.generators, role).address)
-            stack.callback(wires[role].close)
-    return _assemble(bench, wires, load_library(), WallClock(), None, stack)
+    def wire(role: str) -> InstrumentWire:
+        opened = VisaWire(getattr(bench.generators, role).address)
+        stack.callback(opened.close)
+        return opened
+
+    return Reach(wire, load_library, WallClock(), None)
 
 
-def _assemble(
-    bench: BenchFile,
-    wires: Mapping[str, InstrumentWire],
-    library: Any,
-    clock: Clock,
-    world: World | None,
-    stack: ExitStack,
-) -> Bench:
-    from drivers.agilent_33250a import MasterTrigger33250A, PulseGenerator33250A, ToneburstGenerator33250A
-    from drivers.ats460 import Ats460
-
-    def pulses(role: str) -> PulseGenerator33250A:
-        return PulseGenerator33250A(wires[role], role)
-
-    def bursts(role: str) -> ToneburstGenerator33250A:
-        return ToneburstGenerator33250A(wires[role], role)
-
-    board = bench.digitizer
+def _assemble(bench: BenchFile, roles: Sequence[str], reached: Reach) -> Bench:
+    drivers = {role: reached.instrument(role, bench) for role in roles}
     return Bench(
         simulated=bench.simulated,
-        clock=clock,
-        master=MasterTrigger33250A(wires["master"], "master"),
-        burst_train=pulses("burst_train") if "burst_train" in wires else None,
-        toneburst=bursts("toneburst") if "toneburst" in wires else None,
-        tracking_train=pulses("tracking_train"),
-        tracking_pulser=bursts("tracking_pulser"),
-        digitizer=Ats460(library, clock, system_id=board.system_id, board_id=board.board_id),
-        world=world,
+        clock=reached.clock,
+        master=drivers["master"],
+        burst_train=drivers.get("burst_train"),
+        toneburst=drivers.get("toneburst"),
+        tracking_train=drivers["tracking_train"],
+        tracking_pulser=drivers["tracking_pulser"],
+        digitizer=drivers["digitizer"],
+        world=reached.world,
     )
 
 
@@ -227,45 +273,3 @@ def _close_quietly(instrument: Instrument) -> None:
         instrument.close()
     except (InstrumentError, OSError):
         return
-
-
-class Terminated(BaseException):
-    """SIGTERM arrived; derived like KeyboardInterrupt so that no ``except Exception`` swallows it."""
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """Turn SIGTERM into ``Terminated`` while the bench is open, so that it unwinds like Ctrl-C."""
-
-    def terminate(number: int, frame: FrameType | None) -> None:
-        raise Terminated
-
-    with _handlers({signal.SIGTERM: terminate}):
-        yield
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM back until the block is done, then let the first of them through."""
-    held: list[int] = []
-
-    def hold(number: int, frame: FrameType | None) -> None:
-        held.append(number)
-
-    with _handlers({signal.SIGINT: hold, signal.SIGTERM: hold}):
-        yield
-    if held:
-        signal.raise_signal(held[0])
-
-
-@contextmanager
-def _handlers(handlers: Mapping[signal.Signals, Any]) -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.bench import Bench, Terminated, open_bench
+from hpe_rig.bench import Bench, open_bench
+from hpe_rig.interrupts import Terminated
 from hpe_rig.run import Setup
 from hpe_rig.sequencer import Progress, Step, acquire
 
