@@ -6,9 +6,11 @@ Provenance of every default is in its description: *paper* (Table I or Sec. III 
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from sim_backend.presets import Preset, with_preset
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -23,12 +25,24 @@ class Section(BaseModel):
 
 
 class Specimen(Section):
-    """A Voigt medium driven by the radiation force of the excitation beam."""
+    """A viscoelastic medium driven by the radiation force of the excitation beam."""
 
+    preset: Preset | None = None
+    """A specimen by name, which fills in every medium setting that is absent."""
+    medium: Literal["voigt", "maxwell", "zener", "power_law"] = "voigt"
+    """Law of the complex shear modulus."""
     shear_modulus_pa: Positive = 7.25e3
-    """Shear elasticity mu1 (paper: gelatin 12 %, 7.25 kPa)."""
+    """Shear elasticity mu1 (paper: gelatin 12 %, 7.25 kPa); of a power law, the modulus at the reference frequency."""
     shear_viscosity_pa_s: NonNegative = 1.0
     """Shear viscosity mu2 (paper: 1.0 Pa s)."""
+    branch_modulus_pa: Positive = 10.0e3
+    """Spring in series with the viscosity, of a Zener medium (assumed)."""
+    power: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    """Exponent of a power law's frequency (assumed)."""
+    reference_frequency_hz: Positive = 100.0
+    """Frequency at which a power law has ``shear_modulus_pa``."""
+    attenuation_db_per_cm_mhz: Positive = 0.5
+    """Attenuation of the medium (assumed); with the force it tells the intensity at the focus."""
     density_kg_per_m3: Positive = 1000.0
     """Mass density (assumed)."""
     force_density_n_per_m3: Positive = 4.0e6
@@ -39,6 +53,17 @@ class Specimen(Section):
     """Centre of the transducer's transmit band (paper: 3.0 MHz)."""
     resonance_quality: Positive = 2.34
     """Quality of that band as one damped mode (paper: -16 dB at 9 MHz)."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, given: Any) -> Any:
+        return with_preset(given)
+
+    @model_validator(mode="after")
+    def _maxwell_needs_viscosity(self) -> Specimen:
+        if self.medium == "maxwell" and self.shear_viscosity_pa_s == 0:
+            raise ValueError("a maxwell medium without viscosity resists nothing: raise shear_viscosity_pa_s above 0")
+        return self
 
 
 class MotionComponent(Section):

@@ -1,10 +1,10 @@
-"""Displacement at the focus of a Voigt medium under a Gaussian body force.
+"""Displacement at the focus of an incompressible viscoelastic medium under a Gaussian body force.
 
-Body force ``f0 exp(-x^2/2sx^2 - y^2/2sy^2 - z^2/2sz^2)`` along z in an incompressible medium of density rho and modulus
-``mu = mu1 + j w mu2`` (time factor exp(+j w t)). Only the divergence-free part of the force moves such a medium: the
-share 1 - m^2 of a plane wave whose direction has cosine m with z. What is left is a sum of independent damped
-oscillators, one a wave number k, which gives two forms of the same thing: the integral over k in closed form at each
-frequency (`frequency_response`), and each oscillator in closed form at each time (`step_response`).
+Body force ``f0 exp(-x^2/2sx^2 - y^2/2sy^2 - z^2/2sz^2)`` along z in a medium of density rho and modulus mu(s), s = j w
+(`sim_backend.moduli`). Only the divergence-free part of the force moves such a medium: the share 1 - m^2 of a plane
+wave whose direction has cosine m with z. The integral over wave numbers is a closed form at every complex s, which
+leaves one smooth quadrature over directions (`transfer`). On s = j w that is the frequency response; summed along a
+hyperbola in the left half plane it is the response to a step, at any time, without period, padding or time step.
 """
 
 from __future__ import annotations
@@ -16,39 +16,46 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.edges import PS_PER_S, Picoseconds
+from sim_backend.faddeeva import lag
 from sim_backend.force import ForcePulses
+from sim_backend.inverse_laplace import Panels, panels_of
+from sim_backend.moduli import creeps_for_ever, shear_modulus
 from sim_backend.settings import Specimen
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Triple = tuple[float, float, float]
 
-_ANGLE_NODES = 64
-_FEWEST_TABLE_TIMES = 512
-_TABLE_TIMES_PER_ONSET = 6
-_OSCILLATOR_TIMES_AT_ONCE = 1 << 20
-_NEGLIGIBLE_EXPONENT = 30.0  # exp(-30) = 1e-13
-_MOST_WAVE_NUMBERS = 20_000
+_DIRECTION_NODES = 64
+_FORGOTTEN = 1e-12
 
 
-def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: Floats) -> NDArray[np.complex128]:
+def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: Floats) -> Complexes:
     """Return displacement at the focus over body force there, m per N/m^3, complex (frequency,), time factor exp(+jwt).
 
-    ``width_m`` the sigmas of the force, ``frequency_hz`` (frequency,) >= 0. Model notes, section 3, with the azimuth
-    averaged where the lateral widths differ. Loses digits where the focus is many shear wavelengths wide.
+    ``width_m`` the sigmas of the force, ``frequency_hz`` (frequency,) >= 0. Model notes, section 3. Raises
+    ``ValueError`` at 0 Hz for a medium that creeps for ever.
     """
-    # Here because a run needs the transient only, and loading scipy.special takes longer than the run's physics.
-    from scipy.special import wofz
+    frequency_hz = np.asarray(frequency_hz, dtype=np.float64)
+    if creeps_for_ever(specimen) and not frequency_hz.all():
+        raise ValueError(
+            f"specimen: a {specimen.medium} medium has no displacement at 0 Hz, it creeps without end. "
+            "Try: a frequency above 0, or another medium."
+        )
+    return transfer(specimen, width_m, np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128))
 
-    omega = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)[:, None]
-    modulus = specimen.shear_modulus_pa + 1j * omega * specimen.shear_viscosity_pa_s
-    k2 = specimen.density_kg_per_m3 * omega**2 / modulus
+
+def transfer(specimen: Specimen, width_m: Triple, s_per_s: Complexes) -> Complexes:
+    """Return the same at complex frequencies ``s_per_s`` (frequency,), continued into the left half plane.
+
+    ``U = f0 (2 pi)^(-1/2) sx sy sz / mu(s) * mean over directions of (1 - m^2) sqrt(pi/a) (1 + j sqrt(pi) z w(z))``,
+    z = q sqrt(a), q = j s sqrt(rho / mu(s)), a half the squared width of the force along the direction.
+    """
+    modulus = shear_modulus(specimen, s_per_s)
     a, share = _directions(width_m)
-    # The integral over k converges on the root in the upper half plane; np.sqrt gives the one with Re >= 0.
-    q = np.sqrt(k2)
-    q = np.where(q.imag < 0, -q, q)
-    static = np.sqrt(np.pi / a) / 2
-    moving = np.where(omega > 0, 0.5j * np.pi * q * wofz(q * np.sqrt(a)), 0.0)
-    return np.asarray(_strength(width_m) * ((static + moving) @ share) / modulus[:, 0])
+    q = 1j * s_per_s * np.sqrt(specimen.density_kg_per_m3 / modulus)
+    moved = lag(q[:, None] * np.sqrt(a)) @ (np.sqrt(np.pi / a) / 2 * share)
+    return np.asarray(_strength(width_m) / modulus * moved)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,67 +63,30 @@ class StepResponse:
     """Displacement at the focus, m per N/m^3, at a time after a unit force is switched on for good."""
 
     memory_s: float
-    """Time after which the displacement is the static one."""
-    table_m: Floats
-    """Displacement at equal steps of the square root of time, which resolve the onset; one step more on both sides."""
+    """Time after which the displacement is the static one; where there is none, the end of the table."""
+    panels: Panels
 
     def at(self, time_s: Floats) -> Floats:
-        """Return the displacement at ``time_s``, any shape, exactly 0 up to the onset: cubic through four points."""
-        steps = len(self.table_m) - 3
-        place = np.sqrt(np.clip(time_s / self.memory_s, 0.0, 1.0)) * steps
-        left = np.minimum(place.astype(np.int64), steps - 1)
-        u = place - left
-        before, start, end, after = (self.table_m[left + offset] for offset in range(4))
-        outer = u * (u - 1) / 6 * ((u + 1) * after - (u - 2) * before)
-        value = outer + (u + 1) * (u - 2) / 2 * ((u - 1) * start - u * end)
-        return np.where(time_s > 0, value, 0.0)
+        """Return the displacement at ``time_s``, any shape, exactly 0 up to the onset."""
+        return self.panels.at(time_s)[..., 0]
 
 
 def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
-    """Return the specimen's step response, good to 5e-6 of the peak response to a 100 us burst."""
-    memory_s = _memory_s(specimen, width_m)
-    onset_s = _onset_s(specimen, width_m)
-    times = max(_FEWEST_TABLE_TIMES, math.ceil(_TABLE_TIMES_PER_ONSET * math.sqrt(memory_s / onset_s)))
-    value = step_response(specimen, width_m, memory_s * np.linspace(0.0, 1.0, times) ** 2)
-    value[0] = 0.0
-    # Even in the square root of time on one side, static on the other.
-    return StepResponse(memory_s, np.concatenate([value[1:2], value, value[-1:]]))
+    """Return the specimen's step response, good to 1e-10 of itself at any time from 1 ps to 10^4 s."""
+    panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None])
+    if creeps_for_ever(specimen):
+        return StepResponse(panels.end_s, panels)
+    static_m = transfer(specimen, width_m, np.zeros(1, np.complex128))[0].real
+    begin_s = panels.begins_s
+    moving = np.flatnonzero(np.abs(panels.at(begin_s)[:, 0] - static_m) > _FORGOTTEN * static_m)
+    return StepResponse(float(begin_s[min(moving[-1] + 1, len(begin_s) - 1)]), panels)
 
 
 def step_response(specimen: Specimen, width_m: Triple, time_s: Floats) -> Floats:
-    """Return the displacement at ``time_s`` (time,) >= 0 after a unit force was switched on, m per N/m^3.
+    """Return the displacement at ``time_s`` (time,) > 0 after a unit force was switched on, m per N/m^3: no table."""
+    from sim_backend.inverse_laplace import step_of
 
-    One quadrature over the wave number k of damped oscillators, each in closed form: causal, without period or padding.
-    Beyond the medium's memory its accuracy is lost; there the displacement is static.
-    """
-    k, spacing = _wave_numbers(specimen, width_m)
-    a, share = _directions(width_m)
-    spectrum = (np.exp(-np.outer(k**2, a)) @ share) * spacing
-    stiffness = specimen.shear_modulus_pa / specimen.density_kg_per_m3 * k**2
-    damping = specimen.shear_viscosity_pa_s / (2 * specimen.density_kg_per_m3) * k**2
-    rings = damping**2 < stiffness
-    sagging = np.empty(time_s.shape)
-    step = max(1, _OSCILLATOR_TIMES_AT_ONCE // len(k))
-    for first in range(0, len(time_s), step):
-        some = slice(first, first + step)
-        sagging[some] = _ringing(damping[rings], stiffness[rings], time_s[some]) @ spectrum[rings]
-        sagging[some] += _creeping(damping[~rings], stiffness[~rings], time_s[some]) @ spectrum[~rings]
-    return np.asarray(_strength(width_m) / specimen.shear_modulus_pa * (spectrum.sum() - sagging))
-
-
-def _ringing(damping: Floats, stiffness: Floats, time_s: Floats) -> Floats:
-    """Return what the underdamped oscillators still lack of their static displacement, (time, oscillator)."""
-    omega = np.sqrt(stiffness - damping**2)
-    phase = np.outer(time_s, omega)
-    return np.asarray(np.exp(-np.outer(time_s, damping)) * (np.cos(phase) + damping / omega * np.sin(phase)))
-
-
-def _creeping(damping: Floats, stiffness: Floats, time_s: Floats) -> Floats:
-    """Return the same for overdamped oscillators, without overflow and without cancellation of the slow root."""
-    # Critical damping divides 0 by 0; a root apart by 1e-9 of the damping changes the result by its square.
-    d = np.sqrt(np.maximum(damping**2 - stiffness, (1e-9 * damping) ** 2))
-    gone = -np.expm1(np.outer(time_s, -2 * d))
-    return np.asarray(np.exp(np.outer(time_s, -stiffness / (damping + d))) * (1 + gone * (damping / d - 1) / 2))
+    return np.array([step_of(lambda s: transfer(specimen, width_m, s), time) for time in time_s.tolist()])
 
 
 def transient_displacement(response: StepResponse, force: ForcePulses, time_ps: Picoseconds) -> Floats:
@@ -148,45 +118,27 @@ def _strength(width_m: Triple) -> float:
 
 def _directions(width_m: Triple) -> tuple[Floats, Floats]:
     """Return ``a``, half the squared width of the force along each direction, and its share, (direction,)."""
-    node, node_weight = np.polynomial.legendre.leggauss(_ANGLE_NODES)
-    node, node_weight = (node + 1) / 2, node_weight / 2
-    x2, y2, z2 = (width**2 for width in width_m)
-    azimuth = (np.arange(16) + 0.5) * np.pi / 32 if x2 != y2 else np.zeros(1)
-    lateral = x2 * np.cos(azimuth) ** 2 + y2 * np.sin(azimuth) ** 2
-    a = (lateral[:, None] * (1 - node**2) + z2 * node**2) / 2
-    share = np.broadcast_to(2 * (1 - node**2) * node_weight / len(azimuth), a.shape)
-    return a.ravel(), share.ravel()
+    wide, narrow = max(width_m[:2]), min(width_m[:2])
+    # The mean over azimuth converges like ((r - 1)/(r + 1))^2n, r the ratio of the lateral widths.
+    count = 1 if wide == narrow else 8 * math.ceil(wide / narrow) + 8
+    azimuth = (np.arange(count) + 0.5) * np.pi / (2 * count)
+    lateral = width_m[0] * width_m[0] * np.cos(azimuth) ** 2 + width_m[1] * width_m[1] * np.sin(azimuth) ** 2
+    parts = [_polar(float(square), width_m[2] ** 2) for square in lateral]
+    return np.concatenate([a for a, _ in parts]), np.concatenate([share for _, share in parts]) / count
 
 
-def _onset_s(specimen: Specimen, width_m: Triple) -> float:
-    """Return the shortest time in which the response bends: a shear wave, or viscosity, crosses the force's waist."""
-    narrow_m = min(width_m)
-    by_wave_s = narrow_m / math.sqrt(specimen.shear_modulus_pa / specimen.density_kg_per_m3)
-    by_viscosity_per_s = specimen.shear_viscosity_pa_s / (specimen.density_kg_per_m3 * narrow_m**2)
-    return 1 / (1 / by_wave_s + by_viscosity_per_s)
-
-
-def _memory_s(specimen: Specimen, width_m: Triple) -> float:
-    """Return when the last wave has left the focus: c^2 t^2 = 4 x 30 (a + s t), diffusivity s = mu2 / 2 rho."""
-    c2 = specimen.shear_modulus_pa / specimen.density_kg_per_m3
-    diffusivity = specimen.shear_viscosity_pa_s / (2 * specimen.density_kg_per_m3)
-    b = 4 * _NEGLIGIBLE_EXPONENT * diffusivity
-    return (b + math.sqrt(b**2 + 8 * _NEGLIGIBLE_EXPONENT * max(width_m) ** 2 * c2)) / (2 * c2)
-
-
-def _wave_numbers(specimen: Specimen, width_m: Triple) -> tuple[Floats, float]:
-    """Return the wave numbers that the force contains and their spacing, for the trapezoidal rule.
-
-    The integrand is even and entire in k, so the rule errs only by its images, sources at multiples of 2 pi / spacing:
-    with these 2 c t away, none arrives within the memory t.
-    """
-    highest = math.sqrt(2 * _NEGLIGIBLE_EXPONENT) / min(width_m)
-    speed = math.sqrt(specimen.shear_modulus_pa / specimen.density_kg_per_m3)
-    spacing = math.pi / (speed * _memory_s(specimen, width_m))
-    count = math.ceil(highest / spacing)
-    if count > _MOST_WAVE_NUMBERS:
-        raise ValueError(
-            f"specimen: its transient needs {count} wave numbers, at most {_MOST_WAVE_NUMBERS} are kept. "
-            "The medium creeps too slowly for its size. Try: raise shear_modulus_pa or lower shear_viscosity_pa_s."
-        )
-    return spacing * np.arange(0.5, count), spacing
+def _polar(lateral: float, axial: float) -> tuple[Floats, Floats]:
+    """Return the same for one azimuth; nodes in the angle v that makes the width along the direction smooth."""
+    node, weight = np.polynomial.legendre.leggauss(_DIRECTION_NODES)
+    node, weight = (node + 1) / 2, weight / 2
+    if axial > lateral:
+        unit = math.sqrt(lateral / (axial - lateral))
+        top = math.asinh(1 / unit)
+        m, slope = unit * np.sinh(top * node), unit * top * np.cosh(top * node)
+    elif axial < lateral:
+        unit = 1 / math.sqrt(1 - axial / lateral)
+        top = math.asin(1 / unit)
+        m, slope = unit * np.sin(top * node), unit * top * np.cos(top * node)
+    else:
+        m, slope = node, np.ones_like(node)
+    return (lateral * (1 - m**2) + axial * m**2) / 2, 2 * (1 - m**2) * slope * weight

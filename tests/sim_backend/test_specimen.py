@@ -167,11 +167,12 @@ def test_step_response_ends_at_the_static_displacement_within_the_memory(viscosi
 def test_table_interpolates_the_step_response(modulus_pa, viscosity_pa_s):
     specimen = Specimen(shear_modulus_pa=modulus_pa, shear_viscosity_pa_s=viscosity_pa_s)
     response = tabulate_step_response(specimen, WIDTH_M)
-    time_s = response.memory_s * np.random.default_rng(2).uniform(0, 1, 700) ** 2
+    time_s = response.memory_s * np.random.default_rng(2).uniform(0, 1, 150) ** 2
     exact = step_response(specimen, WIDTH_M, time_s)
     peak = np.abs(response.at(time_s) - response.at(time_s - 100e-6)).max()
-    # The accuracy that the docstring of the table promises.
-    assert np.abs(response.at(time_s) - exact).max() < 5e-6 * peak
+    # The accuracy that the docstring of the table promises, of the static displacement that both approach.
+    assert np.abs(response.at(time_s) - exact).max() < 1e-10 * exact.max()
+    assert np.abs(response.at(time_s) - exact).max() < 1e-8 * peak
 
 
 def test_medium_accelerates_at_first_like_a_free_mass():
@@ -184,6 +185,10 @@ def test_medium_accelerates_at_first_like_a_free_mass():
     assert step_response(specimen, WIDTH_M, time_s)[0] == pytest.approx(free * time_s[0] ** 2 / 2e3, rel=3e-4)
 
 
-def test_a_medium_too_slow_for_its_transient_is_refused_with_both_numbers():
-    with pytest.raises(ValueError, match=r"wave numbers, at most 20000.*raise shear_modulus_pa"):
-        tabulate_step_response(Specimen(shear_modulus_pa=1.0, shear_viscosity_pa_s=1e3), WIDTH_M)
+def test_a_medium_that_creeps_for_hours_still_has_its_transient():
+    specimen = Specimen(shear_modulus_pa=1.0, shear_viscosity_pa_s=1e4)
+    response = tabulate_step_response(specimen, WIDTH_M)
+    static_m = frequency_response(specimen, WIDTH_M, np.zeros(1))[0].real
+    # Inertia is nothing here: the medium creeps like one dashpot beside one spring, time constant mu2 / mu1.
+    creep = -np.expm1(-np.array([1.0, 1e3, 1e4]) / 1e4)
+    assert response.at(np.array([1.0, 1e3, 1e4])) == pytest.approx(static_m * creep, rel=1e-6)
