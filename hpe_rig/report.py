@@ -1,0 +1,223 @@
+"""Run file -> one self-contained HTML page: inline SVG, no script, no network, opens anywhere.
+
+The numbers come from the stored records, estimated again, never from a table that somebody could have edited.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from hpe_rig import figures, report_provenance
+from hpe_rig.bench_file import BenchFile, parse_bench
+from hpe_rig.conflicts import findings
+from hpe_rig.figures_svg import Picture
+from hpe_rig.figures_sweep import sweep_pictures
+from hpe_rig.plan import Plan, make_plan
+from hpe_rig.report_checks import Check, residual_checks
+from hpe_rig.report_sweep import Sweep, make_sweep
+from hpe_rig.result import Estimate, Result, ShotResult
+from hpe_rig.run import Stages, process
+from hpe_rig.scene import Scene, parse_scene
+from hpe_rig.shot_view import MotionView, echo_view, motion_view
+from hpe_rig.store import StoredRun, StoreError, read_run
+
+MOST_ROWS = 1000
+"""Rows of the table of every shot; what is beyond stays in the result file."""
+LONGEST_TEXT = 60_000
+"""Characters of scene and bench file that are shown."""
+CLOSE_PERIODS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorStage:
+    """What one stage adds to the error of the strongest harmonic, in words."""
+
+    stage: str
+    size: str
+    source: str
+
+
+def write_report(path: Path, estimator: str | None = None, output: Path | None = None, shot: int | None = None) -> Path:
+    """Write the report of the run in ``path`` and return its own path, by default beside the run with ``.html``.
+
+    ``shot`` counts from 1 and says which one is drawn; absent: the one that moves most. Raises ``StoreError`` for a
+    file that cannot be read or written and ``SettingsError`` for what the file says or the caller asks.
+    """
+    target = output or path.with_suffix(".html")
+    page = render(path, estimator, shot)
+    try:
+        target.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(f"{target} cannot be written ({error}). Try: another --output.") from None
+    return target
+
+
+def render(path: Path, estimator: str | None = None, shot: int | None = None) -> str:
+    """Return the report of the run in ``path`` as HTML text; raises as ``write_report``."""
+    stored = read_run(path)
+    scene = parse_scene(stored.scene_name, stored.scene_toml).scene
+    bench = parse_bench(stored.bench_name, stored.bench_toml).bench
+    stages = Stages()
+    stages.run_time_s.update(report_provenance.earlier_run_time_s(path, estimator or scene.processing.estimator))
+    result = process(path, estimator, stages)
+    shown = _shown(result, shot)
+    plan = make_plan(scene, bench)
+    with stages("draw"):
+        pictures, checks, motion = _look(scene, plan, stored, shown)
+        sweep = make_sweep(result.shots)
+        swept = sweep_pictures(sweep) if sweep else ()
+    return _page(
+        result=result,
+        shown=shown,
+        scene=scene,
+        stored=stored,
+        pictures={picture.key: picture for picture in pictures},
+        swept=swept,
+        sweep=sweep,
+        checks=checks,
+        errors=error_stages(shown, motion),
+        findings=findings(scene, bench, plan),
+        settings=report_provenance.settings(path, shown.shot),
+        attributes=report_provenance.attributes(path),
+        fingerprint=report_provenance.fingerprint(path),
+        facts=_facts(scene, bench, plan, result),
+        strongest=strongest(shown),
+        most_rows=MOST_ROWS,
+        longest_text=LONGEST_TEXT,
+        stages=_bars(result),
+    )
+
+
+def strongest(shot: ShotResult) -> Estimate:
+    """Return the estimate of the largest amplitude."""
+    return max(shot.estimates, key=lambda item: item.amplitude_m)
+
+
+def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage]:
+    """Return what every stage adds to the error of the strongest harmonic of ``shot``, first to last."""
+    lead = strongest(shot)
+    rows = []
+    if motion is not None:
+        echo_nm = math.sqrt(float(motion.noise_m2.mean())) * 1e9
+        rows.append(ErrorStage("one echo", f"{echo_nm:.3g} nm", "scatter of the echoes about their mean shape"))
+    rows.append(ErrorStage("one displacement", f"{shot.residual_m * 1e9:.3g} nm rms", "residual of the fit"))
+    amplitude = f"{lead.amplitude_uncertainty_m * 1e9:.3g} nm, {math.degrees(lead.phase_uncertainty_rad):.2g} degrees"
+    rows.append(
+        ErrorStage("harmonic", amplitude, f"standard uncertainty from that residual, {shot.pulses_used} pulses")
+    )
+    if lead.averaging_factor is not None:
+        bias = f"{(lead.averaging_factor - 1) * 100:+.1f} %"
+        rows.append(ErrorStage("beam averaging", bias, "predicted bias against the peak displacement, not corrected"))
+    if lead.speckle_relative is not None:
+        spread = f"{lead.speckle_relative * 100:.1f} %, {lead.speckle_relative * lead.amplitude_m * 1e9:.3g} nm"
+        rows.append(ErrorStage("speckle", spread, "predicted standard deviation from place to place"))
+    if lead.amplitude_error is not None and lead.phase_error_rad is not None:
+        error = f"{lead.amplitude_error * 100:+.1f} %, {math.degrees(lead.phase_error_rad):+.2f} degrees"
+        rows.append(ErrorStage("all together", error, "against the truth, which the twin knows"))
+    return rows
+
+
+def _shown(result: Result, shot: int | None) -> ShotResult:
+    if shot is None:
+        return max(result.shots, key=lambda item: strongest(item).amplitude_m if item.estimates else 0.0)
+    for item in result.shots:
+        if item.shot == shot - 1:
+            return item
+    numbers = ", ".join(str(item.shot + 1) for item in result.shots[:10])
+    raise StoreError(f"shot {shot} has no result, of {len(result.shots)} that have one. Try: --shot {numbers}.")
+
+
+def _look(
+    scene: Scene, plan: Plan, stored: StoredRun, result: ShotResult
+) -> tuple[list[Picture], list[Check], MotionView | None]:
+    """Return the pictures of one shot, the tests of its residual and its motion, None where there is none."""
+    shot, records = plan.shots[result.shot], stored.records[result.shot]
+    pictures = list(figures.timing(shot))
+    echoes = echo_view(scene, shot, records)
+    if echoes is not None:
+        pictures += [figures.rf_line(echoes), figures.m_mode(echoes)]
+    if result.estimates:
+        pictures += [figures.amplitude_spectrum(result.estimates), figures.phase_spectrum(result.estimates)]
+    try:
+        motion = motion_view(scene, shot, records, result)
+    except ValueError as error:
+        return pictures, [Check("displacement", "not possible", str(error), "")], None
+    periods_s = CLOSE_PERIODS / min(motion.frequencies_hz, default=math.inf)
+    close_s = periods_s if 0 < periods_s < motion.time_s[-1] - motion.time_s[0] else None
+    pictures.append(figures.displacement(motion, None, "displacement", "Displacement in the processing window"))
+    if close_s:
+        title = f"Closer: {CLOSE_PERIODS} periods of the lowest frequency"
+        pictures.append(figures.displacement(motion, close_s, "displacement-close", title))
+    return pictures + list(figures.residual(motion)), residual_checks(motion), motion
+
+
+def _facts(scene: Scene, bench: BenchFile, plan: Plan, result: Result) -> list[tuple[str, str]]:
+    """Return what was measured and how, as names and values."""
+    gate, tracking = scene.acquisition, scene.tracking
+    shot = plan.shots[0]
+    facts = [("bench", bench.title), ("run file", result.run_file), ("run", result.status)]
+    if scene.excitation:
+        lengths = " / ".join(f"{length * 1e6:g}" for length in scene.excitation.burst_length_s)
+        forces = " / ".join(f"{force:g}" for force in scene.excitation.force_fraction)
+        push = f"{scene.excitation.burst_count} tonebursts of {lengths} us at {scene.excitation.burst_rate_hz:g} Hz"
+        facts.append(("push", f"{push}, F = {forces} F_0"))
+    else:
+        facts.append(("push", "none: the scene has no [excitation]"))
+    return [
+        *facts,
+        ("track", f"{shot.capture.record_count} pulses of {tracking.cycles} cycles at {tracking.pulse_rate_hz:g} Hz"),
+        ("gate", f"{gate.gate_length_m * 1e3:g} mm at {gate.gate_depth_m * 1e3:g} mm depth"),
+        ("shots", f"{len(result.shots)} of {len(plan.shots)} planned"),
+        ("estimator", result.estimator),
+        ("phase", result.phase_reference),
+    ]
+
+
+def _bars(result: Result) -> list[tuple[str, float, float]]:
+    """Return stage, seconds and share of the longest one."""
+    longest = max(result.run_time_s.values(), default=0.0) or 1.0
+    return [(name, seconds, seconds / longest) for name, seconds in result.run_time_s.items()]
+
+
+def _page(*, result: Result, sweep: Sweep | None, **context: Any) -> str:
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.filters.update(nm=_nm, deg=_deg, percent=_percent, svg=_svg)
+    template = (resources.files("hpe_rig") / "templates" / "report.html").read_text(encoding="utf-8")
+    warnings = (*result.warnings, *_shot_warnings(result.shots))
+    return environment.from_string(template).render(result=result, sweep=sweep, warnings=warnings, **context)
+
+
+def _shot_warnings(shots: Sequence[ShotResult]) -> list[str]:
+    """Return the shots' warnings, each text once with the shots that have it."""
+    by_text: dict[str, list[int]] = {}
+    for shot in shots:
+        for text in shot.warnings:
+            by_text.setdefault(text, []).append(shot.shot + 1)
+    if len(shots) == 1:
+        return list(by_text)
+    return [f"shot {', '.join(map(str, numbers[:12]))}: {text}" for text, numbers in by_text.items()]
+
+
+def _svg(picture: Picture) -> Markup:
+    # Drawn here, from numbers, with every text escaped by the drawing itself.
+    return Markup(picture.svg)  # noqa: S704
+
+
+def _nm(length_m: float | None, digits: int = 4) -> str:
+    return "–" if length_m is None or not math.isfinite(length_m) else f"{length_m * 1e9:.{digits}g}"
+
+
+def _deg(angle_rad: float | None, form: str = ".2f") -> str:
+    return "–" if angle_rad is None or not math.isfinite(angle_rad) else format(math.degrees(angle_rad), form)
+
+
+def _percent(ratio: float | None, form: str = "+.1f") -> str:
+    return "–" if ratio is None or not math.isfinite(ratio) else format(ratio * 100, form)

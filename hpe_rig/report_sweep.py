@@ -1,0 +1,134 @@
+"""Many shots as curves: what was varied, means over repeats, and a straight line through them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.result import ShotResult
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A straight line y = intercept + slope x by least squares, with standard uncertainties (NaN: too few points)."""
+
+    slope: float
+    slope_u: float
+    intercept: float
+    intercept_u: float
+    r_squared: float
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One frequency's amplitude and phase over what was varied, repeats averaged.
+
+    ``x``, means and standard deviations over repeats (point,), deviations NaN where a point has one repeat only;
+    ``line`` goes through every shot, None where fewer than two values of x were measured.
+    """
+
+    frequency_hz: float
+    group: str
+    x: FloatArray
+    amplitude_m: FloatArray
+    amplitude_sd_m: FloatArray
+    phase_rad: FloatArray
+    phase_sd_rad: FloatArray
+    repeats: int
+    line: Line | None
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """The curves of a run; ``label`` names the axis with its unit."""
+
+    label: str
+    curves: tuple[Curve, ...]
+
+
+def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
+    """Return the curves of ``shots``; None for a single shot."""
+    if len(shots) < 2:
+        return None
+    lengths = {shot.burst_length_s for shot in shots}
+    forces = {shot.force_fraction for shot in shots}
+    if len(forces) > 1:
+        return _sweep("force F / F_0", shots, [shot.force_fraction for shot in shots], [_length(s) for s in shots])
+    if len(lengths) > 1:
+        return _sweep(
+            "burst length T_b (us)", shots, [(s.burst_length_s or 0.0) * 1e6 for s in shots], [""] * len(shots)
+        )
+    return _sweep("repeat", shots, [float(shot.repeat + 1) for shot in shots], [""] * len(shots))
+
+
+def fit_line(x: FloatArray, y: FloatArray) -> Line | None:
+    """Return the least-squares line through (x, y), both (point,); None where x has fewer than two values."""
+    centred = x - x.mean()
+    spread = float(centred @ centred)
+    if not spread > 0:
+        return None
+    slope = float(centred @ y) / spread
+    intercept = float(y.mean()) - slope * float(x.mean())
+    left = y - intercept - slope * x
+    total = float(np.sum((y - y.mean()) ** 2))
+    variance = float(left @ left) / (x.size - 2) if x.size > 2 else math.nan
+    return Line(
+        slope=slope,
+        slope_u=math.sqrt(variance / spread),
+        intercept=intercept,
+        intercept_u=math.sqrt(variance * (1 / x.size + float(x.mean()) ** 2 / spread)),
+        r_squared=1 - float(left @ left) / total if total > 0 else math.nan,
+    )
+
+
+def _length(shot: ShotResult) -> str:
+    return "" if shot.burst_length_s is None else f"T_b = {shot.burst_length_s * 1e6:g} us"
+
+
+def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], groups: Sequence[str]) -> Sweep:
+    places = np.array([math.nan if value is None else value for value in x], dtype=np.float64)
+    names = list(dict.fromkeys(groups))
+    curves = [
+        _curve(index, name, [shot for shot, group in zip(shots, groups, strict=True) if group == name], inside)
+        for index in range(len(shots[0].estimates))
+        for name in names
+        for inside in [places[[group == name for group in groups]]]
+    ]
+    return Sweep(label, tuple(curves))
+
+
+def _curve(index: int, group: str, shots: Sequence[ShotResult], x: FloatArray) -> Curve:
+    amplitude = np.array([shot.estimates[index].amplitude_m for shot in shots])
+    phase = np.array([shot.estimates[index].phase_rad for shot in shots])
+    values = np.unique(x)
+    each = [x == value for value in values]
+    amplitudes = [_spread(amplitude[here]) for here in each]
+    phases = [_circular(phase[here]) for here in each]
+    return Curve(
+        frequency_hz=shots[0].estimates[index].frequency_hz,
+        group=group,
+        x=values,
+        amplitude_m=np.array([mean for mean, _ in amplitudes]),
+        amplitude_sd_m=np.array([sd for _, sd in amplitudes]),
+        phase_rad=np.array([mean for mean, _ in phases]),
+        phase_sd_rad=np.array([sd for _, sd in phases]),
+        repeats=max(int(here.sum()) for here in each),
+        line=fit_line(x, amplitude),
+    )
+
+
+def _spread(values: FloatArray) -> tuple[float, float]:
+    return float(values.mean()), float(values.std(ddof=1)) if values.size > 1 else math.nan
+
+
+def _circular(phase: FloatArray) -> tuple[float, float]:
+    """Return circular mean and standard deviation about it; a plain mean fails where phases pass half a turn."""
+    mean = float(np.angle(np.mean(np.exp(1j * phase))))
+    away = np.angle(np.exp(1j * (phase - mean)))
+    return mean, float(np.sqrt(away @ away / (phase.size - 1))) if phase.size > 1 else math.nan
