@@ -145,6 +145,24 @@ def schema(
     typer.echo(json.dumps(json_schema(of), indent=2))
 
 
+@app.command("bench")
+@guarded
+def bench_command(
+    bench: Annotated[Path | None, typer.Argument(help="Bench file or run file; absent: the simulated bench.")] = None,
+    compare: Annotated[Path | None, typer.Option(help="Run file: print what differs from its bench.")] = None,
+) -> None:
+    """Ask every instrument who it is and how it is set, or compare a bench or run with another run; all stays safe."""
+    from hpe_rig.bench_report import bench_state, compare_with, print_report
+
+    state = bench_state(bench)
+    if state.report is not None:
+        print_report(state.report)
+    if compare is not None:
+        typer.echo(compare_with(compare, state))
+    if state.report is not None and not state.report.complete:
+        raise typer.Exit(EXIT_INSTRUMENT)
+
+
 def _print(result: Result, json: bool) -> None:
     if json:
         import json as json_format

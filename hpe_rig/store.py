@@ -26,7 +26,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces import RecordBlock
+from drivers.interfaces import RecordBlock, Setting
 from hpe_rig.bench_file import BenchText
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.records import MISSING, ShotRecords, pulse_index
@@ -142,6 +142,17 @@ def read_run(path: Path) -> StoredRun:
             return _stored_run(file, path)
     except (OSError, KeyError, ValueError) as error:
         raise StoreError(f"{path} is not a readable run file ({error}). Try: a file written by hpe-rig run.") from None
+
+
+def read_snapshots(path: Path) -> tuple[Mapping[str, Mapping[str, Setting]], ...]:
+    """Return each acquired shot's settings as read back, by role; raise ``StoreError`` as ``read_run`` does."""
+    try:
+        with h5py.File(path, "r") as file:
+            _check_format(file, path)
+            texts = [text for text in file["snapshot"].asstr()[()] if text]
+    except (OSError, KeyError, ValueError) as error:
+        raise StoreError(f"{path} is not a readable run file ({error}). Try: a file written by hpe-rig run.") from None
+    return tuple(json.loads(text) for text in texts)
 
 
 def _check_format(file: h5py.File, path: Path) -> None:

@@ -1,0 +1,194 @@
+"""``hpe-rig bench``: what stands on the bench, and how it differs from what a run remembers."""
+
+from __future__ import annotations
+
+import dataclasses
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+
+import pytest
+
+from hpe_rig import bench_report
+from hpe_rig.bench_compare import file_differences, prefixed, settings_differences
+from hpe_rig.bench_file import BenchFile, read_bench
+from hpe_rig.bench_report import bench_state, compare_with, survey
+from hpe_rig.run import Setup, measure, prepare
+from hpe_rig.store import StoreError, read_snapshots
+from sim_backend.world import World
+
+Prepare = Callable[..., Setup]
+
+
+def edited(tmp_path: Path, *edits: tuple[str, str]) -> Path:
+    text = read_bench().text
+    for old, new in edits:
+        assert old in text, old
+        text = text.replace(old, new)
+    path = tmp_path / "edited.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def real_bench(tmp_path: Path) -> BenchFile:
+    """Return a bench file with addresses where nobody listens."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f'latency_s = 100e-9\naddress = "TCPIP::127.0.0.1::{port}::SOCKET"'
+    master = (
+        "load_ohm = inf                # feeds",
+        f'address = "TCPIP::127.0.0.1::{port}::SOCKET"\nload_ohm = inf # feeds',
+    )
+    return read_bench(
+        edited(tmp_path, ("latency_s = 100e-9", address), master, ("simulated = true", "simulated = false"))
+    ).bench
+
+
+def test_every_instrument_is_identified_timed_and_left_safe(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[World] = []
+    make = World.__init__
+    monkeypatch.setattr(
+        World, "__init__", lambda world, *args, **kwargs: (make(world, *args, **kwargs), made.append(world))[0]
+    )
+    ticks = count()
+    report = survey(read_bench().bench, lambda: float(next(ticks)))
+    assert [found.role for found in report.found] == [
+        "master",
+        "burst_train",
+        "toneburst",
+        "tracking_train",
+        "tracking_pulser",
+        "digitizer",
+    ]
+    assert [found.identity.model for found in report.found if found.identity] == ["33250A"] * 5 + ["ATS460"]
+    assert all(found.latency_s == 1.0 for found in report.found)
+    assert report.complete
+    assert not any(made[0].outputs_on().values())
+
+
+def test_an_output_found_on_is_reported_and_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    worlds: list[World] = []
+    wire = World.wire
+
+    def left_on(world: World, role: str):
+        worlds.append(world)
+        opened = wire(world, role)
+        if role == "toneburst":
+            opened.write("OUTP 1")
+        return opened
+
+    monkeypatch.setattr(World, "wire", left_on)
+    report = survey(read_bench().bench)
+    problems = {found.role: found.problems for found in report.found if found.problems}
+    assert list(problems) == ["toneburst"]
+    assert "its output was on; it is off now" in problems["toneburst"][0]
+    assert not worlds[0].outputs_on()["toneburst"]
+
+
+def test_a_board_other_than_the_bench_file_says_is_told_with_the_key_to_change(tmp_path: Path) -> None:
+    other = edited(tmp_path, ("dual_port_memory = true", "samples_per_channel = 4096"))
+    digitizer = survey(read_bench(other).bench).found[-1]
+    assert any("digitizer.dual_port_memory = true" in problem for problem in digitizer.problems)
+    assert any("digitizer.samples_per_channel = 8388608" in problem for problem in digitizer.problems)
+
+
+def test_a_bench_where_nobody_answers_is_a_table_of_errors_with_suggestions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = real_bench(tmp_path)
+    address = bench.generators.master.address
+    assert address is not None
+    near = address.replace("127.0.0.1", "127.0.0.2")
+    monkeypatch.setattr(bench_report, "visa_addresses", lambda: (near, "ASRL/dev/ttyS0::INSTR"))
+    report = survey(bench)
+    assert not report.complete
+    assert all(found.identity is None for found in report.found)
+    for found in report.found[:-1]:
+        assert f"generators.{found.role}.address: did you mean {near}" in found.problems[1]
+    assert "install the AlazarTech driver" in report.found[-1].problems[0]
+
+
+def test_the_command_prints_the_table_and_exits_by_what_it_found(tmp_path: Path) -> None:
+    def rig(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-m", "hpe_rig", "bench", *arguments]
+        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+
+    good = rig()
+    assert good.returncode == 0, good.stderr
+    assert "SIMULATED" in good.stdout
+    assert "tracking_pulser" in good.stdout
+    real_bench(tmp_path)
+    bad = rig("edited.toml")
+    assert bad.returncode == 1
+    assert bad.stdout.count("no answer") == 6
+    assert "Traceback" not in bad.stderr
+    assert rig("--compare", "absent.h5").returncode == 2
+
+
+def test_two_runs_are_compared_in_the_fields_words(prepared: Prepare, tmp_path: Path) -> None:
+    first = measure(prepared("bovine-muscle"), tmp_path / "first.h5")
+    wider = edited(tmp_path, ("max_duty = 0.05", "max_duty = 0.04"))
+    second = measure(
+        prepared("bovine-muscle", ("delay_s = 130e-6", "delay_s = 140e-6"), bench=wider), tmp_path / "second.h5"
+    )
+    lines = compare_with(first, bench_state(second)).splitlines()
+    assert lines == [
+        "2 differences",
+        "  bench file: limits max duty 0.05 in first.h5, 0.04 in second.h5",
+        "  tracking pulse train: delay 130 us in first.h5, 140 us in second.h5",
+    ]
+    assert compare_with(first, bench_state(first)) == "first.h5 and first.h5 do not differ"
+
+
+def test_a_run_is_compared_with_the_bench_as_it_stands(tmp_path: Path) -> None:
+    run = measure(prepare("table-1"), tmp_path / "run.h5")
+    text = compare_with(run, bench_state(None))
+    assert "tracking pulser: frequency 9 MHz in run.h5, 1 kHz in the bench now" in text
+    assert "toneburst generator: instrument not opened in run.h5, opened in the bench now" in text
+    # Same board, and what it is set to it cannot state before it is programmed.
+    assert "digitizer" not in text
+
+
+def test_snapshots_of_all_acquired_shots_are_read(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared("table-1", ("[acquisition]", "[acquisition]\nrepeats = 3"))
+    snapshots = read_snapshots(measure(setup, tmp_path / "run.h5"))
+    assert len(snapshots) == 3
+    assert set(snapshots[0]) == set(setup.plan.roles)
+    foreign = tmp_path / "foreign.h5"
+    foreign.write_bytes(b"no HDF5")
+    with pytest.raises(StoreError, match="foreign"):
+        read_snapshots(foreign)
+
+
+def test_numbers_that_came_through_text_are_the_same_and_others_are_not() -> None:
+    one = {"master": {"width_s": 1e-5, "burst_on": True, "load_ohm": float("inf")}}
+    assert (
+        settings_differences(
+            one, {"master": {"width_s": 1e-5 * (1 + 1e-12), "burst_on": True, "load_ohm": float("inf")}}
+        )
+        == []
+    )
+    (difference,) = settings_differences(
+        one, {"master": {"width_s": 1e-5, "burst_on": False, "load_ohm": float("inf")}}
+    )
+    assert dataclasses.astuple(difference) == ("master trigger", "burst", "", True, False)
+    assert difference.text("a", "b") == "master trigger: burst on in a, off in b"
+
+
+def test_cables_are_compared_by_their_ends() -> None:
+    cable = {"source": "master.output", "target": "burst_train.trigger", "delay_s": 5e-9}
+    (difference,) = file_differences({"wiring": [cable]}, {"wiring": [cable | {"delay_s": 7e-9}]})
+    assert difference.text("a", "b") == (
+        "bench file: wiring.master.output to burst_train.trigger delay 5 ns in a, 7 ns in b"
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(1e3, "1 kHz"), (999.0, "999 Hz"), (0.0, "0 Hz"), (3e-13, "0.3 pHz"), (8e10, "80 GHz")]
+)
+def test_numbers_are_printed_with_the_prefix_people_use(value: float, text: str) -> None:
+    assert prefixed(value, "Hz") == text
