@@ -1,4 +1,7 @@
-"""Radiation force at the focus: the square of the drive, rectified and low-passed, eq. (17)."""
+"""Radiation force at the focus: the square of the pressure, rectified and low-passed, eq. (17).
+
+drive voltage -> hybrid, amplifier, matching -> transducer at the carrier -> pressure^2 -> body force
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.edges import Bursts, Picoseconds, to_ps
-from sim_backend.settings import Specimen
+from sim_backend.settings import Specimen, Transmitter
 
 Floats = NDArray[np.float64]
 
@@ -31,17 +34,30 @@ def transmit_response(frequency_hz: Floats, resonance_hz: float, quality: float)
     return np.asarray(1 / np.hypot(1.0, quality * (ratio - 1 / ratio)))
 
 
-def radiation_force(tonebursts: Bursts, specimen: Specimen, travel_time_s: float) -> ForcePulses:
+def radiation_force(
+    tonebursts: Bursts, specimen: Specimen, travel_time_s: float, transmitter: Transmitter | None = None
+) -> ForcePulses:
     """Return the force pulse of every toneburst: on while it passes the focus, proportional to its pressure squared.
 
     ``travel_time_s`` is z_F/c. The force of a burst is its mean over the carrier, so a burst cut short by the
-    generator gives a shorter pulse of the same height. Eq. (17).
+    generator gives a shorter pulse of the same height. Without ``transmitter`` the amplifier is linear. Eq. (17).
     """
-    drive = tonebursts.amplitude_vpp / specimen.reference_drive_vpp
-    pressure = drive * transmit_response(tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)
+    pressure = relative_pressure(tonebursts.amplitude_vpp, specimen, transmitter)
+    pressure *= transmit_response(tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)
     travel_ps = to_ps(travel_time_s)
     return ForcePulses(
         tonebursts.onset_ps + travel_ps,
         tonebursts.end_ps + travel_ps,
         specimen.force_density_n_per_m3 * np.square(pressure),
     )
+
+
+def relative_pressure(drive_vpp: Floats, specimen: Specimen, transmitter: Transmitter | None = None) -> Floats:
+    """Return the pressure at resonance relative to that of the reference drive, shape of ``drive_vpp``."""
+    relative = drive_vpp / specimen.reference_drive_vpp
+    if transmitter is None or transmitter.saturation_v is None:
+        return relative
+    from sim_backend.transmitter import harmonic_v
+
+    reference_v = harmonic_v(np.array([specimen.reference_drive_vpp]), transmitter)
+    return np.asarray(harmonic_v(drive_vpp, transmitter) / reference_v)

@@ -66,6 +66,21 @@ class Specimen(Section):
         return self
 
 
+class Transmitter(Section):
+    """Hybrid junction, power amplifier and matching transformer between generators and transducer."""
+
+    gain_db: Finite = 40.0
+    """Gain of the power amplifier (paper: 40 dB)."""
+    hybrid_loss_db: NonNegative = 3.0
+    """Loss of the hybrid junction from either generator: half the power goes to its other port (assumed)."""
+    matching_gain_db: Finite = 0.0
+    """Voltage gain of diode bridge and matching transformer (assumed)."""
+    saturation_v: Positive | None = None
+    """Ceiling of the amplifier's output amplitude; absent: it is linear and has no harmonics."""
+    saturation_sharpness: Annotated[float, Field(ge=0.5, le=20)] = 2.0
+    """Exponent p of the ceiling, the Rapp law (assumed)."""
+
+
 class MotionComponent(Section):
     """One sinusoid of a prescribed motion, D(t) = amplitude sin(2 pi f t + phase), t from the master trigger's edge."""
 
@@ -148,6 +163,8 @@ class SimulationSettings(Section):
     """Longitudinal sound speed c (paper, Table I)."""
     specimen: Specimen | None = None
     """A medium moved by the tonebursts; exclusive with ``motion``."""
+    transmitter: Transmitter = Transmitter()
+    """What stands between the generators and the transducer."""
     motion: tuple[MotionComponent, ...] | None = None
     """Prescribed motion (eq. 13); exclusive with ``specimen``."""
     beams: Beams = Beams()
