@@ -32,7 +32,8 @@ class VisaInterface:
             self._resource.timeout = timeout_s * 1e3
         except Exception as error:
             raise ConnectionError(_cannot_open(address, error)) from error
-        _send_at_once(self._resource)
+        self.link = _socket_of(self._resource)
+        _send_at_once(self.link)
 
     def close(self) -> None:
         """Close the adapter; closing one that is gone already is no error."""
@@ -62,24 +63,32 @@ class VisaWire:
             self._prepare(timeout_s)
         except Exception as error:
             raise ConnectionError(_cannot_open(address, error)) from error
+        self._link = interface.link if interface else _socket_of(self._resource)
 
     def write(self, message: str) -> None:
         """Send ``message`` and a line feed."""
+        # pyvisa-py waits for ever where a Prologix adapter has hung up, and takes one more message where a peer has.
+        if self._hung_up():
+            raise ConnectionError(f"{self.address!r} closed the connection")
         try:
             self._resource.write(message)
         except Exception as error:
             raise ConnectionError(f"cannot write to {self.address!r}: {error}") from error
 
     def read(self) -> str:
-        """Return one reply line; bytes that are no ASCII come as they are, for whoever asked to judge."""
+        """Return one reply line; bytes that are no ASCII come as they are, for the asker to judge."""
         try:
-            return self._resource.read().rstrip("\r\n")
+            reply = self._resource.read_raw().decode("latin-1")
         except Exception as error:
             if getattr(error, "error_code", None) != self._timeout_code:
                 raise ConnectionError(f"cannot read from {self.address!r}: {error}") from error
             if self._hung_up():
                 raise ConnectionError(f"{self.address!r} closed the connection") from error
             raise TimeoutError(f"no reply from {self.address!r} within {self.timeout_s:g} s") from error
+        if not reply:
+            # Over HiSLIP pyvisa-py does not wait where nothing was asked since the last reply.
+            raise TimeoutError(f"no reply from {self.address!r}")
+        return reply.rstrip("\r\n")
 
     @property
     def timeout_s(self) -> float:
@@ -100,18 +109,18 @@ class VisaWire:
         # A Prologix adapter has no read terminator to set; there the line end is cut in read().
         with suppress(pyvisa.VisaIOError):
             self._resource.read_termination = "\n"
-        _send_at_once(self._resource)
+        _send_at_once(_socket_of(self._resource))
         if isinstance(self._resource, pyvisa.resources.SerialInstrument):
             self._resource.baud_rate = SERIAL_BAUD
             self._resource.flow_control = pyvisa.constants.ControlFlow.dtr_dsr
             # Over RS-232 the instrument refuses commands until it is told to leave local mode.
-            self.write("SYST:REM")
+            self._resource.write("SYST:REM")
 
     def _hung_up(self) -> bool:
         """Return whether the peer has closed a raw socket, which pyvisa-py reports as a mere time-out."""
-        link = _socket_of(self._resource)
-        if link is None:
-            return False
+        link = self._link
+        if link is None or link.fileno() < 0:
+            return link is not None
         timeout_s = link.gettimeout()
         try:
             link.setblocking(False)
@@ -133,9 +142,8 @@ def _socket_of(resource: Resource) -> socket.socket | None:
     return None
 
 
-def _send_at_once(resource: Resource) -> None:
+def _send_at_once(link: socket.socket | None) -> None:
     """Do without the delay that collects small messages: 40 ms each time a query follows a command."""
-    link = _socket_of(resource)
     if link is not None:
         with suppress(OSError):
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
