@@ -13,10 +13,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.echo import Pulse, echoes, hann_pulse, rectangular_burst
+from sim_backend.echo import echoes
 from sim_backend.edges import PS_PER_S, Bursts, Capture, Picoseconds, to_ps
 from sim_backend.front_end import echo_gain_v, leak_per_vpp_v, leak_v, noise_v, pulse_strength, toneburst_echo_strength
 from sim_backend.overlap import burst_record_pairs, sample_span
+from sim_backend.pulse import Pulse, hann_pulse, rectangular_burst
 from sim_backend.scatterers import depth_delay_s, draw_field, noticeable
 from sim_backend.settings import SimulationSettings
 

@@ -59,13 +59,13 @@ def _block(
     total = np.zeros((echoes_in_block, samples))
     for turn, factor in zip(phasors(pulse, tau_seen, -1), rotation, strict=True):
         real, imag = (
-            _alive(np.bincount(cell, weight_seen * part, 2 * echoes_in_block * samples), samples)
+            _alive(np.bincount(cell, weights=weight_seen * part, minlength=2 * echoes_in_block * samples), samples)
             for part in (turn.real, turn.imag)
         )
         total += real * factor.real - imag * factor.imag
     return total
 
 
-def _alive(cells: Floats, samples: int) -> Floats:
+def _alive(cells: NDArray[np.floating | np.integer], samples: int) -> Floats:
     summed = np.cumsum(cells.reshape(-1, 2, samples), axis=2)
     return np.asarray(summed[:, 0, ::-1] + summed[:, 1])

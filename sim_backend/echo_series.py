@@ -12,6 +12,7 @@ Both parts converge geometrically, whatever the pulse: no derivative has to be c
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from sim_backend.pulse import Pulse, phasors
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Indices = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
 
 MOST_ANGLE_RAD = 3.0
 """Largest turn of the highest frequency: beyond, the series' terms grow and take digits with them."""
@@ -84,48 +86,119 @@ def series(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float
             f"the motion turns the pulse by {angle:.3g} rad, the series holds up to {MOST_ANGLE_RAD} rad: "
             "take the running sum"
         )
-    rows, echoes, shapes = scene.amplitude_s.shape
     orders = terms_needed(angle, tolerance)
-    powers = exponents(shapes, orders)
-    enter = np.searchsorted(sample_time_s, scene.rest_s + pulse.start_s)
-    leave = np.searchsorted(sample_time_s, scene.rest_s + pulse.end_s)
-    sums = _rest_sums(scene, enter, leave, powers, pulse, sample_time_s)
-    rms = float(np.sqrt(np.mean(np.square(sums[0]))))
-    scale = 2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz)
-    out = np.matmul(_coefficients(scene.amplitude_s * scale, powers), np.moveaxis(sums, 0, 1))
+    tables = _tables(pulse, sample_time_s.tobytes(), len(scene.shape), orders)
+    enter = sample_time_s.searchsorted(scene.rest_s + pulse.start_s)
+    leave = sample_time_s.searchsorted(scene.rest_s + pulse.end_s)
+    sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
+    rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
+    out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.powers), sums)
     budget = _CROSSING_SHARE * tolerance * rms * math.sqrt(len(sample_time_s))
-    _correct_crossings(out, scene, (enter, leave), pulse, sample_time_s, budget)
+    if angle > 0:
+        _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class _Tables:
+    """What a pulse and a gate fix."""
+
+    powers: list[tuple[int, ...]]
+    scale: float
+    """Highest angular frequency of the pulse, rad/s, to which moments and coefficients are referred."""
+    real: Floats
+    imag: Floats
+    """c_m (-j w_m / scale)^|a| exp(j w_m t), (frequency, exponent, sample)."""
+    jumps: tuple[Floats, Floats]
+    """Start and end: sizes of the jumping derivatives over their factorials, referred to the carrier, (order,)."""
+    taylor: tuple[Floats, Floats]
+    """Start and end: Taylor coefficients of the exponentials, (order,)."""
+
+
+@functools.lru_cache(maxsize=32)
+def _tables(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> _Tables:
+    """Return the tables; kept, because studies and records repeat few gates many times."""
+    sample_time_s = np.frombuffer(sample_time)
+    hz = np.array(pulse.frequency_hz)
+    powers = exponents(shapes, orders)
+    order = np.array([sum(power) for power in powers])
+    slope = np.array(pulse.amplitude)[:, None] * np.power((-1j * hz / np.abs(hz).max())[:, None], order)
+    rotation = slope[:, :, None] * phasors(pulse, sample_time_s, 1)[:, None]
+    carrier_hz = pulse.frequency_hz[int(np.argmax(np.abs(pulse.amplitude)))]
+    ends = (pulse.start_s, pulse.end_s)
+    jumps = [np.abs(_edge_derivatives(pulse, edge_s, carrier_hz, 20)) for edge_s in ends]
+    taylor = [_edge_derivatives(pulse, edge_s, 0.0, 40).real for edge_s in ends]
+    return _Tables(
+        powers,
+        float(2 * math.pi * np.abs(hz).max()),
+        np.ascontiguousarray(rotation.real),
+        np.ascontiguousarray(rotation.imag),
+        (jumps[0], jumps[1]),
+        (taylor[0], taylor[1]),
+    )
+
+
+def _edge_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> Complexes:
+    """Return derivative over factorial of the exponentials at an end, (order,), turned back by ``about_hz``."""
+    omega = 2 * np.pi * np.array(pulse.frequency_hz)
+    parts = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
+    rate = 1j * (omega - 2 * np.pi * about_hz)
+    out = np.empty(orders, dtype=np.complex128)
+    unit = float(np.abs(pulse.amplitude).sum())
+    for order in range(orders):
+        out[order] = parts.sum()
+        # What cancels exactly on paper (the Hann pulse and its slope are 0 at its ends) must not count as a jump.
+        if abs(out[order]) < 1e-12 * unit:
+            out[order] = 0.0
+        parts = parts * rate / (order + 1)
+        unit *= float(np.abs(rate).max()) / (order + 1)
     return out
 
 
 def _coefficients(amplitude_rad: Floats, powers: list[tuple[int, ...]]) -> Floats:
-    out = np.ones((*amplitude_rad.shape[:2], len(powers)))
+    """Return b^a / a!, (row, echo, exponent)."""
+    out = np.empty((len(powers), *amplitude_rad.shape[:2]))
+    out[0] = 1.0
     place = {power: index for index, power in enumerate(powers)}
     for index, power in enumerate(powers[1:], 1):
-        shape = next(axis for axis, count in enumerate(power) if count)
-        lower = tuple(count - (axis == shape) for axis, count in enumerate(power))
-        out[..., index] = out[..., place[lower]] * amplitude_rad[..., shape] / power[shape]
-    return out
+        shape, lower = _one_less(power)
+        np.multiply(out[place[lower]], amplitude_rad[..., shape] / power[shape], out=out[index])
+    return np.ascontiguousarray(np.moveaxis(out, 0, -1))
 
 
-def _rest_sums(
-    scene: Resting, enter: Indices, leave: Indices, powers: list[tuple[int, ...]], pulse: Pulse, sample_time_s: Floats
-) -> Floats:
-    """Return U_a, real (exponent, row, sample), of the scatterers whose support at rest holds a sample."""
-    samples, rows = len(sample_time_s), len(scene.amplitude_s)
+def _one_less(power: tuple[int, ...]) -> tuple[int, tuple[int, ...]]:
+    shape = next(axis for axis, count in enumerate(power) if count)
+    return shape, tuple(count - (axis == shape) for axis, count in enumerate(power))
+
+
+def _rest_sums(scene: Resting, enter: Indices, leave: Indices, tables: _Tables, pulse: Pulse, samples: int) -> Floats:
+    """Return U_a, real (row, exponent, sample), of the scatterers whose support at rest holds a sample."""
+    rows, shape = len(scene.amplitude_s), (len(pulse.frequency_hz), len(tables.powers))
     seen = np.flatnonzero((enter < leave) & (enter < samples) & (leave > 0))
-    cell = np.where(enter == 0, samples - leave, samples + enter) + 2 * samples * scene.row
-    cells = np.zeros((len(powers), len(pulse.frequency_hz), 2 * samples * rows), dtype=np.complex128)
-    at_once = max(64, _VALUES_AT_ONCE // (len(powers) * len(pulse.frequency_hz)))
+    cell = np.where(enter == 0, samples - leave, samples + enter)
+    if rows > 1:
+        cell += 2 * samples * scene.row
+    columns = shape[0] * shape[1]
+    cells = np.zeros((2 * samples * rows, columns), dtype=np.complex128)
+    at_once = max(64, _VALUES_AT_ONCE // columns)
     for first in range(0, len(seen), at_once):
         part = seen[first : first + at_once]
         key = cell[part]
-        run = np.flatnonzero(np.concatenate(([True], key[1:] != key[:-1])))
-        values = _moments(scene, part, powers)[:, None] * phasors(pulse, scene.rest_s[part], -1)
-        cells[..., key[run]] += np.add.reduceat(values, run, axis=-1)
-    summed = np.cumsum(cells.reshape(len(powers), len(pulse.frequency_hz), rows, 2, samples), axis=-1)
+        run = _runs(key)
+        values = phasors(pulse, scene.rest_s[part], -1)[:, None] * _moments(scene, part, tables.powers)
+        cells[key[run]] += np.add.reduceat(values.reshape(columns, -1), run, axis=1).T
+    summed = np.cumsum(cells.T.reshape(*shape, rows, 2, samples), axis=-1)
     alive = summed[..., 0, ::-1] + summed[..., 1, :]
-    return _turned(alive, powers, pulse, sample_time_s)
+    turned = tables.real[:, :, None] * alive.real - tables.imag[:, :, None] * alive.imag
+    return np.ascontiguousarray(np.moveaxis(turned.sum(axis=0), 0, 1))
+
+
+def _runs(key: Indices) -> Indices:
+    """Return where a new value begins."""
+    new = np.empty(len(key), dtype=np.bool_)
+    new[:1] = True
+    np.not_equal(key[1:], key[:-1], out=new[1:])
+    return np.flatnonzero(new)
 
 
 def _moments(scene: Resting, part: Indices, powers: list[tuple[int, ...]]) -> Floats:
@@ -135,104 +208,86 @@ def _moments(scene: Resting, part: Indices, powers: list[tuple[int, ...]]) -> Fl
     shape = scene.shape[:, part]
     place = {power: index for index, power in enumerate(powers)}
     for index, power in enumerate(powers[1:], 1):
-        axis = next(axis for axis, count in enumerate(power) if count)
-        lower = tuple(count - (other == axis) for other, count in enumerate(power))
+        axis, lower = _one_less(power)
         np.multiply(out[place[lower]], shape[axis], out=out[index])
     return out
 
 
-def _turned(alive: Complexes, powers: list[tuple[int, ...]], pulse: Pulse, sample_time_s: Floats) -> Floats:
-    """Return Re sum_m c_m (-j w_m / w_max)^|a| exp(j w_m t) alive_m, real (exponent, row, sample)."""
-    hz = np.array(pulse.frequency_hz)
-    order = np.array([sum(power) for power in powers])
-    slope = np.power((-1j * hz / np.abs(hz).max())[None], order[:, None]) * np.array(pulse.amplitude)
-    rotation = slope[:, :, None, None] * phasors(pulse, sample_time_s, 1)[None, :, None]
-    return np.asarray((rotation.real * alive.real - rotation.imag * alive.imag).sum(axis=1))
-
-
 def _correct_crossings(
-    out: Floats, scene: Resting, index: tuple[Indices, Indices], pulse: Pulse, sample_time_s: Floats, budget: float
+    out: Floats,
+    scene: Resting,
+    index: tuple[Indices, Indices],
+    tables: _Tables,
+    pulse: Pulse,
+    sample_time_s: Floats,
+    budget: float,
 ) -> None:
     """Add, at each sample that an end of a support crosses, what the motion lets in or out; in place.
 
     ``index`` (start, end): first sample from each scatterer's end on, at rest. Crossings that together add less than
     ``budget`` to one echo are left out.
     """
-    largest_s = np.abs(scene.amplitude_s).max(axis=(0, 1))
-    reach_s = largest_s @ np.abs(scene.shape)
-    if not reach_s.any():
+    reach_s = np.abs(scene.amplitude_s).max(axis=(0, 1)) @ np.abs(scene.shape)
+    farthest_s, heaviest = float(reach_s.max(initial=0.0)), float(np.abs(scene.weight).max(initial=0.0))
+    if farthest_s == 0:
         return
-    period_s = float(np.ptp(sample_time_s)) / max(1, len(sample_time_s) - 1)
-    likely = 2 * len(reach_s) * (2 * float(reach_s.max()) / period_s + 1) if period_s > 0 else 2 * len(reach_s)
-    for edge_s, first, sign in zip((pulse.start_s, pulse.end_s), index, (1.0, -1.0), strict=True):
-        bound = np.abs(scene.weight) * _largest_near(pulse, edge_s, reach_s)
-        matter = np.flatnonzero(bound > budget / likely)
+    samples = len(sample_time_s)
+    duration_s = float(sample_time_s[-1] - sample_time_s[0])
+    likely = 2 * len(reach_s) * (1 + (2 * farthest_s * (samples - 1) / duration_s if duration_s > 0 else 0))
+    each = budget / likely
+    for end, edge_s in enumerate((pulse.start_s, pulse.end_s)):
+        order, largest = _largest_near(tables.jumps[end], farthest_s)
+        bound = np.abs(scene.weight) * (reach_s / farthest_s) ** order * largest
+        matter = np.flatnonzero(bound > each)
         edge_time_s = scene.rest_s[matter] + edge_s
-        low = np.searchsorted(sample_time_s, edge_time_s - reach_s[matter])
-        high = np.searchsorted(sample_time_s, edge_time_s + reach_s[matter], side="right")
-        count = high - low
-        pair = np.repeat(np.arange(len(matter)), count)
-        sample = np.repeat(low, count) + np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count)
+        low = sample_time_s.searchsorted(edge_time_s - reach_s[matter])
+        count = sample_time_s.searchsorted(edge_time_s + reach_s[matter], side="right") - low
+        crossed = np.flatnonzero(count)
+        count = count[crossed]
+        pair = np.repeat(crossed, count)
+        sample = np.repeat(low[crossed] - np.cumsum(count) + count, count) + np.arange(len(pair))
         who = matter[pair]
-        taylor = _taylor(pulse, edge_s, float(reach_s.max()), budget / likely, float(np.abs(scene.weight).max()))
+        angle = tables.scale * farthest_s
+        taylor = _enough(tables.taylor[end], angle, each / heaviest / max(1.0, float(np.abs(pulse.amplitude).sum())))
         at_once = max(1, _VALUES_AT_ONCE // out.shape[1])
         for begin in range(0, len(who), at_once):
             some = slice(begin, begin + at_once)
-            was_past = sample[some] >= first[who[some]]
-            early_s = sample_time_s[sample[some]] - edge_time_s[pair[some]]
-            _add_pairs(out, scene, who[some], sample[some], early_s, was_past, sign * taylor)
+            past_s = sample_time_s[sample[some]] - edge_time_s[pair[some]]
+            was_past = sample[some] >= index[end][who[some]]
+            _add_pairs(out, scene, who[some], sample[some], past_s, was_past, -taylor if end else taylor)
 
 
 def _add_pairs(
-    out: Floats, scene: Resting, who: Indices, sample: Indices, past_s: Floats, was_past: NDArray[np.bool_], taylor: Floats
+    out: Floats, scene: Resting, who: Indices, sample: Indices, past_s: Floats, was_past: Booleans, taylor: Floats
 ) -> None:
     row = scene.row[who]
-    x = past_s[:, None] - np.einsum("pkr,rp->pk", scene.amplitude_s[row], scene.shape[:, who])
-    change = (x >= 0).astype(np.float64) - was_past[:, None]
+    order = np.lexsort((sample, row))
+    row, sample, who = row[order], sample[order], who[order]
+    if len(scene.amplitude_s) == 1:
+        moved_s = scene.shape[:, who].T @ scene.amplitude_s[0].T
+    else:
+        moved_s = np.matmul(scene.amplitude_s[row], scene.shape[:, who].T[:, :, None])[:, :, 0]
+    x = past_s[order, None] - moved_s
+    change = scene.weight[who, None] * ((x >= 0) * 1.0 - was_past[order, None])
     value = np.full_like(x, taylor[-1])
     for coefficient in taylor[-2::-1]:
         value *= x
-        value += coefficient
+        if coefficient != 0:
+            value += coefficient
     value *= change
-    value *= scene.weight[who][:, None]
-    place = row * out.shape[2] + sample
-    order = np.argsort(place, kind="stable")
-    place = place[order]
-    run = np.flatnonzero(np.concatenate(([True], place[1:] != place[:-1])))
-    out[place[run] // out.shape[2], :, place[run] % out.shape[2]] += np.add.reduceat(value[order], run, axis=0)
+    run = _runs(row * out.shape[2] + sample)
+    out[row[run], :, sample[run]] += np.add.reduceat(value, run, axis=0)
 
 
-def _edge_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> Complexes:
-    """Return derivative over factorial of the exponentials at a support's end, (order,), turned back by ``about_hz``."""
-    omega = 2 * np.pi * np.array(pulse.frequency_hz)
-    parts = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
-    rate = 1j * (omega - 2 * np.pi * about_hz)
-    out = np.empty(orders, dtype=np.complex128)
-    for order in range(orders):
-        out[order] = parts.sum()
-        parts = parts * rate / (order + 1)
-    # What cancels exactly on paper (the Hann pulse and its slope are 0 at its ends) must not count as a jump.
-    unit = np.abs(pulse.amplitude).sum() * np.abs(rate).max() ** np.arange(orders)
-    out[np.abs(out) * [math.factorial(order) for order in range(orders)] < 1e-12 * unit] = 0.0
-    return out
+def _largest_near(jumps: Floats, reach_s: float) -> tuple[int, float]:
+    """Return the lowest order that jumps, and a bound on the exponentials within ``reach_s`` of the support's end."""
+    order = int(np.argmax(jumps > 0)) if jumps.any() else 0
+    return order, float(np.polynomial.polynomial.polyval(reach_s, jumps))
 
 
-def _largest_near(pulse: Pulse, edge_s: float, reach_s: Floats) -> Floats:
-    """Return a bound on the pulse's exponentials within ``reach_s`` of an end of its support."""
-    strongest = int(np.argmax(np.abs(pulse.amplitude)))
-    jumps = np.abs(_edge_derivatives(pulse, edge_s, pulse.frequency_hz[strongest], 10))
-    bound = np.full_like(reach_s, jumps[-1])
-    for jump in jumps[-2::-1]:
-        bound = bound * reach_s + jump
-    return bound
-
-
-def _taylor(pulse: Pulse, edge_s: float, reach_s: float, budget: float, weight: float) -> Floats:
-    """Return Taylor coefficients of the exponentials about an end, good to ``budget`` over ``weight`` within reach."""
-    angle = 2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz) * reach_s
-    strength, orders = weight * float(np.abs(pulse.amplitude).sum()), 1
-    tail = strength * angle
-    while tail > budget and orders < 40:
+def _enough(taylor: Floats, angle: float, tolerance: float) -> Floats:
+    tail, orders = angle, 1
+    while tail > tolerance and orders < len(taylor):
         orders += 1
         tail *= angle / orders
-    return np.asarray(_edge_derivatives(pulse, edge_s, 0.0, orders).real)
+    return taylor[:orders]

@@ -10,8 +10,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.echo import echoes, hann_pulse
+from sim_backend.echo import echoes
 from sim_backend.edges import PS_PER_S, Bursts
+from sim_backend.pulse import hann_pulse
 from sim_backend.settings import Receiver, SimulationSettings, Specimen
 
 Floats = NDArray[np.float64]

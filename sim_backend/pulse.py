@@ -9,6 +9,7 @@ shape are the Fourier series of their support, cut where the rest is below a tol
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,17 +84,16 @@ def band_limited_burst(
     return from_spectrum(spectrum, -ringing, duration_s + ringing, tolerance)
 
 
-def from_spectrum(spectrum: object, start_s: float, end_s: float, tolerance: float) -> Pulse:
+def from_spectrum(spectrum: Callable[[Floats], Complexes], start_s: float, end_s: float, tolerance: float) -> Pulse:
     """Return the pulse whose Fourier transform is ``spectrum(frequency_hz)``, one that is over outside start and end.
 
     Periods of the support carry the Fourier series; terms that together are below ``tolerance`` are left out.
     """
-    assert callable(spectrum)
     period_s = end_s - start_s
     count = 64
     while True:
         frequency_hz = np.arange(count) / period_s
-        amplitude = 2 / period_s * np.asarray(spectrum(frequency_hz), dtype=np.complex128)
+        amplitude = 2 / period_s * spectrum(frequency_hz)
         amplitude[0] /= 2
         strong = np.abs(amplitude)
         if strong[-count // 8 :].sum() < 0.1 * tolerance * strong.sum() or count >= 1 << 16:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from sim_backend.acoustics import Acoustics, draw_echoes
-from sim_backend.echo import hann_pulse, rectangular_burst, waveform
 from sim_backend.edges import Bursts, Capture
 from sim_backend.front_end import echo_gain_v
+from sim_backend.pulse import hann_pulse, rectangular_burst, waveform
 from sim_backend.scatterers import depth_delay_s, draw_field
 from sim_backend.settings import MotionComponent, Receiver, Scatterers, SimulationSettings, Specimen
 

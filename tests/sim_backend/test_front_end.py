@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_backend.echo import hann_pulse, running_sum
+from sim_backend.echo_running import running_sum
 from sim_backend.edges import Bursts
 from sim_backend.front_end import (
     echo_gain_v,
@@ -14,6 +14,7 @@ from sim_backend.front_end import (
     reference_gate_s,
     toneburst_echo_strength,
 )
+from sim_backend.pulse import hann_pulse
 from sim_backend.scatterers import depth_delay_s, draw_field
 from sim_backend.settings import Receiver, SimulationSettings, Specimen
 

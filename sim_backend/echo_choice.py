@@ -1,0 +1,105 @@
+"""Which evaluation meets a tolerance at the least run time, and which scatterers it may leave out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.echo_motion import Delays, Motion
+from sim_backend.echo_nodes import MOST_NODES, edge_share, node_count
+from sim_backend.echo_series import MOST_ANGLE_RAD, exponents, largest_angle, terms_needed
+from sim_backend.pulse import Pulse
+
+Floats = NDArray[np.float64]
+Method = Literal["direct", "running_sum", "interpolated", "series"]
+
+# Below this the series and the nodes promise what rounding does not let them keep.
+FINEST_TOLERANCE = 1e-14
+LEFT_OUT_SHARE = 0.1
+"""Of the tolerance, for scatterers left out."""
+
+_FEWEST_TO_SORT_OUT = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """An evaluation that meets the tolerance."""
+
+    method: Method
+    cost_s: float
+    """Run time as measured, roughly, on one core."""
+    terms: int = 0
+    """Nodes, or orders of the series; 0 where it is exact."""
+
+
+def choices(
+    motion: Motion | Delays,
+    weight: Floats,
+    pulse: Pulse,
+    sample_time_s: Floats,
+    tolerance: float,
+    method: Method | None,
+) -> list[Choice]:
+    """Return the evaluations that meet the tolerance, with their run times as measured, roughly, on one core."""
+    if method in ("direct", "running_sum"):
+        return [Choice(method, 0.0)]
+    samples, scatterers, frequencies = len(sample_time_s), len(weight), len(pulse.frequency_hz)
+    echoes_wanted = motion.echo_count
+    stretches = max(1, math.ceil(float(np.ptp(sample_time_s)) / (pulse.end_s - pulse.start_s)))
+    by_pair_s = 30e-9 + 25e-9 * frequencies
+    found = []
+    if method is None:
+        found.append(Choice("running_sum", stretches * (1e-4 + 2 * echoes_wanted * scatterers * by_pair_s)))
+    if isinstance(motion, Delays) or tolerance < FINEST_TOLERANCE:
+        return found or refuse(method, "the motion has no shapes" if isinstance(motion, Delays) else "of its tolerance")
+    spread_s = np.ptp(motion.amplitude_s, axis=0) / 2
+    if method in (None, "interpolated") and len(motion.shape) == 1:
+        largest_s = float(spread_s[0] * np.abs(motion.shape).max())
+        share = edge_share(motion.rest_s, weight, pulse, largest_s, sample_time_s)
+        nodes = node_count(pulse, largest_s, share, tolerance)
+        if nodes < MOST_NODES:
+            cost_s = stretches * (1e-4 + 2 * nodes * scatterers * by_pair_s) + 1e-9 * echoes_wanted * samples * nodes
+            found.append(Choice("interpolated", cost_s, nodes))
+    angle = largest_angle(pulse, motion.shape, motion.about_middle().amplitude_s[None])
+    if method in (None, "series") and angle <= MOST_ANGLE_RAD:
+        orders = terms_needed(angle, tolerance)
+        columns = len(exponents(len(motion.shape), orders))
+        period_s = float(np.ptp(sample_time_s)) / max(1, samples - 1) or 1.0
+        reach_s = spread_s @ np.abs(motion.shape)
+        crossings = 4 * float(reach_s.sum()) / period_s
+        each_s = 6e-8 + 4e-9 * columns * frequencies
+        cost_s = stretches * 4e-4 + 2 * scatterers * each_s + 1e-8 * crossings * echoes_wanted
+        found.append(Choice("series", cost_s + 1e-9 * echoes_wanted * samples * columns, orders))
+    return found or refuse(method, "the motion has too many shapes or is too large for the tolerance")
+
+
+def refuse(method: Method | None, reason: str) -> list[Choice]:
+    """Raise ValueError that says why ``method`` cannot serve."""
+    raise ValueError(f"method {method!r} cannot serve here because {reason}: leave the method out or take running_sum")
+
+
+def in_reach(motion: Motion | Delays, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> NDArray[np.int64]:
+    """Return the scatterers whose echo can touch a sample."""
+    early_s, late_s = motion.range_s()
+    touches = (early_s + pulse.start_s <= sample_time_s[-1]) & (late_s + pulse.end_s >= sample_time_s[0])
+    touches &= weight != 0
+    return np.flatnonzero(touches)
+
+
+def left_out_below(weight: Floats, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> float:
+    """Return the weight below which scatterers are left out: all of them together stay below the tolerance's share.
+
+    No echo exceeds its scatterer's weight times the pulse's amplitudes, so N of them below w add less than N w. The rms
+    they are held against is that of an incoherent sum; the caller checks it afterwards.
+    """
+    if len(weight) < _FEWEST_TO_SORT_OUT or tolerance <= 0:
+        return 0.0
+    largest = max(1.0, float(np.abs(pulse.amplitude).sum()))
+    power = float(np.square(np.abs(pulse.amplitude)).sum()) / 2
+    pulse_s, gate_s = pulse.end_s - pulse.start_s, float(np.ptp(sample_time_s))
+    rms = math.sqrt(float(weight @ weight) * power * min(1.0, pulse_s / (pulse_s + gate_s)))
+    return LEFT_OUT_SHARE * tolerance * rms / (largest * len(weight))

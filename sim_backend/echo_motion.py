@@ -1,0 +1,107 @@
+"""How scatterers move, as delays of their echoes, and what makes no echo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.pulse import Pulse
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """Any motion: the delay of every scatterer in every echo."""
+
+    delay_s: Floats
+    """(echo, scatterer)"""
+
+    @property
+    def echo_count(self) -> int:
+        """How many echoes."""
+        return len(self.delay_s)
+
+    def range_s(self) -> tuple[Floats, Floats]:
+        """Return each scatterer's earliest and latest delay, (scatterer,)."""
+        return self.delay_s.min(axis=0), self.delay_s.max(axis=0)
+
+    def of(self, part: Indices) -> Delays:
+        """Return the same of some scatterers."""
+        return Delays(self.delay_s[:, part])
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Motion of few spatial shapes: delay = rest + amplitude @ shape.
+
+    A standing motion has one shape; a travelling wave of one frequency two (in phase and in quadrature); sampling
+    jitter adds a shape of ones.
+    """
+
+    rest_s: Floats
+    """(scatterer,), the echo delay at rest."""
+    shape: Floats
+    """(shape, scatterer)"""
+    amplitude_s: Floats
+    """(echo, shape), delay where the shape is 1: 2 A / c."""
+
+    @property
+    def echo_count(self) -> int:
+        """How many echoes."""
+        return len(self.amplitude_s)
+
+    def range_s(self) -> tuple[Floats, Floats]:
+        """Return bounds on each scatterer's earliest and latest delay, (scatterer,)."""
+        reach_s = float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
+        return self.rest_s - reach_s, self.rest_s + reach_s
+
+    def of(self, part: Indices) -> Motion:
+        """Return the same of some scatterers."""
+        return Motion(self.rest_s[part], self.shape[:, part], self.amplitude_s)
+
+    def delay_s(self) -> Floats:
+        """Return the delay of every scatterer in every echo, (echo, scatterer)."""
+        return self.rest_s + self.amplitude_s @ self.shape
+
+    def about_middle(self) -> Motion:
+        """Return the same motion about the middle of its range, where the series is shortest."""
+        high, low = self.amplitude_s.max(axis=0), self.amplitude_s.min(axis=0)
+        middle_s = (high + low) / 2
+        # A small offset costs no term, moving every delay would.
+        if (np.abs(middle_s) <= 0.05 * (high - low)).all():
+            return self
+        return Motion(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s)
+
+
+def refuse_unusable(motion: Motion | Delays, weight: Floats, sample_time_s: Floats, tolerance: float) -> None:
+    """Raise ValueError for numbers that are not finite, by name and place, and for sample times that do not ascend."""
+    named = {"weight": weight, "sample_time_s": sample_time_s, "tolerance": np.array([tolerance])}
+    parts = ("delay_s",) if isinstance(motion, Delays) else ("rest_s", "shape", "amplitude_s")
+    named |= {name: getattr(motion, name) for name in parts if not callable(getattr(motion, name))}
+    for name, value in named.items():
+        bad = np.argwhere(~np.isfinite(value))
+        if len(bad):
+            place = tuple(bad[0].tolist())
+            raise ValueError(f"{name}{list(place)} is {value[place]}: every number that makes an echo must be finite")
+    if tolerance < 0:
+        raise ValueError(f"tolerance is {tolerance}: take 0 for exact sums or a relative error such as 1e-6")
+    if (np.diff(sample_time_s) <= 0).any():
+        raise ValueError("sample_time_s must ascend: sort the sample times")
+
+
+def refuse_aliasing(pulse: Pulse, sample_time_s: Floats) -> None:
+    """Raise ValueError where the samples are too far apart for the pulse's highest frequency."""
+    if len(sample_time_s) < 2:
+        return
+    rate_hz = (len(sample_time_s) - 1) / float(sample_time_s[-1] - sample_time_s[0])
+    highest_hz = max(abs(hz) for hz in pulse.frequency_hz)
+    if rate_hz <= 2 * highest_hz:
+        raise ValueError(
+            f"the sample rate of {rate_hz / 1e6:.4g} MHz is below twice the pulse's highest frequency of "
+            f"{highest_hz / 1e6:.4g} MHz, so echoes would alias: sample above {2 * highest_hz / 1e6:.4g} MHz or take a "
+            "narrower pulse"
+        )
