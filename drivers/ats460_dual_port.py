@@ -28,7 +28,8 @@ class DualPortCapture:
     """One capture at a time through a ring of page-aligned buffers.
 
     The buffers live from ``arm`` until ``abort``, which must follow on every way out, also after the last record.
-    If the abort itself fails they are kept: the board might still write into them. NPT records carry no trigger time.
+    If the abort itself fails they are kept for the life of the process: the board might still write into them. NPT
+    records carry no trigger time.
     """
 
     def __init__(
@@ -87,7 +88,12 @@ class DualPortCapture:
     def abort(self) -> None:
         """End the transfer if one was begun, then free the buffers."""
         if self.armed:
-            self._board.call(self._board.library.AlazarAbortAsyncRead)
+            try:
+                self._board.call(self._board.library.AlazarAbortAsyncRead)
+            except BaseException:
+                for buffer in self._buffers:
+                    buffer.keep()
+                raise
         self.armed = False
         while self._buffers:
             self._buffers.pop().free()

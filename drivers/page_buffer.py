@@ -16,6 +16,7 @@ class PageBuffer:
 
     def __init__(self, size_bytes: int) -> None:
         self.size_bytes = size_bytes
+        self._kept = False
         self._memory: mmap.mmap | None = mmap.mmap(-1, size_bytes)
         # The anchor keeps the mapping in place; only without it may the mapping be closed.
         self._anchor: ctypes.Array[ctypes.c_char] | None = (ctypes.c_char * size_bytes).from_buffer(self._memory)
@@ -31,6 +32,12 @@ class PageBuffer:
         if self._memory is None:
             raise ValueError("the buffer has been freed")
         return np.frombuffer(self._memory, dtype, count).copy()
+
+    def keep(self) -> None:
+        """Never give the memory back, not even when nobody refers to it any more: a board may still write into it."""
+        if not self._kept:
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))
+        self._kept = True
 
     def free(self) -> None:
         """Give the memory back; a second call does nothing."""

@@ -32,6 +32,7 @@ from hpe_rig.mistakes import Mistake, mistakes_of
 from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
+    from sim_backend.wires import Emulator, Transport
     from sim_backend.world import World
 
 SAFE_ATTEMPTS = 2
@@ -121,7 +122,9 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
     ``first_shot`` is the index of the first shot to come: a twin that goes on with a run draws on its noise from there.
     """
     with interruptible(), ExitStack() as stack:
-        reached = _reach_twin(_declared(scene), bench, first_shot) if bench.simulated else _reach_metal(bench, stack)
+        reached = (
+            _reach_twin(_declared(scene), bench, first_shot, stack) if bench.simulated else _reach_metal(bench, stack)
+        )
         opened = _assemble(bench, roles, reached)
         for instrument in opened.instruments:
             stack.callback(_close_quietly, instrument)
@@ -145,7 +148,7 @@ def open_each(bench: BenchFile) -> Iterator[Mapping[str, Instrument | Exception]
     """
     roles = [role for role in GENERATOR_ROLES if getattr(bench.generators, role) is not None]
     with interruptible(), ExitStack() as stack:
-        reached = _reach_twin({}, bench, 0) if bench.simulated else _reach_metal(bench, stack)
+        reached = _reach_twin({}, bench, 0, stack) if bench.simulated else _reach_metal(bench, stack)
         found: dict[str, Instrument | Exception] = {}
         try:
             for role in (*roles, "digitizer"):
@@ -195,9 +198,13 @@ class Reach:
         if role == "digitizer":
             board, library = bench.digitizer, self.library()
             return Ats460(library, self.clock, role, board.system_id, board.board_id, mode=board.acquisition_mode)
+        generator = getattr(bench.generators, role)
+        most_vpp = generator.max_vpp or math.inf
         if role in ("toneburst", "tracking_pulser"):
-            return ToneburstGenerator33250A(self.wire(role), role, max_vpp=bench.limits.max_drive_vpp or math.inf)
-        return (MasterTrigger33250A if role == "master" else PulseGenerator33250A)(self.wire(role), role)
+            most_vpp = min(most_vpp, bench.limits.max_drive_vpp or math.inf)
+            return ToneburstGenerator33250A(self.wire(role), role, generator.model, most_vpp)
+        pulses = MasterTrigger33250A if role == "master" else PulseGenerator33250A
+        return pulses(self.wire(role), role, generator.model, most_vpp)
 
 
 def _declared(scene: Scene) -> dict[str, Any]:
@@ -208,26 +215,78 @@ def _declared(scene: Scene) -> dict[str, Any]:
     return declared | (scene.simulation or {})
 
 
-def _reach_twin(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int) -> Reach:
+def _reach_twin(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack) -> Reach:
+    world = _world(simulation, bench, first_shot)
+    if bench.transport is None:
+        return Reach(lambda role: cast(InstrumentWire, world.wire(role)), world.alazar_library, world.clock, world)
+    served = stack.enter_context(_emulator(world, bench, bench.transport)).served
+    wire = _visa_wires({role: (there.address, there.interface) for role, there in served.items()}, "@py", stack)
+    return Reach(wire, world.alazar_library, world.clock, world)
+
+
+def _world(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0) -> World:
     from sim_backend.settings import SimulationSettings
     from sim_backend.world import World
 
     settings = SimulationSettings.model_validate(simulation)
     wiring = [(wire.source, wire.target, wire.delay_s) for wire in bench.wiring]
-    world = World(settings, wiring, first_capture=first_shot)
-    return Reach(lambda role: cast(InstrumentWire, world.wire(role)), world.alazar_library, world.clock, world)
+    models = {role: generator.model for role, generator in bench.generators.by_role.items()}
+    return World(settings, wiring, first_capture=first_shot, models=models)
+
+
+def _emulator(world: World, bench: BenchFile, transport: Transport) -> Emulator:
+    from sim_backend.wires import Emulator
+
+    try:
+        return Emulator(transport, world.wire, tuple(bench.generators.by_role))
+    except OSError as error:
+        what = f"the generators cannot be served over {transport}"
+        raise InstrumentError("simulated bench", what, str(error), "take another transport") from error
+
+
+@contextmanager
+def open_emulator(
+    scene: Scene, bench: BenchFile, transport: Transport
+) -> Iterator[Mapping[str, tuple[str, str | None]]]:
+    """Yield the VISA address, and the interface before it if any, of each simulated generator by role.
+
+    They listen on loopback alone, share one world and one clock, and are gone on the way out.
+    """
+    with interruptible(), _emulator(_world(_declared(scene), bench), bench, transport) as emulator:
+        yield {role: (there.address, there.interface) for role, there in emulator.served.items()}
+
+
+def _visa_wires(
+    addresses: Mapping[str, tuple[str, str | None]], backend: str, stack: ExitStack
+) -> Callable[[str], InstrumentWire]:
+    """Return what opens the wire of a role; an adapter that several share is opened once."""
+    from drivers.visa_wire import VisaInterface, VisaWire
+
+    interfaces: dict[str, VisaInterface] = {}
+
+    def wire(role: str) -> InstrumentWire:
+        address, before = addresses[role]
+        try:
+            if before and before not in interfaces:
+                interfaces[before] = VisaInterface(before, backend=backend)
+                stack.callback(interfaces[before].close)
+            opened = VisaWire(address, backend=backend, interface=interfaces[before] if before else None)
+        except ConnectionError as error:
+            remedy = f"correct generators.{role}.address, or see what hpe-rig bench finds"
+            raise InstrumentError(role, str(error), "the address, the cable or the power is wrong", remedy) from error
+        stack.callback(opened.close)
+        return opened
+
+    return wire
 
 
 def _reach_metal(bench: BenchFile, stack: ExitStack) -> Reach:
     from drivers.alazar_api import load_library
-    from drivers.visa_wire import VisaWire
 
-    def wire(role: str) -> InstrumentWire:
-        opened = VisaWire(getattr(bench.generators, role).address)
-        stack.callback(opened.close)
-        return opened
-
-    return Reach(wire, load_library, WallClock(), None)
+    addresses = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
+    return Reach(
+        _visa_wires(addresses, "", stack), lambda: load_library(name=bench.digitizer.library), WallClock(), None
+    )
 
 
 def _assemble(bench: BenchFile, roles: Sequence[str], reached: Reach) -> Bench:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -70,6 +69,12 @@ class Generators(Section):
     tracking_pulser: Generator
     """Generator of the tracking pulse, fired by the digitizer's trigger output."""
 
+    @property
+    def by_role(self) -> dict[str, Generator]:
+        """The generators that there are, by role."""
+        pairs = ((role, getattr(self, role)) for role in GENERATOR_ROLES)
+        return {role: generator for role, generator in pairs if generator is not None}
+
 
 class DigitizerBoard(Section):
     """The digitizer."""
@@ -94,6 +99,8 @@ class DigitizerBoard(Section):
     """Whether the trigger output rises only after the trigger delay (not established for the ATS460)."""
     trigger_level_v: Positive = 1.5
     """Level of the external trigger input."""
+    library: str | None = None
+    """Name or path of the vendor's library; absent: ATSApi.dll or libATSApi.so, as installed."""
     acquisition_mode: Literal["single_port", "traditional"] | None = None
     """Way to capture; absent: AutoDMA with record headers where there is dual-port memory, else single port."""
 
@@ -242,11 +249,6 @@ def read_bench(path: Path | None = None) -> BenchText:
     return parse_bench(path.stem, text)
 
 
-def _generators(bench: BenchFile) -> Mapping[str, Generator]:
-    pairs = ((role, getattr(bench.generators, role)) for role in GENERATOR_ROLES)
-    return {role: generator for role, generator in pairs if generator is not None}
-
-
 def _missing_addresses(bench: BenchFile) -> list[Mistake]:
     if bench.simulated:
         return []
@@ -257,7 +259,7 @@ def _missing_addresses(bench: BenchFile) -> list[Mistake]:
             "this key is required on a real bench",
             'a VISA name such as "GPIB0::10::INSTR"',
         )
-        for role, generator in _generators(bench).items()
+        for role, generator in bench.generators.by_role.items()
         if not generator.address
     ]
 

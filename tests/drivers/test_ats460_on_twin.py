@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+import gc
 import math
+import weakref
 from collections.abc import Iterator
 from types import SimpleNamespace
 
@@ -304,6 +306,31 @@ def test_memory_is_kept_until_the_board_has_let_go_of_it() -> None:
     rig.library.answers.clear()
     rig.digitizer.make_safe()
     assert rig.memory.held == 0
+
+
+def test_memory_that_the_board_never_let_go_of_outlives_the_driver() -> None:
+    rig = Rig(dual=True, answers={"AlazarAbortAsyncRead": 571})
+    rig.digitizer.configure(CAPTURE)
+    rig.digitizer.arm()
+    with pytest.raises(InstrumentError):
+        rig.digitizer.close()
+    buffers = [weakref.ref(buffer) for buffer in rig.memory.buffers]
+    del rig
+    gc.collect()
+    assert buffers
+    for buffer in buffers:
+        assert buffer() is not None
+        # What the board would do; on memory given back it would end the process.
+        ctypes.memset(buffer().address, 0xEE, buffer().size_bytes)
+
+
+def test_memory_of_a_proper_end_does_not_outlive_the_driver() -> None:
+    rig = Rig(dual=True)
+    rig.shot(CAPTURE)
+    buffers = [weakref.ref(buffer) for buffer in rig.memory.buffers]
+    del rig
+    gc.collect()
+    assert all(buffer() is None for buffer in buffers)
 
 
 def test_an_overflow_is_an_error_with_its_cause() -> None:

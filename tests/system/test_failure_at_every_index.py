@@ -28,7 +28,7 @@ Prepare = Callable[..., Setup]
 
 KINDS = ("exception", "timeout", "late reply", "garbage", "peer close", "interrupt", "terminate")
 SIGNALS = {"interrupt": signal.SIGINT, "terminate": signal.SIGTERM}
-WAIT_TIMEOUT = 579
+WAIT_TIMEOUT, BUFFER_OVERFLOW = 579, 582
 STRIDE = 2
 """The default suite takes every second call, with the kinds in turn; all calls with all kinds are marked slow."""
 
@@ -123,7 +123,9 @@ class TappedLibrary:
                 raise OSError("injected")
             if strikes and self._tap.kind == "late reply":
                 whole(*arguments)
-            return WAIT_TIMEOUT if strikes else whole(*arguments)
+            if strikes:
+                return BUFFER_OVERFLOW if self._tap.kind == "garbage" else WAIT_TIMEOUT
+            return whole(*arguments)
 
         function.__name__ = name
         return function
