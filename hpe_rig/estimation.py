@@ -33,7 +33,9 @@ def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimat
     """Return the estimates of every shot that has records."""
     prediction = predicted_averaging(scene, estimator)
     results = []
-    for shot, records in zip(plan.shots, stored.records, strict=True):
+    for shot in plan.shots:
+        # Of a long record only the gate comes into memory.
+        records = stored.records.gated(shot.index, shot.gate)
         if not records.valid.any():
             continue
         truth_m = None if stored.true_displacement_m is None else stored.true_displacement_m[shot.index]
@@ -88,7 +90,7 @@ def _estimate_shot(
     prediction: tuple[float | None, float | None],
 ) -> ShotResult:
     inside = slow_time_window(scene, shot)
-    codes, valid = records.codes[inside][:, shot.gate], records.valid[inside]
+    codes, valid = records.codes[inside], records.valid[inside]
     volts = codes_to_volts(codes, records.volts_per_code, records.volts_offset)
     time_s = shot.timeline.sensing_s[inside] - shot.timeline.reference_s
     echoes = EchoGate(

@@ -19,7 +19,8 @@ MISSING = np.int16(-32768)
 class ShotRecords:
     """The records of one shot on the plan's axes.
 
-    ``codes`` int16 (pulse, sample), ``MISSING`` where nothing arrived; ``trigger_time_s`` float64 (pulse,), NaN there.
+    ``codes`` int16 (pulse, sample), ``MISSING`` where nothing arrived; ``trigger_time_s`` float64 (pulse,), NaN there
+    and where the way to capture states no time.
     """
 
     codes: NDArray[np.int16]
@@ -30,15 +31,19 @@ class ShotRecords:
     @property
     def valid(self) -> NDArray[np.bool_]:
         """Which pulses have a record, shape (pulse,)."""
-        valid: NDArray[np.bool_] = np.isfinite(self.trigger_time_s)
+        valid: NDArray[np.bool_] = self.codes[:, 0] != MISSING
         return valid
 
 
 def pulse_index(block: RecordBlock, first_trigger_s: float, shot: Shot) -> NDArray[np.int64]:
     """Return the tracking pulse that each record of ``block`` belongs to, shape (record,); -1 where none fits.
 
-    The board's trigger times decide, so that a lost trigger shifts no later record.
+    The board's trigger times decide, so that a lost trigger shifts no later record; where the way to capture states
+    none, records count from the first.
     """
+    if np.isnan(block.trigger_time_s).any():
+        index = block.first_record + np.arange(block.codes.shape[0], dtype=np.int64)
+        return np.where(index < shot.capture.record_count, index, -1)
     period = 1 / shot.tracking_train.rate_hz
     place = (block.trigger_time_s - first_trigger_s) / period
     index = np.round(place).astype(np.int64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,17 @@ from hpe_rig.plan import Plan, make_plan
 from hpe_rig.result import Result
 from hpe_rig.scene import Processing, Scene, SceneText, parse_scene, scene_text
 from hpe_rig.sequencer import Event, Observer, ShotBlock, ShotDone, ShotReady, acquire, unobserved
-from hpe_rig.store import RunWriter, StoreError, free_path, read_run, result_path, versions, write_result
+from hpe_rig.store import (
+    RunWriter,
+    StoredRun,
+    StoreError,
+    WriteOptions,
+    free_path,
+    read_run,
+    result_path,
+    versions,
+    write_result,
+)
 
 
 class Stages:
@@ -61,16 +71,29 @@ def prepare(
 
 
 def measure(
-    setup: Setup, path: Path | None = None, observer: Observer = unobserved, stages: Stages | None = None
+    setup: Setup,
+    path: Path | None = None,
+    observer: Observer = unobserved,
+    stages: Stages | None = None,
+    options: WriteOptions | None = None,
+    earlier: StoredRun | None = None,
 ) -> Path:
-    """Acquire every shot into a new run file and return its path; every output is off when it returns or raises."""
-    stages = stages or Stages()
+    """Acquire every shot into a new run file and return its path; every output is off when it returns or raises.
+
+    ``earlier`` is a run of the same plan: the shots ``options.predecessor`` counts are taken over from it.
+    """
+    stages, options = stages or Stages(), options or WriteOptions()
     refuse_conflicts(setup.findings)
     path = path or free_path(setup.scene.name, Path())
-    with RunWriter(path, setup.scene, setup.bench, setup.plan) as writer, ExitStack() as stack:
+    first = options.predecessor.shots
+    rest = replace(setup.plan, shots=setup.plan.shots[first:])
+    with RunWriter(path, setup.scene, setup.bench, setup.plan, options) as writer, ExitStack() as stack:
+        if earlier is not None:
+            with stages("take over"):
+                writer.take_over(earlier, first)
         with stages("open bench"):
-            bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles))
-        with stages("acquire"), closing(acquire(setup.plan, bench, observer)) as events:
+            bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
+        with stages("acquire"), closing(acquire(rest, bench, observer)) as events:
             for event in events:
                 _record(event, bench, writer)
     return path
@@ -87,7 +110,7 @@ def _record(event: Event, bench: Bench, writer: RunWriter) -> None:
             truth_m = bench.true_displacement_m()
             if truth_m is not None:
                 writer.truth(shot, truth_m)
-            writer.flush()
+            writer.finish(shot)
 
 
 def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:
@@ -100,16 +123,23 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
         scene = parse_scene(stored.scene_name, stored.scene_toml).scene
         bench = parse_bench(stored.bench_name, stored.bench_toml).bench
         plan = make_plan(scene, bench)
+        found = tuple(findings(scene, bench, plan))
+        stored.refuse_unlike(plan)
     asked = {"estimator": estimator or scene.processing.estimator}
     mistakes = mistakes_of(Processing, asked, ("processing",))
     if mistakes:
         raise SettingsError("command line", mistakes)
     chosen = Processing.model_validate(asked).estimator
     with stages("process"):
-        shots = estimate_run(scene, plan, stored, chosen)
+        try:
+            shots = estimate_run(scene, plan, stored, chosen)
+        except ValueError as error:
+            raise StoreError(
+                f"{path} cannot be estimated ({error}). Try: another estimator, or more records."
+            ) from error
     if not shots:
         raise StoreError(f"{path} holds no records, the run is {stored.status}. Try: measure again.")
-    warnings = tuple(str(finding) for finding in findings(scene, bench, plan) if finding.level != "passed")
+    warnings = tuple(str(finding) for finding in found if finding.level != "passed")
     warnings += tuple(
         f"shot {shot + 1}: the digitizer's input left its range of {scene.acquisition.input_range_v:g} V, in the gate "
         "or outside it: raise acquisition.input_range_v"

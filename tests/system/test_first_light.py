@@ -162,7 +162,7 @@ def test_the_run_file_keeps_scene_settings_and_provenance(prepared: Prepare, tmp
         assert file["scene"].asstr()[()] == setup.scene.text
         settings = json.loads(file["snapshot"].asstr()[0])
         assert set(settings) == set(setup.plan.roles)
-        assert file.attrs["status"] == "complete"
+        assert file.attrs["status"] == b"complete"
         assert bool(file.attrs["simulated"])
         assert {"version_hpe_rig", "version_numpy", "version_commit"} <= set(file.attrs)
 

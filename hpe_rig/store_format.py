@@ -1,0 +1,59 @@
+"""What writers and readers of run files share: names, versions, limits, the one error."""
+
+from __future__ import annotations
+
+import platform
+import re
+from importlib import metadata
+from pathlib import Path
+from typing import Final
+
+FORMAT: Final = "hpe_rig run"
+FORMAT_VERSION: Final = 2
+RESULT_FORMAT: Final = "hpe_rig result"
+
+STATUS_BYTES: Final = 8
+"""Room for running, complete, aborted or failed: an attribute that changes must not change its size."""
+SNAPSHOT_BYTES: Final = 16384
+"""Room for one shot's settings as JSON; of fixed size, since nothing may be created while others read."""
+CHUNK_BYTES: Final = 1_000_000
+"""Wanted size of one chunk of echoes: what a crash can cost."""
+ROW_CHUNK: Final = 65536
+"""Most pulses in one chunk of a quantity with one value a pulse."""
+BITSHUFFLE: Final = 32008
+"""Registered HDF5 filter of bitshuffle with LZ4."""
+
+
+class StoreError(Exception):
+    """A run file that cannot be written or read; says which, why and what to try."""
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that shaped the numbers, and the commit the package was built from where it is known."""
+    packages = {name: metadata.version(name) for name in ("numpy", "scipy", "h5py")}
+    try:
+        own = metadata.version("hpe-rig")
+    except metadata.PackageNotFoundError:
+        own = "not installed"
+    commit = own.partition("+g")[2].partition(".")[0] or "unknown"
+    return {"hpe_rig": own, "commit": commit, "python": platform.python_version(), **packages}
+
+
+def free_path(stem: str, folder: Path) -> Path:
+    """Return ``folder/stem.h5``, or the first numbered name after it that does not exist."""
+    path, number = folder / f"{stem}.h5", 2
+    while path.exists():
+        path, number = folder / f"{stem}-{number}.h5", number + 1
+    return path
+
+
+def result_path(run_path: Path, estimator: str) -> Path:
+    """Return the path of the result file beside a run file."""
+    return run_path.with_name(f"{run_path.stem}.{estimator}.h5")
+
+
+def reason(error: BaseException) -> str:
+    """Return what went wrong in the operating system's words, without the HDF5 library's pointers and descriptors."""
+    text = str(error)
+    found = re.search(r"error message = '([^']*)'", text)
+    return found.group(1) if found else text.partition("\n")[0][:200] or type(error).__name__

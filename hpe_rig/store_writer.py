@@ -1,0 +1,336 @@
+"""Records to disk while they arrive: whole chunks, flushed, in a file that others may read at any moment.
+
+Order is the promise: a chunk of echoes is on its way to the disk before the marks that say its records are there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, final
+
+import h5py
+import numpy as np
+from h5py import h5f, h5p
+from numpy.typing import NDArray
+
+from drivers.interfaces import RecordBlock
+from hpe_rig.bench_file import BenchText
+from hpe_rig.plan import Plan, Shot
+from hpe_rig.records import MISSING, pulse_index
+from hpe_rig.scene import SceneText
+from hpe_rig.store_format import SNAPSHOT_BYTES, StoreError, reason
+from hpe_rig.store_layout import Predecessor, empty_run
+from hpe_rig.store_reader import StoredRun
+
+CHECKPOINT_S = 1.0
+"""Longest time that written records may wait for the disk itself, checked at the end of each shot."""
+SPARE_BYTES = 16_000_000
+"""Room on the disk beyond the records: settings, axes, the result file."""
+
+
+@dataclass(frozen=True, slots=True)
+class WriteOptions:
+    """How a run file is written; ``predecessor`` is the run that it goes on from."""
+
+    compress: bool = False
+    overwrite: bool = False
+    predecessor: Predecessor = field(default_factory=Predecessor)
+
+
+@final
+class RunWriter:
+    """An open run file; records are appended as they arrive, the status says how it ended."""
+
+    def __init__(
+        self,
+        path: Path,
+        scene: SceneText,
+        bench: BenchText,
+        plan: Plan,
+        options: WriteOptions = WriteOptions(),
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Create ``path``; raise ``StoreError`` if it exists, cannot be written or would not hold the records."""
+        self.path = path
+        self._clock = clock
+        self._checkpoint_s = clock()
+        self._broken = False
+        if not options.compress:
+            _refuse_small_disk(path, plan.record_bytes)
+        _publish(empty_run(scene, bench, plan, options.compress, options.predecessor), path, options.overwrite)
+        with self._writing():
+            self._file = _open_for_readers(path)
+        self._records = self._file["records"]
+        self._chunk = _Chunk(self._records["echo"])
+        self._shot: _ShotRows | None = None
+
+    def __enter__(self) -> RunWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        failed = "failed" if kind is not None and issubclass(kind, Exception) else "aborted"
+        try:
+            with self._writing():
+                self._end("complete" if kind is None else failed)
+            if not self.path.exists():
+                raise StoreError(f"{self.path} vanished while it was written. Try: another folder, measure again.")
+        except StoreError:
+            # What broke the run is the better message.
+            if kind is None:
+                raise
+
+    def settings(self, shot: Shot, settings: Mapping[str, Mapping[str, Any]]) -> None:
+        """Write the instruments' settings as read back for ``shot``, and when its pulses are due."""
+        text = json.dumps(settings, sort_keys=True, separators=(",", ":"))
+        if len(text) > SNAPSHOT_BYTES:
+            raise StoreError(
+                f"the settings of shot {shot.index + 1} take {len(text)} bytes, a run file has room for "
+                f"{SNAPSHOT_BYTES}. Try: report this with the bench file."
+            )
+        with self._writing():
+            self._file["snapshot"][shot.index] = text
+            self._records["pulse_onset_s"][shot.index] = shot.timeline.pulse_onset_s
+
+    def append(self, shot: Shot, block: RecordBlock) -> None:
+        """Put the records of ``block`` in their pulses' places; chunks that are full go to the disk."""
+        if not block.codes.size:
+            return
+        self._refuse_other_volts(block)
+        with self._writing():
+            rows = self._rows_of(shot, float(block.trigger_time_s[0]))
+            index = pulse_index(block, rows.first_trigger_s, shot)
+            kept = index >= 0
+            self._put(rows, index[kept], block.codes[kept], block.trigger_time_s[kept])
+
+    def clipped(self, shot: Shot, clipped: bool) -> None:
+        """Write whether the digitizer's input left its range during ``shot``."""
+        with self._writing():
+            self._records["clipped"][shot.index] = clipped
+
+    def truth(self, shot: Shot, displacement_m: NDArray[np.float64]) -> None:
+        """Write the true displacement at the focus for each record of ``shot``, shape (record,)."""
+        recorded = np.zeros(0, bool) if self._shot is None else self._shot.recorded
+        valid = np.flatnonzero(recorded)
+        row_m = np.full(recorded.size, np.nan)
+        row_m[valid] = displacement_m[: valid.size]
+        if valid.size:
+            with self._writing():
+                self._file["truth/displacement_m"][shot.index] = row_m
+
+    def finish(self, shot: Shot) -> None:
+        """Hand everything of ``shot`` to the operating system, then mark it as complete; now and then sync the disk."""
+        with self._writing():
+            self._write_chunk()
+            self._file.flush()
+            self._mark_complete(shot.index)
+            if self._clock() - self._checkpoint_s >= CHECKPOINT_S:
+                self._sync()
+                self._checkpoint_s = self._clock()
+
+    def take_over(self, earlier: StoredRun, shots: int) -> None:
+        """Copy the first ``shots`` shots of another run of the same plan, chunk by chunk."""
+        for shot in range(shots):
+            with self._writing():
+                for name, row in earlier.rows(shot).items():
+                    self._file[name][shot] = row
+                for start, codes in earlier.records.chunks(shot, self._chunk.rows):
+                    self._chunk.write(shot, start, codes)
+                self._file.flush()
+                self._mark_complete(shot)
+
+    def _rows_of(self, shot: Shot, first_trigger_s: float) -> _ShotRows:
+        if self._shot is None or self._shot.index != shot.index:
+            self._write_chunk()
+            self._shot = _ShotRows(shot, first_trigger_s)
+        return self._shot
+
+    def _put(
+        self, rows: _ShotRows, index: NDArray[np.int64], codes: NDArray[np.int16], time_s: NDArray[np.float64]
+    ) -> None:
+        for number in np.unique(index // self._chunk.rows):
+            here = index // self._chunk.rows == number
+            if (rows.index, number) != self._chunk.place:
+                self._write_chunk()
+                self._chunk.begin(rows.index, int(number))
+            self._chunk.put(index[here] % self._chunk.rows, codes[here])
+            rows.recorded[index[here]] = True
+            rows.trigger_time_s[index[here]] = time_s[here]
+            if index[here][-1] % self._chunk.rows == self._chunk.rows - 1:
+                self._write_chunk()
+
+    def _write_chunk(self) -> None:
+        """Write the chunk begun, then the marks of its records; nothing where nothing was added since."""
+        if self._chunk.place is None or self._shot is None or not self._chunk.fresh:
+            return
+        shot, number = self._chunk.place
+        self._chunk.flush()
+        rows = slice(number * self._chunk.rows, (number + 1) * self._chunk.rows)
+        for name in ("trigger_time_s", "recorded"):
+            self._records[name][shot, rows] = getattr(self._shot, name)[rows]
+            self._records[name].flush()
+
+    def _mark_complete(self, shot: int) -> None:
+        self._records["shot_complete"][shot] = 1
+        self._records["shot_complete"].flush()
+
+    def _end(self, status: str) -> None:
+        try:
+            if not self._broken:
+                self._write_chunk()
+                self._file.flush()
+        finally:
+            with contextlib.suppress(OSError, RuntimeError):
+                self._file.attrs.modify("status", np.bytes_(status))
+                self._sync()
+            self._file.close()
+
+    def _sync(self) -> None:
+        self._file.flush()
+        os.fsync(self._file.id.get_vfd_handle())
+
+    def _refuse_other_volts(self, block: RecordBlock) -> None:
+        expected = self._records["echo"].attrs["scale_factor"], self._records["echo"].attrs["add_offset"]
+        if not np.allclose((block.volts_per_code, block.volts_offset), expected, rtol=1e-9, atol=0):
+            raise StoreError(
+                f"the digitizer says {block.volts_per_code:g} V a code, its range {expected[0]:g}. Its input range is "
+                "not the programmed one. Try: hpe-rig bench, then another acquisition.input_range_v."
+            )
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, RuntimeError) as error:
+            self._broken = True
+            raise StoreError(
+                f"{self.path} cannot be written any further ({reason(error)}). What was written before is kept. "
+                f"Try: make room or bring the folder back, then hpe-rig resume {self.path.name}."
+            ) from None
+
+
+@final
+class _Chunk:
+    """The chunk of echoes that is being filled; ``place`` is its (shot, number), None before the first.
+
+    ``fresh`` says whether it holds records that the file does not.
+    """
+
+    def __init__(self, echo: h5py.Dataset) -> None:
+        self._echo = echo
+        self._plain = echo.id.get_create_plist().get_nfilters() == 0
+        self.rows: int = echo.chunks[1]
+        self.codes = np.empty(echo.chunks[1:], "<i2")
+        self.place: tuple[int, int] | None = None
+        self.fresh = False
+
+    def begin(self, shot: int, number: int) -> None:
+        """Forget what is held and start on another chunk."""
+        self.codes.fill(MISSING)
+        self.place = (shot, number)
+
+    def put(self, rows: NDArray[np.int64], codes: NDArray[np.int16]) -> None:
+        """Take ``codes`` (row, sample) in at ``rows``."""
+        self.codes[rows] = codes
+        self.fresh = True
+
+    def flush(self) -> None:
+        """Write the chunk, which stays held so that late records can be added."""
+        if self.place is not None:
+            shot, number = self.place
+            self._write(shot, number * self.rows)
+
+    def write(self, shot: int, first: int, codes: NDArray[np.int16]) -> None:
+        """Write whole ``codes`` (pulse, sample) from pulse ``first`` on, a multiple of the chunk's rows."""
+        self.begin(shot, first // self.rows)
+        self.codes[: codes.shape[0]] = codes
+        self._write(shot, first)
+
+    def _write(self, shot: int, first: int) -> None:
+        if self._plain:
+            # Past the library's cache: nothing is left there to fail again when the disk is full.
+            self._echo.id.write_direct_chunk((shot, first, 0), self.codes)
+        else:
+            rows = min(self.rows, self._echo.shape[1] - first)
+            self._echo[shot, first : first + rows] = self.codes[:rows]
+        self._echo.flush()
+        self.fresh = False
+
+
+@final
+class _ShotRows:
+    """What is known of the records of the shot that is running."""
+
+    def __init__(self, shot: Shot, first_trigger_s: float) -> None:
+        self.index = shot.index
+        self.first_trigger_s = first_trigger_s
+        self.recorded = np.zeros(shot.capture.record_count, bool)
+        self.trigger_time_s = np.full(shot.capture.record_count, np.nan)
+
+
+def _refuse_small_disk(path: Path, record_bytes: int) -> None:
+    try:
+        free = shutil.disk_usage(path.parent).free
+    except OSError:
+        # Whatever is wrong with the folder shows, with its own words, when the file is created.
+        return
+    if free < record_bytes + SPARE_BYTES:
+        raise StoreError(
+            f"{path}: the records take {(record_bytes + SPARE_BYTES) / 1e9:.3g} GB, the disk has {free / 1e9:.3g} GB "
+            "free. Try: another folder with --output, --compress, or fewer repeats."
+        )
+
+
+def _publish(image: bytes, path: Path, overwrite: bool) -> None:
+    """Let ``path`` appear as a whole file or not at all."""
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    try:
+        with draft.open("xb") as file:
+            file.write(image)
+            file.flush()
+            os.fsync(file.fileno())
+        if overwrite:
+            draft.replace(path)
+        else:
+            _rename_to_new(draft, path)
+    except FileExistsError:
+        raise StoreError(
+            f"{path} exists and is never overwritten unless told. Try: another --output, or --overwrite."
+        ) from None
+    except OSError as error:
+        raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder with --output.") from None
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+
+
+def _rename_to_new(draft: Path, path: Path) -> None:
+    """Rename, raising ``FileExistsError`` where ``path`` is taken: a link on POSIX, where a rename would replace it."""
+    if os.name == "posix":
+        try:
+            path.hardlink_to(draft)
+        except FileExistsError:
+            raise
+        except OSError:
+            # A file system without links: the check and the rename are then two steps.
+            if path.exists():
+                raise FileExistsError(path) from None
+            draft.rename(path)
+    else:
+        draft.rename(path)
+
+
+def _open_for_readers(path: Path) -> h5py.File:
+    """Open in single-writer-multiple-reader mode from the first moment: a file killed later can still be opened."""
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
+    return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE, access))
