@@ -3,57 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from hpe_rig.bench_file import BOARD_MODELS, BenchFile, Limits
+from hpe_rig.bench_file import BOARD_MODELS, BenchFile
+from hpe_rig.finding import Finding, Level, PlanError, judged, refuse_conflicts
 from hpe_rig.interference import admissible_delays_s, disturbed_pulses, forbidden_window_s
+from hpe_rig.output_conflicts import acoustic_output, drive
 from hpe_rig.plan import Plan, Shot
-from hpe_rig.safety import AcousticOutput, highest_output, uncalibrated
 from hpe_rig.scene import Scene
 
-Level = Literal["passed", "warning", "refused"]
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """What one check found; ``remedy`` is empty where it passed."""
-
-    check: str
-    level: Level
-    text: str
-    remedy: str = ""
-
-    def __str__(self) -> str:
-        return f"{self.check}: {self.text}" + (f". Try: {self.remedy}." if self.remedy else "")
-
-
-class PlanError(Exception):
-    """A plan that must not run; ``findings`` holds every conflict."""
-
-    def __init__(self, findings: Sequence[Finding]) -> None:
-        lines = "\n".join(f"  {finding}" for finding in findings)
-        super().__init__(f"the plan has {len(findings)} conflict{'s' if len(findings) != 1 else ''}\n{lines}")
-        self.findings = tuple(findings)
+__all__ = ["Finding", "PlanError", "findings", "refuse_conflicts"]
 
 
 def findings(scene: Scene, bench: BenchFile, plan: Plan) -> list[Finding]:
     """Return what every check found, passed ones included."""
-    return [finding for check in _CHECKS for finding in check(scene, bench, plan)]
-
-
-def refuse_conflicts(found: Sequence[Finding]) -> None:
-    """Raise ``PlanError`` with all conflicts, if there are any."""
-    refused = [finding for finding in found if finding.level == "refused"]
-    if refused:
-        raise PlanError(refused)
-
-
-def _finding(check: str, good: bool, text: str, remedy: str) -> Finding:
-    return Finding(check, "passed", text) if good else Finding(check, "refused", text, remedy)
+    return [found for check in _CHECKS for found in check(scene, bench, plan)]
 
 
 def _us(time_s: float) -> str:
@@ -93,7 +59,7 @@ def _record_in_period(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Fi
     capture, period_s = plan.shots[0].capture, 1 / scene.tracking.pulse_rate_hz
     busy_s = (capture.trigger_delay_samples + capture.record_samples) / capture.sample_rate_hz
     text = f"a record ends {_us(busy_s)} after its trigger, the pulse period is {_us(period_s)}"
-    yield _finding(
+    yield judged(
         "record in period",
         busy_s < period_s,
         text,
@@ -108,14 +74,10 @@ def _depth(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     text = (
         f"tracking.pulse_rate_hz = {scene.tracking.pulse_rate_hz:g} Hz, c/2z at the gate's far end is {limit_hz:.5g} Hz"
     )
-    yield _finding(
-        "depth", scene.tracking.pulse_rate_hz <= limit_hz, text, f"a pulse rate of at most {limit_hz:.5g} Hz"
-    )
+    yield judged("depth", scene.tracking.pulse_rate_hz <= limit_hz, text, f"a pulse rate of at most {limit_hz:.5g} Hz")
     near_m = acquisition.gate_depth_m - acquisition.gate_length_m / 2
     text = f"the gate starts {near_m * 1e3:.4g} mm from the transducer"
-    yield _finding(
-        "gate depth", near_m > 0, text, "acquisition.gate_depth_m of more than half acquisition.gate_length_m"
-    )
+    yield judged("gate depth", near_m > 0, text, "acquisition.gate_depth_m of more than half acquisition.gate_length_m")
 
 
 def _aliasing(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
@@ -126,7 +88,7 @@ def _aliasing(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
         return
     highest_hz, rate_hz = max(frequencies_hz), scene.tracking.pulse_rate_hz
     text = f"highest of processing.frequencies_hz is {highest_hz:g} Hz, tracking.pulse_rate_hz = {rate_hz:g} Hz"
-    yield _finding(
+    yield judged(
         "aliasing",
         rate_hz > 2 * highest_hz,
         text,
@@ -162,7 +124,7 @@ def _resolution(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]
     remedy = f"a window of at least {needed_s * 1e3:.4g} ms (tracking.pulse_count), or frequencies further apart"
     good = window_s >= needed_s * (1 - 1e-9) and window_s * rate_hz >= 2 * len(frequencies_hz) + 2
     text += f", the closest frequencies stand {gaps_hz.min():g} Hz apart"
-    yield _finding("resolution", good, text, remedy)
+    yield judged("resolution", good, text, remedy)
 
 
 def _gate_in_record(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
@@ -172,35 +134,35 @@ def _gate_in_record(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Find
     needed = gate.stop if gate.start >= 0 else gate.stop - gate.start + 2 * 16
     needed = 16 * math.ceil(needed / 16)
     remedy = f"acquisition.record_samples = {max(128, needed)} or more, or a shorter acquisition.gate_length_m"
-    yield _finding("gate in record", gate.start >= 0 and gate.stop <= samples, text, remedy)
+    yield judged("gate in record", gate.start >= 0 and gate.stop <= samples, text, remedy)
     length = gate.stop - gate.start
     text = f"the gate holds {length} samples"
-    yield _finding("gate samples", length >= 8, text, "a longer acquisition.gate_length_m or a higher sample rate")
+    yield judged("gate samples", length >= 8, text, "a longer acquisition.gate_length_m or a higher sample rate")
 
 
 def _board(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     board, model, capture = bench.digitizer, BOARD_MODELS[bench.digitizer.model], plan.shots[0].capture
     rates = ", ".join(f"{rate / 1e6:g}" for rate in model.sample_rates_hz)
     text = f"acquisition.sample_rate_hz = {capture.sample_rate_hz:g} Hz on the {board.model}"
-    yield _finding("sample rate", capture.sample_rate_hz in model.sample_rates_hz, text, f"one of {rates} MHz")
+    yield judged("sample rate", capture.sample_rate_hz in model.sample_rates_hz, text, f"one of {rates} MHz")
     ranges = ", ".join(f"{volts:g}" for volts in model.input_ranges_v)
     text = f"acquisition.input_range_v = {capture.input_range_v:g} V on the {board.model}"
-    yield _finding("input range", capture.input_range_v in model.input_ranges_v, text, f"one of {ranges} V")
+    yield judged("input range", capture.input_range_v in model.input_ranges_v, text, f"one of {ranges} V")
     good = capture.record_samples >= model.record_minimum and capture.record_samples % model.record_multiple == 0
     nearest = max(
         model.record_minimum, model.record_multiple * math.ceil(capture.record_samples / model.record_multiple)
     )
     text = f"acquisition.record_samples = {capture.record_samples}, the {board.model} takes multiples of "
     text += f"{model.record_multiple} from {model.record_minimum}"
-    yield _finding("record length", good, text, f"acquisition.record_samples = {nearest}")
+    yield judged("record length", good, text, f"acquisition.record_samples = {nearest}")
     text = (
         f"trigger delay of {capture.trigger_delay_samples} samples, the board holds {model.max_trigger_delay_samples}"
     )
     good = capture.trigger_delay_samples <= model.max_trigger_delay_samples
-    yield _finding("trigger delay", good, text, "a gate nearer to the transducer")
+    yield judged("trigger delay", good, text, "a gate nearer to the transducer")
     nyquist_hz, carrier_hz = capture.sample_rate_hz / 2, scene.tracking.carrier_hz
     text = f"tracking.carrier_hz = {carrier_hz:g} Hz, half the sampling rate is {nyquist_hz:g} Hz"
-    yield _finding("carrier", carrier_hz < nyquist_hz, text, f"acquisition.sample_rate_hz above {2 * carrier_hz:g} Hz")
+    yield judged("carrier", carrier_hz < nyquist_hz, text, f"acquisition.sample_rate_hz above {2 * carrier_hz:g} Hz")
 
 
 def _memory(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
@@ -211,7 +173,7 @@ def _memory(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     held = min(board.max_records, board.samples_per_channel // (capture.record_samples + 16))
     text = f"{capture.record_count} records of {capture.record_samples} samples, the board holds {held}"
     remedy = f"tracking.pulse_count of at most {held}, or shorter acquisition.record_samples"
-    yield _finding("memory", capture.record_count <= held, text, remedy)
+    yield judged("memory", capture.record_count <= held, text, remedy)
 
 
 def _periods(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
@@ -220,14 +182,14 @@ def _periods(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     if period_s is not None:
         text = f"trains end {longest_s * 1e3:.4g} ms after the master trigger, "
         text += f"acquisition.shot_period_s = {period_s * 1e3:.4g} ms"
-        yield _finding(
+        yield judged(
             "master period", longest_s < period_s, text, f"a shot period above {longest_s:.4g} s, or shorter trains"
         )
     if scene.excitation is not None and scene.processing.synchronous:
         ratio = scene.tracking.pulse_rate_hz / scene.excitation.burst_rate_hz
         nearest = max(1, round(ratio)) * scene.excitation.burst_rate_hz
         text = f"the burst period holds {ratio:g} pulse periods, processing.synchronous = true wants a whole number"
-        yield _finding(
+        yield judged(
             "synchronous", _whole(ratio), text, f"tracking.pulse_rate_hz = {nearest:g}, or synchronous = false"
         )
 
@@ -244,62 +206,28 @@ def _excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]
     length_s, rate_hz = max(excitation.burst_length_s), excitation.burst_rate_hz
     duty = length_s * rate_hz
     text = f"duty f_r T_b = {duty:.3g}, limits.max_duty = {limits.max_duty:g}"
-    yield _finding(
+    yield judged(
         "duty", duty <= limits.max_duty, text, f"excitation.burst_length_s of at most {_us(limits.max_duty / rate_hz)}"
     )
     text = f"excitation.burst_length_s = {_us(length_s)}, limits.max_burst_length_s = {_us(limits.max_burst_length_s)}"
-    yield _finding(
+    yield judged(
         "burst length", length_s <= limits.max_burst_length_s, text, f"at most {_us(limits.max_burst_length_s)}"
     )
     text = f"excitation.burst_count = {excitation.burst_count}, limits.max_bursts = {limits.max_bursts}"
-    yield _finding("bursts", excitation.burst_count <= limits.max_bursts, text, f"at most {limits.max_bursts}")
+    yield judged("bursts", excitation.burst_count <= limits.max_bursts, text, f"at most {limits.max_bursts}")
     for burst_length_s in excitation.burst_length_s:
         cycles = burst_length_s * excitation.carrier_hz
         nearest_s = max(1, round(cycles)) / excitation.carrier_hz
         text = f"a toneburst of {_us(burst_length_s)} at {excitation.carrier_hz:g} Hz has {cycles:.6g} cycles"
         good = cycles >= 1 - 1e-9 and _whole(cycles)
-        yield _finding(
+        yield judged(
             "whole cycles", good, text, f"excitation.burst_length_s = {nearest_s:.9g}, a whole number of cycles"
         )
 
 
-def _drive(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
-    most_vpp = bench.limits.max_drive_vpp
-    if most_vpp is None:
-        return
-    bursts = {shot.toneburst.amplitude_vpp for shot in plan.shots if shot.toneburst is not None}
-    pulses = {shot.tracking_pulser.amplitude_vpp for shot in plan.shots}
-    for name, key, values in (
-        ("toneburst", "limits.full_drive_vpp", bursts),
-        ("tracking pulse", "generators.tracking_pulser.amplitude_vpp", pulses),
-    ):
-        text = f"{name} of {max(values, default=0.0):g} Vpp, limits.max_drive_vpp = {most_vpp:g} Vpp"
-        yield _finding("drive", max(values, default=0.0) <= most_vpp, text, f"{key} of at most {most_vpp:g}")
-
-
-def _acoustic_output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
-    unknown = dict.fromkeys(words for shot in plan.shots for words in uncalibrated(bench.calibration, shot))
-    if unknown:
-        text = f"not estimated in full: {'; '.join(unknown)}"
-        yield Finding("acoustic output", "warning", text, "a hydrophone measurement in [calibration] of the bench file")
-    if bench.calibration is None:
-        return
-    limits, output = bench.limits, highest_output(bench, plan.shots)
-    text = (
-        f"derated MI {output.mechanical_index:.3g} (limit {limits.max_mechanical_index:g}) or "
-        f"I_sppa {output.sppa_w_per_m2 / 1e4:.3g} W/cm2 (limit {limits.max_sppa_w_per_m2 / 1e4:g}), "
-        f"I_spta {output.spta_w_per_m2 / 10:.3g} mW/cm2 (limit {limits.max_spta_w_per_m2 / 10:g})"
-    )
-    yield _finding("acoustic output", output.within(limits), text, _quieter(output, limits))
-
-
-def _quieter(output: AcousticOutput, limits: Limits) -> str:
-    average = limits.max_spta_w_per_m2 / max(output.spta_w_per_m2, 1e-300)
-    index = limits.max_mechanical_index / max(output.mechanical_index, 1e-300)
-    peak = max(index, math.sqrt(limits.max_sppa_w_per_m2 / max(output.sppa_w_per_m2, 1e-300)))
-    share = min(peak, math.sqrt(average))
-    words = f"amplitudes of at most {100 * share:.3g} % (limits.full_drive_vpp, generators.tracking_pulser)"
-    return words + (f", or excitation.burst_length_s of {100 * average:.3g} %" if average < 1 <= peak else "")
+def _output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
+    yield from drive(bench, plan)
+    yield from acoustic_output(bench, plan)
 
 
 def _tracking_train(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
@@ -345,8 +273,7 @@ def _whole(number: float) -> bool:
 _CHECKS: tuple[Callable[[Scene, BenchFile, Plan], Iterator[Finding]], ...] = (
     _simulation,
     _excitation,
-    _drive,
-    _acoustic_output,
+    _output,
     _interference,
     _tracking_train,
     _record_in_period,

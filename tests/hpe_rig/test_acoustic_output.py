@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.interfaces import InstrumentError
+from hpe_rig.bench import open_bench
 from hpe_rig.bench_file import DriveCalibration, Limits, read_bench
 from hpe_rig.conflicts import Finding, PlanError, refuse_conflicts
 from hpe_rig.run import prepare
@@ -98,3 +101,15 @@ def test_a_drive_beyond_the_benchs_limit_is_refused(tmp_path: Path) -> None:
     burst, pulse = of("drive", checked(tmp_path, ("max_drive_vpp = 2.0", "max_drive_vpp = 0.9")))
     assert burst.level == pulse.level == "refused"
     assert "toneburst of 1 Vpp, limits.max_drive_vpp = 0.9 Vpp" in burst.text
+
+
+def test_the_drivers_themselves_refuse_a_drive_beyond_the_benchs_limit() -> None:
+    setup = prepare("bovine-muscle")
+    burst = setup.plan.shots[0].toneburst
+    assert burst is not None
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        assert bench.toneburst is not None
+        bench.toneburst.configure(replace(burst, amplitude_vpp=2.0))
+        for drive_generator in (bench.toneburst, bench.tracking_pulser):
+            with pytest.raises(InstrumentError, match=r"2\.1"):
+                drive_generator.configure(replace(burst, amplitude_vpp=2.1))

@@ -1,0 +1,52 @@
+"""What a plan would put out against what the bench allows: amplitudes, and the acoustic output estimated from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from hpe_rig.bench_file import BenchFile, Limits
+from hpe_rig.finding import Finding, judged
+from hpe_rig.plan import Plan
+from hpe_rig.safety import AcousticOutput, highest_output, uncalibrated
+
+
+def drive(bench: BenchFile, plan: Plan) -> Iterator[Finding]:
+    """Yield whether every generator that drives the transducer stays below ``limits.max_drive_vpp``."""
+    most_vpp = bench.limits.max_drive_vpp
+    if most_vpp is None:
+        return
+    bursts = {shot.toneburst.amplitude_vpp for shot in plan.shots if shot.toneburst is not None}
+    pulses = {shot.tracking_pulser.amplitude_vpp for shot in plan.shots}
+    for name, key, values in (
+        ("toneburst", "limits.full_drive_vpp", bursts),
+        ("tracking pulse", "generators.tracking_pulser.amplitude_vpp", pulses),
+    ):
+        text = f"{name} of {max(values, default=0.0):g} Vpp, limits.max_drive_vpp = {most_vpp:g} Vpp"
+        yield judged("drive", max(values, default=0.0) <= most_vpp, text, f"{key} of at most {most_vpp:g}")
+
+
+def acoustic_output(bench: BenchFile, plan: Plan) -> Iterator[Finding]:
+    """Yield whether the estimated output stays below the limits, and what could not be estimated."""
+    unknown = dict.fromkeys(words for shot in plan.shots for words in uncalibrated(bench.calibration, shot))
+    if unknown:
+        text = f"not estimated in full: {'; '.join(unknown)}"
+        yield Finding("acoustic output", "warning", text, "a hydrophone measurement in [calibration] of the bench file")
+    if bench.calibration is None:
+        return
+    limits, output = bench.limits, highest_output(bench, plan.shots)
+    text = (
+        f"derated MI {output.mechanical_index:.3g} (limit {limits.max_mechanical_index:g}) or "
+        f"I_sppa {output.sppa_w_per_m2 / 1e4:.3g} W/cm2 (limit {limits.max_sppa_w_per_m2 / 1e4:g}), "
+        f"I_spta {output.spta_w_per_m2 / 10:.3g} mW/cm2 (limit {limits.max_spta_w_per_m2 / 10:g})"
+    )
+    yield judged("acoustic output", output.within(limits), text, _quieter(output, limits))
+
+
+def _quieter(output: AcousticOutput, limits: Limits) -> str:
+    average = limits.max_spta_w_per_m2 / max(output.spta_w_per_m2, 1e-300)
+    index = limits.max_mechanical_index / max(output.mechanical_index, 1e-300)
+    peak = max(index, math.sqrt(limits.max_sppa_w_per_m2 / max(output.sppa_w_per_m2, 1e-300)))
+    share = min(peak, math.sqrt(average))
+    words = f"amplitudes of at most {100 * share:.3g} % (limits.full_drive_vpp, generators.tracking_pulser)"
+    return words + (f", or excitation.burst_length_s of {100 * average:.3g} %" if average < 1 <= peak else "")
