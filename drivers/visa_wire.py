@@ -150,7 +150,7 @@ def _send_at_once(link: socket.socket | None) -> None:
 
 
 def _cannot_open(address: str, error: Exception) -> str:
-    return f"cannot open {address!r}: {error or type(error).__name__}; is the address right and the device on?"
+    return f"cannot open {address!r}: {error or type(error).__name__}"
 
 
 def _resource_manager(backend: str) -> ResourceManager:

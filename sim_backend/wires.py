@@ -42,8 +42,8 @@ class Served:
 class Emulator:
     """Servers for the instruments of ``roles``, listening until closed.
 
-    ``instrument`` gives the instrument of a role, as its RS-232 connector sees it where the second argument is true;
-    ``lock`` guards the world that the instruments share.
+    ``instrument`` gives the instrument of a role, as its RS-232 connector sees it where the second argument is true.
+    One message at a time reaches the world that they share.
     """
 
     def __init__(
@@ -51,9 +51,9 @@ class Emulator:
         transport: Transport,
         instrument: Callable[[str, bool], Instrument],
         roles: tuple[str, ...],
-        lock: threading.RLock,
     ) -> None:
         self._stack = ExitStack()
+        lock = threading.RLock()
         ports = {role: Port(instrument(role, transport == "serial"), lock) for role in roles}
         with ExitStack() as opening:
             opening.callback(self._stack.close)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -100,7 +99,7 @@ def reaching(transport: str, instrument: Generator33250A) -> Iterator[Wire]:
         return InstrumentWire(instrument, SimulatedClock(), 0.0, over_serial)
 
     with ExitStack() as stack:
-        served = stack.enter_context(Emulator(transport, seen, ("instrument",), threading.RLock())).served["instrument"]
+        served = stack.enter_context(Emulator(transport, seen, ("instrument",))).served["instrument"]
         interface = VisaInterface(served.interface, TIMEOUT_S) if served.interface else None
         if interface:
             stack.callback(interface.close)

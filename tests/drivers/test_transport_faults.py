@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import socket
-import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -56,7 +55,7 @@ class Bench:
     def __init__(self, transport: str) -> None:
         self.transport = transport
         self.instrument = Unreliable()
-        self.emulator = Emulator(transport, lambda role, serial: self.instrument, ("x",), threading.RLock())
+        self.emulator = Emulator(transport, lambda role, serial: self.instrument, ("x",))
         served = self.emulator.served["x"]
         self.interface = VisaInterface(served.interface, TIMEOUT_S) if served.interface else None
         self.wire = VisaWire(served.address, TIMEOUT_S, "@py", self.interface)
@@ -88,12 +87,11 @@ def late(delay_s: float) -> Callable[[str], str]:
 def test_a_late_reply_is_never_the_answer_to_a_later_query(bench: Bench, delay_s: float) -> None:
     """A VXI-11 gateway keeps the time-out itself; pyvisa-py waits another second for what it says."""
     bench.instrument.query, bench.instrument.mishap = "VOLT?", late(delay_s)
-    try:
+    if bench.transport == "vxi11" and delay_s < TIMEOUT_S + 1.0:
         assert bench.session.query("VOLT?") == "+1.0000000000000E-01"
-        assert bench.transport == "vxi11"
-        assert delay_s < TIMEOUT_S + 1.0
-    except InstrumentError as error:
-        assert "toneburst" in str(error)
+    else:
+        with pytest.raises(InstrumentError, match="toneburst"):
+            bench.session.query("VOLT?")
     answers = []
     for _ in range(12):
         try:
@@ -190,7 +188,7 @@ def test_a_refused_adapter_is_an_error_that_names_it() -> None:
 @pytest.mark.usefixtures("leaky")
 def test_a_gateway_without_an_instrument_at_the_address_is_an_error() -> None:
     instrument = Unreliable()
-    with Emulator("vxi11", lambda role, serial: instrument, ("x",), threading.RLock()) as emulator:
+    with Emulator("vxi11", lambda role, serial: instrument, ("x",)) as emulator:
         here = emulator.served["x"].address.replace("gpib0,10", "gpib0,29")
         with pytest.raises(ConnectionError, match="gpib0,29"):
             VisaWire(here, TIMEOUT_S, "@py")
