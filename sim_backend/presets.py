@@ -1,4 +1,4 @@
-"""Specimens by name: what each sets unless the scene says otherwise, with the source of every value."""
+"""Specimens and receive chains by name: what each sets unless the scene says otherwise, with the source of every value."""
 
 from __future__ import annotations
 
@@ -38,9 +38,32 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 }
 
 
+_BAND = {"centre_hz": 9.0e6, "bandwidth": 0.33}
+
+CHAIN_PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "paper": {
+        # Centres and widths: paper, Sec. III.B. Orders, switch, noise and amplifier: assumed, see their settings.
+        "notch": {"centre_hz": 3.0e6, "bandwidth": 0.5},
+        "recovery_time_s": 2.0e-6,
+        "noise_v_per_sqrt_hz": 2.0e-9,
+        "band_pass": _BAND,
+        "log_amplifier": {},
+        "second_band_pass": _BAND,
+    },
+}
+
+
 def with_preset(given: Any) -> Any:
-    """Return the settings ``given`` with what its ``preset`` names filled in; anything else unchanged."""
+    """Return a specimen's settings with what its ``preset`` names filled in; anything that is no table unchanged."""
+    return _filled(given, PRESETS)
+
+
+def with_chain_preset(given: Any) -> Any:
+    """Return a receive chain's settings with what its ``preset`` names filled in."""
+    return _filled(given, CHAIN_PRESETS)
+
+
+def _filled(given: Any, presets: Mapping[str, Mapping[str, Any]]) -> Any:
     if not isinstance(given, Mapping):
         return given
-    preset = PRESETS.get(str(given.get("preset")), {})
-    return {**preset, **given}
+    return {**presets.get(str(given.get("preset")), {}), **given}

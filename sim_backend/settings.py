@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from sim_backend.presets import Preset, with_preset
+from sim_backend.presets import Preset, with_chain_preset, with_preset
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -135,6 +135,61 @@ class Receiver(Section):
     """Echo of the toneburst relative to a tracking echo of the same drive, after the 3 MHz notch (assumed)."""
 
 
+class BandFilter(Section):
+    """A Butterworth band-pass or notch."""
+
+    centre_hz: Positive
+    """Centre frequency."""
+    bandwidth: Annotated[float, Field(gt=0, le=4)]
+    """Width between the -3 dB edges over the centre frequency."""
+    order: Annotated[int, Field(ge=1, le=8)] = 2
+    """Pole pairs (assumed)."""
+
+
+class LogAmplifier(Section):
+    """A logarithmic amplifier."""
+
+    slope_v_per_decade: Positive = 0.25
+    """Output a decade of input (assumed)."""
+    knee_v: Positive = 1.0e-4
+    """Input amplitude around which it turns from linear to logarithmic (assumed)."""
+    saturation_v: Positive | None = 0.75
+    """Largest output (assumed)."""
+
+
+class ReceiveChain(Section):
+    """What stands between transducer and digitizer; an element that is absent is not simulated.
+
+    With this section the receiver's volts are those at the transducer, and the noise is the preamplifier's.
+    """
+
+    preset: Literal["paper"] | None = None
+    """The paper's chain by name, which fills in every element that is absent (values below assumed where not paper)."""
+    notch: BandFilter | None = None
+    """Notch for the toneburst's carrier (paper: 3.0 MHz, 50 %)."""
+    recovery_time_s: NonNegative | None = None
+    """Time constant with which the T/R switch opens after a transmission; absent: no switch."""
+    noise_v_per_sqrt_hz: Positive | None = None
+    """Noise density of the preamplifier, at its input."""
+    band_pass: BandFilter | None = None
+    """First band-pass (paper: 9.0 MHz, 33 %)."""
+    log_amplifier: LogAmplifier | None = None
+    """Logarithmic amplifier."""
+    second_band_pass: BandFilter | None = None
+    """Second band-pass (paper: 9.0 MHz; its width is assumed to be the first's)."""
+    third_harmonic: NonNegative = 0.0
+    """Third harmonic of a toneburst over its carrier at the transducer, added to that of the amplifier's ceiling."""
+    oversampling: Literal[1, 2, 5, 10] = 1
+    """Samples the chain computes for one of the digitizer."""
+    tail_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-6
+    """How far the filters must have rung down before a record begins."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, given: Any) -> Any:
+        return with_chain_preset(given)
+
+
 class Instruments(Section):
     """The simulated instruments' own properties."""
 
@@ -152,6 +207,12 @@ class Instruments(Section):
     """Trigger input to rising edge of the AUX trigger output (assumed)."""
     message_time_s: NonNegative = 1.0e-3
     """Time one SCPI message takes (assumed)."""
+    trigger_jitter_s: NonNegative = 0.0
+    """Jitter of each 33250A from trigger to output, root mean square; 0 where it does not matter."""
+    sample_clock_jitter_s: NonNegative = 0.0
+    """Aperture jitter of the digitizer, root mean square."""
+    sample_clock_offset: Annotated[float, Field(gt=-1e-2, lt=1e-2)] = 0.0
+    """How much longer than nominal the digitizer's sample period is, relative."""
 
 
 class SimulationSettings(Section):
@@ -173,8 +234,19 @@ class SimulationSettings(Section):
     """What echoes."""
     receiver: Receiver = Receiver()
     """What happens to the echo before the digitizer."""
+    receive_chain: ReceiveChain | None = None
+    """The receive chain element by element; absent: an ideal one."""
     instruments: Instruments = Instruments()
     """What the simulated instruments are."""
+
+    @model_validator(mode="after")
+    def _one_cause_of_noise(self) -> SimulationSettings:
+        if self.receive_chain is not None and self.receiver.snr_db is not None:
+            raise ValueError(
+                "receiver.snr_db and receive_chain exclude each other: with a chain the noise is the preamplifier's, "
+                "receive_chain.noise_v_per_sqrt_hz"
+            )
+        return self
 
     @model_validator(mode="after")
     def _one_cause_of_motion(self) -> SimulationSettings:
