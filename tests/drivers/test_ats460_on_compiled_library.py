@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import dataclasses
 import os
 import shutil
 import subprocess
@@ -14,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from drivers.alazar_api import SIGNATURES, load_library
 from drivers.alazar_codes import RETURN_CODES, SUCCESS
@@ -72,16 +75,16 @@ class Ticking:
 class Script:
     """The records and time stamps that the compiled library plays, drawn from a seed."""
 
-    def __init__(self, library: Any, records: int = RECORDS) -> None:
+    def __init__(self, library: Any, records: int = RECORDS, samples: int = SAMPLES) -> None:
         rng = np.random.default_rng(460)
         # Left-justified 14 bit codes without the lowest and highest, which would count as clipped.
-        self.words = (rng.integers(1, 2**14 - 1, (records, 2, SAMPLES)) << 2).astype(np.uint16)
+        self.words = (rng.integers(1, 2**14 - 1, (records, 2, samples)) << 2).astype(np.uint16)
         # Beyond 32 bits half way through.
         self.stamps = (2**32 - 250 * records + 500 * np.arange(records)).astype(np.uint64)
         self.library = library
         words = self.words.ctypes.data_as(ctypes.c_void_p)
-        library.FakeScript(words, self.stamps.ctypes.data_as(ctypes.c_void_p), records, 2, SAMPLES)
-        self.options()
+        library.FakeScript(words, self.stamps.ctypes.data_as(ctypes.c_void_p), records, 2, samples)
+        self.options(triggers=records)
         library.FakeFail(b"", SUCCESS)
 
     def options(self, dual: bool = True, triggers: int = RECORDS, clipped: int = 0, fpga: int = 19) -> None:
@@ -96,9 +99,11 @@ def script(library_path: Path) -> Script:
     return Script(load_library(name=str(library_path)))
 
 
-def acquire(script: Script, mode: str, monitor_range_v: float | None = None, **options: Any) -> SimpleNamespace:
+def acquire(
+    script: Script, mode: str, monitor_range_v: float | None = None, capture: Capture = CAPTURE, **options: Any
+) -> SimpleNamespace:
     digitizer = Ats460(script.library, Ticking(), mode=mode, monitor_range_v=monitor_range_v, **options)
-    digitizer.configure(CAPTURE)
+    digitizer.configure(capture)
     digitizer.verify()
     digitizer.arm()
     digitizer.verify()
@@ -126,6 +131,23 @@ def test_a_thousand_records_arrive_byte_for_byte(script: Script, mode: str, moni
     else:
         assert np.rint(got.time_s * 100e6 / 2).astype(np.uint64).tolist() == script.stamps.tolist()
     assert not got.digitizer.clipped()
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    records=st.integers(1, 60),
+    samples=st.integers(4, 16).map(lambda count: 32 * count),
+    mode=st.sampled_from(MODES),
+    monitor_range_v=st.sampled_from([None, 1.0]),
+)
+def test_records_of_any_count_and_length_arrive_byte_for_byte(
+    library_path: Path, records: int, samples: int, mode: str, monitor_range_v: float | None
+) -> None:
+    script = Script(load_library(name=str(library_path)), records, samples)
+    capture = dataclasses.replace(CAPTURE, record_count=records, record_samples=samples)
+    got = acquire(script, mode, monitor_range_v, capture)
+    assert got.codes.tobytes() == script.codes(0).tobytes()
+    assert monitor_range_v is None or got.monitor.tobytes() == script.codes(1).tobytes()
 
 
 def test_autodma_runs_through_a_ring_of_four_buffers(script: Script) -> None:
