@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
@@ -17,6 +17,9 @@ from hpe_rig.scene import NonNegative, Positive, Section
 GeneratorRole = Literal["master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"]
 GENERATOR_ROLES: tuple[GeneratorRole, ...] = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
 EXCITATION_ROLES: tuple[GeneratorRole, ...] = ("burst_train", "toneburst")
+
+Transport = Literal["socket", "serial", "hislip", "vxi11", "prologix"]
+TRANSPORTS: tuple[Transport, ...] = get_args(Transport)
 
 Outlet = Literal[
     "master.output",
@@ -170,7 +173,7 @@ class BenchFile(Section):
     """One line that says which bench this is."""
     simulated: Annotated[bool, Field(strict=True)]
     """True for the twin; decides which wires are opened and is written into every file."""
-    transport: Literal["socket", "serial", "hislip", "vxi11", "prologix"] | None = None
+    transport: Transport | None = None
     """How VISA reaches the simulated generators, by loopback; absent: they are called in process."""
     limits: Limits
     """What the bench must never exceed."""

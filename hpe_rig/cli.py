@@ -28,6 +28,8 @@ app = typer.Typer(
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A shipped scene's name or a TOML file.")]
 BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file; absent: the simulated bench.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+Csv = Annotated[bool, typer.Option("--csv", help="Print CSV, a row a shot and frequency, instead of a table.")]
+Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (extra: compression).")]
 Estimator = Annotated[str | None, typer.Option(help="coherent or cross_spectrum; absent: as the scene says.")]
 
 EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 1, 3, 130, 143
@@ -65,25 +67,54 @@ def run(
     output: Annotated[Path | None, typer.Option(help="Run file; absent: SCENE.h5 here, numbered if taken.")] = None,
     estimator: Estimator = None,
     json: Json = False,
+    csv: Csv = False,
+    compress: Compress = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")] = False,
 ) -> None:
     """Plan, acquire, store, estimate: one measurement from the scene to the table."""
     from hpe_rig.run import Stages, measure, prepare, process
+    from hpe_rig.store import WriteOptions
 
     stages = Stages()
     setup = prepare(scene, bench, stages)
-    with _progress(setup, quiet=json) as observer:
-        path = measure(setup, output, observer, stages)
-    _print(process(path, estimator, stages), json)
+    with _progress(setup, quiet=json or csv) as observer:
+        path = measure(setup, output, observer, stages, WriteOptions(compress, overwrite))
+    _print(process(path, estimator, stages), json, csv)
 
 
 @app.command()
 @guarded
-def process(run_file: Path, estimator: Estimator = None, json: Json = False) -> None:
+def resume(
+    run_file: Path,
+    scene: Annotated[str | None, typer.Option(help="Scene to compare with; absent: the run's own.")] = None,
+    bench: BenchPath = None,
+    output: Annotated[Path | None, typer.Option(help="Run file; absent: beside the first, numbered.")] = None,
+    estimator: Estimator = None,
+    json: Json = False,
+    csv: Csv = False,
+    compress: Compress = False,
+) -> None:
+    """Go on with a run that stopped: take its complete shots over into a new file, measure the others."""
+    from hpe_rig.resume import prepare_rest
+    from hpe_rig.resume import resume as resume_run
+    from hpe_rig.run import Stages, process
+
+    stages = Stages()
+    rest = prepare_rest(run_file, scene, bench, stages)
+    typer.echo(f"{rest.complete} of {len(rest.setup.plan.shots)} shots are complete", err=True)
+    with _progress(rest.setup, quiet=json or csv) as observer:
+        path = resume_run(rest, output, observer, stages, compress)
+    _print(process(path, estimator, stages), json, csv)
+
+
+@app.command()
+@guarded
+def process(run_file: Path, estimator: Estimator = None, json: Json = False, csv: Csv = False) -> None:
     """Estimate again from a stored run, also with another estimator."""
     from hpe_rig.run import Stages
     from hpe_rig.run import process as process_run
 
-    _print(process_run(run_file, estimator, Stages()), json)
+    _print(process_run(run_file, estimator, Stages()), json, csv)
 
 
 @app.command()
@@ -97,6 +128,21 @@ def check(scene: SceneName, bench: BenchPath = None) -> None:
     typer.echo(plan_text(setup.scene.scene.title, setup.plan, setup.findings))
     if any(finding.level == "refused" for finding in setup.findings):
         raise typer.Exit(EXIT_MISTAKE)
+
+
+@app.command()
+@guarded
+def emulate(
+    scene: SceneName = "bovine-muscle",
+    bench: BenchPath = None,
+    transport: Annotated[str, typer.Option(help="socket, serial, hislip, vxi11 or prologix")] = "socket",
+) -> None:
+    """Serve the simulated generators on loopback to any VISA program, print the bench file, end on Ctrl-C."""
+    from hpe_rig.emulate import emulate as serve
+    from hpe_rig.run import prepare
+
+    setup = prepare(scene, bench, refuse=False)
+    serve(setup.scene.scene, setup.bench, transport, typer.echo)
 
 
 @app.command()
@@ -163,7 +209,12 @@ def bench_command(
         raise typer.Exit(EXIT_INSTRUMENT)
 
 
-def _print(result: Result, json: bool) -> None:
+def _print(result: Result, json: bool, csv: bool) -> None:
+    if csv:
+        from hpe_rig.result_rows import result_csv
+
+        typer.echo(result_csv(result), nl=False)
+        return
     if json:
         import json as json_format
 
