@@ -131,18 +131,19 @@ def print_report(report: BenchReport) -> None:
     console.print(table)
     for found in report.found:
         for problem in found.problems:
-            console.print(f"{found.role}: {problem}", style="bold")
+            console.print(f"{found.role}: {problem.removeprefix(f'{found.role}: ')}", style="bold")
     if not report.simulated:
         console.print(
             f"VISA addresses found: {', '.join(report.addresses) or 'none (LAN instruments may not be listed)'}"
         )
-    console.print("every instrument that answered is safe: outputs off, digitizer idle, read back")
+    if report.settings:
+        console.print("every instrument that answered is safe: outputs off, digitizer idle, read back")
 
 
 def _row(found: Found) -> tuple[str, ...]:
     state = "on" if found.settings.get("output_on") else "off" if "output_on" in found.settings else "idle"
     if found.identity is None or found.latency_s is None:
-        return found.role, found.address, "-", "-", "-", "-", "no answer"
+        return found.role, found.address, "-", "-", "-", "-", "problem"
     who = found.identity
     return found.role, found.address, who.model, who.serial, who.firmware, f"{found.latency_s * 1e3:.2f}", state
 

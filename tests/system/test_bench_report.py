@@ -112,6 +112,16 @@ def test_a_bench_where_nobody_answers_is_a_table_of_errors_with_suggestions(
     assert "install the AlazarTech driver" in report.found[-1].problems[0]
 
 
+def test_an_address_that_is_none_is_an_error_of_that_role(tmp_path: Path) -> None:
+    bench = real_bench(tmp_path)
+    wrong = bench.generators.master.model_copy(update={"address": "not an address"})
+    bench = bench.model_copy(update={"generators": bench.generators.model_copy(update={"master": wrong})})
+    first = survey(bench).found[0]
+    assert first.role == "master"
+    assert "not an address" in first.problems[0]
+    assert "hpe-rig bench" in first.problems[0]
+
+
 def test_the_command_prints_the_table_and_exits_by_what_it_found(tmp_path: Path) -> None:
     def rig(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "hpe_rig", "bench", *arguments]
@@ -124,7 +134,7 @@ def test_the_command_prints_the_table_and_exits_by_what_it_found(tmp_path: Path)
     real_bench(tmp_path)
     bad = rig("edited.toml")
     assert bad.returncode == 1
-    assert bad.stdout.count("no answer") == 6
+    assert bad.stdout.count(" problem") == 6
     assert "Traceback" not in bad.stderr
     assert rig("--compare", "absent.h5").returncode == 2
 
