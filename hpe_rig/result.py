@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from hpe_rig.notebook import result_html
+
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
@@ -94,6 +96,10 @@ class Result:
                 row.update({name: getattr(estimate, name) for name in derived})
         plain: dict[str, Any] = _finite(tables)
         return plain
+
+    def _repr_html_(self) -> str:
+        """Return figure and table, as a notebook shows a value."""
+        return result_html(self.as_dict())
 
 
 def _finite(value: Any) -> Any:

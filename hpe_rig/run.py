@@ -59,10 +59,17 @@ def prepare(
     scene_name: str, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
 ) -> Setup:
     """Return the planned measurement; raise ``SettingsError`` or, unless told otherwise, ``PlanError``."""
+    return prepare_text(*scene_text(scene_name), bench_path, stages, refuse)
+
+
+def prepare_text(
+    name: str, text: str, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
+) -> Setup:
+    """Return the planned measurement of a scene's text; raises as ``prepare``."""
     with (stages or Stages())("plan"):
         bench = read_bench(bench_path)
         check = check_simulation if bench.bench.simulated else None
-        scene = parse_scene(*scene_text(scene_name), check)
+        scene = parse_scene(name, text, check)
         plan = make_plan(scene.scene, bench.bench)
         found = tuple(findings(scene.scene, bench.bench, plan))
         if refuse:
