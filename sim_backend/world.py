@@ -182,20 +182,29 @@ class World:
 
         NaN where no pulse was fired. ``capture_index`` counts the armings of this world, from the last if negative.
         """
-        captures = [*self._past, self._captured(self.clock.now_ps)] if self.board.armings else []
-        if not -len(captures) <= capture_index < len(captures):
-            raise IndexError(
-                f"capture {capture_index} of {len(captures)}: arm the digitizer before asking for the truth"
-            )
-        captured = captures[capture_index]
+        captured = self._capture(capture_index)
         onset_ps = _pulse_of_each_record(captured)
         fired = onset_ps >= 0
-        flight_ps = to_ps(self._settings.beams.focus_depth_m / self._settings.sound_speed_m_per_s)
         displacement_m = np.full(onset_ps.size, np.nan)
         displacement_m[fired] = self._acoustics().focus_displacement_m(
-            captured.tonebursts, onset_ps[fired] + flight_ps, captured.origin_ps
+            captured.tonebursts, onset_ps[fired] + self._flight_ps(), captured.origin_ps
         )
         return displacement_m
+
+    def true_motion_m(self, time_s: NDArray[np.float64], capture_index: int = -1) -> NDArray[np.float64]:
+        """Return the true displacement at the focus at ``time_s`` after the master trigger's edge: (time,)."""
+        captured = self._capture(capture_index)
+        time_ps = captured.origin_ps + np.round(time_s * PS_PER_S).astype(np.int64)
+        return self._acoustics().focus_displacement_m(captured.tonebursts, time_ps, captured.origin_ps)
+
+    def _capture(self, index: int) -> Captured:
+        captures = [*self._past, self._captured(self.clock.now_ps)] if self.board.armings else []
+        if not -len(captures) <= index < len(captures):
+            raise IndexError(f"capture {index} of {len(captures)}: arm the digitizer before asking for the truth")
+        return captures[index]
+
+    def _flight_ps(self) -> int:
+        return to_ps(self._settings.beams.focus_depth_m / self._settings.sound_speed_m_per_s)
 
     # What the digitizer's library asks for
 
@@ -233,8 +242,9 @@ class World:
     def _acoustics(self) -> Physics:
         if self._physics is None:
             from sim_backend.acoustics import Acoustics
+            from sim_backend.reception import with_reception
 
-            self._physics = Acoustics(self._settings)
+            self._physics = with_reception(Acoustics(self._settings), self._settings)
         return self._physics
 
     def _evaluate(self, until_ps: int) -> Evaluation:
