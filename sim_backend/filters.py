@@ -16,16 +16,24 @@ Complexes = NDArray[np.complex128]
 
 def band_pass(band: BandFilter, frequency_hz: Floats) -> Complexes:
     """Return the Butterworth band-pass response at ``frequency_hz`` (frequency,) >= 0: 1 at the centre, -3 dB edges."""
-    with np.errstate(divide="ignore"):
-        detuning = frequency_hz / band.centre_hz - np.divide(band.centre_hz, frequency_hz)
-    return _low_pass(np.asarray(1j * detuning / band.bandwidth), band.order)
+    return _low_pass(*_detuning(band, frequency_hz), band.order)
 
 
 def notch(band: BandFilter, frequency_hz: Floats) -> Complexes:
     """Return the Butterworth band-stop response at ``frequency_hz`` (frequency,): 0 at the centre, -3 dB edges."""
-    with np.errstate(divide="ignore"):
-        detuning = frequency_hz / band.centre_hz - np.divide(band.centre_hz, frequency_hz)
-        return _low_pass(np.asarray(-1j * np.divide(band.bandwidth, detuning)), band.order)
+    away, width = _detuning(band, frequency_hz)
+    return _low_pass(width, away, band.order)
+
+
+def sampled(response: Complexes, at_infinity: float) -> Complexes:
+    """Return ``response`` (frequency,) from 0 to half the sampling rate, led to its limit there without a step.
+
+    A step would ring before and after every edge of the signal like 1/t; this does like 1/t^3. It leaves what lies
+    below six tenths of half the rate alone: 30 MHz of 100 MHz sampling.
+    """
+    place = np.linspace(0.0, 1.0, len(response))
+    share = np.cos(np.pi / 2 * np.clip((place - 0.6) / 0.4, 0.0, 1.0)) ** 2
+    return np.asarray(at_infinity + (response - at_infinity) * share)
 
 
 def ringing_s(bands: Iterable[BandFilter], tolerance: float) -> float:
@@ -45,11 +53,15 @@ def _poles(order: int) -> Complexes:
     return np.asarray(np.exp(1j * angle))
 
 
-def _low_pass(p: Complexes, order: int) -> Complexes:
-    response = np.zeros(p.shape, np.complex128)
-    seen = np.isfinite(p)
-    denominator = np.ones(np.count_nonzero(seen), np.complex128)
+def _detuning(band: BandFilter, frequency_hz: Floats) -> tuple[Complexes, Complexes]:
+    """Return j (f / f0 - f0 / f) over the bandwidth as numerator and denominator: neither is infinite at 0 Hz."""
+    f = frequency_hz / band.centre_hz
+    return np.asarray(1j * (f * f - 1), np.complex128), np.asarray(band.bandwidth * f, np.complex128)
+
+
+def _low_pass(above: Complexes, below: Complexes, order: int) -> Complexes:
+    """Return the low-pass prototype at p = above / below."""
+    response = np.ones(above.shape, np.complex128)
     for pole in _poles(order):
-        denominator *= p[seen] - pole
-    response[seen] = 1 / denominator
+        response *= below / (above - pole * below)
     return response

@@ -1,4 +1,4 @@
-"""Specimens and receive chains by name: what each sets unless the scene says otherwise, with the source of every value."""
+"""Specimens and receive chains by name: what each sets where the scene is silent, with the source of every value."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.filters import band_pass, notch, ringing_s
+from sim_backend.filters import band_pass, notch, ringing_s, sampled
 from sim_backend.log_amplifier import compressed
 from sim_backend.settings import BandFilter, ReceiveChain
 
@@ -20,6 +20,8 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _RECORDS_AT_ONCE = 64
+TRAIL = 24
+"""Samples that the chain needs after the wanted ones: how far the sampled filters look ahead."""
 
 
 def lead_s(chain: ReceiveChain) -> float:
@@ -29,13 +31,8 @@ def lead_s(chain: ReceiveChain) -> float:
 
 def fast_length(samples: int) -> int:
     """Return the smallest number from ``samples`` on with no prime factor above 5: what a Fourier transform likes."""
-    candidates = (
-        (2**twos) * (3**threes) * (5**fives)
-        for fives in range(6)
-        for threes in range(8)
-        for twos in [max(0, math.ceil(math.log2(max(1.0, samples / (3**threes * 5**fives)))))]
-    )
-    return min(length for length in candidates if length >= samples)
+    odd: list[int] = [3**threes * 5**fives for threes in range(8) for fives in range(6)]
+    return min(factor << max(0, math.ceil(math.log2(samples / factor))) for factor in odd)
 
 
 def receive(
@@ -47,11 +44,11 @@ def receive(
 ) -> Floats:
     """Return what leaves the chain, float64 (record, sample), for ``volts`` (record, sample) at the transducer.
 
-    The filters see each record as if it repeated: the first `lead_s` of it is spoilt. ``switch`` (record, sample) is
-    the share that the T/R switch passes, None all of it; ``rng`` draws the preamplifier's noise, needed where the
-    chain has any.
+    The filters see each record as if it repeated: the first `lead_s` of it and its last `TRAIL` samples are spoilt.
+    ``switch`` (record, sample) is the share that the T/R switch passes, None all of it; ``rng`` draws the
+    preamplifier's noise, needed where the chain has any.
     """
-    frequency_hz = np.fft.rfftfreq(volts.shape[1], sample_period_s)
+    frequency_hz: Floats = np.fft.rfftfreq(volts.shape[1], sample_period_s).astype(np.float64)
     out = np.empty_like(volts)
     for first in range(0, len(volts), _RECORDS_AT_ONCE):
         some = slice(first, first + _RECORDS_AT_ONCE)
@@ -70,17 +67,17 @@ def _receive(
 ) -> Floats:
     pending: Complexes | None = None
     if chain.notch is not None:
-        pending = notch(chain.notch, frequency_hz)
+        pending = sampled(notch(chain.notch, frequency_hz), 1.0)
     if switch is not None:
         volts, pending = _filtered(volts, pending) * switch, None
     if chain.noise_v_per_sqrt_hz and rng is not None:
         volts, pending = _filtered(volts, pending) + _noise(volts.shape, chain, period_s, rng), None
     if chain.band_pass is not None:
-        pending = _product(pending, band_pass(chain.band_pass, frequency_hz))
+        pending = _product(pending, sampled(band_pass(chain.band_pass, frequency_hz), 0.0))
     if chain.log_amplifier is not None:
         volts, pending = compressed(_filtered(volts, pending), chain.log_amplifier), None
     if chain.second_band_pass is not None:
-        pending = _product(pending, band_pass(chain.second_band_pass, frequency_hz))
+        pending = _product(pending, sampled(band_pass(chain.second_band_pass, frequency_hz), 0.0))
     return _filtered(volts, pending)
 
 

@@ -104,11 +104,12 @@ def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, sl
     lead, total = margin, capture.samples * fine + 2 * margin
     period_ps = capture.sample_period_ps // fine
     if chain is not None:
-        from sim_backend.receive_chain import fast_length, lead_s
+        from sim_backend.receive_chain import TRAIL, fast_length, lead_s
 
-        tail = math.ceil(lead_s(chain) * PS_PER_S / period_ps)
-        total = fast_length(total + tail)
-        lead = total - capture.samples * fine - margin
+        ringing = math.ceil(lead_s(chain) * PS_PER_S / period_ps)
+        after = margin + TRAIL if ringing else margin
+        total = fast_length(margin + ringing + capture.samples * fine + after)
+        lead = total - capture.samples * fine - after
     first_ps = capture.first_sample_ps - lead * period_ps
     wide = replace(capture, first_sample_ps=first_ps, sample_period_ps=period_ps, samples=total)
     return wide, slice(lead, lead + capture.samples * fine, fine)
