@@ -311,7 +311,11 @@ class ToneburstGenerator33250A(GeneratorRole):
 
 def _load(load_ohm: float) -> Group:
     """Declare the load first, since it rescales all levels, and the unit, since ``VOLT?`` states none."""
-    return "load", (Register("load_ohm", "OUTP:LOAD", float(load_ohm)), Register("amplitude_unit", "VOLT:UNIT", "VPP"))
+    return "load", (
+        Register("load_ohm", "OUTP:LOAD", float(load_ohm)),
+        Register("amplitude_unit", "VOLT:UNIT", "VPP"),
+        Register("polarity", "OUTP:POL", "NORM"),
+    )
 
 
 def _changed(before: Sequence[Register], after: Sequence[Register]) -> tuple[Register, ...] | None:

@@ -1,0 +1,159 @@
+"""Whole measurements over every real transport, siblings of the 33250A, and the emulator for other VISA programs."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvisa
+
+from drivers.interfaces import InstrumentError
+from hpe_rig.bench import open_bench, open_each
+from hpe_rig.bench_file import TRANSPORTS, BenchFile, parse_bench, read_bench
+from hpe_rig.emulate import addressed
+from hpe_rig.run import measure, prepare
+from hpe_rig.store import read_run
+
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
+OVER = [pytest.param(name, marks=needs_pty) if name == "serial" else name for name in TRANSPORTS]
+SIMULATED = read_bench().text
+
+
+def bench_over(folder: Path, transport: str, *edits: tuple[str, str]) -> Path:
+    text = SIMULATED.replace("simulated = true", f'simulated = true\ntransport = "{transport}"')
+    for old, new in edits:
+        assert old in text
+        text = text.replace(old, new)
+    path = folder / f"{transport}.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module", params=["table-1", "bovine-muscle"])
+def in_process(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    path = tmp_path_factory.mktemp("in_process") / "run.h5"
+    return request.param, measure(prepare(request.param), path)
+
+
+@pytest.mark.parametrize("transport", OVER)
+def test_a_measurement_over_a_real_transport_gives_the_records_of_the_one_in_process(
+    in_process: tuple[str, Path], transport: str, tmp_path: Path
+) -> None:
+    scene, path = in_process
+    over = read_run(measure(prepare(scene, bench_over(tmp_path, transport)), tmp_path / "run.h5"))
+    direct = read_run(path)
+    assert over.status == direct.status == "complete"
+    for one, other in zip(over.records, direct.records, strict=True):
+        np.testing.assert_array_equal(one.codes, other.codes)
+        np.testing.assert_array_equal(one.trigger_time_s, other.trigger_time_s)
+
+
+MODELS = {"33500B": "Agilent Technologies,33522B", "33600A": "Keysight Technologies,33622A"}
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_pulse_trains_from_a_sibling_give_the_same_records(model: str, tmp_path: Path) -> None:
+    edits = [
+        (f'[generators.{role}]\nmodel = "33250A"', f'[generators.{role}]\nmodel = "{model}"')
+        for role in ("master", "burst_train", "tracking_train")
+    ]
+    direct = read_run(measure(prepare("bovine-muscle"), tmp_path / "a.h5"))
+    bench = bench_over(tmp_path, "socket", *edits)
+    other = read_run(measure(prepare("bovine-muscle", bench), tmp_path / "b.h5"))
+    np.testing.assert_array_equal(other.records[0].codes, direct.records[0].codes)
+
+
+@pytest.mark.parametrize("model", ["33220A", *MODELS])
+def test_no_sibling_can_be_the_tracking_pulser_at_9_mhz(model: str, tmp_path: Path) -> None:
+    role = "[generators.tracking_pulser]\nmodel = "
+    bench = bench_over(tmp_path, "socket", (f'{role}"33250A"', f'{role}"{model}"'))
+    with pytest.raises(InstrumentError, match=rf"carrier_hz = 9000000 is outside .* for counted bursts of a {model}"):
+        measure(prepare("bovine-muscle", bench), tmp_path / "run.h5")
+
+
+@contextmanager
+def emulated(transport: str, folder: Path, *arguments: str) -> Iterator[BenchFile]:
+    """Yield the bench file that ``hpe-rig emulate`` prints in a process of its own."""
+    command = [sys.executable, "-m", "hpe_rig", "emulate", "--transport", transport, *arguments]
+    with (folder / "bench.toml").open("w+b") as printed, subprocess.Popen(command, stdout=printed) as process:
+        try:
+            deadline_s = time.monotonic() + 30
+            while "transducer.drive" not in (text := Path(printed.name).read_text(encoding="utf-8")):
+                assert process.poll() is None
+                assert time.monotonic() < deadline_s
+                time.sleep(0.05)
+            time.sleep(0.1)
+            yield parse_bench("emulated", Path(printed.name).read_text(encoding="utf-8") or text).bench
+        finally:
+            process.send_signal(signal.SIGINT if sys.platform != "win32" else signal.SIGTERM)
+            status = process.wait(timeout=20)
+    assert sys.platform == "win32" or status == 0
+
+
+@pytest.mark.parametrize("transport", OVER)
+def test_the_printed_bench_file_leads_another_visa_program_to_every_generator(transport: str, tmp_path: Path) -> None:
+    with emulated(transport, tmp_path) as bench:
+        assert bench.transport == transport
+        manager = pyvisa.ResourceManager("@py")
+        opened = {}
+        for role, generator in bench.generators.by_role.items():
+            assert generator.interface is None or transport == "prologix"
+            if generator.interface and "interface" not in opened:
+                opened["interface"] = manager.open_resource(generator.interface)
+            opened[role] = manager.open_resource(generator.address)
+            opened[role].write_termination = "\n"
+            if transport == "socket":
+                opened[role].read_termination = "\n"
+            if transport == "serial":
+                opened[role].write("SYST:REM")
+            opened[role].write(f"FREQ {1000 + len(opened)}")
+            assert "33250A" in opened[role].query("*IDN?")
+        rates = [float(opened[role].query("FREQ?")) for role in bench.generators.by_role]
+        assert len(set(rates)) == len(rates) == 5
+        for resource in reversed(opened.values()):
+            resource.close()
+
+
+def metal(bench: BenchFile, text: str) -> BenchFile:
+    """Return the bench as a real one that reaches its generators at the same addresses."""
+    places = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
+    file = parse_bench("simulated", text)
+    text = addressed(file, "socket", places).replace('transport = "socket"\n', "")
+    return parse_bench("metal", text.replace("simulated = true", "simulated = false")).bench
+
+
+@pytest.mark.parametrize("transport", ["socket", "prologix"])
+def test_a_real_bench_file_reaches_its_generators_at_their_addresses(transport: str, tmp_path: Path) -> None:
+    with emulated(transport, tmp_path) as served, open_each(metal(served, SIMULATED)) as found:
+        for role in served.generators.by_role:
+            assert found[role].identify().model == "33250A"
+        assert isinstance(found["digitizer"], InstrumentError)
+
+
+def test_another_model_than_the_bench_file_says_is_refused_by_name(tmp_path: Path) -> None:
+    text = SIMULATED.replace('[generators.master]\nmodel = "33250A"', '[generators.master]\nmodel = "33600A"')
+    with emulated("socket", tmp_path) as served, open_each(metal(served, text)) as found:
+        assert "33250A" in str(found["master"])
+        assert "expected model 33600A" in str(found["master"])
+        assert not isinstance(found["toneburst"], Exception)
+
+
+def test_a_bench_that_nobody_serves_is_refused_by_role_and_address() -> None:
+    # Port 1 is privileged: nobody listens there.
+    nobody = "TCPIP0::127.0.0.1::hislip0,1::INSTR"
+    places = dict.fromkeys(read_bench().bench.generators.by_role, (nobody, None))
+    text = addressed(read_bench(), "socket", places).replace('transport = "socket"\n', "")
+    bench = parse_bench("metal", text.replace("simulated = true", "simulated = false")).bench
+    setup = prepare("bovine-muscle")
+    with (
+        pytest.raises(InstrumentError, match="master: cannot open"),
+        open_bench(setup.scene.scene, bench, setup.plan.roles),
+    ):
+        pass
