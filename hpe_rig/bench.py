@@ -100,6 +100,10 @@ class Bench:
         """Return the true displacement at the focus for each record of the last capture; None on a real bench."""
         return None if self.world is None else self.world.true_displacement_m()
 
+    def true_motion_m(self, time_s: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return the true displacement at the focus at ``time_s`` after the master trigger of the last capture."""
+        return None if self.world is None else self.world.true_motion_m(time_s)
+
 
 def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
     """Return the mistakes of a ``[simulation]`` section, by the twin's own rules."""
@@ -209,10 +213,10 @@ class Reach:
 
 def _declared(scene: Scene) -> dict[str, Any]:
     """Return what a scene declares of the specimen, as the twin's settings."""
-    declared: dict[str, Any] = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
-    if scene.beams is not None:
-        declared["beams"] = scene.beams.model_dump(exclude={"pulse_length_m"})
-    return declared | (scene.simulation or {})
+    simulation = scene.simulation or {}
+    beams = {} if scene.beams is None else scene.beams.model_dump(exclude={"pulse_length_m"})
+    declared = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
+    return declared | simulation | {"beams": beams | simulation.get("beams", {})}
 
 
 def _reach_twin(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack) -> Reach:

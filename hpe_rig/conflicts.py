@@ -27,7 +27,7 @@ def _us(time_s: float) -> str:
 
 
 def _interference(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
-    if scene.excitation is None:
+    if scene.excitation is None or any(shot.toneburst is None for shot in plan.shots):
         return
     for shot in {shot.timeline.burst_length_s: shot for shot in plan.shots}.values():
         count, burst = int(disturbed_pulses(shot).sum()), _us(shot.timeline.burst_length_s)
@@ -38,7 +38,10 @@ def _interference(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Findin
             f"tracking.delay_s = {_us(scene.tracking.delay_s)} lets tonebursts of excitation.burst_length_s = {burst} "
             f"or their echoes disturb {count} of {shot.capture.record_count} pulses or gates"
         )
-        level: Level = "warning" if scene.tracking.allow_interference else "refused"
+        if scene.tracking.disturbed == "skip":
+            yield Finding("interference", "passed", f"{text}; the estimate skips them")
+            continue
+        level: Level = "warning" if scene.tracking.disturbed == "keep" else "refused"
         yield Finding("interference", level, text, _delay_remedy(shot))
 
 
@@ -52,7 +55,7 @@ def _delay_remedy(shot: Shot) -> str:
         return f"tracking.delay_s within {words} (plus any multiple of the pulse period, {_us(period_s)})"
     needed_hz = 1 / (end_s - start_s)
     rate = f"a tracking.pulse_rate_hz that is a multiple of the burst rate and below {needed_hz:.4g} Hz"
-    return f"{rate} (no t_d is free of interference at {shot.tracking_train.rate_hz:g} Hz)"
+    return f'{rate} (no t_d is free at {shot.tracking_train.rate_hz:g} Hz), or tracking.disturbed = "skip"'
 
 
 def _record_in_period(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:

@@ -69,8 +69,10 @@ class Tracking(Section):
     """Cycles of one tracking pulse."""
     carrier_hz: Positive = 9.0e6
     """Frequency f_f of the tracking pulse."""
-    allow_interference: Annotated[bool, Field(strict=True)] = False
-    """Measure although tonebursts overlap tracking pulses or gates; the plan then warns where it would refuse."""
+    disturbed: Literal["refuse", "skip", "keep"] = "refuse"
+    """What to do where a toneburst or its echo meets a tracking pulse or gate: refuse the scene; measure and leave
+    those pulses out of the estimate (a pulse rate that is no multiple of the burst rate cannot avoid a few); or keep
+    them with a warning."""
 
 
 class Acquisition(Section):

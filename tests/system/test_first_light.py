@@ -73,7 +73,7 @@ def test_force_components_vanish_at_multiples_of_the_inverse_burst_length(measur
     result = measured(
         "bovine-muscle",
         ("burst_length_s = 100e-6", "burst_length_s = 1e-3"),
-        ("delay_s = 130e-6", "delay_s = 130e-6\nallow_interference = true"),
+        ("delay_s = 130e-6", "delay_s = 130e-6\ndisturbed = \"keep\""),
         ("synchronous = true", "synchronous = true\nfrequencies_hz = [100, 900, 1000, 1100]"),
         bench=bench,
     )
@@ -97,7 +97,7 @@ def test_a_driver_that_programs_half_the_bursts_is_caught_by_the_result(
 
 def test_interference_that_is_forced_through_shows_in_the_echoes(prepared: Prepare, tmp_path: Path) -> None:
     clean = prepared("bovine-muscle")
-    forced = prepared("bovine-muscle", ("delay_s = 130e-6", "delay_s = 20e-6\nallow_interference = true"))
+    forced = prepared("bovine-muscle", ("delay_s = 130e-6", "delay_s = 20e-6\ndisturbed = \"keep\""))
     assert [finding.level for finding in forced.findings if finding.level != "passed"] == ["warning"]
     rms = []
     for index, setup in enumerate((clean, forced)):
