@@ -31,6 +31,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a tabl
 Csv = Annotated[bool, typer.Option("--csv", help="Print CSV, a row a shot and frequency, instead of a table.")]
 Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (extra: compression).")]
 Estimator = Annotated[str | None, typer.Option(help="coherent or cross_spectrum; absent: as the scene says.")]
+Port = Annotated[int, typer.Option(help="Port of the live page on this machine; 0: any free one.")]
 
 EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 1, 3, 130, 143
 
@@ -70,16 +71,21 @@ def run(
     csv: Csv = False,
     compress: Compress = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")] = False,
+    live: Annotated[bool, typer.Option("--live", help="Show a live page with a stop button (extra live).")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", help="Log every step to a file beside the run file.")] = False,
 ) -> None:
     """Plan, acquire, store, estimate: one measurement from the scene to the table."""
     from hpe_rig.run import Stages, measure, prepare, process
-    from hpe_rig.store import WriteOptions
+    from hpe_rig.run_watch import watched
+    from hpe_rig.store import WriteOptions, free_path
 
     stages = Stages()
     setup = prepare(scene, bench, stages)
-    with _progress(setup, quiet=json or csv) as observer:
-        path = measure(setup, output, observer, stages, WriteOptions(compress, overwrite))
-    _print(process(path, estimator, stages), json, csv)
+    path = output or free_path(setup.scene.name, Path())
+    with watched(setup, path, live, verbose, _announce) as watching:
+        with _progress(setup, quiet=json or csv) as observer:
+            measure(setup, path, watching(observer), stages, WriteOptions(compress, overwrite))
+        _print(process(path, estimator, stages), json, csv)
 
 
 @app.command()
@@ -115,6 +121,49 @@ def process(run_file: Path, estimator: Estimator = None, json: Json = False, csv
     from hpe_rig.run import process as process_run
 
     _print(process_run(run_file, estimator, Stages()), json, csv)
+
+
+@app.command()
+@guarded
+def report(
+    run_file: Path,
+    estimator: Estimator = None,
+    output: Annotated[Path | None, typer.Option(help="HTML file; absent: RUN.html beside the run file.")] = None,
+    shot: Annotated[int | None, typer.Option(help="Shot to draw, from 1; absent: the one that moves most.")] = None,
+) -> None:
+    """Write one self-contained HTML page: what was measured, figures, tests, uncertainties, provenance."""
+    from hpe_rig.report import write_report
+
+    typer.echo(f"{write_report(run_file, estimator, output, shot)}: open it in any browser")
+
+
+@app.command()
+@guarded
+def live(
+    run_file: Path,
+    port: Port = 0,
+    attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
+) -> None:
+    """Serve the live page of a run that another process writes, on this machine only; Ctrl-C ends it."""
+    with _extra("live"):
+        from hpe_rig.live import serve_run
+
+    serve_run(run_file, port, attached)
+
+
+@app.command()
+@guarded
+def align(scene: SceneName, bench: BenchPath = None, port: Port = 0) -> None:
+    """Repeat single tracking shots without pushing, for aligning the focus on a live page, until stopped."""
+    from hpe_rig.run import prepare
+
+    with _extra("live"):
+        from hpe_rig.live_align import align as align_focus
+        from hpe_rig.live_align import without_pushing
+
+    setup = without_pushing(prepare(scene, bench, refuse=False))
+    shots = align_focus(setup, port, _announce)
+    typer.echo(f"stopped after {shots} single shots: every output is off, verified")
 
 
 @app.command()
@@ -209,6 +258,23 @@ def bench_command(
         raise typer.Exit(EXIT_INSTRUMENT)
 
 
+def _announce(text: str) -> None:
+    typer.echo(text, err=True)
+
+
+@contextmanager
+def _extra(name: str) -> Iterator[None]:
+    """Turn a missing package of the extra ``name`` into a message."""
+    from hpe_rig.store import StoreError
+
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise StoreError(
+            f'this command needs {error.name}, which is not installed. Try: pip install "hpe-rig[{name}]".'
+        ) from None
+
+
 def _print(result: Result, json: bool, csv: bool) -> None:
     if csv:
         from hpe_rig.result_rows import result_csv
@@ -252,6 +318,7 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
     from hpe_rig.bench import UnsafeBenchError
     from hpe_rig.conflicts import PlanError
     from hpe_rig.interrupts import Terminated
+    from hpe_rig.live_stop import StopRequested
     from hpe_rig.mistakes import SettingsError
     from hpe_rig.store import StoreError
 
@@ -263,6 +330,8 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
             return str(error), EXIT_MISTAKE
         case InstrumentError():
             return str(error), EXIT_INSTRUMENT
+        case StopRequested():
+            return f"stopped from the live page: {kept}", EXIT_INTERRUPTED
         case KeyboardInterrupt():
             return f"interrupted: {kept}", EXIT_INTERRUPTED
         case Terminated():

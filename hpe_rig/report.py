@@ -86,7 +86,7 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
         errors=error_stages(shown, motion),
         findings=findings(scene, bench, plan),
         settings=report_provenance.settings(path, shown.shot),
-        attributes=report_provenance.attributes(path),
+        attributes=report_provenance.attributes(path, [f"version_{name}" for name in result.versions]),
         fingerprint=report_provenance.fingerprint(path),
         facts=_facts(scene, bench, plan, result),
         strongest=strongest(shown),
@@ -147,7 +147,7 @@ def _look(
     if result.estimates:
         pictures += [figures.amplitude_spectrum(result.estimates), figures.phase_spectrum(result.estimates)]
     try:
-        motion = motion_view(scene, shot, records, result)
+        motion = motion_view(scene, shot, records, result.estimates)
     except ValueError as error:
         return pictures, [Check("displacement", "not possible", str(error), "")], None
     periods_s = CLOSE_PERIODS / min(motion.frequencies_hz, default=math.inf)

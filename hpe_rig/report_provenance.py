@@ -5,43 +5,43 @@ Everything read here may have been tampered with: it is bounded in size, taken a
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import h5py
 
-from hpe_rig.store import result_path
+from hpe_rig.store import read_snapshots, result_path
+from hpe_rig.store_trust import UntrustedError, trusted
 
 LONGEST_TEXT = 200
-LONGEST_JSON = 200_000
 MOST_ENTRIES = 64
 LARGEST_HASHED_BYTES = 1 << 30
-AGAIN = ("read", "process", "write result")
+LARGEST_RESULT_BYTES = 20_000_000
+AGAIN = ("read", "process", "write result", "draw")
 """Stages that the report itself runs, so that an earlier run's times for them say nothing."""
 
 
-def attributes(path: Path) -> dict[str, str]:
-    """Return the run file's attributes as short texts, by name."""
-    with h5py.File(path, "r") as file:
-        names = sorted(file.attrs)[:MOST_ENTRIES]
-        return {_short(name): _short(file.attrs[name]) for name in names}
+def attributes(path: Path, names: Iterable[str]) -> dict[str, str]:
+    """Return those of the run file's text attributes ``names`` that it has, by name; raises ``StoreError``."""
+    found = {}
+    with trusted(path) as trust:
+        for name in names:
+            with contextlib.suppress(UntrustedError):
+                found[name] = _short(trust.attribute(name, str))
+    return found
 
 
 def settings(path: Path, shot: int) -> dict[str, dict[str, str]]:
     """Return the instruments' settings of ``shot`` as read back, by role; empty where there are none."""
-    try:
-        with h5py.File(path, "r") as file:
-            text = file["snapshot"].asstr()[shot]
-        tables = json.loads(text) if len(text) <= LONGEST_JSON else {}
-    except (KeyError, IndexError, ValueError, TypeError, OSError, RecursionError):
+    snapshots = read_snapshots(path)
+    if not 0 <= shot < len(snapshots):
         return {}
-    if not isinstance(tables, dict):
-        return {}
-    return {_short(role): _table(table) for role, table in list(tables.items())[:MOST_ENTRIES]}
+    return {_short(role): _table(table) for role, table in list(snapshots[shot].items())[:MOST_ENTRIES]}
 
 
 def fingerprint(path: Path) -> str:
@@ -55,16 +55,20 @@ def fingerprint(path: Path) -> str:
 
 def earlier_run_time_s(path: Path, estimator: str) -> dict[str, float]:
     """Return the wall times of planning and acquiring that an earlier result beside the run holds, by stage."""
+    beside = result_path(path, estimator)
     try:
-        with h5py.File(result_path(path, estimator), "r") as file:
-            text = file["json"].asstr()[()]
-        stages = json.loads(text)["run_time_s"] if len(text) <= 100 * LONGEST_JSON else {}
+        if beside.stat().st_size > LARGEST_RESULT_BYTES:
+            return {}
+        with h5py.File(beside, "r") as file:
+            here = isinstance(file.get("json", getlink=True), h5py.HardLink)
+            stages = json.loads(file["json"].asstr()[()])["run_time_s"] if here else {}
         return {
             _short(name): float(seconds)
             for name, seconds in list(stages.items())[:MOST_ENTRIES]
             if name not in AGAIN and math.isfinite(float(seconds)) and float(seconds) >= 0
         }
-    except (OSError, KeyError, ValueError, TypeError, AttributeError, RecursionError):
+    except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError):
+        # A result that is absent or odd costs a few rows of the table of run times.
         return {}
 
 

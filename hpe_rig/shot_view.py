@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from hpe_rig.plan import Shot
 from hpe_rig.processing import EchoGate, coherent
 from hpe_rig.processing.conditioning import codes_to_volts, remove_offset
 from hpe_rig.records import ShotRecords
-from hpe_rig.result import ShotResult
+from hpe_rig.result import Estimate
 from hpe_rig.scene import Scene
 
 FloatArray = NDArray[np.float64]
@@ -69,12 +70,12 @@ class MotionView:
         return int(self.matrix.shape[1])
 
 
-def echo_view(scene: Scene, shot: Shot, records: ShotRecords) -> EchoView | None:
-    """Return the echoes of ``shot``; None where it has no record."""
+def echo_view(scene: Scene, shot: Shot, records: ShotRecords, line: int = 0) -> EchoView | None:
+    """Return the echoes of ``shot``, the RF line that of its record ``line`` (-1: the last); None without a record."""
     valid = np.flatnonzero(records.valid[:MOST_PULSES])
     if not valid.size:
         return None
-    depth_m = _depth_m(scene, shot)
+    depth_m = depths_m(scene, shot)
     pulses = np.arange(
         0, min(records.valid.size, MOST_PULSES), -(-min(records.valid.size, MOST_PULSES) // MOST_COLUMNS)
     )
@@ -83,7 +84,7 @@ def echo_view(scene: Scene, shot: Shot, records: ShotRecords) -> EchoView | None
     image[~records.valid[pulses]] = np.nan
     half_m = scene.acquisition.gate_length_m / 2
     return EchoView(
-        line_v=codes_to_volts(records.codes[valid[0]], records.volts_per_code, records.volts_offset),
+        line_v=codes_to_volts(records.codes[valid[line]], records.volts_per_code, records.volts_offset),
         line_depth_m=depth_m,
         image_v=image.T,
         image_depth_m=depth_m[rows],
@@ -92,15 +93,15 @@ def echo_view(scene: Scene, shot: Shot, records: ShotRecords) -> EchoView | None
     )
 
 
-def motion_view(scene: Scene, shot: Shot, records: ShotRecords, result: ShotResult) -> MotionView:
+def motion_view(scene: Scene, shot: Shot, records: ShotRecords, estimates: Sequence[Estimate]) -> MotionView:
     """Return displacement and fit of ``shot``; raises ``ValueError`` where the echoes carry no displacement.
 
-    The displacement is that of the estimator "coherent", whichever one the result is of.
+    The displacement is that of the estimator "coherent", whichever one ``estimates`` come from.
     """
     echoes = echo_gate(scene, shot, records)
     motion = coherent(echoes)
     kept = motion.valid
-    frequency_hz = np.array([item.frequency_hz for item in result.estimates], dtype=np.float64)
+    frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
     also_hz = driven_frequencies_hz(scene, int(kept.sum()))
     new_hz = also_hz[~np.isclose(also_hz[:, None], frequency_hz, rtol=1e-9, atol=0).any(axis=1)]
     rate_hz = shot.tracking_train.rate_hz
@@ -110,7 +111,7 @@ def motion_view(scene: Scene, shot: Shot, records: ShotRecords, result: ShotResu
     others = others[:, ~_repeats(new_hz, rate_hz)]
     rest = np.hstack([np.ones((int(kept.sum()), 1)), others])
     displacement_m = motion.displacement_m[kept]
-    harmonics_m = wanted @ _state(result)
+    harmonics_m = wanted @ _state(estimates)
     fitted_m = harmonics_m + rest @ np.linalg.lstsq(rest, displacement_m - harmonics_m, rcond=None)[0]
     return MotionView(
         time_s=motion.time_s[kept],
@@ -137,7 +138,7 @@ def echo_gate(scene: Scene, shot: Shot, records: ShotRecords) -> EchoGate:
     )
 
 
-def _depth_m(scene: Scene, shot: Shot) -> FloatArray:
+def depths_m(scene: Scene, shot: Shot) -> FloatArray:
     """Return the depth (sample,) whose echo's middle arrives with each sample of the record."""
     after_s = np.arange(shot.capture.record_samples) / shot.capture.sample_rate_hz + shot.timeline.record_offset_s[0]
     return np.asarray(after_s * scene.acquisition.sound_speed_m_per_s / 2)
@@ -149,11 +150,10 @@ def _columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
     return np.stack([np.sin(angle), np.cos(angle)], axis=-1).reshape(time_s.size, -1)
 
 
-def _state(result: ShotResult) -> FloatArray:
+def _state(estimates: Sequence[Estimate]) -> FloatArray:
     """Return (A cos phi, A sin phi) of every estimate in turn."""
     pairs = [
-        (item.amplitude_m * math.cos(item.phase_rad), item.amplitude_m * math.sin(item.phase_rad))
-        for item in result.estimates
+        (item.amplitude_m * math.cos(item.phase_rad), item.amplitude_m * math.sin(item.phase_rad)) for item in estimates
     ]
     return np.array(pairs, dtype=np.float64).reshape(-1)
 

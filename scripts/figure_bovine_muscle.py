@@ -1,4 +1,4 @@
-"""Draw the README's figure: bovine muscle on the twin, beside the truth. Needs the extra figures."""
+"""Draw the README's figure: bovine muscle on the twin, beside the truth."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
