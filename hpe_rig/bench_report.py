@@ -176,7 +176,9 @@ def _timed(instrument: Instrument, clock_s: Callable[[], float]) -> tuple[Identi
 def _address(role: str, bench: BenchFile) -> str:
     if role == "digitizer":
         return f"system {bench.digitizer.system_id}, board {bench.digitizer.board_id}"
-    return "in process" if bench.simulated else getattr(bench.generators, role).address or "-"
+    if bench.simulated:
+        return f"{bench.transport} loopback" if bench.transport else "in process"
+    return getattr(bench.generators, role).address or "-"
 
 
 def _suggestion(role: str, address: str, bench: BenchFile, addresses: Sequence[str]) -> Iterator[str]:

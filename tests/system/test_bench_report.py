@@ -70,6 +70,13 @@ def test_every_instrument_is_identified_timed_and_left_safe(monkeypatch: pytest.
     assert not any(made[0].outputs_on().values())
 
 
+def test_a_simulated_bench_behind_sockets_is_surveyed_through_them(tmp_path: Path) -> None:
+    served = edited(tmp_path, ("simulated = true", 'simulated = true\ntransport = "socket"'))
+    report = survey(read_bench(served).bench)
+    assert report.complete
+    assert [found.address for found in report.found[:-1]] == ["socket loopback"] * 5
+
+
 def test_an_output_found_on_is_reported_and_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
     worlds: list[World] = []
     wire = World.wire
