@@ -83,7 +83,7 @@ def late(delay_s: float) -> Callable[[str], str]:
     return wait
 
 
-@pytest.mark.parametrize("delay_s", [0.3, 0.5, 1.5])
+@pytest.mark.parametrize("delay_s", [0.3, 0.5, pytest.param(1.5, marks=pytest.mark.slow)])
 def test_a_late_reply_is_never_the_answer_to_a_later_query(bench: Bench, delay_s: float) -> None:
     """A VXI-11 gateway keeps the time-out itself; pyvisa-py waits another second for what it says."""
     bench.instrument.query, bench.instrument.mishap = "VOLT?", late(delay_s)
