@@ -13,30 +13,6 @@ def codes_to_volts(codes: NDArray[np.int16], volts_per_code: float, volts_offset
     return codes * np.float64(volts_per_code) + volts_offset
 
 
-def gate_slice(
-    record_start_s: float,
-    record_samples: int,
-    sample_rate_hz: float,
-    gate_depth_m: float,
-    gate_length_m: float,
-    sound_speed_m_per_s: float,
-) -> slice:
-    """Return the samples of a record that lie in the gate.
-
-    ``record_start_s`` is the time of sample 0 after the tracking pulse was fired. Raises ``ValueError`` when the
-    record does not hold the whole gate.
-    """
-    start_s = 2 * (gate_depth_m - gate_length_m / 2) / sound_speed_m_per_s
-    start = round((start_s - record_start_s) * sample_rate_hz)
-    samples = round(2 * gate_length_m / sound_speed_m_per_s * sample_rate_hz)
-    if samples < 1 or start < 0 or start + samples > record_samples:
-        raise ValueError(
-            f"the gate covers samples {start} to {start + samples} of a record of {record_samples} samples: "
-            "the record is misplaced or too short; try a longer record, a shorter gate or another trigger delay"
-        )
-    return slice(start, start + samples)
-
-
 def remove_offset(volts: FloatArray) -> FloatArray:
     """Return the records (..., pulse, sample) without the mean over their pulses and samples.
 

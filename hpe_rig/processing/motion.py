@@ -1,4 +1,4 @@
-"""Echoes to motion: one function an estimator.
+"""Echoes to motion against the mean echo or from pulse to pulse: one function an estimator, all alike.
 
 Positive displacement is away from the transducer: the echo's delay tau = 2 u / c grows, its phase at frequency f
 changes by -2 pi f tau.
@@ -6,77 +6,27 @@ changes by -2 pi f tau.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpe_rig.processing.conditioning import hann
+from hpe_rig.processing.echoes import (
+    ComplexArray,
+    EchoGate,
+    FloatArray,
+    Motion,
+    band_grid,
+    band_spectrum,
+    require_echo,
+    require_pulses,
+    scatter,
+    spectrum_at,
+    turned,
+    valid_volts,
+)
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-BoolArray = NDArray[np.bool_]
-
-BAND = (0.5, 1.5)
-"""The transmitted band in units of the carrier: DC and the tonebursts' band stay outside, 75 % bandwidth inside."""
-
-
-@dataclass(frozen=True, slots=True)
-class EchoGate:
-    """Gated echoes of one train, ready for estimation; raises ``ValueError`` when shapes or values do not fit.
-
-    ``volts`` (..., pulse, sample): leading axes are independent realisations. ``pulse_time_s`` (pulse,): when each
-    pulse senses the displacement (fired plus z/c), increasing. ``valid`` (pulse,): False where a record is missing;
-    the samples of such a pulse are never read.
-    """
-
-    volts: FloatArray
-    sample_rate_hz: float
-    pulse_time_s: FloatArray
-    carrier_hz: float
-    sound_speed_m_per_s: float
-    valid: BoolArray
-
-    def __post_init__(self) -> None:
-        pulses = self.volts.shape[-2] if self.volts.ndim >= 2 else 0
-        if pulses == 0 or self.pulse_time_s.shape != (pulses,) or self.valid.shape != (pulses,):
-            raise ValueError(
-                f"volts {self.volts.shape}, pulse_time_s {self.pulse_time_s.shape} and valid {self.valid.shape} do not "
-                "fit: volts needs the axes (..., pulse, sample), the others (pulse,)"
-            )
-        if not np.all(np.diff(self.pulse_time_s) > 0):
-            raise ValueError("pulse_time_s does not increase: records are out of order; sort them by pulse time")
-        if not np.isfinite(self.volts[..., self.valid, :]).all():
-            raise ValueError("a pulse marked valid holds samples that are not finite: mark it invalid or read it again")
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """Displacement per pulse, up to a constant.
-
-    ``time_s`` (pulse,); ``displacement_m`` (..., pulse), NaN where not valid; ``variance_m2`` (..., pulse), from that
-    pulse's own residual against the reference echo; ``valid`` (pulse,).
-    """
-
-    time_s: FloatArray
-    displacement_m: FloatArray
-    variance_m2: FloatArray
-    valid: BoolArray
-
-
-@dataclass(frozen=True, slots=True)
-class Velocity:
-    """Mean velocity between consecutive pulses; interval n lies between pulses n and n + 1.
-
-    ``time_s`` (interval,): its middle; ``interval_s`` (interval,): its length; ``velocity_m_per_s`` (..., interval),
-    NaN where not valid; ``valid`` (interval,): both pulses are there.
-    """
-
-    time_s: FloatArray
-    interval_s: FloatArray
-    velocity_m_per_s: FloatArray
-    valid: BoolArray
+DivideBy = Literal["centre", "carrier"]
 
 
 def coherent(echoes: EchoGate) -> Motion:
@@ -87,92 +37,123 @@ def coherent(echoes: EchoGate) -> Motion:
     many wavelengths is followed as long as one step stays below a quarter wavelength. Raises ``ValueError`` for fewer
     than two valid pulses or no echo in the band. Source: maximum likelihood for a known echo in white noise.
     """
-    _require_pulses(echoes, 2)
-    frequency_hz = _band_grid(echoes, echoes.volts.shape[-1])
-    spectrum = _spectrum(echoes.volts[..., echoes.valid, :], echoes.sample_rate_hz, frequency_hz)
-    phase, mean_hz = _accumulated_phase(spectrum, frequency_hz)
+    spectrum, frequency_hz = band_spectrum(echoes, 2)
+    phase, mean_hz = accumulated_phase(spectrum, frequency_hz)
     # the first pass aligns with single-echo noise, the second with the noise of the mean echo
     for _ in range(2):
         phase, mean_hz, variance = _phase_against_others(spectrum, frequency_hz, phase, mean_hz)
-    metres = -echoes.sound_speed_m_per_s / (4 * np.pi * mean_hz[..., None])
-    return Motion(
-        echoes.pulse_time_s,
-        _scatter(phase * metres, echoes.valid),
-        _scatter(variance * metres**2, echoes.valid),
-        echoes.valid,
-    )
+    return motion_of_phase(echoes, phase, variance, mean_hz[..., None])
+
+
+def kasai(echoes: EchoGate, *, divide_by: DivideBy = "carrier") -> Motion:
+    """Return the displacement as the sum of steps from consecutive echoes' phase, averaged over the gate.
+
+    The phase is that of the complex echoes' lag-one correlation, divided by the carrier, as published, or by the
+    train's mean frequency. Raises ``ValueError`` as ``coherent``. Source: Kasai et al. (1985).
+    """
+    spectrum, frequency_hz = band_spectrum(echoes, 2)
+    phase, mean_hz = accumulated_phase(spectrum, frequency_hz)
+    divisor_hz = mean_hz if divide_by == "centre" else np.full_like(mean_hz, echoes.carrier_hz)
+    variance = _pulse_variance(spectrum)
+    return motion_of_phase(echoes, phase, variance, divisor_hz[..., None], _walk(spectrum))
+
+
+def loupas(echoes: EchoGate) -> Motion:
+    """Return the displacement as the sum of steps, each phase divided by the centre frequency of its own two echoes.
+
+    The centre frequency is that of the correlation over one sample in depth. Raises ``ValueError`` as ``coherent``.
+    Source: Loupas et al. (1995), two-dimensional autocorrelation with two pulses.
+    """
+    spectrum, frequency_hz = band_spectrum(echoes, 2)
+    step, _ = consecutive_phase(spectrum)
+    energy = np.abs(spectrum[..., :-1, :]) ** 2 + np.abs(spectrum[..., 1:, :]) ** 2
+    turn = energy @ np.exp(2j * np.pi * frequency_hz / echoes.sample_rate_hz)
+    centre_hz = np.angle(turn) / (2 * np.pi) * echoes.sample_rate_hz
+    return motion_of_steps(echoes, step, centre_hz, _pulse_variance(spectrum), _walk(spectrum))
 
 
 def cross_spectrum(
     echoes: EchoGate,
     *,
     gate_window: Literal["hann", "none"] = "hann",
-    divide_by: Literal["centre", "carrier"] = "centre",
+    divide_by: DivideBy = "centre",
     padding: int = 8,
-) -> Velocity:
-    """Return the velocity between consecutive pulses from their cross-spectrum's phase at its peak.
+) -> Motion:
+    """Return the displacement as the sum of steps, each from the consecutive cross-spectrum's phase at its peak.
 
     Hann gate, FFT padded ``padding`` times and to a power of two (1: neither), peak searched inside the transmitted
-    band, v = -c dtheta / (2 w T), with w = 2 pi times the peak's frequency or the carrier (eq. 6 as printed).
+    band, step = -c dtheta / (2 w), with w = 2 pi times the peak's frequency or the carrier (eq. 6 as printed).
     Raises ``ValueError`` for fewer than two valid pulses or no echo. Source: paper eqs. (5) and (6).
     """
-    _require_pulses(echoes, 2)
+    require_pulses(echoes, 2)
     samples = echoes.volts.shape[-1]
     bins = samples if padding == 1 else 1 << (padding * samples - 1).bit_length()
-    frequency_hz = _band_grid(echoes, bins)
+    frequency_hz = band_grid(echoes, bins)
     window = hann(samples) if gate_window == "hann" else np.ones(samples)
-    volts = np.where(echoes.valid[:, None], echoes.volts, 0.0) * window
-    phase, peak_hz = _peak_phase(_spectrum(volts, echoes.sample_rate_hz, frequency_hz), frequency_hz)
-    valid = echoes.valid[:-1] & echoes.valid[1:]
-    interval_s = np.diff(echoes.pulse_time_s)
+    volts = valid_volts(echoes) * window
+    spectrum = spectrum_at(volts, echoes.sample_rate_hz, frequency_hz)
+    require_echo(spectrum, volts)
+    step, peak_hz = _peak_phase(spectrum, frequency_hz)
     divisor_hz = peak_hz if divide_by == "centre" else np.full_like(peak_hz, echoes.carrier_hz)
-    velocity = -echoes.sound_speed_m_per_s * phase / (4 * np.pi * divisor_hz * interval_s)
-    return Velocity(echoes.pulse_time_s[:-1] + interval_s / 2, interval_s, np.where(valid, velocity, np.nan), valid)
+    # the padded bins hold no more than the unpadded ones, and the Hann window leaves two thirds of those
+    independent = frequency_hz.size * samples / bins / (1.5 if gate_window == "hann" else 1.0)
+    return motion_of_steps(echoes, step, divisor_hz, _pulse_variance(spectrum, independent), _walk(spectrum))
 
 
-def _require_pulses(echoes: EchoGate, least: int) -> None:
-    found = int(echoes.valid.sum())
-    if found < least:
-        raise ValueError(f"{found} valid pulses, {least} needed: records are missing; try more tracking pulses")
-    if not np.any(echoes.volts[..., echoes.valid, :], axis=(-2, -1)).all():
-        raise ValueError("no echo: every sample of the gate is zero; check gate, input range and tracking pulser")
+def motion_of_phase(
+    echoes: EchoGate, phase: FloatArray, variance: FloatArray, frequency_hz: FloatArray, walk: FloatArray | None = None
+) -> Motion:
+    """Return the motion of phases (..., valid pulse) and their variance, at a frequency (..., 1) of the train."""
+    metres = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
+    return Motion(
+        echoes.pulse_time_s,
+        scatter(phase * metres, echoes.valid),
+        scatter(variance * metres**2, echoes.valid),
+        echoes.valid,
+        np.abs(np.diff(phase, axis=-1)).max(axis=-1) / np.pi,
+        walk,
+    )
 
 
-def _band_grid(echoes: EchoGate, bins: int) -> FloatArray:
-    """Return the frequencies (bin,) of a ``bins``-point FFT inside the transmitted band, below half the sample rate."""
-    grid_hz = np.arange(bins // 2) * echoes.sample_rate_hz / bins
-    low, high = (edge * echoes.carrier_hz for edge in BAND)
-    inside = grid_hz[(grid_hz >= low) & (grid_hz <= high)]
-    if inside.size < 2:
-        raise ValueError(
-            f"a gate of {echoes.volts.shape[-1]} samples at {echoes.sample_rate_hz:g} Hz has {inside.size} frequencies "
-            f"between {low:g} and {high:g} Hz, 2 needed: the gate is too short or the carrier wrong; try a longer gate"
-        )
-    return inside
+def motion_of_steps(
+    echoes: EchoGate, step: FloatArray, frequency_hz: FloatArray, pulse_variance: FloatArray, walk: FloatArray
+) -> Motion:
+    """Return the motion whose phase changes by ``step`` (..., valid pulse - 1), each at its own frequency."""
+    metres = -echoes.sound_speed_m_per_s / (4 * np.pi * frequency_hz)
+    start = np.zeros((*step.shape[:-1], 1))
+    displacement_m = np.concatenate([start, np.cumsum(step * metres, axis=-1)], axis=-1)
+    scale = np.concatenate([metres[..., :1], metres], axis=-1) ** 2
+    return Motion(
+        echoes.pulse_time_s,
+        scatter(displacement_m, echoes.valid),
+        scatter(pulse_variance * scale, echoes.valid),
+        echoes.valid,
+        np.abs(step).max(axis=-1) / np.pi,
+        walk,
+    )
 
 
-def _spectrum(volts: FloatArray, sample_rate_hz: float, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the Fourier transform (..., bin) of ``volts`` (..., sample) at the wanted frequencies only."""
-    angle = 2 * np.pi * np.outer(np.arange(volts.shape[-1]) / sample_rate_hz, frequency_hz)
-    # two real products: numpy would turn the volts into complex numbers for one complex product
-    return volts @ np.cos(angle) - 1j * (volts @ np.sin(angle))
-
-
-def _accumulated_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return phase (..., pulse) against the first pulse by adding consecutive phases, and the mean frequency (...)."""
+def consecutive_phase(spectrum: ComplexArray) -> tuple[FloatArray, ComplexArray]:
+    """Return phase steps (..., pulse - 1) averaged over the band, and the cross-spectra (..., pulse - 1, bin)."""
     cross = np.conj(spectrum[..., :-1, :]) * spectrum[..., 1:, :]
-    step = np.angle(cross.sum(axis=-1))
+    return np.angle(cross.sum(axis=-1)), cross
+
+
+def accumulated_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return phase (..., pulse) against the first pulse by adding consecutive phases, and the mean frequency (...)."""
+    step, cross = consecutive_phase(spectrum)
     start = np.zeros((*step.shape[:-1], 1))
     phase = np.concatenate([start, np.cumsum(step, axis=-1)], axis=-1)
-    return phase, _mean_frequency(cross * np.exp(-1j * step)[..., None], frequency_hz)
+    energy = (np.exp(-1j * step)[..., None, :] @ cross)[..., 0, :].real
+    return phase, mean_frequency(energy, frequency_hz)
 
 
-def _mean_frequency(cross: ComplexArray, frequency_hz: FloatArray) -> FloatArray:
-    """Return the energy-weighted mean frequency (...) of aligned cross-spectra (..., pulse, bin).
+def mean_frequency(energy: FloatArray, frequency_hz: FloatArray) -> FloatArray:
+    """Return the mean frequency (...) of the energy (..., bin) that aligned echoes have in common.
 
-    Real parts, not magnitudes: noise then averages to zero instead of pulling the mean to the middle of the band.
+    Real parts of cross-spectra, not magnitudes: noise then averages to zero instead of pulling the mean to the middle
+    of the band.
     """
-    energy = cross.real.sum(axis=-2)
     total = energy.sum(axis=-1)
     mean_hz: FloatArray = (energy @ frequency_hz) / np.where(total > 0, total, 1.0)
     usable = (total > 0) & (mean_hz >= frequency_hz[0]) & (mean_hz <= frequency_hz[-1])
@@ -189,28 +170,57 @@ def _phase_against_others(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return refined phase and its variance (..., pulse) and the mean frequency (...)."""
     pulses = spectrum.shape[-2]
-    aligned = spectrum * np.exp(-1j * (phase / mean_hz[..., None])[..., None] * frequency_hz)
-    # a pulse's own noise in its reference would pull its phase to zero: leave it out
-    others = (aligned.sum(axis=-2, keepdims=True) - aligned) / (pulses - 1)
-    cross = np.conj(others) * aligned
-    product = cross.sum(axis=-1)
-    power = np.maximum(np.sum(np.abs(others) ** 2, axis=-1), np.finfo(np.float64).tiny)
-    misfit = np.sum(np.abs(aligned - others * (product / power)[..., None]) ** 2, axis=-1)
-    variance = misfit / (frequency_hz.size - 1) / (2 * power)
-    return phase + np.angle(product), _mean_frequency(cross, frequency_hz), variance
+    aligned = turned(spectrum, -phase / (2 * np.pi * mean_hz[..., None]), frequency_hz)
+    total = aligned.sum(axis=-2)
+    energy = _energy(aligned)
+    # a pulse's own noise in its reference would pull its phase to zero: the reference is the total less the pulse
+    with_total = (aligned @ np.conj(total)[..., :, None])[..., 0]
+    product = with_total - energy
+    tiny = np.finfo(np.float64).tiny
+    reference = np.maximum(_energy(total[..., None, :]) - 2 * with_total.real + energy, tiny)
+    misfit = np.maximum(energy - np.abs(product) ** 2 / reference, 0.0)
+    variance = misfit / (frequency_hz.size - 1) / (2 * reference) * (pulses - 1) ** 2
+    common = np.abs(total) ** 2 - np.sum(np.abs(aligned) ** 2, axis=-2)
+    return phase + np.angle(product), mean_frequency(common, frequency_hz), variance
+
+
+def _energy(spectrum: ComplexArray) -> FloatArray:
+    energy: FloatArray = np.einsum("...i,...i->...", spectrum.real, spectrum.real)
+    energy += np.einsum("...i,...i->...", spectrum.imag, spectrum.imag)
+    return energy
+
+
+def _pulse_variance(spectrum: ComplexArray, independent: float | None = None) -> FloatArray:
+    """Return the phase variance (..., pulse) that the correlation of consecutive echoes implies.
+
+    Two echoes that correlate by rho over M independent bins differ in phase by (1/rho^2 - 1) / (2 M); half of that is
+    one pulse's. A pulse takes the better of its two neighbours.
+    """
+    cross = np.abs(np.sum(np.conj(spectrum[..., :-1, :]) * spectrum[..., 1:, :], axis=-1)) ** 2
+    energy = _energy(spectrum)
+    tiny = np.finfo(np.float64).tiny
+    ratio = np.maximum(energy[..., :-1] * energy[..., 1:], tiny) / np.maximum(cross, tiny)
+    step = np.maximum(ratio - 1, 0.0) / (4 * (independent or spectrum.shape[-1]))
+    both = np.concatenate([step[..., :1], step], -1), np.concatenate([step, step[..., -1:]], -1)
+    return np.asarray(np.minimum(*both))
+
+
+def _walk(spectrum: ComplexArray) -> FloatArray:
+    """Return the variance (...) of a step's own noise over that of a pulse, from the correlation of neighbours.
+
+    Noise times noise of two pulses does not return with the other sign in the next step; it is noise over signal
+    power, and rho is signal over signal plus noise.
+    """
+    cross = np.abs(np.sum(np.conj(spectrum[..., :-1, :]) * spectrum[..., 1:, :], axis=-1)).sum(axis=-1)
+    energy = _energy(spectrum)
+    whole = np.sqrt(energy[..., :-1] * energy[..., 1:]).sum(axis=-1)
+    return np.asarray(np.maximum(whole / np.maximum(cross, np.finfo(np.float64).tiny) - 1, 0.0))
 
 
 def _peak_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return phase and frequency (..., interval) of the consecutive cross-spectrum's largest bin."""
-    magnitude = np.abs(spectrum)
-    peak = np.argmax(magnitude[..., :-1, :] * magnitude[..., 1:, :], axis=-1)[..., None]
+    power = spectrum.real**2 + spectrum.imag**2
+    peak = np.argmax(power[..., :-1, :] * power[..., 1:, :], axis=-1)[..., None]
     before = np.take_along_axis(spectrum[..., :-1, :], peak, axis=-1)[..., 0]
     after = np.take_along_axis(spectrum[..., 1:, :], peak, axis=-1)[..., 0]
     return np.angle(np.conj(before) * after), frequency_hz[peak[..., 0]]
-
-
-def _scatter(values: FloatArray, valid: BoolArray) -> FloatArray:
-    """Return values (..., valid pulse) at their places among all pulses, NaN elsewhere."""
-    placed = np.full((*values.shape[:-1], valid.size), np.nan)
-    placed[..., valid] = values
-    return placed

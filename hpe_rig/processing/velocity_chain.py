@@ -7,18 +7,28 @@ paper's "times 2"; for any other length it is still exact.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import NDArray
 
 from hpe_rig.processing.conditioning import hann
-from hpe_rig.processing.harmonic import HarmonicFit, design, filter_states, fit_from_state, harmonic_columns
-from hpe_rig.processing.motion import Velocity
+from hpe_rig.processing.echoes import FloatArray, Velocity
+from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
+from hpe_rig.processing.kalman import PRIOR, filter_constant
+from hpe_rig.processing.model import LARGEST_CONDITION, design, harmonic_columns
 from hpe_rig.processing.velocity_noise import per_pulse, velocity_noise
 
-FloatArray = NDArray[np.float64]
 
-PRIOR = 1e10
-"""Prior variance over measurement variance of the Kalman filter: nothing known."""
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Which of the chain's optional steps are taken: the software band-pass and the Hann window in slow time."""
+
+    band_pass: bool = True
+    hann: bool = True
+
+
+PAPER = Steps()
 
 
 def band_pass(series: FloatArray, rate_hz: float, low_hz: float, high_hz: float) -> FloatArray:
@@ -33,27 +43,35 @@ def band_pass(series: FloatArray, rate_hz: float, low_hz: float, high_hz: float)
 
 
 def velocity_to_harmonics(
-    velocity: Velocity, frequencies_hz: FloatArray | list[float], *, largest_condition: float = 100.0
+    velocity: Velocity,
+    frequencies_hz: FloatArray | Sequence[float],
+    *,
+    also_hz: FloatArray | Sequence[float] = (),
+    steps: Steps = PAPER,
+    largest_condition: float = LARGEST_CONDITION,
 ) -> HarmonicFit:
     """Return amplitude and phase of the displacement from its velocity, frequency by frequency.
 
     The gain sinc(f / f_prf) of the difference, its half-interval delay and the 90 degrees between velocity and
-    displacement are removed. The covariance carries the noise that ``velocity_noise`` finds through every step. Raises
-    ``ValueError`` for unevenly spaced pulses and as ``least_squares`` does. Source: paper Sec. II.A and III.B.2.
+    displacement are removed. ``also_hz`` are there and not wanted: no residual, and outside the band-pass. The
+    covariance carries the noise that ``velocity_noise`` finds through every step taken. Raises ``ValueError`` for
+    unevenly spaced pulses and as ``least_squares`` does. Source: paper Sec. II.A and III.B.2.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
-    everything = design(velocity.time_s, velocity.valid, frequency_hz, largest_condition)
-    fill = _fill_matrix(velocity, frequency_hz, everything)
-    each = [_one_frequency(velocity, frequency_hz, index, fill, interval_s) for index in range(frequency_hz.size)]
+    model = design(velocity.time_s, velocity.valid, frequency_hz, largest_condition, also_hz=also_hz)
+    fill = _fill_matrix(velocity, frequency_hz, also_hz, model.matrix)
+    every_hz = np.concatenate([frequency_hz, np.asarray(also_hz, dtype=np.float64)])
+    each = [_one_frequency(velocity, f, _half_width_hz(every_hz, f), fill, steps) for f in frequency_hz]
     states, functionals = zip(*each, strict=True)
-    pulse_variance, interval_variance = velocity_noise(velocity, everything, frequency_hz, interval_s)
+    pulse_variance, interval_variance = velocity_noise(velocity, model.matrix, every_hz, interval_s)
     over_intervals = np.concatenate(functionals)
     over_pulses = per_pulse(over_intervals, interval_s)
     covariance = pulse_variance[..., None, None] * (over_pulses @ over_pulses.T)
     covariance = covariance + interval_variance[..., None, None] * (over_intervals @ over_intervals.T)
     used = int(np.count_nonzero(np.append(velocity.valid, False) | np.insert(velocity.valid, 0, False)))
-    return fit_from_state(frequency_hz, np.concatenate(states, axis=-1), covariance, pulse_variance, used)
+    state = np.concatenate(states, axis=-1)
+    return fit_from_state(frequency_hz, state, covariance, pulse_variance, used, model.condition)
 
 
 def _even_interval_s(velocity: Velocity) -> float:
@@ -68,22 +86,23 @@ def _even_interval_s(velocity: Velocity) -> float:
 
 
 def _one_frequency(
-    velocity: Velocity, frequency_hz: FloatArray, index: int, fill: FloatArray, interval_s: float
+    velocity: Velocity, f: float, half_width_hz: float, fill: FloatArray, steps: Steps
 ) -> tuple[FloatArray, FloatArray]:
     """Return the state (..., 2) of one frequency and the rows (2, interval) that give it from the velocities."""
-    f, valid = frequency_hz[index], velocity.valid
-    half_width_hz = _half_width_hz(frequency_hz, index)
-    window = hann(valid.size)
+    valid, interval_s = velocity.valid, _even_interval_s(velocity)
+    window = hann(valid.size) if steps.hann else np.ones(valid.size)
 
     def passed(series: FloatArray) -> FloatArray:
+        if not steps.band_pass:
+            return series
         return band_pass(series, 1 / interval_s, f - half_width_hz, f + half_width_hz)
 
-    columns = harmonic_columns(velocity.time_s, frequency_hz[index : index + 1])
+    columns = harmonic_columns(velocity.time_s, np.array([f]))
     solver = np.linalg.pinv(columns[valid])
     response = solver @ (passed(columns.T) * window)[:, valid].T
     correction = _velocity_turn(f, interval_s) @ np.linalg.inv(response) / (2 * np.pi * f)
-    windowed = (passed(_filled(velocity.velocity_m_per_s, valid, fill)) * window)[..., valid]
-    state = filter_states(columns[valid], windowed, np.zeros(int(valid.sum())), PRIOR)[0] @ correction.T
+    windowed = (passed(_filled(velocity, fill)) * window)[..., valid]
+    state = filter_constant(columns[valid], windowed, PRIOR).state @ correction.T
     rows = np.zeros((2, valid.size))
     rows[:, valid] = correction @ solver * window[valid]
     # the band-pass is its own transpose, so it carries the rows back to the velocities before it
@@ -93,10 +112,10 @@ def _one_frequency(
     return state, back
 
 
-def _half_width_hz(frequency_hz: FloatArray, index: int) -> float:
+def _half_width_hz(every_hz: FloatArray, f: float) -> float:
     """Return half the distance to the nearest other frequency, zero included."""
-    others = np.append(np.delete(frequency_hz, index), 0.0)
-    return float(np.min(np.abs(others - frequency_hz[index]))) / 2
+    distance_hz = np.abs(np.append(every_hz, 0.0) - f)
+    return float(np.min(distance_hz[distance_hz > 1e-9 * f])) / 2
 
 
 def _velocity_turn(f: float, interval_s: float) -> FloatArray:
@@ -104,19 +123,25 @@ def _velocity_turn(f: float, interval_s: float) -> FloatArray:
     return np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
 
 
-def _fill_matrix(velocity: Velocity, frequency_hz: FloatArray, everything: FloatArray) -> FloatArray:
+def _fill_matrix(
+    velocity: Velocity, frequency_hz: FloatArray, also_hz: FloatArray | Sequence[float], everything: FloatArray
+) -> FloatArray:
     """Return the matrix (missing, valid) that predicts missing velocities from a fit to all the others.
 
-    The band-pass needs a value everywhere; one that follows the wanted motion does not disturb its neighbours.
+    The band-pass needs a value everywhere; one that follows the motion does not disturb its neighbours.
     """
     missing = ~velocity.valid
     if not missing.any():
-        return np.zeros((0, int(velocity.valid.sum())))
-    columns = harmonic_columns(velocity.time_s, frequency_hz)[missing]
-    return np.asarray(np.hstack([columns, np.ones((len(columns), 1))]) @ np.linalg.pinv(everything))
+        return np.zeros((0, velocity.valid.size))
+    everywhere = np.ones_like(missing)
+    columns = design(velocity.time_s, everywhere, frequency_hz, np.inf, also_hz=also_hz).matrix
+    return np.asarray(columns[missing] @ np.linalg.pinv(everything))
 
 
-def _filled(values: FloatArray, valid: NDArray[np.bool_], fill: FloatArray) -> FloatArray:
-    filled: FloatArray = values.copy()
-    filled[..., ~valid] = values[..., valid] @ fill.T
+def _filled(velocity: Velocity, fill: FloatArray) -> FloatArray:
+    valid = velocity.valid
+    if valid.all():
+        return velocity.velocity_m_per_s
+    filled: FloatArray = velocity.velocity_m_per_s.copy()
+    filled[..., ~valid] = filled[..., valid] @ fill.T
     return filled

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpe_rig.processing.motion import Velocity
-
-FloatArray = NDArray[np.float64]
+from hpe_rig.processing.echoes import FloatArray, Velocity
 
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 49)])
 """Interval over pulse noise, both as variance of a displacement step, that are tried."""

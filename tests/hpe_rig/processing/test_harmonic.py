@@ -15,8 +15,8 @@ from hpe_rig.processing import (
     least_squares,
     velocity_to_harmonics,
 )
+from hpe_rig.processing.echoes import EchoGate
 from hpe_rig.processing.harmonic import PHASE_VARIANCE_LIMIT
-from hpe_rig.processing.motion import EchoGate
 
 FloatArray = NDArray[np.float64]
 

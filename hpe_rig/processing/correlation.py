@@ -1,0 +1,102 @@
+"""Echoes to motion by time delay: the lag at which an echo correlates best with the mean echo, between samples."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, band_spectrum, scatter, turned
+from hpe_rig.processing.motion import accumulated_phase
+
+Peak = Literal["parabolic", "spline"]
+
+MARGIN = 3
+"""Samples of the correlation beyond half a period on either side: the spline's ends are then far from its peak."""
+
+
+def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline") -> Motion:
+    """Return the displacement of every pulse from the peak of its correlation with the sum of all other echoes.
+
+    The correlation is sampled at the echoes' own sample rate and searched within half a carrier period of a first
+    guess from accumulated consecutive phases; between samples a parabola through three or a cubic spline finds the
+    peak. A parabola errs by some percent of a sample at ten samples a period. Raises ``ValueError`` as ``coherent``.
+    Source: the usual time-domain estimator (Viola and Walker 2003 compare several).
+    """
+    spectrum, frequency_hz = band_spectrum(echoes, 2)
+    phase, mean_hz = accumulated_phase(spectrum, frequency_hz)
+    guess_s = -phase / (2 * np.pi * mean_hz[..., None])
+    aligned = turned(spectrum, guess_s, frequency_hz)
+    others = aligned.sum(axis=-2, keepdims=True) - aligned
+    whole = np.round(guess_s * echoes.sample_rate_hz)
+    # the reference stays where the first guess put it, so lags count from there and not from the pulse before
+    cross = np.conj(others) * turned(spectrum, whole / echoes.sample_rate_hz, frequency_hz)
+    half = math.ceil(echoes.sample_rate_hz / mean_hz.min() / 2)
+    lag = _peak_lag(_correlation(cross, frequency_hz / echoes.sample_rate_hz, half + MARGIN), half, peak)
+    metres = echoes.sound_speed_m_per_s / 2
+    variance = _phase_variance(others, aligned) / (2 * np.pi * mean_hz[..., None]) ** 2 * metres**2
+    return Motion(
+        echoes.pulse_time_s,
+        scatter((whole + lag) / echoes.sample_rate_hz * metres, echoes.valid),
+        scatter(variance, echoes.valid),
+        echoes.valid,
+        np.abs(np.diff(phase, axis=-1)).max(axis=-1) / np.pi,
+    )
+
+
+def _correlation(cross: ComplexArray, cycles: FloatArray, reach: int) -> FloatArray:
+    """Return the correlation (..., pulse, lag) at whole samples from -``reach`` to ``reach``."""
+    turn = 2 * np.pi * np.outer(cycles, np.arange(-reach, reach + 1))
+    return np.asarray(cross.real @ np.cos(turn) - cross.imag @ np.sin(turn))
+
+
+def _peak_lag(correlation: FloatArray, half: int, peak: Peak) -> FloatArray:
+    """Return the lag (..., pulse) in samples of the largest value within ``half`` samples, refined."""
+    reach = correlation.shape[-1] // 2
+    inner = correlation[..., reach - half : reach + half + 1]
+    best = np.argmax(inner, axis=-1) + reach - half
+    return np.asarray((_parabola if peak == "parabolic" else _spline)(correlation, best) - reach)
+
+
+def _taken(values: FloatArray, place: np.ndarray) -> FloatArray:
+    return np.take_along_axis(values, place[..., None], axis=-1)[..., 0]
+
+
+def _parabola(correlation: FloatArray, best: np.ndarray) -> FloatArray:
+    before, middle, after = (_taken(correlation, best + shift) for shift in (-1, 0, 1))
+    curvature = np.minimum(before - 2 * middle + after, -np.finfo(np.float64).tiny)
+    return np.asarray(best + 0.5 * (before - after) / curvature)
+
+
+def _spline(correlation: FloatArray, best: np.ndarray) -> FloatArray:
+    """Return the maximum of a natural cubic spline through all lags, next to its largest sample."""
+    second = correlation @ _second_derivatives(correlation.shape[-1]).T
+    value, bend = ([_taken(array, best + shift) for shift in (-1, 0, 1)] for array in (correlation, second))
+    # slope at the largest sample, from the interval after it; it says in which interval the peak lies
+    slope = value[2] - value[1] - (2 * bend[1] + bend[2]) / 6
+    jerk = np.where(slope > 0, bend[2] - bend[1], bend[1] - bend[0])
+    # slope + bend x + jerk x^2 / 2 = 0, in the form that stays exact for small jerk
+    root = np.sqrt(np.maximum(bend[1] ** 2 - 2 * jerk * slope, 0.0))
+    curved = root - bend[1]
+    return np.asarray(best + np.clip(2 * slope / np.where(curved > 0, curved, np.inf), -1, 1))
+
+
+def _second_derivatives(count: int) -> FloatArray:
+    """Return the matrix (count, count) from values one apart to the second derivatives of their natural spline."""
+    inside = np.arange(count - 2)
+    system = np.diag(np.full(count - 2, 4.0)) + np.diag(np.ones(count - 3), 1) + np.diag(np.ones(count - 3), -1)
+    difference = np.zeros((count - 2, count))
+    difference[inside, inside], difference[inside, inside + 1], difference[inside, inside + 2] = 6.0, -12.0, 6.0
+    matrix = np.zeros((count, count))
+    matrix[1:-1] = np.linalg.solve(system, difference)
+    return matrix
+
+
+def _phase_variance(others: ComplexArray, aligned: ComplexArray) -> FloatArray:
+    """Return the phase variance (..., pulse) from what of a pulse does not fit the sum of the others."""
+    pulses, bins = aligned.shape[-2:]
+    power = np.maximum(np.sum(np.abs(others) ** 2, axis=-1), np.finfo(np.float64).tiny)
+    product = np.sum(np.conj(others) * aligned, axis=-1)
+    misfit = np.sum(np.abs(aligned - others * (product / power)[..., None]) ** 2, axis=-1)
+    return np.asarray(misfit / (bins - 1) / (2 * power) * (pulses - 1) ** 2)

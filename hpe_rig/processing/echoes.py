@@ -1,0 +1,174 @@
+"""Gated echoes in, displacement out: the values that every motion estimator shares, and their spectra in the band."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+BoolArray = NDArray[np.bool_]
+
+BAND = (0.5, 1.5)
+"""The transmitted band in units of the carrier: DC and the tonebursts' band stay outside, 75 % bandwidth inside."""
+LEAST_IN_BAND = 1e-20
+"""Share of a train's energy that must lie in the band: below it there is nothing but rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class EchoGate:
+    """Gated echoes of one train, ready for estimation; raises ``ValueError`` when shapes or values do not fit.
+
+    ``volts`` (..., pulse, sample), float64 or float32: leading axes are independent realisations. ``pulse_time_s``
+    (pulse,): when each pulse senses the displacement (fired plus z/c), increasing. ``valid`` (pulse,): False where a
+    record is missing or flagged; the samples of such a pulse are never read.
+    """
+
+    volts: FloatArray
+    sample_rate_hz: float
+    pulse_time_s: FloatArray
+    carrier_hz: float
+    sound_speed_m_per_s: float
+    valid: BoolArray
+
+    def __post_init__(self) -> None:
+        pulses = self.volts.shape[-2] if self.volts.ndim >= 2 else 0
+        if pulses == 0 or self.pulse_time_s.shape != (pulses,) or self.valid.shape != (pulses,):
+            raise ValueError(
+                f"volts {self.volts.shape}, pulse_time_s {self.pulse_time_s.shape} and valid {self.valid.shape} do not "
+                "fit: volts needs the axes (..., pulse, sample), the others (pulse,)"
+            )
+        if not np.all(np.diff(self.pulse_time_s) > 0):
+            raise ValueError("pulse_time_s does not increase: records are out of order; sort them by pulse time")
+        if not np.isfinite(valid_volts(self)).all():
+            raise ValueError("a pulse marked valid holds samples that are not finite: mark it invalid or read it again")
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Displacement per pulse, up to a constant.
+
+    ``time_s`` (pulse,); ``displacement_m`` (..., pulse), NaN where not valid; ``variance_m2`` (..., pulse), from the
+    echoes' own scatter, not from the displacement; ``valid`` (pulse,). ``largest_step`` (...): the largest change
+    between consecutive valid pulses in quarter wavelengths: near 1 the next period cannot be told from this one.
+    ``walk`` (...): where the displacement is a sum of steps, the variance of the noise that is a step's own and adds up
+    from pulse to pulse, over that of a pulse; None where each pulse stands for itself.
+    """
+
+    time_s: FloatArray
+    displacement_m: FloatArray
+    variance_m2: FloatArray
+    valid: BoolArray
+    largest_step: FloatArray | float = 0.0
+    walk: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Velocity:
+    """Mean velocity between consecutive pulses; interval n lies between pulses n and n + 1.
+
+    ``time_s`` (interval,): its middle; ``interval_s`` (interval,): its length; ``velocity_m_per_s`` (..., interval),
+    NaN where not valid; ``valid`` (interval,): both pulses are there.
+    """
+
+    time_s: FloatArray
+    interval_s: FloatArray
+    velocity_m_per_s: FloatArray
+    valid: BoolArray
+
+
+def velocity_between_pulses(motion: Motion) -> Velocity:
+    """Return the mean velocity of every interval whose two pulses are valid."""
+    interval_s = np.diff(motion.time_s)
+    return Velocity(
+        motion.time_s[:-1] + interval_s / 2,
+        interval_s,
+        np.diff(motion.displacement_m, axis=-1) / interval_s,
+        motion.valid[:-1] & motion.valid[1:],
+    )
+
+
+def valid_volts(echoes: EchoGate) -> FloatArray:
+    """Return the echoes (..., valid pulse, sample); no copy where every pulse is valid."""
+    return echoes.volts if echoes.valid.all() else echoes.volts[..., echoes.valid, :]
+
+
+def scatter(values: FloatArray, valid: BoolArray) -> FloatArray:
+    """Return values (..., valid pulse) at their places among all pulses, NaN elsewhere."""
+    if valid.all():
+        return values
+    placed = np.full((*values.shape[:-1], valid.size), np.nan)
+    placed[..., valid] = values
+    return placed
+
+
+def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, FloatArray]:
+    """Return the spectrum (..., valid pulse, bin) of the unwindowed gate in the band, and its frequencies (bin,).
+
+    Raises ``ValueError`` for too few valid pulses, a gate too short to hold two frequencies of the band, and trains
+    without echo in it.
+    """
+    require_pulses(echoes, least_pulses)
+    frequency_hz = band_grid(echoes, echoes.volts.shape[-1])
+    volts = valid_volts(echoes)
+    spectrum = spectrum_at(volts, echoes.sample_rate_hz, frequency_hz)
+    require_echo(spectrum, volts)
+    return spectrum, frequency_hz
+
+
+def require_pulses(echoes: EchoGate, least: int) -> None:
+    """Raise ``ValueError`` for fewer than ``least`` valid pulses."""
+    found = int(echoes.valid.sum())
+    if found < least:
+        raise ValueError(f"{found} valid pulses, {least} needed: records are missing; try more tracking pulses")
+
+
+def require_echo(spectrum: ComplexArray, volts: FloatArray) -> None:
+    """Raise ``ValueError`` where a train's band (..., pulse, bin) holds nothing but the rounding of its volts."""
+    in_band = np.einsum("...i,...i->...", spectrum.real, spectrum.real).sum(axis=-1)
+    in_band += np.einsum("...i,...i->...", spectrum.imag, spectrum.imag).sum(axis=-1)
+    total = np.einsum("...i,...i->...", volts, volts, dtype=np.float64).sum(axis=-1) * volts.shape[-1]
+    if not np.all(in_band > LEAST_IN_BAND * total):
+        raise ValueError(
+            "no echo: the gate is constant or zero in the transmitted band; check gate, input range and tracking pulser"
+        )
+
+
+def band_grid(echoes: EchoGate, bins: int) -> FloatArray:
+    """Return the frequencies (bin,) of a ``bins``-point FFT inside the transmitted band, below half the sample rate."""
+    grid_hz = np.arange(bins // 2) * echoes.sample_rate_hz / bins
+    low, high = (edge * echoes.carrier_hz for edge in BAND)
+    inside = grid_hz[(grid_hz >= low) & (grid_hz <= high)]
+    if inside.size < 2:
+        raise ValueError(
+            f"a gate of {echoes.volts.shape[-1]} samples at {echoes.sample_rate_hz:g} Hz has {inside.size} frequencies "
+            f"between {low:g} and {high:g} Hz, 2 needed: the gate is too short or the carrier wrong; try a longer gate"
+        )
+    return inside
+
+
+def spectrum_at(volts: FloatArray, sample_rate_hz: float, frequency_hz: FloatArray) -> ComplexArray:
+    """Return the Fourier transform (..., bin) of ``volts`` (..., sample) at the wanted frequencies only."""
+    angle = 2 * np.pi * np.outer(np.arange(volts.shape[-1]) / sample_rate_hz, frequency_hz)
+    # one real product: numpy would turn the volts into complex numbers for a complex one
+    both = volts.reshape(-1, volts.shape[-1]) @ np.hstack([np.cos(angle), -np.sin(angle)])
+    spectrum = np.empty((len(both), frequency_hz.size), dtype=np.complex128)
+    spectrum.real, spectrum.imag = both[:, : frequency_hz.size], both[:, frequency_hz.size :]
+    return spectrum.reshape(*volts.shape[:-1], frequency_hz.size)
+
+
+def turned(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
+    """Return spectra (..., pulse, bin) of evenly spaced bins with every pulse advanced by ``delay_s`` (..., pulse).
+
+    Two exponentials a pulse and a running product in place of one exponential a bin.
+    """
+    step_hz = (frequency_hz[-1] - frequency_hz[0]) / (frequency_hz.size - 1)
+    factor = np.exp(2j * np.pi * frequency_hz[0] * delay_s)
+    step = np.exp(2j * np.pi * step_hz * delay_s)
+    out = np.empty_like(spectrum)
+    for index in range(frequency_hz.size):
+        np.multiply(spectrum[..., index], factor, out=out[..., index])
+        factor = factor * step
+    return out

@@ -1,0 +1,177 @@
+"""Displacement to amplitude and phase by a square-root Kalman filter with harmonic and background states.
+
+x = (in-phase, quadrature of each frequency, background polynomial), constant but for process noise; y_k = h_k x + n_k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import comb
+
+import numpy as np
+from numpy.polynomial import legendre
+from scipy.linalg import cholesky, solve_triangular
+
+from hpe_rig.processing.echoes import FloatArray, Motion
+from hpe_rig.processing.harmonic import HarmonicFit, Innovations, fit_from_state
+from hpe_rig.processing.model import LARGEST_CONDITION, design, scaled_time
+
+PRIOR = 1e10
+"""Prior variance over measurement variance: nothing known."""
+BLOCK = 64
+"""Pulses whose innovations are found at once."""
+
+
+@dataclass(frozen=True, slots=True)
+class Filtered:
+    """State (..., state), root (state, state) of its covariance, sum of squared normalised innovations (...).
+
+    ``innovations`` (..., pulse), normalised, None where not asked for; all in units of the measurement noise.
+    """
+
+    state: FloatArray
+    root: FloatArray
+    fitness: FloatArray
+    innovations: FloatArray | None
+
+
+def kalman(
+    motion: Motion,
+    frequencies_hz: FloatArray | Sequence[float],
+    *,
+    also_hz: FloatArray | Sequence[float] = (),
+    background_order: int = 0,
+    process_noise: float = 0.0,
+    background_noise: float = 0.0,
+    prior: float = PRIOR,
+    largest_condition: float = LARGEST_CONDITION,
+    innovations: bool = True,
+) -> HarmonicFit:
+    """Return all amplitudes and phases from a square-root Kalman filter over the valid pulses, others skipped.
+
+    ``process_noise``, ``background_noise`` and ``prior`` are variances of a harmonic state's change per pulse, of a
+    change per pulse of the background's highest derivative (in the train's half length: what it adds to the end of a
+    train that it starts), and of a state's start, all in units of the measurement noise, which itself follows from the
+    innovations. Without process noise this is recursive least squares. ``background_order`` 0, 1, 2: constant,
+    velocity, acceleration. Raises ``ValueError`` as ``least_squares``. Source: harmonic state of Zheng et al. (2007),
+    background states of Zheng et al. (2006); information form without, Potter's form with process noise.
+    """
+    frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
+    times = motion.time_s, motion.valid
+    model = design(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
+    displacement = motion.displacement_m[..., motion.valid]
+    if process_noise == background_noise == 0:
+        found = filter_constant(model.matrix, displacement, prior, innovations)
+    else:
+        drive = _process_roots(motion, model.matrix.shape[1], 2 * frequency_hz.size, background_order)
+        strength = np.sqrt([process_noise, background_noise])
+        found = filter_changing(
+            model.matrix, displacement, [d * s for d, s in zip(drive, strength, strict=True)], prior
+        )
+    variance = found.fitness / (model.matrix.shape[0] - model.matrix.shape[1])
+    covariance = variance[..., None, None] * (found.root @ found.root.T)
+    wanted = model.wanted
+    state, covariance = found.state[..., wanted], covariance[..., wanted, wanted]
+    report = None if found.innovations is None else _report(motion, found.innovations, model.matrix.shape[1])
+    return fit_from_state(frequency_hz, state, covariance, variance, len(model.matrix), model.condition, report)
+
+
+def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovations: bool = False) -> Filtered:
+    """Return the filtered state of a constant ``matrix`` (pulse, state) model and ``data`` (..., pulse).
+
+    Information form: a triangular factor grows by QR, a block of pulses at a time, and never loses its definiteness.
+    A block's innovations are those of one pulse after the other, from the Cholesky factor of their joint covariance.
+    """
+    states = matrix.shape[1]
+    values = data.reshape(-1, data.shape[-1]).T
+    factor, transformed = np.eye(states) / np.sqrt(prior), np.zeros((states, values.shape[1]))
+    parts = []
+    for rows in _blocks(len(matrix), states) if innovations else _blocks(len(matrix), 0, 1 << 16):
+        block, seen = matrix[rows], values[rows]
+        if innovations:
+            parts.append(_block_innovations(factor, transformed, block, seen))
+        q, factor = np.linalg.qr(np.vstack([factor, block]))
+        transformed = q.T @ np.vstack([transformed, seen])
+    root = solve_triangular(factor, np.eye(states))
+    state = root @ transformed
+    residual = values - matrix @ state
+    fitness = np.einsum("ij,ij->j", residual, residual) + np.einsum("ij,ij->j", state, state) / prior
+    shape = data.shape[:-1]
+    found = np.concatenate(parts).T.reshape(data.shape) if innovations else None
+    return Filtered(state.T.reshape(*shape, states), root, fitness.reshape(shape), found)
+
+
+def filter_changing(matrix: FloatArray, data: FloatArray, drive: Sequence[FloatArray], prior: float) -> Filtered:
+    """Return the filtered state of a model whose states change by ``drive``, arrays (pulse, state, cause).
+
+    The causes are independent and of unit variance; Potter's form keeps the covariance positive whatever the ratio of
+    prior to noise.
+    """
+    states = matrix.shape[1]
+    root = np.sqrt(prior) * np.eye(states)
+    state = np.zeros((*data.shape[:-1], states))
+    found = np.empty(data.shape)
+    for k, row in enumerate(matrix):
+        if k:
+            root = np.linalg.qr(np.vstack([root.T, *[each[k].T for each in drive]]))[1].T
+        seen = root.T @ row
+        innovation_variance = 1.0 + seen @ seen
+        gain = root @ seen / innovation_variance
+        innovation = data[..., k] - state @ row
+        state = state + innovation[..., None] * gain
+        root = root - np.outer(gain, seen) / (1.0 + 1.0 / np.sqrt(innovation_variance))
+        found[..., k] = innovation / np.sqrt(innovation_variance)
+    return Filtered(state, root, np.einsum("...i,...i->...", found, found), found)
+
+
+def _blocks(pulses: int, alone: int, size: int = BLOCK) -> list[slice]:
+    """Return blocks of pulses; the first pulses stand ``alone``, while the prior is still felt."""
+    edges = [*range(min(2 * alone, pulses)), *range(min(2 * alone, pulses), pulses, size), pulses]
+    return [slice(low, high) for low, high in pairwise(edges)]
+
+
+def _block_innovations(factor: FloatArray, transformed: FloatArray, block: FloatArray, seen: FloatArray) -> FloatArray:
+    """Return the normalised innovations (pulse, realisation) of a block of pulses."""
+    spread = solve_triangular(factor, block.T, trans=1, check_finite=False).T
+    surprise = seen - spread @ transformed
+    if len(block) == 1:
+        return np.asarray(surprise / np.sqrt(1.0 + spread[0] @ spread[0]))
+    joint = cholesky(np.eye(len(block)) + spread @ spread.T, lower=True, check_finite=False)
+    return np.asarray(solve_triangular(joint, surprise, lower=True, check_finite=False))
+
+
+def _process_roots(motion: Motion, states: int, harmonic: int, order: int) -> tuple[FloatArray, FloatArray]:
+    """Return how unit noise enters before each valid pulse: harmonic states alone, and the highest derivative.
+
+    A jump w of the p-th derivative at time s adds w (t - s)^p / p! from then on, which the filter's constant polynomial
+    takes over whole: it never asks about the past again.
+    """
+    used = np.flatnonzero(motion.valid)
+    gaps = np.sqrt(np.diff(used, prepend=used[0]))
+    alone = np.zeros((used.size, states, harmonic))
+    alone[:, np.arange(harmonic), np.arange(harmonic)] = gaps[:, None]
+    jump = np.zeros((used.size, states, 1))
+    if order >= 0:
+        start = scaled_time(motion.time_s)[used]
+        powers = np.stack([comb(order, i) * (-start) ** (order - i) for i in range(order + 1)])
+        turn = np.stack([np.pad(legendre.poly2leg(row), (0, order + 1))[: order + 1] for row in np.eye(order + 1)])
+        jump[:, harmonic : harmonic + order + 1, 0] = (turn.T @ powers).T * gaps[:, None]
+    return alone, jump
+
+
+def _report(motion: Motion, normalised: FloatArray, states: int) -> Innovations:
+    """Return the test of the innovations; those of the first pulses belong to the prior and are left out."""
+    later = normalised[..., states:]
+    degrees = later.shape[-1]
+    energy = np.einsum("...i,...i->...", later, later)
+    stated = motion.variance_m2[..., motion.valid].mean(axis=-1)
+    tiny = np.finfo(np.float64).tiny
+    nis = np.where(stated > 0, energy / degrees / np.maximum(stated, tiny), np.nan)
+    neighbours = np.einsum("...i,...i->...", later[..., 1:], later[..., :-1])
+    robust = np.median(np.abs(later), axis=-1, keepdims=True) / 0.6745
+    placed = np.full((*normalised.shape[:-1], motion.valid.size), np.nan)
+    placed[..., np.flatnonzero(motion.valid)[states:]] = later / np.maximum(robust, tiny)
+    outliers = np.abs(np.nan_to_num(placed)) > 5
+    return Innovations(placed, nis, 3 * np.sqrt(2 / degrees), neighbours / np.maximum(energy, tiny), outliers)

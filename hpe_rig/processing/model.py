@@ -1,0 +1,122 @@
+"""The linear model of slow time: sinusoids, a smooth background, and what pulses can tell apart.
+
+State order: in-phase and quadrature (A cos phi, A sin phi) of each wanted frequency, the background, then frequencies
+that are there and not wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from hpe_rig.processing.echoes import BoolArray, FloatArray
+
+LARGEST_CONDITION = 100.0
+"""Condition number from which on frequencies are refused as not told apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A model matrix (valid pulse, state) with its condition number (columns scaled to unit length)."""
+
+    matrix: FloatArray
+    condition: float
+    wanted: slice
+
+
+def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
+    """Return sin and cos of 2 pi f t, interleaved (pulse, 2 * frequency).
+
+    The cycles before the first pulse are counted exactly, in fractions: a start at 1e5 s loses no phase.
+    """
+    start = Fraction(float(time_s[0]))
+    before = np.array([float(Fraction(float(f)) * start % 1) for f in frequency_hz])
+    angle = 2 * np.pi * (np.outer(time_s - time_s[0], frequency_hz) + before)
+    return np.stack([np.sin(angle), np.cos(angle)], axis=-1).reshape(time_s.size, -1)
+
+
+def background_columns(time_s: FloatArray, order: int) -> FloatArray:
+    """Return Legendre polynomials 0 to ``order`` over the train (pulse, order + 1); none for order -1."""
+    return np.asarray(legendre.legvander(scaled_time(time_s), order) if order >= 0 else np.zeros((time_s.size, 0)))
+
+
+def scaled_time(time_s: FloatArray) -> FloatArray:
+    """Return times from -1 at the first pulse to 1 at the last."""
+    return np.asarray((time_s - time_s[0]) * (2 / (time_s[-1] - time_s[0])) - 1)
+
+
+def design(
+    time_s: FloatArray,
+    valid: BoolArray,
+    frequency_hz: FloatArray,
+    largest_condition: float = LARGEST_CONDITION,
+    *,
+    background_order: int = 0,
+    also_hz: FloatArray | Sequence[float] = (),
+) -> Design:
+    """Return the model of the valid pulses: wanted frequencies, background polynomial, then the others (``also_hz``).
+
+    ``background_order`` 0 is a constant, 1 a velocity, 2 an acceleration, more a drift; -1 leaves it out. Raises
+    ``ValueError`` for no or non-positive or repeated frequencies, a frequency at or above half the pulse rate, too few
+    pulses, or frequencies too close for the time they are watched.
+    """
+    _require_frequencies(time_s, frequency_hz)
+    others = _other_columns(time_s, frequency_hz, np.asarray(also_hz, dtype=np.float64))
+    columns = [harmonic_columns(time_s, frequency_hz), background_columns(time_s, background_order), others]
+    matrix: FloatArray = np.hstack(columns)[valid]
+    found, states = matrix.shape
+    if found <= states:
+        raise ValueError(
+            f"{found} valid pulses cannot give {states} unknowns and their uncertainty: too few; "
+            f"try at least {states + 1} pulses or fewer frequencies"
+        )
+    condition = float(np.linalg.cond(matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny)))
+    if not condition <= largest_condition:
+        raise ValueError(_unresolved(time_s[valid], frequency_hz, condition, largest_condition))
+    return Design(matrix, condition, slice(0, 2 * frequency_hz.size + background_order + 1))
+
+
+def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray) -> FloatArray:
+    """Return the columns of ``also_hz`` without those of ``frequency_hz``; half the pulse rate has only one."""
+    rate_hz = 1 / float(np.median(np.diff(time_s)))
+    new_hz = also_hz[~np.isclose(also_hz[:, None], frequency_hz, rtol=1e-9, atol=0).any(axis=1)]
+    below = new_hz[new_hz < rate_hz / 2 * (1 - 1e-6)]
+    columns = harmonic_columns(time_s, below) if below.size else np.zeros((time_s.size, 0))
+    if np.isclose(new_hz, rate_hz / 2, rtol=1e-6, atol=0).any():
+        alternating = np.cos(np.pi * np.round((time_s - time_s[0]) * rate_hz))
+        columns = np.hstack([columns, alternating[:, None]])
+    return columns
+
+
+def _require_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
+    if frequency_hz.ndim != 1 or frequency_hz.size == 0:
+        raise ValueError("no vibration frequency given: name at least one")
+    if not np.all(np.isfinite(frequency_hz) & (frequency_hz > 0)):
+        raise ValueError(f"frequencies {frequency_hz.tolist()} Hz: each must be finite and above zero")
+    if np.unique(frequency_hz).size != frequency_hz.size:
+        raise ValueError(f"frequencies {frequency_hz.tolist()} Hz name one twice: it cannot be told from itself")
+    if time_s.size < 2:
+        raise ValueError(f"{time_s.size} pulse: no motion can be seen; try more tracking pulses")
+    rate_hz = 1 / float(np.median(np.diff(time_s)))
+    if frequency_hz.max() >= rate_hz / 2 * (1 - 1e-9):
+        why = (
+            "only one of its two quadratures can be seen" if np.isclose(frequency_hz.max(), rate_hz / 2) else "aliased"
+        )
+        raise ValueError(
+            f"frequency {frequency_hz.max():g} Hz is not below half the pulse rate of {rate_hz:g} Hz: "
+            f"{why}; try a higher pulse rate or fewer harmonics"
+        )
+
+
+def _unresolved(time_s: FloatArray, frequency_hz: FloatArray, condition: float, limit: float) -> str:
+    span_s = float(time_s[-1] - time_s[0])
+    closest_hz = float(np.min(np.diff(np.sort(frequency_hz), prepend=0.0)))
+    return (
+        f"frequencies {frequency_hz.tolist()} Hz cannot be told apart (condition {condition:.3g}, limit {limit:g}): "
+        f"the closest two, zero included, are {closest_hz:g} Hz apart and watched for {span_s:g} s, or the valid "
+        f"pulses are spaced badly; try at least {1 / closest_hz:g} s or other frequencies"
+    )
