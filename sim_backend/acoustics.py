@@ -17,9 +17,10 @@ from sim_backend.echo import echoes
 from sim_backend.edges import PS_PER_S, Bursts, Capture, Picoseconds, to_ps
 from sim_backend.front_end import echo_gain_v, leak_per_vpp_v, leak_v, noise_v, pulse_strength, toneburst_echo_strength
 from sim_backend.overlap import burst_record_pairs, sample_span
-from sim_backend.pulse import Pulse, hann_pulse, rectangular_burst
+from sim_backend.pulse import Pulse, rectangular_burst
 from sim_backend.scatterers import depth_delay_s, draw_field, noticeable
 from sim_backend.settings import SimulationSettings
+from sim_backend.tracking_pulse import behind_the_way, echo_pulse
 
 Floats = NDArray[np.float64]
 FocusMotion = Callable[[Bursts, Picoseconds, int], Floats]
@@ -74,7 +75,7 @@ class Acoustics:
         strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
         for carrier_hz in np.unique(pulses.carrier_hz):
             alike = pulses.carrier_hz == carrier_hz
-            shape = hann_pulse(float(carrier_hz), self._settings.scatterers.bandwidth)
+            shape = echo_pulse(self._settings, float(carrier_hz))
             motion_m = self._motion_sensed_m(tonebursts, pulses.onset_ps[alike], capture)
             weight = self._field.tracking_weight
             self._add_echoes(volts, capture, shape, weight, pulses.onset_ps[alike], strength_v[alike], motion_m)
@@ -85,9 +86,9 @@ class Acoustics:
         kinds = np.stack([tonebursts.carrier_hz, (tonebursts.end_ps - tonebursts.onset_ps) / PS_PER_S], axis=1)
         for kind in np.unique(kinds, axis=0):
             alike = (kinds == kind).all(axis=1)
-            shape = rectangular_burst(*kind.tolist())
+            shape = behind_the_way(self._settings, rectangular_burst(*kind.tolist()))
             motion_m = self._motion_sensed_m(tonebursts, tonebursts.onset_ps[alike], capture)
-            weight = self._field.motion_weight
+            weight = self._field.excitation_weight
             self._add_echoes(volts, capture, shape, weight, tonebursts.onset_ps[alike], strength_v[alike], motion_m)
 
     def _add_leak(self, volts: Floats, tonebursts: Bursts, capture: Capture) -> None:
@@ -170,7 +171,7 @@ def draw_echoes(
         field.tracking_weight[seen],
         field.motion_weight[seen],
         displacement_m,
-        hann_pulse(carrier_hz, settings.scatterers.bandwidth),
+        echo_pulse(settings, carrier_hz),
         sample_time_s,
         settings.sound_speed_m_per_s,
         tolerance,

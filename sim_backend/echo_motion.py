@@ -105,3 +105,17 @@ def refuse_aliasing(pulse: Pulse, sample_time_s: Floats) -> None:
             f"{highest_hz / 1e6:.4g} MHz, so echoes would alias: sample above {2 * highest_hz / 1e6:.4g} MHz or take a "
             "narrower pulse"
         )
+
+
+def harmonic_motion(
+    rest_s: Floats, field_m: NDArray[np.complex128], frequency_hz: Floats, time_s: Floats, sound_speed_m_per_s: float
+) -> Motion:
+    """Return the motion of a medium's own field: Re sum_f U_f(n) exp(j 2 pi f t_k), two shapes each.
+
+    ``field_m`` (frequency, scatterer) complex axial displacement, with whatever phase waves give it; ``time_s``
+    (echo,) when each pulse passes. Static parts are a frequency of 0.
+    """
+    angle = 2 * np.pi * np.multiply.outer(time_s, frequency_hz)
+    shape = np.concatenate([field_m.real, field_m.imag])
+    amplitude_s = np.concatenate([np.cos(angle), -np.sin(angle)], axis=1) * (2 / sound_speed_m_per_s)
+    return Motion(rest_s, shape, amplitude_s)

@@ -33,7 +33,7 @@ MOST_ANGLE_RAD = 3.0
 _VALUES_AT_ONCE = 1 << 18
 # Shares of the tolerance: the tail of the series, and the crossings left out or cut short.
 _TAIL_SHARE = 0.25
-_CROSSING_SHARE = 0.1
+CROSSING_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +71,8 @@ def largest_angle(pulse: Pulse, shape: Floats, amplitude_s: Floats) -> float:
     """Return a bound on the turn of the pulse's highest frequency, rad."""
     if shape.size == 0 or amplitude_s.size == 0:
         return 0.0
-    reach_s = np.abs(amplitude_s).max(axis=(0, 1)) @ np.abs(shape).max(axis=1)
-    return float(2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz) * reach_s)
+    reach_s = sum(largest_size(amplitude_s[..., axis]) * largest_size(shape[axis]) for axis in range(len(shape)))
+    return 2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz) * reach_s
 
 
 def series(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Floats:
@@ -80,6 +80,19 @@ def series(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float
 
     Raises ValueError where the motion turns the pulse by more than `MOST_ANGLE_RAD`.
     """
+    tables = series_tables(scene, pulse, sample_time_s, tolerance)
+    enter = sample_time_s.searchsorted(scene.rest_s + pulse.start_s)
+    leave = sample_time_s.searchsorted(scene.rest_s + pulse.end_s)
+    sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
+    rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
+    out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.powers), sums)
+    budget = CROSSING_SHARE * tolerance * rms * math.sqrt(len(sample_time_s))
+    _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
+    return out
+
+
+def series_tables(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Tables:
+    """Return what pulse, gate and number of orders fix; raises ValueError where the motion is too large."""
     angle = largest_angle(pulse, scene.shape, scene.amplitude_s)
     if angle > MOST_ANGLE_RAD:
         raise ValueError(
@@ -87,20 +100,11 @@ def series(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float
             "take the running sum"
         )
     orders = terms_needed(angle, tolerance)
-    tables = _tables(pulse, sample_time_s.tobytes(), len(scene.shape), orders)
-    enter = sample_time_s.searchsorted(scene.rest_s + pulse.start_s)
-    leave = sample_time_s.searchsorted(scene.rest_s + pulse.end_s)
-    sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
-    rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
-    out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.powers), sums)
-    budget = _CROSSING_SHARE * tolerance * rms * math.sqrt(len(sample_time_s))
-    if angle > 0:
-        _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
-    return out
+    return _tables(pulse, sample_time_s.tobytes(), len(scene.shape), orders)
 
 
 @dataclass(frozen=True, slots=True)
-class _Tables:
+class Tables:
     """What a pulse and a gate fix."""
 
     powers: list[tuple[int, ...]]
@@ -109,14 +113,14 @@ class _Tables:
     real: Floats
     imag: Floats
     """c_m (-j w_m / scale)^|a| exp(j w_m t), (frequency, exponent, sample)."""
-    jumps: tuple[Floats, Floats]
+    jumps: tuple[list[float], list[float]]
     """Start and end: sizes of the jumping derivatives over their factorials, referred to the carrier, (order,)."""
-    taylor: tuple[Floats, Floats]
-    """Start and end: Taylor coefficients of the exponentials, (order,)."""
+    taylor: Floats
+    """Taylor coefficients of the exponentials about start and end, (end, order)."""
 
 
 @functools.lru_cache(maxsize=32)
-def _tables(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> _Tables:
+def _tables(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> Tables:
     """Return the tables; kept, because studies and records repeat few gates many times."""
     sample_time_s = np.frombuffer(sample_time)
     hz = np.array(pulse.frequency_hz)
@@ -126,15 +130,15 @@ def _tables(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> _Tabl
     rotation = slope[:, :, None] * phasors(pulse, sample_time_s, 1)[:, None]
     carrier_hz = pulse.frequency_hz[int(np.argmax(np.abs(pulse.amplitude)))]
     ends = (pulse.start_s, pulse.end_s)
-    jumps = [np.abs(_edge_derivatives(pulse, edge_s, carrier_hz, 20)) for edge_s in ends]
-    taylor = [_edge_derivatives(pulse, edge_s, 0.0, 40).real for edge_s in ends]
-    return _Tables(
+    jumps = [np.abs(_edge_derivatives(pulse, edge_s, carrier_hz, 20)).tolist() for edge_s in ends]
+    taylor = np.stack([_edge_derivatives(pulse, edge_s, 0.0, 40).real for edge_s in ends])
+    return Tables(
         powers,
         float(2 * math.pi * np.abs(hz).max()),
         np.ascontiguousarray(rotation.real),
         np.ascontiguousarray(rotation.imag),
         (jumps[0], jumps[1]),
-        (taylor[0], taylor[1]),
+        taylor,
     )
 
 
@@ -171,7 +175,7 @@ def _one_less(power: tuple[int, ...]) -> tuple[int, tuple[int, ...]]:
     return shape, tuple(count - (axis == shape) for axis, count in enumerate(power))
 
 
-def _rest_sums(scene: Resting, enter: Indices, leave: Indices, tables: _Tables, pulse: Pulse, samples: int) -> Floats:
+def _rest_sums(scene: Resting, enter: Indices, leave: Indices, tables: Tables, pulse: Pulse, samples: int) -> Floats:
     """Return U_a, real (row, exponent, sample), of the scatterers whose support at rest holds a sample."""
     rows, shape = len(scene.amplitude_s), (len(pulse.frequency_hz), len(tables.powers))
     seen = np.flatnonzero((enter < leave) & (enter < samples) & (leave > 0))
@@ -217,7 +221,7 @@ def _correct_crossings(
     out: Floats,
     scene: Resting,
     index: tuple[Indices, Indices],
-    tables: _Tables,
+    tables: Tables,
     pulse: Pulse,
     sample_time_s: Floats,
     budget: float,
@@ -236,7 +240,7 @@ def _correct_crossings(
     likely = 2 * len(reach_s) * (1 + (2 * farthest_s * (samples - 1) / duration_s if duration_s > 0 else 0))
     each = budget / likely
     for end, edge_s in enumerate((pulse.start_s, pulse.end_s)):
-        order, largest = _largest_near(tables.jumps[end], farthest_s)
+        order, largest = largest_near(tables.jumps[end], farthest_s)
         bound = np.abs(scene.weight) * (reach_s / farthest_s) ** order * largest
         matter = np.flatnonzero(bound > each)
         edge_time_s = scene.rest_s[matter] + edge_s
@@ -248,7 +252,9 @@ def _correct_crossings(
         sample = np.repeat(low[crossed] - np.cumsum(count) + count, count) + np.arange(len(pair))
         who = matter[pair]
         angle = tables.scale * farthest_s
-        taylor = _enough(tables.taylor[end], angle, each / heaviest / max(1.0, float(np.abs(pulse.amplitude).sum())))
+        taylor = enough_taylor(
+            tables.taylor[end], angle, each / heaviest / max(1.0, float(np.abs(pulse.amplitude).sum()))
+        )
         at_once = max(1, _VALUES_AT_ONCE // out.shape[1])
         for begin in range(0, len(who), at_once):
             some = slice(begin, begin + at_once)
@@ -279,13 +285,21 @@ def _add_pairs(
     out[row[run], :, sample[run]] += np.add.reduceat(value, run, axis=0)
 
 
-def _largest_near(jumps: Floats, reach_s: float) -> tuple[int, float]:
+def largest_near(jumps: list[float], reach_s: float) -> tuple[int, float]:
     """Return the lowest order that jumps, and a bound on the exponentials within ``reach_s`` of the support's end."""
-    order = int(np.argmax(jumps > 0)) if jumps.any() else 0
-    return order, float(np.polynomial.polynomial.polyval(reach_s, jumps))
+    bound = 0.0
+    for jump in reversed(jumps):
+        bound = bound * reach_s + jump
+    return next((order for order, jump in enumerate(jumps) if jump > 0), 0), bound
 
 
-def _enough(taylor: Floats, angle: float, tolerance: float) -> Floats:
+def largest_size(value: Floats) -> float:
+    """Return the largest magnitude, 0 of nothing."""
+    return max(abs(float(value.max())), abs(float(value.min()))) if value.size else 0.0
+
+
+def enough_taylor(taylor: Floats, angle: float, tolerance: float) -> Floats:
+    """Return as many Taylor coefficients as keep the rest below ``tolerance``, ``angle`` from the end."""
     tail, orders = angle, 1
     while tail > tolerance and orders < len(taylor):
         orders += 1

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from sim_backend.echo import echoes
 from sim_backend.edges import PS_PER_S, Bursts
-from sim_backend.pulse import hann_pulse
 from sim_backend.settings import Receiver, SimulationSettings, Specimen
+from sim_backend.tracking_pulse import echo_pulse
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def echo_gain_v(settings: SimulationSettings, depth_delay_s: Floats, weight: Flo
     ``reference_carrier_hz``. Zero where nothing echoes into the gate.
     """
     receiver, sound_speed_m_per_s = settings.receiver, settings.sound_speed_m_per_s
-    pulse = hann_pulse(receiver.reference_carrier_hz, settings.scatterers.bandwidth)
+    pulse = echo_pulse(settings, receiver.reference_carrier_hz)
     gate_s = reference_gate_s(receiver, sound_speed_m_per_s)
     resting = echoes(depth_delay_s, weight, np.zeros_like(weight), np.zeros(1), pulse, gate_s, sound_speed_m_per_s)
     rms = float(np.sqrt(np.mean(np.square(resting))))

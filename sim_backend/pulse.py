@@ -73,7 +73,8 @@ def band_limited_burst(
     duration_s = cycles / carrier_hz
 
     def spectrum(frequency_hz: Floats) -> Complexes:
-        band = np.exp(-0.5 * np.square((np.abs(frequency_hz) - centre_hz) / width_hz))
+        upper, lower = ((frequency_hz - side * centre_hz) / width_hz for side in (1, -1))
+        band = np.exp(-0.5 * np.square(upper)) + np.exp(-0.5 * np.square(lower))
 
         def gate(offset_hz: Floats) -> Complexes:
             turn = np.exp(-1j * np.pi * offset_hz * duration_s)

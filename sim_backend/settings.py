@@ -92,6 +92,9 @@ class MotionComponent(Section):
     """Vibration phase."""
 
 
+Ratio = Annotated[float, Field(gt=0, allow_inf_nan=True)]
+
+
 class Beams(Section):
     """Gaussian excitation and tracking beams; widths are the sigmas E and T of eq. (8) and (12)."""
 
@@ -99,8 +102,38 @@ class Beams(Section):
     """E_x, E_y, E_z (paper, Table I)."""
     tracking_width_m: Triple = (0.078e-3, 0.078e-3, 0.83e-3)
     """T_x, T_y, T_z (paper, Table I)."""
+    width_ratio: tuple[Ratio, Ratio, Ratio] | None = None
+    """W_x, W_y, W_z: the motion is W times T wide instead of E; inf: it is the same everywhere."""
+    lateral_offset_m: tuple[Finite, Finite] = (0.0, 0.0)
+    """Where the tracking axis lies, x and y from the excitation axis (assumed: on it)."""
     focus_depth_m: Positive = 70.0e-3
     """Distance z_F from the transducer to the common focus (paper: 70 mm)."""
+
+    @model_validator(mode="after")
+    def _ratio_is_a_number(self) -> Beams:
+        if any(ratio != ratio for ratio in self.width_ratio or ()):
+            raise ValueError("width_ratio holds nan: give numbers above 0, or inf for the same motion everywhere")
+        return self
+
+    def motion_width_m(self) -> tuple[float, float, float]:
+        """Return the sigmas of the displacement, E, or W times T where W is given."""
+        if self.width_ratio is None:
+            return self.excitation_width_m
+        (wx, wy, wz), (tx, ty, tz) = self.width_ratio, self.tracking_width_m
+        return wx * tx, wy * ty, wz * tz
+
+
+class Reflector(Section):
+    """A strong reflector among the scatterers."""
+
+    kind: Literal["point", "plane"] = "point"
+    """A point, or a plane across the beam that reflects everywhere alike."""
+    position_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    """x, y, z from the focus; of a plane z alone counts."""
+    strength: Finite = 10.0
+    """Reflectivity, that of a scatterer being 1; of a plane, of its whole beam-weighted area at the focus."""
+    moves: bool = True
+    """Whether it takes part in the motion."""
 
 
 class Scatterers(Section):
@@ -113,7 +146,21 @@ class Scatterers(Section):
     axial_delay: Literal["two_way", "none"] = "two_way"
     """Whether the echo of a scatterer carries the delay of its depth; "none" is eq. (11) read literally."""
     bandwidth: Annotated[float, Field(gt=0, le=2)] = 0.065
-    """Fractional bandwidth BW of the Hann echo pulse, eq. (9), relative to the tracking carrier (paper, Table I)."""
+    """Fractional bandwidth BW of the echo pulse relative to the tracking carrier: eq. (9)'s, or -6 dB width."""
+    pulse: Literal["hann", "gaussian", "burst"] = "hann"
+    """Echo pulse: Hann of eq. (9), Gaussian, or a 3-cycle burst through a Gaussian band about ``band_centre_hz``."""
+    band_centre_hz: Positive = 9.0e6
+    """Centre of the receive band of ``pulse = "burst"`` (paper: band-pass filter at 9.0 MHz)."""
+    measured_pulse: tuple[Finite, ...] | None = None
+    """Samples of a measured echo pulse, centred on its arrival; replaces ``pulse`` whatever the carrier."""
+    measured_pulse_rate_hz: Positive = 100.0e6
+    """Sample rate of ``measured_pulse``."""
+    reflectivity: Literal["unit", "sign", "normal"] = "unit"
+    """Reflectivity of each scatterer: 1 (paper), +1 or -1, or standard normal."""
+    reflectors: tuple[Reflector, ...] = ()
+    """Point and plane reflectors besides the scatterers."""
+    attenuation_db_per_cm_mhz: NonNegative = 0.0
+    """Loss one way; echoes from the focus lose their high frequencies (assumed: none; soft tissue 0.5)."""
 
 
 class Receiver(Section):

@@ -1,0 +1,82 @@
+"""The series of `echo_series` by one compiled loop, for studies; without Numba the NumPy form serves.
+
+The same sums, cut at the same tolerance.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import importlib.util
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.echo_series import (
+    CROSSING_SHARE,
+    Resting,
+    enough_taylor,
+    largest_near,
+    largest_size,
+    series_tables,
+)
+from sim_backend.pulse import Pulse
+
+Floats = NDArray[np.float64]
+
+
+@functools.cache
+def available() -> bool:
+    """Return whether Numba is installed; importing it is left to the first use."""
+    return importlib.util.find_spec("numba") is not None
+
+
+def serves(scene: Resting, pulse: Pulse) -> bool:
+    """Return whether the compiled loop covers the case: one shape, evenly spaced frequencies."""
+    return len(scene.shape) == 1 and available() and _evenly_spaced(pulse)
+
+
+@functools.lru_cache(maxsize=32)
+def _evenly_spaced(pulse: Pulse) -> bool:
+    hz = np.array(pulse.frequency_hz)
+    return len(hz) < 3 or bool(np.abs(np.diff(hz, 2)).max() <= 1e-14 * np.abs(hz).max())
+
+
+def series_fast(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float, out: Floats) -> None:
+    """Write the same as `echo_series.series` to ``out`` (row, echo, sample), float64 or float32."""
+    tables = series_tables(scene, pulse, sample_time_s, tolerance)
+    shape, amplitude_s = scene.shape[0], np.ascontiguousarray(scene.amplitude_s[:, :, 0])
+    farthest_s = largest_size(amplitude_s) * largest_size(shape)
+    duration_s = float(sample_time_s[-1] - sample_time_s[0])
+    crossing = 1 + (2 * farthest_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0.0)
+    bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
+    omega = 2 * np.pi * np.array(pulse.frequency_hz)
+    _loop()(
+        scene.row.searchsorted(np.arange(len(amplitude_s) + 1)),
+        scene.rest_s,
+        scene.weight,
+        shape,
+        amplitude_s,
+        sample_time_s,
+        np.array([pulse.start_s, pulse.end_s]),
+        float(omega[0]),
+        float(omega[-1] - omega[0]) / max(1, len(omega) - 1),
+        tables.scale,
+        tables.real,
+        tables.imag,
+        np.array([order for order, _ in bounds]),
+        np.array([largest for _, largest in bounds]),
+        tables.taylor,
+        len(enough_taylor(tables.taylor[0], tables.scale * farthest_s, 1e-3 * tolerance)),
+        farthest_s,
+        crossing,
+        CROSSING_SHARE * tolerance,
+        out,
+    )
+
+
+@functools.cache
+def _loop() -> Callable[..., None]:
+    loop: Callable[..., None] = importlib.import_module("sim_backend.echo_series_loop").rows
+    return loop

@@ -1,0 +1,120 @@
+"""Batches: many draws, gates and parameter values in one call, against each alone; and their statistics."""
+
+import numpy as np
+import pytest
+
+from sim_backend.acoustics import draw_echoes
+from sim_backend.echo_batch import DRAWS_AT_ONCE, batch, drawn_echoes
+from sim_backend.echo_running import running_sum
+from sim_backend.echo_series import Resting
+from sim_backend.pulse import hann_pulse
+from sim_backend.settings import Scatterers, SimulationSettings
+from sim_backend.thinned_draws import draw_thinned
+
+SOUND_SPEED = 1540.0
+GATE_S = (np.arange(130) - 64.5) * 1e-8
+PULSE = hann_pulse(9.0e6, 0.065)
+CYCLE_M = 1e-6 * np.sin(2 * np.pi * np.arange(20) / 20)
+SETTINGS = SimulationSettings()
+
+
+def all_draws(count, seed=0, settings=SETTINGS, displacement_m=CYCLE_M, gate_s=GATE_S, **options):
+    rng = np.random.default_rng(seed)
+    return np.concatenate(list(drawn_echoes(settings, displacement_m, PULSE, gate_s, rng, count, **options)))
+
+
+def exact_row(scene, row, time_s=GATE_S):
+    own = scene.row == row
+    delay_s = scene.rest_s[own] + scene.amplitude_s[row] @ scene.shape[:, own]
+    return running_sum(delay_s, scene.weight[own], PULSE, time_s)
+
+
+def three_rows(amplitude_m=(1e-6, 3e-6, 0.0)):
+    field = draw_thinned(SETTINGS, (-2e-6, 2e-6), 1e-13, np.random.default_rng(1), 3)
+    amplitude_s = np.array(amplitude_m)[:, None] * CYCLE_M / 1e-6 * 2 / SOUND_SPEED
+    return Resting(field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s[:, :, None])
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("amplitude_m", [(1e-6, 3e-6, 0.0), (1e-6, 1e-4, 0.0)])
+def test_every_row_of_a_batch_is_its_own_exact_sum(compiled, amplitude_m):
+    scene = three_rows(amplitude_m)
+    ours = batch(scene, PULSE, GATE_S, 1e-8, compiled=compiled)
+    for row in range(3):
+        exact = exact_row(scene, row)
+        assert np.sqrt(np.mean((ours[row] - exact) ** 2) / np.mean(exact**2)) < 1e-8
+
+
+def test_gates_longer_than_the_pulse_and_gates_shifted_by_row_are_exact_too():
+    scene, gate_s = three_rows(), (np.arange(400) - 200) * 1e-8
+    start_s = np.array([0.0, 3e-7, -2e-7])
+    moved = Resting(scene.row, scene.rest_s - start_s[scene.row], scene.weight, scene.shape, scene.amplitude_s)
+    ours = batch(moved, PULSE, gate_s, 1e-10)
+    for row in range(3):
+        exact = exact_row(scene, row, gate_s + start_s[row])
+        assert np.sqrt(np.mean((ours[row] - exact) ** 2) / np.mean(exact**2)) < 1e-9
+
+
+def test_float32_is_kept_to_where_its_rounding_allows():
+    scene = three_rows()
+    ours = batch(scene, PULSE, GATE_S, 1e-6, np.float32)
+    assert ours.dtype == np.float32
+    exact = exact_row(scene, 0)
+    assert np.sqrt(np.mean((ours[0] - exact) ** 2) / np.mean(exact**2)) < 1e-6
+    with pytest.raises(ValueError, match="float32 rounds at 6e-8 and cannot keep a tolerance of 1e-08"):
+        batch(scene, PULSE, GATE_S, 1e-8, np.float32)
+
+
+def test_same_seed_gives_the_same_draws_whatever_their_number_and_the_threads():
+    many = all_draws(2 * DRAWS_AT_ONCE + 5)
+    assert np.array_equal(many, all_draws(2 * DRAWS_AT_ONCE + 5))
+    assert np.array_equal(many[:20], all_draws(20))
+    assert np.array_equal(many, all_draws(2 * DRAWS_AT_ONCE + 5, threads=2))
+    assert np.abs(many - all_draws(2 * DRAWS_AT_ONCE + 5, seed=1)).max() > 0.1
+
+
+def test_each_draw_may_have_its_own_motion():
+    own_m = np.linspace(0.0, 2.0, 20)[:, None] * CYCLE_M
+    ours = all_draws(20, displacement_m=own_m)
+    assert np.array_equal(ours[0], np.repeat(ours[0][:1], 20, axis=0))
+    # The largest motion fixes what is drawn, so the last row keeps it.
+    same_m = np.vstack([np.tile(own_m[10], (19, 1)), own_m[-1:]])
+    assert ours[10] == pytest.approx(all_draws(20, displacement_m=same_m)[10], abs=1e-13)
+
+
+def test_thinned_draws_have_the_count_and_the_places_of_the_full_ones():
+    field = draw_thinned(SETTINGS, (-1e-6, 1.5e-6), 0.0, np.random.default_rng(2), 2000)
+    share = (1e-6 + 1.5e-6) * SOUND_SPEED / 2 / 5e-3
+    count = np.bincount(field.row, minlength=2000)
+    # Binomial of 1593: five standard errors of mean and variance over 2000 draws.
+    sd = np.sqrt(1593 * share * (1 - share))
+    assert count.mean() == pytest.approx(1593 * share, abs=5 * sd / np.sqrt(2000))
+    assert count.var() == pytest.approx(sd**2, rel=5 * np.sqrt(2 / 2000))
+    place = (field.delay_s + 1e-6) / 2.5e-6
+    assert ((place >= 0) & (place < 1)).all()
+    assert place.mean() == pytest.approx(0.5, abs=5 / np.sqrt(12 * len(place)))
+    assert np.square(place - 0.5).mean() == pytest.approx(1 / 12, abs=5 / np.sqrt(180 * len(place)))
+    assert (np.diff(field.delay_s)[np.diff(field.row) == 0] >= 0).all()
+
+
+@pytest.mark.parametrize(
+    "scatterers", [Scatterers(), Scatterers(reflectivity="normal"), Scatterers(axial_delay="none")]
+)
+def test_thinned_echoes_have_the_mean_power_of_full_draws(scatterers):
+    settings, draws = SimulationSettings(scatterers=scatterers), 600
+    thinned = np.square(all_draws(draws, settings=settings, displacement_m=np.zeros(1))[:, 0]).mean(axis=1)
+    rng = np.random.default_rng(3)
+    full = np.square([draw_echoes(settings, np.zeros(1), GATE_S, rng)[0] for _ in range(draws)]).mean(axis=1)
+    error = np.sqrt((thinned.var() + full.var()) / draws)
+    assert thinned.mean() == pytest.approx(full.mean(), abs=4 * error)
+
+
+def test_a_thinned_draw_of_nothing_is_silent():
+    silent = SimulationSettings(scatterers=Scatterers(per_cell=0.0))
+    assert (all_draws(3, settings=silent) == 0.0).all()
+
+
+def test_reflectors_in_a_batch_of_draws_are_refused():
+    settings = SimulationSettings.model_validate({"scatterers": {"reflectors": [{}]}})
+    with pytest.raises(ValueError, match="no reflectors"):
+        all_draws(1, settings=settings)
