@@ -18,14 +18,25 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-_NODES = 32
-_SPAN = 3.5
-_HEIGHT = 3.0
-_ALPHA = 0.65
 _RATIO = 4.0
 _DEGREES = 24
 _FIRST_S = 1e-12
 _LAST_S = 1e4
+
+
+@dataclass(frozen=True, slots=True)
+class Contour:
+    """A hyperbola: nodes above the real axis, their range of x, height m and angle alpha."""
+
+    nodes: int
+    span: float
+    height: float
+    alpha: float
+
+
+AXIS_CONTOUR = Contour(32, 3.5, 3.0, 0.65)
+FIELD_CONTOUR = Contour(40, 4.6, 1.0, 0.35)
+"""Nearer to the imaginary axis, for transfer functions that are not continued as far; 2e-8."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,35 +72,35 @@ class Panels:
         return np.asarray(value * early[..., None])
 
 
-def panels_of(transfer: Callable[[Complexes], Complexes]) -> Panels:
+def panels_of(transfer: Callable[[Complexes], Complexes], contour: Contour = AXIS_CONTOUR) -> Panels:
     """Return the table of the responses whose ``transfer`` gives (s, response) for s (s,), from 1 ps to 10^4 s."""
     count = int(np.ceil(np.log(_LAST_S / _FIRST_S) / np.log(_RATIO)))
     begin_s = _FIRST_S * _RATIO ** np.arange(count)
-    s, weight = _hyperbola()
-    value = transfer((s / begin_s[:, None]).ravel()).reshape(count, _NODES, -1)
+    s, weight = _hyperbola(contour)
+    value = transfer((s / begin_s[:, None]).ravel()).reshape(count, contour.nodes, -1)
     angle = (np.arange(_DEGREES) + 0.5) * np.pi / _DEGREES
     place = 1 + (_RATIO - 1) * (np.cos(angle) + 1) / 2
     # (time, node) is the same for every panel: time is counted in units of its begin.
     to_time = np.exp(np.outer(place, s)) * weight
-    samples = np.einsum("tn,pnr->tpr", to_time, value).real
+    samples = np.einsum("tn,pnr->tpr", to_time, value, optimize=True).real
     to_coefficients = np.cos(np.outer(np.arange(_DEGREES), angle)) * (2 / _DEGREES)
     to_coefficients[0] /= 2
-    return Panels(np.einsum("dt,tpr->dpr", to_coefficients, samples))
+    return Panels(np.einsum("dt,tpr->dpr", to_coefficients, samples, optimize=True))
 
 
 def step_of(transfer: Callable[[Complexes], Complexes], time_s: float) -> float:
     """Return the response at one time > 0 of a single ``transfer`` without a table, for studies and tests."""
-    s, weight = _hyperbola()
+    s, weight = _hyperbola(AXIS_CONTOUR)
     begin_s = time_s / 2
     return float((np.exp(2 * s) * weight @ transfer(s / begin_s)).real)
 
 
-def _hyperbola() -> tuple[Complexes, Complexes]:
+def _hyperbola(contour: Contour) -> tuple[Complexes, Complexes]:
     """Return s and the weight of U(s), (node,), for times 1 to 4; the half above the real axis, counted twice."""
-    step = _SPAN / _NODES
-    x = (np.arange(_NODES) + 0.5) * step
-    s = _HEIGHT * (1 + np.sin(1j * x - _ALPHA))
-    return s, step / np.pi * _HEIGHT * np.cos(1j * x - _ALPHA) / s
+    step = contour.span / contour.nodes
+    x = (np.arange(contour.nodes) + 0.5) * step
+    s = contour.height * (1 + np.sin(1j * x - contour.alpha))
+    return s, step / np.pi * contour.height * np.cos(1j * x - contour.alpha) / s
 
 
 def _clenshaw(coefficient: Floats, panel: NDArray[np.int64], x: Floats) -> Floats:

@@ -27,7 +27,7 @@ Complexes = NDArray[np.complex128]
 Triple = tuple[float, float, float]
 
 _DIRECTION_NODES = 64
-_FORGOTTEN = 1e-12
+_FORGOTTEN = 1e-11
 
 
 def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: Floats) -> Complexes:
@@ -55,7 +55,7 @@ def transfer(specimen: Specimen, width_m: Triple, s_per_s: Complexes) -> Complex
     a, share = _directions(width_m)
     q = 1j * s_per_s * np.sqrt(specimen.density_kg_per_m3 / modulus)
     moved = lag(q[:, None] * np.sqrt(a)) @ (np.sqrt(np.pi / a) / 2 * share)
-    return np.asarray(_strength(width_m) / modulus * moved)
+    return np.asarray(force_volume(width_m) / modulus * moved)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +74,16 @@ class StepResponse:
 def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
     """Return the specimen's step response, good to 1e-10 of itself at any time from 1 ps to 10^4 s."""
     panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None])
+    return StepResponse(memory_s(specimen, panels), panels)
+
+
+def memory_s(specimen: Specimen, panels: Panels) -> float:
+    """Return the time after which no response of ``panels`` changes; their end for a medium that creeps for ever."""
     if creeps_for_ever(specimen):
-        return StepResponse(panels.end_s, panels)
-    static_m = transfer(specimen, width_m, np.zeros(1, np.complex128))[0].real
-    begin_s = panels.begins_s
-    moving = np.flatnonzero(np.abs(panels.at(begin_s)[:, 0] - static_m) > _FORGOTTEN * static_m)
-    return StepResponse(float(begin_s[min(moving[-1] + 1, len(begin_s) - 1)]), panels)
+        return panels.end_s
+    value = panels.at(np.append(panels.begins_s, panels.end_s))
+    moving = np.abs(value - value[-1]).max(axis=1) > _FORGOTTEN * np.abs(value[-1]).max()
+    return float(panels.begins_s[min(int(np.flatnonzero(moving)[-1]) + 1, len(moving) - 2)])
 
 
 def step_response(specimen: Specimen, width_m: Triple, time_s: Floats) -> Floats:
@@ -90,7 +94,12 @@ def step_response(specimen: Specimen, width_m: Triple, time_s: Floats) -> Floats
 
 
 def transient_displacement(response: StepResponse, force: ForcePulses, time_ps: Picoseconds) -> Floats:
-    """Return the displacement at the focus at ``time_ps`` (time,) under all ``force`` pulses, m; exactly 0 before any.
+    """Return the displacement at the focus at ``time_ps`` (time,) under all ``force`` pulses, m; 0 before any."""
+    return transients(response, force, time_ps)[:, 0]
+
+
+def transients(response: StepResponse, force: ForcePulses, time_ps: Picoseconds) -> Floats:
+    """Return every tabulated response at ``time_ps`` (time,) under all ``force`` pulses: (time, response).
 
     Each pulse is a step up and a step down; once both are older than the medium's memory they cancel, so a pulse
     costs only the times that feel it.
@@ -98,20 +107,20 @@ def transient_displacement(response: StepResponse, force: ForcePulses, time_ps: 
     order = np.argsort(time_ps, kind="stable")
     ascending_ps = time_ps[order]
     memory_ps = math.ceil(response.memory_s * PS_PER_S)
-    displacement_m = np.zeros(len(time_ps))
+    moved = np.zeros((len(time_ps), response.panels.coefficient.shape[2]))
     first = np.searchsorted(ascending_ps, force.onset_ps)
     last = np.searchsorted(ascending_ps, force.end_ps + memory_ps, side="right")
     for index, strength in enumerate(force.force_density_n_per_m3):
         felt = slice(first[index], last[index])
         up_s = (ascending_ps[felt] - force.onset_ps[index]) / PS_PER_S
         down_s = (ascending_ps[felt] - force.end_ps[index]) / PS_PER_S
-        displacement_m[felt] += strength * (response.at(up_s) - response.at(down_s))
-    unsorted_m = np.empty_like(displacement_m)
-    unsorted_m[order] = displacement_m
-    return unsorted_m
+        moved[felt] += strength * (response.panels.at(up_s) - response.panels.at(down_s))
+    unsorted = np.empty_like(moved)
+    unsorted[order] = moved
+    return unsorted
 
 
-def _strength(width_m: Triple) -> float:
+def force_volume(width_m: Triple) -> float:
     """Return (2 pi)^(-1/2) sx sy sz, the Gaussian's volume over (2 pi)^2."""
     return math.prod(width_m) / math.sqrt(2 * math.pi)
 
@@ -123,12 +132,15 @@ def _directions(width_m: Triple) -> tuple[Floats, Floats]:
     count = 1 if wide == narrow else 8 * math.ceil(wide / narrow) + 8
     azimuth = (np.arange(count) + 0.5) * np.pi / (2 * count)
     lateral = width_m[0] * width_m[0] * np.cos(azimuth) ** 2 + width_m[1] * width_m[1] * np.sin(azimuth) ** 2
-    parts = [_polar(float(square), width_m[2] ** 2) for square in lateral]
-    return np.concatenate([a for a, _ in parts]), np.concatenate([share for _, share in parts]) / count
+    parts = [polar_nodes(float(square), width_m[2] ** 2) for square in lateral]
+    return np.concatenate([a for _, a, _ in parts]), np.concatenate([share for _, _, share in parts]) / count
 
 
-def _polar(lateral: float, axial: float) -> tuple[Floats, Floats]:
-    """Return the same for one azimuth; nodes in the angle v that makes the width along the direction smooth."""
+def polar_nodes(lateral: float, axial: float) -> tuple[Floats, Floats, Floats]:
+    """Return cosine m, half the squared width ``a`` and share of the directions of one azimuth, (direction,) each.
+
+    ``lateral`` and ``axial`` are the squared widths. Nodes in the variable that makes the width smooth.
+    """
     node, weight = np.polynomial.legendre.leggauss(_DIRECTION_NODES)
     node, weight = (node + 1) / 2, weight / 2
     if axial > lateral:
@@ -141,4 +153,4 @@ def _polar(lateral: float, axial: float) -> tuple[Floats, Floats]:
         m, slope = unit * np.sin(top * node), unit * top * np.cos(top * node)
     else:
         m, slope = node, np.ones_like(node)
-    return (lateral * (1 - m**2) + axial * m**2) / 2, 2 * (1 - m**2) * slope * weight
+    return m, (lateral * (1 - m**2) + axial * m**2) / 2, 2 * (1 - m**2) * slope * weight
