@@ -14,7 +14,7 @@ RESULT_FORMAT: Final = "hpe_rig result"
 
 STATUS_BYTES: Final = 8
 """Room for running, complete, aborted or failed: an attribute that changes must not change its size."""
-SNAPSHOT_BYTES: Final = 16384
+SNAPSHOT_BYTES: Final = 8192
 """Room for one shot's settings as JSON; of fixed size, since nothing may be created while others read."""
 CHUNK_BYTES: Final = 1_000_000
 """Wanted size of one chunk of echoes: what a crash can cost."""

@@ -1,6 +1,8 @@
 """The empty run file as bytes: every group, dataset and attribute, before the first record.
 
-Nothing can be created once others read along, so everything stands at its final size and is filled in later.
+Nothing can be created once others read along, so everything stands at its final size and is filled in later. All but
+the echoes has its place on the disk from the start: when the disk fills up it is a chunk of echoes that does not fit,
+and nothing that the library would still have to write.
 """
 
 from __future__ import annotations
@@ -34,6 +36,8 @@ LIBVER = ("v110", "v110")
 """Read by HDF5 1.10 and everything after it, and by nothing before: concurrent reading came with 1.10."""
 CENTRE_CODE = 8191.5
 """Codes from zero volts to full scale of 14 bits, zero-centred: zero volts lies between two codes."""
+MOST_PLACED_BYTES = 64_000_000
+"""Up to this size the quantities with a value a pulse get their place at once; beyond, as they are written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +97,9 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
     file.attrs.update(attributes | {f"version_{name}": text for name, text in versions().items()})
     file.attrs.create("status", np.bytes_("running"), dtype=f"S{STATUS_BYTES}")
     file["scene"], file["bench"] = scene.text, bench.text
-    file.create_dataset("snapshot", len(plan.shots), f"S{SNAPSHOT_BYTES}", chunks=(1,))
+    snapshot = file.create_dataset("snapshot", len(plan.shots), f"S{SNAPSHOT_BYTES}", chunks=(1,))
+    if snapshot.nbytes <= MOST_PLACED_BYTES:
+        snapshot[...] = b""
     name_axes(file, {"shot": np.arange(len(plan.shots))}, {})
 
 
@@ -103,19 +109,23 @@ def _shot_and_pulse(plan: Plan) -> dict[str, NDArray[Any]]:
 
 def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any], fill: float) -> None:
     shape = (len(plan.shots), plan.shots[0].capture.record_count)
-    group.create_dataset(name, shape, dtype, chunks=(1, min(shape[1], ROW_CHUNK)), fillvalue=fill)
+    rows = group.create_dataset(name, shape, dtype, chunks=(1, min(shape[1], ROW_CHUNK)), fillvalue=fill)
+    if rows.nbytes <= MOST_PLACED_BYTES:
+        rows[...] = fill
 
 
 def _create_echo(group: h5py.Group, plan: Plan, compress: bool) -> None:
     capture = plan.shots[0].capture
     shape = (len(plan.shots), capture.record_count, capture.record_samples)
     pulses_a_chunk = max(1, min(shape[1], math.ceil(CHUNK_BYTES / (2 * shape[2]))))
-    group.create_dataset(
+    echo = group.create_dataset(
         "echo", shape, "<i2", chunks=(1, pulses_a_chunk, shape[2]), fillvalue=MISSING, **(_filter() if compress else {})
     )
+    # The first chunk brings the index of all of them into being.
+    echo[0, :pulses_a_chunk] = MISSING
     # The CF names: readers that know them turn codes into volts and missing records into NaN by themselves.
     scale, offset = volts_of_codes(capture.input_range_v)
-    group["echo"].attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
+    echo.attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
 
 
 def _filter() -> Mapping[str, Any]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import shutil
 import time
@@ -27,13 +28,12 @@ from hpe_rig.plan import Plan, Shot
 from hpe_rig.records import MISSING, pulse_index
 from hpe_rig.scene import SceneText
 from hpe_rig.store_format import SNAPSHOT_BYTES, StoreError, reason
-from hpe_rig.store_layout import Predecessor, empty_run
+from hpe_rig.store_layout import Predecessor, empty_run, volts_of_codes
 from hpe_rig.store_reader import StoredRun
 
+ROWS = ("recorded", "trigger_time_s", "pulse_onset_s", "shot_complete", "clipped")
 CHECKPOINT_S = 1.0
 """Longest time that written records may wait for the disk itself, checked at the end of each shot."""
-SPARE_BYTES = 16_000_000
-"""Room on the disk beyond the records: settings, axes, the result file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +63,15 @@ class RunWriter:
         self._clock = clock
         self._checkpoint_s = clock()
         self._broken = False
-        if not options.compress:
-            _refuse_small_disk(path, plan.record_bytes)
-        _publish(empty_run(scene, bench, plan, options.compress, options.predecessor), path, options.overwrite)
+        image = empty_run(scene, bench, plan, options.compress, options.predecessor)
+        _refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
+        _publish(image, path, options.overwrite)
         with self._writing():
             self._file = _open_for_readers(path)
-        self._records = self._file["records"]
-        self._chunk = _Chunk(self._records["echo"])
+        self._volts = volts_of_codes(plan.shots[0].capture.input_range_v)
+        # Held, since looking a dataset up takes longer than writing to it.
+        self._rows = {name: self._file[f"records/{name}"] for name in ROWS}
+        self._chunk = _Chunk(self._file["records/echo"])
         self._shot: _ShotRows | None = None
 
     def __enter__(self) -> RunWriter:
@@ -99,7 +101,7 @@ class RunWriter:
             )
         with self._writing():
             self._file["snapshot"][shot.index] = text
-            self._records["pulse_onset_s"][shot.index] = shot.timeline.pulse_onset_s
+            self._rows["pulse_onset_s"][shot.index] = shot.timeline.pulse_onset_s
 
     def append(self, shot: Shot, block: RecordBlock) -> None:
         """Put the records of ``block`` in their pulses' places; chunks that are full go to the disk."""
@@ -115,7 +117,7 @@ class RunWriter:
     def clipped(self, shot: Shot, clipped: bool) -> None:
         """Write whether the digitizer's input left its range during ``shot``."""
         with self._writing():
-            self._records["clipped"][shot.index] = clipped
+            self._rows["clipped"][shot.index] = clipped
 
     def truth(self, shot: Shot, displacement_m: NDArray[np.float64]) -> None:
         """Write the true displacement at the focus for each record of ``shot``, shape (record,)."""
@@ -176,12 +178,12 @@ class RunWriter:
         self._chunk.flush()
         rows = slice(number * self._chunk.rows, (number + 1) * self._chunk.rows)
         for name in ("trigger_time_s", "recorded"):
-            self._records[name][shot, rows] = getattr(self._shot, name)[rows]
-            self._records[name].flush()
+            self._rows[name][shot, rows] = getattr(self._shot, name)[rows]
+            self._rows[name].flush()
 
     def _mark_complete(self, shot: int) -> None:
-        self._records["shot_complete"][shot] = 1
-        self._records["shot_complete"].flush()
+        self._rows["shot_complete"][shot] = 1
+        self._rows["shot_complete"].flush()
 
     def _end(self, status: str) -> None:
         try:
@@ -199,8 +201,9 @@ class RunWriter:
         os.fsync(self._file.id.get_vfd_handle())
 
     def _refuse_other_volts(self, block: RecordBlock) -> None:
-        expected = self._records["echo"].attrs["scale_factor"], self._records["echo"].attrs["add_offset"]
-        if not np.allclose((block.volts_per_code, block.volts_offset), expected, rtol=1e-9, atol=0):
+        expected = self._volts
+        found = block.volts_per_code, block.volts_offset
+        if not all(math.isclose(one, other, rel_tol=1e-9) for one, other in zip(found, expected, strict=True)):
             raise StoreError(
                 f"the digitizer says {block.volts_per_code:g} V a code, its range {expected[0]:g}. Its input range is "
                 "not the programmed one. Try: hpe-rig bench, then another acquisition.input_range_v."
@@ -277,16 +280,16 @@ class _ShotRows:
         self.trigger_time_s = np.full(shot.capture.record_count, np.nan)
 
 
-def _refuse_small_disk(path: Path, record_bytes: int) -> None:
+def _refuse_small_disk(path: Path, needed: int) -> None:
     try:
         free = shutil.disk_usage(path.parent).free
     except OSError:
         # Whatever is wrong with the folder shows, with its own words, when the file is created.
         return
-    if free < record_bytes + SPARE_BYTES:
+    if free < needed:
         raise StoreError(
-            f"{path}: the records take {(record_bytes + SPARE_BYTES) / 1e9:.3g} GB, the disk has {free / 1e9:.3g} GB "
-            "free. Try: another folder with --output, --compress, or fewer repeats."
+            f"{path}: the run takes {needed / 1e6:.6g} MB, the disk has {free / 1e6:.6g} MB free. "
+            "Try: another folder with --output, --compress, or fewer repeats."
         )
 
 

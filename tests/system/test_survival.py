@@ -1,0 +1,336 @@
+"""Whatever kills a run, its file opens and holds what had come, and what is left can be measured.
+
+The oracle is the same run left alone: the twin's records are a function of scene and shot.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.interfaces import RecordBlock
+from hpe_rig import run as run_module
+from hpe_rig.bench import Bench, open_bench
+from hpe_rig.resume import prepare_rest, resume
+from hpe_rig.run import Setup, measure, process
+from hpe_rig.sequencer import Progress, ShotBlock, acquire
+from hpe_rig.store import RunWriter, StoredRun, StoreError, WriteOptions, read_run
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs fork, SIGKILL and file size limits")
+
+Prepare = Callable[..., Setup]
+SWEEP = (
+    ("burst_length_s = 100e-6", "burst_length_s = [50e-6, 100e-6]"),
+    ("burst_count = 20", "burst_count = 6"),
+    ("window_start_s = 50e-3", ""),
+    ("[acquisition]", "[acquisition]\nrepeats = 2"),
+)
+ONE_LONG_SHOT = (
+    ("[acquisition]", "[acquisition]\nrecord_samples = 8192"),
+    ("snr_db = 40.0", ""),
+    ("pulse_count = 101", "pulse_count = 400"),
+)
+
+
+def table(path: Path) -> dict[str, Any]:
+    """Return everything a result says but its file's name and the time it took."""
+    result = process(path).as_dict()
+    return {key: value for key, value in result.items() if key not in ("run_file", "run_time_s")}
+
+
+def forked(child: Callable[[], object]) -> int:
+    """Run ``child`` in a process of its own, with everything already imported, and return its id."""
+    pid = os.fork()
+    if pid:
+        return pid
+    code = 1
+    try:
+        child()
+        code = 0
+    finally:
+        # No clean-up: what a killed process would not have done must not be done here either.
+        os._exit(code)
+
+
+def blocks_of_the_first_shot(setup: Setup) -> list[RecordBlock]:
+    """Return what the digitizer delivers for one shot, to be written over and over."""
+    first = replace(setup.plan, shots=setup.plan.shots[:1])
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        return [event.block for event in acquire(first, bench) if isinstance(event, ShotBlock)]
+
+
+def assert_holds_what_it_says(stored: StoredRun, whole: StoredRun) -> int:
+    """Assert that every record marked as there equals that of the whole run, and return how many there are."""
+    count = 0
+    for shot, complete in enumerate(stored.shot_complete):
+        records, expected = stored.records[shot], whole.records[shot]
+        valid = records.valid
+        assert not complete or valid.all()
+        np.testing.assert_array_equal(records.codes[valid], expected.codes[valid])
+        np.testing.assert_array_equal(records.trigger_time_s[valid], expected.trigger_time_s[valid])
+        count += int(valid.sum())
+    return count
+
+
+def assert_resumes_to(path: Path, expected: dict[str, Any], number: int) -> None:
+    """Assert that the run that stopped in ``path`` is completed to ``expected``, unless it was complete."""
+    done = path
+    if not read_run(path).shot_complete.all():
+        done = resume(prepare_rest(path), path.with_name(f"resumed-{number}.h5"))
+        assert read_run(done).predecessor == path.name
+        assert read_run(done).status == "complete"
+    found = table(done)
+    # A run killed after its last record is complete but for the word; it says so.
+    assert found == expected | {name: found[name] for name in ("status", "warnings")}
+
+
+def kill_at_random(setup: Setup, tmp_path: Path, kills: int, seed: int) -> None:
+    """Kill a run at ``kills`` random moments and assert that nothing is lost."""
+    whole_path = measure(setup, tmp_path / "whole.h5")
+    whole, expected = read_run(whole_path), table(whole_path)
+    start = time.perf_counter()
+    os.waitpid(forked(partial(measure, setup, tmp_path / "timed.h5")), 0)
+    duration_s = time.perf_counter() - start
+    rng = np.random.default_rng(seed)
+    opened, records, resumed = 0, 0, 0
+    for number, moment_s in enumerate(rng.uniform(0, duration_s, kills)):
+        path = tmp_path / f"{number}.h5"
+        pid = forked(partial(measure, setup, path))
+        time.sleep(moment_s)
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        if not path.exists():
+            continue
+        opened += 1
+        stored = read_run(path)
+        records += assert_holds_what_it_says(stored, whole)
+        resumed += not stored.shot_complete.all()
+        assert_resumes_to(path, expected, number)
+        for old in (path, path.with_name(f"resumed-{number}.h5")):
+            old.unlink(missing_ok=True)
+    print(f"{kills} kills: {opened} files, {records} records, {resumed} resumed to the same table")
+    assert opened > kills / 4
+
+
+@pytest.mark.parametrize("kills", [3, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("scene", "edits"), [("table-1", ONE_LONG_SHOT), ("bovine-muscle", SWEEP)])
+def test_a_run_killed_at_any_moment_opens_keeps_its_records_and_resumes_to_the_same_table(
+    prepared: Prepare, tmp_path: Path, scene: str, edits: tuple[tuple[str, str], ...], kills: int
+) -> None:
+    kill_at_random(prepared(scene, *edits), tmp_path, kills, seed=1)
+
+
+@pytest.mark.parametrize("kills", [10, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("compress", [False, True], ids=["plain", "compressed"])
+def test_a_writer_killed_in_the_middle_of_writing_leaves_whole_records(
+    prepared: Prepare, tmp_path: Path, kills: int, compress: bool
+) -> None:
+    # The same blocks over and over, cut small: nearly all the time is spent in writing, and so the kills fall there.
+    edits = (("[acquisition]", "[acquisition]\nrepeats = 40\nrecord_samples = 8192"), ("snr_db = 40.0", ""))
+    setup = prepared("table-1", *edits)
+    blocks = blocks_of_the_first_shot(setup)
+    codes = np.concatenate([block.codes for block in blocks])
+
+    def write(path: Path) -> None:
+        with RunWriter(path, setup.scene, setup.bench, setup.plan, WriteOptions(compress=compress)) as writer:
+            for shot in setup.plan.shots:
+                for block in blocks:
+                    writer.append(shot, block)
+                writer.finish(shot)
+
+    start = time.perf_counter()
+    os.waitpid(forked(partial(write, tmp_path / "whole.h5")), 0)
+    duration_s = time.perf_counter() - start
+    shots = []
+    for number, moment_s in enumerate(np.random.default_rng(2).uniform(0, duration_s, kills)):
+        path = tmp_path / f"{number}.h5"
+        pid = forked(partial(write, path))
+        time.sleep(moment_s)
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        if not path.exists():
+            continue
+        stored = read_run(path)
+        for shot in range(int(stored.shot_complete.sum()) + 1):
+            if shot < 40:
+                records = stored.records[shot]
+                np.testing.assert_array_equal(records.codes[records.valid], codes[records.valid])
+                assert records.valid.all() or not stored.shot_complete[shot]
+        shots.append(int(stored.shot_complete.sum()))
+        path.unlink()
+    print(f"{kills} kills, {len(shots)} files with {min(shots)} to {max(shots)} of 40 shots")
+    assert len(shots) > kills / 4
+
+
+def test_a_resumed_run_can_be_killed_and_resumed_again(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared("bovine-muscle", *SWEEP)
+    expected = table(measure(setup, tmp_path / "whole.h5"))
+    path = tmp_path / "first.h5"
+    for stop_at, name in ((1, "first"), (3, "second")):
+        path, earlier = tmp_path / f"{name}.h5", path
+
+        def stop(progress: Progress, stop_at: int = stop_at) -> None:
+            if progress.shot.index == stop_at:
+                raise KeyboardInterrupt
+
+        go_on = partial(measure, setup) if name == "first" else partial(resume, prepare_rest(earlier))
+        with pytest.raises(KeyboardInterrupt):
+            go_on(path, stop)
+    assert read_run(path).shot_complete.tolist() == [True, True, True, False]
+    assert_resumes_to(path, expected, 0)
+
+
+def test_resuming_gives_the_same_table_when_no_period_fits_the_sample_clock(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared(
+        "bovine-muscle",
+        *SWEEP,
+        ("pulse_rate_hz = 4000.0", "pulse_rate_hz = 3333.0"),
+        ("synchronous = true", ""),
+        ("[acquisition]", "[acquisition]\nshot_period_s = 0.1234567"),
+        ("delay_s = 130e-6", 'delay_s = 130e-6\ndisturbed = "keep"'),
+    )
+    expected = table(measure(setup, tmp_path / "whole.h5"))
+
+    def stop(progress: Progress) -> None:
+        if progress.shot.index == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        measure(setup, tmp_path / "run.h5", stop)
+    assert_resumes_to(tmp_path / "run.h5", expected, 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: text.replace("burst_count = 6", "burst_count = 7"), "another scene"),
+        (lambda text: text.replace("seed = 1", "seed = 2"), "another scene"),
+    ],
+)
+def test_resume_refuses_another_scene(
+    prepared: Prepare, tmp_path: Path, change: Callable[[str], str], message: str
+) -> None:
+    setup = prepared("bovine-muscle", *SWEEP)
+    path = measure(setup, tmp_path / "run.h5")
+    other = tmp_path / "other.toml"
+    other.write_text(change(setup.scene.text), encoding="utf-8")
+    with pytest.raises(StoreError, match=message):
+        prepare_rest(path, str(other))
+
+
+def test_resume_refuses_another_bench_and_a_complete_run(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared("bovine-muscle", *SWEEP)
+    path = measure(setup, tmp_path / "run.h5")
+    bench = tmp_path / "bench.toml"
+    bench.write_text(setup.bench.text.replace("delay_s = 10e-9", "delay_s = 11e-9"), encoding="utf-8")
+    with pytest.raises(StoreError, match="bench"):
+        prepare_rest(path, bench_path=bench)
+    with pytest.raises(StoreError, match="all of its 4 shots"):
+        prepare_rest(path)
+
+
+def measure_on_a_full_disk(setup: Setup, path: Path, size: int) -> None:
+    """Measure with files that cannot grow beyond ``size`` and assert how it ends; for a process of its own."""
+    import resource
+
+    benches: list[Bench] = []
+
+    @contextmanager
+    def noted(*arguments: Any) -> Iterator[Bench]:
+        with open_bench(*arguments) as bench:
+            benches.append(bench)
+            yield bench
+
+    vars(run_module)["open_bench"] = noted
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
+    with pytest.raises(StoreError, match="File too large") as raised:
+        measure(setup, path)
+    assert path.name in str(raised.value)
+    assert "Try:" in str(raised.value)
+    for bench in benches:
+        assert bench.world is not None
+        assert not any(bench.world.outputs_on().values())
+        assert bench.world.digitizer_idle()
+
+
+@pytest.mark.parametrize("sizes", [3, pytest.param(50, marks=pytest.mark.slow)])
+def test_a_disk_full_at_any_size_ends_with_a_message_outputs_off_and_a_file_that_resumes(
+    prepared: Prepare, tmp_path: Path, sizes: int
+) -> None:
+    setup = prepared("bovine-muscle", *SWEEP)
+    whole_path = measure(setup, tmp_path / "whole.h5")
+    whole, expected = read_run(whole_path), table(whole_path)
+    opened, records = 0, 0
+    for number, size in enumerate(np.random.default_rng(3).uniform(0, 0.97 * whole_path.stat().st_size, sizes)):
+        path = tmp_path / f"{number}.h5"
+
+        pid = forked(partial(measure_on_a_full_disk, setup, path, int(size)))
+        _, status = os.waitpid(pid, 0)
+        assert os.waitstatus_to_exitcode(status) == 0
+        if not path.exists():
+            continue
+        opened += 1
+        stored = read_run(path)
+        assert stored.status == "failed"
+        records += assert_holds_what_it_says(stored, whole)
+        assert_resumes_to(path, expected, number)
+    print(f"{sizes} sizes: {opened} files, {records} records kept")
+    assert opened
+    assert not list(tmp_path.glob(".*draft"))
+
+
+def test_live_reading_while_writing_never_fails_and_never_sees_half_a_record(prepared: Prepare, tmp_path: Path) -> None:
+    reads_while_writing(prepared, tmp_path, reads=60)
+
+
+@pytest.mark.slow
+def test_a_thousand_live_reads_while_writing(prepared: Prepare, tmp_path: Path) -> None:
+    reads_while_writing(prepared, tmp_path, reads=1000)
+
+
+def reads_while_writing(prepared: Prepare, tmp_path: Path, reads: int) -> None:
+    """Read a file ``reads`` times while another process writes it without a pause."""
+    edits = (("[acquisition]", "[acquisition]\nrepeats = 400\nrecord_samples = 1024"), ("snr_db = 40.0", ""))
+    setup = prepared("table-1", *edits)
+    blocks = blocks_of_the_first_shot(setup)
+    codes = np.concatenate([block.codes for block in blocks])
+    path = tmp_path / "live.h5"
+
+    def write() -> None:
+        with RunWriter(path, setup.scene, setup.bench, setup.plan) as writer:
+            for shot in itertools.cycle(setup.plan.shots):
+                for block in blocks:
+                    writer.append(shot, block)
+                writer.finish(shot)
+
+    pid = forked(write)
+    while not path.exists():
+        time.sleep(0.001)
+    counts, rng = [], np.random.default_rng(4)
+    try:
+        for _ in range(reads):
+            stored = read_run(path)
+            assert stored.status == "running"
+            complete = int(stored.shot_complete.sum())
+            for shot in {min(complete, 399), int(rng.integers(0, complete + 1)) % 400}:
+                records = stored.records[shot]
+                np.testing.assert_array_equal(records.codes[records.valid], codes[records.valid])
+                assert np.isfinite(records.trigger_time_s[records.valid]).all()
+            counts.append(complete)
+    finally:
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+    print(f"{reads} reads while {counts[0]} grew to {counts[-1]} shots")
+    assert counts == sorted(counts)
+    assert len(set(counts)) > 3
