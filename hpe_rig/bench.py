@@ -63,6 +63,10 @@ class WallClock:
         time.sleep(duration_s)
 
 
+PROVEN_OFF = "every output is off, verified"
+"""Note on whatever ended the use of a bench, once its outputs had been read back as off."""
+
+
 @dataclass(frozen=True, slots=True)
 class Bench:
     """The open instruments of a bench; ``burst_train`` and ``toneburst`` are None where nothing pushes."""
@@ -140,8 +144,11 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
                 known.append(instrument)
             opened.make_safe()
             yield opened
-        finally:
+        except BaseException as error:
             make_safe(known)
+            error.add_note(PROVEN_OFF)
+            raise
+        make_safe(known)
 
 
 @contextmanager

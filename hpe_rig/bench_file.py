@@ -231,7 +231,7 @@ def parse_bench(name: str, text: str) -> BenchText:
     mistakes = mistakes_of(BenchFile, tables)
     if not mistakes:
         bench = BenchFile.model_validate(tables)
-        mistakes = _missing_addresses(bench) + _missing_wires(bench)
+        mistakes = _missing_addresses(bench) + _missing_wires(bench) + _crossed_wires(bench)
     if mistakes:
         raise SettingsError(f"bench {name}", mistakes)
     return BenchText(name, text, bench)
@@ -243,11 +243,11 @@ def read_bench(path: Path | None = None) -> BenchText:
         shipped = resources.files("hpe_rig") / "benches" / "simulated.toml"
         return parse_bench("simulated", shipped.read_text(encoding="utf-8"))
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         what = f"cannot be read ({error})"
         raise SettingsError(
-            f"bench {path}", [Mistake("", what, "hpe-rig new-bench prints one to start from")]
+            f"bench {path}", [Mistake("", what, "hpe-rig new my-bench --like bench writes one to start from")]
         ) from None
     return parse_bench(path.stem, text)
 
@@ -285,4 +285,16 @@ def _missing_wires(bench: BenchFile) -> list[Mistake]:
         Mistake("wiring", f"no cable from {source} to {target}", remedy.format(source, target))
         for source, target in needed
         if math.isnan(bench.path_delay_s(source, target))
+    ]
+
+
+def _crossed_wires(bench: BenchFile) -> list[Mistake]:
+    """Return the inputs with two sources; only the transducer takes a sum. With the needed cables no loop is left."""
+    sources: dict[str, list[str]] = {}
+    for wire in bench.wiring:
+        sources.setdefault(wire.target, []).append(wire.source)
+    return [
+        Mistake("wiring", f"{target} has {len(found)} sources, {' and '.join(found)}", "one cable an input")
+        for target, found in sources.items()
+        if len(found) > 1 and target != "transducer.drive"
     ]

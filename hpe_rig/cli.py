@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -57,6 +58,10 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
 
 def main() -> None:
     """Run the command line."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A title the console's code page lacks must not cost a measurement.
+            stream.reconfigure(errors="replace")
     app()
 
 
@@ -75,12 +80,13 @@ def run(
     verbose: Annotated[bool, typer.Option("--verbose", help="Log every step to a file beside the run file.")] = False,
 ) -> None:
     """Plan, acquire, store, estimate: one measurement from the scene to the table."""
-    from hpe_rig.run import Stages, measure, prepare, process
+    from hpe_rig.run import Stages, chosen_estimator, measure, prepare, process
     from hpe_rig.run_watch import watched
     from hpe_rig.store import WriteOptions, free_path
 
     stages = Stages()
     setup = prepare(scene, bench, stages)
+    chosen_estimator(estimator, setup.scene.scene)
     path = output or free_path(setup.scene.name, Path())
     with watched(setup, path, live, verbose, _announce) as watching:
         with _progress(setup, quiet=json or csv) as observer:
@@ -222,6 +228,9 @@ def new(
     except FileExistsError:
         typer.echo(f"{path} exists and is never overwritten. Try: another name.", err=True)
         raise typer.Exit(EXIT_MISTAKE) from None
+    except OSError as error:
+        typer.echo(f"{path} cannot be written ({error.strerror}). Try: another folder.", err=True)
+        raise typer.Exit(EXIT_MISTAKE) from None
     typer.echo(
         f"{path}: edit it, then hpe-rig check {path}" if like != "bench" else f"{path}: edit it, then --bench {path}"
     )
@@ -322,7 +331,7 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
     from hpe_rig.mistakes import SettingsError
     from hpe_rig.store import StoreError
 
-    kept = "every output is off, verified; the run file holds the records that had arrived"
+    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     match error:
         case UnsafeBenchError():
             return str(error), EXIT_UNSAFE
@@ -331,9 +340,9 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
         case InstrumentError():
             return str(error), EXIT_INSTRUMENT
         case StopRequested():
-            return f"stopped from the live page: {kept}", EXIT_INTERRUPTED
+            return f"stopped from the live page{notes}", EXIT_INTERRUPTED
         case KeyboardInterrupt():
-            return f"interrupted: {kept}", EXIT_INTERRUPTED
+            return f"interrupted{notes}", EXIT_INTERRUPTED
         case Terminated():
-            return f"terminated: {kept}", EXIT_TERMINATED
+            return f"terminated{notes}", EXIT_TERMINATED
     return None

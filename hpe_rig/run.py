@@ -15,7 +15,7 @@ from hpe_rig.conflicts import Finding, findings, refuse_conflicts
 from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of
 from hpe_rig.plan import Plan, make_plan
 from hpe_rig.result import Result
-from hpe_rig.scene import Processing, Scene, SceneText, parse_scene, scene_text
+from hpe_rig.scene import Estimator, Processing, Scene, SceneText, parse_scene, scene_text
 from hpe_rig.sequencer import Event, Observer, ShotBlock, ShotDone, ShotReady, acquire, unobserved
 from hpe_rig.store import (
     RunWriter,
@@ -100,10 +100,21 @@ def measure(
                 writer.take_over(earlier, first)
         with stages("open bench"):
             bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
+        stack.enter_context(_noting(f"{path} holds the records that had arrived"))
         with stages("acquire"), closing(acquire(rest, bench, observer)) as events:
             for event in events:
                 _record(event, bench, writer)
     return path
+
+
+@contextmanager
+def _noting(note: str) -> Iterator[None]:
+    """Add ``note`` to whatever ends the block."""
+    try:
+        yield
+    except BaseException as error:
+        error.add_note(note)
+        raise
 
 
 def _record(event: Event, bench: Bench, writer: RunWriter) -> None:
@@ -132,11 +143,7 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
         plan = make_plan(scene, bench)
         found = tuple(findings(scene, bench, plan))
         stored.refuse_unlike(plan)
-    asked = {"estimator": estimator or scene.processing.estimator}
-    mistakes = mistakes_of(Processing, asked, ("processing",))
-    if mistakes:
-        raise SettingsError("command line", mistakes)
-    chosen = Processing.model_validate(asked).estimator
+    chosen = chosen_estimator(estimator, scene)
     with stages("process"):
         try:
             shots = estimate_run(scene, plan, stored, chosen)
@@ -170,6 +177,15 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
     with stages("write result"):
         write_result(result_path(path, chosen), result)
     return result
+
+
+def chosen_estimator(name: str | None, scene: Scene) -> Estimator:
+    """Return the estimator of that name, or the scene's; raise ``SettingsError`` for a name that is none."""
+    asked = {"estimator": name or scene.processing.estimator}
+    mistakes = mistakes_of(Processing, asked, ("processing",))
+    if mistakes:
+        raise SettingsError("command line", mistakes)
+    return Processing.model_validate(asked).estimator
 
 
 def phase_reference(scene: Scene) -> str:

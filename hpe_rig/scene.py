@@ -19,6 +19,9 @@ Count = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
 Triple = tuple[Positive, Positive, Positive]
 
 
+Estimator = Literal["coherent", "cross_spectrum"]
+
+
 def _as_list(value: Any) -> Any:
     return value if isinstance(value, list | tuple) else [value]
 
@@ -110,7 +113,7 @@ class Beams(Section):
 class Processing(Section):
     """How records become amplitude and phase."""
 
-    estimator: Literal["coherent", "cross_spectrum"] = "coherent"
+    estimator: Estimator = "coherent"
     """Motion estimator; cross_spectrum is the paper's chain."""
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Vibration frequencies f_v wanted; absent: f_r and its multiples up to the tenth below f_prf / 2."""
@@ -192,7 +195,7 @@ def scene_text(name_or_path: str) -> tuple[str, str]:
         return name_or_path, shipped[name_or_path]
     path = Path(name_or_path)
     try:
-        return path.stem, path.read_text(encoding="utf-8")
+        return path.stem, path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
         what = f"neither a shipped scene nor a readable file ({reason})"

@@ -1,13 +1,15 @@
 """Wrong scenes end in messages that name the key, the numbers and the remedy."""
 
+from pathlib import Path
+
 import pytest
 
 from hpe_rig.bench import check_simulation
-from hpe_rig.bench_file import read_bench
+from hpe_rig.bench_file import parse_bench, read_bench
 from hpe_rig.conflicts import PlanError, findings, refuse_conflicts
 from hpe_rig.mistakes import SettingsError
 from hpe_rig.plan import make_plan
-from hpe_rig.scene import parse_scene, shipped_scenes
+from hpe_rig.scene import parse_scene, scene_text, shipped_scenes
 
 MUSCLE = shipped_scenes()["bovine-muscle"]
 TABLE_1 = shipped_scenes()["table-1"]
@@ -137,3 +139,27 @@ def test_a_prescribed_motion_needs_frequencies_and_a_pulse_count() -> None:
 
 def test_a_simulated_bench_refuses_a_scene_without_simulation() -> None:
     assert "[simulation]" in message_of(TABLE_1[: TABLE_1.index("[simulation]")])
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "words"),
+    [
+        (
+            "master.output",
+            "digitizer.trigger",
+            ["digitizer.trigger has 2 sources", "tracking_train.output", "one cable"],
+        ),
+        ("digitizer.aux", "tracking_train.trigger", ["tracking_train.trigger has 2 sources", "master.output"]),
+    ],
+)
+def test_crossed_cables_are_refused(source: str, target: str, words: list[str]) -> None:
+    text = read_bench().text + f'\n[[wiring]]\nsource = "{source}"\ntarget = "{target}"\n'
+    with pytest.raises(SettingsError) as caught:
+        parse_bench("crossed", text)
+    assert not [word for word in words if word not in str(caught.value)], str(caught.value)
+
+
+def test_a_scene_saved_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "notepad.toml"
+    path.write_text(MUSCLE, encoding="utf-8-sig")
+    assert parse_scene(*scene_text(str(path))).scene.title.startswith("Bovine")
