@@ -9,7 +9,7 @@ import numpy as np
 
 from hpe_rig.bench_file import BOARD_MODELS, BenchFile
 from hpe_rig.finding import Finding, Level, PlanError, judged, refuse_conflicts
-from hpe_rig.interference import admissible_delays_s, disturbed_pulses, forbidden_window_s
+from hpe_rig.interference import admissible_delays_s, disturbed_pulses, effective_rate_hz, forbidden_window_s
 from hpe_rig.output_conflicts import acoustic_output, drive
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.scene import Scene
@@ -103,6 +103,27 @@ def _aliasing(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
         if alias:
             text += f": {', '.join(f'{f:g}' for f in alias)} Hz is no multiple, nothing drives it"
             yield Finding("driven frequencies", "warning", text, "multiples of excitation.burst_rate_hz")
+
+
+def _folding(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
+    """Tonebursts are short: they drive harmonics far above half the pulse rate, which fold onto the wanted ones."""
+    if scene.excitation is None:
+        return
+    rate_hz, burst_rate_hz = scene.tracking.pulse_rate_hz, scene.excitation.burst_rate_hz
+    bursts = int(plan.shots[0].capture.record_count / rate_hz * burst_rate_hz)
+    effective_hz = effective_rate_hz(rate_hz, burst_rate_hz, bursts)
+    driven_hz = 1 / max(scene.excitation.burst_length_s)
+    text = f"tonebursts drive every multiple of {burst_rate_hz:g} Hz up to 1/T_b = {driven_hz:g} Hz, the pulses sample "
+    text += f"the burst period at {effective_hz:g} Hz in all"
+    if effective_hz > 1.5 * driven_hz:
+        yield Finding("folding", "passed", text)
+        return
+    shifted_hz = rate_hz - burst_rate_hz / 10
+    remedy = (
+        f'tracking.pulse_rate_hz = {shifted_hz:g} with disturbed = "skip", so that the pulses shift from burst to burst'
+    )
+    text += ": higher harmonics fold onto the wanted ones and change amplitude and phase"
+    yield Finding("folding", "warning", text, remedy)
 
 
 def _resolution(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
@@ -282,6 +303,7 @@ _CHECKS: tuple[Callable[[Scene, BenchFile, Plan], Iterator[Finding]], ...] = (
     _record_in_period,
     _depth,
     _aliasing,
+    _folding,
     _resolution,
     _gate_in_record,
     _board,

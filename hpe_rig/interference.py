@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,3 +44,13 @@ def admissible_delays_s(shot: Shot) -> list[tuple[float, float]]:
             free.append((float(end), float(start)))
         end = max(end, start + end_s - start_s)
     return [(low % period_s, low % period_s + high - low) for low, high in free]
+
+
+def effective_rate_hz(pulse_rate_hz: float, burst_rate_hz: float, bursts: int) -> float:
+    """Return the rate at which ``bursts`` burst periods together sample one period.
+
+    It is the pulse rate where every period is sampled at the same instants, and more where the pulses shift from burst
+    to burst: then harmonics up to half of it can be told apart.
+    """
+    shifts = Fraction(pulse_rate_hz / burst_rate_hz).limit_denominator(max(1, bursts))
+    return float(shifts.numerator) * burst_rate_hz

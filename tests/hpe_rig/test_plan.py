@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hpe_rig.bench_file import read_bench
 from hpe_rig.conflicts import findings
-from hpe_rig.interference import admissible_delays_s, disturbed_pulses
+from hpe_rig.interference import admissible_delays_s, disturbed_pulses, effective_rate_hz
 from hpe_rig.plan import Shot, burst_path_s, make_plan, tracking_path_s
 from hpe_rig.scene import Scene, parse_scene, shipped_scenes
 
@@ -134,10 +134,34 @@ def test_times_are_those_at_the_gate() -> None:
     assert line.reference_s == pytest.approx(line.burst_onset_s[0] + way_s)
 
 
-def test_shipped_scenes_have_no_conflicts() -> None:
-    for scene in (MUSCLE, TABLE_1):
-        assert {item.level for item in findings(scene, BENCH, make_plan(scene, BENCH))} == {"passed"}
+@pytest.mark.parametrize("name", sorted(shipped_scenes()))
+def test_shipped_scenes_have_no_conflicts(name: str) -> None:
+    scene = parse_scene(name, shipped_scenes()[name]).scene
+    levels = {item.check: item.level for item in findings(scene, BENCH, make_plan(scene, BENCH))}
+    assert "refused" not in levels.values()
+    assert [check for check, level in levels.items() if level == "warning"] in ([], ["folding"])
 
 
 def test_an_unwired_bench_has_no_path() -> None:
     assert math.isnan(BENCH.path_delay_s("master.output", "toneburst.trigger"))
+
+
+@pytest.mark.parametrize(
+    ("pulse_rate_hz", "expected_hz"), [(4000.0, 4000.0), (4050.0, 8100.0), (3980.0, 19900.0), (3990.0, 39900.0)]
+)
+def test_the_effective_rate_counts_the_distinct_instants_of_a_burst_period(
+    pulse_rate_hz: float, expected_hz: float
+) -> None:
+    # The plain count: distinct places of all pulses in a burst period of 10 ms, over 20 periods.
+    places = {round(k * 100 / pulse_rate_hz * 1e6) % 1_000_000 for k in range(round(0.2 * pulse_rate_hz))}
+    assert len(places) == round(expected_hz / 100)
+    assert effective_rate_hz(pulse_rate_hz, 100.0, 20) == pytest.approx(expected_hz)
+
+
+def test_harmonics_that_fold_are_warned_of_unless_the_pulses_shift_from_burst_to_burst() -> None:
+    def folding(pulse_rate_hz: float) -> str:
+        scene = muscle(130e-6, pulse_rate_hz)
+        return next(item.level for item in findings(scene, BENCH, make_plan(scene, BENCH)) if item.check == "folding")
+
+    assert folding(4000.0) == "warning"
+    assert folding(3990.0) == "passed"
