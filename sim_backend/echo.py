@@ -27,7 +27,7 @@ from sim_backend.echo_choice import LEFT_OUT_SHARE, Method, choices, in_reach, l
 from sim_backend.echo_direct import direct
 from sim_backend.echo_motion import Delays, Motion, refuse_aliasing, refuse_unusable
 from sim_backend.echo_nodes import interpolated
-from sim_backend.echo_running import blocks, running_sum
+from sim_backend.echo_running import blocks, local_origin_s, running_sum
 from sim_backend.echo_series import Resting, series
 from sim_backend.pulse import Pulse
 
@@ -132,6 +132,7 @@ def _series_by_blocks(motion: Motion, weight: Floats, pulse: Pulse, sample_time_
     stretches = blocks(sample_time_s, pulse)
     out = []
     for block in stretches:
+        origin_s = local_origin_s(sample_time_s[block], pulse)
         time_s = sample_time_s[block]
         begin, end = np.searchsorted(
             motion.rest_s, [time_s[0] - pulse.end_s - reach_s, time_s[-1] - pulse.start_s + reach_s]
@@ -139,8 +140,10 @@ def _series_by_blocks(motion: Motion, weight: Floats, pulse: Pulse, sample_time_
         # One beyond on each side: the sums above are rounded.
         near = slice(max(0, int(begin) - 1), int(end) + 1)
         row = np.zeros(len(motion.rest_s[near]), dtype=np.int64)
-        scene = Resting(row, motion.rest_s[near], weight[near], motion.shape[:, near], motion.amplitude_s[None])
-        out.append(series(scene, pulse, time_s, tolerance)[0])
+        scene = Resting(
+            row, motion.rest_s[near] - origin_s, weight[near], motion.shape[:, near], motion.amplitude_s[None]
+        )
+        out.append(series(scene, pulse, time_s - origin_s, tolerance)[0])
     return out[0] if len(out) == 1 else np.concatenate(out, axis=1)
 
 

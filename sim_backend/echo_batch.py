@@ -34,7 +34,7 @@ def batch(
     dtype: DTypeLike = np.float64,
     compiled: bool = True,
 ) -> NDArray[np.floating]:
-    """Return the echoes of every row of ``scene``, (row, echo, sample); rms error within ``tolerance`` of the rms of all.
+    """Return the echoes of every row of ``scene``, (row, echo, sample); rms error over all within ``tolerance``.
 
     A row is a draw, a gate (its start subtracted from ``rest_s``) or a parameter value (its own weights or
     ``amplitude_s``). Scatterers must ascend in row and, within one, in delay. ``compiled``: by Numba where it is

@@ -25,13 +25,14 @@ def running_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Fl
     out = np.zeros((len(delay_s), len(sample_time_s)))
     echoes_at_once = max(1, _PAIRS_AT_ONCE // max(1, len(weight)))
     for block in blocks(sample_time_s, pulse):
-        time_s = sample_time_s[block]
+        origin_s = local_origin_s(sample_time_s[block], pulse)
+        time_s = sample_time_s[block] - origin_s
         rotation = phasors(pulse, time_s, 1) * np.array(pulse.amplitude)[:, None]
         for first in range(0, len(delay_s), echoes_at_once):
             some = slice(first, first + echoes_at_once)
             for begin in range(0, max(1, len(weight)), _PAIRS_AT_ONCE):
                 part = slice(begin, begin + _PAIRS_AT_ONCE)
-                out[some, block] += _block(delay_s[some, part], weight[part], pulse, time_s, rotation)
+                out[some, block] += _block(delay_s[some, part] - origin_s, weight[part], pulse, time_s, rotation)
     return out
 
 
@@ -43,6 +44,12 @@ def blocks(sample_time_s: Floats, pulse: Pulse) -> list[slice]:
         found.append(slice(begin, max(end, begin + 1)))
         begin = max(end, begin + 1)
     return found
+
+
+def local_origin_s(time_s: Floats, pulse: Pulse) -> float:
+    """Return what to count a block's times from: 0 near it, else its middle, or phases of far times lose digits."""
+    middle_s = float(time_s[len(time_s) // 2])
+    return middle_s if abs(middle_s) > pulse.end_s - pulse.start_s else 0.0
 
 
 def _block(
