@@ -194,10 +194,10 @@ def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion 
             response, radiation_force(tonebursts, specimen, travel_s), time_ps
         )
     if settings.motion:
-        from sim_backend.motion import prescribed_motion
+        from sim_backend.motion import motion_at
 
         components = settings.motion
-        return lambda _tonebursts, time_ps, origin_ps: prescribed_motion(components, (time_ps - origin_ps) / PS_PER_S)
+        return lambda _tonebursts, time_ps, origin_ps: motion_at(components, time_ps - origin_ps)
     return None
 
 
