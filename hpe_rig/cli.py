@@ -249,6 +249,25 @@ def schema(
     typer.echo(json.dumps(json_schema(of), indent=2))
 
 
+@app.command()
+@guarded
+def accuracy(
+    of: Annotated[str, typer.Argument(metavar="PART", help="echo: the echo engine.")] = "echo",
+    output: Annotated[Path | None, typer.Option(help="Table, .csv or .json; absent: CSV is printed.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Work-precision figure, .svg, .png or .pdf.")] = None,
+    largest: Annotated[int, typer.Option(help="Most scatterers.")] = 1_000_000,
+    most_echoes: Annotated[int, typer.Option(help="Most echoes.")] = 10_000,
+    longest_s: Annotated[float, typer.Option(help="Leave out what is expected to take longer, s.")] = 5.0,
+) -> None:
+    """Measure error against run time of the twin's physics, every way it can work."""
+    if of != "echo":
+        typer.echo(f"{of}: no such part. Try: echo.", err=True)
+        raise typer.Exit(EXIT_MISTAKE)
+    from hpe_rig.study.accuracy_echo import write_accuracy
+
+    write_accuracy(output, figure, largest, most_echoes, longest_s, typer.echo)
+
+
 @app.command("bench")
 @guarded
 def bench_command(

@@ -1,0 +1,1 @@
+"""Studies: many runs of the twin's physics, and how its error pays for run time."""

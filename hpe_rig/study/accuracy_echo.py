@@ -1,0 +1,208 @@
+"""Work-precision of the echo engine: relative error against run time, every evaluation, scenes small to large."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from sim_backend.echo_choice import Method
+    from sim_backend.echo_motion import Motion
+    from sim_backend.pulse import Pulse
+
+Floats = NDArray[np.float64]
+
+TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
+SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000)
+ECHOES = (10, 100, 1_000, 10_000)
+
+_SAMPLES = 130
+_SAMPLE_PERIOD_S = 1e-8
+_SOUND_SPEED_M_PER_S = 1540.0
+_AMPLITUDE_M = 1e-6
+_CHECKED_ECHOES = 6
+# Rough seconds a scatterer and echo, to know what to leave out before it is run.
+_PAIR_S = {"direct": 6e-6, "running_sum": 2.5e-7, "interpolated": 0.0, "series": 0.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One evaluation of one scene."""
+
+    scatterers: int
+    echoes: int
+    samples: int
+    evaluation: str
+    tolerance: float
+    terms: int
+    """Nodes, or orders of the series; 0 where exact."""
+    error: float
+    """Rms difference from the direct sum over its rms, in up to 6 of the echoes."""
+    time_s: float
+    """Median."""
+    displacement_error_m: float
+    """What that error is as motion: error times c / (4 pi f)."""
+    cores: int
+
+
+def measurements(
+    scatterers: tuple[int, ...] = SCATTERERS,
+    echoes: tuple[int, ...] = ECHOES,
+    tolerances: tuple[float, ...] = TOLERANCES,
+    longest_s: float = 5.0,
+    seed: int = 0,
+) -> Iterator[Measurement]:
+    """Yield every evaluation of every scene that is expected to take at most ``longest_s``.
+
+    Scene: Table I's pulse, gate and 1 um of 20 pulses a cycle; the density of its scatterers grows with their number.
+    """
+    for count in scatterers:
+        for echo_count in echoes:
+            yield from _of_scene(count, echo_count, tolerances, longest_s, seed)
+
+
+def _of_scene(
+    count: int, echoes: int, tolerances: tuple[float, ...], longest_s: float, seed: int
+) -> Iterator[Measurement]:
+    from sim_backend.echo import synthesise
+
+    motion, weight, pulse, gate_s = _scene(count, echoes, seed)
+    checked = np.unique(np.linspace(0, echoes - 1, _CHECKED_ECHOES).astype(int))
+    exact = _reference(motion, weight, pulse, gate_s, checked)
+
+    def measured(method: Method, tolerance: float) -> Measurement:
+        made = synthesise(motion, weight, pulse, gate_s, tolerance, method)
+        error = float(np.sqrt(np.mean(np.square(made.echo[checked] - exact)) / np.mean(np.square(exact))))
+        time_s = median_s(lambda: synthesise(motion, weight, pulse, gate_s, tolerance, method))
+        moved_m = error * _SOUND_SPEED_M_PER_S / (4 * np.pi * 9.0e6)
+        cores = os.cpu_count() or 1
+        return Measurement(count, echoes, _SAMPLES, method, tolerance, made.terms, error, time_s, float(moved_m), cores)
+
+    exact_methods: tuple[Method, ...] = ("direct", "running_sum")
+    for method in exact_methods:
+        if count * echoes * _PAIR_S[method] <= longest_s:
+            yield measured(method, 0.0)
+    approximate: tuple[Method, ...] = ("interpolated", "series")
+    for method in approximate:
+        for tolerance in tolerances:
+            try:
+                yield measured(method, tolerance)
+            except ValueError:
+                # This evaluation does not reach this tolerance: that is what the table says by its absence.
+                continue
+
+
+def _reference(motion: Motion, weight: Floats, pulse: Pulse, gate_s: Floats, checked: NDArray[np.intp]) -> Floats:
+    """Return the direct sum, or where that is too long the exact running sum, which equals it to 1e-13."""
+    from sim_backend.echo_direct import direct
+    from sim_backend.echo_running import running_sum
+
+    delay_s = motion.rest_s + motion.amplitude_s[checked] @ motion.shape
+    exact = direct if len(weight) <= 10_000 else running_sum
+    return exact(delay_s, weight, pulse, gate_s)
+
+
+def _scene(count: int, echoes: int, seed: int) -> tuple[Motion, Floats, Pulse, Floats]:
+    from sim_backend.echo_motion import Motion
+    from sim_backend.pulse import hann_pulse
+    from sim_backend.scatterers import depth_delay_s, field_at
+    from sim_backend.settings import Beams, Scatterers
+
+    scatterers = Scatterers()
+    place = np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3)) * np.array(scatterers.volume_m)
+    field = field_at(place, Beams())
+    displacement_m = _AMPLITUDE_M * np.sin(2 * np.pi * np.arange(echoes) / 20 + 0.1)
+    gate_s = (np.arange(_SAMPLES) - (_SAMPLES - 1) / 2) * _SAMPLE_PERIOD_S
+    rest_s = depth_delay_s(field, scatterers.axial_delay, _SOUND_SPEED_M_PER_S)
+    amplitude_s = displacement_m[:, None] * (2 / _SOUND_SPEED_M_PER_S)
+    motion = Motion(rest_s, field.motion_weight[None], amplitude_s)
+    return motion, field.tracking_weight, hann_pulse(9.0e6, scatterers.bandwidth), gate_s
+
+
+def median_s(run: Callable[[], object], most_s: float = 0.3) -> float:
+    """Return the median run time of 1 to 15 runs that together take about ``most_s``, after one that warms up."""
+    run()
+    taken: list[float] = []
+    while len(taken) < 15 and (not taken or sum(taken) < most_s):
+        begin = time.perf_counter()
+        run()
+        taken.append(time.perf_counter() - begin)
+    return statistics.median(taken)
+
+
+def write_accuracy(
+    output: Path | None,
+    figure: Path | None,
+    largest: int,
+    most_echoes: int,
+    longest_s: float,
+    show: Callable[[str], None],
+) -> None:
+    """Measure and write table and figure; without a file for the table ``show`` gets it."""
+    suffix = ".csv" if output is None else output.suffix
+    as_text([], suffix)
+    scatterers = tuple(count for count in SCATTERERS if count <= largest)
+    echoes = tuple(count for count in ECHOES if count <= most_echoes)
+    rows = list(measurements(scatterers, echoes, longest_s=longest_s))
+    if output is None:
+        show(as_text(rows, suffix).rstrip())
+    else:
+        output.write_text(as_text(rows, suffix), encoding="utf-8")
+        show(f"{output}: {len(rows)} measurements")
+    if figure is not None:
+        write_figure(rows, figure)
+        show(f"{figure}")
+
+
+def as_text(rows: list[Measurement], suffix: str) -> str:
+    """Return the table as ``.csv`` or ``.json``; raises ValueError for another suffix."""
+    if suffix == ".json":
+        return json.dumps([asdict(row) for row in rows], indent=1) + "\n"
+    if suffix != ".csv":
+        raise ValueError(f"{suffix!r} is no table format here: end the file's name in .csv or .json")
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(Measurement.__slots__), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(row) for row in rows)
+    return text.getvalue()
+
+
+def write_figure(rows: list[Measurement], path: Path) -> None:
+    """Write error against run time: a panel a number of scatterers, a line an evaluation, darker for more echoes."""
+    from matplotlib.figure import Figure
+
+    counts, echoes = sorted({row.scatterers for row in rows}), sorted({row.echoes for row in rows})
+    figure = Figure(figsize=(3.2 * len(counts), 3.6), layout="constrained")
+    panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
+    kinds = {"direct": ("x", "C3"), "running_sum": ("s", "C0"), "interpolated": ("^", "C1"), "series": ("o", "C2")}
+    for panel, count in zip(panels, counts, strict=True):
+        for kind, (marker, colour) in kinds.items():
+            for place, echo_count in enumerate(echoes):
+                some = [
+                    row for row in rows if (row.scatterers, row.evaluation, row.echoes) == (count, kind, echo_count)
+                ]
+                if some:
+                    shade = 0.35 + 0.65 * (place + 1) / len(echoes)
+                    label = kind if place == 0 else None
+                    times, errors = [row.time_s for row in some], [max(row.error, 1e-17) for row in some]
+                    panel.plot(times, errors, marker=marker, color=colour, alpha=shade, ms=4, lw=0.8, label=label)
+        panel.set(xscale="log", yscale="log", xlabel="run time (s)", title=f"{count:.0e} scatterers")
+        panel.grid(alpha=0.3)
+    panels[0].set_ylabel("relative rms error")
+    panels[0].legend(fontsize=7)
+    cores = rows[0].cores if rows else 0
+    figure.suptitle(
+        f"{echoes[0]} to {echoes[-1]} echoes of {_SAMPLES} samples, darker is more; {cores} cores, one used"
+    )
+    figure.savefig(path)
