@@ -95,7 +95,7 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
 
 
 @posix
-def test_a_killed_run_leaves_a_file_that_no_later_run_overwrites(tmp_path: Path) -> None:
+def test_a_killed_run_leaves_a_readable_file_that_no_later_run_overwrites(tmp_path: Path) -> None:
     script = """
 import os, signal, sys
 from hpe_rig import run
@@ -112,6 +112,9 @@ main()
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, cwd=tmp_path, check=False)
     assert done.returncode == -signal.SIGKILL
+    left = read_run(tmp_path / "run.h5")
+    assert left.status == "running"
+    assert not left.records[0].valid.all()
     again = subprocess.run(
         [sys.executable, "-m", "hpe_rig", "run", "table-1", "--output", "run.h5"],
         capture_output=True,
