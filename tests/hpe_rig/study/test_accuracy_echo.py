@@ -31,7 +31,7 @@ def test_table_reads_back_and_another_format_is_refused(rows: list[Measurement])
 
 def test_figure_is_written(rows: list[Measurement], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    write_figure(rows: list[Measurement], tmp_path / "work.svg")
+    write_figure(rows, tmp_path / "work.svg")
     assert "<svg" in (tmp_path / "work.svg").read_text(encoding="utf-8")
 
 
