@@ -4,33 +4,44 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.interference import disturbed_pulses
 from hpe_rig.plan import Plan, Shot
+from hpe_rig.prediction import predicted_averaging
 from hpe_rig.processing import (
     Drift,
     EchoGate,
     Estimator,
     HarmonicFit,
     Motion,
+    Options,
+    coherent,
     drift_between_halves,
-    estimate,
+    fit_motion,
+    joint,
     least_squares,
+    motion_of,
+    relative_to,
+    unlike_pulses,
 )
 from hpe_rig.processing.conditioning import codes_to_volts, remove_offset
 from hpe_rig.records import ShotRecords
 from hpe_rig.result import Estimate, ShotResult
-from hpe_rig.scene import Scene
+from hpe_rig.scene import Processing, Scene
 from hpe_rig.store import StoredRun
-from hpe_rig.theory import GateWindow, beam_averaging_factor, speckle_spread
 
 CODE_LIMITS = (-8192, 8191)
+LARGE_STEP = 0.8
+"""Quarter wavelengths a pulse from which on the next period of the carrier is close."""
+LARGE_CONDITION = 10.0
 
 
 def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimator) -> tuple[ShotResult, ...]:
-    """Return the estimates of every shot that has records."""
+    """Return the estimates of every shot that has records; raise ``ValueError`` where they cannot be made."""
     prediction = predicted_averaging(scene, estimator)
     results = []
     for shot in plan.shots:
@@ -39,22 +50,28 @@ def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimat
         if not records.valid.any():
             continue
         truth_m = None if stored.true_displacement_m is None else stored.true_displacement_m[shot.index]
-        results.append(_estimate_shot(scene, shot, records, truth_m, estimator, prediction))
+        reference = reference_gate(scene, shot)
+        still = None if reference is None else stored.records.gated(shot.index, reference)
+        results.append(_estimate_shot(scene, shot, records, still, truth_m, estimator, prediction))
     return tuple(results)
 
 
-def predicted_averaging(scene: Scene, estimator: Estimator) -> tuple[float | None, float | None]:
-    """Return the predicted tracked over peak displacement and its relative speckle spread; None without beams."""
-    if scene.beams is None:
-        return None, None
-    tracking, acquisition, beams = scene.tracking, scene.acquisition, scene.beams
-    pulse_m = tracking.cycles / tracking.carrier_hz * acquisition.sound_speed_m_per_s / 2
-    pulse_m = beams.pulse_length_m or pulse_m
-    geometry = (beams.excitation_width_m, beams.tracking_width_m, acquisition.gate_length_m, pulse_m)
-    window: GateWindow = "hann" if estimator == "cross_spectrum" else "none"
-    # A fixed seed: a prediction is a function of the scene alone.
-    spread = speckle_spread(*geometry, np.random.default_rng(0), gate_window=window)
-    return beam_averaging_factor(*geometry, gate_window=window), spread
+def options_of(processing: Processing) -> Options:
+    """Return what of the estimation the scene chooses, apart from the estimator."""
+    return Options(processing.background_order, processing.harmonic, processing.process_noise)
+
+
+def reference_gate(scene: Scene, shot: Shot) -> slice | None:
+    """Return the samples of a record that lie in the reference gate, None where the scene has none."""
+    depth_m = scene.processing.reference_gate_depth_m
+    if depth_m is None:
+        return None
+    acquisition = scene.acquisition
+    length_m = scene.processing.reference_gate_length_m or acquisition.gate_length_m
+    per_metre = 2 / acquisition.sound_speed_m_per_s * shot.capture.sample_rate_hz
+    shift = round((depth_m - length_m / 2 - acquisition.gate_depth_m + acquisition.gate_length_m / 2) * per_metre)
+    start = shot.gate.start + shift
+    return slice(start, start + round(length_m * per_metre))
 
 
 def driven_frequencies_hz(scene: Scene, pulses: int) -> NDArray[np.float64]:
@@ -85,38 +102,75 @@ def _estimate_shot(
     scene: Scene,
     shot: Shot,
     records: ShotRecords,
+    still: ShotRecords | None,
     truth_m: NDArray[np.float64] | None,
     estimator: Estimator,
     prediction: tuple[float | None, float | None],
 ) -> ShotResult:
     inside = slow_time_window(scene, shot)
-    codes, valid = records.codes[inside], records.valid[inside]
-    volts = codes_to_volts(codes, records.volts_per_code, records.volts_offset)
-    time_s = shot.timeline.sensing_s[inside] - shot.timeline.reference_s
-    echoes = EchoGate(
-        volts=remove_offset(volts),
-        sample_rate_hz=shot.capture.sample_rate_hz,
-        pulse_time_s=time_s,
-        carrier_hz=scene.tracking.carrier_hz,
-        sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
-        valid=valid,
-    )
+    echoes = shot_echoes(scene, shot, records, inside)
+    time_s, recorded = echoes.pulse_time_s, records.valid[inside]
+    reference = None if still is None else coherent(shot_echoes(scene, shot, still, inside))
     frequencies_hz = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
-    also_hz = driven_frequencies_hz(scene, int(valid.sum()))
-    fit = estimate(echoes, frequencies_hz, estimator, also_hz)
+    also_hz = driven_frequencies_hz(scene, int(echoes.valid.sum()))
+    options = options_of(scene.processing)
+    fit, largest_step = _fit(echoes, reference, frequencies_hz, estimator, also_hz, options)
     truth = None if truth_m is None else _fit_truth(time_s, truth_m[inside], frequencies_hz, also_hz)
-    clipped = int(np.isin(codes[valid], CODE_LIMITS).any(axis=-1).sum())
+    clipped = int(np.isin(records.codes[inside][recorded], CODE_LIMITS).any(axis=-1).sum())
+    drift = None if reference is not None else _drift(echoes, frequencies_hz, estimator, also_hz, options)
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
         burst_length_s=shot.timeline.burst_length_s or None,
         force_fraction=shot.force_fraction,
-        pulses_used=int(valid.sum()),
-        pulses_missing=int((~valid).sum()),
+        pulses_used=int(echoes.valid.sum()),
+        pulses_missing=int((~recorded).sum()),
         residual_m=float(fit.residual_rms_m),
         estimates=tuple(_estimate(fit, truth, index, prediction) for index in range(frequencies_hz.size)),
-        warnings=tuple(_warnings(valid, clipped, fit, _drift(echoes, frequencies_hz, estimator, also_hz))),
+        warnings=(
+            *_record_warnings(recorded, echoes.valid, clipped),
+            *_fit_warnings(fit, largest_step),
+            *_drift_warnings(fit, drift),
+        ),
     )
+
+
+def shot_echoes(scene: Scene, shot: Shot, records: ShotRecords, inside: NDArray[np.bool_]) -> EchoGate:
+    """Return the gated echoes of the pulses ``inside`` (pulse,) the window, without those the scene leaves out."""
+    codes, valid = records.codes[inside], records.valid[inside]
+    if scene.tracking.disturbed == "skip":
+        valid = valid & ~disturbed_pulses(shot)[inside]
+    volts = codes_to_volts(codes, records.volts_per_code, records.volts_offset)
+    echoes = EchoGate(
+        volts=remove_offset(volts),
+        sample_rate_hz=shot.capture.sample_rate_hz,
+        pulse_time_s=shot.timeline.sensing_s[inside] - shot.timeline.reference_s,
+        carrier_hz=scene.tracking.carrier_hz,
+        sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
+        valid=valid,
+    )
+    if not scene.processing.flag_pulses or scene.tracking.disturbed == "keep" or not valid.any():
+        return echoes
+    return replace(echoes, valid=valid & ~unlike_pulses(echoes))
+
+
+def _fit(
+    echoes: EchoGate,
+    reference: Motion | None,
+    frequencies_hz: NDArray[np.float64],
+    estimator: Estimator,
+    also_hz: NDArray[np.float64],
+    options: Options,
+) -> tuple[HarmonicFit, float]:
+    """Return the fit and the largest step between pulses in quarter wavelengths, 0 where it has no meaning."""
+    if estimator == "joint":
+        if reference is not None:
+            raise ValueError("joint has no displacements to subtract processing.reference_gate_depth_m's from")
+        return joint(echoes, frequencies_hz, also_hz=also_hz, background_order=options.background_order), 0.0
+    motion = motion_of(echoes, estimator)
+    if reference is not None:
+        motion = relative_to(motion, reference)
+    return fit_motion(motion, frequencies_hz, estimator, also_hz, options), float(motion.largest_step)
 
 
 def _fit_truth(
@@ -149,21 +203,54 @@ def _estimate(
 
 
 def _drift(
-    echoes: EchoGate, frequencies_hz: NDArray[np.float64], estimator: Estimator, also_hz: NDArray[np.float64]
+    echoes: EchoGate,
+    frequencies_hz: NDArray[np.float64],
+    estimator: Estimator,
+    also_hz: NDArray[np.float64],
+    options: Options,
 ) -> Drift | None:
     try:
-        return drift_between_halves(echoes, frequencies_hz, estimator, also_hz)
+        return drift_between_halves(echoes, frequencies_hz, estimator, also_hz, options)
     except ValueError:
         # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
         return None
 
 
-def _warnings(valid: NDArray[np.bool_], clipped: int, fit: HarmonicFit, drift: Drift | None) -> Iterator[str]:
-    missing = int((~valid).sum())
+def _record_warnings(recorded: NDArray[np.bool_], used: NDArray[np.bool_], clipped: int) -> Iterator[str]:
+    missing, left_out = int((~recorded).sum()), int((recorded & ~used).sum())
     if missing:
-        yield f"{missing} of {valid.size} records are missing: triggers were lost or came while the digitizer was busy"
+        yield (
+            f"{missing} of {recorded.size} records are missing: triggers were lost or came while the digitizer was busy"
+        )
+    if left_out:
+        yield (
+            f"{left_out} of {recorded.size} pulses are left out: a toneburst disturbs them, or their energy is unlike "
+            "the others'; see tracking.delay_s and processing.flag_pulses"
+        )
     if clipped:
         yield f"{clipped} records reach the digitizer's full scale in the gate: raise acquisition.input_range_v"
+
+
+def _fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
+    if largest_step > LARGE_STEP:
+        yield (
+            f"the echo moves by up to {largest_step:.2f} quarter wavelengths from pulse to pulse: at 1 the "
+            "displacement jumps by a half wavelength; raise tracking.pulse_rate_hz, or the echoes drown in noise"
+        )
+    if fit.condition > LARGE_CONDITION:
+        yield (
+            f"the pulses hardly tell the frequencies, or these and the background, apart (condition "
+            f"{fit.condition:.3g}, 1 is best): the uncertainties say so; watch them for longer"
+        )
+    found = fit.innovations
+    if found is not None and abs(float(found.nis) - 1) > max(found.nis_tolerance, 0.5):
+        yield (
+            f"the Kalman filter's innovations are {float(found.nis):.2f} times what the echoes' noise explains (NIS): "
+            "motion that the model lacks (processing.background_order, process_noise), trigger jitter, or bad pulses"
+        )
+
+
+def _drift_warnings(fit: HarmonicFit, drift: Drift | None) -> Iterator[str]:
     if drift is not None and drift.suspicious.any():
         rows = np.flatnonzero(drift.suspicious)
         words = ", ".join(f"{fit.frequency_hz[i]:g} Hz {drift.relative_change[i] * 100:+.0f} %" for i in rows)

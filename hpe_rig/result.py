@@ -44,6 +44,19 @@ class Estimate:
         return self.true_amplitude_m * self.averaging_factor
 
     @property
+    def corrected_amplitude_m(self) -> float | None:
+        """The peak displacement that would be tracked as ``amplitude_m``, by the predicted averaging."""
+        return None if not self.averaging_factor else self.amplitude_m / self.averaging_factor
+
+    @property
+    def corrected_uncertainty_m(self) -> float | None:
+        """Standard uncertainty of ``corrected_amplitude_m``, from noise and speckle together."""
+        if not self.averaging_factor:
+            return None
+        speckle_m = self.amplitude_m * (self.speckle_relative or 0.0)
+        return math.hypot(self.amplitude_uncertainty_m, speckle_m) / self.averaging_factor
+
+    @property
     def amplitude_error(self) -> float | None:
         """Relative error of the amplitude against the true peak displacement at the focus."""
         return None if not self.true_amplitude_m else self.amplitude_m / self.true_amplitude_m - 1
@@ -92,7 +105,14 @@ class Result:
         tables = asdict(self)
         for shot, table in zip(self.shots, tables["shots"], strict=True):
             for estimate, row in zip(shot.estimates, table["estimates"], strict=True):
-                derived = ("snr_db", "predicted_amplitude_m", "amplitude_error", "phase_error_rad")
+                derived = (
+                    "snr_db",
+                    "corrected_amplitude_m",
+                    "corrected_uncertainty_m",
+                    "predicted_amplitude_m",
+                    "amplitude_error",
+                    "phase_error_rad",
+                )
                 row.update({name: getattr(estimate, name) for name in derived})
         plain: dict[str, Any] = _finite(tables)
         return plain

@@ -19,7 +19,7 @@ Count = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
 Triple = tuple[Positive, Positive, Positive]
 
 
-Estimator = Literal["coherent", "cross_spectrum"]
+Estimator = Literal["coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum"]
 
 
 def _as_list(value: Any) -> Any:
@@ -114,7 +114,24 @@ class Processing(Section):
     """How records become amplitude and phase."""
 
     estimator: Estimator = "coherent"
-    """Motion estimator; cross_spectrum is the paper's chain."""
+    """Motion estimator; cross_spectrum is the paper's chain, joint the maximum likelihood over all pulses."""
+    harmonic: Literal["least_squares", "kalman"] = "least_squares"
+    """How displacement becomes amplitude and phase; joint and cross_spectrum have their own way."""
+    process_noise: NonNegative = 0.0
+    """Change per pulse of a harmonic state that harmonic = "kalman" follows, variance over that of a pulse's noise."""
+    background_order: Annotated[int, Field(ge=0, le=20, strict=True)] = 0
+    """Background fitted along: 0 constant, 1 velocity, 2 acceleration, more: drift; not by cross_spectrum."""
+    flag_pulses: Annotated[bool, Field(strict=True)] = True
+    """Leave pulses out whose gate holds an energy unlike the others': leaked tonebursts, spikes, lost echoes."""
+    reference_gate_depth_m: Positive | None = None
+    """Middle of a second gate, inside the record, whose echoes do not move: its apparent motion, the trigger jitter, is
+    subtracted. Not with joint."""
+    reference_gate_length_m: Positive | None = None
+    """Length of that gate; absent: acquisition.gate_length_m."""
+    expected_snr_db: Annotated[float, Field(allow_inf_nan=False, strict=True)] | None = None
+    """Echo power over noise power in the gate, for the prediction; absent: as the twin simulates."""
+    expected_amplitude_m: Positive | None = None
+    """Displacement amplitude, for the prediction; absent: as the twin's motion prescribes, or 100 nm."""
     frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     """Vibration frequencies f_v wanted; absent: f_r and its multiples up to the tenth below f_prf / 2."""
     window_start_s: NonNegative = 0.0

@@ -21,7 +21,9 @@ def print_result(result: Result) -> None:
     console.print(f"{source}, {result.run_file}, estimator {result.estimator}")
     for shot in result.shots:
         console.print(_shot_table(shot))
-    console.print(f"phase: {result.phase_reference}; uncertainties: standard, noise only")
+    console.print(
+        f"phase: {result.phase_reference}; uncertainties: standard, noise only, of corrected noise and speckle"
+    )
     for warning in (*result.warnings, *(text for shot in result.shots for text in shot.warnings)):
         console.print(f"WARNING {warning}", style="bold")
     if result.left_out:
@@ -37,7 +39,7 @@ def _shot_table(shot: ShotResult) -> Table:
     table = Table(title=_shot_title(shot), title_justify="left", box=None, header_style="bold")
     headers = ["f\nHz", "amplitude\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "SNR\ndB"]
     headers += ["true peak\nnm", "error\n%", "phase error\ndeg"] if known else []
-    headers += ["averaging\npredicted", "speckle u\n%"] if predicted else []
+    headers += ["averaging\npredicted", "speckle u\n%", "corrected\nnm", "u\nnm"] if predicted else []
     for header in headers:
         table.add_column(header, justify="right")
     for estimate in shot.estimates:
@@ -67,6 +69,8 @@ def _row(estimate: Estimate, known: bool, predicted: bool) -> list[str]:
         row.append(_or_dash(estimate.phase_error_rad, 180 / math.pi, "+.2f"))
     if predicted:
         row += [_or_dash(estimate.averaging_factor, 1, ".3f"), _or_dash(estimate.speckle_relative, 100, ".1f")]
+        row += [_or_dash(estimate.corrected_amplitude_m, 1e9, ".4g")]
+        row += [_or_dash(estimate.corrected_uncertainty_m, 1e9, ".2g")]
     return row
 
 

@@ -1,4 +1,4 @@
-"""Closed forms and quadratures: radiation force spectrum, difference gain, beam averaging, speckle, bounds."""
+"""Closed forms and quadratures: radiation force spectrum, difference gain, beam averaging, speckle."""
 
 from __future__ import annotations
 
@@ -103,25 +103,6 @@ def speckle_spread(
     ratio = _gate_ratio if gate_window == "none" else _peak_ratio
     tracked = ratio(resting @ blur, moved @ blur)
     return float(tracked.std() / tracked.mean())
-
-
-def harmonic_bound(
-    amplitude_m: FloatArray | float,
-    gate_samples: int,
-    pulses: int,
-    snr: float,
-    carrier_hz: float,
-    sound_speed_m_per_s: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the Cramer-Rao bounds (m, rad) on the standard deviations of amplitude and phase of one harmonic.
-
-    White noise, ``snr`` echo power over noise power in the gate, narrow-band echo, whole cycles; shapes of
-    ``amplitude_m``. Source: phase variance 1/(gate_samples snr) of one echo, 2/pulses of it in each quadrature.
-    """
-    metres = sound_speed_m_per_s / (4 * np.pi * carrier_hz)
-    amplitude = np.asarray(amplitude_m, dtype=np.float64)
-    deviation = np.full(amplitude.shape, metres * np.sqrt(2 / (pulses * gate_samples * snr)))
-    return deviation, deviation / amplitude
 
 
 def _lateral_moment(excitation_width_m: Triple, tracking_width_m: Triple, power: int, order: int) -> float:

@@ -2,6 +2,7 @@
 
     codes -> volts -> gate                                             conditioning.py, echoes.py
     pulses that are unlike the others are flagged                      flags.py
+    the motion of echoes that stand still is taken off                 reference.py
     D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background(t)           eq. (1), model.py
 
     coherent           u_k = -c arg<mean of others, r_k> / (4 pi f_mean)       motion.py
@@ -21,12 +22,14 @@ from __future__ import annotations
 
 from hpe_rig.processing.correlation import cross_correlation
 from hpe_rig.processing.echoes import EchoGate, Motion, Velocity, velocity_between_pulses
-from hpe_rig.processing.estimators import ESTIMATORS, Estimator, Options, estimate
+from hpe_rig.processing.estimators import ESTIMATORS, Estimator, Options, estimate, fit_motion, motion_of
+from hpe_rig.processing.flags import unlike_pulses
 from hpe_rig.processing.halves import Drift, drift_between_halves
 from hpe_rig.processing.harmonic import HarmonicFit, Innovations, least_squares
 from hpe_rig.processing.joint import joint
 from hpe_rig.processing.kalman import kalman
 from hpe_rig.processing.motion import coherent, cross_spectrum, kasai, loupas
+from hpe_rig.processing.reference import relative_to
 from hpe_rig.processing.velocity_chain import Steps, velocity_to_harmonics
 
 __all__ = [
@@ -45,11 +48,15 @@ __all__ = [
     "cross_spectrum",
     "drift_between_halves",
     "estimate",
+    "fit_motion",
     "joint",
     "kalman",
     "kasai",
     "least_squares",
     "loupas",
+    "motion_of",
+    "relative_to",
+    "unlike_pulses",
     "velocity_between_pulses",
     "velocity_to_harmonics",
 ]

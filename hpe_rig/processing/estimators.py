@@ -61,7 +61,14 @@ def estimate(
         raise ValueError(f"estimator {estimator!r} does not exist: try one of {', '.join(ESTIMATORS)}")
     if estimator == "joint":
         return joint(echoes, frequencies_hz, also_hz=also_hz, background_order=options.background_order)
-    return fit_motion(MOTION[estimator](echoes), frequencies_hz, estimator, also_hz, options)
+    return fit_motion(motion_of(echoes, estimator), frequencies_hz, estimator, also_hz, options)
+
+
+def motion_of(echoes: EchoGate, estimator: Estimator) -> Motion:
+    """Return the displacement of every pulse; raise ``ValueError`` for "joint", which has none, and bad echoes."""
+    if estimator not in MOTION:
+        raise ValueError(f"{estimator} gives no displacement per pulse: try one of {', '.join(MOTION)}")
+    return MOTION[estimator](echoes)
 
 
 def fit_motion(

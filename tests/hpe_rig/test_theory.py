@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hpe_rig.bounds import harmonic_bound
 from hpe_rig.theory import (
     GateWindow,
     beam_averaging_factor,
     difference_gain,
     force_spectrum,
-    harmonic_bound,
     scatterer_density,
     speckle_spread,
 )

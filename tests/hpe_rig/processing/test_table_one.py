@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hpe_rig.processing import HarmonicFit, estimate
-from hpe_rig.theory import harmonic_bound
+from hpe_rig.bounds import harmonic_bound
 from sim_backend.acoustics import draw_echoes
 from sim_backend.settings import SimulationSettings
 
