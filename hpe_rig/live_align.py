@@ -29,6 +29,9 @@ LONGEST_MEMORY = 240
 SHOT_PERIOD_S = 0.05
 """Twenty single shots a second are as many as an eye follows."""
 
+ABOUT_VIBRATION = ("pulse count", "frequencies", "aliasing", "resolution", "synchronous")
+"""Checks of a plan that ask whether a vibration can be estimated: no question for a single pulse."""
+
 
 def without_pushing(setup: Setup) -> Setup:
     """Return ``setup`` with one tracking pulse a shot and no toneburst; raise ``PlanError`` where it cannot run."""
@@ -42,7 +45,7 @@ def without_pushing(setup: Setup) -> Setup:
     single = scene.model_copy(update=parts)
     bench = setup.bench.bench
     plan = make_plan(single, bench)
-    found = tuple(findings(single, bench, plan))
+    found = tuple(item for item in findings(single, bench, plan) if item.check not in ABOUT_VIBRATION)
     refuse_conflicts(found)
     return Setup(replace(setup.scene, scene=single), setup.bench, plan, found)
 
@@ -102,6 +105,7 @@ class AlignSource:
         image_v[:, LONGEST_MEMORY - len(lines) :] = np.array(lines).T
         return state | {
             "rf": rf_state(view),
+            "trend_mv": [round(float(line.std()) * 1e3, 3) for line in lines],
             "level": level_state(view, self._scene.acquisition.input_range_v),
             "image": image_state(image_v, view.image_depth_m, float(LONGEST_MEMORY), "shots"),
         }

@@ -27,6 +27,7 @@ from hpe_rig.live_source import Source
 from hpe_rig.store import StoreError
 
 HOST = "127.0.0.1"
+START_S = 5.0
 LEAST_PAUSE_S = 0.15
 IDLE_SHARE = 2.0
 """The reader rests this many times as long as its last reading took: it keeps no core busy that acquires."""
@@ -44,26 +45,38 @@ class LivePage:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         try:
             self._socket.bind((HOST, port))
+            # From here on whoever comes before the server has started waits instead of being refused.
+            self._socket.listen(64)
         except OSError as error:
             self._socket.close()
             raise StoreError(f"port {port} cannot be used ({error}). Try: another --port, or none.") from None
         self._port = int(self._socket.getsockname()[1])
         self.address = f"http://{HOST}:{self._port}/{self._token}/"
         self._latest, self._version = json.dumps({"status": "waiting"}), 0
-        self._ended = False
-        config = uvicorn.Config(self._application(), log_level="error", access_log=False, ws="websockets-sansio")
+        self._ended = self._serving = False
+        self._seen: dict[WebSocket, int] = {}
+        config = uvicorn.Config(
+            self._application(),
+            log_level="error",
+            access_log=False,
+            ws="websockets-sansio",
+            timeout_graceful_shutdown=1,
+        )
         self._server = uvicorn.Server(config)
 
     def serve(self) -> None:
         """Serve until ``close`` or Ctrl-C."""
+        self._serving = True
         self._server.run(sockets=[self._socket])
 
     def close(self, grace_s: float = 0.0) -> None:
         """End serving once viewers have had ``grace_s`` to get the last state."""
-        deadline_s = time.monotonic() + grace_s
-        while not self._ended and time.monotonic() < deadline_s:
-            time.sleep(0.05)
-        time.sleep(min(grace_s, 0.5))
+        if not self._serving:
+            self._socket.close()
+            return
+        _wait(lambda: self._ended and all(seen == self._version for seen in [*self._seen.values()]), grace_s)
+        # Told to end while it is still starting, the server would not tidy up.
+        _wait(lambda: self._server.started, START_S)
         self._server.should_exit = True
 
     def _application(self) -> Starlette:
@@ -144,26 +157,24 @@ class LivePage:
             return
         await viewer.accept()
         gone = asyncio.create_task(_until_gone(viewer))
-        seen = -1
+        self._seen[viewer] = -1
         try:
             while not gone.done():
                 async with self._changed:
                     with contextlib.suppress(TimeoutError):
-                        await asyncio.wait_for(self._changed.wait_for(_newer(self, seen)), timeout=1.0)
+                        await asyncio.wait_for(
+                            self._changed.wait_for(lambda: self._seen[viewer] != self._version), timeout=1.0
+                        )
                     text, version = self._latest, self._version
-                if version != seen and not gone.done():
+                if version != self._seen[viewer] and not gone.done():
                     await viewer.send_text(text)
-                    seen = version
+                    self._seen[viewer] = version
         except (WebSocketDisconnect, RuntimeError):
             # The viewer left between two states.
             return
         finally:
             gone.cancel()
-
-    @property
-    def version(self) -> int:
-        """How many states there have been."""
-        return self._version
+            del self._seen[viewer]
 
     def _welcome(self, headers: Headers) -> bool:
         """Return whether a request names this host as a browser here would: no rebinding, no foreign page."""
@@ -172,8 +183,10 @@ class LivePage:
         return headers.get("host") in here and (origin is None or origin.removeprefix("http://") in here)
 
 
-def _newer(page: LivePage, seen: int) -> Callable[[], bool]:
-    return lambda: page.version != seen
+def _wait(ready: Callable[[], bool], longest_s: float) -> None:
+    deadline_s = time.monotonic() + longest_s
+    while not ready() and time.monotonic() < deadline_s:
+        time.sleep(0.02)
 
 
 async def _until_gone(viewer: WebSocket) -> None:
