@@ -60,36 +60,79 @@ def design(
 ) -> Design:
     """Return the model of the valid pulses: wanted frequencies, background polynomial, then the others (``also_hz``).
 
+    Of the others, those stay, from the lowest up, that the pulses can tell apart.
+
     ``background_order`` 0 is a constant, 1 a velocity, 2 an acceleration, more a drift; -1 leaves it out. Raises
     ``ValueError`` for no or non-positive or repeated frequencies, a frequency at or above half the pulse rate, too few
     pulses, or frequencies too close for the time they are watched.
     """
     _require_frequencies(time_s, frequency_hz)
-    others = _other_columns(time_s, frequency_hz, np.asarray(also_hz, dtype=np.float64))
-    columns = [harmonic_columns(time_s, frequency_hz), background_columns(time_s, background_order), others]
-    matrix: FloatArray = np.hstack(columns)[valid]
-    found, states = matrix.shape
+    columns = [harmonic_columns(time_s, frequency_hz), background_columns(time_s, background_order)]
+    wanted: FloatArray = np.hstack(columns)[valid]
+    found, states = wanted.shape
     if found <= states:
         raise ValueError(
             f"{found} valid pulses cannot give {states} unknowns and their uncertainty: too few; "
             f"try at least {states + 1} pulses or fewer frequencies"
         )
-    condition = float(np.linalg.cond(matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny)))
+    condition = _condition(wanted)
     if not condition <= largest_condition:
         raise ValueError(_unresolved(time_s[valid], frequency_hz, condition, largest_condition))
-    return Design(matrix, condition, slice(0, 2 * frequency_hz.size + background_order + 1))
+    others = _other_columns(time_s, frequency_hz, np.asarray(also_hz, dtype=np.float64))[valid]
+    kept = _tellable(wanted, others[:, : max(0, (found - states) // 2)], largest_condition)
+    matrix = np.hstack([wanted, others[:, :kept]])
+    return Design(matrix, _condition(matrix), slice(0, states))
+
+
+def _condition(matrix: FloatArray) -> float:
+    return float(np.linalg.cond(matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny)))
+
+
+def _tellable(wanted: FloatArray, others: FloatArray, largest_condition: float) -> int:
+    """Return how many of ``others``, from the first on, the pulses can tell from ``wanted`` and from each other."""
+    matrix = np.hstack([wanted, others])
+    scaled = matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny)
+    gram = scaled.T @ scaled
+    # More columns never lower the condition, so a bisection finds the last good number.
+    few, many = 0, others.shape[1]
+    while few < many:
+        middle = (few + many + 1) // 2
+        states = wanted.shape[1] + middle
+        smallest, *_, largest = np.linalg.eigvalsh(gram[:states, :states])
+        if largest <= largest_condition**2 * smallest:
+            few = middle
+        else:
+            many = middle - 1
+    return few
 
 
 def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatArray) -> FloatArray:
-    """Return the columns of ``also_hz`` without those of ``frequency_hz``; half the pulse rate has only one."""
+    """Return the columns of ``also_hz`` without those of ``frequency_hz``, from the lowest frequency up.
+
+    Half the pulse rate has only one. Frequencies above it are there when the pulses see them in another place than
+    every lower one: those of a burst rate that is no divisor of the pulse rate.
+    """
     rate_hz = 1 / float(np.median(np.diff(time_s)))
-    new_hz = also_hz[~np.isclose(also_hz[:, None], frequency_hz, rtol=1e-9, atol=0).any(axis=1)]
-    below = new_hz[new_hz < rate_hz / 2 * (1 - 1e-6)]
-    columns = harmonic_columns(time_s, below) if below.size else np.zeros((time_s.size, 0))
-    if np.isclose(new_hz, rate_hz / 2, rtol=1e-6, atol=0).any():
+    apart_hz = 0.9 / float(time_s[-1] - time_s[0])
+    seen_hz, new_hz = list(_folded(frequency_hz, rate_hz)), []
+    for frequency, folded in zip(np.sort(also_hz), _folded(np.sort(also_hz), rate_hz), strict=True):
+        if folded >= apart_hz and all(abs(folded - other) >= apart_hz for other in seen_hz):
+            seen_hz.append(folded)
+            new_hz.append(frequency)
+    if not new_hz:
+        return np.zeros((time_s.size, 0))
+    one_sided = np.isclose(new_hz, rate_hz / 2, rtol=1e-6, atol=0)
+    columns = harmonic_columns(time_s, np.where(one_sided, 0.0, new_hz))
+    if one_sided.any():
         alternating = np.cos(np.pi * np.round((time_s - time_s[0]) * rate_hz))
-        columns = np.hstack([columns, alternating[:, None]])
+        place = 2 * int(np.argmax(one_sided))
+        columns = np.hstack([columns[:, :place], alternating[:, None], columns[:, place + 2 :]])
     return columns
+
+
+def _folded(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
+    """Return where pulses at ``rate_hz`` see a frequency, from 0 to half the rate."""
+    return np.asarray(np.abs(frequency_hz - rate_hz * np.round(frequency_hz / rate_hz)))
 
 
 def _require_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:

@@ -232,3 +232,27 @@ def test_harmonics_fitted_along_are_no_residual_up_to_half_the_pulse_rate() -> N
     assert along.state.shape == (7,)
     # what is left is rounding, against the rms of all that was not asked for
     assert along.residual_rms_m < 1e-9 * alone.residual_rms_m
+
+
+def test_harmonics_above_half_the_pulse_rate_are_told_apart_when_the_pulses_shift_from_period_to_period() -> None:
+    harmonics = 100.0 * np.arange(1, 61)
+    amplitudes = 1e-6 / np.arange(1, 61)
+    for rate_hz, bound in ((3990.0, 1e-9), (4000.0, np.inf)):
+        time_s = np.arange(600) / rate_hz
+        displacement = np.sin(2 * np.pi * np.outer(time_s, harmonics) + 0.3) @ amplitudes
+        fit = least_squares(_motion(displacement, time_s), HARMONICS, also_hz=harmonics)
+        error = np.abs(fit.amplitude_m / amplitudes[:10] - 1).max()
+        # 399 instants a burst period against 40: in the one case rounding is left, in the other all that folds
+        assert error < bound
+        if rate_hz == 4000.0:
+            assert error > 0.05
+
+
+def test_frequencies_fitted_along_give_way_when_the_pulses_cannot_tell_them_apart() -> None:
+    time_s = np.arange(600) / 3990.0
+    valid = time_s % 0.01 > 1e-3  # a tenth of every period is never seen
+    fit = least_squares(
+        _motion(np.sin(2 * np.pi * 200 * time_s), time_s, valid), HARMONICS, also_hz=100.0 * np.arange(1, 100)
+    )
+    assert fit.condition <= 100
+    np.testing.assert_allclose(fit.amplitude_m[1], 1.0, rtol=1e-9)
