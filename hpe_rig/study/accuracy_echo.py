@@ -123,7 +123,7 @@ def _scene(count: int, echoes: int, seed: int) -> tuple[Motion, Floats, Pulse, F
     place = np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3)) * np.array(scatterers.volume_m)
     field = field_at(place, Beams())
     displacement_m = _AMPLITUDE_M * np.sin(2 * np.pi * np.arange(echoes) / 20 + 0.1)
-    gate_s: Floats = (np.arange(_SAMPLES) - (_SAMPLES - 1) / 2) * _SAMPLE_PERIOD_S
+    gate_s = np.asarray((np.arange(_SAMPLES) - (_SAMPLES - 1) / 2) * _SAMPLE_PERIOD_S, dtype=np.float64)
     rest_s = depth_delay_s(field, scatterers.axial_delay, _SOUND_SPEED_M_PER_S)
     amplitude_s = displacement_m[:, None] * (2 / _SOUND_SPEED_M_PER_S)
     motion = Motion(rest_s, field.motion_weight[None], amplitude_s)

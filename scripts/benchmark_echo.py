@@ -1,0 +1,312 @@
+"""Time the echo engine against the direct sum and public simulators: same scatterers, echoes and samples, one run.
+
+Usage: python scripts/benchmark_echo.py [--rounds 7] [--output table.json]. Peers are optional; who is missing is named.
+Every contender runs once a round and medians over rounds are compared, so that a busy machine slows all alike.
+"""
+
+# ruff: noqa: E402
+from __future__ import annotations
+
+import os
+
+# One core each, whatever the libraries would like: before any of them is imported.
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ[_threads] = "1"
+
+import argparse
+import json
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from sim_backend.echo import synthesise
+from sim_backend.echo_batch import batch, drawn_echoes
+from sim_backend.echo_direct import direct
+from sim_backend.echo_motion import Motion
+from sim_backend.echo_running import running_sum
+from sim_backend.echo_series import Resting
+from sim_backend.echo_series_fast import available
+from sim_backend.pulse import hann_pulse
+from sim_backend.scatterers import depth_delay_s, draw_field
+from sim_backend.settings import Beams, Scatterers, SimulationSettings
+
+C, DEPTH_M, CARRIER_HZ, RATE_HZ = 1540.0, 70e-3, 9.0e6, 100.0e6
+GATE_S = (np.arange(130) - 64.5) / RATE_HZ
+DISPLACEMENT_M = 1e-6 * np.sin(2 * np.pi * np.arange(101) / 20)
+PULSE = hann_pulse(CARRIER_HZ, 0.065)
+FIELD = draw_field(Scatterers(), Beams(), np.random.default_rng(0))
+REST_S = depth_delay_s(FIELD, "two_way", C)
+WEIGHT, G = FIELD.tracking_weight, FIELD.motion_weight
+AMPLITUDE_S = DISPLACEMENT_M[:, None] * 2 / C
+
+PEER_SAYS = {
+    "PyMUST": "element directivity, diffraction, a PZT band and the whole trace from 0; not eq. (9), (8) and (12)",
+    "FastSIMUS": "as PyMUST, by frequency on arrays; not eq. (9), (8) and (12)",
+    "zea": "transmit and receive apertures of arrays; positions in float32",
+    "finufft": "the same sum by frequency, so the Hann pulse's tail beyond 50 MHz is cut",
+}
+
+
+def vectorised_direct(delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the double sum with one array of samples by scatterers an echo: eq. (10) as printed."""
+    out = np.empty((len(delay_s), len(GATE_S)))
+    window, carrier = 2 * np.pi * CARRIER_HZ * 0.065, 2 * np.pi * CARRIER_HZ
+    for echo, tau in zip(out, delay_s, strict=True):
+        age = GATE_S[:, None] - tau
+        echo[:] = (
+            np.where(np.abs(age) < PULSE.end_s, (0.5 + 0.5 * np.cos(window * age)) * np.cos(carrier * age), 0.0)
+            @ weight
+        )
+    return out
+
+
+def masked_direct(delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the same by matrix products of each echo's supports, which spares the cosines: the fairest denominator."""
+    omega = 2 * np.pi * np.array(PULSE.frequency_hz)
+    rotation = np.array(PULSE.amplitude)[:, None] * np.exp(1j * omega[:, None] * GATE_S)
+    out = np.empty((len(delay_s), len(GATE_S)))
+    for echo, tau in zip(out, delay_s, strict=True):
+        inside = (np.abs(GATE_S[:, None] - tau) < PULSE.end_s).astype(float)
+        turns = weight * np.exp(-1j * omega[:, None] * tau)
+        sums = inside @ np.concatenate([turns.real, turns.imag]).T
+        echo[:] = (rotation.T * (sums[:, :3] + 1j * sums[:, 3:])).real.sum(axis=1)
+    return out
+
+
+def finufft_echoes(finufft: object, delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the same by a type 1 transform an echo, at the samples' own Fourier frequencies."""
+    count = 512
+    hz = np.fft.rfftfreq(count, 1 / RATE_HZ)
+    place = (np.arange(count) - count // 2) / RATE_HZ
+    pulse = np.fft.rfft(np.fft.ifftshift(direct(np.zeros((1, 1)), np.ones(1), PULSE, place)[0]))
+    turn = np.exp(2j * np.pi * hz * GATE_S[0])
+    angle = 2 * np.pi * RATE_HZ / count * delay_s
+    out = np.empty((len(delay_s), len(GATE_S)))
+    strength = weight.astype(complex)
+    for echo, phase in zip(out, angle, strict=True):
+        modes = finufft.nufft1d1(phase, strength, count + 2, isign=-1, eps=1e-9)  # type: ignore[attr-defined]
+        echo[:] = np.fft.irfft(modes[count // 2 + 1 :][: len(hz)] * pulse * turn, count)[: len(GATE_S)]
+    return out
+
+
+def contenders() -> tuple[dict[str, tuple[Callable[[], object], float]], list[str]]:
+    """Return what runs, and how much of the 101 echoes one run makes; and who is missing."""
+    motion = Motion(REST_S, G[None], AMPLITUDE_S)
+    delay_s = motion.delay_s()
+    still = Resting(np.zeros(len(REST_S), dtype=np.int64), REST_S, WEIGHT, G[None], AMPLITUDE_S[None])
+    ten = delay_s[:10]
+    runs: dict[str, tuple[Callable[[], object], float]] = {
+        "NumPy direct, vectorised": (lambda: vectorised_direct(ten, WEIGHT), 10 / 101),
+        "NumPy direct, by products": (lambda: masked_direct(ten, WEIGHT), 10 / 101),
+        "running sum": (lambda: running_sum(delay_s, WEIGHT, PULSE, GATE_S), 1.0),
+    }
+    for tolerance in (1e-6, 1e-8, 1e-13):
+        runs[f"engine, {tolerance:g}"] = (
+            lambda tolerance=tolerance: synthesise(motion, WEIGHT, PULSE, GATE_S, tolerance),
+            1.0,
+        )
+        if available():
+            runs[f"engine compiled, {tolerance:g}"] = (
+                lambda tolerance=tolerance: batch(still, PULSE, GATE_S, tolerance),
+                1.0,
+            )
+    missing = [] if available() else ["numba (extra 'fast')"]
+    for name, make in {"finufft": _finufft, "PyMUST": _pymust, "FastSIMUS": _fastsimus, "zea": _zea}.items():
+        try:
+            runs[name] = make()
+        except ImportError as error:
+            missing.append(f"{name} ({error})")
+        except Exception as error:
+            missing.append(f"{name} (installed, but: {type(error).__name__}: {error})")
+    return runs, missing
+
+
+def _finufft() -> tuple[Callable[[], object], float]:
+    import finufft
+
+    delay_s = REST_S + AMPLITUDE_S @ G[None]
+    return lambda: finufft_echoes(finufft, delay_s, WEIGHT), 1.0
+
+
+def _pymust() -> tuple[Callable[[], object], float]:
+    import pymust
+
+    param, options = pymust.utils.Param(), pymust.utils.Options()
+    param.fc, param.fs, param.c, param.radius, param.Nelements = CARRIER_HZ, RATE_HZ, C, np.inf, 1
+    param.pitch, param.width, param.kerf, param.bandwidth, param.TXnow = 1.1e-4, 1e-4, 1e-5, 40.0, 3
+    options.ParPool = False
+    x, z = FIELD.offset_m[:, :1], DEPTH_M + FIELD.offset_m[:, 2:]
+    pymust.simus(x[:2], z[:2], WEIGHT[:2, None], np.zeros((1, 1)), param, options)
+    return lambda: pymust.simus(x, z, WEIGHT[:, None], np.zeros((1, 1)), param, options), 1 / 101
+
+
+def _fastsimus() -> tuple[Callable[[], object], float]:
+    import fast_simus
+
+    params = fast_simus.TransducerParams(freq_center=CARRIER_HZ, pitch=1.1e-4, n_elements=1, width=1e-4, bandwidth=0.4)
+    place = np.stack([FIELD.offset_m[:, 0], DEPTH_M + FIELD.offset_m[:, 2]], axis=1)
+
+    def run() -> object:
+        return fast_simus.simus(place, WEIGHT, np.zeros(1), params, fs=RATE_HZ, tx_n_wavelengths=3)
+
+    run()
+    return run, 1 / 101
+
+
+def _zea() -> tuple[Callable[[], object], float]:
+    import zea.simulator  # noqa: F401
+
+    raise ImportError("found, but its backend is not set up by this script")
+
+
+def draw_time_s(draws: int, tolerance: float, compiled: bool) -> float:
+    """Return seconds a study draw: new scatterers, weights, 101 echoes."""
+    begin = time.perf_counter()
+    rng = np.random.default_rng(0)
+    for _ in drawn_echoes(
+        SimulationSettings(), DISPLACEMENT_M, PULSE, GATE_S, rng, draws, tolerance, compiled=compiled
+    ):
+        pass
+    return (time.perf_counter() - begin) / draws
+
+
+def displacement_error_m(make: Callable[[np.ndarray], np.ndarray]) -> float:
+    """Return the rms error, as motion, of ``make(distance_m (echo,))``: one scatterer at 70 mm that moves 100 nm.
+
+    Every echo is compared with the direct sum in float64 about the same origin, along its derivative to motion.
+    """
+    moved_m = 100e-9 * np.sin(2 * np.pi * np.arange(100) / 20 + 0.3)
+    ours = make(moved_m)
+    step_m = 1e-10
+
+    def exact(at_m: np.ndarray) -> np.ndarray:
+        return direct(2 / C * at_m[:, None], np.ones(1), PULSE, GATE_S)
+
+    slope = (exact(moved_m + step_m) - exact(moved_m - step_m)) / (2 * step_m)
+    error_m = np.sum((ours - exact(moved_m)) * slope, axis=1) / np.sum(slope**2, axis=1)
+    return float(np.sqrt(np.mean(error_m**2)))
+
+
+def accuracy_rows() -> dict[str, float]:
+    """Return displacement error in nm: the engine, and what float32 positions alone cost at that depth."""
+
+    def engine(moved_m: np.ndarray, tolerance: float) -> np.ndarray:
+        motion = Motion(np.zeros(1), np.ones((1, 1)), moved_m[:, None] * 2 / C)
+        return synthesise(motion, np.ones(1), PULSE, GATE_S, tolerance).echo
+
+    def single(moved_m: np.ndarray) -> np.ndarray:
+        depth_m = (DEPTH_M + moved_m).astype(np.float32).astype(float) - float(np.float32(DEPTH_M))
+        return direct(2 / C * depth_m[:, None], np.ones(1), PULSE, GATE_S)
+
+    rows = {
+        f"engine, {tolerance:g}": displacement_error_m(lambda m, tolerance=tolerance: engine(m, tolerance)) * 1e9
+        for tolerance in (1e-6, 1e-8)
+    }
+    rows["positions in float32"] = displacement_error_m(single) * 1e9
+    return rows
+
+
+def scaling() -> list[tuple[str, int, float]]:
+    """Return seconds against scatterers (101 echoes) and against echoes (Table I's scatterers), tolerance 1e-8."""
+    rows = []
+    for count in (1_000, 10_000, 100_000, 1_000_000):
+        place = np.random.default_rng(1).uniform(-0.5, 0.5, (count, 3)) * np.array([1e-3, 1e-3, 5e-3])
+        tau = np.sort(2 * place[:, 2] / C)
+        motion, weight = (
+            Motion(tau, np.exp(-np.square(place[:, :1].T) / 5e-8), AMPLITUDE_S),
+            np.exp(-np.square(place[:, 1]) / 1e-8),
+        )
+        rows.append(
+            ("scatterers", count, _median_s(lambda m=motion, w=weight: synthesise(m, w, PULSE, GATE_S, 1e-8), 3))
+        )
+    for echoes in (10, 100, 1_000, 10_000):
+        amplitude_s = 2e-6 / C * np.sin(np.arange(echoes))[:, None]
+        motion = Motion(REST_S, G[None], amplitude_s)
+        rows.append(("echoes", echoes, _median_s(lambda m=motion: synthesise(m, WEIGHT, PULSE, GATE_S, 1e-8), 5)))
+    return rows
+
+
+def _median_s(run: Callable[[], object], rounds: int) -> float:
+    taken = []
+    for _ in range(rounds):
+        begin = time.perf_counter()
+        run()
+        taken.append(time.perf_counter() - begin)
+    return statistics.median(taken)
+
+
+def main() -> None:
+    """Run every contender in turn and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--output", type=Path)
+    options = parser.parse_args()
+    runs, missing = contenders()
+    taken: dict[str, list[float]] = {name: [] for name in runs}
+    for run, _ in runs.values():
+        run()
+    for _ in range(options.rounds):
+        for name, (run, share) in runs.items():
+            # A slow contender once, a fast one until a tenth of a second is full.
+            taken[name].append(_median_s(run, 1 if share < 1 else 9) / share)
+    time_s = {name: statistics.median(values) for name, values in taken.items()}
+    exact = running_sum(REST_S + AMPLITUDE_S @ G[None], WEIGHT, PULSE, GATE_S)
+    base_s = min(time_s["NumPy direct, vectorised"], time_s["NumPy direct, by products"])
+    print(f"Table I, {len(WEIGHT)} scatterers, 101 echoes x 130 samples; medians of {options.rounds} rounds")
+    print(f"{os.cpu_count()} cores, one used; ratios to the faster of the direct sums")
+    print(f"{'':28}{'ms':>10}{'direct / this':>16}{'relative error':>16}")
+    errors = {}
+    for name, (run, share) in runs.items():
+        made = run()
+        echo = (
+            np.asarray(
+                getattr(made, "echo", made)[0] if name.startswith("engine comp") else getattr(made, "echo", made)
+            )
+            if share == 1
+            else None
+        )
+        error = (
+            float(np.sqrt(np.mean((echo - exact) ** 2) / np.mean(exact**2)))
+            if echo is not None and echo.shape == exact.shape
+            else None
+        )
+        errors[name] = error
+        shown = "" if error is None else f"{error:.1e}"
+        print(f"{name:28}{time_s[name] * 1e3:10.3f}{base_s / time_s[name]:16.1f}{shown:>16}")
+    for name in missing:
+        print(f"not run: {name}")
+    for name, says in PEER_SAYS.items():
+        print(f"{name} computes {says}")
+    print("Ours computes neither apertures nor diffraction: the beams are the Gaussians of eq. (8) and (12).")
+    draws = {
+        f"{'compiled' if compiled else 'NumPy'}, {tolerance:g}": draw_time_s(
+            1000 if compiled else 200, tolerance, compiled
+        )
+        for compiled in ((True, False) if available() else (False,))
+        for tolerance in (1e-6, 1e-8)
+    }
+    for name, value in draws.items():
+        print(f"study draw, {name}: {value * 1e3:.3f} ms")
+    moved = accuracy_rows()
+    for name, value in moved.items():
+        print(f"rms displacement error, one scatterer at 70 mm moving 100 nm, {name}: {value:.2e} nm")
+    grown = scaling()
+    for kind, count, value in grown:
+        print(f"{count:>8} {kind}: {value * 1e3:9.2f} ms")
+    if options.output:
+        table = {
+            "time_s": time_s,
+            "error": errors,
+            "missing": missing,
+            "draw_s": draws,
+            "moved_nm": moved,
+            "scaling": grown,
+        }
+        options.output.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
