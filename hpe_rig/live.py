@@ -17,7 +17,8 @@ from hpe_rig.store import StoreError
 
 START_S = 20.0
 """How long a page may take to start before the run goes on without it."""
-GRACE_S = 3.0
+GRACE_S = 15.0
+"""Longest time for the last state to be read and to reach every viewer; it ends as soon as it has."""
 
 
 def serve_run(run_file: Path, port: int = 0, attached: bool = False) -> None:

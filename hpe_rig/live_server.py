@@ -53,7 +53,7 @@ class LivePage:
         self._port = int(self._socket.getsockname()[1])
         self.address = f"http://{HOST}:{self._port}/{self._token}/"
         self._latest, self._version = json.dumps({"status": "waiting"}), 0
-        self._ended = self._serving = False
+        self._ended = self._serving = self._closing = False
         self._seen: dict[WebSocket, int] = {}
         config = uvicorn.Config(
             self._application(),
@@ -74,6 +74,7 @@ class LivePage:
         if not self._serving:
             self._socket.close()
             return
+        self._closing = True
         _wait(lambda: self._ended and all(seen == self._version for seen in [*self._seen.values()]), grace_s)
         # Told to end while it is still starting, the server would not tidy up.
         _wait(lambda: self._server.started, START_S)
@@ -109,7 +110,12 @@ class LivePage:
                 async with self._changed:
                     self._latest, self._version = text, self._version + 1
                     self._changed.notify_all()
-            await asyncio.sleep(max(LEAST_PAUSE_S, IDLE_SHARE * (time.monotonic() - start_s)))
+            rest_s = max(LEAST_PAUSE_S, IDLE_SHARE * (time.monotonic() - start_s))
+            again_s = time.monotonic() + rest_s
+            # Somebody waits for the last state once the page is closing.
+            while time.monotonic() < again_s and not self._closing:
+                await asyncio.sleep(min(rest_s, 0.1))
+            await asyncio.sleep(0.01)
 
     def _next(self) -> str | None:
         try:
