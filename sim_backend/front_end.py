@@ -18,6 +18,8 @@ from sim_backend.tracking_pulse import echo_pulse
 Floats = NDArray[np.float64]
 
 _REFERENCE_CYCLES = 3.0
+# One echo only: the last digits cost nothing.
+_GAIN_TOLERANCE = 1e-12
 _SAMPLES_PER_CYCLE = 16
 
 
@@ -37,7 +39,8 @@ def echo_gain_v(settings: SimulationSettings, depth_delay_s: Floats, weight: Flo
     receiver, sound_speed_m_per_s = settings.receiver, settings.sound_speed_m_per_s
     pulse = echo_pulse(settings, receiver.reference_carrier_hz)
     gate_s = reference_gate_s(receiver, sound_speed_m_per_s)
-    resting = echoes(depth_delay_s, weight, np.zeros_like(weight), np.zeros(1), pulse, gate_s, sound_speed_m_per_s)
+    still = np.zeros_like(weight), np.zeros(1)
+    resting = echoes(depth_delay_s, weight, *still, pulse, gate_s, sound_speed_m_per_s, _GAIN_TOLERANCE)
     rms = float(np.sqrt(np.mean(np.square(resting))))
     return receiver.echo_rms_v / rms if rms > 0 else 0.0
 
