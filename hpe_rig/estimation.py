@@ -38,6 +38,8 @@ CODE_LIMITS = (-8192, 8191)
 LARGE_STEP = 0.8
 """Quarter wavelengths a pulse from which on the next period of the carrier is close."""
 LARGE_CONDITION = 10.0
+HIGHEST_DRIVEN_HZ = 2e4
+"""A specimen follows no further: at 20 kHz a shear wave is far shorter than the beam is wide."""
 
 
 def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimator) -> tuple[ShotResult, ...]:
@@ -74,18 +76,16 @@ def reference_gate(scene: Scene, shot: Shot) -> slice | None:
     return slice(start, start + round(length_m * per_metre))
 
 
-def driven_frequencies_hz(scene: Scene, pulses: int) -> NDArray[np.float64]:
-    """Return every frequency that the tonebursts drive up to half the pulse rate, wanted or not, shape (frequency,).
+def driven_frequencies_hz(scene: Scene) -> NDArray[np.float64]:
+    """Return every frequency up to 1/T_b that the tonebursts drive, wanted or not, shape (frequency,).
 
-    Empty where nothing pushes, and where ``pulses`` are too few to fit them all in each half of the window.
+    Fitted along they are no noise, as far as the pulses can tell them apart; empty where nothing pushes.
     """
     if scene.excitation is None:
         return np.zeros(0)
     rate_hz = scene.excitation.burst_rate_hz
-    highest = math.floor(scene.tracking.pulse_rate_hz / 2 / rate_hz * (1 + 1e-9))
-    driven = np.array([rate_hz * n for n in range(1, highest + 1)], dtype=np.float64)
-    unknowns = 2 * (driven.size + len(scene.wanted_frequencies_hz)) + 1
-    return driven if pulses > 4 * unknowns else np.zeros(0)
+    count = math.floor(min(HIGHEST_DRIVEN_HZ, 1 / min(scene.excitation.burst_length_s)) / rate_hz)
+    return rate_hz * np.arange(1.0, count + 1)
 
 
 def slow_time_window(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
@@ -112,7 +112,7 @@ def _estimate_shot(
     time_s, recorded = echoes.pulse_time_s, records.valid[inside]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, inside))
     frequencies_hz = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
-    also_hz = driven_frequencies_hz(scene, int(echoes.valid.sum()))
+    also_hz = driven_frequencies_hz(scene)
     options = options_of(scene.processing)
     fit, largest_step = _fit(echoes, reference, frequencies_hz, estimator, also_hz, options)
     truth = None if truth_m is None else _fit_truth(time_s, truth_m[inside], frequencies_hz, also_hz)

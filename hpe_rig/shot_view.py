@@ -102,7 +102,7 @@ def motion_view(scene: Scene, shot: Shot, records: ShotRecords, estimates: Seque
     motion = coherent(echoes)
     kept = motion.valid
     frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
-    also_hz = driven_frequencies_hz(scene, int(kept.sum()))
+    also_hz = driven_frequencies_hz(scene)
     new_hz = also_hz[~np.isclose(also_hz[:, None], frequency_hz, rtol=1e-9, atol=0).any(axis=1)]
     rate_hz = shot.tracking_train.rate_hz
     wanted = _columns(motion.time_s, frequency_hz)[kept]

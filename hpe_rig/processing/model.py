@@ -21,9 +21,13 @@ LARGEST_CONDITION = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A model matrix (valid pulse, state) with its condition number (columns scaled to unit length)."""
+    """A model matrix (valid pulse, state), and the condition number of what is wanted (columns scaled to unit length).
+
+    ``every_pulse`` (pulse, state) has the rows of the other pulses as well.
+    """
 
     matrix: FloatArray
+    every_pulse: FloatArray
     condition: float
     wanted: slice
 
@@ -68,7 +72,8 @@ def design(
     """
     _require_frequencies(time_s, frequency_hz)
     columns = [harmonic_columns(time_s, frequency_hz), background_columns(time_s, background_order)]
-    wanted: FloatArray = np.hstack(columns)[valid]
+    every_wanted = np.hstack(columns)
+    wanted: FloatArray = every_wanted[valid]
     found, states = wanted.shape
     if found <= states:
         raise ValueError(
@@ -78,10 +83,12 @@ def design(
     condition = _condition(wanted)
     if not condition <= largest_condition:
         raise ValueError(_unresolved(time_s[valid], frequency_hz, condition, largest_condition))
-    others = _other_columns(time_s, frequency_hz, np.asarray(also_hz, dtype=np.float64))[valid]
-    kept = _tellable(wanted, others[:, : max(0, (found - states) // 2)], largest_condition)
-    matrix = np.hstack([wanted, others[:, :kept]])
-    return Design(matrix, _condition(matrix), slice(0, states))
+    # Half of what is left stays for the noise.
+    others = _other_columns(time_s, frequency_hz, np.asarray(also_hz, dtype=np.float64))[:, : (found - states) // 2]
+    kept = _tellable(wanted, others[valid], largest_condition)
+    every_pulse = np.hstack([every_wanted, others[:, :kept]])
+    matrix: FloatArray = every_pulse[valid]
+    return Design(matrix, every_pulse, condition, slice(0, states))
 
 
 def _condition(matrix: FloatArray) -> float:

@@ -16,7 +16,7 @@ from hpe_rig.processing.conditioning import hann
 from hpe_rig.processing.echoes import FloatArray, Velocity
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.processing.kalman import PRIOR, filter_constant
-from hpe_rig.processing.model import LARGEST_CONDITION, design, harmonic_columns
+from hpe_rig.processing.model import LARGEST_CONDITION, Design, design, harmonic_columns
 from hpe_rig.processing.velocity_noise import per_pulse, velocity_noise
 
 
@@ -60,7 +60,7 @@ def velocity_to_harmonics(
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
     model = design(velocity.time_s, velocity.valid, frequency_hz, largest_condition, also_hz=also_hz)
-    fill = _fill_matrix(velocity, frequency_hz, also_hz, model.matrix)
+    fill = _fill_matrix(velocity, model)
     every_hz = np.concatenate([frequency_hz, np.asarray(also_hz, dtype=np.float64)])
     each = [_one_frequency(velocity, f, _half_width_hz(every_hz, f), fill, steps) for f in frequency_hz]
     states, functionals = zip(*each, strict=True)
@@ -123,19 +123,12 @@ def _velocity_turn(f: float, interval_s: float) -> FloatArray:
     return np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
 
 
-def _fill_matrix(
-    velocity: Velocity, frequency_hz: FloatArray, also_hz: FloatArray | Sequence[float], everything: FloatArray
-) -> FloatArray:
+def _fill_matrix(velocity: Velocity, model: Design) -> FloatArray:
     """Return the matrix (missing, valid) that predicts missing velocities from a fit to all the others.
 
     The band-pass needs a value everywhere; one that follows the motion does not disturb its neighbours.
     """
-    missing = ~velocity.valid
-    if not missing.any():
-        return np.zeros((0, velocity.valid.size))
-    everywhere = np.ones_like(missing)
-    columns = design(velocity.time_s, everywhere, frequency_hz, np.inf, also_hz=also_hz).matrix
-    return np.asarray(columns[missing] @ np.linalg.pinv(everything))
+    return np.asarray(model.every_pulse[~velocity.valid] @ np.linalg.pinv(model.matrix))
 
 
 def _filled(velocity: Velocity, fill: FloatArray) -> FloatArray:

@@ -254,5 +254,6 @@ def test_frequencies_fitted_along_give_way_when_the_pulses_cannot_tell_them_apar
     fit = least_squares(
         _motion(np.sin(2 * np.pi * 200 * time_s), time_s, valid), HARMONICS, also_hz=100.0 * np.arange(1, 100)
     )
-    assert fit.condition <= 100
+    # 99 frequencies would have a condition of 1e9 and more here; those kept cost the wanted ones no accuracy
     np.testing.assert_allclose(fit.amplitude_m[1], 1.0, rtol=1e-9)
+    assert np.sqrt(fit.covariance[1, 0, 0]) < 1e-9
