@@ -116,7 +116,7 @@ class RunSource:
         try:
             gate = echo_gate(scene, shot, records)
             wanted = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
-            fit = estimate(gate, wanted, "coherent", driven_frequencies_hz(scene, int(gate.valid.sum())))
+            fit = estimate(gate, wanted, "coherent", driven_frequencies_hz(scene))
             estimates = _estimates(fit)
             state["motion"] = motion_state(motion_view(scene, shot, records, estimates))
         except ValueError as error:
