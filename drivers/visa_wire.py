@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
@@ -61,9 +62,12 @@ class VisaWire:
         try:
             self._resource = _open(_resource_manager(interface.backend if interface else backend), address)
             self._prepare(timeout_s)
+            self._link = interface.link if interface else _socket_of(self._resource)
+            _require_connected(self._link)
         except Exception as error:
+            if hasattr(self, "_resource"):
+                self.close()
             raise ConnectionError(_cannot_open(address, error)) from error
-        self._link = interface.link if interface else _socket_of(self._resource)
 
     def write(self, message: str) -> None:
         """Send ``message`` and a line feed."""
@@ -149,8 +153,15 @@ def _send_at_once(link: socket.socket | None) -> None:
             link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
+def _require_connected(link: socket.socket | None) -> None:
+    """Raise ``OSError`` where a raw socket was refused, which pyvisa-py tells nobody before the first message."""
+    code = 0 if link is None else link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+    if code:
+        raise OSError(code, os.strerror(code))
+
+
 def _cannot_open(address: str, error: Exception) -> str:
-    return f"cannot open {address!r}: {error or type(error).__name__}"
+    return f"cannot open {address!r}: {str(error).rstrip('.') or type(error).__name__}"
 
 
 def _resource_manager(backend: str) -> ResourceManager:
