@@ -31,7 +31,7 @@ BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file; abs
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Csv = Annotated[bool, typer.Option("--csv", help="Print CSV, a row a shot and frequency, instead of a table.")]
 Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (extra: compression).")]
-Estimator = Annotated[str | None, typer.Option(help="coherent or cross_spectrum; absent: as the scene says.")]
+Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]; absent: as the scene says.")]
 Port = Annotated[int, typer.Option(help="Port of the live page on this machine; 0: any free one.")]
 
 EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 1, 3, 130, 143
@@ -174,13 +174,22 @@ def align(scene: SceneName, bench: BenchPath = None, port: Port = 0) -> None:
 
 @app.command()
 @guarded
-def check(scene: SceneName, bench: BenchPath = None) -> None:
-    """Print the plan: timeline, checks, what is left out, expected duration and file size. Opens nothing."""
+def check(
+    scene: SceneName,
+    bench: BenchPath = None,
+    target: Annotated[
+        str | None, typer.Option(help="Wanted uncertainty, such as 20nm: prints what reaches it.")
+    ] = None,
+) -> None:
+    """Print the plan: timeline, checks, what is left out, duration, file size, bias and jitter. Opens nothing."""
+    from hpe_rig.prediction import length_m, prediction_text
     from hpe_rig.run import Stages, prepare
     from hpe_rig.timeline import plan_text
 
     setup = prepare(scene, bench, Stages(), refuse=False)
+    target_m = None if target is None else length_m(target, "--target")
     typer.echo(plan_text(setup.scene.scene.title, setup.plan, setup.findings))
+    typer.echo("\n" + "\n".join(prediction_text(setup.scene.scene, target_m)))
     if any(finding.level == "refused" for finding in setup.findings):
         raise typer.Exit(EXIT_MISTAKE)
 
@@ -252,16 +261,22 @@ def schema(
 @app.command()
 @guarded
 def accuracy(
-    of: Annotated[str, typer.Argument(metavar="PART", help="echo: the echo engine.")] = "echo",
+    of: Annotated[str, typer.Argument(metavar="PART", help="echo (engine), motion or harmonic (estimators).")] = "echo",
     output: Annotated[Path | None, typer.Option(help="Table, .csv or .json; absent: CSV is printed.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Work-precision figure, .svg, .png or .pdf.")] = None,
     largest: Annotated[int, typer.Option(help="Most scatterers.")] = 1_000_000,
     most_echoes: Annotated[int, typer.Option(help="Most echoes.")] = 10_000,
     longest_s: Annotated[float, typer.Option(help="Leave out what is expected to take longer, s.")] = 5.0,
+    draws: Annotated[int, typer.Option(help="Scatterer and noise draws a case, motion.")] = 100,
 ) -> None:
-    """Measure error against run time of the twin's physics, every way it can work."""
+    """Measure error against run time of the twin's physics or of the estimators, every way they can work."""
+    if of in ("motion", "harmonic"):
+        from hpe_rig.study.estimator_accuracy import write_estimator_accuracy
+
+        write_estimator_accuracy(of, output, figure, draws, typer.echo)
+        return
     if of != "echo":
-        typer.echo(f"{of}: no such part. Try: echo.", err=True)
+        typer.echo(f"{of}: no such part. Try: echo, motion or harmonic.", err=True)
         raise typer.Exit(EXIT_MISTAKE)
     from hpe_rig.study.accuracy_echo import write_accuracy
 

@@ -86,13 +86,13 @@ def expected(setting: Setting, estimator: str, speckle: Speckle, generator: np.r
     """Return bias and jitter of ``estimator`` for speckle drawn by ``draw_speckle`` with the same setting."""
     if estimator == "cross_spectrum":
         ratio, pulse, walk = _peak_statistics(setting, speckle, generator)
-        share = 1.5  # Hann window in slow time: N sum w^2 / (sum w)^2
+        deviation = _windowed_deviation(setting, pulse, walk)
     else:
-        ratio = _whole_gate_ratio(speckle)
-        pulse = 1 / (setting.gate_samples * setting.snr)
+        ratio, pulse = _whole_gate_ratio(speckle), 1 / (setting.gate_samples * setting.snr)
+        if estimator == "kasai":
+            ratio = ratio * _centre_over_carrier(setting, speckle)
         walk = _walk(setting, pulse) if estimator in ("kasai", "loupas") else 0.0
-        share = 1.0
-    deviation = _amplitude_deviation(setting, pulse, walk, share)
+        deviation = _fitted_deviation(setting, pulse, walk)
     return _with_noise(setting, estimator, ratio, deviation)
 
 
@@ -130,6 +130,14 @@ def _whole_gate_ratio(speckle: Speckle) -> FloatArray:
     return np.asarray(product / np.sum(np.abs(speckle.resting) ** 2, axis=-1))
 
 
+def _centre_over_carrier(setting: Setting, speckle: Speckle) -> FloatArray:
+    """Return the centre frequency of each draw's echo (draw,) over the carrier, which "kasai" takes in its place."""
+    resting = speckle.resting
+    turn = np.angle(np.sum(np.conj(resting[:, :-1]) * resting[:, 1:], axis=-1))
+    seconds = 2 * setting.gate_length_m / setting.sound_speed_m_per_s / INSTANTS
+    return np.asarray(1 + turn / (2 * np.pi * seconds * setting.carrier_hz))
+
+
 def _walk(setting: Setting, pulse: float) -> float:
     """Return the phase variance of a step's own noise for one correlation over the whole band.
 
@@ -139,11 +147,25 @@ def _walk(setting: Setting, pulse: float) -> float:
     return 2 * bins * pulse**2
 
 
-def _amplitude_deviation(setting: Setting, pulse: float, walk: float, share: float) -> float:
-    """Return the standard deviation, m, of a quadrature: pulse noise, and steps' own noise that adds up."""
+def _windowed_deviation(setting: Setting, pulse: float, walk: float) -> float:
+    """Return the standard deviation, m, of a quadrature after a Hann window over steps: N sum w^2/(sum w)^2 is 1.5."""
     half_step = np.sin(np.pi * setting.frequency_hz / setting.pulse_rate_hz)
     level = pulse + walk / (4 * half_step**2)
-    return float(setting.metres_per_radian * np.sqrt(2 * share * level / setting.pulses))
+    return float(setting.metres_per_radian * np.sqrt(2 * 1.5 * level / setting.pulses))
+
+
+def _fitted_deviation(setting: Setting, pulse: float, walk: float) -> float:
+    """Return the standard deviation, m, of a quadrature fitted to the pulses with a constant, by least squares.
+
+    A random walk is strongest at its slowest, and a fit without window lets that into the quadratures.
+    """
+    if walk == 0:
+        return float(setting.metres_per_radian * np.sqrt(2 * pulse / setting.pulses))
+    angle = 2 * np.pi * setting.frequency_hz / setting.pulse_rate_hz * np.arange(setting.pulses)
+    rows = np.linalg.pinv(np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1))[:2]
+    over_steps = np.cumsum(rows[:, :0:-1], axis=1)
+    level = pulse * np.sum(rows**2) / 2 + walk * np.sum(over_steps**2) / 2
+    return float(setting.metres_per_radian * np.sqrt(level))
 
 
 def _with_noise(setting: Setting, estimator: str, ratio: FloatArray, deviation: float) -> Expected:

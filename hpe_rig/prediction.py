@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hpe_rig.jitter_model import Expected, Setting, draw_speckle, expected
+from hpe_rig.mistakes import Mistake, SettingsError
 from hpe_rig.plan import pulse_count
 from hpe_rig.processing import ESTIMATORS, Estimator
 from hpe_rig.scene import Scene
@@ -180,3 +182,20 @@ def _number(scene: Scene, section: str, key: str) -> float | None:
     table: Any = (scene.simulation or {}).get(section)
     value = table.get(key) if isinstance(table, Mapping) else None
     return None if value is None else float(value)
+
+
+_UNITS_M = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "m": 1.0}
+
+
+def length_m(text: str, key: str) -> float:
+    """Return a positive length such as "20nm" or "2e-8"; raise ``SettingsError`` naming ``key`` for anything else."""
+    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(nm|um|mm|m)?\s*", text)
+    try:
+        value = float(match[1]) * _UNITS_M[match[2] or "m"] if match else math.nan
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise SettingsError(
+            "command line", [Mistake(key, f"{text!r} is no length", "a number with unit, such as 20nm")]
+        )
+    return value

@@ -1,0 +1,104 @@
+"""Error against run time of displacement to amplitude and phase: every filter and fit, on prescribed displacement."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.processing import (
+    HarmonicFit,
+    Motion,
+    Steps,
+    kalman,
+    least_squares,
+    velocity_between_pulses,
+    velocity_to_harmonics,
+)
+
+Floats = NDArray[np.float64]
+
+AMPLITUDE_M = 1e-6
+PHASE_RAD = 0.4
+NOISE_M = 100e-9
+FREQUENCY_HZ = 200.0
+PULSE_RATE_HZ = 4000.0
+REALISATIONS = 200
+
+METHODS: dict[str, Callable[[Motion, list[float]], HarmonicFit]] = {
+    "least_squares": least_squares,
+    "kalman": lambda motion, f: kalman(motion, f, innovations=False),
+    "kalman_with_nis": kalman,
+    "kalman_process_noise": lambda motion, f: kalman(motion, f, process_noise=1e-6),
+    "kalman_acceleration": lambda motion, f: kalman(motion, f, background_order=2, innovations=False),
+    "velocity_kalman": lambda motion, f: _velocity(motion, f, Steps(band_pass=False, hann=False)),
+    "velocity_hann_kalman": lambda motion, f: _velocity(motion, f, Steps(band_pass=False, hann=True)),
+    "velocity_band_pass_hann_kalman": lambda motion, f: _velocity(motion, f, Steps()),
+}
+"""Last: the paper's slow-time chain; before it the same without its optional steps."""
+
+
+@dataclass(frozen=True, slots=True)
+class HarmonicRow:
+    """One method for one number of pulses: error of one harmonic's amplitude and phase, truth of its uncertainty."""
+
+    method: str
+    pulses: int
+    cycles: float
+    realisations: int
+    bias_m: float
+    jitter_m: float
+    phase_jitter_rad: float
+    bound_m: float
+    normalised_error: float
+    time_s: float
+    """Median wall time for all realisations."""
+    cores: int
+
+
+def rows(pulses: Sequence[int] = (60, 100, 400, 2000), seed: int = 0, repeats: int = 3) -> Iterator[HarmonicRow]:
+    """Yield a row for every number of pulses and method."""
+    for count in pulses:
+        motion = noisy_motion(count, np.random.default_rng([seed, count]))
+        for name, method in METHODS.items():
+            yield _row(name, method, motion, repeats)
+
+
+def noisy_motion(pulses: int, generator: np.random.Generator, realisations: int = REALISATIONS) -> Motion:
+    """Return displacement of one sinusoid with white noise, (realisation, pulse)."""
+    time_s = np.arange(pulses) / PULSE_RATE_HZ
+    truth_m = AMPLITUDE_M * np.sin(2 * np.pi * FREQUENCY_HZ * time_s + PHASE_RAD)
+    noisy = truth_m + NOISE_M * generator.standard_normal((realisations, pulses))
+    return Motion(time_s, noisy, np.full(noisy.shape, NOISE_M**2), np.ones(pulses, dtype=bool))
+
+
+def _row(name: str, method: Callable[[Motion, list[float]], HarmonicFit], motion: Motion, repeats: int) -> HarmonicRow:
+    times_s = []
+    for _ in range(repeats):
+        start_s = time.perf_counter()
+        fit = method(motion, [FREQUENCY_HZ])
+        times_s.append(time.perf_counter() - start_s)
+    error_m = fit.amplitude_m[:, 0] - AMPLITUDE_M
+    pulses = motion.time_s.size
+    return HarmonicRow(
+        method=name,
+        pulses=pulses,
+        cycles=pulses / PULSE_RATE_HZ * FREQUENCY_HZ,
+        realisations=len(error_m),
+        bias_m=float(error_m.mean()),
+        jitter_m=float(error_m.std()),
+        phase_jitter_rad=float(fit.phase_rad[:, 0].std()),
+        bound_m=NOISE_M * float(np.sqrt(2 / pulses)),
+        normalised_error=float(np.mean(error_m**2 / fit.covariance[:, 0, 0, 0])),
+        time_s=statistics.median(times_s),
+        cores=os.cpu_count() or 1,
+    )
+
+
+def _velocity(motion: Motion, frequencies_hz: list[float], steps: Steps) -> HarmonicFit:
+    return velocity_to_harmonics(velocity_between_pulses(motion), frequencies_hz, steps=steps)
