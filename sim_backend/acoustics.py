@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from sim_backend.pulse import Pulse, rectangular_burst
 from sim_backend.scatterers import depth_delay_s, draw_field, noticeable
 from sim_backend.settings import SimulationSettings
 from sim_backend.tracking_pulse import behind_the_way, echo_pulse
+
+if TYPE_CHECKING:
+    from sim_backend.medium_motion import MediumMotion
 
 Floats = NDArray[np.float64]
 FocusMotion = Callable[[Bursts, Picoseconds, int], Floats]
@@ -43,6 +47,7 @@ class Acoustics:
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._gain_v = echo_gain_v(settings, self._delay_s, self._field.tracking_weight)
         self._focus_motion = _focus_motion(settings, self._travel_s)
+        self._medium = _medium_motion(settings, self._field.offset_m, self._travel_s)
 
     def focus_displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int) -> Floats:
         """Return the displacement at the focus at ``time_ps`` (time,), positive away from the transducer, m.
@@ -105,8 +110,11 @@ class Acoustics:
             volts[record, span] += leak_v(amplitude_v, tonebursts.carrier_hz[burst], age_ps)
 
     def _motion_sensed_m(self, tonebursts: Bursts, onset_ps: Picoseconds, capture: Capture) -> Floats:
-        """Return the displacement of the focus when a pulse of ``onset_ps`` (burst,) passes it."""
-        return self.focus_displacement_m(tonebursts, onset_ps + to_ps(self._travel_s), capture.origin_ps)
+        """Return the amplitude of every motion shape when a pulse of ``onset_ps`` (burst,) passes: (burst, shape)."""
+        passage_ps = onset_ps + to_ps(self._travel_s)
+        if self._medium is not None:
+            return self._medium.amplitudes_m(tonebursts, passage_ps)
+        return self.focus_displacement_m(tonebursts, passage_ps, capture.origin_ps)[:, None]
 
     def _add_echoes(
         self,
@@ -123,7 +131,9 @@ class Acoustics:
         if not (strength_v.any() and seen.any()):
             return
         delay_s = self._delay_s[seen]
-        margin_s = 2 * float(np.abs(motion_m).max()) / self._settings.sound_speed_m_per_s
+        shapes = (self._field.motion_weight[None] if self._medium is None else self._medium.shape)[:, seen]
+        reach_m = float(np.abs(motion_m).max(axis=0) @ np.abs(shapes).max(axis=1))
+        margin_s = 2 * reach_m / self._settings.sound_speed_m_per_s
         arrival_s = 2 * self._travel_s
         early_ps = math.floor((arrival_s + delay_s.min() + shape.start_s - margin_s) * PS_PER_S)
         late_ps = math.ceil((arrival_s + delay_s.max() + shape.end_s + margin_s) * PS_PER_S)
@@ -136,7 +146,7 @@ class Acoustics:
         block = echoes(
             delay_s,
             weight[seen],
-            self._field.motion_weight[seen],
+            shapes,
             motion_m[burst],
             shape,
             _after_arrival_s(sample_ps, arrival_s),
@@ -191,7 +201,7 @@ def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion 
         specimen = settings.specimen
         response = tabulate_step_response(specimen, settings.beams.excitation_width_m)
         return lambda tonebursts, time_ps, _origin_ps: transient_displacement(
-            response, radiation_force(tonebursts, specimen, travel_s), time_ps
+            response, radiation_force(tonebursts, specimen, travel_s, settings.transmitter), time_ps
         )
     if settings.motion:
         from sim_backend.motion import motion_at
@@ -199,6 +209,15 @@ def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion 
         components = settings.motion
         return lambda _tonebursts, time_ps, origin_ps: motion_at(components, time_ps - origin_ps)
     return None
+
+
+def _medium_motion(settings: SimulationSettings, offset_m: Floats, travel_s: float) -> MediumMotion | None:
+    """Return how the medium's own field moves the scatterers; None where they move by the Gaussian of eq. (12)."""
+    if settings.specimen is None or settings.specimen.field == "gaussian":
+        return None
+    from sim_backend.medium_motion import medium_motion
+
+    return medium_motion(settings, offset_m, travel_s)
 
 
 def _after_arrival_s(sample_ps: NDArray[np.int64], arrival_s: float) -> Floats:

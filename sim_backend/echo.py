@@ -162,10 +162,12 @@ def echoes(
 
     ``depth_delay_s``, ``weight``, ``motion_weight`` (scatterer,); ``displacement_m`` (echo,) at the focus;
     ``sample_time_s`` (sample,) ascending, same origin as the delays; ``shift_s`` (echo,) added to the sample times of
-    each echo. ``tolerance`` as in `synthesise`. Inputs are trusted, also to alias: a digitizer may.
+    each echo. A motion of several shapes has ``motion_weight`` (shape, scatterer) and ``displacement_m``
+    (echo, shape). ``tolerance`` as in `synthesise`. Inputs are trusted, also to alias: a digitizer may.
     """
-    shape, amplitude_s = motion_weight[None], displacement_m[:, None] * (2 / sound_speed_m_per_s)
+    shape = np.atleast_2d(motion_weight)
+    amplitude_s = displacement_m.reshape(len(displacement_m), len(shape)) * (2 / sound_speed_m_per_s)
     if shift_s is not None and shift_s.any():
-        shape = np.stack([motion_weight, np.ones_like(motion_weight)])
-        amplitude_s = np.stack([amplitude_s[:, 0], -shift_s], axis=1)
+        shape = np.concatenate([shape, np.ones((1, shape.shape[1]))])
+        amplitude_s = np.concatenate([amplitude_s, -shift_s[:, None]], axis=1)
     return _synthesise(Motion(depth_delay_s, shape, amplitude_s), weight, pulse, sample_time_s, tolerance, None).echo

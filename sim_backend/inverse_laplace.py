@@ -72,18 +72,20 @@ class Panels:
         return np.asarray(value * early[..., None])
 
 
-def panels_of(transfer: Callable[[Complexes], Complexes], contour: Contour = AXIS_CONTOUR) -> Panels:
+def panels_of(
+    transfer: Callable[[Complexes], Complexes], contour: Contour = AXIS_CONTOUR, degrees: int = _DEGREES
+) -> Panels:
     """Return the table of the responses whose ``transfer`` gives (s, response) for s (s,), from 1 ps to 10^4 s."""
     count = int(np.ceil(np.log(_LAST_S / _FIRST_S) / np.log(_RATIO)))
     begin_s = _FIRST_S * _RATIO ** np.arange(count)
     s, weight = _hyperbola(contour)
     value = transfer((s / begin_s[:, None]).ravel()).reshape(count, contour.nodes, -1)
-    angle = (np.arange(_DEGREES) + 0.5) * np.pi / _DEGREES
+    angle = (np.arange(degrees) + 0.5) * np.pi / degrees
     place = 1 + (_RATIO - 1) * (np.cos(angle) + 1) / 2
     # (time, node) is the same for every panel: time is counted in units of its begin.
     to_time = np.exp(np.outer(place, s)) * weight
     samples = np.einsum("tn,pnr->tpr", to_time, value, optimize=True).real
-    to_coefficients = np.cos(np.outer(np.arange(_DEGREES), angle)) * (2 / _DEGREES)
+    to_coefficients = np.cos(np.outer(np.arange(degrees), angle)) * (2 / degrees)
     to_coefficients[0] /= 2
     return Panels(np.einsum("dt,tpr->dpr", to_coefficients, samples, optimize=True))
 

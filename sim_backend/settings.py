@@ -45,6 +45,8 @@ class Specimen(Section):
     """Attenuation of the medium (assumed); with the force it tells the intensity at the focus."""
     density_kg_per_m3: Positive = 1000.0
     """Mass density (assumed)."""
+    field: Literal["gaussian", "medium"] = "gaussian"
+    """Motion around the focus: the Gaussian of eq. (12), or the medium's own field, broader and later farther out."""
     force_density_n_per_m3: Positive = 4.0e6
     """Body force at the focus while a toneburst of ``reference_drive_vpp`` is on (assumed)."""
     reference_drive_vpp: Positive = 1.0
