@@ -275,8 +275,16 @@ def accuracy(
 
         write_estimator_accuracy(of, output, figure, draws, typer.echo)
         return
+    if of in ("specimen", "chain"):
+        from importlib import import_module
+
+        from hpe_rig.study.work_precision import write_points
+
+        points = list(import_module(f"hpe_rig.study.accuracy_{of}").points())
+        write_points(points, output, figure, typer.echo)
+        return
     if of != "echo":
-        typer.echo(f"{of}: no such part. Try: echo, motion or harmonic.", err=True)
+        typer.echo(f"{of}: no such part. Try: echo, motion, harmonic, specimen or chain.", err=True)
         raise typer.Exit(EXIT_MISTAKE)
     from hpe_rig.study.accuracy_echo import write_accuracy
 

@@ -1,0 +1,121 @@
+"""Error against run time of the specimen's response to a burst train, and of a stiff lumped model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.study.work_precision import Point, measured
+
+Floats = NDArray[np.float64]
+
+WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)
+BURSTS, PERIOD_PS, BURST_PS = 20, 10_000_000_000, 100_000_000
+
+
+def points() -> Iterator[Point]:
+    """Yield the transient of 20 bursts at 800 instants in each medium, then the lumped model."""
+    from sim_backend.settings import Specimen
+
+    for case, medium in {
+        "gelatin 8 %": {"preset": "gelatin_8"},
+        "bovine muscle": {"preset": "bovine_muscle"},
+        "elastic 7.25 kPa": {"shear_viscosity_pa_s": 0.0},
+        "Voigt 1 Pa, 100 Pa s": {"shear_modulus_pa": 1.0, "shear_viscosity_pa_s": 100.0},
+        "power law 0.3": {"medium": "power_law", "power": 0.3},
+    }.items():
+        yield from _transients(case, Specimen.model_validate(medium))
+    yield from _lumped()
+
+
+def _transients(case: str, specimen: object) -> Iterator[Point]:
+    from sim_backend.force import ForcePulses
+    from sim_backend.inverse_laplace import Contour, Panels, panels_of
+    from sim_backend.settings import Specimen
+    from sim_backend.specimen import StepResponse, memory_s, transfer, transient_displacement
+
+    assert isinstance(specimen, Specimen)  # noqa: S101
+    onset_ps = np.arange(BURSTS) * PERIOD_PS
+    force = ForcePulses(onset_ps, onset_ps + BURST_PS, np.ones(BURSTS))
+    time_ps = 175_000_000 + np.arange(800) * 250_000_000
+
+    def by_panels(contour: Contour, degrees: int) -> Floats:
+        panels: Panels = panels_of(lambda s: transfer(specimen, WIDTH_M, s)[:, None], contour, degrees)
+        return transient_displacement(StepResponse(memory_s(specimen, panels), panels), force, time_ps)
+
+    exact = by_panels(Contour(72, 5.2, 1.5, 0.5), 48)
+    for nodes, degrees in ((6, 6), (10, 10), (16, 14), (24, 20), (32, 24)):
+        contour = Contour(nodes, 3.5 * (nodes / 32) ** 0.3, 3.0 * nodes / 32, 0.65)
+        setting = f"{nodes} nodes, {degrees} degrees"
+        yield measured(case, "hyperbola, panels of log time", setting, partial(by_panels, contour, degrees), exact)
+    for period_s, highest_hz in ((0.25, 2e3), (0.25, 2e4), (1.0, 1e4)):
+        setting = f"{period_s:g} s, {highest_hz / 1e3:g} kHz"
+        yield measured(
+            case,
+            "Fourier synthesis, padded",
+            setting,
+            partial(_fourier, specimen, time_ps, period_s, highest_hz),
+            exact,
+            repeats=1,
+        )
+
+
+def _fourier(specimen: object, time_ps: NDArray[np.int64], period_s: float, highest_hz: float) -> Floats:
+    """Return the periodic response to the whole train from its Fourier series; the mean of a period is set by rest."""
+    from sim_backend.settings import Specimen
+    from sim_backend.specimen import frequency_response
+
+    assert isinstance(specimen, Specimen)  # noqa: S101
+    frequency_hz = np.arange(1, int(highest_hz * period_s) + 1) / period_s
+    burst_s = BURST_PS * 1e-12
+    one = burst_s * np.sinc(frequency_hz * burst_s) * np.exp(-1j * np.pi * frequency_hz * burst_s)
+    train = one * np.exp(-2j * np.pi * np.outer(np.arange(BURSTS) * PERIOD_PS * 1e-12, frequency_hz)).sum(axis=0)
+    coefficient = 2 / period_s * train * frequency_response(specimen, WIDTH_M, frequency_hz)
+    # At the end of the period the medium has come to rest, as before the first burst.
+    time_s = np.append(time_ps * 1e-12, 0.0)
+    value = np.array([(coefficient * np.exp(2j * np.pi * frequency_hz * t)).sum().real for t in time_s])
+    return np.asarray(value[:-1] - value[-1])
+
+
+def _lumped() -> Iterator[Point]:
+    """Yield thirteen springs and dashpots, time constants 1e-9 to 1e3 s, under a unit step, at 60 instants to 1e3 s."""
+    from scipy.integrate import solve_ivp
+
+    from sim_backend.inverse_laplace import AXIS_CONTOUR, panels_of
+
+    constants_s = np.logspace(-9, 3, 13)
+    time_s = np.logspace(-10, 3, 60)
+    exact = -np.expm1(-time_s[:, None] / constants_s)
+    case = "lumped, 1e-9 to 1e3 s"
+    yield measured(
+        case,
+        "hyperbola, panels of log time",
+        "32 nodes, 24 degrees",
+        lambda: panels_of(lambda s: 1 / (1 + s[:, None] * constants_s), AXIS_CONTOUR).at(time_s),
+        exact,
+    )
+
+    def solved(method: Literal["Radau", "BDF", "DOP853"], tolerance: float) -> Floats:
+        evaluations = 0
+
+        def slope(_t: float, y: Floats) -> Floats:
+            nonlocal evaluations
+            evaluations += 1
+            if evaluations > 20_000:
+                raise ValueError("the solver crawls")
+            return (1 - y) / constants_s
+
+        start = np.zeros(constants_s.size)
+        solution = solve_ivp(slope, (0, 1e3), start, method, time_s, rtol=tolerance, atol=tolerance * 1e-3)
+        return np.asarray(solution.y.T)
+
+    implicit: tuple[Literal["Radau"], Literal["BDF"]] = ("Radau", "BDF")
+    for method in implicit:
+        for tolerance in (1e-4, 1e-7):
+            setting = f"rtol {tolerance:g}"
+            yield measured(case, f"scipy {method}", setting, partial(solved, method, tolerance), exact, 1)
+    yield measured(case, "scipy DOP853", "rtol 0.0001", partial(solved, "DOP853", 1e-4), exact, 1)

@@ -1,0 +1,99 @@
+"""Error against run time: one point a method and setting, and the table of them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One way to compute one case: how wrong, how long."""
+
+    case: str
+    method: str
+    setting: str
+    error: float
+    """Largest error over the largest value; NaN where the method gave up."""
+    time_s: float
+    """Median wall time."""
+
+
+def measured(
+    case: str, method: str, setting: str, compute: Callable[[], Floats], exact: Floats, repeats: int = 3
+) -> Point:
+    """Return the point of ``compute``, timed ``repeats`` times, against ``exact``; NaN error where it raises."""
+    times_s = []
+    error = float("nan")
+    for _ in range(repeats):
+        start_s = time.perf_counter()
+        try:
+            value = compute()
+        except (ValueError, ArithmeticError, FloatingPointError):
+            return Point(case, method, setting, error, time.perf_counter() - start_s)
+        times_s.append(time.perf_counter() - start_s)
+    error = float(np.abs(value - exact).max() / np.abs(exact).max())
+    return Point(case, method, setting, error, float(np.median(times_s)))
+
+
+def as_text(points: Sequence[Point]) -> str:
+    """Return the points as a table for people."""
+    lines = [f"{'case':28} {'method':34} {'setting':24} {'error':>9} {'time':>11}"]
+    for point in points:
+        error = "gave up" if np.isnan(point.error) else f"{point.error:.1e}"
+        name = f"{point.case:28} {point.method:34} {point.setting:24}"
+        lines.append(f"{name} {error:>9} {point.time_s * 1e3:8.2f} ms")
+    return "\n".join(lines)
+
+
+def as_csv(points: Sequence[Point]) -> str:
+    """Return the points as comma separated values with a header, times in seconds."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, ["case", "method", "setting", "error", "time_s"], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(asdict(point) for point in points)
+    return out.getvalue()
+
+
+def write_points(
+    points: Sequence[Point], output: Path | None, figure: Path | None, show: Callable[[str], None]
+) -> None:
+    """Write the table, ``.csv`` or ``.json``, and the figure; without a file for the table ``show`` gets it as text."""
+    if output is None:
+        show(as_text(points))
+    elif output.suffix == ".json":
+        output.write_text(json.dumps([asdict(point) for point in points], indent=1) + "\n", encoding="utf-8")
+    elif output.suffix == ".csv":
+        output.write_text(as_csv(points), encoding="utf-8")
+    else:
+        raise ValueError(f"{output.suffix!r} is no table format here: end the file's name in .csv or .json")
+    if figure is not None:
+        write_figure(points, figure)
+
+
+def write_figure(points: Sequence[Point], path: Path) -> None:
+    """Write error against run time: a panel a case, a line a method."""
+    from matplotlib.figure import Figure
+
+    cases = list(dict.fromkeys(point.case for point in points))
+    figure = Figure(figsize=(3.4 * len(cases), 3.6), layout="constrained")
+    for panel, case in zip(figure.subplots(1, len(cases), squeeze=False)[0], cases, strict=True):
+        here = [point for point in points if point.case == case and not np.isnan(point.error)]
+        for method in dict.fromkeys(point.method for point in here):
+            some = [point for point in here if point.method == method]
+            times_s, errors = [point.time_s for point in some], [max(point.error, 1e-17) for point in some]
+            panel.plot(times_s, errors, marker="o", ms=4, lw=0.8, label=method)
+        panel.set(xscale="log", yscale="log", xlabel="run time (s)", ylabel="relative error", title=case)
+        panel.grid(alpha=0.3)
+        panel.legend(fontsize=7)
+    figure.savefig(path)
