@@ -12,9 +12,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers.interfaces import (
     Clock,
     Digitizer,
@@ -99,14 +96,6 @@ class Bench:
     def snapshot(self) -> dict[str, Mapping[str, Setting]]:
         """Return every instrument's settings as read back, by role."""
         return {instrument.role: instrument.snapshot() for instrument in self.instruments}
-
-    def true_displacement_m(self) -> NDArray[np.float64] | None:
-        """Return the true displacement at the focus for each record of the last capture; None on a real bench."""
-        return None if self.world is None else self.world.true_displacement_m()
-
-    def true_motion_m(self, time_s: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return the true displacement at the focus at ``time_s`` after the master trigger of the last capture."""
-        return None if self.world is None else self.world.true_motion_m(time_s)
 
 
 def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.interference import disturbed_pulses
-from hpe_rig.plan import Plan, Shot
+from hpe_rig.plan import Plan, Shot, slow_time_window
 from hpe_rig.prediction import predicted_averaging
 from hpe_rig.processing import (
     Drift,
@@ -23,7 +23,6 @@ from hpe_rig.processing import (
     drift_between_halves,
     fit_motion,
     joint,
-    least_squares,
     motion_of,
     relative_to,
     unlike_pulses,
@@ -51,7 +50,9 @@ def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimat
         records = stored.records.gated(shot.index, shot.gate)
         if not records.valid.any():
             continue
-        truth_m = None if stored.true_displacement_m is None else stored.true_displacement_m[shot.index]
+        truth_m = None
+        if stored.true_displacement_m is not None:
+            truth_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
         reference = reference_gate(scene, shot)
         still = None if reference is None else stored.records.gated(shot.index, reference)
         results.append(_estimate_shot(scene, shot, records, still, truth_m, estimator, prediction))
@@ -88,16 +89,6 @@ def driven_frequencies_hz(scene: Scene) -> NDArray[np.float64]:
     return rate_hz * np.arange(1.0, count + 1)
 
 
-def slow_time_window(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
-    """Return which pulses lie in the processing window, shape (pulse,)."""
-    processing = scene.processing
-    after_first_s = shot.timeline.pulse_onset_s - shot.timeline.pulse_onset_s[0]
-    end_s = math.inf if processing.window_length_s is None else processing.window_start_s + processing.window_length_s
-    half_s = 0.5 / shot.tracking_train.rate_hz
-    inside: NDArray[np.bool_] = (after_first_s > processing.window_start_s - half_s) & (after_first_s < end_s - half_s)
-    return inside
-
-
 def _estimate_shot(
     scene: Scene,
     shot: Shot,
@@ -109,13 +100,12 @@ def _estimate_shot(
 ) -> ShotResult:
     inside = slow_time_window(scene, shot)
     echoes = shot_echoes(scene, shot, records, inside)
-    time_s, recorded = echoes.pulse_time_s, records.valid[inside]
+    recorded = records.valid[inside]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, inside))
     frequencies_hz = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
     also_hz = driven_frequencies_hz(scene)
     options = options_of(scene.processing)
     fit, largest_step = _fit(echoes, reference, frequencies_hz, estimator, also_hz, options)
-    truth = None if truth_m is None else _fit_truth(time_s, truth_m[inside], frequencies_hz, also_hz)
     clipped = int(np.isin(records.codes[inside][recorded], CODE_LIMITS).any(axis=-1).sum())
     drift = None if reference is not None else _drift(echoes, frequencies_hz, estimator, also_hz, options)
     return ShotResult(
@@ -126,7 +116,7 @@ def _estimate_shot(
         pulses_used=int(echoes.valid.sum()),
         pulses_missing=int((~recorded).sum()),
         residual_m=float(fit.residual_rms_m),
-        estimates=tuple(_estimate(fit, truth, index, prediction) for index in range(frequencies_hz.size)),
+        estimates=tuple(_estimate(fit, truth_m, index, prediction) for index in range(frequencies_hz.size)),
         warnings=(
             *_record_warnings(recorded, echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
@@ -173,22 +163,14 @@ def _fit(
     return fit_motion(motion, frequencies_hz, estimator, also_hz, options), float(motion.largest_step)
 
 
-def _fit_truth(
-    time_s: NDArray[np.float64],
-    truth_m: NDArray[np.float64],
-    frequencies_hz: NDArray[np.float64],
-    also_hz: NDArray[np.float64],
-) -> HarmonicFit | None:
-    known = np.isfinite(truth_m)
-    if known.sum() < 2 * (frequencies_hz.size + also_hz.size) + 2:
-        return None
-    motion = Motion(time_s, np.where(known, truth_m, 0.0), np.zeros(truth_m.shape), known)
-    return least_squares(motion, frequencies_hz, also_hz=also_hz)
-
-
 def _estimate(
-    fit: HarmonicFit, truth: HarmonicFit | None, index: int, prediction: tuple[float | None, float | None]
+    fit: HarmonicFit,
+    truth_m: NDArray[np.float64] | None,
+    index: int,
+    prediction: tuple[float | None, float | None],
 ) -> Estimate:
+    known = truth_m is not None and bool(np.isfinite(truth_m[index]).all())
+    in_phase_m, quadrature_m = truth_m[index] if truth_m is not None and known else (0.0, 0.0)
     return Estimate(
         frequency_hz=float(fit.frequency_hz[index]),
         amplitude_m=float(fit.amplitude_m[index]),
@@ -197,8 +179,8 @@ def _estimate(
         phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
         averaging_factor=prediction[0],
         speckle_relative=prediction[1],
-        true_amplitude_m=None if truth is None else float(truth.amplitude_m[index]),
-        true_phase_rad=None if truth is None else float(truth.phase_rad[index]),
+        true_amplitude_m=math.hypot(in_phase_m, quadrature_m) if known else None,
+        true_phase_rad=math.atan2(quadrature_m, in_phase_m) if known else None,
     )
 
 

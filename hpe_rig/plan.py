@@ -119,6 +119,16 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
     return Plan((*roles, "digitizer"), shots, period_s, tuple(_left_out(scene, bench)))
 
 
+def slow_time_window(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
+    """Return which pulses lie in the processing window, shape (pulse,)."""
+    processing = scene.processing
+    after_first_s = shot.timeline.pulse_onset_s - shot.timeline.pulse_onset_s[0]
+    end_s = math.inf if processing.window_length_s is None else processing.window_start_s + processing.window_length_s
+    half_s = 0.5 / shot.tracking_train.rate_hz
+    inside: NDArray[np.bool_] = (after_first_s > processing.window_start_s - half_s) & (after_first_s < end_s - half_s)
+    return inside
+
+
 def pulse_count(scene: Scene) -> int:
     """Return the number of tracking pulses: as asked, or as many periods as the burst train lasts."""
     if scene.tracking.pulse_count is not None:

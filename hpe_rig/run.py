@@ -28,6 +28,7 @@ from hpe_rig.store import (
     versions,
     write_result,
 )
+from hpe_rig.truth import true_harmonics_m
 
 
 class Stages:
@@ -103,7 +104,7 @@ def measure(
         stack.enter_context(_noting(f"{path} holds the records that had arrived"))
         with stages("acquire"), closing(acquire(rest, bench, observer)) as events:
             for event in events:
-                _record(event, bench, writer)
+                _record(event, setup.scene.scene, bench, writer)
     return path
 
 
@@ -117,7 +118,7 @@ def _noting(note: str) -> Iterator[None]:
         raise
 
 
-def _record(event: Event, bench: Bench, writer: RunWriter) -> None:
+def _record(event: Event, scene: Scene, bench: Bench, writer: RunWriter) -> None:
     match event:
         case ShotReady(shot, settings):
             writer.settings(shot, settings)
@@ -125,9 +126,9 @@ def _record(event: Event, bench: Bench, writer: RunWriter) -> None:
             writer.append(shot, block)
         case ShotDone(shot, clipped):
             writer.clipped(shot, clipped)
-            truth_m = bench.true_displacement_m()
-            if truth_m is not None:
-                writer.truth(shot, truth_m)
+            if bench.world is not None:
+                writer.truth(shot, bench.world.true_displacement_m())
+                writer.true_harmonics(shot, true_harmonics_m(scene, shot, bench.world.true_motion_m))
             writer.finish(shot)
 
 

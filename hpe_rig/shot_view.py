@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.estimation import driven_frequencies_hz, slow_time_window
-from hpe_rig.plan import Shot
-from hpe_rig.processing import EchoGate, coherent
-from hpe_rig.processing.conditioning import codes_to_volts, remove_offset
+from hpe_rig.estimation import driven_frequencies_hz, shot_echoes
+from hpe_rig.plan import Shot, slow_time_window
+from hpe_rig.processing import coherent
+from hpe_rig.processing.conditioning import codes_to_volts
+from hpe_rig.processing.model import design
 from hpe_rig.records import ShotRecords
 from hpe_rig.result import Estimate
 from hpe_rig.scene import Scene
@@ -47,8 +48,9 @@ class MotionView:
     """Displacement of every pulse in the window, with the result's harmonics laid through it; all (pulse,).
 
     ``time_s`` counts from the phase reference; ``fitted_m`` holds the result's harmonics, every other driven harmonic
-    and a constant; ``noise_m2`` is the variance that each echo's own misfit predicts; ``unknowns``: how many numbers
-    were fitted; ``frequencies_hz``: of which frequencies. Missing pulses are left out.
+    and the background; ``noise_m2`` is the variance that each echo's own misfit predicts; ``matrix``
+    (pulse, unknown) is the fit's model; ``frequencies_hz``: where the pulses see what was fitted. Missing pulses are
+    left out.
     """
 
     time_s: FloatArray
@@ -70,16 +72,20 @@ class MotionView:
         return int(self.matrix.shape[1])
 
 
-def echo_view(scene: Scene, shot: Shot, records: ShotRecords, line: int = 0) -> EchoView | None:
-    """Return the echoes of ``shot``, the RF line that of its record ``line`` (-1: the last); None without a record."""
+def echo_view(scene: Scene, shot: Shot, records: ShotRecords, line: int = 0, first_sample: int = 0) -> EchoView | None:
+    """Return the echoes of ``shot``; None where it has no record.
+
+    ``records`` begin with the record's sample ``first_sample`` and hold the gate at least; the RF line is that of the
+    record ``line`` among those that arrived (-1: the last).
+    """
     valid = np.flatnonzero(records.valid[:MOST_PULSES])
     if not valid.size:
         return None
-    depth_m = depths_m(scene, shot)
-    pulses = np.arange(
-        0, min(records.valid.size, MOST_PULSES), -(-min(records.valid.size, MOST_PULSES) // MOST_COLUMNS)
-    )
-    rows = np.arange(shot.gate.start, shot.gate.stop, -(-(shot.gate.stop - shot.gate.start) // MOST_ROWS))
+    depth_m = _depth_m(scene, shot, first_sample, records.codes.shape[1])
+    seen = min(records.valid.size, MOST_PULSES)
+    pulses = np.arange(0, seen, -(-seen // MOST_COLUMNS))
+    start, stop = shot.gate.start - first_sample, shot.gate.stop - first_sample
+    rows = np.arange(start, stop, -(-(stop - start) // MOST_ROWS))
     image = codes_to_volts(records.codes[pulses][:, rows], records.volts_per_code, records.volts_offset)
     image[~records.valid[pulses]] = np.nan
     half_m = scene.acquisition.gate_length_m / 2
@@ -93,61 +99,49 @@ def echo_view(scene: Scene, shot: Shot, records: ShotRecords, line: int = 0) -> 
     )
 
 
-def motion_view(scene: Scene, shot: Shot, records: ShotRecords, estimates: Sequence[Estimate]) -> MotionView:
+def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequence[Estimate]) -> MotionView:
     """Return displacement and fit of ``shot``; raises ``ValueError`` where the echoes carry no displacement.
 
-    The displacement is that of the estimator "coherent", whichever one ``estimates`` come from.
+    ``gated`` holds of each record the gate. The displacement is that of the estimator "coherent", whichever one
+    ``estimates`` come from.
     """
-    echoes = echo_gate(scene, shot, records)
-    motion = coherent(echoes)
+    motion = coherent(shot_echoes(scene, shot, gated, shown_pulses(scene, shot)))
     kept = motion.valid
     frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
     also_hz = driven_frequencies_hz(scene)
-    new_hz = also_hz[~np.isclose(also_hz[:, None], frequency_hz, rtol=1e-9, atol=0).any(axis=1)]
-    rate_hz = shot.tracking_train.rate_hz
-    wanted = _columns(motion.time_s, frequency_hz)[kept]
-    others = _columns(motion.time_s, new_hz)[kept]
-    # at half the pulse rate sine and cosine are one and the same column
-    others = others[:, ~_repeats(new_hz, rate_hz)]
-    rest = np.hstack([np.ones((int(kept.sum()), 1)), others])
+    order = scene.processing.background_order
+    matrix = design(motion.time_s, kept, frequency_hz, background_order=order, also_hz=also_hz).matrix
+    wanted, rest = np.split(matrix, [2 * frequency_hz.size], axis=1)
     displacement_m = motion.displacement_m[kept]
     harmonics_m = wanted @ _state(estimates)
-    fitted_m = harmonics_m + rest @ np.linalg.lstsq(rest, displacement_m - harmonics_m, rcond=None)[0]
+    rate_hz = shot.tracking_train.rate_hz
     return MotionView(
         time_s=motion.time_s[kept],
         displacement_m=displacement_m,
-        fitted_m=fitted_m,
+        fitted_m=harmonics_m + rest @ np.linalg.lstsq(rest, displacement_m - harmonics_m, rcond=None)[0],
         noise_m2=motion.variance_m2[kept],
-        matrix=np.hstack([wanted, rest]),
-        frequencies_hz=np.concatenate([frequency_hz, new_hz]),
+        matrix=matrix,
+        frequencies_hz=_seen_hz(np.concatenate([frequency_hz, also_hz]), rate_hz),
         pulse_rate_hz=rate_hz,
     )
 
 
-def echo_gate(scene: Scene, shot: Shot, records: ShotRecords) -> EchoGate:
-    """Return the gated echoes of the processing window, of at most ``MOST_PULSES`` pulses."""
-    inside = np.flatnonzero(slow_time_window(scene, shot))[:MOST_PULSES]
-    codes = np.asarray(records.codes[inside])[:, shot.gate]
-    return EchoGate(
-        volts=remove_offset(codes_to_volts(codes, records.volts_per_code, records.volts_offset)),
-        sample_rate_hz=shot.capture.sample_rate_hz,
-        pulse_time_s=shot.timeline.sensing_s[inside] - shot.timeline.reference_s,
-        carrier_hz=scene.tracking.carrier_hz,
-        sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
-        valid=records.valid[inside],
-    )
+def shown_pulses(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
+    """Return which pulses are looked at: those in the processing window, at most ``MOST_PULSES``, shape (pulse,)."""
+    inside = slow_time_window(scene, shot)
+    return inside & (np.cumsum(inside) <= MOST_PULSES)
 
 
-def depths_m(scene: Scene, shot: Shot) -> FloatArray:
-    """Return the depth (sample,) whose echo's middle arrives with each sample of the record."""
-    after_s = np.arange(shot.capture.record_samples) / shot.capture.sample_rate_hz + shot.timeline.record_offset_s[0]
+def gate_alone(records: ShotRecords, gate: slice, first_sample: int = 0) -> ShotRecords:
+    """Return of ``records``, which begin with the sample ``first_sample``, the gate alone."""
+    return replace(records, codes=records.codes[:, gate.start - first_sample : gate.stop - first_sample])
+
+
+def _depth_m(scene: Scene, shot: Shot, first_sample: int, samples: int) -> FloatArray:
+    """Return the depth (sample,) whose echo's middle arrives with each sample."""
+    place = first_sample + np.arange(samples)
+    after_s = place / shot.capture.sample_rate_hz + shot.timeline.record_offset_s[0]
     return np.asarray(after_s * scene.acquisition.sound_speed_m_per_s / 2)
-
-
-def _columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
-    """Return sin and cos of 2 pi f t, interleaved (pulse, 2 * frequency)."""
-    angle = 2 * np.pi * np.outer(time_s, frequency_hz)
-    return np.stack([np.sin(angle), np.cos(angle)], axis=-1).reshape(time_s.size, -1)
 
 
 def _state(estimates: Sequence[Estimate]) -> FloatArray:
@@ -158,7 +152,6 @@ def _state(estimates: Sequence[Estimate]) -> FloatArray:
     return np.array(pairs, dtype=np.float64).reshape(-1)
 
 
-def _repeats(frequency_hz: FloatArray, rate_hz: float) -> NDArray[np.bool_]:
-    """Return which of the columns (2 * frequency,) are sines at half the pulse rate."""
-    half = np.isclose(frequency_hz, rate_hz / 2, rtol=1e-6, atol=0)
-    return np.stack([half, np.zeros_like(half)], axis=-1).reshape(-1)
+def _seen_hz(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
+    """Return where pulses at ``rate_hz`` see each frequency, from 0 to half the rate, each once."""
+    return np.unique(np.round(np.abs(frequency_hz - rate_hz * np.round(frequency_hz / rate_hz)), 9))

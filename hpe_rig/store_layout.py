@@ -8,7 +8,7 @@ and nothing that the library would still have to write.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +40,10 @@ MOST_PLACED_BYTES = 64_000_000
 """Up to this size the quantities with a value a pulse get their place at once; beyond, as they are written."""
 
 
+TRUE_HARMONICS = ("in_phase_m", "quadrature_m")
+"""A cos(phase) and A sin(phase) of the true displacement at the focus, in group ``true_harmonics``."""
+
+
 @dataclass(frozen=True, slots=True)
 class Predecessor:
     """The run file that a run goes on from, by name, and how many of its shots were taken over."""
@@ -59,6 +63,7 @@ def empty_run(
             truth = file.create_group("truth")
             _create_rows(truth, "displacement_m", plan, np.dtype("<f8"), math.nan)
             name_axes(truth, _shot_and_pulse(plan), {"displacement_m": "m"})
+            _create_true_harmonics(file, len(plan.shots), scene.scene.wanted_frequencies_hz)
         file.flush()
         image: bytes = file.id.get_file_image()
     return image
@@ -112,6 +117,16 @@ def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any],
     rows = group.create_dataset(name, shape, dtype, chunks=(1, min(shape[1], ROW_CHUNK)), fillvalue=fill)
     if rows.nbytes <= MOST_PLACED_BYTES:
         rows[...] = fill
+
+
+def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence[float]) -> None:
+    group = file.create_group("true_harmonics")
+    for name in TRUE_HARMONICS:
+        group[name] = np.full((shots, len(frequencies_hz)), math.nan)
+    name_axes(
+        group, {"shot": np.arange(shots), "frequency": np.array(frequencies_hz)}, dict.fromkeys(TRUE_HARMONICS, "m")
+    )
+    group["frequency"].attrs["units"] = "Hz"
 
 
 def _create_echo(group: h5py.Group, plan: Plan, compress: bool) -> None:

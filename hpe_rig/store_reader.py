@@ -16,7 +16,7 @@ from drivers.interfaces import Setting
 from hpe_rig.plan import Plan
 from hpe_rig.records import MISSING, ShotRecords
 from hpe_rig.store_format import SNAPSHOT_BYTES, StoreError
-from hpe_rig.store_layout import volts_of_codes
+from hpe_rig.store_layout import TRUE_HARMONICS, volts_of_codes
 from hpe_rig.store_trust import Trusted, UntrustedError, trusted
 
 Shape = tuple[int, int, int]
@@ -96,6 +96,15 @@ class StoredTruth:
             row_m: NDArray[np.float64] = _rows(trust, "truth/displacement_m", self.shape)[_within(shot, self.shape[0])]
             return row_m
 
+    def harmonics_m(self, shot: int, frequencies: int) -> NDArray[np.float64]:
+        """Return in-phase and quadrature of the true displacement at the wanted frequencies, (frequency, 2)."""
+        shape = (self.shape[0], frequencies)
+        with trusted(self.path) as trust:
+            names = [f"true_harmonics/{name}" for name in TRUE_HARMONICS]
+            return np.stack(
+                [trust.dataset(name, "<f8", shape)[_within(shot, self.shape[0])] for name in names], axis=-1
+            )
+
 
 @dataclass(frozen=True, slots=True)
 class StoredRun:
@@ -129,6 +138,8 @@ class StoredRun:
             }
             names = ["records/trigger_time_s", "records/pulse_onset_s"]
             names += ["truth/displacement_m"] if self.simulated else []
+            harmonics = [f"true_harmonics/{name}" for name in TRUE_HARMONICS] if self.simulated else []
+            rows |= {name: trust.dataset(name, "<f8", (shape[0], None))[shot] for name in harmonics}
             return rows | {name: _rows(trust, name, shape)[shot] for name in names}
 
     def refuse_unlike(self, plan: Plan) -> None:

@@ -28,7 +28,7 @@ from hpe_rig.plan import Plan, Shot
 from hpe_rig.records import MISSING, pulse_index
 from hpe_rig.scene import SceneText
 from hpe_rig.store_format import SNAPSHOT_BYTES, StoreError, reason
-from hpe_rig.store_layout import Predecessor, empty_run, volts_of_codes
+from hpe_rig.store_layout import TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
 from hpe_rig.store_reader import StoredRun
 
 ROWS = ("recorded", "trigger_time_s", "pulse_onset_s", "shot_complete", "clipped")
@@ -128,6 +128,12 @@ class RunWriter:
         if valid.size:
             with self._writing():
                 self._file["truth/displacement_m"][shot.index] = row_m
+
+    def true_harmonics(self, shot: Shot, harmonics_m: NDArray[np.float64]) -> None:
+        """Write in-phase and quadrature of the true displacement at the wanted frequencies, (frequency, 2)."""
+        with self._writing():
+            for name, column_m in zip(TRUE_HARMONICS, harmonics_m.T, strict=True):
+                self._file[f"true_harmonics/{name}"][shot.index] = column_m
 
     def finish(self, shot: Shot) -> None:
         """Hand everything of ``shot`` to the operating system, then mark it as complete; now and then sync the disk."""
