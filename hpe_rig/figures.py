@@ -208,7 +208,7 @@ def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: 
             ("toneburst", bursts, (0.0, line.burst_length_s), ORANGE),
         ]
     unit, factor = ("ms", 1e3) if span_s > 2e-3 else ("us", 1e6)
-    figure, axes = panel()
+    figure, axes = panel(left=0.22)
     for place, (_, onset_s, (low_s, high_s), colour) in enumerate(rows):
         seen = onset_s[(onset_s + high_s >= start_s) & (onset_s + low_s <= start_s + span_s)]
         starts = (seen + low_s - start_s) * factor

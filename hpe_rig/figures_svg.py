@@ -60,11 +60,14 @@ def thin(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     return x[kept], y[kept]
 
 
-def panel() -> tuple[Figure, Axes]:
-    """Return a figure of one panel."""
+def panel(left: float = 0.15) -> tuple[Figure, Axes]:
+    """Return a figure of one panel; ``left`` is the share of the width that the row names take."""
     with rc_context(STYLE):
-        figure = Figure(figsize=SIZE_IN, layout="constrained")
-        return figure, figure.subplots()
+        figure = Figure(figsize=SIZE_IN)
+        axes = figure.subplots()
+        # Fixed margins: fitting them to every text takes as long as all the drawing.
+        figure.subplots_adjust(left=left, right=0.97, bottom=0.155, top=0.9)
+        return figure, axes
 
 
 def picture(figure: Figure, key: str, title: str, alt: str) -> Picture:

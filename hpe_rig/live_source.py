@@ -9,14 +9,14 @@ from typing import Protocol, final
 import numpy as np
 
 from hpe_rig.bench_file import parse_bench
-from hpe_rig.estimation import driven_frequencies_hz
+from hpe_rig.estimation import driven_frequencies_hz, options_of, shot_echoes
 from hpe_rig.live_state import State, harmonic_state, image_state, level_state, motion_state, rf_state
 from hpe_rig.live_stop import request_stop, stop_path
 from hpe_rig.plan import Plan, make_plan
 from hpe_rig.processing import HarmonicFit, estimate
 from hpe_rig.result import Estimate
 from hpe_rig.scene import Scene, parse_scene
-from hpe_rig.shot_view import echo_gate, echo_view, motion_view
+from hpe_rig.shot_view import echo_view, gate_alone, motion_view, shown_pulses
 from hpe_rig.store import StoredRun, StoreError, read_run
 
 LONGEST_HISTORY = 240
@@ -114,11 +114,12 @@ class RunSource:
             "image": image_state(echoes.image_v, echoes.image_depth_m, float(echoes.image_time_s[-1]) * 1e3, "ms"),
         }
         try:
-            gate = echo_gate(scene, shot, records)
+            gated = gate_alone(records, shot.gate)
+            arrived = shot_echoes(scene, shot, gated, shown_pulses(scene, shot))
             wanted = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
-            fit = estimate(gate, wanted, "coherent", driven_frequencies_hz(scene))
+            fit = estimate(arrived, wanted, "coherent", driven_frequencies_hz(scene), options_of(scene.processing))
             estimates = _estimates(fit)
-            state["motion"] = motion_state(motion_view(scene, shot, records, estimates))
+            state["motion"] = motion_state(motion_view(scene, shot, gated, estimates))
         except ValueError as error:
             # Not enough pulses yet; the page says so and shows the echoes.
             return state | {"why": str(error), "history": self._history}

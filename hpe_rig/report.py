@@ -26,13 +26,15 @@ from hpe_rig.report_sweep import Sweep, make_sweep
 from hpe_rig.result import Estimate, Result, ShotResult
 from hpe_rig.run import Stages, process
 from hpe_rig.scene import Scene, parse_scene
-from hpe_rig.shot_view import MotionView, echo_view, motion_view
+from hpe_rig.shot_view import MotionView, echo_view, gate_alone, motion_view
 from hpe_rig.store import StoredRun, StoreError, read_run
 
 MOST_ROWS = 1000
 """Rows of the table of every shot; what is beyond stays in the result file."""
 LONGEST_TEXT = 60_000
 """Characters of scene and bench file that are shown."""
+LARGEST_SHOT_BYTES = 256_000_000
+"""Records of a shot that are read whole; of more, the gate alone."""
 CLOSE_PERIODS = 2
 
 
@@ -139,18 +141,21 @@ def _look(
     scene: Scene, plan: Plan, stored: StoredRun, result: ShotResult
 ) -> tuple[list[Picture], list[Check], MotionView | None]:
     """Return the pictures of one shot, the tests of its residual and its motion, None where there is none."""
-    shot, records = plan.shots[result.shot], stored.records[result.shot]
+    shot = plan.shots[result.shot]
+    whole = 2 * shot.capture.record_count * shot.capture.record_samples <= LARGEST_SHOT_BYTES
+    part = slice(0, shot.capture.record_samples) if whole else shot.gate
+    records = stored.records.gated(result.shot, part)
     pictures = list(figures.timing(shot))
-    echoes = echo_view(scene, shot, records)
+    echoes = echo_view(scene, shot, records, first_sample=part.start)
     if echoes is not None:
         pictures += [figures.rf_line(echoes), figures.m_mode(echoes)]
     if result.estimates:
         pictures += [figures.amplitude_spectrum(result.estimates), figures.phase_spectrum(result.estimates)]
     try:
-        motion = motion_view(scene, shot, records, result.estimates)
+        motion = motion_view(scene, shot, gate_alone(records, shot.gate, part.start), result.estimates)
     except ValueError as error:
         return pictures, [Check("displacement", "not possible", str(error), "")], None
-    periods_s = CLOSE_PERIODS / min(motion.frequencies_hz, default=math.inf)
+    periods_s = CLOSE_PERIODS / min((item.frequency_hz for item in result.estimates), default=math.inf)
     close_s = periods_s if 0 < periods_s < motion.time_s[-1] - motion.time_s[0] else None
     pictures.append(figures.displacement(motion, None, "displacement", "Displacement in the processing window"))
     if close_s:

@@ -157,11 +157,11 @@ def test_a_shot_that_does_not_exist_is_refused_with_those_that_do(run_file: Path
         render(run_file, shot=9)
 
 
+@pytest.mark.slow
 def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_below_a_megabyte(tmp_path: Path) -> None:
     run_file = measured(
         tmp_path,
         ("burst_count = 20", "burst_count = 10\nforce_fraction = [0.25, 0.5, 1.0]"),
-        ("[acquisition]", "[acquisition]\nrepeats = 2"),
         ("pulse_rate_hz = 4000.0", "pulse_rate_hz = 2000.0"),
     )
     with h5py.File(run_file, "r+") as file:
