@@ -19,6 +19,9 @@ from hpe_rig.theory import GateWindow, beam_averaging_factor, scatterer_density,
 
 SPECKLE_PER_CELL = 11.0
 """Scatterers per resolution cell where nothing says otherwise: fully developed speckle (paper, Table I)."""
+LEAST_CYCLES = 1.0
+LEAST_POINTS = 2.5
+"""Cycles and pulses a cycle below which no estimate is made, however little noise there is."""
 FLOOR_M = 100e-9
 """Amplitude predicted for where none is known: the lower end of what the paper's bench detects."""
 
@@ -134,8 +137,8 @@ def remedies(prediction: Prediction, target_m: float, depth_m: float, estimator:
     factor = (found.noise_jitter_m / target_m) ** 2
     cycles = setting.pulses / setting.pulse_rate_hz * setting.frequency_hz
     return Remedy(
-        cycles * factor,
-        setting.pulse_rate_hz * factor,
+        max(cycles * factor, LEAST_CYCLES),
+        max(setting.pulse_rate_hz * factor, LEAST_POINTS * setting.frequency_hz),
         10 * math.log10(setting.snr * factor),
         setting.sound_speed_m_per_s / (2 * depth_m),
     )
@@ -173,7 +176,7 @@ def _target_line(remedy: Remedy, prediction: Prediction, target_m: float, estima
         head += f"not reached, noise is {found.noise_jitter_m * 1e9:.3g} nm; it takes "
     beyond = " (beyond c/2z)" if remedy.pulse_rate_hz > remedy.reachable_rate_hz else ""
     return (
-        f"{head}N_c = {max(remedy.cycles, 1):.3g} cycles, or f_prf = {remedy.pulse_rate_hz:.4g} Hz{beyond}, "
+        f"{head}N_c = {remedy.cycles:.3g} cycles, or f_prf = {remedy.pulse_rate_hz:.4g} Hz{beyond}, "
         f"or SNR = {remedy.snr_db:.3g} dB; speckle, {found.speckle_jitter_m * 1e9:.3g} nm, stays: it takes other places"
     )
 

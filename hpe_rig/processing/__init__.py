@@ -3,6 +3,7 @@
     codes -> volts -> gate                                             conditioning.py, echoes.py
     pulses that are unlike the others are flagged                      flags.py
     the motion of echoes that stand still is taken off                 reference.py
+    a gate that follows large motion                                   following.py
     D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background(t)           eq. (1), model.py
 
     coherent           u_k = -c arg<mean of others, r_k> / (4 pi f_mean)       motion.py
@@ -24,6 +25,7 @@ from hpe_rig.processing.correlation import cross_correlation
 from hpe_rig.processing.echoes import EchoGate, Motion, Velocity, velocity_between_pulses
 from hpe_rig.processing.estimators import ESTIMATORS, Estimator, Options, estimate, fit_motion, motion_of
 from hpe_rig.processing.flags import unlike_pulses
+from hpe_rig.processing.following import added, follow
 from hpe_rig.processing.halves import Drift, drift_between_halves
 from hpe_rig.processing.harmonic import HarmonicFit, Innovations, least_squares
 from hpe_rig.processing.joint import joint
@@ -43,12 +45,14 @@ __all__ = [
     "Options",
     "Steps",
     "Velocity",
+    "added",
     "coherent",
     "cross_correlation",
     "cross_spectrum",
     "drift_between_halves",
     "estimate",
     "fit_motion",
+    "follow",
     "joint",
     "kalman",
     "kasai",
