@@ -106,8 +106,9 @@ def _estimate_shot(
     also_hz = driven_frequencies_hz(scene)
     options = options_of(scene.processing)
     fit, largest_step = _fit(echoes, reference, frequencies_hz, estimator, also_hz, options)
-    clipped = int(np.isin(records.codes[inside][recorded], CODE_LIMITS).any(axis=-1).sum())
-    drift = None if reference is not None else _drift(echoes, frequencies_hz, estimator, also_hz, options)
+    skipped = skipped_pulses(scene, shot)[inside]
+    clipped = int(np.isin(records.codes[inside][recorded & ~skipped], CODE_LIMITS).any(axis=-1).sum())
+    drift = None if reference is not None else _drift(echoes, frequencies_hz, also_hz, options)
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -118,18 +119,22 @@ def _estimate_shot(
         residual_m=float(fit.residual_rms_m),
         estimates=tuple(_estimate(fit, truth_m, index, prediction) for index in range(frequencies_hz.size)),
         warnings=(
-            *_record_warnings(recorded, echoes.valid, clipped),
+            *_record_warnings(recorded, recorded & ~skipped & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
             *_drift_warnings(fit, drift),
         ),
     )
 
 
+def skipped_pulses(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
+    """Return which pulses the scene leaves out because a toneburst disturbs them, shape (pulse,)."""
+    disturbed = disturbed_pulses(shot)
+    return disturbed if scene.tracking.disturbed == "skip" else np.zeros_like(disturbed)
+
+
 def shot_echoes(scene: Scene, shot: Shot, records: ShotRecords, inside: NDArray[np.bool_]) -> EchoGate:
     """Return the gated echoes of the pulses ``inside`` (pulse,) the window, without those the scene leaves out."""
-    codes, valid = records.codes[inside], records.valid[inside]
-    if scene.tracking.disturbed == "skip":
-        valid = valid & ~disturbed_pulses(shot)[inside]
+    codes, valid = records.codes[inside], (records.valid & ~skipped_pulses(scene, shot))[inside]
     volts = codes_to_volts(codes, records.volts_per_code, records.volts_offset)
     echoes = EchoGate(
         volts=remove_offset(volts),
@@ -185,29 +190,31 @@ def _estimate(
 
 
 def _drift(
-    echoes: EchoGate,
-    frequencies_hz: NDArray[np.float64],
-    estimator: Estimator,
-    also_hz: NDArray[np.float64],
-    options: Options,
+    echoes: EchoGate, frequencies_hz: NDArray[np.float64], also_hz: NDArray[np.float64], options: Options
 ) -> Drift | None:
+    # It tells of the bench, not of the estimator: the one with the least noise looks.
     try:
-        return drift_between_halves(echoes, frequencies_hz, estimator, also_hz, options)
+        return drift_between_halves(echoes, frequencies_hz, "coherent", also_hz, options)
     except ValueError:
         # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
         return None
 
 
-def _record_warnings(recorded: NDArray[np.bool_], used: NDArray[np.bool_], clipped: int) -> Iterator[str]:
-    missing, left_out = int((~recorded).sum()), int((recorded & ~used).sum())
+def _record_warnings(recorded: NDArray[np.bool_], unlike: NDArray[np.bool_], clipped: int) -> Iterator[str]:
+    missing, left_out = int((~recorded).sum()), int(unlike.sum())
+    if missing and not recorded[-1]:
+        yield (
+            "the last record is missing: were the first triggers lost instead of the last, every phase is off by "
+            "whole pulse periods"
+        )
     if missing:
         yield (
             f"{missing} of {recorded.size} records are missing: triggers were lost or came while the digitizer was busy"
         )
     if left_out:
         yield (
-            f"{left_out} of {recorded.size} pulses are left out: a toneburst disturbs them, or their energy is unlike "
-            "the others'; see tracking.delay_s and processing.flag_pulses"
+            f"{left_out} of {recorded.size} pulses are left out, their energy is unlike the others': something "
+            "disturbs them; see tracking.delay_s and processing.flag_pulses"
         )
     if clipped:
         yield f"{clipped} records reach the digitizer's full scale in the gate: raise acquisition.input_range_v"

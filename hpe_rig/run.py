@@ -159,6 +159,8 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
         f"shot {shot + 1}: the digitizer's input left its range of {scene.acquisition.input_range_v:g} V, in the gate "
         "or outside it: raise acquisition.input_range_v"
         for shot in stored.clipped
+        # The board cannot say which record it was; where some are skipped the gate's own codes decide.
+        if scene.tracking.disturbed != "skip"
     )
     if stored.status != "complete":
         warnings += (f"the run is {stored.status}: not every record was acquired",)

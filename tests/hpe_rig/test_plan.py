@@ -14,7 +14,7 @@ from hpe_rig.plan import Shot, burst_path_s, make_plan, tracking_path_s
 from hpe_rig.scene import Scene, parse_scene, shipped_scenes
 
 BENCH = read_bench().bench
-MUSCLE = parse_scene("bovine-muscle", shipped_scenes()["bovine-muscle"]).scene
+MUSCLE = parse_scene("bovine-muscle", shipped_scenes()["bovine-muscle-synchronous"]).scene
 TABLE_1 = parse_scene("table-1", shipped_scenes()["table-1"]).scene
 
 

@@ -11,7 +11,7 @@ from hpe_rig.mistakes import SettingsError
 from hpe_rig.plan import make_plan
 from hpe_rig.scene import parse_scene, scene_text, shipped_scenes
 
-MUSCLE = shipped_scenes()["bovine-muscle"]
+MUSCLE = shipped_scenes()["bovine-muscle-synchronous"]
 TABLE_1 = shipped_scenes()["table-1"]
 
 
