@@ -164,7 +164,8 @@ def settle_burst(state: Coerced) -> Coerced:
     """Return a burst that its frequency can do and, with the internal trigger, one that fits the burst period."""
     registers = state.registers
     finite = math.isfinite(registers.cycles) and registers.burst_mode == "TRIG"
-    if registers.burst and finite and registers.frequency_hz > registers.model.finite_burst_ceiling_hz:
+    too_fast = registers.function in ("SIN", "SQU") and registers.frequency_hz > registers.model.finite_burst_ceiling_hz
+    if registers.burst and finite and too_fast:
         state = state.changed("frequency reduced for burst mode", frequency_hz=registers.model.finite_burst_ceiling_hz)
     if registers.trigger_source != "IMM" or not finite:
         return state
