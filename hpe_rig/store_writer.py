@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench_file import BenchText
 from hpe_rig.plan import Plan, Shot
-from hpe_rig.records import MISSING, pulse_index
+from hpe_rig.records import MISSING, Placed, place
 from hpe_rig.scene import SceneText
 from hpe_rig.store_format import SNAPSHOT_BYTES, StoreError, reason
 from hpe_rig.store_layout import TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
@@ -109,8 +109,8 @@ class RunWriter:
             return
         self._refuse_other_volts(block)
         with self._writing():
-            rows = self._rows_of(shot, float(block.trigger_time_s[0]))
-            index = pulse_index(block, rows.first_trigger_s, shot)
+            rows = self._rows_of(shot)
+            index, rows.latest = place(block, rows.latest, shot)
             kept = index >= 0
             self._put(rows, index[kept], block.codes[kept], block.trigger_time_s[kept])
 
@@ -156,10 +156,10 @@ class RunWriter:
                 self._file.flush()
                 self._mark_complete(shot)
 
-    def _rows_of(self, shot: Shot, first_trigger_s: float) -> _ShotRows:
+    def _rows_of(self, shot: Shot) -> _ShotRows:
         if self._shot is None or self._shot.index != shot.index:
             self._write_chunk()
-            self._shot = _ShotRows(shot, first_trigger_s)
+            self._shot = _ShotRows(shot)
         return self._shot
 
     def _put(
@@ -279,9 +279,9 @@ class _Chunk:
 class _ShotRows:
     """What is known of the records of the shot that is running."""
 
-    def __init__(self, shot: Shot, first_trigger_s: float) -> None:
+    def __init__(self, shot: Shot) -> None:
         self.index = shot.index
-        self.first_trigger_s = first_trigger_s
+        self.latest: Placed | None = None
         self.recorded = np.zeros(shot.capture.record_count, bool)
         self.trigger_time_s = np.full(shot.capture.record_count, np.nan)
 

@@ -1,12 +1,14 @@
 """Records find their pulses by the board's trigger times."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench_file import read_bench
 from hpe_rig.plan import Shot, make_plan
-from hpe_rig.records import MISSING, assemble, pulse_index
+from hpe_rig.records import MISSING, assemble, place
 from hpe_rig.scene import parse_scene, shipped_scenes
 
 
@@ -31,8 +33,20 @@ def test_a_lost_trigger_leaves_its_pulse_missing_and_shifts_no_other(shot: Shot)
 def test_a_trigger_between_the_pulses_is_no_pulse(shot: Shot) -> None:
     period_s = 1 / shot.tracking_train.rate_hz
     stray = RecordBlock(0, np.zeros((3, 512), np.int16), np.array([0.0, 0.4, 1.0]) * period_s, 1.0, 0.0)
-    assert pulse_index(stray, 0.0, shot).tolist() == [0, -1, 1]
+    assert place(stray, None, shot)[0].tolist() == [0, -1, 1]
 
 
 def test_a_shot_without_records_is_all_missing(shot: Shot) -> None:
     assert not assemble([], shot).valid.any()
+
+
+@pytest.mark.parametrize("clock_error", [-100e-6, 50e-6, 100e-6])
+def test_a_board_whose_clock_is_off_loses_no_record(shot: Shot, clock_error: float) -> None:
+    long = replace(shot, capture=replace(shot.capture, record_count=20_000))
+    pulses = np.delete(np.arange(20_000), [5_000, 12_345])
+    latest, found = None, []
+    for part in np.array_split(pulses, 16):
+        time_s = part / shot.tracking_train.rate_hz * (1 + clock_error)
+        index, latest = place(RecordBlock(0, np.zeros((part.size, 1), np.int16), time_s, 1.0, 0.0), latest, long)
+        found += index.tolist()
+    assert found == pulses.tolist()
