@@ -44,7 +44,7 @@ class Placed:
 
 
 def place(block: RecordBlock, before: Placed | None, shot: Shot) -> tuple[NDArray[np.int64], Placed | None]:
-    """Return the tracking pulse of each record of ``block``, shape (record,), -1 where none fits, and the latest placed.
+    """Return the tracking pulse of each record of ``block``, (record,), -1 where none fits, and the latest placed.
 
     The board's trigger times decide, counted from the record placed last, so that a lost trigger shifts no later record
     and a board whose clock is off by up to 100 ppm loses none in blocks of up to 2000. The first record that comes is
