@@ -5,9 +5,15 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import j0
 
+from sim_backend.acoustics import Acoustics
+from sim_backend.edges import Bursts, Capture
 from sim_backend.field import field_transfer, focus_field
 from sim_backend.force import ForcePulses
-from sim_backend.settings import Specimen
+from sim_backend.front_end import echo_gain_v
+from sim_backend.medium_motion import medium_motion
+from sim_backend.pulse import hann_pulse, waveform
+from sim_backend.scatterers import depth_delay_s, draw_field
+from sim_backend.settings import Receiver, SimulationSettings, Specimen
 from sim_backend.specimen import frequency_response, tabulate_step_response, transient_displacement
 
 WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)
@@ -118,3 +124,30 @@ def test_points_outside_the_table_and_oval_beams_are_refused(gelatin):
         gelatin.shapes(np.array([2e-3]), np.zeros(1))
     with pytest.raises(ValueError, match="needs a round beam"):
         focus_field(Specimen(), (0.1e-3, 0.2e-3, 1e-3), *REACH_M)
+
+
+def test_scatterers_move_by_the_field_at_their_places():
+    """Records of the twin against the plain sum of eq. (10) with the field's displacement of every scatterer."""
+    settings = SimulationSettings(specimen=Specimen(field="medium"), receiver=Receiver(toneburst_leak_v=0.0))
+    onset_ps = np.array([0, 2_000_000_000], np.int64)
+    pulses = Bursts(onset_ps, onset_ps + 333_333, np.full(2, 9e6), np.full(2, 3.0), np.ones(2))
+    begin_ps = np.array([500_000_000], np.int64)
+    tonebursts = Bursts(begin_ps, begin_ps + 100_000_000, np.full(1, 3e6), np.full(1, 300.0), np.ones(1))
+    capture = Capture(0, 0, onset_ps + 90_000_000, 10_000, 200)
+    ours = Acoustics(settings).record_volts(tonebursts, pulses, capture)
+    places = draw_field(
+        settings.scatterers, settings.beams, np.random.default_rng(np.random.SeedSequence(1, spawn_key=(0,)))
+    )
+    tau = depth_delay_s(places, "two_way", 1540.0)
+    motion = medium_motion(settings, places.offset_m, 70e-3 / 1540.0)
+    passage_ps = onset_ps + round(70e-3 / 1540.0 * 1e12)
+    moved_m = motion.amplitudes_m(tonebursts, passage_ps) @ motion.shape
+    assert np.abs(moved_m[0]).max() == 0.0
+    assert 1e-8 < np.abs(moved_m[1]).max() < 1e-4
+    age_s = (90_000_000 + np.arange(200) * 10_000) * 1e-12
+    gain_v = echo_gain_v(settings, tau, places.tracking_weight)
+    for record in range(2):
+        delay_s = 2 * 70e-3 / 1540.0 + tau + 2 * moved_m[record] / 1540.0
+        plain = gain_v * waveform(hann_pulse(9e6, 0.065), age_s[:, None] - delay_s) @ places.tracking_weight
+        # Rounding of phases of 5000 rad in the plain form.
+        assert np.abs(ours[record] - plain).max() < 1e-10 * np.abs(plain).max()
