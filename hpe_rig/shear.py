@@ -96,15 +96,16 @@ def fit_voigt(speed: ShearSpeed, density_kg_per_m3: float = 1000.0) -> Voigt:
     unit = np.array([first, first / (2 * np.pi * speed.frequency_hz.max())])
 
     def misfit(moduli: FloatArray) -> FloatArray:
-        model = voigt_speed(speed.frequency_hz, *(moduli * unit), density_kg_per_m3)
+        elasticity_pa, viscosity_pa_s = (moduli * unit).tolist()
+        model = voigt_speed(speed.frequency_hz, elasticity_pa, viscosity_pa_s, density_kg_per_m3)
         return np.asarray((model - speed.speed_m_per_s) / sigma)
 
     starts = (np.array([1.0, 0.1]), np.array([0.5, 0.8]))
     tries = [least_squares(misfit, start, bounds=(0, np.inf), xtol=1e-14, ftol=1e-14) for start in starts]
     found = min(tries, key=lambda each: float(each.cost))
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * np.outer(unit, unit)
+    jacobian = np.asarray(found.jac, dtype=np.float64)
+    covariance = np.asarray(np.linalg.pinv(jacobian.T @ jacobian) * np.outer(unit, unit), dtype=np.float64)
     spare = speed.frequency_hz.size - 2
-    moduli = found.x * unit
-    return Voigt(
-        float(moduli[0]), float(moduli[1]), covariance, 2 * float(found.cost) / spare if spare else float("nan")
-    )
+    misfit_left = 2 * float(found.cost) / spare if spare else float("nan")
+    elasticity_pa, viscosity_pa_s = (found.x * unit).tolist()
+    return Voigt(elasticity_pa, viscosity_pa_s, covariance, misfit_left)

@@ -16,12 +16,13 @@ MARGIN = 3
 """Samples of the correlation beyond half a period on either side: the spline's ends are then far from its peak."""
 
 
-def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline") -> Motion:
+def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: int = 4) -> Motion:
     """Return the displacement of every pulse from the peak of its correlation with the sum of all other echoes.
 
-    The correlation is sampled at the echoes' own sample rate and searched within half a carrier period of a first
-    guess from accumulated consecutive phases; between samples a parabola through three or a cubic spline finds the
-    peak. A parabola errs by some percent of a sample at ten samples a period. Raises ``ValueError`` as ``coherent``.
+    The correlation is sampled ``upsampling`` times as finely as the echoes (band-limited) and searched within half a
+    carrier period of a first guess from accumulated consecutive phases; between its samples a parabola through three or
+    a cubic spline finds the peak. At 11 samples a period small motion comes out 2.5 % wrong by a spline without
+    upsampling, 6 % by a parabola. Raises ``ValueError`` as ``coherent``.
     Source: the usual time-domain estimator (Viola and Walker 2003 compare several).
     """
     spectrum, frequency_hz = band_spectrum(echoes, 2)
@@ -29,16 +30,17 @@ def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline") -> Motion:
     guess_s = -phase / (2 * np.pi * mean_hz[..., None])
     aligned = turned(spectrum, guess_s, frequency_hz)
     others = aligned.sum(axis=-2, keepdims=True) - aligned
-    whole = np.round(guess_s * echoes.sample_rate_hz)
+    rate_hz = echoes.sample_rate_hz * upsampling
+    whole = np.round(guess_s * rate_hz)
     # the reference stays where the first guess put it, so lags count from there and not from the pulse before
-    cross = np.conj(others) * turned(spectrum, whole / echoes.sample_rate_hz, frequency_hz)
-    half = math.ceil(echoes.sample_rate_hz / mean_hz.min() / 2)
-    lag = _peak_lag(_correlation(cross, frequency_hz / echoes.sample_rate_hz, half + MARGIN), half, peak)
+    cross = np.conj(others) * turned(spectrum, whole / rate_hz, frequency_hz)
+    half = math.ceil(rate_hz / mean_hz.min() / 2)
+    lag = _peak_lag(_correlation(cross, frequency_hz / rate_hz, half + MARGIN), half, peak)
     metres = echoes.sound_speed_m_per_s / 2
     variance = _phase_variance(others, aligned) / (2 * np.pi * mean_hz[..., None]) ** 2 * metres**2
     return Motion(
         echoes.pulse_time_s,
-        scatter((whole + lag) / echoes.sample_rate_hz * metres, echoes.valid),
+        scatter((whole + lag) / rate_hz * metres, echoes.valid),
         scatter(variance, echoes.valid),
         echoes.valid,
         np.abs(np.diff(phase, axis=-1)).max(axis=-1) / np.pi,

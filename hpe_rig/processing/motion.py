@@ -90,8 +90,10 @@ def cross_spectrum(
     bins = samples if padding == 1 else 1 << (padding * samples - 1).bit_length()
     frequency_hz = band_grid(echoes, bins)
     window = hann(samples) if gate_window == "hann" else np.ones(samples)
-    volts = valid_volts(echoes) * window
-    spectrum = spectrum_at(volts, echoes.sample_rate_hz, frequency_hz)
+    volts = valid_volts(echoes)
+    # the window's side lobes let a constant into the band, which must not pass for an echo
+    alternating = volts - volts.mean(axis=(-2, -1), keepdims=True)
+    spectrum = spectrum_at(alternating * window, echoes.sample_rate_hz, frequency_hz)
     require_echo(spectrum, volts)
     step, peak_hz = _peak_phase(spectrum, frequency_hz)
     divisor_hz = peak_hz if divide_by == "centre" else np.full_like(peak_hz, echoes.carrier_hz)
