@@ -10,17 +10,20 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hpe_rig.mistakes import Mistake, SettingsError
+
 if TYPE_CHECKING:
     from hpe_rig.study.accuracy_harmonic import HarmonicRow
     from hpe_rig.study.accuracy_motion import Row
 
 
 def rows_as_text(rows: Sequence[Any], suffix: str) -> str:
-    """Return rows of one dataclass as ``.csv`` or ``.json``; raises ValueError for another suffix."""
+    """Return rows of one dataclass as ``.csv`` or ``.json``; raises ``SettingsError`` for another suffix."""
     if suffix == ".json":
         return json.dumps([asdict(row) for row in rows], indent=1) + "\n"
     if suffix != ".csv":
-        raise ValueError(f"{suffix!r} is no table format here: end the file's name in .csv or .json")
+        mistake = Mistake("--output", f"{suffix!r} is no table format here", "a file name that ends in .csv or .json")
+        raise SettingsError("command line", [mistake])
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, [field.name for field in fields(rows[0])] if rows else [], lineterminator="\n")
     writer.writeheader()
