@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import Capture, PulseTrain, Toneburst, TriggerPulse
 from hpe_rig.bench_file import EXCITATION_ROLES, GENERATOR_ROLES, BenchFile
+from hpe_rig.mistakes import Mistake, SettingsError
 from hpe_rig.scene import Scene
 
 TTL_HIGH_V = 4.0
 MASTER_PULSE_S = 10e-6
+MOST_SHOTS = 20_000
+MOST_PULSES = 1_000_000
 SAFETY_MARGIN_S = 1.0
 """How much later than planned the digitizer's deadline stands, beyond the trains themselves."""
 
@@ -109,9 +112,17 @@ class Plan:
 
 
 def make_plan(scene: Scene, bench: BenchFile) -> Plan:
-    """Return the plan of ``scene`` on ``bench``; it may hold conflicts, which ``hpe_rig.conflicts`` finds."""
+    """Return the plan of ``scene`` on ``bench``; it may hold conflicts, which ``hpe_rig.conflicts`` finds.
+
+    Raises ``SettingsError`` where the scene asks for more shots or pulses than anyone could wait for.
+    """
+    _refuse_endless(scene)
+    capture = _capture(scene, bench)
+    lengths = scene.excitation.burst_length_s if scene.excitation else (None,)
+    # One timeline for all shots of a burst length: long sweeps and many repeats stay small.
+    timelines = {length: _timeline(scene, bench, length, capture) for length in lengths}
     shots = tuple(
-        _shot(index, repeat, burst_length_s, force, scene, bench)
+        _shot(index, repeat, force, scene, bench, capture, timelines[burst_length_s], burst_length_s)
         for index, (burst_length_s, force, repeat) in enumerate(_sweep(scene))
     )
     period_s = scene.acquisition.shot_period_s or max(shot.train_end_s for shot in shots)
@@ -166,11 +177,34 @@ def _sweep(scene: Scene) -> itertools.product[tuple[float | None, float | None, 
     return itertools.product(lengths, forces, repeats)
 
 
+def _refuse_endless(scene: Scene) -> None:
+    excitation, mistakes = scene.excitation, []
+    shots = scene.acquisition.repeats * (
+        len(excitation.burst_length_s) * len(excitation.force_fraction) if excitation else 1
+    )
+    if shots > MOST_SHOTS:
+        what = f"the scene asks for {shots} shots, a run holds at most {MOST_SHOTS}"
+        mistakes.append(Mistake("acquisition.repeats", what, "fewer repeats, or several runs"))
+    if excitation and scene.tracking.pulse_count is None:
+        pulses = excitation.burst_count / excitation.burst_rate_hz * scene.tracking.pulse_rate_hz
+        if not pulses <= MOST_PULSES:
+            what = f"the burst train lasts {pulses:.3g} pulse periods, a shot has at most {MOST_PULSES} pulses"
+            mistakes.append(Mistake("tracking.pulse_rate_hz", what, "fewer bursts, or tracking.pulse_count"))
+    if mistakes:
+        raise SettingsError("the scene", mistakes)
+
+
 def _shot(
-    index: int, repeat: int, burst_length_s: float | None, force: float | None, scene: Scene, bench: BenchFile
+    index: int,
+    repeat: int,
+    force: float | None,
+    scene: Scene,
+    bench: BenchFile,
+    capture: Capture,
+    timeline: Timeline,
+    burst_length_s: float | None,
 ) -> Shot:
     tracking, pulser = scene.tracking, bench.generators.tracking_pulser
-    capture = _capture(scene, bench)
     return Shot(
         index=index,
         repeat=repeat,
@@ -189,7 +223,7 @@ def _shot(
             pulser.load_ohm,
         ),
         capture=capture,
-        timeline=_timeline(scene, bench, burst_length_s, capture),
+        timeline=timeline,
     )
 
 

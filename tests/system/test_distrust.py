@@ -1,0 +1,344 @@
+"""Whatever a file holds, reading it ends in a result or a message: no traceback, no crash, no other file opened."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from hpe_rig.bench import check_simulation
+from hpe_rig.bench_file import parse_bench, read_bench
+from hpe_rig.conflicts import PlanError, findings
+from hpe_rig.mistakes import SettingsError
+from hpe_rig.plan import make_plan
+from hpe_rig.resume import prepare_rest
+from hpe_rig.run import Setup, measure, process
+from hpe_rig.scene import parse_scene, shipped_scenes
+from hpe_rig.store import StoreError, read_run, read_snapshots
+from hpe_rig.timeline import plan_text
+
+Prepare = Callable[..., Setup]
+MESSAGES = (StoreError, SettingsError, PlanError)
+SMALL = (
+    ("pulse_count = 101", "pulse_count = 48"),
+    ("[acquisition]", "[acquisition]\nrecord_samples = 256"),
+)
+MOST_S = 5.0
+MOST_BYTES = 1 << 30
+
+
+@pytest.fixture
+def small(prepared: Prepare, tmp_path: Path) -> Path:
+    """Return a small run file."""
+    return measure(prepared("table-1", *SMALL), tmp_path / "run.h5")
+
+
+def rewritten(path: Path, name: str, **changes: Any) -> None:
+    """Replace dataset ``name`` by one made with ``changes``, its attributes kept."""
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        attributes = dict(file[name].attrs)
+        del file[name]
+        file.create_dataset(name, **changes).attrs.update(attributes)
+
+
+def a_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def a_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def attribute(name: str, value: Any, of: str = "/") -> Callable[[Path], None]:
+    """Return what sets an attribute."""
+
+    def change(path: Path) -> None:
+        with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+            del file[of].attrs[name]
+            file[of].attrs[name] = value
+
+    return change
+
+
+def link(name: str, target: Any) -> Callable[[Path], None]:
+    """Return what puts a link in the place of something."""
+
+    def change(path: Path) -> None:
+        with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+            file.move(name, "elsewhere")
+            file[name] = target
+
+    return change
+
+
+def a_group(path: Path) -> None:
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        del file["records/echo"]
+        file.create_group("records/echo")
+
+
+def elsewhere(path: Path) -> None:
+    """Keep a dataset's values in another file."""
+    other = path.with_name("secret.bin")
+    other.write_bytes(bytes(48 * 8))
+    rewritten(path, "records/trigger_time_s", shape=(1, 48), dtype="<f8", external=[(str(other), 0, 48 * 8)])
+
+
+def virtual(path: Path) -> None:
+    """Make a dataset a view of another file's."""
+    layout = h5py.VirtualLayout((1, 48), "<f8")
+    layout[...] = h5py.VirtualSource(str(path.with_name("other.h5")), "x", (1, 48))
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        del file["records/trigger_time_s"]
+        file.create_virtual_dataset("records/trigger_time_s", layout)
+
+
+def scene_with(old: str, new: str) -> Callable[[Path], None]:
+    """Return what edits the stored scene."""
+
+    def change(path: Path) -> None:
+        with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+            text = file["scene"].asstr()[()]
+            assert old in text
+            del file["scene"]
+            file["scene"] = text.replace(old, new)
+
+    return change
+
+
+def values(name: str, value: Any) -> Callable[[Path], None]:
+    """Return what overwrites a dataset's values."""
+
+    def change(path: Path) -> None:
+        with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+            file[name][...] = value
+
+    return change
+
+
+def remade(name: str, **changes: Any) -> Callable[[Path], None]:
+    """Return what replaces a dataset."""
+    return lambda path: rewritten(path, name, **changes)
+
+
+HUGE = (1, 1_000_000, 10_000_000)
+TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
+    "empty": (lambda path: path.write_bytes(b"") and None, "no HDF5 file"),
+    "text": (lambda path: path.write_text("[scene]") and None, "no HDF5 file"),
+    "signature alone": (lambda path: path.write_bytes(b"\x89HDF\r\n\x1a\n") and None, "another kind"),
+    "a pipe": (a_pipe, "no file"),
+    "a folder": (a_folder, "no file"),
+    "absent": (lambda path: path.unlink(), "no such file"),
+    "another program's": (attribute("format", "NeXus"), "another program"),
+    "a newer version": (attribute("format_version", 99), "newer hpe-rig"),
+    "an older version": (attribute("format_version", 1), "came before"),
+    "a version in words": (attribute("format_version", "two"), "is no int"),
+    "a version in a list": (attribute("format_version", np.arange(5)), "no single value"),
+    "an unknown status": (attribute("status", "perfect"), "status is 'perfect'"),
+    "escape codes in the status": (attribute("status", "\x1b[2J"), "control characters"),
+    "no scene name": (attribute("scene_name", 3.0), "is no text"),
+    "NaN volts": (attribute("scale_factor", np.nan, "records/echo"), "is nan"),
+    "other volts": (attribute("scale_factor", 1e-3, "records/echo"), "V a code"),
+    "infinite volts": (attribute("add_offset", np.inf, "records/echo"), "is inf"),
+    "an external link": (link("records/echo", h5py.ExternalLink("/etc/passwd", "/echo")), "points out of its place"),
+    "a soft link": (link("records/echo", h5py.SoftLink("/elsewhere")), "points out of its place"),
+    "values in another file": (elsewhere, "another file"),
+    "a view of another file": (virtual, "another file"),
+    "echoes that are a group": (a_group, "is no dataset"),
+    "floating echoes": (remade("records/echo", shape=(1, 48, 256), dtype="<f8", chunks=(1, 48, 256)), "float64"),
+    "flat echoes": (remade("records/echo", shape=(48, 256), dtype="<i2", chunks=(48, 256)), "shape"),
+    "fewer echoes": (remade("records/echo", shape=(1, 40, 256), dtype="<i2", chunks=(1, 40, 256)), "shape"),
+    "echoes in one piece": (remade("records/echo", shape=(1, 48, 256), dtype="<i2"), "in one piece"),
+    "huge echoes": (remade("records/echo", shape=HUGE, dtype="<i2", chunks=(1, 1, 256)), "shape"),
+    "huge chunks": (remade("records/echo", shape=(1, 48, 256), dtype="<i2", chunks=(1, 48, 256)), ""),
+    "a bomb": (remade("records/echo", shape=(1, 48, 256), dtype="<i2", chunks=(1, 48, 256), compression=9), "filters"),
+    "a scene of numbers": (remade("scene", shape=(), dtype="<f8"), "is no text"),
+    "a list of scenes": (remade("scene", shape=(7,), dtype=h5py.string_dtype()), "no single text"),
+    "a huge scene": (remade("scene", data="x" * 3_000_000), "more than 1000000"),
+    "a huge place for a scene": (remade("scene", shape=(), dtype="S2000000000"), "more than 1000000"),
+    "a scene that is no TOML": (scene_with("[tracking]", "[tracking"), "not valid TOML"),
+    "a scene with another gate": (scene_with("record_samples = 256", "record_samples = 512"), "its scene asks"),
+    "a scene with a gate outside": (scene_with("gate_length_m = 1.0e-3", "gate_length_m = 9e-3"), "the gate takes"),
+    "a scene with an endless sweep": (scene_with("[acquisition]", "[acquisition]\nrepeats = 1000000"), "shots"),
+    "truth that is absent": (lambda path: _delete(path, "truth"), "absent"),
+    "settings that are no JSON": (values("snapshot", b"{" * 900), ""),
+}
+
+
+def _delete(path: Path, name: str) -> None:
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        del file[name]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="one of the cases is a pipe")
+@pytest.mark.parametrize("case", TAMPERED)
+def test_a_tampered_run_file_is_refused_with_a_message_that_says_why(small: Path, case: str) -> None:
+    change, message = TAMPERED[case]
+    change(small)
+    if not message:
+        # Nothing wrong that anybody needs: any outcome but a traceback.
+        for read in (process, read_snapshots):
+            _outcome(lambda read=read: read(small))
+        return
+    with pytest.raises(MESSAGES, match=message) as raised:
+        process(small)
+    assert "Try:" in str(raised.value)
+    with pytest.raises(MESSAGES):
+        prepare_rest(small)
+
+
+def test_records_that_never_came_take_no_memory(small: Path) -> None:
+    """A small file that declares 20 TB of echoes, in every place where sizes are compared."""
+    scene_with("pulse_count = 48", "pulse_count = 1000000")(small)
+    scene_with("record_samples = 256", "record_samples = 10000000\nsample_rate_hz = 100e6")(small)
+    rewritten(small, "records/echo", shape=HUGE, dtype="<i2", chunks=(1, 1, 10_000_000), fillvalue=-32768)
+    for name, dtype in (("recorded", "u1"), ("trigger_time_s", "<f8"), ("pulse_onset_s", "<f8")):
+        rewritten(small, f"records/{name}", shape=HUGE[:2], dtype=dtype, chunks=(1, 65536), fillvalue=1)
+    rewritten(small, "truth/displacement_m", shape=HUGE[:2], dtype="<f8", chunks=(1, 65536))
+    with pytest.raises(MESSAGES, match="records"):
+        process(small)
+    with pytest.raises(StoreError, match="records"):
+        read_run(small).records[0]
+
+
+def _outcome(call: Callable[[], object]) -> str:
+    try:
+        call()
+    except MESSAGES:
+        return "message"
+    return "success"
+
+
+def mutated_bytes(data: bytes, rng: np.random.Generator) -> bytes:
+    """Return ``data`` cut short, or with bits, bytes or whole pieces changed."""
+    bytes_ = bytearray(data)
+    start, length = int(rng.integers(len(data))), int(rng.integers(1, 5000))
+    match int(rng.integers(5)):
+        case 0:
+            del bytes_[start:]
+        case 1:
+            for place in rng.integers(0, len(data), rng.integers(1, 20)):
+                bytes_[place] = rng.integers(256)
+        case 2:
+            for place in rng.integers(0, 9000, rng.integers(1, 8)):
+                bytes_[place] ^= 1 << int(rng.integers(8))
+        case 3:
+            bytes_[start : start + length] = bytes(length)
+        case _:
+            source = int(rng.integers(len(data)))
+            bytes_[start : start + length] = data[source : source + length]
+    return bytes(bytes_)
+
+
+NUMBERS = (
+    "0",
+    "-1",
+    "1e308",
+    "-1e-308",
+    "nan",
+    "inf",
+    "1000000",
+    "99999999999999999999",
+    "true",
+    '"x"',
+    "[]",
+    "[1, 2]",
+)
+
+
+def mutated_text(text: str, rng: np.random.Generator) -> str:
+    """Return TOML with a value, a line or a character changed."""
+    lines = text.splitlines()
+    place = int(rng.integers(len(lines)))
+    match int(rng.integers(6)):
+        case 0 | 1 | 2:
+            valued = [number for number, line in enumerate(lines) if "=" in line]
+            place = valued[int(rng.integers(len(valued)))]
+            lines[place] = f"{lines[place].partition('=')[0]}= {NUMBERS[int(rng.integers(len(NUMBERS)))]}"
+        case 3:
+            del lines[place]
+        case 4:
+            lines.insert(place, lines[int(rng.integers(len(lines)))])
+        case _:
+            line, column = lines[place], int(rng.integers(len(lines[place]) + 1))
+            lines[place] = line[:column] + chr(int(rng.integers(1, 0x300))) + line[column:]
+    return "\n".join(lines)
+
+
+def check(scene: str, bench: str) -> None:
+    """Do with two texts what ``hpe-rig check`` does."""
+    bench_file = parse_bench("fuzzed", bench).bench
+    parsed = parse_scene("fuzzed", scene, check_simulation).scene
+    plan = make_plan(parsed, bench_file)
+    assert plan_text(parsed.title, plan, tuple(findings(parsed, bench_file, plan)))
+
+
+def timed(calls: Iterator[tuple[str, Callable[[], object]]], folder: Path) -> dict[str, int]:
+    """Make every call in a process with bounded memory; return how often what came out, and fail on anything else."""
+    import resource
+
+    (folder / "before").write_text("")
+    outcomes: dict[str, int] = {}
+    pid = os.fork()
+    if pid == 0:
+        code = 1
+        try:
+            base = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+            resource.setrlimit(resource.RLIMIT_AS, (base + MOST_BYTES, base + MOST_BYTES))
+            for number, (name, call) in enumerate(calls):
+                (folder / "before").write_text(f"{number}: {name}")
+                start_s = time.process_time()
+                outcome = _outcome(call)
+                assert time.process_time() - start_s < MOST_S, "a hang"
+                outcomes[outcome] = outcomes.get(outcome, 0) + 1
+            (folder / "after").write_text(repr(outcomes))
+            code = 0
+        except BaseException:
+            import traceback
+
+            (folder / "after").write_text(traceback.format_exc())
+        finally:
+            os._exit(code)
+    _, status = os.waitpid(pid, 0)
+    code = os.waitstatus_to_exitcode(status)
+    after = (folder / "after").read_text() if (folder / "after").exists() else ""
+    assert code == 0, f"exit {code} at case {(folder / 'before').read_text()}\n{after}"
+    found: dict[str, int] = eval(after)
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs fork and Linux's memory limits")
+@pytest.mark.parametrize("cases", [60, pytest.param(4000, marks=pytest.mark.slow)])
+def test_mutated_run_files_end_in_a_result_or_a_message(small: Path, tmp_path: Path, cases: int) -> None:
+    data, rng = small.read_bytes(), np.random.default_rng(5)
+    fuzzed = tmp_path / "fuzzed.h5"
+
+    def calls() -> Iterator[tuple[str, Callable[[], object]]]:
+        for _ in range(cases):
+            fuzzed.write_bytes(mutated_bytes(data, rng))
+            fuzzed.with_name("fuzzed.coherent.h5").unlink(missing_ok=True)
+            yield "run", lambda: (read_snapshots(fuzzed), process(fuzzed))
+
+    print(timed(calls(), tmp_path))
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs fork and Linux's memory limits")
+@pytest.mark.parametrize("cases", [150, pytest.param(6000, marks=pytest.mark.slow)])
+def test_mutated_scenes_and_benches_end_in_a_plan_or_a_message(tmp_path: Path, cases: int) -> None:
+    scenes, bench, rng = list(shipped_scenes().values()), read_bench().text, np.random.default_rng(6)
+
+    def calls() -> Iterator[tuple[str, Callable[[], object]]]:
+        for number in range(cases):
+            scene = scenes[number % len(scenes)]
+            texts = (mutated_text(scene, rng), bench) if number % 3 else (scene, mutated_text(bench, rng))
+            yield texts[number % 3 == 0], lambda texts=texts: check(*texts)
+
+    print(timed(calls(), tmp_path))
