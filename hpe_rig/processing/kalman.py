@@ -12,7 +12,7 @@ from math import comb
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import solve_triangular
 
 from hpe_rig.processing.echoes import FloatArray, Motion
 from hpe_rig.processing.harmonic import HarmonicFit, Innovations, fit_from_state
@@ -94,7 +94,7 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
             parts.append(_block_innovations(factor, transformed, block, seen))
         q, factor = np.linalg.qr(np.vstack([factor, block]))
         transformed = q.T @ np.vstack([transformed, seen])
-    root = solve_triangular(factor, np.eye(states))
+    root = np.linalg.inv(factor)
     state = root @ transformed
     residual = values - matrix @ state
     fitness = np.einsum("ij,ij->j", residual, residual) + np.einsum("ij,ij->j", state, state) / prior
@@ -134,11 +134,12 @@ def _blocks(pulses: int, alone: int, size: int = BLOCK) -> list[slice]:
 
 def _block_innovations(factor: FloatArray, transformed: FloatArray, block: FloatArray, seen: FloatArray) -> FloatArray:
     """Return the normalised innovations (pulse, realisation) of a block of pulses."""
-    spread = solve_triangular(factor, block.T, trans=1, check_finite=False).T
+    # numpy's general solver is several times quicker than scipy's triangular one for few states
+    spread = np.linalg.solve(factor.T, block.T).T
     surprise = seen - spread @ transformed
     if len(block) == 1:
         return np.asarray(surprise / np.sqrt(1.0 + spread[0] @ spread[0]))
-    joint = cholesky(np.eye(len(block)) + spread @ spread.T, lower=True, check_finite=False)
+    joint = np.linalg.cholesky(np.eye(len(block)) + spread @ spread.T)
     return np.asarray(solve_triangular(joint, surprise, lower=True, check_finite=False))
 
 

@@ -1,0 +1,161 @@
+"""Run times and errors of motion and harmonic estimation beside public peers, on the same arrays in one run.
+
+Peers are optional: statsmodels, filterpy, simdkalman, scikit-image; what is not installed is left out and named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.processing import ESTIMATORS, EchoGate, Motion, estimate, kalman, least_squares, motion_of
+from hpe_rig.study.accuracy_motion import Case, gate, twin_echoes
+
+Floats = NDArray[np.float64]
+RATE_HZ, FREQUENCY_HZ, NOISE_M = 4000.0, 200.0, 1e-7
+
+
+def main() -> None:
+    """Print one table of harmonic filters and one of motion estimators."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=5)
+    repeats = parser.parse_args().repeats
+    print(f"{'harmonic':44}{'median':>12}{'rms error':>12}")
+    for pulses, series in ((100, 1), (100, 1000), (100_000, 1)):
+        _harmonic(pulses, series, repeats)
+    print(f"\n{'motion':44}{'median':>12}{'rms error':>12}")
+    _motion(repeats)
+
+
+def _harmonic(pulses: int, series: int, repeats: int) -> None:
+    generator = np.random.default_rng(0)
+    time_s = np.arange(pulses) / RATE_HZ
+    truth = 1e-6 * np.array([np.cos(0.4), np.sin(0.4)])
+    clean = 1e-6 * np.sin(2 * np.pi * FREQUENCY_HZ * time_s + 0.4)
+    data = clean + NOISE_M * generator.standard_normal((series, pulses))
+    motion = Motion(time_s, data, np.full(data.shape, NOISE_M**2), np.ones(pulses, dtype=bool))
+    angle = 2 * np.pi * FREQUENCY_HZ * time_s
+    rows = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+    ways: dict[str, Callable[[], Floats]] = {
+        "hpe_rig least_squares": lambda: least_squares(motion, [FREQUENCY_HZ]).state[:, :2],
+        "hpe_rig kalman": lambda: kalman(motion, [FREQUENCY_HZ], innovations=False).state[:, :2],
+        "hpe_rig kalman with NIS": lambda: kalman(motion, [FREQUENCY_HZ]).state[:, :2],
+        "statsmodels": lambda: _statsmodels(rows, data),
+        "filterpy": lambda: _filterpy(rows, data),
+        "simdkalman (rotating state)": lambda: _simdkalman(time_s, data),
+    }
+    for name, compute in ways.items():
+        if series > 1 and name in ("statsmodels", "filterpy"):
+            continue
+        _line(f"{name}, {series} x {pulses}", compute, truth, repeats if pulses < 10_000 else 3)
+
+
+def _statsmodels(rows: Floats, data: Floats) -> Floats:
+    module = importlib.import_module("statsmodels.tsa.statespace.kalman_filter")
+    found = []
+    for series in data:
+        model = module.KalmanFilter(k_endog=1, k_states=2)
+        model.bind(series)
+        model["design"], model["transition"] = rows.T[None], np.eye(2)
+        model["obs_cov"] = np.array([[NOISE_M**2]])
+        model.initialize_known(np.zeros(2), 1e-4 * np.eye(2))
+        found.append(model.filter().filtered_state[:, -1])
+    return np.array(found)
+
+
+def _filterpy(rows: Floats, data: Floats) -> Floats:
+    module = importlib.import_module("filterpy.kalman")
+    found = []
+    for series in data:
+        model = module.KalmanFilter(dim_x=2, dim_z=1)
+        model.P, model.R, model.F = 1e-4 * np.eye(2), np.array([[NOISE_M**2]]), np.eye(2)
+        for row, value in zip(rows, series, strict=True):
+            model.update(value, H=row[None])
+        found.append(model.x[:, 0])
+    return np.array(found)
+
+
+def _simdkalman(time_s: Floats, data: Floats) -> Floats:
+    module = importlib.import_module("simdkalman")
+    angle = 2 * np.pi * FREQUENCY_HZ * (time_s[1] - time_s[0])
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    model = module.KalmanFilter(turn, np.zeros((2, 2)), np.array([[1.0, 0.0]]), NOISE_M**2)
+    found = model.compute(
+        data, 0, initial_value=np.zeros(2), initial_covariance=1e-4 * np.eye(2), smoothed=False, filtered=True
+    )
+    last = found.filtered.states.mean[:, -1]
+    # the state has turned with the motion: displacement and quadrature now; back to the start
+    now = 2 * np.pi * FREQUENCY_HZ * time_s[-1]
+    return np.stack(
+        [last[:, 0] * np.sin(now) + last[:, 1] * np.cos(now), last[:, 0] * np.cos(now) - last[:, 1] * np.sin(now)], -1
+    )
+
+
+def _motion(repeats: int) -> None:
+    case = Case(snr_db=20)
+    volts = twin_echoes(case, 1000, np.random.default_rng(1))
+    noise_v = np.sqrt(np.mean(volts**2, axis=(-2, -1), keepdims=True)) / 10
+    noisy = volts + noise_v * np.random.default_rng(2).standard_normal(volts.shape)
+    clean = estimate(gate(case, volts), [FREQUENCY_HZ]).state[:, :2]
+    for name in ESTIMATORS:
+        compute = lambda name=name: estimate(gate(case, noisy), [FREQUENCY_HZ], name).state[:, :2]  # noqa: E731
+        _line(f"hpe_rig {name}, 1000 x 100 x 130", compute, clean, 3)
+    one = estimate(gate(case, volts[0]), [FREQUENCY_HZ]).state[:2]
+    few = gate(case, noisy[0])
+    _line(
+        "hpe_rig cross_correlation, 1 x 100 x 130", lambda: _fitted(motion_of(few, "cross_correlation")), one, repeats
+    )
+    _line("scikit-image phase_cross_correlation", lambda: _skimage(few), one, repeats)
+    long = _long_train()
+    harmonics = [100.0 * n for n in range(1, 11)]
+    for name in ESTIMATORS:
+        compute = lambda name=name: estimate(long, harmonics, name).state[None, :2]  # noqa: E731
+        _line(f"hpe_rig {name}, 4000 x 1000, ten harmonics", compute, None, 3)
+
+
+def _fitted(motion: Motion) -> Floats:
+    return least_squares(motion, [FREQUENCY_HZ]).state[:2]
+
+
+def _skimage(echoes: EchoGate) -> Floats:
+    register = importlib.import_module("skimage.registration").phase_cross_correlation
+    reference = echoes.volts.mean(axis=0)
+    lag = [register(echo, reference, upsample_factor=1000, normalization=None)[0][0] for echo in echoes.volts]
+    metres = np.array(lag) / echoes.sample_rate_hz * echoes.sound_speed_m_per_s / 2
+    return _fitted(Motion(echoes.pulse_time_s, metres, np.zeros_like(metres), echoes.valid))
+
+
+def _long_train() -> EchoGate:
+    generator = np.random.default_rng(3)
+    time_s = np.arange(4000) / RATE_HZ
+    displacement = sum(1e-7 * np.sin(2 * np.pi * 100 * n * time_s + n) for n in range(1, 11))
+    spectrum = generator.standard_normal(501) + 1j * generator.standard_normal(501)
+    frequency_hz = np.fft.rfftfreq(1000, 1e-8)
+    spectrum *= np.exp(-(((frequency_hz - 9e6) / 1e6) ** 2))
+    volts = np.fft.irfft(spectrum * np.exp(-4j * np.pi * frequency_hz * displacement[:, None] / 1540), 1000)
+    volts += 0.01 * volts.std() * generator.standard_normal(volts.shape)
+    return EchoGate(volts, 100e6, time_s, 9e6, 1540.0, np.ones(4000, dtype=bool))
+
+
+def _line(name: str, compute: Callable[[], Floats], truth: Floats | None, repeats: int) -> None:
+    times_s = []
+    try:
+        for _ in range(repeats):
+            start_s = time.perf_counter()
+            found = compute()
+            times_s.append(time.perf_counter() - start_s)
+    except ModuleNotFoundError as error:
+        print(f"{name:44}{f'{error.name} is not installed':>24}")
+        return
+    error_m = "-" if truth is None else f"{np.sqrt(np.mean((found - truth) ** 2)) * 1e9:.3g} nm"
+    print(f"{name:44}{statistics.median(times_s) * 1e3:9.3g} ms{error_m:>12}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
