@@ -91,10 +91,9 @@ def cross_spectrum(
     frequency_hz = band_grid(echoes, bins)
     window = hann(samples) if gate_window == "hann" else np.ones(samples)
     volts = valid_volts(echoes)
-    # the window's side lobes let a constant into the band, which must not pass for an echo
-    alternating = volts - volts.mean(axis=(-2, -1), keepdims=True)
-    spectrum = spectrum_at(alternating * window, echoes.sample_rate_hz, frequency_hz)
-    require_echo(spectrum, volts)
+    # the window's side lobes let a constant into the band, which must not pass for an echo: look without
+    require_echo(spectrum_at(volts, echoes.sample_rate_hz, band_grid(echoes, samples)), volts)
+    spectrum = spectrum_at(volts * window, echoes.sample_rate_hz, frequency_hz)
     step, peak_hz = _peak_phase(spectrum, frequency_hz)
     divisor_hz = peak_hz if divide_by == "centre" else np.full_like(peak_hz, echoes.carrier_hz)
     # the padded bins hold no more than the unpadded ones, and the Hann window leaves two thirds of those
