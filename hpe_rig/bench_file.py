@@ -12,7 +12,7 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field
 
 from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of, parse_toml
-from hpe_rig.scene import NonNegative, Positive, Section
+from hpe_rig.scene import NonNegative, Positive, Section, Title
 
 GeneratorRole = Literal["master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"]
 GENERATOR_ROLES: tuple[GeneratorRole, ...] = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
@@ -169,7 +169,7 @@ class Calibration(Section):
 class BenchFile(Section):
     """One bench."""
 
-    title: str
+    title: Title
     """One line that says which bench this is."""
     simulated: Annotated[bool, Field(strict=True)]
     """True for the twin; decides which wires are opened and is written into every file."""

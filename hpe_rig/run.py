@@ -71,11 +71,20 @@ def prepare_text(
         bench = read_bench(bench_path)
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check)
-        plan = make_plan(scene.scene, bench.bench)
-        found = tuple(findings(scene.scene, bench.bench, plan))
+        plan, found = planned(scene.scene, bench.bench)
         if refuse:
             refuse_conflicts(found)
     return Setup(scene, bench, plan, found)
+
+
+def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[Finding, ...]]:
+    """Return the plan and what its checks found; raise ``SettingsError`` where numbers go out of all bounds."""
+    try:
+        plan = make_plan(scene, bench)
+        return plan, tuple(findings(scene, bench, plan))
+    except (ArithmeticError, ValueError, MemoryError) as error:
+        what = f"its numbers lead to no plan ({error})"
+        raise SettingsError("the scene", [Mistake("", what, "values as they occur on a bench")]) from error
 
 
 def measure(
@@ -141,8 +150,7 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
         stored = read_run(path)
         scene = parse_scene(stored.scene_name, stored.scene_toml).scene
         bench = parse_bench(stored.bench_name, stored.bench_toml).bench
-        plan = make_plan(scene, bench)
-        found = tuple(findings(scene, bench, plan))
+        plan, found = planned(scene, bench)
         stored.refuse_unlike(plan)
     chosen = chosen_estimator(estimator, scene)
     with stages("process"):

@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of, parse_toml
 
@@ -36,6 +36,16 @@ OneOrMoreFractions = Annotated[
     BeforeValidator(_as_list, json_schema_input_type=Fraction | list[Fraction]),
     Field(min_length=1),
 ]
+
+
+def _one_line(text: str) -> str:
+    if len(text) > MOST_TITLE or not text.isprintable():
+        raise ValueError(f"a title is one line of at most {MOST_TITLE} characters: shorten it, without line breaks")
+    return text
+
+
+MOST_TITLE = 300
+Title = Annotated[str, AfterValidator(_one_line)]
 
 
 class Section(BaseModel):
@@ -145,7 +155,7 @@ class Processing(Section):
 class Scene(Section):
     """One measurement."""
 
-    title: str
+    title: Title
     """One line that says what is measured."""
     excitation: Excitation | None = None
     """The tonebursts that push."""

@@ -99,13 +99,20 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
         "predecessor": predecessor.name,
         "predecessor_shots": predecessor.shots,
     }
-    file.attrs.update(attributes | {f"version_{name}": text for name, text in versions().items()})
+    for name, value in (attributes | {f"version_{name}": text for name, text in versions().items()}).items():
+        file.attrs[name] = _fixed(value) if isinstance(value, str) else value
     file.attrs.create("status", np.bytes_("running"), dtype=f"S{STATUS_BYTES}")
-    file["scene"], file["bench"] = scene.text, bench.text
+    file["scene"], file["bench"] = _fixed(scene.text), _fixed(bench.text)
     snapshot = file.create_dataset("snapshot", len(plan.shots), f"S{SNAPSHOT_BYTES}", chunks=(1,))
     if snapshot.nbytes <= MOST_PLACED_BYTES:
         snapshot[...] = b""
     name_axes(file, {"shot": np.arange(len(plan.shots))}, {})
+
+
+def _fixed(text: str) -> NDArray[Any]:
+    """Return ``text`` as UTF-8 of its own fixed length, which a reader can judge before it reads it."""
+    encoded = text.encode("utf-8")
+    return np.array(encoded, dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
 
 
 def _shot_and_pulse(plan: Plan) -> dict[str, NDArray[Any]]:

@@ -7,7 +7,9 @@ hold, and carry filters; each is refused here, before a byte of data is asked fo
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import math
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,6 +18,7 @@ from typing import Any, Final
 
 import h5py
 import numpy as np
+from h5py import h5f, h5p
 
 from hpe_rig.store_format import BITSHUFFLE, FORMAT, FORMAT_VERSION, StoreError, reason
 
@@ -24,6 +27,9 @@ MOST_CHUNK_BYTES: Final = 64_000_000
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 SUPERBLOCK: Final = 3
 """Version of the HDF5 superblock of every run file; from it on all of the library's metadata carry checksums."""
+FLAGS_PLACE: Final = 11
+"""Where that superblock marks a file as being written."""
+READ_ATTEMPTS: Final = 20
 OPEN_ATTEMPTS: Final = 5
 OPEN_PAUSE_S: Final = 0.02
 
@@ -97,8 +103,8 @@ class Trusted:
 def trusted(path: Path) -> Iterator[Trusted]:
     """Yield the run file ``path``, also while another program writes it; raise ``StoreError`` for anything wrong."""
     try:
-        _refuse_foreign(path)
-        with _opened(path) as file:
+        in_use = _refuse_foreign(path)
+        with _opened(path, in_use) as file:
             trust = Trusted(file)
             _refuse_format(trust)
             yield trust
@@ -114,31 +120,53 @@ def trusted(path: Path) -> Iterator[Trusted]:
         ) from None
 
 
-def _opened(path: Path) -> h5py.File:
+def _opened(path: Path, in_use: bool) -> h5py.File:
+    if not in_use:
+        return h5py.File(path, "r")
+    access = _patience()
     for _ in range(OPEN_ATTEMPTS - 1):
         with contextlib.suppress(OSError):
-            return h5py.File(path, "r", swmr=True)
+            return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, access))
         # A writer may be between two of its steps; a damaged file is asked for these 0.1 s as well.
         time.sleep(OPEN_PAUSE_S)
-    return h5py.File(path, "r", swmr=True)
+    return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, access))
 
 
-def _refuse_foreign(path: Path) -> None:
+def _patience() -> h5p.PropFAID:
+    """Return file access properties under which damaged metadata are read ``READ_ATTEMPTS`` times, not for ever.
+
+    The library doubles its pause at each of 100 attempts by default; h5py does not hand this setting through.
+    """
+    access = h5p.create(h5p.FILE_ACCESS)
+    beside = Path(h5py.__file__).parent / "hdf5.dll"
+    with contextlib.suppress(OSError, AttributeError):
+        library = ctypes.CDLL(str(beside if beside.exists() else h5p.__file__))
+        library.H5Pset_metadata_read_attempts(ctypes.c_int64(access.id), ctypes.c_uint(READ_ATTEMPTS))
+    return access
+
+
+def _refuse_foreign(path: Path) -> bool:
+    """Return whether the file says that it is being written: it is, or its writer was killed."""
     if not path.is_file():
         raise UntrustedError("there is no such file" if not path.exists() else "it is no file")
     with path.open("rb") as file:
-        start = file.read(len(SIGNATURE) + 1)
+        start = file.read(FLAGS_PLACE + 1)
     if start[: len(SIGNATURE)] != SIGNATURE:
         raise UntrustedError("it is no HDF5 file")
-    if start[-1] != SUPERBLOCK:
+    if len(start) <= FLAGS_PLACE or start[len(SIGNATURE)] != SUPERBLOCK:
         raise UntrustedError(
-            f"it is an HDF5 file of another kind (superblock {start[-1]}, a run file has {SUPERBLOCK})"
+            f"it is an HDF5 file of another kind (a run file has a superblock of version {SUPERBLOCK})"
         )
+    return start[FLAGS_PLACE] != 0
 
 
 def _refuse_format(trust: Trusted) -> None:
-    if trust.attribute("format", str) != FORMAT:
-        raise UntrustedError("it is an HDF5 file, but of another program")
+    foreign = UntrustedError("it is an HDF5 file, but of another program")
+    try:
+        if trust.attribute("format", str) != FORMAT:
+            raise foreign
+    except UntrustedError:
+        raise foreign from None
     version = trust.attribute("format_version", int)
     if version > FORMAT_VERSION:
         raise UntrustedError(
@@ -152,8 +180,12 @@ def _is_text(holder: Any, where: str) -> bool:
     """Return whether there is text to be read; raise ``UntrustedError`` where there is something else."""
     if holder.shape != ():
         raise UntrustedError(f"{where} is no single text")
-    if h5py.check_string_dtype(holder.dtype) is None:
+    information = h5py.check_string_dtype(holder.dtype)
+    if information is None:
         raise UntrustedError(f"{where} is no text")
+    if information.length is None:
+        # Such text lies in a heap without checksums, in which a damaged file can lead the library round in circles.
+        raise UntrustedError(f"{where} is a text of variable length, which no run file holds")
     if holder.dtype.itemsize > MOST_TEXT_BYTES:
         raise UntrustedError(f"{where} is a text of {holder.dtype.itemsize} bytes, more than {MOST_TEXT_BYTES}")
     return True
