@@ -198,7 +198,7 @@ def faults_of(tap: Tap, error: BaseException | None, path: Path, whole: StoredRu
 def test_a_fault_at_any_io_call_leaves_the_bench_safe_and_the_records_kept(
     prepared: Prepare, tmp_path: Path, tapped: Callable[[Tap], None], memory: str, every: bool
 ) -> None:
-    setup = prepared("bovine-muscle", *SHORT, *([SINGLE_PORT] if memory == "single port" else []))
+    setup = prepared("bovine-muscle-synchronous", *SHORT, *([SINGLE_PORT] if memory == "single port" else []))
     clean = Tap()
     tapped(clean)
     whole = read_run(measure(setup, tmp_path / "whole.h5"))

@@ -52,7 +52,7 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
     prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
 ) -> None:
     """SIGKILL stops everything between two I/O calls: the twin then runs on with what is programmed by then."""
-    setup = prepared("bovine-muscle")
+    setup = prepared("bovine-muscle-synchronous")
     shot = setup.plan.shots[0]
     train_s = shot.timeline.burst_onset_s[-1] + shot.timeline.burst_length_s
     fired_s: list[float] = []
@@ -100,8 +100,8 @@ def test_a_killed_run_leaves_a_readable_file_that_no_later_run_overwrites(tmp_pa
 import os, signal, sys
 from hpe_rig import run
 record = run._record
-def killed(event, bench, writer):
-    record(event, bench, writer)
+def killed(event, *others):
+    record(event, *others)
     if type(event).__name__ == "ShotBlock":
         os.kill(os.getpid(), signal.SIGKILL)
 run._record = killed
@@ -138,7 +138,7 @@ def test_an_error_while_records_are_stored_leaves_the_bench_safe(
 
     monkeypatch.setattr(RunWriter, "append", full)
     with pytest.raises(OSError, match="no space left"):
-        measure(prepared("bovine-muscle"), tmp_path / "run.h5")
+        measure(prepared("bovine-muscle-synchronous"), tmp_path / "run.h5")
     assert_safe(worlds[0])
     run = read_run(tmp_path / "run.h5")
     assert run.status == "failed"
@@ -162,7 +162,7 @@ def test_an_error_while_processing_leaves_the_bench_safe_and_the_run_complete(
 def test_a_lost_master_ends_the_shot_when_the_plan_says_so(
     prepared: Prepare, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
 ) -> None:
-    setup = prepared("bovine-muscle")
+    setup = prepared("bovine-muscle-synchronous")
     fired_s: list[float] = []
     monkeypatch.setattr(MasterTrigger33250A, "fire", lambda master: fired_s.append(worlds[0].clock.now_s()))
 
@@ -194,7 +194,7 @@ def test_an_input_beyond_its_range_becomes_a_warning_of_the_result(prepared: Pre
 def test_an_output_that_cannot_be_proven_off_is_named_even_when_ctrl_c_comes_meanwhile(
     prepared: Prepare, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    setup = prepared("bovine-muscle")
+    setup = prepared("bovine-muscle-synchronous")
     off = Agilent33250A.make_safe
     deaf: list[str] = []
 
@@ -227,7 +227,7 @@ def deaf(generator):
         raise TimeoutError("nothing came")
     off(generator)
 Agilent33250A.make_safe = deaf
-sys.argv = ["hpe-rig", "run", "bovine-muscle", "--output", "run.h5"]
+sys.argv = ["hpe-rig", "run", "bovine-muscle-synchronous", "--output", "run.h5"]
 from hpe_rig.cli import main
 main()
 """
@@ -242,6 +242,6 @@ def test_the_checks_of_these_tests_can_fail(
 ) -> None:
     """A bench that is left as it is, is seen to drive."""
     monkeypatch.setattr(bench_module, "make_safe", lambda instruments: None)
-    measure(prepared("bovine-muscle"), tmp_path / "run.h5")
+    measure(prepared("bovine-muscle-synchronous"), tmp_path / "run.h5")
     with pytest.raises(AssertionError):
         assert_safe(worlds[0])

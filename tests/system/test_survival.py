@@ -124,7 +124,7 @@ def kill_at_random(setup: Setup, tmp_path: Path, kills: int, seed: int) -> None:
 
 
 @pytest.mark.parametrize("kills", [3, pytest.param(200, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("scene", "edits"), [("table-1", ONE_LONG_SHOT), ("bovine-muscle", SWEEP)])
+@pytest.mark.parametrize(("scene", "edits"), [("table-1", ONE_LONG_SHOT), ("bovine-muscle-synchronous", SWEEP)])
 def test_a_run_killed_at_any_moment_opens_keeps_its_records_and_resumes_to_the_same_table(
     prepared: Prepare, tmp_path: Path, scene: str, edits: tuple[tuple[str, str], ...], kills: int
 ) -> None:
@@ -174,7 +174,7 @@ def test_a_writer_killed_in_the_middle_of_writing_leaves_whole_records(
 
 
 def test_a_resumed_run_can_be_killed_and_resumed_again(prepared: Prepare, tmp_path: Path) -> None:
-    setup = prepared("bovine-muscle", *SWEEP)
+    setup = prepared("bovine-muscle-synchronous", *SWEEP)
     expected = table(measure(setup, tmp_path / "whole.h5"))
     path = tmp_path / "first.h5"
     for stop_at, name in ((1, "first"), (3, "second")):
@@ -193,7 +193,7 @@ def test_a_resumed_run_can_be_killed_and_resumed_again(prepared: Prepare, tmp_pa
 
 def test_resuming_gives_the_same_table_when_no_period_fits_the_sample_clock(prepared: Prepare, tmp_path: Path) -> None:
     setup = prepared(
-        "bovine-muscle",
+        "bovine-muscle-synchronous",
         *SWEEP,
         ("pulse_rate_hz = 4000.0", "pulse_rate_hz = 3333.0"),
         ("synchronous = true", ""),
@@ -221,7 +221,7 @@ def test_resuming_gives_the_same_table_when_no_period_fits_the_sample_clock(prep
 def test_resume_refuses_another_scene(
     prepared: Prepare, tmp_path: Path, change: Callable[[str], str], message: str
 ) -> None:
-    setup = prepared("bovine-muscle", *SWEEP)
+    setup = prepared("bovine-muscle-synchronous", *SWEEP)
     path = measure(setup, tmp_path / "run.h5")
     other = tmp_path / "other.toml"
     other.write_text(change(setup.scene.text), encoding="utf-8")
@@ -230,7 +230,7 @@ def test_resume_refuses_another_scene(
 
 
 def test_resume_refuses_another_bench_and_a_complete_run(prepared: Prepare, tmp_path: Path) -> None:
-    setup = prepared("bovine-muscle", *SWEEP)
+    setup = prepared("bovine-muscle-synchronous", *SWEEP)
     path = measure(setup, tmp_path / "run.h5")
     bench = tmp_path / "bench.toml"
     bench.write_text(setup.bench.text.replace("delay_s = 10e-9", "delay_s = 11e-9"), encoding="utf-8")
@@ -268,7 +268,7 @@ def measure_on_a_full_disk(setup: Setup, path: Path, size: int) -> None:
 def test_a_disk_full_at_any_size_ends_with_a_message_outputs_off_and_a_file_that_resumes(
     prepared: Prepare, tmp_path: Path, sizes: int
 ) -> None:
-    setup = prepared("bovine-muscle", *SWEEP)
+    setup = prepared("bovine-muscle-synchronous", *SWEEP)
     whole_path = measure(setup, tmp_path / "whole.h5")
     whole, expected = read_run(whole_path), table(whole_path)
     opened, records = 0, 0
