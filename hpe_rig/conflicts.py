@@ -11,7 +11,7 @@ from hpe_rig.bench_file import BOARD_MODELS, BenchFile
 from hpe_rig.finding import Finding, Level, PlanError, judged, refuse_conflicts
 from hpe_rig.interference import admissible_delays_s, disturbed_pulses, effective_rate_hz, forbidden_window_s
 from hpe_rig.output_conflicts import acoustic_output, drive
-from hpe_rig.plan import Plan, Shot
+from hpe_rig.plan import Plan, Shot, reference_gate
 from hpe_rig.scene import Scene
 
 __all__ = ["Finding", "PlanError", "findings", "refuse_conflicts"]
@@ -159,6 +159,13 @@ def _gate_in_record(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Find
     needed = 16 * math.ceil(needed / 16)
     remedy = f"acquisition.record_samples = {max(128, needed)} or more, or a shorter acquisition.gate_length_m"
     yield judged("gate in record", gate.start >= 0 and gate.stop <= samples, text, remedy)
+    still = reference_gate(scene, shot)
+    if still is not None:
+        text = f"the reference gate takes samples {still.start} to {still.stop} of a record of {samples}"
+        remedy = (
+            "processing.reference_gate_depth_m closer to acquisition.gate_depth_m, or more acquisition.record_samples"
+        )
+        yield judged("reference gate in record", still.start >= 0 and still.stop <= samples, text, remedy)
     length = gate.stop - gate.start
     text = f"the gate holds {length} samples"
     yield judged("gate samples", length >= 8, text, "a longer acquisition.gate_length_m or a higher sample rate")

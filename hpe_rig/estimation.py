@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.interference import disturbed_pulses
-from hpe_rig.plan import Plan, Shot, slow_time_window
+from hpe_rig.plan import Plan, Shot, reference_gate, slow_time_window
 from hpe_rig.prediction import predicted_averaging
 from hpe_rig.processing import (
     Drift,
@@ -62,19 +62,6 @@ def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimat
 def options_of(processing: Processing) -> Options:
     """Return what of the estimation the scene chooses, apart from the estimator."""
     return Options(processing.background_order, processing.harmonic, processing.process_noise)
-
-
-def reference_gate(scene: Scene, shot: Shot) -> slice | None:
-    """Return the samples of a record that lie in the reference gate, None where the scene has none."""
-    depth_m = scene.processing.reference_gate_depth_m
-    if depth_m is None:
-        return None
-    acquisition = scene.acquisition
-    length_m = scene.processing.reference_gate_length_m or acquisition.gate_length_m
-    per_metre = 2 / acquisition.sound_speed_m_per_s * shot.capture.sample_rate_hz
-    shift = round((depth_m - length_m / 2 - acquisition.gate_depth_m + acquisition.gate_length_m / 2) * per_metre)
-    start = shot.gate.start + shift
-    return slice(start, start + round(length_m * per_metre))
 
 
 def driven_frequencies_hz(scene: Scene) -> NDArray[np.float64]:

@@ -150,6 +150,19 @@ def pulse_count(scene: Scene) -> int:
     return max(1, math.floor(train_s * scene.tracking.pulse_rate_hz + 1e-6))
 
 
+def reference_gate(scene: Scene, shot: Shot) -> slice | None:
+    """Return the samples of a record that lie in the reference gate, None where the scene has none."""
+    depth_m = scene.processing.reference_gate_depth_m
+    if depth_m is None:
+        return None
+    acquisition = scene.acquisition
+    length_m = scene.processing.reference_gate_length_m or acquisition.gate_length_m
+    per_metre = 2 / acquisition.sound_speed_m_per_s * shot.capture.sample_rate_hz
+    shift = round((depth_m - length_m / 2 - acquisition.gate_depth_m + acquisition.gate_length_m / 2) * per_metre)
+    start = shot.gate.start + shift
+    return slice(start, start + round(length_m * per_metre))
+
+
 def tracking_path_s(bench: BenchFile) -> tuple[float, float]:
     """Return the time from the master's edge, without t_d, to the digitizer's trigger and to the pulse's onset."""
     generators, board = bench.generators, bench.digitizer
