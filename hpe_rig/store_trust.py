@@ -122,7 +122,9 @@ def trusted(path: Path) -> Iterator[Trusted]:
 
 def _opened(path: Path, in_use: bool) -> h5py.File:
     if not in_use:
-        return h5py.File(path, "r")
+        with contextlib.suppress(OSError):
+            return h5py.File(path, "r")
+        # A run that a full disk ended is shorter than its last chunk would be; a reader of a growing file minds less.
     access = _patience()
     for _ in range(OPEN_ATTEMPTS - 1):
         with contextlib.suppress(OSError):

@@ -36,8 +36,9 @@ def _drawing(shot: Shot) -> Iterator[str]:
     def row(name: str, mark: str, intervals: Sequence[tuple[float, float]]) -> str:
         columns = [" "] * WIDTH
         for low, high in intervals:
-            first = math.floor((low - start_s) / span_s * WIDTH)
-            last = max(first, math.ceil((high - start_s) / span_s * WIDTH) - 1)
+            begin, end = (min(max(float(time_s) - start_s, -span_s), 2 * span_s) / span_s for time_s in (low, high))
+            first = math.floor(begin * WIDTH)
+            last = max(first, math.ceil(end * WIDTH) - 1)
             for column in range(max(0, first), min(WIDTH, last + 1)):
                 columns[column] = mark
         return f"{name:>14} |{''.join(columns)}|"

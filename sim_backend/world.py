@@ -5,6 +5,7 @@ Assumed: motion left over from before a capture is forgotten if every output was
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -41,6 +42,8 @@ PULSER = "tracking_pulser"
 SOURCES = (*(f"{role}.output" for role in GENERATORS), "digitizer.aux")
 TARGETS = (*(f"{role}.trigger" for role in GENERATORS), "digitizer.trigger", "transducer.drive")
 FAR_PS = 1 << 60
+KEPT_CAPTURES = 16
+"""How many armings are remembered with everything that was emitted: a long run must not grow."""
 
 
 class Physics(Protocol):
@@ -142,7 +145,7 @@ class World:
         )
         self._evaluated: tuple[int, Evaluation] | None = None
         self._recorded: tuple[Captured, NDArray[np.float64], int] | None = None
-        self._past: list[Captured] = []
+        self._past: deque[Captured] = deque(maxlen=KEPT_CAPTURES - 1)
 
     def wire(self, role: str, over_serial: bool = False) -> InstrumentWire:
         """Return a text connection to the generator of ``role``; raise ``ValueError`` for a role that is none."""
@@ -180,7 +183,8 @@ class World:
     def true_displacement_m(self, capture_index: int = -1) -> NDArray[np.float64]:
         """Return the true displacement at the focus when each record's tracking pulse got there: (record,).
 
-        NaN where no pulse was fired. ``capture_index`` counts the armings of this world, from the last if negative.
+        NaN where no pulse was fired. ``capture_index`` counts the last ``KEPT_CAPTURES`` armings of this world, from
+        the very last if negative.
         """
         captured = self._capture(capture_index)
         onset_ps = _pulse_of_each_record(captured)

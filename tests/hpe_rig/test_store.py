@@ -1,4 +1,4 @@
-"""The run file: what other programs read, what is refused before anything is written, what is left by a broken writer."""
+"""The run file: what other programs read, what is refused before anything is written, what stays."""
 
 from __future__ import annotations
 
