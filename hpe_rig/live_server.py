@@ -67,7 +67,11 @@ class LivePage:
     def serve(self) -> None:
         """Serve until ``close`` or Ctrl-C."""
         self._serving = True
-        self._server.run(sockets=[self._socket])
+        try:
+            self._server.run(sockets=[self._socket])
+        finally:
+            # Told to end while it was starting, the server leaves the port open.
+            self._socket.close()
 
     def close(self, grace_s: float = 0.0) -> None:
         """End serving once viewers have had ``grace_s`` to get the last state."""
