@@ -119,9 +119,11 @@ def fit_from_state(
     in_phase, quadrature = state[..., 0 : 2 * count : 2], state[..., 1 : 2 * count : 2]
     amplitude = np.hypot(in_phase, quadrature)
     phase = np.arctan2(quadrature, in_phase)
-    turn = np.stack([np.stack([np.cos(phase), np.sin(phase)], -1), np.stack([-np.sin(phase), np.cos(phase)], -1)], -2)
-    first = 2 * np.arange(count)
-    pairs = np.stack([first, first + 1], axis=-1)
+    turn = np.empty((*phase.shape, 2, 2))
+    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(phase)
+    turn[..., 0, 1] = np.sin(phase)
+    turn[..., 1, 0] = -turn[..., 0, 1]
+    pairs = np.arange(2 * count).reshape(count, 2)
     blocks = state_covariance[..., pairs[:, :, None], pairs[:, None, :]]
     radial = turn @ blocks @ np.swapaxes(turn, -1, -2)
     return HarmonicFit(
