@@ -125,7 +125,8 @@ def fit_from_state(
     turn[..., 1, 0] = -turn[..., 0, 1]
     pairs = np.arange(2 * count).reshape(count, 2)
     blocks = state_covariance[..., pairs[:, :, None], pairs[:, None, :]]
-    radial = turn @ blocks @ np.swapaxes(turn, -1, -2)
+    turned = turn @ blocks @ np.swapaxes(turn, -1, -2)
+    radial = (turned + np.swapaxes(turned, -1, -2)) / 2
     return HarmonicFit(
         frequency_hz,
         amplitude,

@@ -29,6 +29,7 @@ from hpe_rig.processing import (
     unlike_pulses,
 )
 from hpe_rig.processing.model import harmonic_columns
+from hpe_rig.study.accuracy_motion import Case, twin_echoes
 
 if TYPE_CHECKING:
     from conftest import TableOne
@@ -122,7 +123,7 @@ def test_noise_and_speckle_together_explain_2000_measurements(table_one: TableOn
     generator = np.random.default_rng(31)
     ratios, noise = [], []
     for _ in range(20):
-        clean = table_one.speckle(generator, 100)
+        clean = twin_echoes(Case(), 100, generator)
         noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 100)
         fit = estimate(table_one.gate(clean + noise_v * generator.standard_normal(clean.shape)), [200.0], estimator)
         ratios.append(fit.amplitude_m[:, 0] / table_one.amplitude_m)

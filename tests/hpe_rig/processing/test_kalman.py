@@ -85,7 +85,10 @@ def test_ten_million_pulses_leave_the_covariance_symmetric_positive_and_the_stat
     motion = _motion(_wave(pulses) + 1e-7 * noise)
     filtered, fitted = kalman(motion, [200.0], innovations=False), least_squares(motion, [200.0])
     np.testing.assert_allclose(filtered.state, fitted.state, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(filtered.covariance, fitted.covariance, rtol=1e-9, atol=0)
+    np.testing.assert_array_equal(filtered.covariance, np.swapaxes(filtered.covariance, -1, -2))
+    # amplitude and phase do not correlate here: their covariance is compared on the scale of the variances
+    scale = np.sqrt(np.diagonal(fitted.covariance[0]))
+    np.testing.assert_allclose((filtered.covariance - fitted.covariance) / np.outer(scale, scale), 0, atol=1e-9)
     assert (np.linalg.eigvalsh(filtered.state_covariance) > 0).all()
 
 
