@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpe_rig.processing import HarmonicFit, estimate
 from hpe_rig.bounds import harmonic_bound
+from hpe_rig.processing import HarmonicFit, estimate
 from sim_backend.acoustics import draw_echoes
 from sim_backend.settings import SimulationSettings
 
