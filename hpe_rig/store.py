@@ -10,6 +10,7 @@ Layout, format version 2 (``store_layout``)::
                            (shot, pulse); shot_complete and clipped (shot,); burst_length_s, force_fraction, repeat
                            (shot,); scales shot, pulse, sample
     /truth                 displacement_m (shot, pulse), simulated runs only
+    /true_harmonics        A cos(phase) and A sin(phase) of the true motion (shot, frequency), simulated runs only
 
 Promises: ``status`` is running, complete, aborted or failed. Everything stands at its final size before the first
 record (``store_writer``), so that a file whose writer was killed opens, in HDF5's single-writer-multiple-reader mode,

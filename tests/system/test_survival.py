@@ -24,7 +24,7 @@ from hpe_rig import run as run_module
 from hpe_rig.bench import Bench, open_bench
 from hpe_rig.resume import prepare_rest, resume
 from hpe_rig.run import Setup, measure, process
-from hpe_rig.sequencer import Progress, ShotBlock, acquire
+from hpe_rig.sequencer import Progress, ShotBlock, Step, acquire
 from hpe_rig.store import RunWriter, StoredRun, StoreError, WriteOptions, read_run
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs fork, SIGKILL and file size limits")
@@ -335,3 +335,37 @@ def reads_while_writing(prepared: Prepare, tmp_path: Path, reads: int) -> None:
     print(f"{reads} reads while {counts[0]} grew to {counts[-1]} shots")
     assert counts == sorted(counts)
     assert len(set(counts)) > 3
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="needs Linux's account of memory")
+def test_a_long_run_streams_in_constant_memory(prepared: Prepare, tmp_path: Path) -> None:
+    edits = (("[acquisition]", "[acquisition]\nrepeats = 120\nrecord_samples = 10000"), ("snr_db = 40.0", ""))
+    setup = prepared(
+        "table-1",
+        *edits,
+        ("pulse_count = 101", "pulse_count = 500"),
+        ("pulse_rate_hz = 4000.0", "pulse_rate_hz = 2000.0"),
+    )
+    report = tmp_path / "resident.txt"
+
+    def noted() -> None:
+        resident = []
+
+        def observe(progress: Progress) -> None:
+            if progress.step is Step.SAFE:
+                pages = int(Path("/proc/self/statm").read_text().split()[1])
+                resident.append(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
+                report.write_text(" ".join(f"{megabytes:.1f}" for megabytes in resident))
+
+        measure(setup, tmp_path / "run.h5", observe)
+
+    _, status = os.waitpid(forked(noted), 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+    resident = [float(word) for word in report.read_text().split()]
+    written = (tmp_path / "run.h5").stat().st_size / 1e6
+    print(f"{written:.0f} MB written, resident {resident[0]:.0f}, {resident[60]:.0f}, {resident[-1]:.0f} MB")
+    assert written > 1200
+    assert max(resident) < 500
+    # One shot is 10 MB on disk and 40 MB in the twin: less than one of them may stay of sixty.
+    assert resident[-1] - resident[60] < 10
