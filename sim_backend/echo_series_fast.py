@@ -43,22 +43,22 @@ def _evenly_spaced(pulse: Pulse) -> bool:
     return len(hz) < 3 or bool(np.abs(np.diff(hz, 2)).max() <= 1e-14 * np.abs(hz).max())
 
 
-def series_fast(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float, out: Floats) -> None:
-    """Write the same as `echo_series.series` to ``out`` (row, echo, sample), float64 or float32."""
+def series_fast(
+    scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float, out: NDArray[np.floating]
+) -> None:
+    """Write the same as `echo_series.series` to ``out`` (row, echo, sample), of any float type."""
     tables = series_tables(scene, pulse, sample_time_s, tolerance)
-    shape, amplitude_s = scene.shape[0], np.ascontiguousarray(scene.amplitude_s[:, :, 0])
+    shape, amplitude_s = scene.shape[0], scene.amplitude_s[:, :, 0]
     farthest_s = largest_size(amplitude_s) * largest_size(shape)
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
     crossing = 1 + (2 * farthest_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0.0)
     bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
     omega = 2 * np.pi * np.array(pulse.frequency_hz)
+    # The loop is compiled for this one kind of array.
+    made = out if out.dtype == np.float64 and out.flags.c_contiguous else np.empty(out.shape)
     _loop()(
         scene.row.searchsorted(np.arange(len(amplitude_s) + 1)),
-        scene.rest_s,
-        scene.weight,
-        shape,
-        amplitude_s,
-        sample_time_s,
+        *map(np.ascontiguousarray, (scene.rest_s, scene.weight, shape, amplitude_s, sample_time_s)),
         np.array([pulse.start_s, pulse.end_s]),
         float(omega[0]),
         float(omega[-1] - omega[0]) / max(1, len(omega) - 1),
@@ -72,8 +72,10 @@ def series_fast(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: 
         farthest_s,
         crossing,
         CROSSING_SHARE * tolerance,
-        out,
+        made,
     )
+    if made is not out:
+        out[:] = made
 
 
 @functools.cache

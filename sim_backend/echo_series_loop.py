@@ -1,15 +1,25 @@
-"""The loop that Numba compiles; imported by `echo_series_fast` alone, and only where Numba is installed."""
+"""The loops that Numba compiles; imported by `echo_series_fast` alone, and only where Numba is installed.
+
+Written out element by element and in pieces, each compiled for one kind of arguments: array expressions, inlining by
+hand and further layouts cost seconds of compilation each, and no run time is saved.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Loop = TypeVar("Loop", bound=Callable[..., object])
+
+_compiled: Callable[[Loop], Loop] = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 
-@numba.njit(inline="always", cache=True)  # type: ignore[untyped-decorator]
+@_compiled
 def _place(time_s: Floats, edge_s: float, rate_hz: float) -> int:
     """Return the first sample at or after ``edge_s``; guessed as if evenly spaced, then exact."""
     guess = (edge_s - time_s[0]) * rate_hz
@@ -21,7 +31,102 @@ def _place(time_s: Floats, edge_s: float, rate_hz: float) -> int:
     return place
 
 
-@numba.njit(nogil=True, cache=True)  # type: ignore[untyped-decorator]
+@_compiled
+def _add_scatterers(
+    cells: Floats,
+    first: int,
+    last: int,
+    rest_s: Floats,
+    weight: Floats,
+    shape: Floats,
+    time_s: Floats,
+    ends_s: Floats,
+    omega: float,
+    step: float,
+    rate_hz: float,
+) -> None:
+    """Add to ``cells`` (2 samples, frequency, power, 2) the turned moments where supports begin or end."""
+    frequencies, powers, samples = cells.shape[1], cells.shape[2], len(time_s)
+    for n in range(first, last):
+        if rest_s[n] + ends_s[0] > time_s[samples - 1] or rest_s[n] + ends_s[1] <= time_s[0]:
+            continue
+        enter = _place(time_s, rest_s[n] + ends_s[0], rate_hz)
+        leave = _place(time_s, rest_s[n] + ends_s[1], rate_hz)
+        if enter >= leave or enter >= samples or leave <= 0:
+            continue
+        cell = samples - leave if enter == 0 else samples + enter
+        c, s = np.cos(omega * rest_s[n]), -np.sin(omega * rest_s[n])
+        turn_c, turn_s = np.cos(step * rest_s[n]), -np.sin(step * rest_s[n])
+        for m in range(frequencies):
+            moment = weight[n]
+            for q in range(powers):
+                cells[cell, m, q, 0] += moment * c
+                cells[cell, m, q, 1] += moment * s
+                moment *= shape[n]
+            c, s = c * turn_c - s * turn_s, c * turn_s + s * turn_c
+
+
+@_compiled
+def _sum_up(cells: Floats, real: Floats, imag: Floats, sums: Floats) -> float:
+    """Sum ``cells`` from either end, turn them into ``sums`` (power, sample); return the power of the first."""
+    frequencies, powers, samples = real.shape
+    flat = cells.reshape(2, samples, frequencies * powers * 2)
+    for half in range(2):
+        for i in range(1, samples):
+            for q in range(flat.shape[2]):
+                flat[half, i, q] += flat[half, i - 1, q]
+    power = 0.0
+    for q in range(powers):
+        for i in range(samples):
+            value = 0.0
+            for m in range(frequencies):
+                a = cells[samples - 1 - i, m, q, 0] + cells[samples + i, m, q, 0]
+                b = cells[samples - 1 - i, m, q, 1] + cells[samples + i, m, q, 1]
+                value += real[m, q, i] * a - imag[m, q, i] * b
+            sums[q, i] = value
+            if q == 0:
+                power += value * value
+    return power
+
+
+@_compiled
+def _combine(sums: Floats, scaled: Floats, echoes: Floats) -> None:
+    """Write the series ``sum_q scaled^q / q! sums[q]`` to ``echoes`` (echo, sample)."""
+    powers, samples = sums.shape
+    for k in range(len(echoes)):
+        coefficient = 1.0
+        for i in range(samples):
+            echoes[k, i] = sums[0, i]
+        for q in range(1, powers):
+            coefficient *= scaled[k] / q
+            for i in range(samples):
+                echoes[k, i] += coefficient * sums[q, i]
+
+
+@_compiled
+def _correct(
+    echoes: Floats,
+    strength: float,
+    past_s: float,
+    shape: float,
+    amplitude_s: Floats,
+    sample: int,
+    was: float,
+    taylor: Floats,
+    orders: int,
+) -> None:
+    """Add to one sample of each echo what the motion of one support end lets in or out."""
+    for k in range(len(amplitude_s)):
+        x = past_s - amplitude_s[k] * shape
+        change = (1.0 if x >= 0 else 0.0) - was
+        if change != 0.0:
+            value = taylor[orders - 1]
+            for q in range(orders - 2, -1, -1):
+                value = value * x + taylor[q]
+            echoes[k, sample] += strength * change * value
+
+
+@_compiled
 def rows(
     first: NDArray[np.int64],
     rest_s: Floats,
@@ -44,90 +149,40 @@ def rows(
     share: float,
     out: Floats,
 ) -> None:
+    """Write the echoes of every row to ``out`` (row, echo, sample); the arguments are those of `echo_series`."""
     frequencies, powers, samples = real.shape
-    row_count, echoes = amplitude_s.shape
     rate_hz = (samples - 1) / (time_s[-1] - time_s[0]) if samples > 1 else 0.0
-    cells_real = np.empty((2 * samples, frequencies, powers))
-    cells_imag = np.empty((2 * samples, frequencies, powers))
     sums = np.empty((powers, samples))
-    line, moment = np.empty(samples), np.empty(powers)
-    for row in range(row_count):
-        cells_real[:] = 0.0
-        cells_imag[:] = 0.0
-        for n in range(first[row], first[row + 1]):
-            if rest_s[n] + ends_s[0] > time_s[samples - 1] or rest_s[n] + ends_s[1] <= time_s[0]:
-                continue
-            enter = _place(time_s, rest_s[n] + ends_s[0], rate_hz)
-            leave = _place(time_s, rest_s[n] + ends_s[1], rate_hz)
-            if enter >= leave or enter >= samples or leave <= 0:
-                continue
-            cell = samples - leave if enter == 0 else samples + enter
-            c, s = np.cos(omega * rest_s[n]), -np.sin(omega * rest_s[n])
-            turn_c, turn_s = np.cos(step * rest_s[n]), -np.sin(step * rest_s[n])
-            moment[0] = weight[n]
-            for q in range(1, powers):
-                moment[q] = moment[q - 1] * shape[n]
-            for m in range(frequencies):
-                for q in range(powers):
-                    cells_real[cell, m, q] += moment[q] * c
-                    cells_imag[cell, m, q] += moment[q] * s
-                c, s = c * turn_c - s * turn_s, c * turn_s + s * turn_c
-        for i in range(1, samples):
-            cells_real[i] += cells_real[i - 1]
-            cells_imag[i] += cells_imag[i - 1]
-            cells_real[samples + i] += cells_real[samples + i - 1]
-            cells_imag[samples + i] += cells_imag[samples + i - 1]
-        power = 0.0
-        for q in range(powers):
-            for i in range(samples):
-                value = 0.0
-                for m in range(frequencies):
-                    a = cells_real[samples - 1 - i, m, q] + cells_real[samples + i, m, q]
-                    b = cells_imag[samples - 1 - i, m, q] + cells_imag[samples + i, m, q]
-                    value += real[m, q, i] * a - imag[m, q, i] * b
-                sums[q, i] = value
-                if q == 0:
-                    power += value * value
-        for k in range(echoes):
-            coefficient = 1.0
-            line[:] = sums[0]
-            for q in range(1, powers):
-                coefficient *= amplitude_s[row, k] * scale / q
-                for i in range(samples):
-                    line[i] += coefficient * sums[q, i]
-            for i in range(samples):
-                out[row, k, i] = line[i]
+    for row in range(len(amplitude_s)):
+        begin, end = first[row], first[row + 1]
+        cells = np.zeros((2 * samples, frequencies, powers, 2))
+        _add_scatterers(cells, begin, end, rest_s, weight, shape, time_s, ends_s, omega, step, rate_hz)
+        power = _sum_up(cells, real, imag, sums)
+        _combine(sums, amplitude_s[row] * scale, out[row])
         if farthest_s == 0.0:
             continue
         # rms * sqrt(samples) = sqrt(power), shared among the crossings that may happen.
-        each = share * np.sqrt(power) / (2 * max(1, first[row + 1] - first[row]) * crossing)
-        spread_s = np.abs(amplitude_s[row]).max()
-        for n in range(first[row], first[row + 1]):
+        each = share * np.sqrt(power) / (2 * max(1, end - begin) * crossing)
+        spread_s = 0.0
+        for k in range(amplitude_s.shape[1]):
+            spread_s = max(spread_s, abs(amplitude_s[row, k]))
+        for n in range(begin, end):
             reach_s = spread_s * abs(shape[n])
-            for end in range(2):
-                edge_s = rest_s[n] + ends_s[end]
+            for edge in range(2):
+                edge_s = rest_s[n] + ends_s[edge]
                 if edge_s + reach_s < time_s[0] or edge_s - reach_s > time_s[samples - 1]:
                     continue
-                bound = abs(weight[n]) * largest[end]
-                for _ in range(jump_order[end]):
+                bound = abs(weight[n]) * largest[edge]
+                for _ in range(jump_order[edge]):
                     bound *= reach_s / farthest_s
                 if bound <= each:
                     continue
-                low = _place(time_s, edge_s - reach_s, rate_hz)
-                if low == samples or time_s[low] > edge_s + reach_s:
+                i = _place(time_s, edge_s - reach_s, rate_hz)
+                if i == samples or time_s[i] > edge_s + reach_s:
                     continue
                 rest_place = _place(time_s, edge_s, rate_hz)
-                i = low
+                strength = weight[n] if edge == 0 else -weight[n]
                 while i < samples and time_s[i] <= edge_s + reach_s:
-                    past_s = time_s[i] - edge_s
-                    was = 1.0 if i >= rest_place else 0.0
-                    signed = weight[n] if end == 0 else -weight[n]
-                    for k in range(echoes):
-                        x = past_s - amplitude_s[row, k] * shape[n]
-                        change = (1.0 if x >= 0 else 0.0) - was
-                        if change != 0.0:
-                            value = taylor[end, orders - 1]
-                            for q in range(orders - 2, -1, -1):
-                                value = value * x + taylor[end, q]
-                            out[row, k, i] += signed * change * value
+                    was, past_s = 1.0 if i >= rest_place else 0.0, time_s[i] - edge_s
+                    _correct(out[row], strength, past_s, shape[n], amplitude_s[row], i, was, taylor[edge], orders)
                     i += 1

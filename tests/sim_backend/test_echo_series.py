@@ -10,7 +10,7 @@ from sim_backend.echo_batch import batch
 from sim_backend.echo_motion import Delays, Motion, harmonic_motion
 from sim_backend.echo_running import blocks, running_sum
 from sim_backend.echo_series import MOST_ANGLE_RAD, Resting, exponents, series, terms_needed
-from sim_backend.echo_series_fast import available
+from sim_backend.echo_series_fast import serves
 from sim_backend.pulse import gaussian_pulse, hann_pulse, rectangular_burst
 from sim_backend.scatterers import depth_delay_s, draw_field
 from sim_backend.settings import Beams, Scatterers
@@ -122,7 +122,6 @@ def test_blocks_cover_the_gate_without_overlap_and_are_no_longer_than_the_pulse(
         assert all(np.ptp(GATE_S[part]) <= pulse.end_s - pulse.start_s for part in found)
 
 
-@pytest.mark.skipif(not available(), reason="Numba is not installed")
 @pytest.mark.parametrize("pulse", PULSES)
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-13])
 def test_compiled_series_equals_the_numpy_form(pulse, tolerance):
@@ -131,6 +130,7 @@ def test_compiled_series_equals_the_numpy_form(pulse, tolerance):
     tau, weight, g = (np.concatenate(column) for column in zip(*rows, strict=True))
     amplitude_s = 2e-6 / SOUND_SPEED * np.stack([CYCLE, 0.3 * CYCLE, 0 * CYCLE])[:, :, None]
     still = Resting(row, tau, weight, g[None], amplitude_s)
+    assert serves(still, pulse)
     compiled = batch(still, pulse, GATE_S, tolerance)
     plain = batch(still, pulse, GATE_S, tolerance, compiled=False)
     assert rms_error(compiled, plain) < tolerance
