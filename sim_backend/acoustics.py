@@ -35,6 +35,8 @@ _NOISE_STREAM = 1
 
 # Relative; a thousandth of a 14-bit code of a full-scale echo is 1e-7, its phase error a pm of motion.
 _ECHO_TOLERANCE = 1e-8
+# Pulses that start up to some ns apart move the ends of their support: below this only the exact sum of each helps.
+_FIELD_ECHO_TOLERANCE = 2e-7
 
 
 class Acoustics:
@@ -151,7 +153,7 @@ class Acoustics:
             shape,
             _after_arrival_s(sample_ps, arrival_s),
             self._settings.sound_speed_m_per_s,
-            _ECHO_TOLERANCE,
+            _ECHO_TOLERANCE if self._medium is None else _FIELD_ECHO_TOLERANCE,
             shift_s=(age_ps - age_ps[0]) / PS_PER_S,
         )
         block *= strength_v[burst, None]

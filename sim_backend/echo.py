@@ -6,10 +6,12 @@
 |--------------|---------------------------------------------------|------------------------------|
 | direct       | the reference                                     | rounding                     |
 | running_sum  | any delays                                        | rounding                     |
+| combined     | any delays of small motion and few freedoms       | held back echoes, else exact |
 | interpolated | tau_kn = tau_n + b_k g_n, motion of many radians  | algebraic or geometric       |
 | series       | tau_kn = tau_n + sum_r b_kr g_rn, below 3 rad     | geometric, down to rounding  |
 
-Each has a file of its own: ``echo_direct``, ``echo_running``, ``echo_nodes``, ``echo_series``; ``echo_choice`` chooses.
+Each has a file of its own: ``echo_direct``, ``echo_running``, ``echo_combined``, ``echo_nodes``, ``echo_series``;
+``echo_choice`` chooses.
 Delays and sample times share one origin. Put it near the echo (the focus), not at the pulse's onset 90 us earlier:
 then ``w t`` stays below some hundred radians and its rounding near 1e-14.
 """
@@ -24,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.echo_choice import LEFT_OUT_SHARE, Method, choices, in_reach, left_out_below
+from sim_backend.echo_combined import combined
 from sim_backend.echo_direct import direct
 from sim_backend.echo_motion import Delays, Motion, refuse_aliasing, refuse_unusable
 from sim_backend.echo_nodes import interpolated
@@ -46,7 +49,7 @@ class Synthesis:
     """(echo, sample)"""
     method: Method
     terms: int
-    """Nodes, or orders of the series; 0 where the evaluation is exact."""
+    """Nodes, orders of the series, or exact echoes that the others combine; 0 where all are exact."""
     scatterers: int
     """How many were summed."""
 
@@ -119,9 +122,13 @@ def _evaluate(
         moved = (motion.rest_s, weight, motion.shape[0], motion.amplitude_s[:, 0])
         echo = interpolated(*moved, pulse, sample_time_s, choice.terms)
     else:
-        exact = direct if choice.method == "direct" else running_sum
         delay_s = motion.delay_s if isinstance(motion, Delays) else motion.delay_s()
+        made = combined(delay_s, weight, pulse, sample_time_s, tolerance) if choice.method == "combined" else None
+        if made is not None:
+            return Synthesis(made[0], "combined", made[1], len(weight))
+        exact = direct if choice.method == "direct" else running_sum
         echo = exact(delay_s, weight, pulse, sample_time_s)
+        return Synthesis(echo, "direct" if exact is direct else "running_sum", 0, len(weight))
     return Synthesis(echo, choice.method, choice.terms, len(weight))
 
 

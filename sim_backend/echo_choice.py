@@ -9,13 +9,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backend.echo_combined import FEWEST_ECHOES
 from sim_backend.echo_motion import Delays, Motion
 from sim_backend.echo_nodes import MOST_NODES, edge_share, node_count
 from sim_backend.echo_series import MOST_ANGLE_RAD, exponents, largest_angle, terms_needed
 from sim_backend.pulse import Pulse
 
 Floats = NDArray[np.float64]
-Method = Literal["direct", "running_sum", "interpolated", "series"]
+Method = Literal["direct", "running_sum", "combined", "interpolated", "series"]
 
 # Below this the series and the nodes promise what rounding does not let them keep.
 FINEST_TOLERANCE = 1e-14
@@ -54,6 +55,10 @@ def choices(
     found = []
     if method is None:
         found.append(Choice("running_sum", stretches * (1e-4 + 2 * echoes_wanted * scatterers * by_pair_s)))
+    if isinstance(motion, Delays) and tolerance >= FINEST_TOLERANCE and method in (None, "combined"):
+        if method is not None or echoes_wanted >= FEWEST_ECHOES:
+            found.append(Choice("combined", 0.2 * stretches * 2 * echoes_wanted * scatterers * by_pair_s))
+        return found
     if isinstance(motion, Delays) or tolerance < FINEST_TOLERANCE:
         return found or refuse(method, "the motion has no shapes" if isinstance(motion, Delays) else "of its tolerance")
     spread_s = np.ptp(motion.amplitude_s, axis=0) / 2

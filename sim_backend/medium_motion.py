@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,5 +40,9 @@ def medium_motion(settings: SimulationSettings, offset_m: Floats, travel_s: floa
     # At least the force's own widths, so that a single scatterer at the focus leaves a field to tabulate.
     width_m = settings.beams.excitation_width_m
     reach_m = [max(float(at.max(initial=0.0)), width) for at, width in ((lateral_m, width_m[0]), (axial_m, width_m[2]))]
-    field = focus_field(specimen, width_m, *reach_m)
+    field = _kept_field(specimen, width_m, *reach_m)
     return MediumMotion(field.shapes(lateral_m, axial_m).T, field, specimen, settings.transmitter, travel_s)
+
+
+# Of the settings and the draw of scatterers alone: repeated measurements of one scene share it.
+_kept_field = lru_cache(maxsize=8)(focus_field)
