@@ -38,8 +38,6 @@ Floats = NDArray[np.float64]
 
 DEFAULT_TOLERANCE = 1e-6
 
-_MOST_SERIES_SHAPES = 3
-
 
 @dataclass(frozen=True, slots=True)
 class Synthesis:
@@ -179,8 +177,4 @@ def echoes(
     if shift_s is not None and shift_s.any():
         shape = np.concatenate([shape, np.ones((1, shape.shape[1]))])
         amplitude_s = np.concatenate([amplitude_s, -shift_s[:, None]], axis=1)
-    motion: Motion | Delays = Motion(depth_delay_s, shape, amplitude_s)
-    if len(shape) > _MOST_SERIES_SHAPES:
-        # The terms of a series are the monomials in all shapes; of a medium's field they are beyond counting.
-        motion = Delays(depth_delay_s + amplitude_s @ shape)
-    return _synthesise(motion, weight, pulse, sample_time_s, tolerance, None).echo
+    return _synthesise(Motion(depth_delay_s, shape, amplitude_s), weight, pulse, sample_time_s, tolerance, None).echo

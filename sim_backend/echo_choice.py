@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from sim_backend.echo_combined import FEWEST_ECHOES
 from sim_backend.echo_motion import Delays, Motion
 from sim_backend.echo_nodes import MOST_NODES, edge_share, node_count
-from sim_backend.echo_series import MOST_ANGLE_RAD, exponents, largest_angle, terms_needed
+from sim_backend.echo_series import MOST_ANGLE_RAD, largest_angle
+from sim_backend.echo_tables import terms_needed
 from sim_backend.pulse import Pulse
 
 Floats = NDArray[np.float64]
@@ -24,6 +25,8 @@ LEFT_OUT_SHARE = 0.1
 """Of the tolerance, for scatterers left out."""
 
 _FEWEST_TO_SORT_OUT = 64
+# Monomials of the motion's shapes; tables of more grow past 10 MB a gate.
+_MOST_COLUMNS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,7 @@ def choices(
         return [Choice(method, 0.0)]
     samples, scatterers, frequencies = len(sample_time_s), len(weight), len(pulse.frequency_hz)
     echoes_wanted = motion.echo_count
-    stretches = max(1, math.ceil(float(np.ptp(sample_time_s)) / (pulse.end_s - pulse.start_s)))
+    stretches = max(1, math.ceil(float(sample_time_s[-1] - sample_time_s[0]) / (pulse.end_s - pulse.start_s)))
     by_pair_s = 30e-9 + 25e-9 * frequencies
     found = []
     if method is None:
@@ -70,10 +73,10 @@ def choices(
             cost_s = stretches * (1e-4 + 2 * nodes * scatterers * by_pair_s) + 1e-9 * echoes_wanted * samples * nodes
             found.append(Choice("interpolated", cost_s, nodes))
     angle = largest_angle(pulse, motion.shape, motion.about_middle().amplitude_s[None])
-    if method in (None, "series") and angle <= MOST_ANGLE_RAD:
-        orders = terms_needed(angle, tolerance)
-        columns = len(exponents(len(motion.shape), orders))
-        period_s = float(np.ptp(sample_time_s)) / max(1, samples - 1) or 1.0
+    orders = terms_needed(angle, tolerance)
+    columns = math.comb(orders - 1 + len(motion.shape), orders - 1)
+    if method in (None, "series") and angle <= MOST_ANGLE_RAD and columns <= _MOST_COLUMNS:
+        period_s = float(sample_time_s[-1] - sample_time_s[0]) / max(1, samples - 1) or 1.0
         reach_s = spread_s @ np.abs(motion.shape)
         crossings = 4 * float(reach_s.sum()) / period_s
         each_s = 6e-8 + 4e-9 * columns * frequencies
@@ -105,6 +108,6 @@ def left_out_below(weight: Floats, pulse: Pulse, sample_time_s: Floats, toleranc
         return 0.0
     largest = max(1.0, float(np.abs(pulse.amplitude).sum()))
     power = float(np.square(np.abs(pulse.amplitude)).sum()) / 2
-    pulse_s, gate_s = pulse.end_s - pulse.start_s, float(np.ptp(sample_time_s))
+    pulse_s, gate_s = pulse.end_s - pulse.start_s, float(sample_time_s[-1] - sample_time_s[0])
     rms = math.sqrt(float(weight @ weight) * power * min(1.0, pulse_s / (pulse_s + gate_s)))
     return LEFT_OUT_SHARE * tolerance * rms / (largest * len(weight))

@@ -83,9 +83,9 @@ def refuse_unusable(motion: Motion | Delays, weight: Floats, sample_time_s: Floa
     parts = ("delay_s",) if isinstance(motion, Delays) else ("rest_s", "shape", "amplitude_s")
     named |= {name: getattr(motion, name) for name in parts if not callable(getattr(motion, name))}
     for name, value in named.items():
-        bad = np.argwhere(~np.isfinite(value))
-        if len(bad):
-            place = tuple(bad[0].tolist())
+        finite = np.isfinite(value)
+        if not finite.all():
+            place = tuple(np.argwhere(~finite)[0].tolist())
             raise ValueError(f"{name}{list(place)} is {value[place]}: every number that makes an echo must be finite")
     if tolerance < 0:
         raise ValueError(f"tolerance is {tolerance}: take 0 for exact sums or a relative error such as 1e-6")

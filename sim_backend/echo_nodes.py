@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -42,16 +43,21 @@ def edge_share(delay_s: Floats, weight: Floats, pulse: Pulse, half_range_s: floa
     # At least one sample an edge: where all edges coincide, chance does not average.
     reach_s = max(half_range_s, (last_s - first_s) / (2 * len(sample_time_s)))
 
-    def energy(begin_s: Floats, end_s: Floats) -> float:
-        inside_s = np.minimum(end_s, last_s + reach_s) - np.maximum(begin_s, first_s - reach_s)
-        return float(weight**2 @ np.maximum(inside_s, 0.0))
+    weighted, begin_s, end_s = np.square(weight), first_s - reach_s, last_s + reach_s
 
-    start_s, end_s = delay_s + pulse.start_s, delay_s + pulse.end_s
-    crossed = energy(start_s - reach_s, start_s + reach_s) + energy(end_s - reach_s, end_s + reach_s)
-    lit = energy(start_s, end_s)
-    return min(1.0, crossed / lit) if lit > 0 else 1.0
+    def energy(from_s: float, until_s: float) -> float:
+        """Return the summed energy times the time that ``delay_s`` plus from and until share with the gate."""
+        inside_s = np.minimum(delay_s + until_s, end_s) - np.maximum(delay_s + from_s, begin_s)
+        return float(weighted @ np.maximum(inside_s, 0.0, out=inside_s))
+
+    lit = energy(pulse.start_s, pulse.end_s)
+    if lit <= 0:
+        return 1.0
+    crossed = energy(pulse.start_s - reach_s, pulse.start_s + reach_s)
+    return min(1.0, (crossed + energy(pulse.end_s - reach_s, pulse.end_s + reach_s)) / lit)
 
 
+@functools.lru_cache(maxsize=32)
 def _edge_jump(pulse: Pulse) -> tuple[int, float]:
     """Return order and size of the lowest derivative that jumps where the support begins or ends."""
     omega = 2 * np.pi * np.array(pulse.frequency_hz)

@@ -12,7 +12,6 @@ Both parts converge geometrically, whatever the pulse: no derivative has to be c
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backend.echo_tables import Tables, one_less, tables_of, terms_needed
 from sim_backend.pulse import Pulse, phasors
 
 Floats = NDArray[np.float64]
@@ -31,8 +31,7 @@ MOST_ANGLE_RAD = 3.0
 """Largest turn of the highest frequency: beyond, the series' terms grow and take digits with them."""
 
 _VALUES_AT_ONCE = 1 << 18
-# Shares of the tolerance: the tail of the series, and the crossings left out or cut short.
-_TAIL_SHARE = 0.25
+# Share of the tolerance for crossings left out or cut short.
 CROSSING_SHARE = 0.1
 
 
@@ -50,21 +49,6 @@ class Resting:
     """(shape, scatterer), g."""
     amplitude_s: Floats
     """(row, echo, shape), b: the delay that a shape of 1 adds."""
-
-
-def terms_needed(angle_rad: float, tolerance: float) -> int:
-    """Return how many orders keep the tail of exp(j angle) below ``tolerance``'s share."""
-    tail, order = 1.0, 0
-    while tail > _TAIL_SHARE * tolerance and order < 64:
-        order += 1
-        tail *= angle_rad / order
-    return max(1, order)
-
-
-def exponents(shapes: int, orders: int) -> list[tuple[int, ...]]:
-    """Return every exponent tuple of ``shapes`` numbers with a sum below ``orders``, zero first."""
-    every = (powers for powers in itertools.product(range(orders), repeat=shapes) if sum(powers) < orders)
-    return sorted(every, key=sum)
 
 
 def largest_angle(pulse: Pulse, shape: Floats, amplitude_s: Floats) -> float:
@@ -100,63 +84,7 @@ def series_tables(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance
             "take the running sum"
         )
     orders = terms_needed(angle, tolerance)
-    return _tables(pulse, sample_time_s.tobytes(), len(scene.shape), orders)
-
-
-@dataclass(frozen=True, slots=True)
-class Tables:
-    """What a pulse and a gate fix."""
-
-    powers: list[tuple[int, ...]]
-    scale: float
-    """Highest angular frequency of the pulse, rad/s, to which moments and coefficients are referred."""
-    real: Floats
-    imag: Floats
-    """c_m (-j w_m / scale)^|a| exp(j w_m t), (frequency, exponent, sample)."""
-    jumps: tuple[list[float], list[float]]
-    """Start and end: sizes of the jumping derivatives over their factorials, referred to the carrier, (order,)."""
-    taylor: Floats
-    """Taylor coefficients of the exponentials about start and end, (end, order)."""
-
-
-@functools.lru_cache(maxsize=32)
-def _tables(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> Tables:
-    """Return the tables; kept, because studies and records repeat few gates many times."""
-    sample_time_s = np.frombuffer(sample_time)
-    hz = np.array(pulse.frequency_hz)
-    powers = exponents(shapes, orders)
-    order = np.array([sum(power) for power in powers])
-    slope = np.array(pulse.amplitude)[:, None] * np.power((-1j * hz / np.abs(hz).max())[:, None], order)
-    rotation = slope[:, :, None] * phasors(pulse, sample_time_s, 1)[:, None]
-    carrier_hz = pulse.frequency_hz[int(np.argmax(np.abs(pulse.amplitude)))]
-    ends = (pulse.start_s, pulse.end_s)
-    jumps = [np.abs(_edge_derivatives(pulse, edge_s, carrier_hz, 20)).tolist() for edge_s in ends]
-    taylor = np.stack([_edge_derivatives(pulse, edge_s, 0.0, 40).real for edge_s in ends])
-    return Tables(
-        powers,
-        float(2 * math.pi * np.abs(hz).max()),
-        np.ascontiguousarray(rotation.real),
-        np.ascontiguousarray(rotation.imag),
-        (jumps[0], jumps[1]),
-        taylor,
-    )
-
-
-def _edge_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> Complexes:
-    """Return derivative over factorial of the exponentials at an end, (order,), turned back by ``about_hz``."""
-    omega = 2 * np.pi * np.array(pulse.frequency_hz)
-    parts = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
-    rate = 1j * (omega - 2 * np.pi * about_hz)
-    out = np.empty(orders, dtype=np.complex128)
-    unit = float(np.abs(pulse.amplitude).sum())
-    for order in range(orders):
-        out[order] = parts.sum()
-        # What cancels exactly on paper (the Hann pulse and its slope are 0 at its ends) must not count as a jump.
-        if abs(out[order]) < 1e-12 * unit:
-            out[order] = 0.0
-        parts = parts * rate / (order + 1)
-        unit *= float(np.abs(rate).max()) / (order + 1)
-    return out
+    return tables_of(pulse, sample_time_s.tobytes(), len(scene.shape), orders)
 
 
 def _coefficients(amplitude_rad: Floats, powers: list[tuple[int, ...]]) -> Floats:
@@ -165,36 +93,43 @@ def _coefficients(amplitude_rad: Floats, powers: list[tuple[int, ...]]) -> Float
     out[0] = 1.0
     place = {power: index for index, power in enumerate(powers)}
     for index, power in enumerate(powers[1:], 1):
-        shape, lower = _one_less(power)
+        shape, lower = one_less(power)
         np.multiply(out[place[lower]], amplitude_rad[..., shape] / power[shape], out=out[index])
     return np.ascontiguousarray(np.moveaxis(out, 0, -1))
 
 
-def _one_less(power: tuple[int, ...]) -> tuple[int, tuple[int, ...]]:
-    shape = next(axis for axis, count in enumerate(power) if count)
-    return shape, tuple(count - (axis == shape) for axis, count in enumerate(power))
-
-
 def _rest_sums(scene: Resting, enter: Indices, leave: Indices, tables: Tables, pulse: Pulse, samples: int) -> Floats:
-    """Return U_a, real (row, exponent, sample), of the scatterers whose support at rest holds a sample."""
-    rows, shape = len(scene.amplitude_s), (len(pulse.frequency_hz), len(tables.powers))
-    seen = np.flatnonzero((enter < leave) & (enter < samples) & (leave > 0))
-    cell = np.where(enter == 0, samples - leave, samples + enter)
-    if rows > 1:
-        cell += 2 * samples * scene.row
-    columns = shape[0] * shape[1]
-    cells = np.zeros((2 * samples * rows, columns), dtype=np.complex128)
-    at_once = max(64, _VALUES_AT_ONCE // columns)
-    for first in range(0, len(seen), at_once):
-        part = seen[first : first + at_once]
-        key = cell[part]
-        run = _runs(key)
-        values = phasors(pulse, scene.rest_s[part], -1)[:, None] * _moments(scene, part, tables.powers)
-        cells[key[run]] += np.add.reduceat(values.reshape(columns, -1), run, axis=1).T
-    summed = np.cumsum(cells.T.reshape(*shape, rows, 2, samples), axis=-1)
-    alive = summed[..., 0, ::-1] + summed[..., 1, :]
-    turned = tables.real[:, :, None] * alive.real - tables.imag[:, :, None] * alive.imag
-    return np.ascontiguousarray(np.moveaxis(turned.sum(axis=0), 0, 1))
+    """Return U_a, real (row, exponent, sample), of the scatterers whose support at rest holds a sample.
+
+    In ascending delay those that entered since the first sample follow one another, and so do those that were there
+    and have yet to leave: one running sum over each, read at every sample.
+    """
+    begin = scene.row.searchsorted(np.arange(len(scene.amplitude_s) + 1)).tolist()
+    every = np.arange(samples)
+    at_once = max(64, _VALUES_AT_ONCE // (len(pulse.frequency_hz) * len(tables.powers)))
+    out = np.zeros((len(scene.amplitude_s), len(tables.powers), samples))
+    for row, (first, last) in enumerate(itertools.pairwise(begin)):
+        own_enter, own_leave = enter[first:last], leave[first:last]
+        middle = int(own_enter.searchsorted(1))
+        gone = own_leave.searchsorted(every, side="right")
+        come = np.maximum(own_enter.searchsorted(every, side="right"), middle)
+        low, high = int(gone[0]), int(come[-1])
+        alive = np.zeros(tables.turn.shape, dtype=np.complex128)
+        for cut in range(low, high, at_once):
+            length = min(at_once, high - cut)
+            part = slice(first + cut, first + cut + length)
+            turned, moments = phasors(pulse, scene.rest_s[part], -1)[:, None], _moments(scene, part, tables.powers)
+            here = min(max(middle - cut, 0), length)
+            # Those there already, an empty place, those to come: the sums begin at the empty place and go either way.
+            sums = np.zeros((*tables.turn.shape[:2], length + 1), dtype=np.complex128)
+            np.multiply(turned[..., :here], moments[:, :here], out=sums[..., :here])
+            np.multiply(turned[..., here:], moments[:, here:], out=sums[..., here + 1 :])
+            np.cumsum(sums[..., here:], axis=-1, out=sums[..., here:])
+            np.cumsum(sums[..., here::-1], axis=-1, out=sums[..., here::-1])
+            alive += sums.take(np.clip(come - cut, here, length), axis=-1)
+            alive += sums.take(np.clip(gone - cut, 0, here), axis=-1)
+        out[row] = np.einsum("fqi,fqi->qi", tables.turn, alive).real
+    return out
 
 
 def _runs(key: Indices) -> Indices:
@@ -205,14 +140,14 @@ def _runs(key: Indices) -> Indices:
     return np.flatnonzero(new)
 
 
-def _moments(scene: Resting, part: Indices, powers: list[tuple[int, ...]]) -> Floats:
+def _moments(scene: Resting, part: slice, powers: list[tuple[int, ...]]) -> Floats:
     """Return I_n g_n^a, (exponent, scatterer)."""
-    out = np.empty((len(powers), len(part)))
-    out[0] = scene.weight[part]
-    shape = scene.shape[:, part]
+    shape, weight = scene.shape[:, part], scene.weight[part]
+    out = np.empty((len(powers), len(weight)))
+    out[0] = weight
     place = {power: index for index, power in enumerate(powers)}
     for index, power in enumerate(powers[1:], 1):
-        axis, lower = _one_less(power)
+        axis, lower = one_less(power)
         np.multiply(out[place[lower]], shape[axis], out=out[index])
     return out
 
@@ -235,54 +170,50 @@ def _correct_crossings(
     farthest_s, heaviest = float(reach_s.max(initial=0.0)), float(np.abs(scene.weight).max(initial=0.0))
     if farthest_s == 0:
         return
-    samples = len(sample_time_s)
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
-    likely = 2 * len(reach_s) * (1 + (2 * farthest_s * (samples - 1) / duration_s if duration_s > 0 else 0))
-    each = budget / likely
-    for end, edge_s in enumerate((pulse.start_s, pulse.end_s)):
-        order, largest = largest_near(tables.jumps[end], farthest_s)
-        bound = np.abs(scene.weight) * (reach_s / farthest_s) ** order * largest
-        matter = np.flatnonzero(bound > each)
-        edge_time_s = scene.rest_s[matter] + edge_s
-        low = sample_time_s.searchsorted(edge_time_s - reach_s[matter])
-        count = sample_time_s.searchsorted(edge_time_s + reach_s[matter], side="right") - low
-        crossed = np.flatnonzero(count)
-        count = count[crossed]
-        pair = np.repeat(crossed, count)
-        sample = np.repeat(low[crossed] - np.cumsum(count) + count, count) + np.arange(len(pair))
-        who = matter[pair]
-        angle = tables.scale * farthest_s
-        taylor = enough_taylor(
-            tables.taylor[end], angle, each / heaviest / max(1.0, float(np.abs(pulse.amplitude).sum()))
-        )
-        at_once = max(1, _VALUES_AT_ONCE // out.shape[1])
-        for begin in range(0, len(who), at_once):
-            some = slice(begin, begin + at_once)
-            past_s = sample_time_s[sample[some]] - edge_time_s[pair[some]]
-            was_past = sample[some] >= index[end][who[some]]
-            _add_pairs(out, scene, who[some], sample[some], past_s, was_past, -taylor if end else taylor)
+    crossing = 1 + (2 * farthest_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
+    each = budget / (2 * len(reach_s) * crossing)
+    size, share = np.abs(scene.weight), reach_s / farthest_s
+    bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
+    matter = [np.flatnonzero(size * (share**order * largest) > each) for order, largest in bounds]
+    who = np.concatenate(matter)
+    end = np.repeat([0, 1], [len(part) for part in matter])
+    edge_time_s = scene.rest_s[who] + np.array([pulse.start_s, pulse.end_s])[end]
+    low = sample_time_s.searchsorted(edge_time_s - reach_s[who])
+    count = sample_time_s.searchsorted(edge_time_s + reach_s[who], side="right") - low
+    pair = np.repeat(np.arange(len(who)), count)
+    sample = np.arange(len(pair)) + np.repeat(low - np.cumsum(count) + count, count)
+    past_s = sample_time_s[sample] - edge_time_s[pair]
+    who, end = who[pair], end[pair]
+    was_past = sample >= np.where(end == 0, index[0][who], index[1][who])
+    cut = each / heaviest / max(1.0, float(np.abs(pulse.amplitude).sum()))
+    taylor = enough_taylor(tables.taylor, tables.scale * farthest_s, cut) * [[1.0], [-1.0]]
+    at_once = max(1, _VALUES_AT_ONCE // out.shape[1])
+    for begin in range(0, len(who), at_once):
+        some = slice(begin, begin + at_once)
+        _add_pairs(out, scene, who[some], sample[some], past_s[some], was_past[some], taylor[end[some]])
 
 
 def _add_pairs(
     out: Floats, scene: Resting, who: Indices, sample: Indices, past_s: Floats, was_past: Booleans, taylor: Floats
 ) -> None:
+    """Add to ``out``, at ``sample`` (pair,), the part of the scatterers ``who`` whose end has moved over it."""
     row = scene.row[who]
-    order = np.lexsort((sample, row))
-    row, sample, who = row[order], sample[order], who[order]
     if len(scene.amplitude_s) == 1:
         moved_s = scene.shape[:, who].T @ scene.amplitude_s[0].T
     else:
         moved_s = np.matmul(scene.amplitude_s[row], scene.shape[:, who].T[:, :, None])[:, :, 0]
-    x = past_s[order, None] - moved_s
-    change = scene.weight[who, None] * ((x >= 0) * 1.0 - was_past[order, None])
-    value = np.full_like(x, taylor[-1])
-    for coefficient in taylor[-2::-1]:
+    x = past_s[:, None] - moved_s
+    value = np.repeat(taylor[:, -1:], x.shape[1], axis=1)
+    for coefficient in taylor.T[-2::-1]:
         value *= x
-        if coefficient != 0:
-            value += coefficient
-    value *= change
-    run = _runs(row * out.shape[2] + sample)
-    out[row[run], :, sample[run]] += np.add.reduceat(value, run, axis=0)
+        value += coefficient[:, None]
+    value *= ((x >= 0) * 1.0 - was_past[:, None]) * scene.weight[who, None]
+    place = row * out.shape[2] + sample
+    order = np.argsort(place, kind="stable")
+    run = _runs(place[order])
+    first = order[run]
+    out[row[first], :, sample[first]] += np.add.reduceat(value[order], run, axis=0)
 
 
 def largest_near(jumps: list[float], reach_s: float) -> tuple[int, float]:
@@ -299,9 +230,9 @@ def largest_size(value: Floats) -> float:
 
 
 def enough_taylor(taylor: Floats, angle: float, tolerance: float) -> Floats:
-    """Return as many Taylor coefficients as keep the rest below ``tolerance``, ``angle`` from the end."""
+    """Return as many Taylor coefficients (end, order) as keep the rest below ``tolerance``, ``angle`` from the end."""
     tail, orders = angle, 1
-    while tail > tolerance and orders < len(taylor):
+    while tail > tolerance and orders < taylor.shape[1]:
         orders += 1
         tail *= angle / orders
-    return taylor[:orders]
+    return taylor[:, :orders]

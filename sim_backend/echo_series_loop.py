@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Loop = TypeVar("Loop", bound=Callable[..., object])
 
 _compiled: Callable[[Loop], Loop] = numba.njit(nogil=True, cache=True, error_model="numpy")
@@ -67,9 +68,9 @@ def _add_scatterers(
 
 
 @_compiled
-def _sum_up(cells: Floats, real: Floats, imag: Floats, sums: Floats) -> float:
+def _sum_up(cells: Floats, turn: Complexes, sums: Floats) -> float:
     """Sum ``cells`` from either end, turn them into ``sums`` (power, sample); return the power of the first."""
-    frequencies, powers, samples = real.shape
+    frequencies, powers, samples = turn.shape
     flat = cells.reshape(2, samples, frequencies * powers * 2)
     for half in range(2):
         for i in range(1, samples):
@@ -82,7 +83,7 @@ def _sum_up(cells: Floats, real: Floats, imag: Floats, sums: Floats) -> float:
             for m in range(frequencies):
                 a = cells[samples - 1 - i, m, q, 0] + cells[samples + i, m, q, 0]
                 b = cells[samples - 1 - i, m, q, 1] + cells[samples + i, m, q, 1]
-                value += real[m, q, i] * a - imag[m, q, i] * b
+                value += turn[m, q, i].real * a - turn[m, q, i].imag * b
             sums[q, i] = value
             if q == 0:
                 power += value * value
@@ -138,8 +139,7 @@ def rows(
     omega: float,
     step: float,
     scale: float,
-    real: Floats,
-    imag: Floats,
+    turn: Complexes,
     jump_order: NDArray[np.int64],
     largest: Floats,
     taylor: Floats,
@@ -150,14 +150,14 @@ def rows(
     out: Floats,
 ) -> None:
     """Write the echoes of every row to ``out`` (row, echo, sample); the arguments are those of `echo_series`."""
-    frequencies, powers, samples = real.shape
+    frequencies, powers, samples = turn.shape
     rate_hz = (samples - 1) / (time_s[-1] - time_s[0]) if samples > 1 else 0.0
     sums = np.empty((powers, samples))
     for row in range(len(amplitude_s)):
         begin, end = first[row], first[row + 1]
         cells = np.zeros((2 * samples, frequencies, powers, 2))
         _add_scatterers(cells, begin, end, rest_s, weight, shape, time_s, ends_s, omega, step, rate_hz)
-        power = _sum_up(cells, real, imag, sums)
+        power = _sum_up(cells, turn, sums)
         _combine(sums, amplitude_s[row] * scale, out[row])
         if farthest_s == 0.0:
             continue

@@ -1,5 +1,7 @@
 """The series: rest sums and exact support ends, NumPy and compiled, against the exact sum."""
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,8 +11,9 @@ from sim_backend.echo import synthesise
 from sim_backend.echo_batch import batch
 from sim_backend.echo_motion import Delays, Motion, harmonic_motion
 from sim_backend.echo_running import blocks, running_sum
-from sim_backend.echo_series import MOST_ANGLE_RAD, Resting, exponents, series, terms_needed
+from sim_backend.echo_series import MOST_ANGLE_RAD, Resting, series
 from sim_backend.echo_series_fast import serves
+from sim_backend.echo_tables import exponents, terms_needed
 from sim_backend.pulse import gaussian_pulse, hann_pulse, rectangular_burst
 from sim_backend.scatterers import depth_delay_s, draw_field
 from sim_backend.settings import Beams, Scatterers
@@ -111,7 +114,35 @@ def test_orders_fall_short_of_the_tolerance_by_none():
 
 
 def test_exponents_of_two_shapes_fill_a_triangle():
-    assert exponents(2, 3) == [(0, 0), (0, 1), (1, 0), (0, 2), (1, 1), (2, 0)]
+    assert exponents(2, 3) == [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
+
+
+def test_exponents_are_as_many_as_the_binomial_says_and_none_repeats():
+    for shapes, orders in [(1, 12), (3, 7), (10, 4)]:
+        found = exponents(shapes, orders)
+        assert len(set(found)) == len(found) == math.comb(orders - 1 + shapes, shapes)
+        assert max(map(sum, found)) == orders - 1
+
+
+@pytest.mark.parametrize("shapes", [4, 10, 40])
+def test_motion_of_many_shapes_meets_the_tolerance_by_whatever_is_cheapest(shapes):
+    """40 shapes and 6 orders are 1.2 million monomials: nobody may count them one by one."""
+    tau, weight, g = scene(6)
+    rng = np.random.default_rng(6)
+    shape = g * rng.standard_normal((shapes, len(g))) / np.sqrt(shapes)
+    motion = Motion(tau, shape, 2e-7 / SOUND_SPEED * rng.standard_normal((30, shapes)))
+    exact = running_sum(motion.delay_s(), weight, PULSES[0], GATE_S)
+    for tolerance in (1e-3, 1e-10):
+        assert rms_error(synthesise(motion, weight, PULSES[0], GATE_S, tolerance).echo, exact) < tolerance
+    with pytest.raises(ValueError, match="too many shapes"):
+        synthesise(
+            Motion(tau, np.repeat(shape, 10, axis=0), np.repeat(motion.amplitude_s, 10, axis=1)),
+            weight,
+            PULSES[0],
+            GATE_S,
+            1e-10,
+            "series",
+        )
 
 
 def test_blocks_cover_the_gate_without_overlap_and_are_no_longer_than_the_pulse():
