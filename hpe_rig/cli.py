@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ParamSpec
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from hpe_rig.result import Result
-    from hpe_rig.run import Setup
-    from hpe_rig.sequencer import Observer
-
-P = ParamSpec("P")
+from hpe_rig.console import EXIT_INSTRUMENT, EXIT_MISTAKE, announce, extra, guarded, progress, show
 
 app = typer.Typer(
     help="Measure harmonic motion with pulsed ultrasound excitation, on the bench or on its twin.",
@@ -32,28 +24,9 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a tabl
 Csv = Annotated[bool, typer.Option("--csv", help="Print CSV, a row a shot and frequency, instead of a table.")]
 Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (extra: compression).")]
 Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]; absent: as the scene says.")]
+Live = Annotated[bool, typer.Option("--live", help="Show a live page with a stop button (extra live).")]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to a file beside the run file.")]
 Port = Annotated[int, typer.Option(help="Port of the live page on this machine; 0: any free one.")]
-
-EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 1, 3, 130, 143
-
-
-def guarded(command: Callable[P, None]) -> Callable[P, None]:
-    """Return ``command`` such that every expected failure ends in a message and an exit code, never in a traceback."""
-
-    @functools.wraps(command)
-    def guard(*args: P.args, **kwargs: P.kwargs) -> None:
-        try:
-            command(*args, **kwargs)
-        except typer.Exit:
-            raise
-        except BaseException as error:
-            failure = _failure(error)
-            if failure is None:
-                raise
-            typer.echo(f"hpe-rig: {failure[0]}", err=True)
-            raise typer.Exit(failure[1]) from None
-
-    return guard
 
 
 def main() -> None:
@@ -76,8 +49,8 @@ def run(
     csv: Csv = False,
     compress: Compress = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")] = False,
-    live: Annotated[bool, typer.Option("--live", help="Show a live page with a stop button (extra live).")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", help="Log every step to a file beside the run file.")] = False,
+    live: Live = False,
+    verbose: Verbose = False,
 ) -> None:
     """Plan, acquire, store, estimate: one measurement from the scene to the table."""
     from hpe_rig.run import Stages, chosen_estimator, measure, prepare, process
@@ -88,10 +61,10 @@ def run(
     setup = prepare(scene, bench, stages)
     chosen_estimator(estimator, setup.scene.scene)
     path = output or free_path(setup.scene.name, Path())
-    with watched(setup, path, live, verbose, _announce) as watching:
-        with _progress(setup, quiet=json or csv) as observer:
+    with watched(setup, path, live, verbose, announce) as watching:
+        with progress(setup, quiet=json or csv) as observer:
             measure(setup, path, watching(observer), stages, WriteOptions(compress, overwrite))
-        _print(process(path, estimator, stages), json, csv)
+        show(process(path, estimator, stages), json, csv)
 
 
 @app.command()
@@ -105,18 +78,24 @@ def resume(
     json: Json = False,
     csv: Csv = False,
     compress: Compress = False,
+    live: Live = False,
+    verbose: Verbose = False,
 ) -> None:
     """Go on with a run that stopped: take its complete shots over into a new file, measure the others."""
     from hpe_rig.resume import prepare_rest
     from hpe_rig.resume import resume as resume_run
     from hpe_rig.run import Stages, process
+    from hpe_rig.run_watch import watched
+    from hpe_rig.store import free_path
 
     stages = Stages()
     rest = prepare_rest(run_file, scene, bench, stages)
-    typer.echo(f"{rest.complete} of {len(rest.setup.plan.shots)} shots are complete", err=True)
-    with _progress(rest.setup, quiet=json or csv) as observer:
-        path = resume_run(rest, output, observer, stages, compress)
-    _print(process(path, estimator, stages), json, csv)
+    announce(f"{rest.complete} of {len(rest.setup.plan.shots)} shots are complete")
+    path = output or free_path(run_file.stem, run_file.parent)
+    with watched(rest.setup, path, live, verbose, announce) as watching:
+        with progress(rest.setup, quiet=json or csv) as observer:
+            resume_run(rest, path, watching(observer), stages, compress)
+        show(process(path, estimator, stages), json, csv)
 
 
 @app.command()
@@ -126,7 +105,7 @@ def process(run_file: Path, estimator: Estimator = None, json: Json = False, csv
     from hpe_rig.run import Stages
     from hpe_rig.run import process as process_run
 
-    _print(process_run(run_file, estimator, Stages()), json, csv)
+    show(process_run(run_file, estimator, Stages()), json, csv)
 
 
 @app.command()
@@ -151,7 +130,7 @@ def live(
     attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
 ) -> None:
     """Serve the live page of a run that another process writes, on this machine only; Ctrl-C ends it."""
-    with _extra("live"):
+    with extra("live"):
         from hpe_rig.live import serve_run
 
     serve_run(run_file, port, attached)
@@ -163,12 +142,12 @@ def align(scene: SceneName, bench: BenchPath = None, port: Port = 0) -> None:
     """Repeat single tracking shots without pushing, for aligning the focus on a live page, until stopped."""
     from hpe_rig.run import prepare
 
-    with _extra("live"):
+    with extra("live"):
         from hpe_rig.live_align import align as align_focus
         from hpe_rig.live_align import without_pushing
 
     setup = without_pushing(prepare(scene, bench, refuse=False))
-    shots = align_focus(setup, port, _announce)
+    shots = align_focus(setup, port, announce)
     typer.echo(f"stopped after {shots} single shots: every output is off, verified")
 
 
@@ -182,14 +161,15 @@ def check(
     ] = None,
 ) -> None:
     """Print the plan: timeline, checks, what is left out, duration, file size, bias and jitter. Opens nothing."""
-    from hpe_rig.prediction import length_m, prediction_text
+    from hpe_rig.prediction import averaging_text, length_m, prediction_text
     from hpe_rig.run import Stages, prepare
     from hpe_rig.timeline import plan_text
 
     setup = prepare(scene, bench, Stages(), refuse=False)
     target_m = None if target is None else length_m(target, "--target")
     typer.echo(plan_text(setup.scene.scene.title, setup.plan, setup.findings))
-    typer.echo("\n" + "\n".join(prediction_text(setup.scene.scene, target_m)))
+    scene_text, simulated = setup.scene.scene, setup.bench.bench.simulated
+    typer.echo("\n" + "\n".join([*averaging_text(scene_text, simulated), *prediction_text(scene_text, target_m)]))
     if any(finding.level == "refused" for finding in setup.findings):
         raise typer.Exit(EXIT_MISTAKE)
 
@@ -307,84 +287,3 @@ def bench_command(
         typer.echo(compare_with(compare, state))
     if state.report is not None and not state.report.complete:
         raise typer.Exit(EXIT_INSTRUMENT)
-
-
-def _announce(text: str) -> None:
-    typer.echo(text, err=True)
-
-
-@contextmanager
-def _extra(name: str) -> Iterator[None]:
-    """Turn a missing package of the extra ``name`` into a message."""
-    from hpe_rig.store import StoreError
-
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        raise StoreError(
-            f'this command needs {error.name}, which is not installed. Try: pip install "hpe-rig[{name}]".'
-        ) from None
-
-
-def _print(result: Result, json: bool, csv: bool) -> None:
-    if csv:
-        from hpe_rig.result_rows import result_csv
-
-        typer.echo(result_csv(result), nl=False)
-        return
-    if json:
-        import json as json_format
-
-        typer.echo(json_format.dumps(result.as_dict(), indent=2))
-        return
-    from hpe_rig.table import print_result
-
-    print_result(result)
-
-
-@contextmanager
-def _progress(setup: Setup, quiet: bool) -> Iterator[Observer]:
-    from hpe_rig.sequencer import Progress, unobserved
-
-    if quiet or not sys.stderr.isatty():
-        yield unobserved
-        return
-    from rich.console import Console
-    from rich.progress import Progress as Bar
-
-    total = sum(shot.capture.record_count for shot in setup.plan.shots)
-    with Bar(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=total)
-
-        def observe(progress: Progress) -> None:
-            done = progress.shot.index * progress.shot.capture.record_count + progress.records
-            bar.update(task, completed=done, description=f"shot {progress.shot.index + 1}: {progress.step.value}")
-
-        yield observe
-
-
-def _failure(error: BaseException) -> tuple[str, int] | None:
-    """Return message and exit code of an expected failure, None for a bug."""
-    from drivers.interfaces import InstrumentError
-    from hpe_rig.bench import UnsafeBenchError
-    from hpe_rig.conflicts import PlanError
-    from hpe_rig.interrupts import Terminated
-    from hpe_rig.live_stop import StopRequested
-    from hpe_rig.mistakes import SettingsError
-    from hpe_rig.store import StoreError
-
-    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
-    match error:
-        case UnsafeBenchError():
-            return str(error), EXIT_UNSAFE
-        case SettingsError() | PlanError() | StoreError():
-            return str(error), EXIT_MISTAKE
-        case InstrumentError():
-            return str(error), EXIT_INSTRUMENT
-        case StopRequested():
-            return f"stopped from the live page{notes}", EXIT_INTERRUPTED
-        case KeyboardInterrupt():
-            return f"interrupted{notes}", EXIT_INTERRUPTED
-        case Terminated():
-            return f"terminated{notes}", EXIT_TERMINATED
-    return None

@@ -1,14 +1,55 @@
-"""What a plan would put out against what the bench allows: amplitudes, and the acoustic output estimated from them."""
+"""What a plan would put out against what generators can and the bench allows, up to the estimated acoustic output."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 
-from hpe_rig.bench_file import BenchFile, Limits
+from drivers.generator_models import GeneratorModel, model_named
+from drivers.interfaces import PulseTrain, Toneburst, TriggerPulse
+from drivers.limits_33250a import pulse_train_mistakes, toneburst_mistakes, trigger_pulse_mistakes, wiring_mistakes
+from hpe_rig.bench_file import GENERATOR_ROLES, BenchFile, Limits
 from hpe_rig.finding import Finding, judged
 from hpe_rig.plan import Plan
 from hpe_rig.safety import AcousticOutput, highest_output, uncalibrated
+
+Task = TriggerPulse | PulseTrain | Toneburst
+
+
+def generators(bench: BenchFile, plan: Plan) -> Iterator[Finding]:
+    """Yield what of the plan the generators of the bench file's models cannot do; their drivers would refuse it."""
+    found = False
+    for role in GENERATOR_ROLES:
+        generator = bench.generators.by_role.get(role)
+        model = model_named(generator.model) if generator is not None else None
+        tasks = {task for shot in plan.shots if (task := getattr(shot, role)) is not None}
+        if generator is None or model is None:
+            continue
+        most_v = math.inf if generator.max_vpp is None else generator.max_vpp
+        for text in dict.fromkeys(text for task in tasks for text in _mistakes(task, model, most_v)):
+            found = True
+            yield Finding("generators", "refused", f"{role}: {text}", f"{_KEYS[role]} within that")
+    if not found:
+        yield Finding("generators", "passed", "every generator can do what it is asked for")
+
+
+_KEYS = {
+    "master": "generators.master.load_ohm",
+    "burst_train": "excitation.burst_rate_hz, burst_length_s and burst_count",
+    "toneburst": "excitation.force_fraction, carrier_hz and burst_length_s, limits.full_drive_vpp",
+    "tracking_train": "tracking.pulse_rate_hz, pulse_count and delay_s",
+    "tracking_pulser": "tracking.carrier_hz and cycles, generators.tracking_pulser.amplitude_vpp",
+}
+
+
+def _mistakes(task: Task, model: GeneratorModel, most_v: float) -> list[str]:
+    match task:
+        case TriggerPulse():
+            return [*trigger_pulse_mistakes(task, model), *wiring_mistakes("high_v", task.high_v, most_v)]
+        case PulseTrain():
+            return [*pulse_train_mistakes(task, model), *wiring_mistakes("high_v", task.high_v, most_v)]
+        case Toneburst():
+            return [*toneburst_mistakes(task, model), *wiring_mistakes("amplitude_vpp", task.amplitude_vpp, most_v)]
 
 
 def drive(bench: BenchFile, plan: Plan) -> Iterator[Finding]:

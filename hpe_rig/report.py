@@ -68,7 +68,6 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
     scene = parse_scene(stored.scene_name, stored.scene_toml).scene
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench
     stages = Stages()
-    stages.run_time_s.update(report_provenance.earlier_run_time_s(path, estimator or scene.processing.estimator))
     result = process(path, estimator, stages)
     shown = _shown(result, shot)
     plan = make_plan(scene, bench)

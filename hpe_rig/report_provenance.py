@@ -1,4 +1,4 @@
-"""Where a run file's numbers come from: its attributes, its settings as read back, its fingerprint, its run time.
+"""Where a run file's numbers come from: its attributes, its settings as read back, its fingerprint.
 
 Everything read here may have been tampered with: it is bounded in size, taken as text, and never followed.
 """
@@ -7,23 +7,16 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
-import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import h5py
-
-from hpe_rig.store import read_snapshots, result_path
+from hpe_rig.store import read_snapshots
 from hpe_rig.store_trust import UntrustedError, trusted
 
 LONGEST_TEXT = 200
 MOST_ENTRIES = 64
 LARGEST_HASHED_BYTES = 1 << 30
-LARGEST_RESULT_BYTES = 20_000_000
-AGAIN = ("read", "process", "write result", "draw")
-"""Stages that the report itself runs, so that an earlier run's times for them say nothing."""
 
 
 def attributes(path: Path, names: Iterable[str]) -> dict[str, str]:
@@ -51,25 +44,6 @@ def fingerprint(path: Path) -> str:
         return f"{size / 1e9:.3g} GB, not hashed"
     with path.open("rb") as file:
         return f"{size / 1e6:.3g} MB, SHA-256 {hashlib.file_digest(file, 'sha256').hexdigest()}"
-
-
-def earlier_run_time_s(path: Path, estimator: str) -> dict[str, float]:
-    """Return the wall times of planning and acquiring that an earlier result beside the run holds, by stage."""
-    beside = result_path(path, estimator)
-    try:
-        if beside.stat().st_size > LARGEST_RESULT_BYTES:
-            return {}
-        with h5py.File(beside, "r") as file:
-            here = isinstance(file.get("json", getlink=True), h5py.HardLink)
-            stages = json.loads(file["json"].asstr()[()])["run_time_s"] if here else {}
-        return {
-            _short(name): float(seconds)
-            for name, seconds in list(stages.items())[:MOST_ENTRIES]
-            if name not in AGAIN and math.isfinite(float(seconds)) and float(seconds) >= 0
-        }
-    except (OSError, KeyError, ValueError, TypeError, AttributeError, RuntimeError):
-        # A result that is absent or odd costs a few rows of the table of run times.
-        return {}
 
 
 def _table(table: Any) -> dict[str, str]:

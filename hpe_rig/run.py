@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,11 +12,22 @@ from typing import Any
 from hpe_rig.bench import Bench, check_simulation, open_bench, simulation_schema
 from hpe_rig.bench_file import BenchFile, BenchText, parse_bench, read_bench
 from hpe_rig.conflicts import Finding, findings, refuse_conflicts
+from hpe_rig.interrupts import interruptible, uninterrupted
 from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of
 from hpe_rig.plan import Plan, make_plan
 from hpe_rig.result import Result
 from hpe_rig.scene import Estimator, Processing, Scene, SceneText, parse_scene, scene_text
-from hpe_rig.sequencer import Event, Observer, ShotBlock, ShotDone, ShotReady, acquire, unobserved
+from hpe_rig.sequencer import (
+    Event,
+    Observer,
+    Progress,
+    ShotBlock,
+    ShotDone,
+    ShotReady,
+    Step,
+    acquire,
+    unobserved,
+)
 from hpe_rig.store import (
     RunWriter,
     StoredRun,
@@ -32,18 +43,46 @@ from hpe_rig.truth import true_harmonics_m
 
 
 class Stages:
-    """Wall time by stage, in the order the stages were entered."""
+    """Wall time by stage, in the order the stages were entered; of stages within each other the innermost counts."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
         self.run_time_s: dict[str, float] = {}
+        self._clock = clock
+        self._open: list[str] = []
+        self._since_s = clock()
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        start_s = time.perf_counter()
+        self._charge()
+        self._open.append(name)
         try:
             yield
         finally:
-            self.run_time_s[name] = self.run_time_s.get(name, 0.0) + time.perf_counter() - start_s
+            self._charge()
+            self._open.pop()
+
+    def come_after(self, run_time_s: Mapping[str, float]) -> None:
+        """Put the stages of an earlier process before the own ones; where both have one the own counts."""
+        self.run_time_s = {**run_time_s, **self.run_time_s}
+
+    def stepping(self, observer: Observer) -> Observer:
+        """Return ``observer`` such that the innermost stage changes its name with every step of the sequencer."""
+
+        def observe(progress: Progress) -> None:
+            observer(progress)
+            if progress.step is not Step.SAFE:
+                # Told when every output is off already.
+                self._charge()
+                self._open[-1] = progress.step.value
+
+        return observe
+
+    def _charge(self) -> None:
+        now_s = self._clock()
+        if self._open:
+            name = self._open[-1]
+            self.run_time_s[name] = self.run_time_s.get(name, 0.0) + now_s - self._since_s
+        self._since_s = now_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,23 +136,29 @@ def measure(
 ) -> Path:
     """Acquire every shot into a new run file and return its path; every output is off when it returns or raises.
 
-    ``earlier`` is a run of the same plan: the shots ``options.predecessor`` counts are taken over from it.
+    ``earlier`` is a run of the same plan: the shots ``options.predecessor`` counts are taken over from it. Where
+    ``stages`` are given their times stand in the file, which is otherwise the same bit for bit at every simulated run.
     """
-    stages, options = stages or Stages(), options or WriteOptions()
+    taken, options = stages or Stages(), options or WriteOptions()
     refuse_conflicts(setup.findings)
     path = path or free_path(setup.scene.name, Path())
     first = options.predecessor.shots
     rest = replace(setup.plan, shots=setup.plan.shots[first:])
-    with RunWriter(path, setup.scene, setup.bench, setup.plan, options) as writer, ExitStack() as stack:
+    with interruptible(), ExitStack() as stack:
+        with uninterrupted():
+            # Between the file's appearance and its guard nothing may come.
+            writer = stack.enter_context(RunWriter(path, setup.scene, setup.bench, setup.plan, options))
         if earlier is not None:
-            with stages("take over"):
+            with taken("take over"):
                 writer.take_over(earlier, first)
-        with stages("open bench"):
+        with taken("open bench"):
             bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
         stack.enter_context(_noting(f"{path} holds the records that had arrived"))
-        with stages("acquire"), closing(acquire(rest, bench, observer)) as events:
+        with taken("configure"), closing(acquire(rest, bench, taken.stepping(observer))) as events:
             for event in events:
-                _record(event, setup.scene.scene, bench, writer)
+                _record(event, setup.scene.scene, bench, writer, taken)
+                if stages is not None and isinstance(event, ShotDone):
+                    writer.run_time(stages.run_time_s)
     return path
 
 
@@ -127,18 +172,22 @@ def _noting(note: str) -> Iterator[None]:
         raise
 
 
-def _record(event: Event, scene: Scene, bench: Bench, writer: RunWriter) -> None:
-    match event:
-        case ShotReady(shot, settings):
-            writer.settings(shot, settings)
-        case ShotBlock(shot, block):
-            writer.append(shot, block)
-        case ShotDone(shot, clipped):
-            writer.clipped(shot, clipped)
-            if bench.world is not None:
-                writer.truth(shot, bench.world.true_displacement_m())
-                writer.true_harmonics(shot, true_harmonics_m(scene, shot, bench.world.true_motion_m))
-            writer.finish(shot)
+def _record(event: Event, scene: Scene, bench: Bench, writer: RunWriter, stages: Stages) -> None:
+    with stages("store"):
+        match event:
+            case ShotReady(shot, settings):
+                writer.settings(shot, settings)
+            case ShotBlock(shot, block):
+                writer.append(shot, block)
+            case ShotDone(shot, clipped):
+                writer.clipped(shot, clipped)
+                if bench.world is not None:
+                    with stages("truth"):
+                        pulses_m = bench.world.true_displacement_m()
+                        harmonics_m = true_harmonics_m(scene, shot, bench.world.true_motion_m)
+                    writer.truth(shot, pulses_m)
+                    writer.true_harmonics(shot, harmonics_m)
+                writer.finish(shot)
 
 
 def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:
@@ -148,6 +197,7 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
     stages = stages or Stages()
     with stages("read"):
         stored = read_run(path)
+        stages.come_after(stored.run_time_s)
         scene = parse_scene(stored.scene_name, stored.scene_toml).scene
         bench = parse_bench(stored.bench_name, stored.bench_toml).bench
         plan, found = planned(scene, bench)

@@ -9,6 +9,7 @@ Layout, format version 2 (``store_layout``)::
                            (shot, pulse) 1 where a record is there, written after it; trigger_time_s and pulse_onset_s
                            (shot, pulse); shot_complete and clipped (shot,); burst_length_s, force_fraction, repeat
                            (shot,); scales shot, pulse, sample
+    /run_time              run_time_s (stage,) of the acquisition, NaN where nobody asked for it; scale stage: names
     /truth                 displacement_m (shot, pulse), simulated runs only
     /true_harmonics        A cos(phase) and A sin(phase) of the true motion (shot, frequency), simulated runs only
 

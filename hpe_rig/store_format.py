@@ -12,6 +12,22 @@ FORMAT: Final = "hpe_rig run"
 FORMAT_VERSION: Final = 2
 RESULT_FORMAT: Final = "hpe_rig result"
 
+STAGES: Final = (
+    "plan",
+    "take over",
+    "open bench",
+    "configure",
+    "verify",
+    "arm",
+    "enable outputs",
+    "fire",
+    "collect",
+    "store",
+    "truth",
+)
+"""Stages of an acquisition, in the order of the run file's run times; "collect" ends with every output off."""
+STAGE_BYTES: Final = 16
+MOST_STAGES: Final = 64
 STATUS_BYTES: Final = 8
 """Room for running, complete, aborted or failed: an attribute that changes must not change its size."""
 SNAPSHOT_BYTES: Final = 8192
@@ -53,7 +69,23 @@ def result_path(run_path: Path, estimator: str) -> Path:
 
 
 def reason(error: BaseException) -> str:
-    """Return what went wrong in the operating system's words, without the HDF5 library's pointers and descriptors."""
+    """Return what went wrong in the operating system's words or in plain ones, never in the HDF5 library's."""
     text = str(error)
-    found = re.search(r"error message = '([^']*)'", text)
-    return found.group(1) if found else text.partition("\n")[0][:200] or type(error).__name__
+    if found := re.search(r"error message = '([^']*)'", text):
+        return found.group(1)
+    if isinstance(error, OSError) and error.strerror and "nable to" not in error.strerror:
+        return error.strerror
+    if isinstance(error, MemoryError):
+        return "it takes more memory than there is"
+    return next((words for sign, words in _PLAIN.items() if sign in text), "the HDF5 library cannot make sense of it")
+
+
+_PLAIN: Final = {
+    "truncated file": "it is cut short",
+    "signature not found": "it is no HDF5 file",
+    "unable to lock": "another program has it open",
+    "already open": "another program has it open",
+    "doesn't exist": "something is absent",
+    "checksum": "its bytes do not match their checksums",
+    "filter": "its records cannot be unpacked",
+}

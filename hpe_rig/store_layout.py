@@ -27,6 +27,8 @@ from hpe_rig.store_format import (
     FORMAT_VERSION,
     ROW_CHUNK,
     SNAPSHOT_BYTES,
+    STAGE_BYTES,
+    STAGES,
     STATUS_BYTES,
     StoreError,
     versions,
@@ -59,6 +61,9 @@ def empty_run(
     with h5py.File("empty", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         _write_header(file, scene, bench, plan, predecessor or Predecessor())
         _create_records(file, plan, compress)
+        times = file.create_group("run_time")
+        times["run_time_s"] = np.full(len(STAGES), math.nan)
+        name_axes(times, {"stage": np.array(STAGES, f"S{STAGE_BYTES}")}, {"run_time_s": "s"})
         if bench.bench.simulated:
             truth = file.create_group("truth")
             _create_rows(truth, "displacement_m", plan, np.dtype("<f8"), math.nan)

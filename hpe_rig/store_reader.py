@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from drivers.interfaces import Setting
 from hpe_rig.plan import Plan
 from hpe_rig.records import MISSING, ShotRecords
-from hpe_rig.store_format import SNAPSHOT_BYTES, StoreError
+from hpe_rig.store_format import MOST_STAGES, SNAPSHOT_BYTES, STAGE_BYTES, StoreError
 from hpe_rig.store_layout import TRUE_HARMONICS, volts_of_codes
 from hpe_rig.store_trust import Trusted, UntrustedError, trusted
 
@@ -112,6 +113,7 @@ class StoredRun:
 
     ``shot_complete`` (shot,): which shots came to their end. ``clipped`` are the indices of the shots during which the
     digitizer's input left its range. ``predecessor`` names the run that this one went on from, "" where there is none.
+    ``run_time_s`` is the wall time of the acquisition by stage, empty where it was not taken.
     """
 
     path: Path
@@ -126,6 +128,7 @@ class StoredRun:
     shot_complete: NDArray[np.bool_]
     clipped: tuple[int, ...]
     predecessor: str
+    run_time_s: Mapping[str, float]
 
     def rows(self, shot: int) -> dict[str, Any]:
         """Return everything of ``shot`` but its echoes, by its place in the file."""
@@ -214,7 +217,24 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
         shot_complete=flags["shot_complete"],
         clipped=tuple(int(shot) for shot in np.flatnonzero(flags["clipped"])),
         predecessor=trust.attribute("predecessor", str),
+        run_time_s=_run_time_s(trust),
     )
+
+
+def _run_time_s(trust: Trusted) -> dict[str, float]:
+    if not trust.has("run_time"):
+        # Written before run times were.
+        return {}
+    names = trust.dataset("run_time/stage", f"S{STAGE_BYTES}", (None,))
+    if names.shape[0] > MOST_STAGES:
+        raise UntrustedError(f"/run_time has {names.shape[0]} stages")
+    times_s = trust.dataset("run_time/run_time_s", "<f8", names.shape)[()]
+    stages = [name.decode("ascii", "replace") for name in names[()]]
+    return {
+        stage: float(time_s)
+        for stage, time_s in zip(stages, times_s, strict=True)
+        if stage.isprintable() and 0 <= time_s < math.inf
+    }
 
 
 def _echo(trust: Trusted, shape: Shape) -> h5py.Dataset:

@@ -40,8 +40,11 @@ def write_result(path: Path, result: Result) -> None:
         with h5py.File(draft, "w", libver=LIBVER) as file:
             _write(file, result)
         draft.replace(path)
-    except OSError as error:
-        raise StoreError(f"{path} cannot be written ({reason(error)}). Try: a folder that is writable.") from None
+    except (OSError, RuntimeError) as error:
+        raise StoreError(
+            f"{path} cannot be written ({reason(error)}). The run file is as it was. "
+            "Try: make room or a writable folder, then hpe-rig process."
+        ) from error
     finally:
         with contextlib.suppress(OSError):
             draft.unlink()

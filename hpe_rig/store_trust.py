@@ -117,7 +117,7 @@ def trusted(path: Path) -> Iterator[Trusted]:
         raise StoreError(
             f"{path} is not a readable run file ({reason(error)}). It is cut short, damaged or comes from elsewhere. "
             "Try: a copy of it, or measure again."
-        ) from None
+        ) from error
 
 
 def _opened(path: Path, in_use: bool) -> h5py.File:

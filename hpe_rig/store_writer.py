@@ -24,10 +24,11 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench_file import BenchText
+from hpe_rig.interrupts import uninterrupted
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.records import MISSING, Placed, place
 from hpe_rig.scene import SceneText
-from hpe_rig.store_format import SNAPSHOT_BYTES, StoreError, reason
+from hpe_rig.store_format import SNAPSHOT_BYTES, STAGES, StoreError, reason
 from hpe_rig.store_layout import TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
 from hpe_rig.store_reader import StoredRun
 
@@ -82,7 +83,7 @@ class RunWriter:
     ) -> None:
         failed = "failed" if kind is not None and issubclass(kind, Exception) else "aborted"
         try:
-            with self._writing():
+            with uninterrupted(), self._writing():
                 self._end("complete" if kind is None else failed)
             if not self.path.exists():
                 raise StoreError(f"{self.path} vanished while it was written. Try: another folder, measure again.")
@@ -134,6 +135,11 @@ class RunWriter:
         with self._writing():
             for name, column_m in zip(TRUE_HARMONICS, harmonics_m.T, strict=True):
                 self._file[f"true_harmonics/{name}"][shot.index] = column_m
+
+    def run_time(self, run_time_s: Mapping[str, float]) -> None:
+        """Write the wall time of each stage so far."""
+        with self._writing():
+            self._file["run_time/run_time_s"][...] = [run_time_s.get(name, math.nan) for name in STAGES]
 
     def finish(self, shot: Shot) -> None:
         """Hand everything of ``shot`` to the operating system, then mark it as complete; now and then sync the disk."""
@@ -224,7 +230,7 @@ class RunWriter:
             raise StoreError(
                 f"{self.path} cannot be written any further ({reason(error)}). What was written before is kept. "
                 f"Try: make room or bring the folder back, then hpe-rig resume {self.path.name}."
-            ) from None
+            ) from error
 
 
 @final

@@ -10,6 +10,8 @@ from rich.table import Table
 from hpe_rig.result import Estimate, Result, ShotResult
 
 TABLE_WIDTH = 120
+LEAST_S = 0.005
+"""Shorter stages would show as 0.00."""
 
 
 def print_result(result: Result) -> None:
@@ -29,7 +31,7 @@ def print_result(result: Result) -> None:
     if result.left_out:
         console.print("left out: " + "; ".join(f"{what} ({why})" for what, why in result.left_out))
     total_s = sum(result.run_time_s.values())
-    stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.run_time_s.items())
+    stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.run_time_s.items() if seconds >= LEAST_S)
     console.print(f"run time: {total_s:.2f} s ({stages})")
 
 
