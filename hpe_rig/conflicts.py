@@ -10,7 +10,7 @@ import numpy as np
 from hpe_rig.bench_file import BOARD_MODELS, BenchFile
 from hpe_rig.finding import Finding, Level, PlanError, judged, refuse_conflicts
 from hpe_rig.interference import admissible_delays_s, disturbed_pulses, effective_rate_hz, forbidden_window_s
-from hpe_rig.output_conflicts import acoustic_output, drive
+from hpe_rig.output_conflicts import acoustic_output, drive, generators
 from hpe_rig.plan import Plan, Shot, reference_gate
 from hpe_rig.scene import Scene
 
@@ -257,6 +257,7 @@ def _excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]
 
 
 def _output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
+    yield from generators(bench, plan)
     yield from drive(bench, plan)
     yield from acoustic_output(bench, plan)
 
