@@ -96,28 +96,51 @@ def expected(setting: Setting, estimator: str, speckle: Speckle, generator: np.r
     return _with_noise(setting, estimator, ratio, deviation)
 
 
+@dataclass(frozen=True, slots=True)
+class Scattering:
+    """Draws of scatterers summed into cells of depth, (draw, cell): echo and echo weighted by the displacement."""
+
+    echo: ComplexArray
+    moved: ComplexArray
+    depth_m: FloatArray
+
+    def speckle(self, gate_length_m: float, pulse_length_m: float) -> Speckle:
+        """Return the envelopes in a gate around the focus that a Hann pulse makes of these scatterers."""
+        instant = ((np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5) * gate_length_m
+        distance = (instant - self.depth_m[:, None]) / pulse_length_m
+        blur = np.where(np.abs(distance) < 0.5, np.cos(np.pi * distance) ** 2, 0.0)
+        return Speckle(self.echo @ blur, self.moved @ blur)
+
+
 def draw_speckle(setting: Setting, generator: np.random.Generator, draws: int = 1000) -> Speckle:
     """Return envelopes of ``draws`` independent speckles: scatterers of the setting's density, placed at random."""
-    lateral_m = [2 * LATERAL * width for width in setting.tracking_width_m[:2]]
     deep_m = setting.gate_length_m + setting.pulse_length_m
     cells = int(np.clip(4 * np.ceil(deep_m / setting.pulse_length_m), 48, 192))
+    scattering = draw_scattering(setting, generator, draws, deep_m, cells)
+    return scattering.speckle(setting.gate_length_m, setting.pulse_length_m)
+
+
+def draw_scattering(
+    setting: Setting, generator: np.random.Generator, draws: int, deep_m: float, cells: int
+) -> Scattering:
+    """Return ``draws`` draws of the setting's scatterers in ``cells`` cells within ``deep_m`` around the focus.
+
+    Beams and density alone count: the same draws serve any gate and pulse that stay within.
+    """
+    lateral_m = [2 * LATERAL * width for width in setting.tracking_width_m[:2]]
     count = generator.poisson(setting.scatterers_per_m3 * np.prod(lateral_m) * deep_m, draws)
     owner = np.repeat(np.arange(draws), count)
     place = (generator.random((3, owner.size)) - 0.5) * np.array([*lateral_m, deep_m])[:, None]
     echo = _gaussian(place, setting.tracking_width_m) * np.exp(2j * np.pi * generator.random(owner.size))
-    moved = echo * _gaussian(place, setting.excitation_width_m)
     cell = np.minimum(((place[2] / deep_m + 0.5) * cells).astype(np.int64), cells - 1)
-    depth = ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m
-    instant = ((np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5) * setting.gate_length_m
-    distance = (instant - depth[:, None]) / setting.pulse_length_m
-    blur = np.where(np.abs(distance) < 0.5, np.cos(np.pi * distance) ** 2, 0.0)
 
     def summed(values: ComplexArray) -> ComplexArray:
         flat = owner * cells + cell
         parts = [np.bincount(flat, part, draws * cells) for part in (values.real, values.imag)]
-        return (parts[0] + 1j * parts[1]).reshape(draws, cells) @ blur
+        return np.asarray((parts[0] + 1j * parts[1]).reshape(draws, cells))
 
-    return Speckle(summed(echo), summed(moved))
+    moved = echo * _gaussian(place, setting.excitation_width_m)
+    return Scattering(summed(echo), summed(moved), ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m)
 
 
 def _gaussian(place: FloatArray, width_m: Triple) -> FloatArray:
