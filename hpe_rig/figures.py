@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from hpe_rig.figures_svg import BLUE, GREEN, GREY, ORANGE, SKY, Picture, legend, panel, picture, thin
+from hpe_rig.figures_svg import BLUE, GREEN, GREY, ORANGE, SKY, Picture, legend, legend_above, panel, picture, thin
 from hpe_rig.plan import Shot
 from hpe_rig.report_checks import periodogram
 from hpe_rig.result import Estimate
@@ -57,7 +57,7 @@ def rf_line(view: EchoView) -> Picture:
 def m_mode(view: EchoView) -> Picture:
     """Return the image of the gate over slow time."""
     figure, axes = panel()
-    limit_mv = float(np.nanmax(np.abs(view.image_v))) * 1e3 or 1.0
+    limit_mv = _typical_v(view.image_v) * 1e3 or 1.0
     edges = [0.0, view.image_time_s[-1] * 1e3 or 1.0, view.image_depth_m[-1] * 1e3, view.image_depth_m[0] * 1e3]
     axes.set_facecolor("#E8B0A0")
     image = axes.imshow(
@@ -95,7 +95,7 @@ def displacement(view: MotionView, span_s: float | None, key: str, title: str) -
     axes.plot(*thin(time_ms, seen_nm - middle_nm), ".", ms=2 if dense else 3.5, color=GREY, label="measured")
     axes.plot(*thin(time_ms, fitted_nm - middle_nm), "-", lw=0.9, color=ORANGE, label="fitted harmonics")
     axes.set(xlabel="time after the phase reference (ms)", ylabel="displacement (nm)")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, fontsize=8)
+    legend_above(axes)
     alt = (
         f"Displacement over {np.ptp(time_ms):.4g} ms: {seen_nm.size} pulses between {seen_nm.min() - middle_nm:.0f} "
         f"and {seen_nm.max() - middle_nm:.0f} nm; the fitted harmonics follow with "
@@ -128,6 +128,13 @@ def amplitude_spectrum(estimates: Sequence[Estimate]) -> Picture:
     axes.errorbar(
         frequency_hz, amplitude_nm, 2 * uncertainty_nm, fmt="o", ms=4, color=ORANGE, capsize=2, label="estimate, 2 u"
     )
+    if not known and np.isfinite(averaging).all():
+        peak_nm = np.array([item.corrected_amplitude_m for item in estimates]) * 1e9
+        doubt_nm = np.array([item.corrected_uncertainty_m for item in estimates]) * 1e9
+        axes.errorbar(
+            frequency_hz, peak_nm, 2 * doubt_nm, fmt="D", ms=4, mfc="none", color=BLUE, capsize=2,
+            label="peak by predicted averaging, 2 u",
+        )  # fmt: skip
     axes.set(xlabel="vibration frequency (Hz)", ylabel="amplitude (nm)", ylim=(0, None))
     legend(axes, "best")
     pairs = ", ".join(f"{a:.4g} at {f:g} Hz" for f, a in zip(frequency_hz[:10], amplitude_nm[:10], strict=True))
@@ -177,12 +184,18 @@ def residual(view: MotionView) -> tuple[Picture, ...]:
     axes.plot(*thin(frequency_hz, amplitude_nm), ".", ms=3, color=BLUE, label="a frequency")
     axes.axhline(expected_nm, color=GREY, lw=1, ls="--", label="white: rms")
     axes.set(xlabel="frequency (Hz)", ylabel="residual amplitude (nm)", ylim=(0, None))
-    legend(axes, "best")
+    legend_above(axes)
     alt = (
         f"Spectrum of the residual at {power.size} frequencies that were not fitted: {expected_nm:.3g} nm rms, largest "
         f"{amplitude_nm.max():.3g} nm at {frequency_hz[np.argmax(power)]:.4g} Hz."
     )
     return over_time, picture(figure, "residual-spectrum", "Residual over frequency", alt)
+
+
+def _typical_v(image_v: FloatArray) -> float:
+    """Return what a typical column (row, column) reaches: a pulse that a toneburst drowns must not set the scale."""
+    columns = np.abs(image_v[:, np.isfinite(image_v).all(axis=0)])
+    return 1.2 * float(np.median(columns.max(axis=0))) if columns.size else 0.0
 
 
 def _band(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, label: str) -> None:

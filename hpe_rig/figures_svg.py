@@ -51,6 +51,11 @@ def legend(axes: Axes, place: Any) -> None:
     axes.legend(loc=place, frameon=False, fontsize=8)
 
 
+def legend_above(axes: Axes) -> None:
+    """Put a legend in one line above the panel, where it covers nothing."""
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, fontsize=8)
+
+
 def thin(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return at most about ``MOST_POINTS`` points that keep every stretch's lowest and highest value."""
     if x.size <= MOST_POINTS:

@@ -17,11 +17,12 @@ from markupsafe import Markup
 
 from hpe_rig import figures, report_provenance
 from hpe_rig.bench_file import BenchFile, parse_bench
-from hpe_rig.conflicts import findings
+from hpe_rig.conflicts import Finding, findings
 from hpe_rig.figures_svg import Picture
 from hpe_rig.figures_sweep import sweep_pictures
 from hpe_rig.plan import Plan, make_plan
 from hpe_rig.report_checks import Check, residual_checks
+from hpe_rig.report_prediction import foreseen
 from hpe_rig.report_sweep import Sweep, make_sweep
 from hpe_rig.result import Estimate, Result, ShotResult
 from hpe_rig.run import Stages, process
@@ -71,6 +72,7 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
     result = process(path, estimator, stages)
     shown = _shown(result, shot)
     plan = make_plan(scene, bench)
+    found = findings(scene, bench, plan)
     with stages("draw"):
         pictures, checks, motion = _look(scene, plan, stored, shown)
         sweep = make_sweep(result.shots)
@@ -85,11 +87,12 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
         sweep=sweep,
         checks=checks,
         errors=error_stages(shown, motion),
-        findings=findings(scene, bench, plan),
+        findings=found,
+        foreseen=foreseen(scene, shown, result.estimator),
         settings=report_provenance.settings(path, shown.shot),
         attributes=report_provenance.attributes(path, [f"version_{name}" for name in result.versions]),
         fingerprint=report_provenance.fingerprint(path),
-        facts=_facts(scene, bench, plan, result),
+        facts=[*_facts(scene, bench, plan, result), *_dose(found)],
         strongest=strongest(shown),
         most_rows=MOST_ROWS,
         longest_text=LONGEST_TEXT,
@@ -183,6 +186,11 @@ def _facts(scene: Scene, bench: BenchFile, plan: Plan, result: Result) -> list[t
         ("estimator", result.estimator),
         ("phase", result.phase_reference),
     ]
+
+
+def _dose(found: Sequence[Finding]) -> list[tuple[str, str]]:
+    """Return the acoustic output as estimated from the bench file's calibration, or that it was not."""
+    return [("acoustic output", finding.text) for finding in found if finding.check == "acoustic output"]
 
 
 def _bars(result: Result) -> list[tuple[str, float, float]]:
