@@ -80,17 +80,6 @@ def _jitters_m(table_one: TableOne, echoes: FloatArray, draws: int, snr_db: floa
     return np.array([fit.amplitude_m[:, 0].std(ddof=1) for fit in fits])
 
 
-@pytest.mark.parametrize("snr_db", [0.0, 10.0, 20.0, 40.0])
-def test_coherent_jitter_is_within_ten_percent_of_the_bound(
-    table_one: TableOne, speckle_draws: FloatArray, snr_db: float
-) -> None:
-    # the bound belongs to an echo of the carrier's frequency; a draw's own mean frequency is off by a few percent
-    jitter_m = _jitters_m(table_one, speckle_draws, 40, snr_db, "coherent")
-    bound_m, _ = harmonic_bound(1e-6, 130, 100, 10 ** (snr_db / 10), 9e6, 1540.0)
-    # 30 x 40 draws: the jitter is known to 1 / sqrt(2 x 1170) = 2.1 %
-    assert np.sqrt(np.mean(np.square(jitter_m))) / bound_m == pytest.approx(1.0, abs=0.1)
-
-
 def test_cross_spectrum_jitter_is_half_again_the_bound_and_reaches_that_of_the_notes(
     table_one: TableOne, speckle_draws: FloatArray
 ) -> None:
@@ -110,11 +99,11 @@ def test_stated_uncertainties_are_true(
 ) -> None:
     clean = estimate(table_one.gate(speckle_draws), [200.0], estimator)
     squares = []
-    for index, fit in enumerate(_noisy(table_one, speckle_draws, 40, snr_db, estimator)):
+    for index, fit in enumerate(_noisy(table_one, speckle_draws, 20, snr_db, estimator)):
         error = np.stack([fit.amplitude_m - clean.amplitude_m[index], fit.phase_rad - clean.phase_rad[index]], -1)
         squares.append(error[:, 0] ** 2 / np.diagonal(fit.covariance[:, 0], axis1=-2, axis2=-1))
-    # 1200 draws: sqrt(2 / 1200) = 0.041, three of them, around 1.02 (95 degrees of freedom) to 1.04 (differences)
-    np.testing.assert_allclose(np.mean(squares, axis=(0, 1)), 1.03, atol=0.13)
+    # 600 draws: sqrt(2 / 600) = 0.058, three of them, around 1.02 (95 degrees of freedom) to 1.04 (differences)
+    np.testing.assert_allclose(np.mean(squares, axis=(0, 1)), 1.03, atol=0.18)
 
 
 @pytest.mark.parametrize(("estimator", "expected"), [("coherent", 0.887), ("cross_spectrum", 0.892)])
