@@ -1,0 +1,195 @@
+"""A run goes on where it stopped, also when SIGTERM came at an awkward moment; its file says what took how long."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig import run as run_module
+from hpe_rig import store_writer
+from hpe_rig.cli import app
+from hpe_rig.interrupts import Terminated
+from hpe_rig.live_stop import request_stop, stop_path
+from hpe_rig.resume import prepare_rest, resume
+from hpe_rig.run import Setup, Stages, measure, process
+from hpe_rig.sequencer import Progress
+from hpe_rig.store import StoreError, read_run
+from hpe_rig.store_format import STAGES
+
+Prepare = Callable[..., Setup]
+SWEEP = (
+    ("burst_length_s = 100e-6", "burst_length_s = [50e-6, 100e-6]"),
+    ("burst_count = 20", "burst_count = 6"),
+    ("window_start_s = 50e-3", ""),
+    ("[acquisition]", "[acquisition]\nrepeats = 2"),
+)
+
+
+def table(path: Path) -> dict[str, Any]:
+    """Return everything a result says but its file's name and the time it took."""
+    result = process(path).as_dict()
+    return {key: value for key, value in result.items() if key not in ("run_file", "run_time_s")}
+
+
+def resumed_table(path: Path) -> dict[str, Any]:
+    """Return the table of the run that goes on from ``path``."""
+    done = resume(prepare_rest(path))
+    assert read_run(done).predecessor == path.name
+    return table(done)
+
+
+def stopped_after(setup: Setup, path: Path, shots: int) -> Path:
+    """Measure ``shots`` shots and stop."""
+
+    def stop(progress: Progress) -> None:
+        if progress.shot.index == shots:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        measure(setup, path, stop)
+    return path
+
+
+def test_a_resumed_run_can_be_killed_and_resumed_again(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared("bovine-muscle-synchronous", *SWEEP)
+    expected = table(measure(setup, tmp_path / "whole.h5"))
+    path = tmp_path / "first.h5"
+    for stop_at, name in ((1, "first"), (3, "second")):
+        path, earlier = tmp_path / f"{name}.h5", path
+
+        def stop(progress: Progress, stop_at: int = stop_at) -> None:
+            if progress.shot.index == stop_at:
+                raise KeyboardInterrupt
+
+        go_on = partial(measure, setup) if name == "first" else partial(resume, prepare_rest(earlier))
+        with pytest.raises(KeyboardInterrupt):
+            go_on(path, stop)
+    assert read_run(path).shot_complete.tolist() == [True, True, True, False]
+    assert resumed_table(path) == expected
+
+
+def test_resuming_gives_the_same_table_when_no_period_fits_the_sample_clock(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared(
+        "bovine-muscle-synchronous",
+        *SWEEP,
+        ("pulse_rate_hz = 4000.0", "pulse_rate_hz = 3333.0"),
+        ("synchronous = true", ""),
+        ("[acquisition]", "[acquisition]\nshot_period_s = 0.1234567"),
+        ("delay_s = 130e-6", 'delay_s = 130e-6\ndisturbed = "keep"'),
+    )
+    expected = table(measure(setup, tmp_path / "whole.h5"))
+    assert resumed_table(stopped_after(setup, tmp_path / "run.h5", 2)) == expected
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: text.replace("burst_count = 6", "burst_count = 7"), "another scene"),
+        (lambda text: text.replace("seed = 1", "seed = 2"), "another scene"),
+    ],
+)
+def test_resume_refuses_another_scene(
+    prepared: Prepare, tmp_path: Path, change: Callable[[str], str], message: str
+) -> None:
+    setup = prepared("bovine-muscle-synchronous", *SWEEP)
+    path = measure(setup, tmp_path / "run.h5")
+    other = tmp_path / "other.toml"
+    other.write_text(change(setup.scene.text), encoding="utf-8")
+    with pytest.raises(StoreError, match=message):
+        prepare_rest(path, str(other))
+
+
+def test_resume_refuses_another_bench_and_a_complete_run(prepared: Prepare, tmp_path: Path) -> None:
+    setup = prepared("bovine-muscle-synchronous", *SWEEP)
+    path = measure(setup, tmp_path / "run.h5")
+    bench = tmp_path / "bench.toml"
+    bench.write_text(setup.bench.text.replace("delay_s = 10e-9", "delay_s = 11e-9"), encoding="utf-8")
+    with pytest.raises(StoreError, match="bench"):
+        prepare_rest(path, bench_path=bench)
+    with pytest.raises(StoreError, match="all of its 4 shots"):
+        prepare_rest(path)
+
+
+def test_resume_from_the_command_line_logs_and_stops_like_run(prepared: Prepare, tmp_path: Path) -> None:
+    path = stopped_after(prepared("bovine-muscle-synchronous", *SWEEP), tmp_path / "run.h5", 2)
+
+    def stop_soon() -> None:
+        log = tmp_path / "run-2.log"
+        while not (log.exists() and "fire" in log.read_text()):
+            time.sleep(0.001)
+        request_stop(tmp_path / "run-2.h5")
+
+    asking = threading.Thread(target=stop_soon)
+    asking.start()
+    done = CliRunner().invoke(app, ["resume", str(path), "--verbose"])
+    asking.join()
+    assert done.exit_code == 130, done.output
+    assert "2 of 4 shots are complete" in done.output
+    assert "stopped from the live page" in done.output
+    assert "every output is off, verified" in done.output
+    assert "StopRequested" in (tmp_path / "run-2.log").read_text()
+    assert not stop_path(tmp_path / "run-2.h5").exists()
+    done = CliRunner().invoke(app, ["resume", str(tmp_path / "run-2.h5"), "--json"])
+    assert done.exit_code == 0, done.output
+    assert read_run(tmp_path / "run-2-2.h5").status == "complete"
+
+
+def test_run_times_stand_in_the_file_where_they_are_asked_for(prepared: Prepare, tmp_path: Path) -> None:
+    """The clock counts its readings, so that every stage has a time of its own and none is counted twice."""
+    ticks = itertools.count()
+    stages = Stages(lambda: float(next(ticks)))
+    setup = prepared("bovine-muscle-synchronous", *SWEEP)
+    path = measure(setup, tmp_path / "run.h5", stages=stages)
+    stored = read_run(path).run_time_s
+    assert list(stored) == [name for name in STAGES if name not in ("plan", "take over")]
+    assert process(path).run_time_s.keys() > stored.keys()
+    # Between the first reading and the last all time but that between stages belongs to one of them.
+    assert sum(stages.run_time_s.values()) == next(ticks) - 3
+    plain = measure(setup, tmp_path / "plain.h5")
+    assert read_run(plain).run_time_s == {}
+    with h5py.File(path, "r") as timed, h5py.File(plain, "r") as untimed:
+        for name in ("records/echo", "records/trigger_time_s", "truth/displacement_m", "snapshot"):
+            np.testing.assert_array_equal(timed[name], untimed[name])
+
+
+def terminated(*arguments: Any) -> Any:
+    """Stand for something during which SIGTERM arrives."""
+    signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_sigterm_between_the_file_and_the_bench_leaves_an_aborted_file(
+    prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup = prepared("table-1")
+    with monkeypatch.context() as patch:
+        patch.setattr(run_module, "open_bench", terminated)
+        with pytest.raises(Terminated):
+            measure(setup, tmp_path / "run.h5")
+    assert read_run(tmp_path / "run.h5").status == "aborted"
+    assert resumed_table(tmp_path / "run.h5") == table(measure(setup, tmp_path / "whole.h5"))
+
+
+def test_a_sigterm_while_the_file_appears_waits_until_it_can_be_closed(
+    prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = store_writer._open_for_readers
+
+    def interrupted(path: Path) -> Any:
+        terminated()
+        return opened(path)
+
+    monkeypatch.setattr(store_writer, "_open_for_readers", interrupted)
+    with pytest.raises(Terminated):
+        measure(prepared("table-1"), tmp_path / "run.h5")
+    assert read_run(tmp_path / "run.h5").status == "aborted"
