@@ -37,6 +37,8 @@ from sim_backend.pulse import Pulse
 Floats = NDArray[np.float64]
 
 DEFAULT_TOLERANCE = 1e-6
+# Delays held at once: 64 MB.
+_PAIRS_AT_ONCE = 1 << 23
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +122,14 @@ def _evaluate(
         moved = (motion.rest_s, weight, motion.shape[0], motion.amplitude_s[:, 0])
         echo = interpolated(*moved, pulse, sample_time_s, choice.terms)
     else:
-        delay_s = motion.delay_s if isinstance(motion, Delays) else motion.delay_s()
-        made = combined(delay_s, weight, pulse, sample_time_s, tolerance) if choice.method == "combined" else None
-        if made is not None:
-            return Synthesis(made[0], "combined", made[1], len(weight))
+        if choice.method == "combined":
+            delay_s = motion.delay_s if isinstance(motion, Delays) else motion.delay_s()
+            made = combined(delay_s, weight, pulse, sample_time_s, tolerance)
+            if made is not None:
+                return Synthesis(made[0], "combined", made[1], len(weight))
         exact = direct if choice.method == "direct" else running_sum
-        echo = exact(delay_s, weight, pulse, sample_time_s)
+        parts = motion.parts(_PAIRS_AT_ONCE)
+        echo = np.concatenate([exact(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
         return Synthesis(echo, "direct" if exact is direct else "running_sum", 0, len(weight))
     return Synthesis(echo, choice.method, choice.terms, len(weight))
 

@@ -76,12 +76,10 @@ def drawn_echoes(
     """Yield the noise-free echoes of ``draws`` new draws of scatterers, (up to 16 draws, echo, sample) at a time.
 
     ``displacement_m`` (echo,) or (draw, echo) at the focus; ``sample_time_s`` (sample,), 0 the arrival of the resting
-    focus' echo. Only scatterers that can reach the gate and matter are drawn, binomially many: draw n depends on
-    ``rng``'s seed and n, on the gate, the largest displacement and the tolerance, not on the number of draws or
-    threads. ``threads`` chunks at a time.
+    focus' echo. Only scatterers that can reach the gate and matter are drawn, binomially many, and the scene's
+    reflectors are in every draw. Draw n depends on ``rng``'s seed and n, on the gate, the largest displacement and the
+    tolerance, not on the number of draws or threads. ``threads`` chunks at a time.
     """
-    if settings.scatterers.reflectors:
-        raise ValueError("drawn_echoes draws no reflectors: take them out of the scene, or draw_echoes draw by draw")
     displacement_m = np.broadcast_to(displacement_m, (draws, displacement_m.shape[-1]))
     amplitude_s = displacement_m[:, :, None] * (2 / settings.sound_speed_m_per_s)
     largest_s = float(np.abs(amplitude_s).max(initial=0.0))

@@ -27,6 +27,8 @@ LEFT_OUT_SHARE = 0.1
 _FEWEST_TO_SORT_OUT = 64
 # Monomials of the motion's shapes; tables of more grow past 10 MB a gate.
 _MOST_COLUMNS = 1000
+# Delays that combining echoes holds at once: 0.5 GB.
+_MOST_PAIRS = 1 << 26
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,8 @@ def choices(
     """Return the evaluations that meet the tolerance, with their run times as measured, roughly, on one core."""
     if method in ("direct", "running_sum"):
         return [Choice(method, 0.0)]
+    if tolerance < FINEST_TOLERANCE:
+        return [Choice("running_sum", 0.0)] if method is None else refuse(method, "of its tolerance")
     samples, scatterers, frequencies = len(sample_time_s), len(weight), len(pulse.frequency_hz)
     echoes_wanted = motion.echo_count
     stretches = max(1, math.ceil(float(sample_time_s[-1] - sample_time_s[0]) / (pulse.end_s - pulse.start_s)))
@@ -58,12 +62,12 @@ def choices(
     found = []
     if method is None:
         found.append(Choice("running_sum", stretches * (1e-4 + 2 * echoes_wanted * scatterers * by_pair_s)))
-    if isinstance(motion, Delays) and tolerance >= FINEST_TOLERANCE and method in (None, "combined"):
-        if method is not None or echoes_wanted >= FEWEST_ECHOES:
-            found.append(Choice("combined", 0.2 * stretches * 2 * echoes_wanted * scatterers * by_pair_s))
-        return found
-    if isinstance(motion, Delays) or tolerance < FINEST_TOLERANCE:
-        return found or refuse(method, "the motion has no shapes" if isinstance(motion, Delays) else "of its tolerance")
+    # One shape is left to the series and the nodes, whose error does not rest on a sample of the echoes.
+    usual = isinstance(motion, Delays) or (len(motion.shape) > 1 and echoes_wanted * scatterers <= _MOST_PAIRS)
+    if method == "combined" or (method is None and usual and echoes_wanted >= FEWEST_ECHOES):
+        found.append(Choice("combined", 0.2 * stretches * 2 * echoes_wanted * scatterers * by_pair_s))
+    if isinstance(motion, Delays) or method == "combined":
+        return found or refuse(method, "the motion has no shapes")
     spread_s = np.ptp(motion.amplitude_s, axis=0) / 2
     if method in (None, "interpolated") and len(motion.shape) == 1:
         largest_s = float(spread_s[0] * np.abs(motion.shape).max())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,12 @@ class Delays:
     def of(self, part: Indices) -> Delays:
         """Return the same of some scatterers."""
         return Delays(self.delay_s[:, part])
+
+    def parts(self, pairs_at_once: int) -> Iterator[Floats]:
+        """Yield the delays of some echoes at a time, (echo, scatterer), about ``pairs_at_once`` of them."""
+        at_once = max(1, pairs_at_once // max(1, self.delay_s.shape[1]))
+        for first in range(0, len(self.delay_s), at_once):
+            yield self.delay_s[first : first + at_once]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +73,12 @@ class Motion:
     def delay_s(self) -> Floats:
         """Return the delay of every scatterer in every echo, (echo, scatterer)."""
         return self.rest_s + self.amplitude_s @ self.shape
+
+    def parts(self, pairs_at_once: int) -> Iterator[Floats]:
+        """Yield the delays of some echoes at a time, (echo, scatterer), about ``pairs_at_once`` of them."""
+        at_once = max(1, pairs_at_once // max(1, len(self.rest_s)))
+        for first in range(0, len(self.amplitude_s), at_once):
+            yield self.rest_s + self.amplitude_s[first : first + at_once] @ self.shape
 
     def about_middle(self) -> Motion:
         """Return the same motion about the middle of its range, where the series is shortest."""

@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backend.echo_motion import Motion
 from sim_backend.echo_running import running_sum
 from sim_backend.pulse import Pulse
 
@@ -15,6 +16,8 @@ Floats = NDArray[np.float64]
 
 MOST_NODES = 256
 """Node counts from here on mean that interpolation does not pay."""
+# Delays held at once: 64 MB.
+_PAIRS_AT_ONCE = 1 << 23
 
 
 def node_count(pulse: Pulse, half_range_s: float, edge_share: float, tolerance: float) -> int:
@@ -88,7 +91,9 @@ def interpolated(
     low, high = float(amplitude_s.min()), float(amplitude_s.max())
     middle, half = (high + low) / 2, (high - low) / 2
     angle = (np.arange(nodes) + 0.5) * np.pi / nodes
-    at_nodes = running_sum(rest_s + np.outer(middle + half * np.cos(angle), shape), weight, pulse, sample_time_s)
+    motion = Motion(rest_s, shape[None], (middle + half * np.cos(angle))[:, None])
+    parts = motion.parts(_PAIRS_AT_ONCE)
+    at_nodes = np.concatenate([running_sum(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
     if half == 0.0:
         return np.repeat(at_nodes[:1], len(amplitude_s), axis=0)
     degree = np.arange(nodes)

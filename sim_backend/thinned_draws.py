@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.scatterers import depth_loss, reflectivity, scatterer_count
+from sim_backend.scatterers import depth_delay_s, depth_loss, draw_field, reflectivity, scatterer_count
 from sim_backend.settings import SimulationSettings
 
 Floats = NDArray[np.float64]
@@ -39,7 +39,7 @@ def draw_thinned(
     """Return draws of the scatterers whose delay lies within ``reach_s`` and whose weight matters to ``tolerance``.
 
     Scatterers are independent, so that many of the box's N fall into a smaller box with a binomial number: the
-    statistics of the echoes are those of `draw_field`, the random numbers are not. Reflectors are left to the caller.
+    statistics of the echoes are those of `draw_field`, the random numbers are not. Reflectors are in every draw.
     """
     scatterers, beams = settings.scatterers, settings.beams
     box = np.array(scatterers.volume_m)
@@ -67,7 +67,26 @@ def draw_thinned(
     strength = tracking if scatterers.reflectivity == "unit" else tracking * reflectivity(scatterers, len(kept), rng)
     loss = depth_loss(scatterers, z_m)
     two_way = 2 / settings.sound_speed_m_per_s if scatterers.axial_delay == "two_way" else 0.0
-    return ThinnedDraws(row[kept], two_way * z_m, strength if loss is None else strength * loss, moved)
+    drawn = ThinnedDraws(row[kept], two_way * z_m, strength if loss is None else strength * loss, moved)
+    return _with_reflectors(drawn, settings, draws) if scatterers.reflectors else drawn
+
+
+def _with_reflectors(drawn: ThinnedDraws, settings: SimulationSettings, draws: int) -> ThinnedDraws:
+    fixed = draw_field(
+        settings.scatterers.model_copy(update={"per_cell": 0.0}), settings.beams, np.random.default_rng(0)
+    )
+    delay_s = depth_delay_s(fixed, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
+    row = np.concatenate([drawn.row, np.repeat(np.arange(draws), len(delay_s))])
+    delay_s, tracking, moved = (
+        np.concatenate([some, np.tile(every, draws)])
+        for some, every in (
+            (drawn.delay_s, delay_s),
+            (drawn.tracking_weight, fixed.tracking_weight),
+            (drawn.motion_weight, fixed.motion_weight),
+        )
+    )
+    order = np.lexsort((delay_s, row))
+    return ThinnedDraws(row[order], delay_s[order], tracking[order], moved[order])
 
 
 def _gaussian(place_m: tuple[Floats, Floats, Floats], width_m: tuple[float, float, float]) -> Floats:

@@ -142,7 +142,18 @@ def test_a_thinned_draw_of_nothing_is_silent():
     assert (all_draws(3, settings=silent) == 0.0).all()
 
 
-def test_reflectors_in_a_batch_of_draws_are_refused():
-    settings = SimulationSettings.model_validate({"scatterers": {"reflectors": [{}]}})
-    with pytest.raises(ValueError, match="no reflectors"):
-        all_draws(1, settings=settings)
+@pytest.mark.parametrize("compiled", [True, False])
+def test_reflectors_add_their_own_echo_to_every_draw(compiled):
+    """Echoes are linear: what a plane and a resting point add to a draw is what they make without scatterers."""
+    reflectors = [
+        {"kind": "plane", "position_m": (0.0, 0.0, 3e-4), "strength": 5.0},
+        {"position_m": (2e-5, 0.0, -1e-4), "strength": 20.0, "moves": False},
+    ]
+    settings = SimulationSettings.model_validate({"scatterers": {"reflectors": reflectors}})
+    alone = SimulationSettings.model_validate({"scatterers": {"reflectors": reflectors, "per_cell": 0.0}})
+    added = all_draws(18, settings=settings, tolerance=1e-12, compiled=compiled) - all_draws(18, tolerance=1e-12)
+    expected = draw_echoes(alone, CYCLE_M, GATE_S, np.random.default_rng(0), tolerance=0.0)
+    assert np.abs(expected).max() > 10
+    for draw in added:
+        # Three sums of 1e-12 each, of an echo of rms 10.
+        assert np.abs(draw - expected).max() < 1e-9
