@@ -12,6 +12,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 from drivers.interfaces import (
     Clock,
     Digitizer,
@@ -25,7 +28,7 @@ from drivers.interfaces import (
 from drivers.interfaces import Wire as InstrumentWire
 from hpe_rig.bench_file import GENERATOR_ROLES, BenchFile
 from hpe_rig.interrupts import interruptible, uninterrupted
-from hpe_rig.mistakes import Mistake, mistakes_of
+from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of
 from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
@@ -103,6 +106,23 @@ def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
     from sim_backend.settings import SimulationSettings
 
     return mistakes_of(SimulationSettings, tables, ("simulation",))
+
+
+def twin_medium(scene: Scene, frequency_hz: NDArray[np.float64]) -> tuple[NDArray[np.complex128], float] | None:
+    """Return the simulated specimen's complex shear modulus (frequency,), Pa, and density, kg/m^3.
+
+    None where the scene's twin has no specimen, or moves it by the Gaussian of eq. (12).
+    """
+    if "specimen" not in (scene.simulation or {}):
+        return None
+    from sim_backend.moduli import shear_modulus
+    from sim_backend.settings import SimulationSettings
+
+    specimen = SimulationSettings.model_validate(_declared(scene)).specimen
+    if specimen is None or specimen.field == "gaussian":
+        return None
+    s_per_s = np.asarray(2j * np.pi * frequency_hz, np.complex128)
+    return np.asarray(shear_modulus(specimen, s_per_s)), specimen.density_kg_per_m3
 
 
 def simulation_schema() -> dict[str, Any]:
@@ -228,6 +248,9 @@ def _world(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0)
     from sim_backend.settings import SimulationSettings
     from sim_backend.world import World
 
+    # What the scene declares of beams and sound speed may contradict its [simulation].
+    if mistakes := check_simulation(simulation):
+        raise SettingsError("the scene", mistakes)
     settings = SimulationSettings.model_validate(simulation)
     wiring = [(wire.source, wire.target, wire.delay_s) for wire in bench.wiring]
     models = {role: generator.model for role, generator in bench.generators.by_role.items()}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.interference import disturbed_pulses
 from hpe_rig.plan import Plan, Shot, reference_gate, slow_time_window
-from hpe_rig.prediction import predicted_averaging
+from hpe_rig.prediction import Averaging, predicted_averaging
 from hpe_rig.processing import (
     Drift,
     EchoGate,
@@ -43,7 +43,7 @@ HIGHEST_DRIVEN_HZ = 2e4
 
 def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimator) -> tuple[ShotResult, ...]:
     """Return the estimates of every shot that has records; raise ``ValueError`` where they cannot be made."""
-    prediction = predicted_averaging(scene, estimator)
+    prediction = predicted_averaging(scene, estimator, stored.simulated)
     results = []
     for shot in plan.shots:
         # Of a long record only the gate comes into memory.
@@ -83,7 +83,7 @@ def _estimate_shot(
     still: ShotRecords | None,
     truth_m: NDArray[np.float64] | None,
     estimator: Estimator,
-    prediction: tuple[float | None, float | None],
+    prediction: tuple[Averaging | None, ...],
 ) -> ShotResult:
     inside = slow_time_window(scene, shot)
     echoes = shot_echoes(scene, shot, records, inside)
@@ -104,7 +104,7 @@ def _estimate_shot(
         pulses_used=int(echoes.valid.sum()),
         pulses_missing=int((~recorded).sum()),
         residual_m=float(fit.residual_rms_m),
-        estimates=tuple(_estimate(fit, truth_m, index, prediction) for index in range(frequencies_hz.size)),
+        estimates=tuple(_estimate(fit, truth_m, index, prediction[index]) for index in range(frequencies_hz.size)),
         warnings=(
             *_record_warnings(recorded, recorded & ~skipped & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
@@ -159,7 +159,7 @@ def _estimate(
     fit: HarmonicFit,
     truth_m: NDArray[np.float64] | None,
     index: int,
-    prediction: tuple[float | None, float | None],
+    averaging: Averaging | None,
 ) -> Estimate:
     known = truth_m is not None and bool(np.isfinite(truth_m[index]).all())
     in_phase_m, quadrature_m = truth_m[index] if truth_m is not None and known else (0.0, 0.0)
@@ -169,8 +169,8 @@ def _estimate(
         amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
         phase_rad=float(fit.phase_rad[index]),
         phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
-        averaging_factor=prediction[0],
-        speckle_relative=prediction[1],
+        averaging_factor=None if averaging is None else averaging.factor,
+        speckle_relative=None if averaging is None else averaging.speckle_relative,
         true_amplitude_m=math.hypot(in_phase_m, quadrature_m) if known else None,
         true_phase_rad=math.atan2(quadrature_m, in_phase_m) if known else None,
     )

@@ -9,8 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hpe_rig.bench import twin_medium
 from hpe_rig.jitter_model import Expected, Setting, draw_speckle, expected
+from hpe_rig.medium_averaging import depth_spread, gaussian_averaging, medium_averaging, width_scale
 from hpe_rig.mistakes import Mistake, SettingsError
 from hpe_rig.plan import pulse_count
 from hpe_rig.processing import ESTIMATORS, Estimator
@@ -34,21 +37,80 @@ class Prediction:
     expected: tuple[Expected, ...]
 
 
-def predicted_averaging(scene: Scene, estimator: Estimator) -> tuple[float | None, float | None]:
-    """Return the predicted tracked over peak displacement and its relative speckle spread; None without beams."""
+@dataclass(frozen=True, slots=True)
+class Averaging:
+    """Predicted tracked over peak displacement at one frequency, its lag, and its relative spread over speckle."""
+
+    factor: float
+    phase_rad: float
+    speckle_relative: float
+
+
+def predicted_averaging(scene: Scene, estimator: Estimator, simulated: bool = True) -> tuple[Averaging | None, ...]:
+    """Return the averaging over the tracking beam at every wanted frequency; None without beams.
+
+    The motion's shape is the field of the medium, ``scene.medium``'s or the twin's own; without either, eq. (12).
+    """
+    frequency_hz = np.array(scene.wanted_frequencies_hz)
     if scene.beams is None:
-        return None, None
-    beams = scene.beams
-    geometry = (
-        beams.excitation_width_m,
-        beams.tracking_width_m,
-        scene.acquisition.gate_length_m,
-        pulse_length_m(scene),
-    )
+        return (None,) * frequency_hz.size
+    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
     window: GateWindow = "hann" if estimator == "cross_spectrum" else "none"
     # A fixed seed: a prediction is a function of the scene alone.
-    spread = speckle_spread(*geometry, np.random.default_rng(0), gate_window=window)
-    return beam_averaging_factor(*geometry, gate_window=window), spread
+    spread = speckle_spread(*widths, *gate, np.random.default_rng(0), gate_window=window)
+    gaussian = beam_averaging_factor(*widths, *gate, gate_window=window)
+    ratio = medium_ratio(scene, frequency_hz, window, simulated)
+    if ratio is None:
+        return (Averaging(gaussian, 0.0, spread),) * frequency_hz.size
+    depth_m = depth_spread(widths[1], *gate, window)
+    # To first order in how far the motion changes over the beam, all that speckle does is in proportion to the loss.
+    lost = (1 - np.abs(ratio)) / (1 - gaussian_averaging(*widths, depth_m))
+    return tuple(
+        Averaging(1 - share * (1 - gaussian), lag, share * spread)
+        for share, lag in zip(lost.tolist(), np.angle(ratio).tolist(), strict=True)
+    )
+
+
+def medium_ratio(
+    scene: Scene, frequency_hz: NDArray[np.float64], window: GateWindow, simulated: bool = True
+) -> NDArray[np.complex128] | None:
+    """Return the tracked over peak displacement of the medium's field (frequency,); None where no medium is known."""
+    if scene.beams is None:
+        return None
+    known: tuple[NDArray[np.complex128], float] | None = None
+    if scene.medium is not None:
+        loss_pa = 2 * np.pi * frequency_hz * scene.medium.shear_viscosity_pa_s
+        known = np.asarray(scene.medium.shear_modulus_pa + 1j * loss_pa), scene.medium.density_kg_per_m3
+    elif simulated:
+        known = twin_medium(scene, frequency_hz)
+    if known is None:
+        return None
+    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), window)
+    return medium_averaging(*known, frequency_hz, *widths, depth_m)
+
+
+def averaging_text(scene: Scene, simulated: bool = True) -> Iterator[str]:
+    """Yield how much of the peak is tracked, by the medium's field and by the Gaussian of eq. (12)."""
+    each = [item for item in predicted_averaging(scene, scene.processing.estimator, simulated) if item is not None]
+    if not each or scene.beams is None:
+        return
+    gaussian = beam_averaging_factor(
+        scene.beams.excitation_width_m,
+        scene.beams.tracking_width_m,
+        scene.acquisition.gate_length_m,
+        pulse_length_m(scene),
+        gate_window="hann" if scene.processing.estimator == "cross_spectrum" else "none",
+    )
+    if all(item.factor == gaussian for item in each):
+        yield f"beam averaging: {gaussian:.3f} of the peak is tracked, the motion being the Gaussian of eq. (12)"
+        return
+    span = " to ".join(f"{each[at].factor:.3f} ({math.degrees(each[at].phase_rad):.1f} deg)" for at in (0, -1))
+    yield (
+        f"beam averaging: {span} of the peak is tracked from the lowest frequency to the highest in the medium's own "
+        f"field; by the Gaussian of eq. (12) {gaussian:.3f}, {(gaussian / each[0].factor - 1) * 100:+.1f} %"
+    )
 
 
 def pulse_length_m(scene: Scene) -> float:
@@ -65,7 +127,7 @@ def setting_of(scene: Scene) -> Setting | None:
     frequency_hz = scene.wanted_frequencies_hz[0]
     acquisition, tracking, beams = scene.acquisition, scene.tracking, scene.beams
     return Setting(
-        excitation_width_m=beams.excitation_width_m,
+        excitation_width_m=_motion_width_m(scene, frequency_hz),
         tracking_width_m=beams.tracking_width_m,
         gate_length_m=acquisition.gate_length_m,
         pulse_length_m=pulse_length_m(scene),
@@ -81,6 +143,19 @@ def setting_of(scene: Scene) -> Setting | None:
         amplitude_m=expected_amplitude_m(scene, frequency_hz),
         snr=10 ** (snr_db / 10),
     )
+
+
+def _motion_width_m(scene: Scene, frequency_hz: float) -> tuple[float, float, float]:
+    """Return the sigmas of the Gaussian motion that is tracked like the scene's."""
+    assert scene.beams is not None  # noqa: S101
+    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    ratio = medium_ratio(scene, np.array([frequency_hz]), "none")
+    if ratio is None:
+        return widths[0]
+    depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), "none")
+    x, y, z = widths[0]
+    scale = width_scale(float(abs(ratio[0])), *widths, depth_m)
+    return x * scale, y * scale, z * scale
 
 
 def used_pulses(scene: Scene) -> int:

@@ -120,6 +120,20 @@ class Beams(Section):
     """Axial length c T / 2 of the tracking pulse as received, T its full length; absent: that of its cycles."""
 
 
+class Medium(Section):
+    """What is known of the specimen, a Voigt medium; without it, the motion is taken to be the Gaussian of eq. (12).
+
+    The twin's own specimen takes its place where this section is absent.
+    """
+
+    shear_modulus_pa: Positive
+    """Shear elasticity mu1."""
+    shear_viscosity_pa_s: NonNegative
+    """Shear viscosity mu2."""
+    density_kg_per_m3: Positive = 1000.0
+    """Mass density."""
+
+
 class Processing(Section):
     """How records become amplitude and phase."""
 
@@ -165,6 +179,8 @@ class Scene(Section):
     """What is recorded."""
     beams: Beams | None = None
     """What is known of the beams."""
+    medium: Medium | None = None
+    """What is known of the specimen, for the predicted beam averaging."""
     processing: Processing = Processing()
     """How records become amplitude and phase."""
     simulation: dict[str, Any] | None = None

@@ -72,6 +72,15 @@ def beam_averaging_factor(
     return float(mean - (overlap.sum(axis=0) @ (moved - expected)) / energy.sum() ** 2)
 
 
+def gate_energy(
+    tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, gate_window: GateWindow = "none"
+) -> tuple[FloatArray, FloatArray]:
+    """Return depths about the gate's middle, m, and the energy that each puts into the (windowed) gate, (depth,)."""
+    depth = _midpoints(gate_length_m + pulse_length_m, DEPTHS)
+    echo = _gate_echoes(depth, tracking_width_m, gate_length_m, pulse_length_m, gate_window)
+    return depth, np.sum(echo**2, axis=0)
+
+
 def scatterer_density(tracking_width_m: Triple, per_cell: float) -> float:
     """Return scatterers per m^3 from those in the ellipsoid where the tracking beam is above -6 dB (half its peak)."""
     return float(per_cell / (4 / 3 * np.pi * np.prod(np.asarray(tracking_width_m) * np.sqrt(2 * np.log(2)))))

@@ -45,8 +45,8 @@ class Specimen(Section):
     """Attenuation of the medium (assumed); with the force it tells the intensity at the focus."""
     density_kg_per_m3: Positive = 1000.0
     """Mass density (assumed)."""
-    field: Literal["gaussian", "medium"] = "gaussian"
-    """Motion around the focus: the Gaussian of eq. (12), or the medium's own field, broader and later farther out."""
+    field: Literal["medium", "gaussian"] = "medium"
+    """Motion around the focus: the medium's own field, broader and later farther out, or the Gaussian of eq. (12)."""
     force_density_n_per_m3: Positive = 4.0e6
     """Body force at the focus while a toneburst of ``reference_drive_vpp`` is on (assumed)."""
     reference_drive_vpp: Positive = 1.0
@@ -295,6 +295,21 @@ class SimulationSettings(Section):
                 "receiver.snr_db and receive_chain exclude each other: with a chain the noise is the preamplifier's, "
                 "receive_chain.noise_v_per_sqrt_hz"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _field_of_a_round_force(self) -> SimulationSettings:
+        if self.specimen is None or self.specimen.field == "gaussian":
+            return self
+        x, y, _ = self.beams.excitation_width_m
+        remedy = 'specimen.field = "gaussian"'
+        if abs(x - y) > 1e-12 * x:
+            raise ValueError(
+                f"the medium's own field is that of a round force, beams.excitation_width_m is {x:g} m by {y:g} m: "
+                f"make both equal, or set {remedy}"
+            )
+        if self.beams.width_ratio is not None:
+            raise ValueError(f"beams.width_ratio sets the shape of a Gaussian motion: remove it, or set {remedy}")
         return self
 
     @model_validator(mode="after")
