@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from sim_backend.echo_choice import Method
     from sim_backend.echo_motion import Motion
     from sim_backend.pulse import Pulse
@@ -33,7 +35,9 @@ _SOUND_SPEED_M_PER_S = 1540.0
 _AMPLITUDE_M = 1e-6
 _CHECKED_ECHOES = 6
 # Rough seconds a scatterer and echo, to know what to leave out before it is run.
-_PAIR_S = {"direct": 6e-6, "running_sum": 2.5e-7, "interpolated": 0.0, "series": 0.0}
+_DIRECT_PAIR_S, _EXACT_PAIR_S = 6e-6, 2.5e-7
+CHOSEN = "engine"
+"""Among the evaluations: whichever the engine takes where it is only told the tolerance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +48,9 @@ class Measurement:
     echoes: int
     samples: int
     evaluation: str
+    """By name, or ``engine``: the one it takes."""
+    method: str
+    """What was run."""
     tolerance: float
     terms: int
     """Nodes, or orders of the series; 0 where exact."""
@@ -76,31 +83,48 @@ def _of_scene(
     count: int, echoes: int, tolerances: tuple[float, ...], longest_s: float, seed: int
 ) -> Iterator[Measurement]:
     from sim_backend.echo import synthesise
+    from sim_backend.echo_choice import choices
 
     motion, weight, pulse, gate_s = _scene(count, echoes, seed)
     checked = np.unique(np.linspace(0, echoes - 1, _CHECKED_ECHOES).astype(int))
     exact = _reference(motion, weight, pulse, gate_s, checked)
 
-    def measured(method: Method, tolerance: float) -> Measurement:
+    def measured(method: Method | None, tolerance: float) -> Measurement:
         made = synthesise(motion, weight, pulse, gate_s, tolerance, method)
         error = float(np.sqrt(np.mean(np.square(made.echo[checked] - exact)) / np.mean(np.square(exact))))
         time_s = median_s(lambda: synthesise(motion, weight, pulse, gate_s, tolerance, method))
-        moved_m = error * _SOUND_SPEED_M_PER_S / (4 * np.pi * 9.0e6)
-        cores = os.cpu_count() or 1
-        return Measurement(count, echoes, _SAMPLES, method, tolerance, made.terms, error, time_s, float(moved_m), cores)
+        moved_m = float(error * _SOUND_SPEED_M_PER_S / (4 * np.pi * 9.0e6))
+        name, cores = method or CHOSEN, os.cpu_count() or 1
+        return Measurement(
+            count, echoes, _SAMPLES, name, made.method, tolerance, made.terms, error, time_s, moved_m, cores
+        )
 
-    exact_methods: tuple[Method, ...] = ("direct", "running_sum")
-    for method in exact_methods:
-        if count * echoes * _PAIR_S[method] <= longest_s:
-            yield measured(method, 0.0)
-    approximate: tuple[Method, ...] = ("interpolated", "series")
-    for method in approximate:
-        for tolerance in tolerances:
-            try:
-                yield measured(method, tolerance)
-            except ValueError:
-                # This evaluation does not reach this tolerance: that is what the table says by its absence.
-                continue
+    if count * echoes * _DIRECT_PAIR_S <= longest_s:
+        yield measured("direct", 0.0)
+    if count * echoes * _EXACT_PAIR_S <= longest_s:
+        yield measured("running_sum", 0.0)
+    for tolerance in tolerances:
+        able = choices(motion, weight, pulse, gate_s, tolerance, None)
+        for choice in able:
+            if choice.method != "running_sum" and choice.cost_s <= longest_s:
+                yield measured(choice.method, tolerance)
+        if min(choice.cost_s for choice in able) <= longest_s:
+            yield measured(None, tolerance)
+
+
+def share_chosen_well(rows: list[Measurement], factor: float = 2.0) -> tuple[int, int]:
+    """Return in how many cases the engine's choice took at most ``factor`` of the fastest evaluation's time, of all."""
+    chosen = [row for row in rows if row.evaluation == CHOSEN]
+    well = 0
+    for row in chosen:
+        rivals = [
+            other.time_s
+            for other in rows
+            if (other.scatterers, other.echoes) == (row.scatterers, row.echoes)
+            and other.tolerance in (0.0, row.tolerance)
+        ]
+        well += row.time_s <= factor * min(rivals)
+    return well, len(chosen)
 
 
 def _reference(motion: Motion, weight: Floats, pulse: Pulse, gate_s: Floats, checked: NDArray[np.intp]) -> Floats:
@@ -155,11 +179,13 @@ def write_accuracy(
     scatterers = tuple(count for count in SCATTERERS if count <= largest)
     echoes = tuple(count for count in ECHOES if count <= most_echoes)
     rows = list(measurements(scatterers, echoes, longest_s=longest_s))
+    well, of_all = share_chosen_well(rows)
     if output is None:
         show(as_text(rows, suffix).rstrip())
     else:
         output.write_text(as_text(rows, suffix), encoding="utf-8")
         show(f"{output}: {len(rows)} measurements")
+        show(f"the engine's choice took at most twice the fastest evaluation's time in {well} of {of_all} cases")
     if figure is not None:
         write_figure(rows, figure)
         show(f"{figure}")
@@ -179,30 +205,49 @@ def as_text(rows: list[Measurement], suffix: str) -> str:
 
 
 def write_figure(rows: list[Measurement], path: Path) -> None:
-    """Write error against run time: a panel a number of scatterers, a line an evaluation, darker for more echoes."""
+    """Write error against run time, a panel a number of scatterers, and the engine's run time against both numbers."""
     from matplotlib.figure import Figure
 
-    counts, echoes = sorted({row.scatterers for row in rows}), sorted({row.echoes for row in rows})
-    figure = Figure(figsize=(3.2 * len(counts), 3.6), layout="constrained")
-    panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
-    kinds = {"direct": ("x", "C3"), "running_sum": ("s", "C0"), "interpolated": ("^", "C1"), "series": ("o", "C2")}
+    counts = sorted({row.scatterers for row in rows})
+    figure = Figure(figsize=(max(7.0, 3.2 * len(counts)), 7.2), layout="constrained")
+    (above,), (below,) = figure.subfigures(2, 1, squeeze=False)
+    panels = above.subplots(1, len(counts), sharey=True, squeeze=False)[0]
     for panel, count in zip(panels, counts, strict=True):
-        for kind, (marker, colour) in kinds.items():
-            for place, echo_count in enumerate(echoes):
-                some = [
-                    row for row in rows if (row.scatterers, row.evaluation, row.echoes) == (count, kind, echo_count)
-                ]
-                if some:
-                    shade = 0.35 + 0.65 * (place + 1) / len(echoes)
-                    label = kind if place == 0 else None
-                    times, errors = [row.time_s for row in some], [max(row.error, 1e-17) for row in some]
-                    panel.plot(times, errors, marker=marker, color=colour, alpha=shade, ms=4, lw=0.8, label=label)
+        _draw_work([row for row in rows if row.scatterers == count], panel)
         panel.set(xscale="log", yscale="log", xlabel="run time (s)", title=f"{count:.0e} scatterers")
-        panel.grid(alpha=0.3)
     panels[0].set_ylabel("relative rms error")
     panels[0].legend(fontsize=7)
+    for panel, (along, other) in zip(
+        below.subplots(1, 2, sharey=True), (("scatterers", "echoes"), ("echoes", "scatterers")), strict=True
+    ):
+        _draw_cost(rows, panel, along, other)
+    for panel in figure.get_axes():
+        panel.grid(alpha=0.3)
     cores = rows[0].cores if rows else 0
-    figure.suptitle(
-        f"{echoes[0]} to {echoes[-1]} echoes of {_SAMPLES} samples, darker is more; {cores} cores, one used"
-    )
+    figure.suptitle(f"Echoes of {_SAMPLES} samples; darker is more echoes; {cores} cores, one used")
     figure.savefig(path)
+
+
+def _draw_work(rows: list[Measurement], panel: Axes) -> None:
+    echoes = sorted({row.echoes for row in rows})
+    kinds = {"direct": ("x", "C3"), "running_sum": ("s", "C0"), "interpolated": ("^", "C1"), "series": ("o", "C2")}
+    for kind, (marker, colour) in kinds.items():
+        for place, echo_count in enumerate(echoes):
+            some = [row for row in rows if (row.evaluation, row.echoes) == (kind, echo_count)]
+            shade, label = 0.35 + 0.65 * (place + 1) / len(echoes), kind if place == 0 else None
+            times, errors = [row.time_s for row in some], [max(row.error, 1e-17) for row in some]
+            panel.plot(times, errors, marker=marker, color=colour, alpha=shade, ms=4, lw=0.8, label=label)
+    chosen = [row for row in rows if row.evaluation == CHOSEN]
+    times, errors = [row.time_s for row in chosen], [max(row.error, 1e-17) for row in chosen]
+    panel.plot(times, errors, "k.", ms=3, label="the engine's choice")
+
+
+def _draw_cost(rows: list[Measurement], panel: Axes, along: str, other: str) -> None:
+    tolerance = 1e-8
+    some = [row for row in rows if row.evaluation == CHOSEN and row.tolerance == tolerance]
+    for value in sorted({getattr(row, other) for row in some}):
+        line = sorted((getattr(row, along), row.time_s) for row in some if getattr(row, other) == value)
+        panel.plot(*zip(*line, strict=True), marker="o", ms=4, lw=0.8, label=f"{value:.0e} {other}")
+    panel.set(xscale="log", yscale="log", xlabel=along, ylabel="run time (s)", title=f"The engine at {tolerance:g}")
+    if some:
+        panel.legend(fontsize=7)

@@ -7,19 +7,35 @@ import pytest
 from typer.testing import CliRunner
 
 from hpe_rig.cli import app
-from hpe_rig.study.accuracy_echo import Measurement, as_text, measurements, write_figure
+from hpe_rig.study.accuracy_echo import CHOSEN, Measurement, as_text, measurements, share_chosen_well, write_figure
 
 
 @pytest.fixture(scope="module")
 def rows() -> list[Measurement]:
-    return list(measurements((100, 1000), (10, 30), (1e-2, 1e-6, 1e-10)))
+    return list(measurements((100, 400), (10, 30), (1e-2, 1e-8)))
 
 
 def test_every_evaluation_keeps_its_tolerance_and_the_exact_ones_rounding(rows: list[Measurement]) -> None:
-    assert {row.evaluation for row in rows} == {"direct", "running_sum", "interpolated", "series"}
+    assert {row.evaluation for row in rows} == {"direct", "running_sum", "interpolated", "series", CHOSEN}
     for row in rows:
         assert row.error <= (row.tolerance or 1e-12)
         assert row.time_s > 0
+
+
+def test_the_engine_is_held_against_every_evaluation_of_its_scene_and_tolerance() -> None:
+    def row(evaluation: str, tolerance: float, time_s: float, echoes: int = 10) -> Measurement:
+        return Measurement(100, echoes, 130, evaluation, "series", tolerance, 3, 0.0, time_s, 0.0, 2)
+
+    rows = [
+        row("running_sum", 0.0, 1.0),
+        row("series", 1e-6, 0.4),
+        row("series", 1e-2, 0.1),
+        row(CHOSEN, 1e-6, 0.8),
+        row(CHOSEN, 1e-2, 0.3),
+        row("series", 1e-2, 1e-9, echoes=20),
+    ]
+    assert share_chosen_well(rows) == (1, 2)
+    assert share_chosen_well(rows, 3.1) == (2, 2)
 
 
 def test_table_reads_back_and_another_format_is_refused(rows: list[Measurement]) -> None:
@@ -30,7 +46,6 @@ def test_table_reads_back_and_another_format_is_refused(rows: list[Measurement])
 
 
 def test_figure_is_written(rows: list[Measurement], tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
     write_figure(rows, tmp_path / "work.svg")
     assert "<svg" in (tmp_path / "work.svg").read_text(encoding="utf-8")
 
@@ -41,4 +56,4 @@ def test_command_writes_the_table(tmp_path: Path) -> None:
         app, ["accuracy", "echo", "--output", str(path), "--largest", "100", "--most-echoes", "10"]
     )
     assert done.exit_code == 0, done.output
-    assert path.read_text(encoding="utf-8").startswith("scatterers,echoes,samples,evaluation,tolerance")
+    assert path.read_text(encoding="utf-8").startswith("scatterers,echoes,samples,evaluation,method,tolerance")
