@@ -271,6 +271,28 @@ def accuracy(
     write_accuracy(output, figure, largest, most_echoes, longest_s, typer.echo)
 
 
+@app.command()
+@guarded
+def design(
+    scene: SceneName,
+    over: Annotated[str, typer.Option(help="Keys that may change, such as pulse_rate_hz,gate_length_m.")],
+    minimise: Annotated[str, typer.Option(help="jitter, phase-jitter, bias (of the amplitude) or time.")] = "jitter",
+    bench: BenchPath = None,
+    bound: Annotated[list[str] | None, typer.Option(help="key=low:high; absent: what scene and bench imply.")] = None,
+    longest_s: Annotated[float | None, typer.Option(help="Most time, s; absent: the scene's own.")] = None,
+    target: Annotated[str | None, typer.Option(help="Jitter, noise and speckle, to keep, such as 20nm.")] = None,
+    draws: Annotated[int, typer.Option(help="Scatterer and noise draws that check the model; 0: none.")] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of search and draws.")] = 0,
+    output: Annotated[Path | None, typer.Option(help="New scene file, .toml; absent: none is written.")] = None,
+) -> None:
+    """Find the best scene within limits by the analytic model, and check the model by Monte Carlo. Opens nothing."""
+    from hpe_rig.study.design_text import Request, write_design
+
+    bounds = tuple(bound or ())
+    request = Request(scene, over, minimise, bench, bounds, longest_s, target, draws, seed, output)
+    write_design(request, typer.echo, announce)
+
+
 @app.command("bench")
 @guarded
 def bench_command(

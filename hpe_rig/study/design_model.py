@@ -1,0 +1,153 @@
+"""What a scene of a design will achieve: bias, jitter, time and dose, all relative to the scene it starts from."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hpe_rig.estimation import skipped_pulses
+from hpe_rig.jitter_model import LATERAL, Expected, Scattering, Setting, draw_scattering, expected
+from hpe_rig.mistakes import Mistake, SettingsError
+from hpe_rig.plan import Plan, slow_time_window
+from hpe_rig.prediction import expected_snr_db, setting_of
+from hpe_rig.scene import Scene
+from hpe_rig.theory import force_spectrum
+
+if TYPE_CHECKING:
+    from sim_backend.settings import SimulationSettings
+
+CELLS = 256
+"""Cells of depth in which scatterers are summed: 23 um for the paper's beam, a tenth of a three-cycle pulse."""
+POINTS = 96
+_BEAMS = ("excitation_width_m", "tracking_width_m", "scatterers_per_m3")
+# What scatterers do not depend on, at one value, so that their draws are kept.
+_UNSEEN: dict[str, Any] = {field.name: 1 for field in fields(Setting) if field.name not in _BEAMS}
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """What of the starting scene its SNR and its amplitude hold for."""
+
+    gate_length_m: float
+    cycles: int
+    drive: float
+
+
+def baseline(scene: Scene) -> Baseline:
+    """Return what SNR and amplitude of ``scene`` hold for; raise ``SettingsError`` with all that no model can lack."""
+    mistakes = []
+    if scene.beams is None:
+        mistakes.append(Mistake("beams", "the model needs the beams' widths", "a [beams] section"))
+    if expected_snr_db(scene) is None:
+        what = "the model needs the echo's SNR, and the scene does not say"
+        mistakes.append(Mistake("processing.expected_snr_db", what, "the SNR in the gate, such as 40.0"))
+    if not scene.wanted_frequencies_hz:
+        what = "no vibration frequency is wanted"
+        mistakes.append(Mistake("processing.frequencies_hz", what, "the frequency to design for, such as [200.0]"))
+    if mistakes:
+        raise SettingsError("the scene", mistakes)
+    gate_m = scene.acquisition.gate_length_m
+    if scene.processing.expected_snr_db is None:
+        # What the twin simulates holds in a gate of its own.
+        gate_m = twin_settings(scene).receiver.reference_gate_m
+    return Baseline(gate_m, scene.tracking.cycles, _drive(scene))
+
+
+def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Setting:
+    """Return what bias and jitter of the scene's first shot and first frequency depend on.
+
+    Beyond ``setting_of``: noise is fixed, so the SNR follows the echo's strength and its depth profile in the gate; the
+    amplitude follows the force; pulses that are skipped do not count.
+    """
+    setting = setting_of(scene)
+    assert setting is not None  # noqa: S101 (baseline has refused such a scene)
+    shot = plan.shots[0]
+    pulses = int((slow_time_window(scene, shot) & ~skipped_pulses(scene, shot)).sum())
+    profile = [echo_power(setting, gate_m) for gate_m in (setting.gate_length_m, start.gate_length_m)]
+    snr = setting.snr * echo_strength(scene, start) * profile[0] / profile[1]
+    amplitude_m = setting.amplitude_m
+    if _simulates_specimen(scene):
+        amplitude_m = _drive(scene)
+    elif scene.excitation is not None and start.drive > 0:
+        amplitude_m *= _drive(scene) / start.drive
+    return replace(setting, pulses=max(pulses, 1), snr=snr, amplitude_m=max(amplitude_m, 1e-15))
+
+
+def echo_strength(scene: Scene, start: Baseline) -> float:
+    """Return the power of the echo relative to the starting scene's pulse.
+
+    A longer pulse has as much more amplitude where the received length is declared, the transducer's; else it fills as
+    much more of the gate.
+    """
+    declared = scene.beams is not None and scene.beams.pulse_length_m is not None
+    return float((scene.tracking.cycles / start.cycles) ** (2 if declared else 1))
+
+
+def echo_power(setting: Setting, gate_length_m: float) -> float:
+    """Return the mean echo power in a gate around the focus, relative to that at the focus."""
+    pulse_m = setting.pulse_length_m
+    places = (np.arange(POINTS) + 0.5) / POINTS - 0.5
+    depth = places * gate_length_m + places[:, None] * pulse_m
+    blur = np.cos(np.pi * places[:, None]) ** 4
+    weight = np.exp(-np.square(depth / setting.tracking_width_m[2]))
+    return float((blur * weight).sum() / (POINTS * blur.sum()))
+
+
+def predicted(setting: Setting, estimator: str, draws: int, seed: int = 0) -> Expected:
+    """Return bias and jitter from ``draws`` draws of scatterers, the same for every gate and pulse."""
+    scattering = _scattering(replace(setting, **_UNSEEN), draws, seed)
+    speckle = scattering.speckle(setting.gate_length_m, setting.pulse_length_m)
+    return expected(setting, estimator, speckle, np.random.default_rng([seed, 1]))
+
+
+def twin_settings(scene: Scene) -> SimulationSettings:
+    """Return the twin's settings for what ``scene`` declares of sound speed, beams and ``[simulation]``."""
+    from sim_backend.settings import SimulationSettings
+
+    declared: dict[str, Any] = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
+    declared |= scene.simulation or {}
+    if scene.beams is not None:
+        beams = scene.beams.model_dump(exclude={"pulse_length_m"})
+        declared["beams"] = beams | declared.get("beams", {})
+    return SimulationSettings.model_validate(declared)
+
+
+def _drive(scene: Scene) -> float:
+    """Return what drives the first wanted frequency in the first shot: m where a specimen is simulated, else N."""
+    excitation = scene.excitation
+    if excitation is None:
+        return 0.0
+    frequency_hz = scene.wanted_frequencies_hz[0]
+    harmonic = round(frequency_hz / excitation.burst_rate_hz)
+    if harmonic == 0 or not math.isclose(harmonic * excitation.burst_rate_hz, frequency_hz, rel_tol=1e-6):
+        return 0.0
+    peak = 2 * abs(complex(force_spectrum(harmonic, excitation.burst_rate_hz, excitation.burst_length_s[0])))
+    return float(peak * excitation.force_fraction[0] * _response(scene, frequency_hz))
+
+
+def _response(scene: Scene, frequency_hz: float) -> float:
+    """Return the displacement at full force, m, of the simulated specimen; 1 where there is none."""
+    if "specimen" not in (scene.simulation or {}):
+        return 1.0
+    from sim_backend.specimen import frequency_response
+
+    settings = twin_settings(scene)
+    assert settings.specimen is not None  # noqa: S101
+    width_m = settings.beams.excitation_width_m
+    moved = frequency_response(settings.specimen, width_m, np.array([frequency_hz]))
+    return float(abs(moved[0]) * settings.specimen.force_density_n_per_m3)
+
+
+@functools.lru_cache(maxsize=4)
+def _scattering(beams: Setting, draws: int, seed: int) -> Scattering:
+    """Return draws as deep as the tracking beam sees: whatever gate, the scatterers are the same."""
+    deep_m = 2 * LATERAL * beams.tracking_width_m[2]
+    return draw_scattering(beams, np.random.default_rng([seed, 0]), draws, deep_m, CELLS)
+
+
+def _simulates_specimen(scene: Scene) -> bool:
+    return scene.processing.expected_amplitude_m is None and "specimen" in (scene.simulation or {})
