@@ -252,7 +252,7 @@ def test_a_scene_without_excitation_opens_no_excitation_generator(prepared: Prep
 
 def test_the_command_line_runs_checks_lists_copies_and_processes(tmp_path: Path) -> None:
     def rig(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "hpe_rig", *arguments]
+        command = [sys.executable, "-X", "importtime", "-m", "hpe_rig", *arguments]
         return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
 
     assert "bovine-muscle-synchronous" in rig("scenes").stdout
@@ -262,6 +262,7 @@ def test_the_command_line_runs_checks_lists_copies_and_processes(tmp_path: Path)
     done = rig("run", "mine.toml", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["shots"][0]["estimates"][0]["frequency_hz"] == 200.0
+    assert_imports_what_a_prescribed_motion_needs(done.stderr)
     assert "SIMULATED" in rig("process", "mine.h5").stdout
     assert json.loads(rig("schema").stdout)["properties"]["tracking"]
     wrong = rig("run", "nowhere")
@@ -270,6 +271,22 @@ def test_the_command_line_runs_checks_lists_copies_and_processes(tmp_path: Path)
     assert "Traceback" not in wrong.stderr
     (tmp_path / "mine.toml").write_text("[tracking]\npulse_rate_hz = 0\n", encoding="utf-8")
     assert rig("check", "mine.toml").returncode == 2
+
+
+RUN_PACKAGES = {"drivers", "h5py", "hpe_rig", "numpy", "pydantic", "scipy", "sim_backend", "typer"}
+THEIR_PACKAGES = {"annotated_doc", "annotated_types", "click", "pydantic_core", "shellingham", "typing_extensions"}
+THEIR_PACKAGES |= {"cython_runtime", "markdown_it", "mdurl", "pygments", "typing_inspection"}
+
+
+def assert_imports_what_a_prescribed_motion_needs(import_times: str) -> None:
+    """Assert that a scene without tonebursts loads no figures, no VISA, no extras and nothing that pushes."""
+    loaded = {line.rpartition("|")[2].strip() for line in import_times.splitlines() if line.startswith("import time:")}
+    top = {name.partition(".")[0] for name in loaded if not name.startswith("_")} - sys.stdlib_module_names
+    assert top >= RUN_PACKAGES
+    assert top - RUN_PACKAGES <= THEIR_PACKAGES
+    pushing = {"force", "field", "inverse_laplace", "medium_motion", "moduli", "specimen", "transmitter"}
+    assert not loaded & {f"sim_backend.{name}" for name in pushing}
+    assert not loaded & {"hpe_rig.figures", "hpe_rig.live", "hpe_rig.resume", "hpe_rig.run_log", "scipy.signal"}
 
 
 def test_a_repeat_keeps_the_scatterers_and_draws_new_noise(prepared: Prepare, tmp_path: Path) -> None:
