@@ -32,6 +32,7 @@ from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of
 from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
+    from sim_backend.dose import Dose
     from sim_backend.wires import Emulator, Transport
     from sim_backend.world import World
 
@@ -123,6 +124,21 @@ def twin_medium(scene: Scene, frequency_hz: NDArray[np.float64]) -> tuple[NDArra
         return None
     s_per_s = np.asarray(2j * np.pi * frequency_hz, np.complex128)
     return np.asarray(shear_modulus(specimen, s_per_s)), specimen.density_kg_per_m3
+
+
+def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.float64]) -> Dose | None:
+    """Return the simulated specimen's dose and what it could move at ``frequency_hz``; None where there is none."""
+    if "specimen" not in (scene.simulation or {}) or scene.excitation is None:
+        return None
+    from sim_backend.dose import dose
+    from sim_backend.settings import SimulationSettings
+
+    settings = SimulationSettings.model_validate(_declared(scene))
+    if settings.specimen is None:
+        return None
+    train = scene.excitation.burst_rate_hz, burst_length_s
+    width_m, speed = settings.beams.excitation_width_m, settings.sound_speed_m_per_s
+    return dose(settings.specimen, width_m, *train, frequency_hz, speed, scene.excitation.carrier_hz)
 
 
 def simulation_schema() -> dict[str, Any]:

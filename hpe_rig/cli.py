@@ -161,6 +161,7 @@ def check(
     ] = None,
 ) -> None:
     """Print the plan: timeline, checks, what is left out, duration, file size, bias and jitter. Opens nothing."""
+    from hpe_rig.detection import detection_text
     from hpe_rig.prediction import averaging_text, length_m, prediction_text
     from hpe_rig.run import Stages, prepare
     from hpe_rig.timeline import plan_text
@@ -169,7 +170,8 @@ def check(
     target_m = None if target is None else length_m(target, "--target")
     typer.echo(plan_text(setup.scene.scene.title, setup.plan, setup.findings))
     scene_text, simulated = setup.scene.scene, setup.bench.bench.simulated
-    typer.echo("\n" + "\n".join([*averaging_text(scene_text, simulated), *prediction_text(scene_text, target_m)]))
+    foreseen = [*detection_text(scene_text, simulated), *averaging_text(scene_text, simulated)]
+    typer.echo("\n" + "\n".join([*foreseen, *prediction_text(scene_text, target_m)]))
     if any(finding.level == "refused" for finding in setup.findings):
         raise typer.Exit(EXIT_MISTAKE)
 
@@ -291,6 +293,28 @@ def design(
     bounds = tuple(bound or ())
     request = Request(scene, over, minimise, bench, bounds, longest_s, target, draws, seed, output)
     write_design(request, typer.echo, announce)
+
+
+@app.command()
+@guarded
+def study(
+    name: Annotated[str, typer.Argument(metavar="STUDY", help="fig-4 to fig-13, paper (all), or a TOML file.")],
+    output: Annotated[Path, typer.Option(help="Folder of results; finished cases in it are not repeated.")] = Path(
+        "studies"
+    ),
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; absent: as many as cores.")] = None,
+    scheduler: Annotated[str | None, typer.Option(help="dask: tcp://HOST:8786, or local (extra cluster).")] = None,
+    points: Annotated[int | None, typer.Option(help="Values of every range: 101 for the finest maps.")] = None,
+    scatterers: Annotated[int | None, typer.Option(help="Draws of scatterers a case.")] = None,
+    noise: Annotated[int | None, typer.Option(help="Noise draws for each draw of scatterers.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of every random number.")] = None,
+) -> None:
+    """Run a Monte Carlo parameter study: bias and jitter of amplitude and phase, each with its uncertainty."""
+    from hpe_rig.study.study_command import study_command
+
+    replaced = {"points": points, "scatterers": scatterers, "noise": noise, "seed": seed}
+    with extra("cluster"):
+        study_command(name, output, workers, scheduler, replaced, typer.echo)
 
 
 @app.command("bench")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import Capture, PulseTrain, Toneburst, TriggerPulse
 from hpe_rig.bench_file import EXCITATION_ROLES, GENERATOR_ROLES, BenchFile
+from hpe_rig.left_out import LeftOut, left_out
 from hpe_rig.mistakes import Mistake, SettingsError
 from hpe_rig.scene import Scene
 
@@ -84,14 +85,6 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOut:
-    """Something this scene does not need, and why."""
-
-    what: str
-    why: str
-
-
-@dataclass(frozen=True, slots=True)
 class Plan:
     """Everything a measurement will do."""
 
@@ -127,7 +120,7 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
     )
     period_s = scene.acquisition.shot_period_s or max(shot.train_end_s for shot in shots)
     roles = tuple(role for role in GENERATOR_ROLES if scene.excitation or role not in EXCITATION_ROLES)
-    return Plan((*roles, "digitizer"), shots, period_s, tuple(_left_out(scene, bench)))
+    return Plan((*roles, "digitizer"), shots, period_s, tuple(left_out(scene, bench)))
 
 
 def slow_time_window(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
@@ -299,23 +292,3 @@ def _timeline(scene: Scene, bench: BenchFile, burst_length_s: float | None, capt
         gate_offset_s=_gate_offset_s(scene),
         record_offset_s=(start_s, start_s + capture.record_samples / capture.sample_rate_hz),
     )
-
-
-def _left_out(scene: Scene, bench: BenchFile) -> list[LeftOut]:
-    out: list[LeftOut] = []
-    if scene.excitation is None:
-        out.append(LeftOut("generators burst_train and toneburst", "the scene has no [excitation]"))
-    if scene.beams is None:
-        out.append(LeftOut("predicted beam averaging", "the scene has no [beams]"))
-    if not bench.simulated:
-        out.append(
-            LeftOut("the twin", "the bench is real" + (", [simulation] is not read" if scene.simulation else ""))
-        )
-        return out
-    simulation = scene.simulation or {}
-    if "snr_db" not in simulation.get("receiver", {}):
-        out.append(LeftOut("receiver noise", "simulation.receiver.snr_db is absent"))
-    if "specimen" not in simulation:
-        motion = "the motion is prescribed" if "motion" in simulation else "nothing moves"
-        out.append(LeftOut("specimen response", f"{motion}: the scene has no [simulation.specimen]"))
-    return out

@@ -29,6 +29,8 @@ class Dose:
     """The highest pulse-average intensity that both limits allow for this train."""
     force_limit_n_per_m3: float
     """Body force at that intensity."""
+    reference_drive_vpp: float
+    """The drive that gives the specimen its force."""
     displacement_limit_m: NDArray[np.float64]
     """Displacement amplitude at the focus at that intensity, (frequency,)."""
 
@@ -51,4 +53,5 @@ def dose(
     share = 2 * duty * np.abs(np.sinc(frequency_hz * burst_length_s))
     moved = np.abs(frequency_response(specimen, width_m, frequency_hz))
     intensity = specimen.force_density_n_per_m3 * sound_speed_m_per_s / (2 * attenuation)
-    return Dose(intensity, limit, force_limit, np.asarray(force_limit * share * moved))
+    displacement_m = np.asarray(force_limit * share * moved)
+    return Dose(intensity, limit, force_limit, specimen.reference_drive_vpp, displacement_m)
