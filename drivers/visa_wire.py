@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import traceback
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -28,7 +29,7 @@ class VisaInterface:
         # Only pyvisa-py knows this kind of interface.
         self.backend = "@py" if address.upper().startswith(PROLOGIX) else backend
         try:
-            self._resource = _resource_manager(self.backend).open_resource(address)
+            self._resource = _opened(_resource_manager(self.backend), address)
             # The time-out of an instrument behind the adapter is not handed on to it.
             self._resource.timeout = timeout_s * 1e3
         except Exception as error:
@@ -176,8 +177,36 @@ def _resource_manager(backend: str) -> ResourceManager:
 def _open(manager: ResourceManager, address: str) -> MessageBasedResource:
     import pyvisa
 
-    resource = manager.open_resource(address)
+    resource = _opened(manager, address)
     if isinstance(resource, pyvisa.resources.MessageBasedResource):
         return resource
     resource.close()
     raise ValueError(f"{type(resource).__name__} carries no text messages")
+
+
+def _opened(manager: ResourceManager, address: str) -> Resource:
+    """Return the open resource; where it cannot be opened, nothing stays open of it."""
+    try:
+        return manager.open_resource(address)
+    except Exception as error:
+        _close_sockets(error)
+        raise
+
+
+def _close_sockets(error: BaseException | None) -> None:
+    """Close what pyvisa-py had connected, or tried to, before it raised: only the traceback still leads there."""
+    while error is not None:
+        for frame, _ in traceback.walk_tb(error.__traceback__):
+            if str(frame.f_globals.get("__name__")).startswith(("pyvisa_py.tcpip", "pyvisa_py.protocols")):
+                for owner in frame.f_locals.values():
+                    _close_sockets_of(owner)
+        error = error.__context__
+
+
+def _close_sockets_of(owner: object, depth: int = 2) -> None:
+    """Close the sockets that ``owner``, or what it owns, has among its attributes."""
+    for held in getattr(owner, "__dict__", {}).values():
+        if isinstance(held, socket.socket):
+            held.close()
+        elif depth > 1:
+            _close_sockets_of(held, depth - 1)

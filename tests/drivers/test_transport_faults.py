@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import gc
-import logging
 import re
 import socket
 import time
-import warnings
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -153,15 +150,6 @@ def test_a_peer_that_closes_while_a_reply_is_awaited_is_told_from_a_slow_one() -
         wire.close()
 
 
-@pytest.fixture
-def leaky(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """pyvisa-py leaves the socket of a connection that could not be opened to the garbage collector."""
-    with warnings.catch_warnings(), caplog.at_level(logging.CRITICAL + 1, "pyvisa"):
-        warnings.simplefilter("ignore", ResourceWarning)
-        yield
-        gc.collect()
-
-
 REFUSED = {
     "socket": "TCPIP0::127.0.0.1::{port}::SOCKET",
     "hislip": "TCPIP0::127.0.0.1::hislip0,{port}::INSTR",
@@ -169,7 +157,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.usefixtures("leaky")
 @pytest.mark.parametrize("address", REFUSED.values(), ids=REFUSED)
 def test_a_refused_connection_is_an_error_that_names_the_address(address: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -178,7 +165,6 @@ def test_a_refused_connection_is_an_error_that_names_the_address(address: str) -
         VisaWire(here, TIMEOUT_S, "@py")
 
 
-@pytest.mark.usefixtures("leaky")
 def test_a_refused_adapter_is_an_error_that_names_it() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         here = f"PRLGX-TCPIP0::127.0.0.1::{listener.getsockname()[1]}::INTFC"
@@ -186,7 +172,6 @@ def test_a_refused_adapter_is_an_error_that_names_it() -> None:
         VisaInterface(here, TIMEOUT_S)
 
 
-@pytest.mark.usefixtures("leaky")
 def test_a_gateway_without_an_instrument_at_the_address_is_an_error() -> None:
     instrument = Unreliable()
     with Emulator("vxi11", lambda role, serial: instrument, ("x",)) as emulator:
