@@ -18,6 +18,7 @@ from drivers.interfaces import InstrumentError
 from hpe_rig.bench import open_bench, open_each
 from hpe_rig.bench_file import TRANSPORTS, BenchFile, parse_bench, read_bench
 from hpe_rig.emulate import addressed
+from hpe_rig.finding import PlanError
 from hpe_rig.run import measure, prepare
 from hpe_rig.store import read_run
 
@@ -71,11 +72,12 @@ def test_pulse_trains_from_a_sibling_give_the_same_records(model: str, tmp_path:
 
 
 @pytest.mark.parametrize("model", ["33220A", *MODELS])
-def test_no_sibling_can_be_the_tracking_pulser_at_9_mhz(model: str, tmp_path: Path) -> None:
+def test_a_sibling_as_the_tracking_pulser_at_9_mhz_is_refused_with_the_plan(model: str, tmp_path: Path) -> None:
     role = "[generators.tracking_pulser]\nmodel = "
     bench = bench_over(tmp_path, "socket", (f'{role}"33250A"', f'{role}"{model}"'))
-    with pytest.raises(InstrumentError, match=rf"carrier_hz = 9000000 is outside .* for counted bursts of a {model}"):
-        measure(prepare("bovine-muscle", bench), tmp_path / "run.h5")
+    refused = rf"tracking_pulser: carrier_hz = 9000000 is outside .* for counted bursts of a {model}.*Try: tracking"
+    with pytest.raises(PlanError, match=refused):
+        prepare("bovine-muscle", bench)
 
 
 @contextmanager
