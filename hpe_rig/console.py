@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, ParamSpec
 
 import typer
 
+from hpe_rig.extras import extra as extra
+
 if TYPE_CHECKING:
     from hpe_rig.result import Result
     from hpe_rig.run import Setup
@@ -42,19 +44,6 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
 def announce(text: str) -> None:
     """Say something that is no result."""
     typer.echo(text, err=True)
-
-
-@contextmanager
-def extra(name: str) -> Iterator[None]:
-    """Turn a missing package of the extra ``name`` into a message."""
-    from hpe_rig.store import StoreError
-
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        raise StoreError(
-            f'this command needs {error.name}, which is not installed. Try: pip install "hpe-rig[{name}]".'
-        ) from None
 
 
 def show(result: Result, json: bool, csv: bool) -> None:

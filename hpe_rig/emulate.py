@@ -27,7 +27,9 @@ def emulate(scene: Scene, bench: BenchText, transport: str, announce: Callable[[
     """
     chosen = next((name for name in TRANSPORTS if name == transport), None)
     if chosen is None:
-        raise SettingsError("command line", [Mistake("transport", f"{transport} is none", ", ".join(TRANSPORTS))])
+        raise SettingsError(
+            "command line", [Mistake("transport", f"{transport} is no transport", ", ".join(TRANSPORTS))]
+        )
     if not bench.bench.simulated:
         remedy = "simulated = true, or leave --bench out"
         raise SettingsError(f"bench {bench.name}", [Mistake("simulated", "a real bench is not emulated", remedy)])

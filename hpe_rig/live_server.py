@@ -25,6 +25,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hpe_rig.live_source import Source
 from hpe_rig.store import StoreError
+from hpe_rig.store_format import reason
 
 HOST = "127.0.0.1"
 START_S = 5.0
@@ -49,7 +50,9 @@ class LivePage:
             self._socket.listen(64)
         except OSError as error:
             self._socket.close()
-            raise StoreError(f"port {port} cannot be used ({error}). Try: another --port, or none.") from None
+            raise StoreError(
+                f"port {port} cannot be used ({reason(error)}). Try: another --port, or none for any free one."
+            ) from None
         self._port = int(self._socket.getsockname()[1])
         self.address = f"http://{HOST}:{self._port}/{self._token}/"
         self._latest, self._version = json.dumps({"status": "waiting"}), 0

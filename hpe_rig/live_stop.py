@@ -11,6 +11,7 @@ from pathlib import Path
 
 from hpe_rig.sequencer import Observer, Progress, Step
 from hpe_rig.store import StoreError
+from hpe_rig.store_format import reason
 
 LOOK_EVERY_S = 0.1
 """Looking costs a call to the file system, so it is not done for every block of records."""
@@ -31,7 +32,8 @@ def request_stop(run_file: Path) -> None:
         stop_path(run_file).touch()
     except OSError as error:
         raise StoreError(
-            f"the request to stop cannot be written beside {run_file} ({error}). Try: Ctrl-C where the run was started."
+            f"the request to stop cannot be written beside {run_file} ({reason(error)}). "
+            "Try: Ctrl-C where the run was started."
         ) from None
 
 

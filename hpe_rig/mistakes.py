@@ -112,7 +112,7 @@ def _words(entry: dict[str, Any], path: Path, keys: Sequence[str], tables: Mappi
         return f"{value!r} is not {expected}", f"{expected} without quotes" if "number" in expected else expected
     text = str(context.get("error", entry["msg"]))
     what, _, remedy = text.partition(": ")
-    return what, remedy or "see the message"
+    return what, remedy or "what hpe-rig schema says of this key"
 
 
 def _value_at(tables: Any, path: Path) -> Any:

@@ -25,10 +25,11 @@ from hpe_rig.report_checks import Check, residual_checks
 from hpe_rig.report_prediction import foreseen
 from hpe_rig.report_sweep import Sweep, make_sweep
 from hpe_rig.result import Estimate, Result, ShotResult
-from hpe_rig.run import Stages, process
+from hpe_rig.run import Stages, chosen_estimator, process
 from hpe_rig.scene import Scene, parse_scene
 from hpe_rig.shot_view import MotionView, echo_view, gate_alone, motion_view
 from hpe_rig.store import StoredRun, StoreError, read_run
+from hpe_rig.store_format import reason
 
 MOST_ROWS = 1000
 """Rows of the table of every shot; what is beyond stays in the result file."""
@@ -59,7 +60,7 @@ def write_report(path: Path, estimator: str | None = None, output: Path | None =
     try:
         target.write_text(page, encoding="utf-8")
     except OSError as error:
-        raise StoreError(f"{target} cannot be written ({error}). Try: another --output.") from None
+        raise StoreError(f"{target} cannot be written ({reason(error)}). Try: another --output.") from None
     return target
 
 
@@ -88,7 +89,7 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
         checks=checks,
         errors=error_stages(shown, motion),
         findings=found,
-        foreseen=foreseen(scene, shown, result.estimator),
+        foreseen=foreseen(scene, shown, chosen_estimator(estimator, scene)),
         settings=report_provenance.settings(path, shown.shot),
         attributes=report_provenance.attributes(path, [f"version_{name}" for name in result.versions]),
         fingerprint=report_provenance.fingerprint(path),

@@ -211,7 +211,10 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
                 f"{path} cannot be estimated ({error}). Try: another estimator, or more records."
             ) from error
     if not shots:
-        raise StoreError(f"{path} holds no records, the run is {stored.status}. Try: measure again.")
+        raise StoreError(
+            f"{path} holds no records, the run is {stored.status}: it ended before the first came. "
+            f"Try: hpe-rig resume {path}."
+        )
     warnings = tuple(str(finding) for finding in found if finding.level != "passed")
     warnings += tuple(
         f"shot {shot + 1}: the digitizer's input left its range of {scene.acquisition.input_range_v:g} V, in the gate "

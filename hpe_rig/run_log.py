@@ -12,6 +12,7 @@ from pathlib import Path
 from hpe_rig.run import Setup
 from hpe_rig.sequencer import Observer, Progress, Step
 from hpe_rig.store import StoreError, versions
+from hpe_rig.store_format import reason
 
 
 @contextmanager
@@ -25,7 +26,9 @@ def logged(
     try:
         file = log_file.open("w", encoding="utf-8", buffering=1)
     except OSError as error:
-        raise StoreError(f"{log_file} cannot be written ({error}). Try: another --output, or no --verbose.") from None
+        raise StoreError(
+            f"{log_file} cannot be written ({reason(error)}). Try: another --output, or no --verbose."
+        ) from None
     with file:
         start_s = clock()
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from hpe_rig.extras import extra
 from hpe_rig.live_stop import clear_stop, stoppable
 from hpe_rig.run import Setup
 from hpe_rig.sequencer import Observer
@@ -29,7 +30,8 @@ def watched(setup: Setup, path: Path, live: bool, verbose: bool, announce: Calla
 
             log = stack.enter_context(logged(setup, path.with_suffix(".log")))
         if live:
-            from hpe_rig.live import live_page_of
+            with extra("live"):
+                from hpe_rig.live import live_page_of
 
             announce(f"live page: {stack.enter_context(live_page_of(path))}")
         # A request left over from an earlier run of this name is none for this one.

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.bench_file import BenchText
+from hpe_rig.extras import extra
 from hpe_rig.plan import Plan
 from hpe_rig.records import MISSING
 from hpe_rig.scene import SceneText
@@ -156,16 +157,14 @@ def _create_echo(group: h5py.Group, plan: Plan, compress: bool) -> None:
 
 
 def _filter() -> Mapping[str, Any]:
-    try:
+    with extra("compression"):
         import hdf5plugin
-    except ModuleNotFoundError:
-        raise StoreError(
-            "compression needs the package hdf5plugin, which is not installed. "
-            'Try: pip install "hpe-rig[compression]", or no --compress.'
-        ) from None
     filters: Mapping[str, Any] = hdf5plugin.Bitshuffle(cname="lz4")
     if filters["compression"] != BITSHUFFLE:
-        raise StoreError("hdf5plugin offers another filter than bitshuffle. Try: another version of it.")
+        raise StoreError(
+            f"hdf5plugin offers filter {filters['compression']} where run files have bitshuffle, {BITSHUFFLE}. "
+            "Try: pip install --upgrade hdf5plugin, or no --compress."
+        )
     return filters
 
 

@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 from h5py import h5f, h5p
 
+from hpe_rig.extras import extra
 from hpe_rig.store_format import BITSHUFFLE, FORMAT, FORMAT_VERSION, StoreError, reason
 
 MOST_TEXT_BYTES: Final = 1_000_000
@@ -224,10 +225,5 @@ def _refuse_chunks(dataset: h5py.Dataset, name: str) -> None:
 
 
 def _load_filter() -> None:
-    try:
+    with extra("compression"):
         import hdf5plugin  # noqa: F401, registers the filter
-    except ModuleNotFoundError:
-        raise StoreError(
-            'the run file is compressed, and the package hdf5plugin is not installed. Try: pip install "hpe-rig'
-            '[compression]".'
-        ) from None
