@@ -243,15 +243,27 @@ def schema(
 @app.command()
 @guarded
 def accuracy(
-    of: Annotated[str, typer.Argument(metavar="PART", help="echo (engine), motion or harmonic (estimators).")] = "echo",
-    output: Annotated[Path | None, typer.Option(help="Table, .csv or .json; absent: CSV is printed.")] = None,
+    of: Annotated[
+        str | None,
+        typer.Argument(metavar="[PART]", help="echo, specimen, chain, motion or harmonic; absent: one report of all."),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(help="Table, .csv or .json, absent: printed; of all: the report, absent: accuracy.html."),
+    ] = None,
     figure: Annotated[Path | None, typer.Option(help="Work-precision figure, .svg, .png or .pdf.")] = None,
     largest: Annotated[int, typer.Option(help="Most scatterers.")] = 1_000_000,
     most_echoes: Annotated[int, typer.Option(help="Most echoes.")] = 10_000,
     longest_s: Annotated[float, typer.Option(help="Leave out what is expected to take longer, s.")] = 5.0,
-    draws: Annotated[int, typer.Option(help="Scatterer and noise draws a case, motion.")] = 100,
+    draws: Annotated[int, typer.Option(min=2, help="Draws a case, motion; ten times as many end to end.")] = 100,
 ) -> None:
-    """Measure error against run time of the twin's physics or of the estimators, every way they can work."""
+    """Measure error against run time of the twin's physics, of the estimators and end to end, every way they can."""
+    if of is None:
+        from hpe_rig.study.accuracy_report import Effort, write_accuracy_report
+
+        effort = Effort(largest, most_echoes, longest_s, draws)
+        write_accuracy_report(output or Path("accuracy.html"), figure, effort, announce)
+        return
     if of in ("motion", "harmonic"):
         from hpe_rig.study.estimator_accuracy import write_estimator_accuracy
 
@@ -322,11 +334,15 @@ def study(
 def bench_command(
     bench: Annotated[Path | None, typer.Argument(help="Bench file or run file; absent: the simulated bench.")] = None,
     compare: Annotated[Path | None, typer.Option(help="Run file: print what differs from its bench.")] = None,
+    self_test: Annotated[
+        bool,
+        typer.Option("--self-test", help="Have the generators test themselves, outputs off; loses their settings."),
+    ] = False,
 ) -> None:
     """Ask every instrument who it is and how it is set, or compare a bench or run with another run; all stays safe."""
     from hpe_rig.bench_report import bench_state, compare_with, print_report
 
-    state = bench_state(bench)
+    state = bench_state(bench, self_test)
     if state.report is not None:
         print_report(state.report)
     if compare is not None:

@@ -27,6 +27,8 @@ def points() -> Iterator[Point]:
         "elastic 7.25 kPa": {"shear_viscosity_pa_s": 0.0},
         "Voigt 1 Pa, 100 Pa s": {"shear_modulus_pa": 1.0, "shear_viscosity_pa_s": 100.0},
         "power law 0.3": {"medium": "power_law", "power": 0.3},
+        "Maxwell 10 kPa, 1 mPa s": {"medium": "maxwell", "shear_modulus_pa": 1e4, "shear_viscosity_pa_s": 1e-3},
+        "Zener 1 kPa, 10 MPa": {"medium": "zener", "shear_modulus_pa": 1e3, "branch_modulus_pa": 1e7},
     }.items():
         yield from _transients(case, Specimen.model_validate(medium))
     yield from _lumped()

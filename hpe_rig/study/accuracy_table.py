@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpe_rig.mistakes import Mistake, SettingsError
+from hpe_rig.study.work_precision import COLOURS, label_decades
 
 if TYPE_CHECKING:
     from hpe_rig.study.accuracy_harmonic import HarmonicRow
@@ -58,16 +60,23 @@ def draw_motion(rows: list[Row], path: Path) -> None:
     from matplotlib.figure import Figure
 
     names = list(dict.fromkeys(row.parameter for row in rows))
-    picture = Figure(figsize=(3.0 * len(names), 3.6), layout="constrained")
-    axes = picture.subplots(1, len(names), squeeze=False, sharey=True)[0]
-    for axis, name in zip(axes, names, strict=True):
-        for estimator in dict.fromkeys(row.estimator for row in rows):
+    columns = min(4, len(names))
+    lines = math.ceil(len(names) / columns)
+    picture = Figure(figsize=(3.2 * columns, 3.2 * lines), layout="constrained")
+    axes = picture.subplots(lines, columns, squeeze=False, sharey=True).ravel()
+    for spare in axes[len(names) :]:
+        spare.set_axis_off()
+    for axis, name in zip(axes, names, strict=False):
+        for place, estimator in enumerate(dict.fromkeys(row.estimator for row in rows)):
             own = [row for row in rows if row.parameter == name and row.estimator == estimator]
             ratio = [row.noise_jitter_m / row.bound_m for row in own]
-            axis.loglog([row.us_per_pulse for row in own], ratio, "o", ms=4, label=estimator)
+            style = {"color": COLOURS[place % len(COLOURS)], "ms": 4, "label": estimator}
+            axis.loglog([row.us_per_pulse for row in own], ratio, "os^dvx"[place % 6], **style)
         axis.axhline(1, color="0.6", lw=0.8)
-        axis.set(title=name, xlabel="time per pulse / us")
-    axes[0].set_ylabel("noise jitter / bound")
+        axis.set(title=name, xlabel="time per pulse (us)")
+        label_decades(axis.xaxis)
+    for axis in axes[::columns]:
+        axis.set_ylabel("noise jitter / bound")
     axes[0].legend(fontsize=7)
     picture.savefig(path)
 
@@ -80,11 +89,14 @@ def draw_harmonic(rows: list[HarmonicRow], path: Path) -> None:
     picture = Figure(figsize=(3.0 * len(counts), 3.6), layout="constrained")
     axes = picture.subplots(1, len(counts), squeeze=False, sharey=True)[0]
     for axis, count in zip(axes, counts, strict=True):
-        for method in dict.fromkeys(row.method for row in rows):
+        for place, method in enumerate(dict.fromkeys(row.method for row in rows)):
             own = [row for row in rows if row.pulses == count and row.method == method]
-            axis.loglog([row.time_s for row in own], [row.jitter_m / row.bound_m for row in own], "o", label=method)
+            style = {"color": COLOURS[place % len(COLOURS)], "ms": 5, "label": method}
+            ratio = [row.jitter_m / row.bound_m for row in own]
+            axis.loglog([row.time_s for row in own], ratio, "os^dvx*P"[place % 8], **style)
         axis.axhline(1, color="0.6", lw=0.8)
-        axis.set(title=f"{count} pulses", xlabel="time / s")
+        axis.set(title=f"{count} pulses", xlabel="run time of 200 fits (s)")
+        label_decades(axis.xaxis)
     axes[0].set_ylabel("jitter / bound")
     axes[0].legend(fontsize=7)
     picture.savefig(path)

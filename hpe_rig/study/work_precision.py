@@ -5,15 +5,23 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
+
 Floats = NDArray[np.float64]
+
+COLOURS = ("#0072B2", "#D55E00", "#007A5A", "#8A4F7D", "#5A5A5A", "#E69F00", "#56B4E9", "#000000")
+"""Told apart by the colour-blind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,19 +89,37 @@ def write_points(
         write_figure(points, figure)
 
 
-def write_figure(points: Sequence[Point], path: Path) -> None:
+def write_figure(points: Sequence[Point], path: Path, panels_a_row: int = 4) -> None:
     """Write error against run time: a panel a case, a line a method."""
     from matplotlib.figure import Figure
 
     cases = list(dict.fromkeys(point.case for point in points))
-    figure = Figure(figsize=(3.4 * len(cases), 3.6), layout="constrained")
-    for panel, case in zip(figure.subplots(1, len(cases), squeeze=False)[0], cases, strict=True):
+    columns = min(panels_a_row, len(cases))
+    figure = Figure(figsize=(3.4 * columns, 3.2 * math.ceil(len(cases) / columns)), layout="constrained")
+    panels = figure.subplots(math.ceil(len(cases) / columns), columns, squeeze=False).ravel()
+    for spare in panels[len(cases) :]:
+        spare.set_axis_off()
+    for panel, case in zip(panels, cases, strict=False):
         here = [point for point in points if point.case == case and not np.isnan(point.error)]
-        for method in dict.fromkeys(point.method for point in here):
+        for place, method in enumerate(dict.fromkeys(point.method for point in here)):
             some = [point for point in here if point.method == method]
             times_s, errors = [point.time_s for point in some], [max(point.error, 1e-17) for point in some]
-            panel.plot(times_s, errors, marker="o", ms=4, lw=0.8, label=method)
+            marker = "osd^vx"[place % 6]
+            panel.plot(times_s, errors, marker=marker, ms=4, lw=0.8, color=COLOURS[place % len(COLOURS)], label=method)
         panel.set(xscale="log", yscale="log", xlabel="run time (s)", ylabel="relative error", title=case)
+        label_decades(panel.xaxis)
         panel.grid(alpha=0.3)
         panel.legend(fontsize=7)
     figure.savefig(path)
+
+
+def label_decades(axis: Axis) -> None:
+    """Label a logarithmic axis such that numbers do not meet: 1, 2, 5 within two decades, powers of ten beyond."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    within = high < 100 * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if within else (1.0,), numticks=12 if within else 6))
+    if within:
+        axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

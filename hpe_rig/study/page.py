@@ -1,0 +1,120 @@
+"""One self-contained HTML page of parts: words, inline SVG pictures, and tables that download as CSV. No script."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import io
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, is_dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from hpe_rig.figures_svg import Picture
+from hpe_rig.mistakes import Mistake, SettingsError
+
+Row = Mapping[str, Any]
+
+MOST_ROWS = 400
+"""Rows of a table that the page shows; its CSV has all."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows with the same columns; ``key`` names its CSV file and is an id in the page.
+
+    ``folded``: shown when asked for. A column ``verdict`` is emphasised where it says that something is missed.
+    """
+
+    key: str
+    caption: str
+    rows: Sequence[Row]
+    folded: bool = True
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the columns."""
+        return list(self.rows[0]) if self.rows else []
+
+    @property
+    def words(self) -> set[str]:
+        """Columns that hold text."""
+        return {name for name in self.columns if any(isinstance(row[name], str) for row in self.rows)}
+
+    def csv(self) -> str:
+        """Return every row as comma separated values with a header, in full precision."""
+        text = io.StringIO(newline="")
+        writer = csv.DictWriter(text, self.columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(self.rows)
+        return text.getvalue()
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One section of the page."""
+
+    key: str
+    title: str
+    words: tuple[str, ...] = ()
+    pictures: tuple[Picture, ...] = ()
+    tables: tuple[Table, ...] = ()
+
+
+def table(key: str, caption: str, rows: Sequence[Any], folded: bool = True) -> Table:
+    """Return a table of dataclass instances or mappings."""
+    return Table(key, caption, [_mapping(row) for row in rows], folded)
+
+
+def render(title: str, lead: Sequence[str], parts: Sequence[Part], facts: Mapping[str, str] | None = None) -> str:
+    """Return the page as HTML text; ``facts`` say where and with what it was made."""
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.filters.update(cell=cell, svg=_svg, width=_width_px, data=_data_address)
+    template = (resources.files("hpe_rig") / "templates" / "study.html").read_text(encoding="utf-8")
+    page = environment.from_string(template)
+    return page.render(title=title, lead=lead, parts=parts, facts=facts or {}, most_rows=MOST_ROWS)
+
+
+def write(path: Path, page: str) -> None:
+    """Write the page; raise ``SettingsError`` where that is not possible."""
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        mistake = Mistake("", f"{path} cannot be written ({error.strerror})", "another --output")
+        raise SettingsError("command line", [mistake]) from None
+
+
+def cell(value: Any) -> str:
+    """Return a value as a person reads it: four digits, a dash where there is none."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:.2e}" if 0 < abs(value) < 1e-3 else f"{value:.4g}"
+
+
+def _mapping(row: Any) -> Row:
+    return asdict(row) if is_dataclass(row) and not isinstance(row, type) else row
+
+
+def _svg(picture: Picture) -> Markup:
+    # Drawn here, from numbers, with every text escaped by the drawing itself.
+    return Markup(picture.svg)  # noqa: S704
+
+
+def _width_px(picture: Picture) -> int:
+    """Return how wide a picture is at most shown: a third more than it was drawn for paper."""
+    box = re.search(r'viewBox="[-\d.]+ [-\d.]+ ([\d.]+)', picture.svg)
+    return round(1.33 * 4 / 3 * float(box[1])) if box else 1200
+
+
+def _data_address(one: Table) -> str:
+    return "data:text/csv;charset=utf-8;base64," + base64.b64encode(one.csv().encode()).decode()
