@@ -1,6 +1,7 @@
 """Time the echo engine against the direct sum and public simulators: same scatterers, echoes and samples, one run.
 
-Usage: python scripts/benchmark_echo.py [--rounds 7] [--output table.json]. Peers are optional; who is missing is named.
+Usage: python scripts/benchmark_echo.py [--rounds 7] [--output table.json]. Peers are optional (`echo_peers.py`);
+who is missing is named.
 Every contender runs once a round and medians over rounds are compared, so that a busy machine slows all alike.
 """
 
@@ -21,6 +22,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from echo_peers import CARRIER_HZ, DEPTH_M, GATE_S, PEER_SAYS, PULSE, C, found_peers
 
 from sim_backend.echo import synthesise
 from sim_backend.echo_batch import batch, drawn_echoes
@@ -29,25 +31,15 @@ from sim_backend.echo_motion import Motion
 from sim_backend.echo_running import running_sum
 from sim_backend.echo_series import Resting
 from sim_backend.echo_series_fast import available
-from sim_backend.pulse import hann_pulse
 from sim_backend.scatterers import depth_delay_s, draw_field
 from sim_backend.settings import Beams, Scatterers, SimulationSettings
 
-C, DEPTH_M, CARRIER_HZ, RATE_HZ = 1540.0, 70e-3, 9.0e6, 100.0e6
-GATE_S = (np.arange(130) - 64.5) / RATE_HZ
 DISPLACEMENT_M = 1e-6 * np.sin(2 * np.pi * np.arange(101) / 20)
-PULSE = hann_pulse(CARRIER_HZ, 0.065)
 FIELD = draw_field(Scatterers(), Beams(), np.random.default_rng(0))
 REST_S = depth_delay_s(FIELD, "two_way", C)
 WEIGHT, G = FIELD.tracking_weight, FIELD.motion_weight
 AMPLITUDE_S = DISPLACEMENT_M[:, None] * 2 / C
-
-PEER_SAYS = {
-    "PyMUST": "element directivity, diffraction, a PZT band and the whole trace from 0; not eq. (9), (8) and (12)",
-    "FastSIMUS": "as PyMUST, by frequency on arrays; not eq. (9), (8) and (12)",
-    "zea": "transmit and receive apertures of arrays; positions in float32",
-    "finufft": "the same sum by frequency, so the Hann pulse's tail beyond 50 MHz is cut",
-}
+PEERS, MISSING = found_peers()
 
 
 def vectorised_direct(delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -76,22 +68,6 @@ def masked_direct(delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return out
 
 
-def finufft_echoes(finufft: object, delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the same by a type 1 transform an echo, at the samples' own Fourier frequencies."""
-    count = 512
-    hz = np.fft.rfftfreq(count, 1 / RATE_HZ)
-    place = (np.arange(count) - count // 2) / RATE_HZ
-    pulse = np.fft.rfft(np.fft.ifftshift(direct(np.zeros((1, 1)), np.ones(1), PULSE, place)[0]))
-    turn = np.exp(2j * np.pi * hz * GATE_S[0])
-    angle = 2 * np.pi * RATE_HZ / count * delay_s
-    out = np.empty((len(delay_s), len(GATE_S)))
-    strength = weight.astype(complex)
-    for echo, phase in zip(out, angle, strict=True):
-        modes = finufft.nufft1d1(phase, strength, count + 2, isign=-1, eps=1e-9)  # type: ignore[attr-defined]
-        echo[:] = np.fft.irfft(modes[count // 2 + 1 :][: len(hz)] * pulse * turn, count)[: len(GATE_S)]
-    return out
-
-
 def contenders() -> tuple[dict[str, tuple[Callable[[], object], float]], list[str]]:
     """Return what runs, and how much of the 101 echoes one run makes; and who is missing."""
     motion = Motion(REST_S, G[None], AMPLITUDE_S)
@@ -114,52 +90,13 @@ def contenders() -> tuple[dict[str, tuple[Callable[[], object], float]], list[st
                 1.0,
             )
     missing = [] if available() else ["numba (extra 'fast')"]
-    for name, make in {"finufft": _finufft, "PyMUST": _pymust, "FastSIMUS": _fastsimus, "zea": _zea}.items():
-        try:
-            runs[name] = make()
-        except ImportError as error:
-            missing.append(f"{name} ({error})")
-        except Exception as error:
-            missing.append(f"{name} (installed, but: {type(error).__name__}: {error})")
-    return runs, missing
-
-
-def _finufft() -> tuple[Callable[[], object], float]:
-    import finufft
-
-    delay_s = REST_S + AMPLITUDE_S @ G[None]
-    return lambda: finufft_echoes(finufft, delay_s, WEIGHT), 1.0
-
-
-def _pymust() -> tuple[Callable[[], object], float]:
-    import pymust
-
-    param, options = pymust.utils.Param(), pymust.utils.Options()
-    param.fc, param.fs, param.c, param.radius, param.Nelements = CARRIER_HZ, RATE_HZ, C, np.inf, 1
-    param.pitch, param.width, param.kerf, param.bandwidth, param.TXnow = 1.1e-4, 1e-4, 1e-5, 40.0, 3
-    options.ParPool = False
-    x, z = FIELD.offset_m[:, :1], DEPTH_M + FIELD.offset_m[:, 2:]
-    pymust.simus(x[:2], z[:2], WEIGHT[:2, None], np.zeros((1, 1)), param, options)
-    return lambda: pymust.simus(x, z, WEIGHT[:, None], np.zeros((1, 1)), param, options), 1 / 101
-
-
-def _fastsimus() -> tuple[Callable[[], object], float]:
-    import fast_simus
-
-    params = fast_simus.TransducerParams(freq_center=CARRIER_HZ, pitch=1.1e-4, n_elements=1, width=1e-4, bandwidth=0.4)
-    place = np.stack([FIELD.offset_m[:, 0], DEPTH_M + FIELD.offset_m[:, 2]], axis=1)
-
-    def run() -> object:
-        return fast_simus.simus(place, WEIGHT, np.zeros(1), params, fs=RATE_HZ, tx_n_wavelengths=3)
-
-    run()
-    return run, 1 / 101
-
-
-def _zea() -> tuple[Callable[[], object], float]:
-    import zea.simulator  # noqa: F401
-
-    raise ImportError("found, but its backend is not set up by this script")
+    x_m, z_m = FIELD.offset_m[:, 0], FIELD.offset_m[:, 2]
+    for name, peer in PEERS.items():
+        runs[name] = (lambda peer=peer: peer(x_m, z_m, WEIGHT), 1 / 101)
+    if "finufft" in PEERS:
+        # It sums the same echoes as ours, so all of them are made, moved, and compared.
+        runs["finufft"] = (lambda: np.stack([PEERS["finufft"](x_m, C / 2 * tau, WEIGHT) for tau in delay_s]), 1.0)
+    return runs, missing + MISSING
 
 
 def draw_time_s(draws: int, tolerance: float, compiled: bool) -> float:
@@ -174,24 +111,21 @@ def draw_time_s(draws: int, tolerance: float, compiled: bool) -> float:
 
 
 def displacement_error_m(make: Callable[[np.ndarray], np.ndarray]) -> float:
-    """Return the rms error, as motion, of ``make(distance_m (echo,))``: one scatterer at 70 mm that moves 100 nm.
+    """Return the rms error, as motion, of ``make(moved_m (echo,))``: one scatterer at 70 mm that moves 100 nm.
 
-    Every echo is compared with the direct sum in float64 about the same origin, along its derivative to motion.
+    The phase of every echo against the first, and what is left of it when a straight line in the true motion has been
+    taken off: whatever the contender's pulse and centre frequency are, its own phase per metre is fitted.
     """
     moved_m = 100e-9 * np.sin(2 * np.pi * np.arange(100) / 20 + 0.3)
-    ours = make(moved_m)
-    step_m = 1e-10
-
-    def exact(at_m: np.ndarray) -> np.ndarray:
-        return direct(2 / C * at_m[:, None], np.ones(1), PULSE, GATE_S)
-
-    slope = (exact(moved_m + step_m) - exact(moved_m - step_m)) / (2 * step_m)
-    error_m = np.sum((ours - exact(moved_m)) * slope, axis=1) / np.sum(slope**2, axis=1)
-    return float(np.sqrt(np.mean(error_m**2)))
+    echo = np.asarray(make(moved_m), dtype=np.float64)
+    spectrum = np.fft.rfft(echo, axis=1)
+    phase = np.angle(np.sum(spectrum * np.conj(spectrum[0]), axis=1))
+    line = np.polynomial.Polynomial.fit(moved_m, phase, 1).convert().coef
+    return float(np.sqrt(np.mean((phase - line[0] - line[1] * moved_m) ** 2)) / abs(line[1]))
 
 
 def accuracy_rows() -> dict[str, float]:
-    """Return displacement error in nm: the engine, and what float32 positions alone cost at that depth."""
+    """Return displacement error in nm: the engine, its positions in float32, and the peers."""
 
     def engine(moved_m: np.ndarray, tolerance: float) -> np.ndarray:
         motion = Motion(np.zeros(1), np.ones((1, 1)), moved_m[:, None] * 2 / C)
@@ -203,9 +137,12 @@ def accuracy_rows() -> dict[str, float]:
 
     rows = {
         f"engine, {tolerance:g}": displacement_error_m(lambda m, tolerance=tolerance: engine(m, tolerance)) * 1e9
-        for tolerance in (1e-6, 1e-8)
+        for tolerance in (1e-6, 1e-8, 1e-13)
     }
-    rows["positions in float32"] = displacement_error_m(single) * 1e9
+    rows["direct sum, positions in float32"] = displacement_error_m(single) * 1e9
+    nothing, one = np.zeros(1), np.ones(1)
+    for name, peer in PEERS.items():
+        rows[name] = displacement_error_m(lambda m, peer=peer: np.stack([peer(nothing, z[None], one) for z in m])) * 1e9
     return rows
 
 

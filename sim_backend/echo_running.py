@@ -23,16 +23,31 @@ _PAIRS_AT_ONCE = 1 << 17
 def running_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> Floats:
     """Return the same as `direct`, exact to rounding; shapes as there, ``sample_time_s`` ascending."""
     out = np.zeros((len(delay_s), len(sample_time_s)))
-    echoes_at_once = max(1, _PAIRS_AT_ONCE // max(1, len(weight)))
-    for block in blocks(sample_time_s, pulse):
+    stretches = blocks(sample_time_s, pulse)
+    if min(delay_s.shape) == 0:
+        return out
+    early_s, late_s = delay_s.min(axis=0), delay_s.max(axis=0)
+    if len(stretches) > 1 and (early_s[1:] < early_s[:-1]).any():
+        order = np.argsort(early_s, kind="stable")
+        delay_s, weight, early_s, late_s = delay_s[:, order], weight[order], early_s[order], late_s[order]
+    spread_s = float((late_s - early_s).max())
+    for block in stretches:
         origin_s = local_origin_s(sample_time_s[block], pulse)
         time_s = sample_time_s[block] - origin_s
         rotation = phasors(pulse, time_s, 1) * np.array(pulse.amplitude)[:, None]
-        for first in range(0, len(delay_s), echoes_at_once):
+        near = slice(0, len(weight))
+        if len(stretches) > 1:
+            first_s, last_s = float(sample_time_s[block][0]), float(sample_time_s[block][-1])
+            begin, end = early_s.searchsorted([first_s - pulse.end_s - spread_s, last_s - pulse.start_s])
+            # One beyond on each side: the sums above are rounded.
+            near = slice(max(0, int(begin) - 1), int(end) + 1)
+        own_s, own_weight = delay_s[:, near], weight[near]
+        echoes_at_once = max(1, _PAIRS_AT_ONCE // max(1, len(own_weight)))
+        for first in range(0, len(own_s), echoes_at_once):
             some = slice(first, first + echoes_at_once)
-            for begin in range(0, max(1, len(weight)), _PAIRS_AT_ONCE):
-                part = slice(begin, begin + _PAIRS_AT_ONCE)
-                out[some, block] += _block(delay_s[some, part] - origin_s, weight[part], pulse, time_s, rotation)
+            for cut in range(0, len(own_weight), _PAIRS_AT_ONCE):
+                part = slice(cut, cut + _PAIRS_AT_ONCE)
+                out[some, block] += _block(own_s[some, part] - origin_s, own_weight[part], pulse, time_s, rotation)
     return out
 
 

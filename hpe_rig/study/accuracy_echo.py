@@ -92,7 +92,9 @@ def _of_scene(
     def measured(method: Method | None, tolerance: float) -> Measurement:
         made = synthesise(motion, weight, pulse, gate_s, tolerance, method)
         error = float(np.sqrt(np.mean(np.square(made.echo[checked] - exact)) / np.mean(np.square(exact))))
-        time_s = median_s(lambda: synthesise(motion, weight, pulse, gate_s, tolerance, method))
+        time_s = median_s(
+            lambda: synthesise(motion, weight, pulse, gate_s, tolerance, method), min(0.3, longest_s / 10)
+        )
         moved_m = float(error * _SOUND_SPEED_M_PER_S / (4 * np.pi * 9.0e6))
         name, cores = method or CHOSEN, os.cpu_count() or 1
         return Measurement(
@@ -154,7 +156,7 @@ def _scene(count: int, echoes: int, seed: int) -> tuple[Motion, Floats, Pulse, F
     return motion, field.tracking_weight, hann_pulse(9.0e6, scatterers.bandwidth), gate_s
 
 
-def median_s(run: Callable[[], object], most_s: float = 0.3) -> float:
+def median_s(run: Callable[[], object], most_s: float) -> float:
     """Return the median run time of 1 to 15 runs that together take about ``most_s``, after one that warms up."""
     run()
     taken: list[float] = []

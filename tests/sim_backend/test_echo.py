@@ -6,12 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim_backend.echo import echoes
+from sim_backend.echo_batch import drawn_echoes
 from sim_backend.echo_direct import direct
 from sim_backend.echo_nodes import MOST_NODES, edge_share, interpolated, node_count
 from sim_backend.echo_running import running_sum
 from sim_backend.pulse import Pulse, hann_pulse, rectangular_burst, waveform
 from sim_backend.scatterers import depth_delay_s, draw_field
-from sim_backend.settings import Beams, Scatterers
+from sim_backend.settings import Beams, Scatterers, SimulationSettings
 
 SOUND_SPEED = 1540.0
 GATE_S = (np.arange(130) - 64.5) * 1e-8
@@ -115,16 +116,16 @@ def test_interpolation_error_is_that_of_the_model_notes(amplitude_m, bandwidth, 
     assert np.median(errors) < 3 * reference
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
 @pytest.mark.parametrize("bandwidth", [0.065, 0.4, 0.75, 2.0])
 @pytest.mark.parametrize("axial_delay", ["two_way", "none"])
-def test_echoes_meet_the_tolerance_asked_for(bandwidth, tolerance, axial_delay):
+def test_echoes_meet_the_tolerance_asked_for(bandwidth, axial_delay):
     pulse = hann_pulse(9.0e6, bandwidth)
     for seed, amplitude_m in enumerate([1e-15, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4]):
         tau, weight, motion_weight = scene(seed, axial_delay)
-        moved = (tau, weight, motion_weight, amplitude_m * CYCLE[:40])
+        moved = (tau, weight, motion_weight, amplitude_m * CYCLE[:20])
         exact = running_sum(delays(tau, motion_weight, moved[3]), weight, pulse, GATE_S)
-        assert rms_error(echoes(*moved, pulse, GATE_S, SOUND_SPEED, tolerance), exact) < tolerance
+        for tolerance in (1e-3, 1e-6, 1e-9):
+            assert rms_error(echoes(*moved, pulse, GATE_S, SOUND_SPEED, tolerance), exact) < tolerance
 
 
 def test_tolerance_zero_gives_the_exact_sum():
@@ -186,18 +187,13 @@ def test_a_pulse_may_be_any_sum_of_exponentials():
 
 def test_mean_echo_power_is_density_times_the_integral_of_squared_weight_and_pulse():
     """E r^2 = n int I^2 dx dy dz <p^2>-average over depth: closed form where the box is wide against beam and pulse."""
-    draws, powers = 1500, []
-    centre_s = GATE_S[[64]]
-    pulse = hann_pulse(9.0e6, 0.065)
-    rng = np.random.default_rng(7)
-    for _ in range(draws):
-        field = draw_field(Scatterers(), Beams(), rng)
-        tau = depth_delay_s(field, "two_way", SOUND_SPEED)
-        powers.append(running_sum(tau[None], field.tracking_weight, pulse, centre_s)[0, 0] ** 2)
+    draws, centre_s, pulse = 1500, GATE_S[[64]], hann_pulse(9.0e6, 0.065)
+    drawn = drawn_echoes(SimulationSettings(), np.zeros(1), pulse, centre_s, np.random.default_rng(7), draws)
+    power = np.square(np.concatenate(list(drawn))).mean()
     density = 1593 / 5e-9
     tx, ty, tz = Beams().tracking_width_m
     z = np.linspace(-2.5e-3, 2.5e-3, 200_001)
     axial = np.sum(np.exp(-(z**2) / tz**2) * waveform(pulse, centre_s - 2 * z / SOUND_SPEED) ** 2) * (z[1] - z[0])
     expected = density * np.pi * tx * ty * axial
     # Power of speckle at one instant is chi-square with one degree of freedom: relative sd sqrt(2 / draws); 4 of them.
-    assert np.mean(powers) == pytest.approx(expected, rel=4 * np.sqrt(2 / draws))
+    assert power == pytest.approx(expected, rel=4 * np.sqrt(2 / draws))

@@ -129,7 +129,7 @@ def test_thinned_draws_have_the_count_and_the_places_of_the_full_ones():
     "scatterers", [Scatterers(), Scatterers(reflectivity="normal"), Scatterers(axial_delay="none")]
 )
 def test_thinned_echoes_have_the_mean_power_of_full_draws(scatterers):
-    settings, draws = SimulationSettings(scatterers=scatterers), 600
+    settings, draws = SimulationSettings(scatterers=scatterers), 250
     thinned = np.square(all_draws(draws, settings=settings, displacement_m=np.zeros(1))[:, 0]).mean(axis=1)
     rng = np.random.default_rng(3)
     full = np.square([draw_echoes(settings, np.zeros(1), GATE_S, rng)[0] for _ in range(draws)]).mean(axis=1)

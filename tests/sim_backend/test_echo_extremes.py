@@ -59,12 +59,21 @@ def test_a_femtometre_is_seen_against_30_digits():
     assert np.abs(change - expected).max() < 1e-14
 
 
+def direct_at(delay_s, weight, time_s):
+    """The direct sum at a few times, each over the scatterers (ascending in delay) whose support can hold it."""
+    out = np.empty((len(delay_s), len(time_s)))
+    for place, at_s in enumerate(time_s):
+        near = (delay_s.min(axis=0) <= at_s - HANN.start_s + 1e-9) & (delay_s.max(axis=0) >= at_s - HANN.end_s - 1e-9)
+        out[:, place] = direct(delay_s[:, near], weight[near], HANN, time_s[[place]])[:, 0]
+    return out
+
+
 @pytest.mark.parametrize("make", [hann_pulse, gaussian_pulse])
 @pytest.mark.parametrize("bandwidth", [0.001, 0.01, 0.1, 1.0, 2.0])
 def test_every_bandwidth_from_a_thousandth_to_two(make, bandwidth):
-    tau, weight, g = scene(2)
+    tau, weight, g = (part[::4] for part in scene(2))
     pulse, motion = make(9.0e6, bandwidth), moving(tau, g, 1e-6, CYCLE[:3])
-    gate_s = GATE_S[::1] if bandwidth < 1 else np.arange(-300, 300) * 2e-9
+    gate_s = GATE_S if bandwidth < 1 else np.arange(-100, 100) * 2e-9
     exact = direct(motion.delay_s(), weight, pulse, gate_s)
     # Phases reach 2 pi 9 MHz * 55 us = 3000 rad at the narrowest: eps times that.
     assert rms_error(running_sum(motion.delay_s(), weight, pulse, gate_s), exact) < 1e-12
@@ -132,8 +141,7 @@ def test_gates_of_one_sample_and_of_a_hundred_thousand(samples):
     motion = moving(tau, g, 1e-6, CYCLE[:4])
     made = synthesise(motion, weight, HANN, time_s, 1e-9)
     some = np.unique(np.linspace(0, samples - 1, 40).astype(int))
-    exact = direct(motion.delay_s(), weight, HANN, time_s[some])
-    assert rms_error(made.echo[:, some], exact) < 1e-9
+    assert rms_error(made.echo[:, some], direct_at(motion.delay_s(), weight, time_s[some])) < 1e-9
 
 
 def test_running_sum_does_not_cancel_however_long_the_gate():
@@ -145,7 +153,7 @@ def test_running_sum_does_not_cancel_however_long_the_gate():
         tau = np.sort(rng.uniform(time_s[0], time_s[-1], 10 * samples))
         weight = 1.0 + 1e3 * (tau < time_s[samples // 4])
         some = np.arange(samples // 2, samples, samples // 20)
-        exact = direct(tau[None], weight, HANN, time_s[some])[0]
+        exact = direct_at(tau[None], weight, time_s[some])[0]
         scale = np.sqrt(np.mean(exact**2))
         errors.append(np.abs(running_sum(tau[None], weight, HANN, time_s)[0, some] - exact).max() / scale)
         plain.append(np.abs(prefix_sum(tau, weight, HANN, time_s)[some] - exact).max() / scale)

@@ -33,14 +33,14 @@ def rms_error(ours, expected):
     return np.sqrt(np.mean((ours - expected) ** 2) / np.mean(expected**2))
 
 
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-10, 1e-13])
 @pytest.mark.parametrize("pulse", PULSES)
-def test_series_meets_the_tolerance_whatever_the_pulse_does_at_its_ends(pulse, tolerance):
+def test_series_meets_the_tolerance_whatever_the_pulse_does_at_its_ends(pulse):
     for seed, amplitude_m in enumerate([1e-15, 1e-8, 1e-7, 1e-6, 1e-5]):
         tau, weight, g = scene(seed)
         motion = Motion(tau, g[None], 2 / SOUND_SPEED * amplitude_m * CYCLE[:, None])
         exact = running_sum(motion.delay_s(), weight, pulse, GATE_S)
-        assert rms_error(synthesise(motion, weight, pulse, GATE_S, tolerance, "series").echo, exact) < tolerance
+        for tolerance in (1e-3, 1e-6, 1e-10, 1e-13):
+            assert rms_error(synthesise(motion, weight, pulse, GATE_S, tolerance, "series").echo, exact) < tolerance
 
 
 def test_series_is_asked_for_and_too_large_a_motion_is_refused_with_both_numbers():

@@ -12,7 +12,7 @@ from hpe_rig.study.accuracy_echo import CHOSEN, Measurement, as_text, measuremen
 
 @pytest.fixture(scope="module")
 def rows() -> list[Measurement]:
-    return list(measurements((100, 400), (10, 30), (1e-2, 1e-8)))
+    return list(measurements((100, 400), (10, 30), (1e-2, 1e-8), longest_s=0.1))
 
 
 def test_every_evaluation_keeps_its_tolerance_and_the_exact_ones_rounding(rows: list[Measurement]) -> None:
@@ -53,7 +53,8 @@ def test_figure_is_written(rows: list[Measurement], tmp_path: Path) -> None:
 def test_command_writes_the_table(tmp_path: Path) -> None:
     path = tmp_path / "echo.csv"
     done = CliRunner().invoke(
-        app, ["accuracy", "echo", "--output", str(path), "--largest", "100", "--most-echoes", "10"]
+        app,
+        ["accuracy", "echo", "--output", str(path), "--largest", "100", "--most-echoes", "10", "--longest-s", "0.1"],
     )
     assert done.exit_code == 0, done.output
     assert path.read_text(encoding="utf-8").startswith("scatterers,echoes,samples,evaluation,method,tolerance")
