@@ -94,7 +94,7 @@ def cross_spectrum(
     # the window's side lobes let a constant into the band, which must not pass for an echo: look without
     require_echo(spectrum_at(volts, echoes.sample_rate_hz, band_grid(echoes, samples)), volts)
     spectrum = spectrum_at(volts * window, echoes.sample_rate_hz, frequency_hz)
-    step, peak_hz = _peak_phase(spectrum, frequency_hz)
+    step, peak_hz = peak_phase(spectrum, frequency_hz)
     divisor_hz = peak_hz if divide_by == "centre" else np.full_like(peak_hz, echoes.carrier_hz)
     # the padded bins hold no more than the unpadded ones, and the Hann window leaves two thirds of those
     independent = frequency_hz.size * samples / bins / (1.5 if gate_window == "hann" else 1.0)
@@ -218,7 +218,7 @@ def _walk(spectrum: ComplexArray) -> FloatArray:
     return np.asarray(np.maximum(whole / np.maximum(cross, np.finfo(np.float64).tiny) - 1, 0.0))
 
 
-def _peak_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
+def peak_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return phase and frequency (..., interval) of the consecutive cross-spectrum's largest bin."""
     power = spectrum.real**2 + spectrum.imag**2
     peak = np.argmax(power[..., :-1, :] * power[..., 1:, :], axis=-1)[..., None]
