@@ -1,0 +1,267 @@
+"""From a definition to its cases: every point of the axes and reading as a checked scene with its random numbers."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import itertools
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hpe_rig.bench import check_simulation
+from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of, parse_toml
+from hpe_rig.processing import Estimator, Options
+from hpe_rig.scene import Scene, scene_text, shipped_scenes
+from hpe_rig.study.band import Train, refuse_unusable
+from hpe_rig.study.definition import Definition, Reading
+
+if TYPE_CHECKING:
+    from sim_backend.settings import SimulationSettings
+
+ENGINE = 1
+"""Raised whenever the same case gives other numbers: cases stored before are then not taken for finished."""
+
+USED = (
+    "tracking.pulse_rate_hz",
+    "tracking.pulse_count",
+    "tracking.delay_s",
+    "tracking.carrier_hz",
+    "acquisition.gate_depth_m",
+    "acquisition.gate_length_m",
+    "acquisition.sound_speed_m_per_s",
+    "acquisition.sample_rate_hz",
+    "processing.frequencies_hz",
+    "processing.harmonic",
+    "processing.process_noise",
+    "processing.background_order",
+    "simulation.sound_speed_m_per_s",
+    "simulation.motion",
+    "simulation.beams",
+    "simulation.scatterers",
+    "simulation.receiver.snr_db",
+)
+"""The scene keys that a study's echoes and estimates depend on."""
+
+Tables = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One scene under one reading, with its realisations; equal cases of several studies have equal keys."""
+
+    key: str
+    """Hash of all that its numbers depend on; the name of its file."""
+    echoes_key: str
+    """Equal where the noise-free echoes are the same."""
+    noise_key: str
+    """Equal where the noise is the same, but for its level."""
+    stream: int
+    """Entropy of its random numbers."""
+    train: Train
+    twin: SimulationSettings
+    gate_offset_s: float
+    """Middle of the gate after the echo of the resting focus."""
+    estimators: tuple[Estimator, ...]
+    scatterers: int
+    noise: int
+    standard_error_m: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """Where a case stands in a study: the shown value of every axis, and the reading of eq. (11)."""
+
+    coordinates: dict[str, Any]
+    reading: Reading
+    case: Case
+
+
+def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[Point]:
+    """Return every point of a study; raise ``SettingsError`` with all mistakes of all its scenes, each once."""
+    base = _base_tables(definition.scene, folder)
+    found: dict[str, Mistake] = {str(mistake): mistake for mistake in _useless_keys(definition)}
+    out: list[Point] = []
+    streams: dict[str, int] = {}
+    for reading, estimators in definition.readings.items():
+        for place in itertools.product(*(range(len(axis.values())) for axis in definition.axes)):
+            try:
+                case = _case(base, definition, reading, estimators, place, streams)
+            except SettingsError as error:
+                found |= {str(mistake): mistake for mistake in error.mistakes}
+                continue
+            shown = {axis.name: axis.values()[n] for axis, n in zip(definition.axes, place, strict=True)}
+            out.append(Point(shown, reading, case))
+    if found:
+        raise SettingsError(f"study {name}", list(found.values()))
+    return out
+
+
+def _base_tables(scene: str, folder: Path) -> Tables:
+    name, text = scene_text(scene if scene in shipped_scenes() else str(folder / scene))
+    return parse_toml(text, f"scene {name}")
+
+
+def _useless_keys(definition: Definition) -> Iterator[Mistake]:
+    for key in itertools.chain(definition.set, *(axis.keys for axis in definition.axes)):
+        if not any(key == used or key.startswith((f"{used}.", f"{used}[")) for used in USED):
+            yield Mistake(key, "a study's echoes and estimates do not depend on it", f"one of {', '.join(USED)}")
+
+
+def _case(
+    base: Tables,
+    definition: Definition,
+    reading: Reading,
+    estimators: tuple[Estimator, ...],
+    place: tuple[int, ...],
+    streams: dict[str, int],
+) -> Case:
+    scene, twin = _checked(_tables_at(base, definition, place), reading)
+    train = _train(scene)
+    own = _dump(scene, twin)
+    stream = _stream(base, definition, reading, place, own, streams)
+    _refuse_train(train, estimators)
+    silent = copy.deepcopy(own)
+    silent["simulation"].pop("snr_db")
+    sizes = [definition.scatterers, definition.noise, definition.standard_error_m]
+    return Case(
+        key=_hash([ENGINE, own, list(estimators), sizes, stream]),
+        echoes_key=_hash([silent, stream]),
+        noise_key=_hash([silent["tracking"], silent["acquisition"], sizes, list(estimators), stream]),
+        stream=stream,
+        train=train,
+        twin=twin,
+        gate_offset_s=2 * (scene.acquisition.gate_depth_m - twin.beams.focus_depth_m) / twin.sound_speed_m_per_s,
+        estimators=estimators,
+        scatterers=definition.scatterers,
+        noise=definition.noise if twin.receiver.snr_db is not None else 1,
+        standard_error_m=definition.standard_error_m,
+    )
+
+
+def _stream(
+    base: Tables, definition: Definition, reading: Reading, place: tuple[int, ...], own: Tables, known: dict[str, int]
+) -> int:
+    """Return the entropy of a case's random numbers; along a common axis that of the axis' first case."""
+    if definition.common == "all":
+        return int(_hash([definition.seed]), 16)
+    shared = tuple(0 if axis.name in definition.common else n for axis, n in zip(definition.axes, place, strict=True))
+    if (name := f"{reading} {shared}") not in known:
+        first = own if shared == place else _dump(*_checked(_tables_at(base, definition, shared), reading))
+        known[name] = int(_hash([definition.seed, first]), 16)
+    return known[name]
+
+
+def _tables_at(base: Tables, definition: Definition, place: tuple[int, ...]) -> Tables:
+    tables = copy.deepcopy(base)
+    for key, value in definition.set.items():
+        _put(tables, key, value)
+    for axis, n in zip(definition.axes, place, strict=True):
+        for key, values in axis.columns().items():
+            _put(tables, key, values[n])
+    return tables
+
+
+def _put(tables: Tables, key: str, value: Any) -> None:
+    """Write ``value`` where ``key``, such as ``simulation.motion[0].amplitude_m``, points to."""
+    parts: list[str | int] = [int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", key)]
+    here: Any = tables
+    try:
+        for part in parts[:-1]:
+            here = here.setdefault(part, {}) if isinstance(part, str) else here[part]
+        if isinstance(parts[-1], int):
+            here[parts[-1]]
+        here[parts[-1]] = value
+    except (LookupError, TypeError, AttributeError):
+        mistake = Mistake(key, "the base scene has no such entry", "a key of the scene, [0] for the first of a list")
+        raise SettingsError("study", [mistake]) from None
+
+
+def _checked(tables: Tables, reading: Reading) -> tuple[Scene, SimulationSettings]:
+    """Return the scene and the twin's settings under a reading of eq. (11); raise with every mistake."""
+    from sim_backend.settings import SimulationSettings
+
+    simulation = tables.get("simulation", {})
+    mistakes = mistakes_of(Scene, tables)
+    if isinstance(simulation, Mapping):
+        mistakes += check_simulation(simulation)
+    if not mistakes:
+        scene, twin = Scene.model_validate(tables), SimulationSettings.model_validate(simulation)
+        mistakes = list(_unfit(scene, twin))
+        if not mistakes:
+            return scene, twin if reading == "physical" else _literal(scene, twin)
+    raise SettingsError("study", mistakes)
+
+
+def _unfit(scene: Scene, twin: SimulationSettings) -> Iterator[Mistake]:
+    if not twin.motion:
+        yield Mistake(
+            "simulation.motion",
+            "a study needs a motion whose true amplitude is known, and this scene prescribes none",
+            "a base scene with [[simulation.motion]], such as table-1",
+        )
+    if scene.tracking.pulse_count is None:
+        yield Mistake("tracking.pulse_count", "a study needs it, and it is absent", 'set."tracking.pulse_count" = 100')
+    if twin.scatterers.reflectors:
+        yield Mistake("simulation.scatterers.reflectors", "a study draws scatterers alone", "a scene without them")
+    known_hz = [part.frequency_hz for part in twin.motion or ()]
+    for hz in scene.processing.frequencies_hz or ():
+        if hz not in known_hz and known_hz:
+            what = f"{hz:g} Hz is wanted and no part of the motion, so its phase has no true value"
+            yield Mistake("processing.frequencies_hz", what, f"from {', '.join(f'{each:g}' for each in known_hz)}")
+
+
+def _literal(scene: Scene, twin: SimulationSettings) -> SimulationSettings:
+    """Return eq. (11) read literally: no delay of depth, so that what lies in the gate must be said: its scatterers."""
+    x_m, y_m, z_m = twin.scatterers.volume_m
+    volume_m = (x_m, y_m, min(z_m, scene.acquisition.gate_length_m))
+    scatterers = twin.scatterers.model_copy(update={"axial_delay": "none", "volume_m": volume_m})
+    return twin.model_copy(update={"scatterers": scatterers})
+
+
+def _train(scene: Scene) -> Train:
+    acquisition, processing = scene.acquisition, scene.processing
+    two_way_s = 2 * acquisition.gate_length_m / acquisition.sound_speed_m_per_s
+    parts = (scene.simulation or {}).get("motion", ())
+    return Train(
+        pulse_rate_hz=scene.tracking.pulse_rate_hz,
+        pulses=scene.tracking.pulse_count or 0,
+        delay_s=scene.tracking.delay_s,
+        carrier_hz=scene.tracking.carrier_hz,
+        sound_speed_m_per_s=acquisition.sound_speed_m_per_s,
+        sample_rate_hz=acquisition.sample_rate_hz,
+        samples=round(two_way_s * acquisition.sample_rate_hz),
+        frequencies_hz=processing.frequencies_hz or tuple(float(part["frequency_hz"]) for part in parts),
+        options=Options(processing.background_order, processing.harmonic, processing.process_noise),
+    )
+
+
+def _refuse_train(train: Train, estimators: tuple[Estimator, ...]) -> None:
+    try:
+        refuse_unusable(train, estimators)
+    except ValueError as error:
+        what, _, remedy = str(error).rpartition("; ")
+        raise SettingsError("study", [Mistake("", what or remedy, remedy.removeprefix("try "))]) from None
+
+
+def _dump(scene: Scene, twin: SimulationSettings) -> Tables:
+    """Return the values that `USED` names, as JSON knows them."""
+    tables: Tables = {
+        "tracking": scene.tracking.model_dump(include={"pulse_rate_hz", "pulse_count", "delay_s", "carrier_hz"}),
+        "acquisition": scene.acquisition.model_dump(
+            include={"gate_depth_m", "gate_length_m", "sound_speed_m_per_s", "sample_rate_hz"}
+        ),
+        "processing": scene.processing.model_dump(
+            include={"frequencies_hz", "harmonic", "process_noise", "background_order"}
+        ),
+        "simulation": twin.model_dump(include={"sound_speed_m_per_s", "motion", "beams", "scatterers"}),
+    }
+    tables["simulation"]["snr_db"] = twin.receiver.snr_db
+    return tables
+
+
+def _hash(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:24]

@@ -1,0 +1,175 @@
+"""A study as its file says: a base scene, what is varied, how many realisations, which estimators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of, parse_toml
+from hpe_rig.scene import Count, Estimator, Positive, Section, Title
+
+Reading = Literal["physical", "literal"]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class Range(Section):
+    """Evenly or logarithmically spaced values, both ends included."""
+
+    start: Finite
+    """First value."""
+    stop: Finite
+    """Last value."""
+    count: Annotated[int, Field(ge=2, le=100_000, strict=True)]
+    """Number of values."""
+    spacing: Literal["linear", "log"] = "linear"
+    """Equal differences or equal ratios."""
+
+    @model_validator(mode="after")
+    def _ratios_need_one_sign(self) -> Range:
+        if self.spacing == "log" and not self.start * self.stop > 0:
+            raise ValueError("equal ratios never pass zero: give start and stop one sign, or spacing = 'linear'")
+        return self
+
+    def values(self) -> list[float]:
+        """Return the values in order, rounded to 12 digits so that a written value is the same value."""
+        spaced = np.linspace if self.spacing == "linear" else np.geomspace
+        return [float(f"{value:.12g}") for value in spaced(self.start, self.stop, self.count)]
+
+
+class Axis(Section):
+    """What is varied together: the n-th value of every key at once (zip). Several axes: each with each (product)."""
+
+    name: Annotated[str, Field(min_length=1, max_length=40)]
+    """Name of the axis: its column in the table."""
+    unit: str = ""
+    """Unit of the values shown."""
+    keys: Annotated[dict[str, list[Any] | Range], Field(min_length=1)]
+    """Scene keys, such as "tracking.pulse_rate_hz" or "simulation.motion[0].amplitude_m", each with its values."""
+    shown: list[Finite | str] | None = None
+    """Values that tables and figures show; absent: those of the first key."""
+
+    @model_validator(mode="after")
+    def _as_many_values_everywhere(self) -> Axis:
+        counts = {key: len(values) for key, values in self.columns().items()}
+        if self.shown is not None:
+            counts["shown"] = len(self.shown)
+        if len(set(counts.values())) > 1 or 0 in counts.values():
+            listed = ", ".join(f"{key} {count}" for key, count in counts.items())
+            raise ValueError(f"keys varied together need equally many values, not {listed}: give one each, at least 1")
+        return self
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Return the values of every key."""
+        return {key: values.values() if isinstance(values, Range) else values for key, values in self.keys.items()}
+
+    def values(self) -> list[Any]:
+        """Return what is shown of every point along the axis."""
+        return list(self.shown) if self.shown is not None else next(iter(self.columns().values()))
+
+
+class Definition(Section):
+    """One study."""
+
+    title: Title
+    """One line that says what is varied."""
+    scene: str
+    """Base scene: a shipped scene's name, or a TOML file beside the study's."""
+    scatterers: Count = 500
+    """Draws of scatterers a case; with ``standard_error_m`` the most of them."""
+    noise: Count = 2
+    """Noise draws for each draw of scatterers; from 2 on the jitter is split into speckle and noise."""
+    standard_error_m: Positive | None = None
+    """Stop a case once the standard error of its mean amplitudes is below this."""
+    seed: Annotated[int, Field(ge=0, strict=True)] = 1
+    """Seed of every random number."""
+    common: Literal["all"] | tuple[str, ...] = ()
+    """Axes along which the random numbers are the same, so that chance does not hide differences; "all": they are the
+    same everywhere, also in other studies of this seed, and a case that two studies share is computed once."""
+    readings: dict[Reading, Annotated[tuple[Estimator, ...], Field(min_length=1)]] = Field(
+        default={"physical": ("cross_spectrum", "coherent")}, min_length=1
+    )
+    """Estimators by reading of eq. (11): "physical", the scene's own; "literal", no delay of depth, in the gate."""
+    set: dict[str, Any] = Field(default_factory=dict)
+    """Scene keys that differ from the base scene everywhere."""
+    axes: Annotated[tuple[Axis, ...], Field(min_length=1)]
+    """What is varied."""
+
+    @model_validator(mode="after")
+    def _names_are_known_and_unique(self) -> Definition:
+        names = [axis.name for axis in self.axes]
+        if len(set(names)) < len(names) or "reading" in names:
+            raise ValueError(f"axes are named {', '.join(names)}: give each a name of its own, and none 'reading'")
+        unknown = [name for name in self.common if name not in names] if self.common != "all" else []
+        if unknown:
+            raise ValueError(f"common names {', '.join(unknown)}, which is no axis: take from {', '.join(names)}")
+        return self
+
+
+class Collection(Section):
+    """Several studies in one run; cases that they share are computed once."""
+
+    title: Title
+    """One line that says what they are."""
+    studies: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Names of shipped studies, or files."""
+
+
+def shipped_studies() -> dict[str, str]:
+    """Return the shipped definitions' texts by name, in the order of their figures."""
+    folder = resources.files("hpe_rig.study") / "definitions"
+    files = [file for file in folder.iterdir() if file.name.endswith(".toml")]
+    texts = {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
+    return dict(sorted(texts.items(), key=lambda item: (len(item[0]), item[0])))
+
+
+def read_studies(name_or_path: str, replaced: Mapping[str, Any] | None = None) -> dict[str, tuple[Definition, Path]]:
+    """Return the definitions by name, each with the folder of its file, of a study or of a collection's studies.
+
+    ``replaced`` are top-level keys given on the command line; ``points`` among them is the count of every range.
+    Raises ``SettingsError`` with every mistake.
+    """
+    name, text, folder = _text_of(name_or_path, Path())
+    tables = parse_toml(text, f"study {name}")
+    if "studies" not in tables:
+        return {name: (_definition(name, tables, replaced or {}), folder)}
+    _refuse(name, mistakes_of(Collection, tables))
+    out = {}
+    for inner in Collection.model_validate(tables).studies:
+        own, text, place = _text_of(inner, folder)
+        out[own] = (_definition(own, parse_toml(text, f"study {own}"), replaced or {}), place)
+    return out
+
+
+def _definition(name: str, tables: dict[str, Any], replaced: Mapping[str, Any]) -> Definition:
+    tables = tables | {key: value for key, value in replaced.items() if key != "points" and value is not None}
+    if replaced.get("points") is not None:
+        for axis in tables.get("axes", []):
+            for values in axis.get("keys", {}).values():
+                if isinstance(values, dict):
+                    values["count"] = replaced["points"]
+    _refuse(name, mistakes_of(Definition, tables))
+    return Definition.model_validate(tables)
+
+
+def _refuse(name: str, mistakes: list[Mistake]) -> None:
+    if mistakes:
+        raise SettingsError(f"study {name}", mistakes)
+
+
+def _text_of(name_or_path: str, folder: Path) -> tuple[str, str, Path]:
+    shipped = shipped_studies()
+    if name_or_path in shipped:
+        return name_or_path, shipped[name_or_path], Path()
+    path = folder / name_or_path
+    try:
+        return path.stem, path.read_text(encoding="utf-8-sig"), path.parent
+    except (OSError, UnicodeDecodeError) as error:
+        reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
+        what = f"neither a shipped study nor a readable file ({reason})"
+        mistake = Mistake("", what, f"a path, or one of {', '.join(shipped)}")
+        raise SettingsError(f"study {name_or_path}", [mistake]) from None

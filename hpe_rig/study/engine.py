@@ -1,0 +1,221 @@
+"""A batch of cases to their bias and jitter: draws and noise shared where they are the same, a block at a time.
+
+    draws of scatterers (stream, block) -> echoes                            once for equal echoes
+    noise (stream, block) -> numbers in the band                             once a batch
+    echoes + level * noise -> displacement -> amplitude and phase            every case and estimator
+
+Random numbers belong to the case's stream and the block's number: neither batch nor order nor how many draws follow
+changes them. Memory is that of one block, whatever the number of realisations, and the estimates.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.study.band import band_of, peaks_state, volts_state
+from hpe_rig.study.cases import Case
+from hpe_rig.study.memory import peak_memory_bytes
+from hpe_rig.study.statistics import errors, phase_errors
+
+Floats = NDArray[np.float64]
+Record = dict[str, Any]
+
+TOLERANCE = 1e-7
+"""Of the echoes, rms over rms: 1 pm of motion."""
+LEAST_DRAWS = 64
+"""Draws before a standard error is believed."""
+_NOISE_VALUES = 200_000
+"""Noise values made at once: what fits the cache."""
+_DRAWS, _NOISE = 0, 1
+
+
+@dataclass(slots=True)
+class _Running:
+    """A case while it runs: states (draw, noise, 2 * frequency) by estimator, of which ``draws`` are there."""
+
+    case: Case
+    states: dict[str, Floats] = field(init=False)
+    draws: int = 0
+    seconds: float = 0.0
+    finished: bool = False
+
+    def __post_init__(self) -> None:
+        shape = (self.case.scatterers, self.case.noise, 2 * len(self.case.train.frequencies_hz))
+        self.states = {name: np.full(shape, np.nan) for name in self.case.estimators}
+
+
+@dataclass(frozen=True, slots=True)
+class _Echoes:
+    """Noise-free echoes (draw, distinct displacement, sample) and which of them every pulse gets (pulse,)."""
+
+    cases: list[_Running]
+    volts: Floats
+    which: NDArray[np.intp]
+
+
+def run_batch(cases: Sequence[Case]) -> list[Record]:
+    """Return one record a case, in their order; the cases must have the same ``noise_key``."""
+    from sim_backend.echo_batch import DRAWS_AT_ONCE
+
+    running = [_Running(case) for case in cases]
+    for first in range(0, cases[0].scatterers, DRAWS_AT_ONCE):
+        active = [one for one in running if not one.finished]
+        if not active:
+            break
+        draws = slice(first, min(first + DRAWS_AT_ONCE, cases[0].scatterers))
+        _run_block(active, first // DRAWS_AT_ONCE, draws)
+        for one in active:
+            one.draws = draws.stop
+            one.finished = one.case.standard_error_m is not None and _precise_enough(one, one.case.standard_error_m)
+    return [_record(one) for one in running]
+
+
+def _run_block(active: list[_Running], block: int, draws: slice) -> None:
+    """Fill in the states of every case for ``draws``."""
+    since = time.process_time()
+    echoes = []
+    for _, group in itertools.groupby(sorted(active, key=_echoes_key), _echoes_key):
+        own = list(group)
+        echoes.append(_echoes(own, block, draws.stop - draws.start))
+        since = _charge(own, since)
+    case = active[0].case
+    numbers = len(band_of(case.train).basis)
+    rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_NOISE, block)))
+    for some, repeats in _parts(case, draws.stop - draws.start):
+        shape = (some.stop - some.start, repeats.stop - repeats.start, case.train.pulses, numbers)
+        noise = _in_forms(active, rng.standard_normal(shape))
+        since = _charge(active, since)
+        place = (slice(draws.start + some.start, draws.start + some.stop), repeats)
+        for made in echoes:
+            since = _estimate(made, some, place, noise, since)
+
+
+def _echoes(cases: list[_Running], block: int, draws: int) -> _Echoes:
+    from sim_backend.echo_batch import drawn_echoes
+    from sim_backend.tracking_pulse import echo_pulse
+
+    case = cases[0].case
+    train, twin = case.train, case.twin
+    displacement_m = np.zeros(train.pulses)
+    for part in twin.motion or ():
+        angle = 2 * np.pi * part.frequency_hz * train.pulse_time_s + part.phase_rad
+        displacement_m += part.amplitude_m * np.sin(angle)
+    # Pulses that meet the same displacement, but for rounding, get the same echo.
+    largest_m = float(np.abs(displacement_m).max(initial=0.0)) or 1.0
+    _, first, which = np.unique(np.round(displacement_m / largest_m, 12), return_index=True, return_inverse=True)
+    middle = (train.samples - 1) / 2
+    gate_s: Floats = np.asarray((np.arange(train.samples) - middle) / train.sample_rate_hz + case.gate_offset_s)
+    rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_DRAWS, block)))
+    pulse = echo_pulse(twin, train.carrier_hz)
+    chunks = list(drawn_echoes(twin, displacement_m[first], pulse, gate_s, rng, draws, TOLERANCE))
+    return _Echoes(cases, np.asarray(np.concatenate(chunks), dtype=np.float64), which)
+
+
+def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
+    """Yield draws and noise realisations that are done together: few, and by the case's own numbers alone."""
+    at_once = max(1, _NOISE_VALUES // (case.train.pulses * len(band_of(case.train).peak_hz)))
+    for draw in range(0, draws, step := max(1, at_once // case.noise)):
+        for first in range(0, case.noise, at_once):
+            yield slice(draw, min(draw + step, draws)), slice(first, min(first + at_once, case.noise))
+
+
+def _in_forms(active: list[_Running], numbers: Floats) -> dict[str, Floats]:
+    """Return unit noise (draw, noise, pulse, ...) as spectra and as samples, whichever is wanted."""
+    band = band_of(active[0].case.train)
+    wanted = {name for one in active for name in one.case.estimators}
+    forms = {}
+    if "cross_spectrum" in wanted:
+        forms["spectra"] = numbers @ band.of_numbers
+    if wanted - {"cross_spectrum"}:
+        forms["volts"] = numbers @ band.basis
+    return forms
+
+
+def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[str, Floats], since: float) -> float:
+    """Write the states of every case of these echoes at ``place`` (draw, noise); return the time it is."""
+    train = made.cases[0].case.train
+    volts = made.volts[some]
+    power = np.square(volts).mean(axis=2)[:, made.which].mean(axis=1)
+    spectra = volts @ band_of(train).of_volts
+    since = _charge(made.cases, since)
+    for one in made.cases:
+        snr_db = one.case.twin.receiver.snr_db
+        level = np.zeros_like(power) if snr_db is None else np.sqrt(power / 10 ** (snr_db / 10))
+        for name in one.case.estimators:
+            if name == "cross_spectrum":
+                state = peaks_state(train, spectra, made.which, level, noise["spectra"])
+            else:
+                noisy = volts[:, None, made.which] + level[:, None, None, None] * noise["volts"]
+                state = volts_state(train, noisy, name)
+            one.states[name][place] = state
+        since = _charge([one], since)
+    return since
+
+
+def _echoes_key(one: _Running) -> str:
+    return one.case.echoes_key
+
+
+def _charge(cases: list[_Running], since: float) -> float:
+    """Share the processor time since ``since`` among ``cases``; return the time it is."""
+    now = time.process_time()
+    for one in cases:
+        one.seconds += (now - since) / len(cases)
+    return now
+
+
+def _precise_enough(one: _Running, wanted_m: float) -> bool:
+    if one.draws < LEAST_DRAWS:
+        return False
+    rows = _rows(one)
+    return all(row["amplitude_bias_se_m"] <= wanted_m for row in rows)
+
+
+def _record(one: _Running) -> Record:
+    return {
+        "case": one.case.key,
+        "estimates": _rows(one),
+        "draws": one.draws,
+        "noise": one.case.noise,
+        "seconds": one.seconds,
+        "peak_memory_bytes": peak_memory_bytes(),
+        "version": _version(),
+    }
+
+
+@functools.cache
+def _version() -> str:
+    return metadata.version("hpe-rig")
+
+
+def _rows(one: _Running) -> list[Record]:
+    """Return bias and jitter of amplitude and phase, a row an estimator and frequency."""
+    rows = []
+    for name, states in one.states.items():
+        found = states[: one.draws]
+        for index, hz in enumerate(one.case.train.frequencies_hz):
+            amplitude_m, phase_rad = _true(one.case, hz)
+            in_phase, quadrature = found[..., 2 * index], found[..., 2 * index + 1]
+            row: Record = {"estimator": name, "frequency_hz": hz, "amplitude_true_m": amplitude_m}
+            row |= errors(np.hypot(in_phase, quadrature) - amplitude_m).named("amplitude", "m")
+            row["phase_true_rad"] = phase_rad
+            row |= phase_errors(np.arctan2(quadrature, in_phase), phase_rad).named("phase", "rad")
+            row["refused"] = int(np.isnan(in_phase).sum())
+            rows.append(row)
+    return rows
+
+
+def _true(case: Case, hz: float) -> tuple[float, float]:
+    """Return amplitude and phase of the prescribed motion at a frequency; equal frequencies add up."""
+    parts = [part for part in case.twin.motion or () if part.frequency_hz == hz]
+    phasor = sum(part.amplitude_m * np.exp(1j * part.phase_rad) for part in parts)
+    return float(np.abs(phasor)), float(np.angle(phasor))

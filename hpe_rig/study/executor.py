@@ -1,0 +1,107 @@
+"""Work on any executor of `concurrent.futures`: a few pieces ahead, a lost worker's piece done again."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import AbstractContextManager, contextmanager
+from typing import TypeVar
+
+from hpe_rig.mistakes import Mistake, SettingsError
+
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+OpenPool = Callable[[], AbstractContextManager[Executor]]
+
+MOST_LOSSES = 5
+"""Losses of a worker in a row, without a piece finished between, that end a study."""
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def completed(
+    open_pool: OpenPool, run: Callable[[Piece], Result], pieces: Sequence[Piece], ahead: int
+) -> Iterator[Result]:
+    """Yield the result of every piece as it is done, in any order, with at most ``ahead`` handed out at once.
+
+    Where a worker dies the pool is opened anew and what it had not finished is done again. Raises ``SettingsError``
+    when that does not help, and whatever ``run`` raises. On leaving early what is not begun is cancelled.
+    """
+    waiting = deque(pieces)
+    losses = 0
+    while waiting:
+        with open_pool() as pool:
+            running: dict[Future[Result], Piece] = {}
+            try:
+                while waiting or running:
+                    while waiting and len(running) < ahead:
+                        running[pool.submit(run, waiting[0])] = waiting[0]
+                        waiting.popleft()
+                    for future in wait(running, return_when=FIRST_COMPLETED).done:
+                        yield future.result()
+                        del running[future]
+                        losses = 0
+            except Exception as error:
+                if not _lost(error):
+                    raise
+                losses += 1
+                waiting.extendleft(running.values())
+                if losses >= MOST_LOSSES:
+                    what = f"workers died {losses} times in a row ({type(error).__name__}), so something kills them"
+                    remedy = "fewer workers or fewer realisations where memory is short; finished cases are kept"
+                    raise SettingsError("study", [Mistake("", what, remedy)]) from None
+            finally:
+                for future in running:
+                    future.cancel()
+
+
+def _lost(error: Exception) -> bool:
+    """Return whether a worker died rather than its work failed; by name, for dask is not imported where not used."""
+    return isinstance(error, BrokenExecutor) or type(error).__name__ in ("KilledWorker", "CommClosedError")
+
+
+@contextmanager
+def processes(workers: int) -> Iterator[Executor]:
+    """Open ``workers`` processes of one thread each; on leaving, those that run finish their piece."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    # Started anew on every system alike: a fork would copy the locks of the progress display's thread.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, context, initializer=_ignore_interrupts)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+        for name, value in before.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the parent, which lets the pieces in hand finish."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def cluster(address: str, workers: int) -> Iterator[Executor]:
+    """Open the dask cluster at ``address``, or one of ``workers`` processes on this machine for "local"."""
+    from distributed import Client, LocalCluster
+
+    if address == "local":
+        with (
+            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as own,
+            Client(own) as client,
+        ):
+            yield client.get_executor(pure=False, retries=MOST_LOSSES)
+        return
+    try:
+        client = Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        mistake = Mistake("--scheduler", f"{address} does not answer ({error})", "tcp://HOST:8786, or local")
+        raise SettingsError("command line", [mistake]) from None
+    with client:
+        yield client.get_executor(pure=False, retries=MOST_LOSSES)

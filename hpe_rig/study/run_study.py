@@ -1,0 +1,87 @@
+"""A study from its name to its results: expand, leave out what is finished, compute the rest, write."""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hpe_rig.study.case_store import CaseStore, Record
+from hpe_rig.study.cases import Case, Point, points_of
+from hpe_rig.study.definition import Definition, read_studies
+from hpe_rig.study.engine import run_batch
+from hpe_rig.study.executor import OpenPool, completed
+from hpe_rig.study.results import StudyResult, result_of, write_study
+
+MOST_CASES = 24
+"""Cases of a batch: enough to share draws and noise, few enough that a lost worker costs little."""
+
+Watch = Callable[[int, int], None]
+"""Told the realisations done and to do."""
+
+
+def run_study(
+    name: str,
+    output: Path,
+    open_pool: OpenPool,
+    ahead: int = 0,
+    replaced: Mapping[str, Any] | None = None,
+    watch: Watch = lambda done, total: None,
+) -> list[StudyResult]:
+    """Run a study or a collection, write it below ``output`` and return its results.
+
+    ``output``/cases holds a file a finished case, ``output``/NAME the results; cases finished before, by whichever
+    study, are not computed again. Raises ``SettingsError`` with every mistake before anything is computed.
+    """
+    studies = {
+        own: (definition, points_of(own, definition, folder))
+        for own, (definition, folder) in read_studies(name, replaced).items()
+    }
+    store = CaseStore(output / "cases")
+    cases = {point.case.key: point.case for _, points in studies.values() for point in points}
+    records = {key: record for key in cases if (record := store.read(key)) is not None}
+    try:
+        _compute([case for key, case in cases.items() if key not in records], store, records, open_pool, ahead, watch)
+    except BaseException as error:
+        error.add_note(f"{len(records)} of {len(cases)} cases are kept in {output}: the same command goes on")
+        raise
+    return [_written(own, *study, records, output) for own, study in studies.items()]
+
+
+def _compute(
+    cases: Sequence[Case],
+    store: CaseStore,
+    records: dict[str, Record],
+    open_pool: OpenPool,
+    ahead: int,
+    watch: Watch,
+) -> None:
+    size = {case.key: case.scatterers * case.noise for case in cases}
+    done, total = 0, sum(size.values())
+    watch(done, total)
+    for finished in completed(open_pool, run_batch, batches(cases), ahead or 2 * (os.cpu_count() or 1) + 2):
+        for record in finished:
+            store.write(record)
+            records[record["case"]] = record
+            done += size[record["case"]]
+        watch(done, total)
+
+
+def batches(cases: Sequence[Case]) -> list[list[Case]]:
+    """Return cases that share noise together, those that share echoes side by side, longest batches first."""
+    ordered = sorted(cases, key=lambda case: (case.noise_key, case.echoes_key, case.key))
+    out = []
+    for _, group in itertools.groupby(ordered, lambda case: case.noise_key):
+        own = list(group)
+        out += [own[first : first + MOST_CASES] for first in range(0, len(own), MOST_CASES)]
+    return sorted(out, key=lambda batch: -sum(case.scatterers * case.noise * case.train.pulses for case in batch))
+
+
+def _written(
+    name: str, definition: Definition, points: list[Point], records: Mapping[str, Record], output: Path
+) -> StudyResult:
+    result = result_of(name, definition, points, {point.case.key: records[point.case.key] for point in points})
+    write_study(result, output / name)
+    return result
