@@ -11,8 +11,9 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Final, Literal, Never, final
+from typing import Final, Never, final
 
+from drivers import programs_33250a as programs
 from drivers.generator_models import AGILENT_33250A, MODELS, GeneratorModel, model_named
 from drivers.interfaces import Identity, InstrumentError, PulseTrain, Setting, Toneburst, TriggerPulse, Wire
 from drivers.limits_33250a import (
@@ -22,45 +23,15 @@ from drivers.limits_33250a import (
     trigger_pulse_mistakes,
     wiring_mistakes,
 )
-from drivers.read_back import Readable, Register, number, short_form, switch, whole_number
+from drivers.programs_33250a import READABLE, Group
+from drivers.read_back import Readable, Register, whole_number
 from drivers.scpi import RefusedError, ScpiSession
 
 OUTPUT_OFF: Final = Register("output_on", "OUTP", False)
 OUTPUT_ON: Final = Register("output_on", "OUTP", True)
-RESET_WIDTH_S: Final = 100e-6
 RESET_PERIOD_S: Final = 1e-3
-# What rescales other settings or limits them: where it changes, the instrument is programmed from its reset state.
-FROM_RESET: Final = frozenset({"OUTP:LOAD", "VOLT:UNIT", "FUNC", "TRIG:SOUR", "BURS:MODE"})
-COUPLED: Final = frozenset({"FREQ", "PULS:WIDT"})
-# Levels are made of amplitude and offset, so that zero comes back as a small difference.
-LEVEL_TOLERANCE_V: Final = 1e-9
-
-READABLE: Final = (
-    Readable("output_on", "OUTP", switch),
-    Readable("load_ohm", "OUTP:LOAD", number),
-    Readable("polarity", "OUTP:POL", short_form),
-    Readable("trigger_output_on", "OUTP:TRIG", switch),
-    Readable("function", "FUNC", short_form),
-    Readable("frequency_hz", "FREQ", number),
-    Readable("period_s", "PULS:PER", number),
-    Readable("width_s", "PULS:WIDT", number),
-    Readable("edge_s", "PULS:TRAN", number),
-    Readable("amplitude_unit", "VOLT:UNIT", short_form),
-    Readable("amplitude_vpp", "VOLT", number),
-    Readable("offset_v", "VOLT:OFFS", number),
-    Readable("low_v", "VOLT:LOW", number),
-    Readable("high_v", "VOLT:HIGH", number),
-    Readable("burst_on", "BURS:STAT", switch),
-    Readable("burst_mode", "BURS:MODE", short_form),
-    Readable("cycles", "BURS:NCYC", whole_number),
-    Readable("burst_phase_deg", "BURS:PHAS", number),
-    Readable("trigger_source", "TRIG:SOUR", short_form),
-    Readable("trigger_slope", "TRIG:SLOP", short_form),
-    Readable("delay_s", "TRIG:DEL", number),
-)
-
-Group = tuple[str, tuple[Register, ...]]
-
+# The test takes some seconds (assumed: up to half a minute), a read gives up after two.
+SELF_TEST_PATIENCE: Final = 15
 
 Limits = Callable[[GeneratorModel], list[str]]
 Program = Callable[[GeneratorModel], Sequence[Group]]
@@ -111,7 +82,7 @@ class Agilent33250A:
         refuse(self.role, self._model, limits(self._model))
         groups = program(self._model)
         registers = tuple(register for _, group in groups for register in group)
-        changed = _changed(before, registers)
+        changed = programs.changed(before, registers)
         if changed is None:
             self._from_reset(groups)
         else:
@@ -142,6 +113,18 @@ class Agilent33250A:
         replies = self._session.query_all([f"{self._model.header(item.header)}?" for item in READABLE])
         settings = {item.key: self._decoded(item, reply) for item, reply in zip(READABLE, replies, strict=True)}
         return {"model": identity.model, "vendor": identity.vendor, "firmware": identity.firmware, **settings}
+
+    def self_test(self) -> bool:
+        """Return whether the instrument's self-test passes; the output is off before it, and verified off after it.
+
+        What was programmed does not count as such any more: the test may have changed it.
+        """
+        self.make_safe()
+        self._programmed = ()
+        reply = self._session.query("*TST?", SELF_TEST_PATIENCE)
+        # A failed test queues what failed; making safe clears it.
+        self.make_safe()
+        return self._decoded(Readable("self-test result", "*TST", whole_number), reply) == 0
 
     def make_safe(self) -> None:
         """Switch the output off in whatever state the instrument is, and prove it by read-back."""
@@ -222,6 +205,10 @@ class GeneratorRole(ABC):
         """See ``Agilent33250A.enable_output``."""
         self._generator.enable_output()
 
+    def self_test(self) -> bool:
+        """See ``Agilent33250A.self_test``."""
+        return self._generator.self_test()
+
     def snapshot(self) -> Mapping[str, Setting]:
         """See ``Agilent33250A.snapshot``."""
         return self._generator.snapshot()
@@ -246,11 +233,11 @@ class MasterTrigger33250A(GeneratorRole):
 
         def program(model: GeneratorModel) -> list[Group]:
             return [
-                _load(pulse.load_ohm),
-                _pulses(1.0 / period_s, pulse.width_s, model.edge_s),
-                _levels(pulse.high_v),
-                _trigger("BUS"),
-                _burst(1, 0.0),
+                programs.load(pulse.load_ohm),
+                programs.pulses(1.0 / period_s, pulse.width_s, model.edge_s),
+                programs.levels(pulse.high_v),
+                programs.trigger("BUS"),
+                programs.burst(1, 0.0),
             ]
 
         def limits(model: GeneratorModel) -> list[str]:
@@ -272,11 +259,11 @@ class PulseGenerator33250A(GeneratorRole):
 
         def program(model: GeneratorModel) -> list[Group]:
             return [
-                _load(train.load_ohm),
-                _pulses(train.rate_hz, train.width_s, model.edge_s),
-                _levels(train.high_v),
-                _trigger("EXT"),
-                _burst(train.count, train.delay_s),
+                programs.load(train.load_ohm),
+                programs.pulses(train.rate_hz, train.width_s, model.edge_s),
+                programs.levels(train.high_v),
+                programs.trigger("EXT"),
+                programs.burst(train.count, train.delay_s),
             ]
 
         def limits(model: GeneratorModel) -> list[str]:
@@ -294,10 +281,10 @@ class ToneburstGenerator33250A(GeneratorRole):
 
         def program(model: GeneratorModel) -> list[Group]:
             return [
-                _load(burst.load_ohm),
-                _sine(burst.carrier_hz, burst.amplitude_vpp),
-                _trigger("EXT"),
-                _burst(burst.cycles, burst.delay_s),
+                programs.load(burst.load_ohm),
+                programs.sine(burst.carrier_hz, burst.amplitude_vpp),
+                programs.trigger("EXT"),
+                programs.burst(burst.cycles, burst.delay_s),
             ]
 
         def limits(model: GeneratorModel) -> list[str]:
@@ -307,63 +294,3 @@ class ToneburstGenerator33250A(GeneratorRole):
             ]
 
         self._generator.configure(program, limits)
-
-
-def _load(load_ohm: float) -> Group:
-    """Declare the load first, since it rescales all levels, and the unit, since ``VOLT?`` states none."""
-    return "load", (
-        Register("load_ohm", "OUTP:LOAD", float(load_ohm)),
-        Register("amplitude_unit", "VOLT:UNIT", "VPP"),
-        Register("polarity", "OUTP:POL", "NORM"),
-    )
-
-
-def _changed(before: Sequence[Register], after: Sequence[Register]) -> tuple[Register, ...] | None:
-    """Return what of ``after`` is not held already; None where it cannot be changed one by one."""
-    held = {register.header: register for register in before}
-    changed = tuple(register for register in after if held.get(register.header) != register)
-    headers = {register.header for register in changed}
-    if headers & FROM_RESET or headers >= COUPLED or not headers <= held.keys():
-        return None
-    return changed
-
-
-def _pulses(rate_hz: float, width_s: float, edge_s: float) -> Group:
-    """Order rate and width so that the width after a reset, 100 us, never meets a period too short for it."""
-    rate = Register("rate_hz", "FREQ", float(rate_hz))
-    width = Register("width_s", "PULS:WIDT", float(width_s))
-    order = (width, rate) if width_s <= RESET_WIDTH_S else (rate, width)
-    return "pulse", (Register("function", "FUNC", "PULS"), Register("edge_s", "PULS:TRAN", edge_s), *order)
-
-
-def _sine(carrier_hz: float, amplitude_vpp: float) -> Group:
-    return "sine", (
-        Register("function", "FUNC", "SIN"),
-        Register("carrier_hz", "FREQ", float(carrier_hz)),
-        Register("amplitude_vpp", "VOLT", float(amplitude_vpp)),
-        Register("offset_v", "VOLT:OFFS", 0.0, LEVEL_TOLERANCE_V),
-    )
-
-
-def _levels(high_v: float) -> Group:
-    low = Register("low_v", "VOLT:LOW", 0.0, LEVEL_TOLERANCE_V)
-    return "levels", (low, Register("high_v", "VOLT:HIGH", float(high_v), LEVEL_TOLERANCE_V))
-
-
-def _trigger(source: Literal["BUS", "EXT"]) -> Group:
-    """Free the trigger connector, which is input and output at once, before it becomes the input."""
-    return "trigger", (
-        Register("trigger_output_on", "OUTP:TRIG", False),
-        Register("trigger_source", "TRIG:SOUR", source),
-        Register("trigger_slope", "TRIG:SLOP", "POS"),
-    )
-
-
-def _burst(count: int, delay_s: float) -> Group:
-    return "burst", (
-        Register("burst_mode", "BURS:MODE", "TRIG"),
-        Register("cycles", "BURS:NCYC", count),
-        Register("burst_phase_deg", "BURS:PHAS", 0.0),
-        Register("delay_s", "TRIG:DEL", float(delay_s)),
-        Register("burst_on", "BURS:STAT", True),
-    )

@@ -154,6 +154,9 @@ class Ats460:
         }
         return reported | self._programmed()
 
+    def self_test(self) -> None:
+        """Do nothing: the vendor's interface has no self-test."""
+
     def make_safe(self) -> None:
         """Abort whatever is captured and free its memory; raise ``InstrumentError`` if the board stays busy."""
         try:

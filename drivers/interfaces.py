@@ -142,6 +142,10 @@ class Instrument(Protocol):
         """Return the settings as read back from the instrument."""
         ...
 
+    def self_test(self) -> bool | None:
+        """Return whether the instrument's own test passes, with its output off; None where it has none."""
+        ...
+
     def make_safe(self) -> None:
         """Switch the output off or abort the capture, and verify it; raise ``InstrumentError`` if not proven."""
         ...

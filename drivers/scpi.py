@@ -74,15 +74,18 @@ class ScpiSession:
         with self._lock:
             self._send(joined(commands))
 
-    def query(self, command: str) -> str:
-        """Return the reply to ``command``, never one that belongs to an earlier query."""
+    def query(self, command: str, patience: int = 1) -> str:
+        """Return the reply to ``command``, never one that belongs to an earlier query.
+
+        ``patience`` counts the time-outs after which no reply is awaited any longer.
+        """
         with self._lock:
             if self._dirty:
                 self._resynchronise()
             # An interrupt between here and the reply would leave that reply for the next query to find.
             self._dirty = True
             self._send(command)
-            reply = self._receive(command)
+            reply = self._receive(command, patience)
             self._dirty = False
             return reply
 
@@ -169,10 +172,12 @@ class ScpiSession:
         except OSError as error:
             raise self._lost(f"could not send {message!r}", error) from error
 
-    def _receive(self, command: str) -> str:
+    def _receive(self, command: str, patience: int = 1) -> str:
         try:
             return self._wire.read().strip()
         except TimeoutError as error:
+            if patience > 1:
+                return self._receive(command, patience - 1)
             raise InstrumentError(
                 self.role,
                 f"no reply to {command!r}",

@@ -6,15 +6,15 @@ import difflib
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
 
-from drivers.interfaces import Identity, Instrument, Setting
-from hpe_rig.bench import open_each, visa_addresses
+from drivers.interfaces import Identity, Instrument, InstrumentError, Setting
+from hpe_rig.bench import make_safe, open_each, visa_addresses
 from hpe_rig.bench_compare import file_differences, settings_differences
 from hpe_rig.bench_file import BenchFile, DigitizerBoard, read_bench
 from hpe_rig.mistakes import parse_toml
@@ -31,8 +31,8 @@ Settings = Mapping[str, Setting]
 class Found:
     """One instrument as it was found; ``identity`` and ``latency_s`` are None where it did not answer.
 
-    ``settings`` are as read before anything was sent that changes them; ``problems`` say what does not fit the bench
-    file and what to try.
+    ``settings`` are as read before anything was sent that changes them; ``self_test`` is None where none was made;
+    ``problems`` say what does not fit the bench file and what to try.
     """
 
     role: str
@@ -40,6 +40,7 @@ class Found:
     identity: Identity | None
     latency_s: float | None
     settings: Settings
+    self_test: bool | None
     problems: tuple[str, ...]
 
 
@@ -63,14 +64,18 @@ class BenchReport:
         return {found.role: found.settings for found in self.found if found.identity is not None}
 
 
-def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter) -> BenchReport:
+def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, self_test: bool = False) -> BenchReport:
     """Return what stands on ``bench``; every instrument that answers is safe, verified, when this returns.
 
-    Raises ``UnsafeBenchError`` where that cannot be proven.
+    ``self_test`` has every instrument that can test itself do so, once the outputs of all are off. Raises
+    ``UnsafeBenchError`` where that cannot be proven.
     """
     addresses = () if bench.simulated else visa_addresses()
     with open_each(bench) as opened:
         found = tuple(_found(role, item, bench, addresses, clock_s) for role, item in opened.items())
+        if self_test:
+            make_safe([item for item in opened.values() if not isinstance(item, Exception)])
+            found = tuple(_tested(here, opened[here.role]) for here in found)
     return BenchReport(bench.title, bench.simulated, found, addresses)
 
 
@@ -84,12 +89,15 @@ class BenchState:
     report: BenchReport | None
 
 
-def bench_state(path: Path | None) -> BenchState:
-    """Return the state of the bench in the bench file ``path``, or of the bench that a run file remembers."""
+def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
+    """Return the state of the bench in the bench file ``path``, or of the bench that a run file remembers.
+
+    See ``survey`` for ``self_test``.
+    """
     if path is not None and path.suffix == ".h5":
         return _state_of_run(path)
     text = read_bench(path)
-    report = survey(text.bench)
+    report = survey(text.bench, self_test=self_test)
     return BenchState("the bench now", parse_toml(text.text, text.name), report.settings, report)
 
 
@@ -124,7 +132,7 @@ def print_report(report: BenchReport) -> None:
     console = Console(soft_wrap=True, highlight=False, markup=False, width=max(TABLE_WIDTH, Console().width))
     console.print(f"{report.title} ({'SIMULATED' if report.simulated else 'real'})", style="bold")
     table = Table(box=None, header_style="bold")
-    for header in ("role", "address", "model", "serial", "firmware", "round trip\nms", "found"):
+    for header in ("role", "address", "model", "serial", "firmware", "round trip\nms", "found", "self-test"):
         table.add_column(header, justify="right" if header.startswith("round") else "left")
     for found in report.found:
         table.add_row(*_row(found))
@@ -143,9 +151,11 @@ def print_report(report: BenchReport) -> None:
 def _row(found: Found) -> tuple[str, ...]:
     state = "on" if found.settings.get("output_on") else "off" if "output_on" in found.settings else "idle"
     if found.identity is None or found.latency_s is None:
-        return found.role, found.address, "-", "-", "-", "-", "problem"
+        return found.role, found.address, "-", "-", "-", "-", "problem", "-"
     who = found.identity
-    return found.role, found.address, who.model, who.serial, who.firmware, f"{found.latency_s * 1e3:.2f}", state
+    tested = {None: "-", True: "passed", False: "FAILED"}[found.self_test]
+    latency = f"{found.latency_s * 1e3:.2f}"
+    return found.role, found.address, who.model, who.serial, who.firmware, latency, state, tested
 
 
 def _found(
@@ -157,11 +167,23 @@ def _found(
 ) -> Found:
     address = _address(role, bench)
     if isinstance(item, Exception):
-        return Found(role, address, None, None, {}, (str(item), *_suggestion(role, address, bench, addresses)))
+        return Found(role, address, None, None, {}, None, (str(item), *_suggestion(role, address, bench, addresses)))
     identity, latency_s = _timed(item, clock_s)
     settings = item.snapshot()
     problems = _digitizer_problems(bench.digitizer, settings) if role == "digitizer" else _output_problems(settings)
-    return Found(role, address, identity, latency_s, settings, tuple(problems))
+    return Found(role, address, identity, latency_s, settings, None, tuple(problems))
+
+
+def _tested(found: Found, item: Instrument | Exception) -> Found:
+    """Return ``found`` with the result of the instrument's self-test."""
+    if isinstance(item, Exception):
+        return found
+    try:
+        passed = item.self_test()
+    except InstrumentError as error:
+        return replace(found, self_test=False, problems=(*found.problems, str(error)))
+    failure = "its self-test failed (*TST?). Try: power it off and on, test again, then have it repaired"
+    return replace(found, self_test=passed, problems=(*found.problems, *([failure] if passed is False else [])))
 
 
 def _timed(instrument: Instrument, clock_s: Callable[[], float]) -> tuple[Identity, float]:

@@ -314,3 +314,27 @@ def test_a_reply_that_is_no_number_is_an_instrument_error_in_the_snapshot(script
 def test_high_impedance_doubles_the_largest_amplitude(scripted) -> None:
     burst = dataclasses.replace(BURST, amplitude_vpp=20.0, load_ohm=math.inf)
     ToneburstGenerator33250A(scripted(), "toneburst").configure(burst)
+
+
+@pytest.mark.parametrize(("reply", "passed"), [("+0", True), ("0", True), ("+1", False)])
+def test_a_self_test_is_awaited_and_the_output_is_off_before_and_after(scripted, reply: str, passed: bool) -> None:
+    instrument = scripted(replies={"*TST": reply, "OUTP": "0"})
+    read, silent = instrument.read, [TimeoutError(), TimeoutError()]
+
+    def read_late() -> str:
+        if instrument.commands[-1] == "*TST?" and silent:
+            raise silent.pop()
+        return read()
+
+    instrument.read = read_late
+    assert PulseGenerator33250A(instrument, "burst_train").self_test() is passed
+    test = instrument.commands.index("*TST?")
+    assert instrument.commands[0] == "OUTP 0"
+    assert "OUTP 0" in instrument.commands[test:]
+    assert not silent
+
+
+def test_an_instrument_that_never_ends_its_self_test_is_an_error_that_names_it(scripted) -> None:
+    instrument = scripted(replies={"OUTP": "0"})
+    with pytest.raises(InstrumentError, match=r"burst_train: no reply to '\*TST\?'"):
+        PulseGenerator33250A(instrument, "burst_train").self_test()

@@ -202,3 +202,13 @@ def test_an_instrument_put_in_local_mode_is_told_apart_and_still_made_safe(line)
     assert line.instrument.registers.output
     generator.make_safe()
     assert not line.instrument.registers.output
+
+
+def test_a_self_test_is_made_with_the_output_off_and_what_was_programmed_counts_no_more(line) -> None:
+    generator = ToneburstGenerator33250A(line.wire, "toneburst")
+    generator.configure(BURST)
+    generator.enable_output()
+    assert generator.self_test()
+    assert not line.instrument.registers.output
+    with pytest.raises(InstrumentError, match="before configure"):
+        generator.verify()

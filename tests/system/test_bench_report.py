@@ -77,6 +77,40 @@ def test_a_simulated_bench_behind_sockets_is_surveyed_through_them(tmp_path: Pat
     assert [found.address for found in report.found[:-1]] == ["socket loopback"] * 5
 
 
+def test_generators_test_themselves_where_that_is_asked_for_with_every_output_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tested = []
+    wire = World.wire
+
+    class Failing:
+        def __init__(self, world: World, role: str) -> None:
+            self.world, self.role, self.inner, self.asked = world, role, wire(world, role), False
+
+        def write(self, message: str) -> None:
+            self.asked = message == "*TST?"
+            if self.asked:
+                tested.append((self.role, any(self.world.outputs_on().values())))
+            self.inner.write(message)
+
+        def read(self) -> str:
+            reply = self.inner.read()
+            return "+1" if self.asked and self.role == "toneburst" else reply
+
+        def close(self) -> None:
+            self.inner.close()
+
+    monkeypatch.setattr(World, "wire", lambda world, role: Failing(world, role))
+    assert [found.self_test for found in survey(read_bench().bench).found] == [None] * 6
+    assert tested == []
+    report = survey(read_bench().bench, self_test=True)
+    assert [found.self_test for found in report.found] == [True, True, False, True, True, None]
+    assert [role for role, _ in tested] == [found.role for found in report.found[:-1]]
+    assert not any(on for _, on in tested)
+    assert {found.role for found in report.found if found.problems} == {"toneburst"}
+    assert not report.complete
+
+
 def test_an_output_found_on_is_reported_and_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
     worlds: list[World] = []
     wire = World.wire
