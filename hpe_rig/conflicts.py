@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,8 +19,15 @@ __all__ = ["Finding", "PlanError", "findings", "refuse_conflicts"]
 
 
 def findings(scene: Scene, bench: BenchFile, plan: Plan) -> list[Finding]:
-    """Return what every check found, passed ones included."""
-    return [found for check in _CHECKS for found in check(scene, bench, plan)]
+    """Return what every check found, passed ones included; of a sweep once each."""
+    parts = [(window, _at(rate, plan)) for rate in scene.rates for window in rate.windows]
+    return list(dict.fromkeys(found for check in _CHECKS for part in parts for found in check(part[0], bench, part[1])))
+
+
+def _at(scene: Scene, plan: Plan) -> Plan:
+    """Return the part of ``plan`` that has the scene's pulse rate."""
+    rate_hz = scene.tracking.pulse_rate_hz
+    return replace(plan, shots=tuple(shot for shot in plan.shots if shot.tracking_train.rate_hz == rate_hz))
 
 
 def _us(time_s: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,6 +109,9 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
 
     Raises ``SettingsError`` where the scene asks for more shots or pulses than anyone could wait for.
     """
+    if len(scene.rates) > 1:
+        return _joined([make_plan(each, bench) for each in scene.rates])
+    (scene,) = scene.rates
     _refuse_endless(scene)
     capture = _capture(scene, bench)
     lengths = scene.excitation.burst_length_s if scene.excitation else (None,)
@@ -121,6 +124,12 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
     period_s = scene.acquisition.shot_period_s or max(shot.train_end_s for shot in shots)
     roles = tuple(role for role in GENERATOR_ROLES if scene.excitation or role not in EXCITATION_ROLES)
     return Plan((*roles, "digitizer"), shots, period_s, tuple(left_out(scene, bench)))
+
+
+def _joined(plans: list[Plan]) -> Plan:
+    """Return one plan of the shots of all; what is left out is the same in each."""
+    shots = tuple(replace(shot, index=index) for index, shot in enumerate(s for plan in plans for s in plan.shots))
+    return Plan(plans[0].roles, shots, max(plan.shot_period_s for plan in plans), plans[0].left_out)
 
 
 def slow_time_window(scene: Scene, shot: Shot) -> NDArray[np.bool_]:

@@ -56,14 +56,18 @@ def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
     """Return the curves of ``shots``; None for a single shot."""
     if len(shots) < 2:
         return None
-    lengths = {shot.burst_length_s for shot in shots}
-    forces = {shot.force_fraction for shot in shots}
-    if len(forces) > 1:
-        return _sweep("force F / F_0", shots, [shot.force_fraction for shot in shots], [_length(s) for s in shots])
-    if len(lengths) > 1:
-        return _sweep(
-            "burst length T_b (us)", shots, [(s.burst_length_s or 0.0) * 1e6 for s in shots], [""] * len(shots)
-        )
+    if len({shot.force_fraction for shot in shots}) > 1:
+        forces = [shot.force_fraction for shot in shots]
+        return _sweep("force F / F_0", shots, forces, [_setting(shot, shots) for shot in shots])
+    lengths = [_length(shot) for shot in shots]
+    if len({shot.pulse_rate_hz for shot in shots}) > 1:
+        return _sweep("pulse rate f_prf (Hz)", shots, [shot.pulse_rate_hz for shot in shots], lengths)
+    if len({shot.window_length_s for shot in shots}) > 1:
+        windows_ms = [None if shot.window_length_s is None else shot.window_length_s * 1e3 for shot in shots]
+        return _sweep("window T_s (ms)", shots, windows_ms, lengths)
+    if len(set(lengths)) > 1:
+        lengths_us = [(shot.burst_length_s or 0.0) * 1e6 for shot in shots]
+        return _sweep("burst length T_b (us)", shots, lengths_us, [""] * len(shots))
     return _sweep("repeat", shots, [float(shot.repeat + 1) for shot in shots], [""] * len(shots))
 
 
@@ -89,6 +93,16 @@ def fit_line(x: FloatArray, y: FloatArray) -> Line | None:
 
 def _length(shot: ShotResult) -> str:
     return "" if shot.burst_length_s is None else f"T_b = {shot.burst_length_s * 1e6:g} us"
+
+
+def _setting(shot: ShotResult, shots: Sequence[ShotResult]) -> str:
+    """Return what else than the force was varied, in words."""
+    words = [_length(shot)]
+    if len({each.pulse_rate_hz for each in shots}) > 1:
+        words.append(f"f_prf = {shot.pulse_rate_hz or 0:g} Hz")
+    if len({each.window_length_s for each in shots}) > 1:
+        words.append(f"T_s = {(shot.window_length_s or 0) * 1e3:g} ms")
+    return ", ".join(word for word in words if word)
 
 
 def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], groups: Sequence[str]) -> Sweep:

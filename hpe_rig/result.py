@@ -82,6 +82,8 @@ class ShotResult:
     residual_m: float
     estimates: tuple[Estimate, ...]
     warnings: tuple[str, ...]
+    pulse_rate_hz: float | None = None
+    window_length_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

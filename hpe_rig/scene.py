@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of, parse_toml
 
@@ -166,6 +167,15 @@ class Processing(Section):
     """Require a burst period that is a whole multiple of the pulse period."""
 
 
+class Sweep(Section):
+    """Settings that are taken in turn besides forces and burst lengths; one run, one report."""
+
+    pulse_rate_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] = ()
+    """Pulse rates f_prf, measured in turn in place of tracking.pulse_rate_hz, with equally many pulses each."""
+    window_length_s: Annotated[tuple[Positive, ...], Field(min_length=1)] = ()
+    """Slow-time windows T_s, taken in turn from the same records in place of processing.window_length_s."""
+
+
 class Scene(Section):
     """One measurement."""
 
@@ -183,6 +193,8 @@ class Scene(Section):
     """What is known of the specimen, for the predicted beam averaging."""
     processing: Processing = Processing()
     """How records become amplitude and phase."""
+    sweep: Sweep = Sweep()
+    """Pulse rates and windows that are taken in turn."""
     simulation: dict[str, Any] | None = None
     """What the twin simulates, in the twin's own words; a real bench leaves it out."""
 
@@ -193,8 +205,47 @@ class Scene(Section):
             return self.processing.frequencies_hz
         if self.excitation is None:
             return ()
-        rate_hz = self.excitation.burst_rate_hz
-        return tuple(n * rate_hz for n in range(1, 11) if n * rate_hz < self.tracking.pulse_rate_hz / 2)
+        rate_hz, slowest_hz = self.excitation.burst_rate_hz, min(self.pulse_rates_hz)
+        return tuple(n * rate_hz for n in range(1, 11) if n * rate_hz < slowest_hz / 2)
+
+    @property
+    def pulse_rates_hz(self) -> tuple[float, ...]:
+        """Pulse rates that are measured in turn."""
+        return self.sweep.pulse_rate_hz or (self.tracking.pulse_rate_hz,)
+
+    @property
+    def windows(self) -> tuple[Scene, ...]:
+        """The scene once for each slow-time window that is taken of its records."""
+        lengths_s = self.sweep.window_length_s or (self.processing.window_length_s,)
+        each = (self.processing.model_copy(update={"window_length_s": length_s}) for length_s in lengths_s)
+        return tuple(self.model_copy(update={"processing": processing}) for processing in each)
+
+    @property
+    def rates(self) -> tuple[Scene, ...]:
+        """The scene once for each pulse rate, its other settings the same: frequencies and number of pulses too."""
+        if not self.sweep.pulse_rate_hz:
+            return (self,)
+        processing = self.processing.model_copy(update={"frequencies_hz": self.wanted_frequencies_hz or None})
+        count = self.tracking.pulse_count
+        if count is None and self.excitation is not None:
+            train_s = self.excitation.burst_count / self.excitation.burst_rate_hz
+            count = max(1, math.floor(train_s * max(self.sweep.pulse_rate_hz) + 1e-6))
+        alike = {"processing": processing, "sweep": self.sweep.model_copy(update={"pulse_rate_hz": ()})}
+        each = (
+            self.tracking.model_copy(update={"pulse_rate_hz": rate_hz, "pulse_count": count})
+            for rate_hz in self.sweep.pulse_rate_hz
+        )
+        return tuple(self.model_copy(update={**alike, "tracking": tracking}) for tracking in each)
+
+    @model_validator(mode="after")
+    def _windows_within_slow_trains(self) -> Scene:
+        windows_s = self.sweep.window_length_s or (self.processing.window_length_s,)
+        if self.sweep.pulse_rate_hz and None in windows_s:
+            raise ValueError(
+                "sweep.pulse_rate_hz gives slower trains that outlast the tonebursts: set processing.window_length_s "
+                "or sweep.window_length_s, so that the same stretch of each is taken"
+            )
+        return self
 
 
 @dataclass(frozen=True, slots=True)
