@@ -335,8 +335,7 @@ def bench_command(
     bench: Annotated[Path | None, typer.Argument(help="Bench file or run file; absent: the simulated bench.")] = None,
     compare: Annotated[Path | None, typer.Option(help="Run file: print what differs from its bench.")] = None,
     self_test: Annotated[
-        bool,
-        typer.Option("--self-test", help="Have the generators test themselves, outputs off; loses their settings."),
+        bool, typer.Option("--self-test", help="Have every generator test itself too, with all outputs off.")
     ] = False,
 ) -> None:
     """Ask every instrument who it is and how it is set, or compare a bench or run with another run; all stays safe."""
