@@ -18,6 +18,7 @@ from markupsafe import Markup
 from hpe_rig import figures, report_provenance
 from hpe_rig.bench_file import BenchFile, parse_bench
 from hpe_rig.conflicts import Finding, findings
+from hpe_rig.detection import detection_text
 from hpe_rig.figures_svg import Picture
 from hpe_rig.figures_sweep import sweep_pictures
 from hpe_rig.plan import Plan, make_plan
@@ -93,7 +94,7 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
         settings=report_provenance.settings(path, shown.shot),
         attributes=report_provenance.attributes(path, [f"version_{name}" for name in result.versions]),
         fingerprint=report_provenance.fingerprint(path),
-        facts=[*_facts(scene, bench, plan, result), *_dose(found)],
+        facts=[*_facts(scene, bench, plan, result), *_dose(scene, stored, found)],
         strongest=strongest(shown),
         most_rows=MOST_ROWS,
         longest_text=LONGEST_TEXT,
@@ -189,9 +190,11 @@ def _facts(scene: Scene, bench: BenchFile, plan: Plan, result: Result) -> list[t
     ]
 
 
-def _dose(found: Sequence[Finding]) -> list[tuple[str, str]]:
-    """Return the acoustic output as estimated from the bench file's calibration, or that it was not."""
-    return [("acoustic output", finding.text) for finding in found if finding.check == "acoustic output"]
+def _dose(scene: Scene, stored: StoredRun, found: Sequence[Finding]) -> list[tuple[str, str]]:
+    """Return the acoustic output by the bench file's calibration, the detection floor, and what the limits let move."""
+    output = [("acoustic output", finding.text) for finding in found if finding.check == "acoustic output"]
+    lines = [text.partition(": ") for text in detection_text(scene, stored.simulated)]
+    return output + [(name, text) for name, _, text in lines]
 
 
 def _bars(result: Result) -> list[tuple[str, float, float]]:
