@@ -2,7 +2,8 @@
 
 Assumed, no source found: the external trigger input has a high impedance; the board is ready for the next trigger as
 soon as a record (and then its pre-trigger part) is complete; the AUX trigger output is 5 V behind 50 ohm, rises at the
-sample clock's tick that follows the trigger, whatever the trigger delay, and falls at the end of the record.
+sample clock's tick that follows the trigger, unless told otherwise whatever the trigger delay, and falls at the end of
+the record.
 Not modelled: triggering on an input channel or by two engines at once, AC coupling, bandwidth limit, other AUX outputs.
 """
 
@@ -104,10 +105,11 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class Latencies:
-    """From the trigger's clock tick to sample 0 and to the AUX edge."""
+    """From the trigger's clock tick to sample 0 and to the AUX edge, which may wait for the trigger delay."""
 
     sample_ps: int
     aux_ps: int
+    aux_waits_for_delay: bool = False
 
 
 def records_of(arming: Arming, arriving: Steps, latencies: Latencies, until_ps: int) -> Taken:
@@ -138,7 +140,9 @@ def aux_steps(arming: Arming, taken: Taken, latencies: Latencies) -> Steps:
     if arming.settings.aux_mode != codes.AUX_OUT_TRIGGER:
         return joined_steps([])
     low, high = np.zeros(taken.tick_ps.size), np.full(taken.tick_ps.size, AUX_HIGH_V)
-    rise_ps = taken.tick_ps + latencies.aux_ps
+    settings = arming.settings
+    waited_ps = settings.delay_samples * settings.sample_period_ps if latencies.aux_waits_for_delay else 0
+    rise_ps = taken.tick_ps + latencies.aux_ps + waited_ps
     fall_ps = np.maximum(taken.end_ps, rise_ps)
     return joined_steps([Steps(rise_ps, low, high), Steps(fall_ps, high, low)])
 
@@ -231,6 +235,6 @@ class Board:
         return Emission(joined_steps(steps), no_bursts(), ignored), taken
 
 
-def latencies_of(sample_s: float, aux_s: float) -> Latencies:
+def latencies_of(sample_s: float, aux_s: float, aux_waits_for_delay: bool = False) -> Latencies:
     """Return the board's latencies in whole picoseconds."""
-    return Latencies(to_ps(sample_s), to_ps(aux_s))
+    return Latencies(to_ps(sample_s), to_ps(aux_s), aux_waits_for_delay)

@@ -254,6 +254,8 @@ class Instruments(Section):
     """Trigger input to sample 0 without trigger delay (assumed)."""
     aux_latency_s: NonNegative = 0.0
     """Trigger input to rising edge of the AUX trigger output (assumed)."""
+    aux_waits_for_trigger_delay: bool = False
+    """Whether that edge comes only after the digitizer's trigger delay (assumed: not, whatever the delay)."""
     message_time_s: NonNegative = 1.0e-3
     """Time one SCPI message takes (assumed)."""
     trigger_jitter_s: NonNegative = 0.0

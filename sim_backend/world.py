@@ -140,9 +140,10 @@ class World:
             )
             for role in GENERATORS
         }
-        self.board = Board(
-            latencies_of(instruments.digitizer_latency_s, instruments.aux_latency_s), count=first_capture
+        latencies = latencies_of(
+            instruments.digitizer_latency_s, instruments.aux_latency_s, instruments.aux_waits_for_trigger_delay
         )
+        self.board = Board(latencies, count=first_capture)
         self._evaluated: tuple[int, Evaluation] | None = None
         self._recorded: tuple[Captured, NDArray[np.float64], int] | None = None
         self._past: deque[Captured] = deque(maxlen=KEPT_CAPTURES - 1)

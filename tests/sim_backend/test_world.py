@@ -122,6 +122,22 @@ def test_records_follow_their_trigger_by_the_trigger_delay_and_share_its_clock()
     assert (capture.origin_ps, capture.samples, capture.sample_period_ps) == (edge_ps, SAMPLES, 10_000)
 
 
+def test_the_tracking_pulse_waits_for_the_trigger_delay_where_the_digitizers_trigger_output_does():
+    onset_ps, first_ps = {}, {}
+    for waits in (False, True):
+        settings = SimulationSettings.model_validate({"instruments": {"aux_waits_for_trigger_delay": waits}})
+        acoustics = Counting()
+        bench = Bench(world=World(settings, FIG_2, acoustics))
+        bench.arm()
+        bench.program()
+        bench.fire()
+        assert bench.next_words() is not None
+        onset_ps[waits], first_ps[waits] = bench.world.emissions()[1].onset_ps, acoustics.captures[0].first_sample_ps
+    # 8000 samples of 10 ns, as armed.
+    np.testing.assert_array_equal(onset_ps[True] - onset_ps[False], 80_000_000)
+    np.testing.assert_array_equal(first_ps[True], first_ps[False])
+
+
 def test_triggers_that_arrive_while_a_burst_runs_are_ignored_and_counted():
     bench = Bench()
     bench.arm()
