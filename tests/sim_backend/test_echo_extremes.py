@@ -9,7 +9,7 @@ from sim_backend.echo_direct import direct
 from sim_backend.echo_motion import Delays, Motion
 from sim_backend.echo_running import running_sum
 from sim_backend.pulse import Pulse, gaussian_pulse, hann_pulse
-from sim_backend.scatterers import depth_delay_s, draw_field
+from sim_backend.scatterers import depth_delay_s, draw_field, field_at
 from sim_backend.settings import Beams, Scatterers
 
 SOUND_SPEED = 1540.0
@@ -188,6 +188,23 @@ def test_gate_far_from_the_focus_holds_tiny_weights_to_the_same_relative_error()
         assert rms_error(made.echo / scale, exact) < (1e-8 if scale > 1e-300 else 1e-3)
     silent = synthesise(moving(tau, g, 1e-6), weight, HANN, GATE_S + 1e-3)
     assert not silent.echo.any()
+
+
+@pytest.mark.parametrize(("depth_m", "bound"), [(25e-3, 1e-8), (30e-3, 1e-8), (31.5e-3, 1e-3), (34e-3, 0.0)])
+def test_gate_centimetres_from_the_focus_is_right_until_the_weights_of_eq_8_underflow(depth_m, bound):
+    """exp(-z^2 / 2 T_z^2) is 1e-197 at 25 mm, 1e-284 at 30, subnormal (few digits) at 31.5 and 0 at 34."""
+    rng = np.random.default_rng(12)
+    place = rng.uniform(-0.5, 0.5, (300, 3)) * np.array([1e-4, 1e-4, 1e-3]) + np.array([0.0, 0.0, depth_m])
+    field = field_at(place, Beams())
+    tau, gate_s = depth_delay_s(field, "two_way", SOUND_SPEED), GATE_S + 2 * depth_m / SOUND_SPEED
+    motion = moving(tau, np.ones(300), 1e-6)
+    made = synthesise(motion, field.tracking_weight, HANN, gate_s, 1e-8).echo
+    exact = direct(motion.delay_s(), field.tracking_weight, HANN, gate_s)
+    # Scaled up, or the squares of the comparison underflow themselves.
+    scale = np.abs(exact).max()
+    assert (scale == 0.0) == (bound == 0.0)
+    assert scale == 0.0 or rms_error(made / scale, exact / scale) < bound
+    assert scale > 0.0 or not made.any()
 
 
 @pytest.mark.parametrize("ratio", [1e-3, 1e-1, 2.19, 10.0, 1e3, np.inf])
