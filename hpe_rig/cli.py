@@ -170,7 +170,7 @@ def check(
     target_m = None if target is None else length_m(target, "--target")
     typer.echo(plan_text(setup.scene.scene.title, setup.plan, setup.findings))
     scene_text, simulated = setup.scene.scene, setup.bench.bench.simulated
-    foreseen = [*detection_text(scene_text, simulated), *averaging_text(scene_text, simulated)]
+    foreseen = [*detection_text(scene_text, simulated, setup.plan.shots[0]), *averaging_text(scene_text, simulated)]
     typer.echo("\n" + "\n".join([*foreseen, *prediction_text(scene_text, target_m)]))
     if any(finding.level == "refused" for finding in setup.findings):
         raise typer.Exit(EXIT_MISTAKE)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from hpe_rig.bench import twin_dose
+from hpe_rig.estimation import driven_frequencies_hz, skipped_pulses
+from hpe_rig.plan import Shot, slow_time_window
 from hpe_rig.prediction import expected_snr_db, used_pulses
+from hpe_rig.processing.model import design
 from hpe_rig.scene import Scene
 
 MISSED = 20
@@ -37,8 +41,10 @@ class Floor:
         return self.quadrature_m * math.sqrt(2 * math.log(MISSED))
 
 
-def detection_floor(scene: Scene, simulated: bool = True) -> Floor:
+def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = None) -> Floor:
     """Return the floor of an amplitude: echo noise, and the jitter between pulse and sampling clock.
+
+    ``shot`` tells which pulses the estimate skips, and so what it costs to fit the other driven harmonics along.
 
     A pulse's phase in white noise has the variance 1 / (samples in the gate x SNR), its time of flight that of the
     trigger jitter (twin alone; a real bench's is not known); over N pulses a quadrature has 2/N of either. Theory
@@ -49,6 +55,10 @@ def detection_floor(scene: Scene, simulated: bool = True) -> Floor:
     metres_per_radian = acquisition.sound_speed_m_per_s / (4 * math.pi * scene.tracking.carrier_hz)
     windowed = HANN_NOISE if scene.processing.estimator == "cross_spectrum" else 1.0
     over_pulses = math.sqrt(2 * windowed / used_pulses(scene))
+    if shot is not None and scene.processing.estimator != "cross_spectrum":
+        # A plan with conflicts may have no fit at all.
+        with suppress(ValueError):
+            over_pulses = _quadrature_gain(scene, shot)
     noise_m = 0.0
     if snr_db is not None:
         noise_m = metres_per_radian * math.sqrt(windowed / (samples * 10 ** (snr_db / 10)))
@@ -56,12 +66,21 @@ def detection_floor(scene: Scene, simulated: bool = True) -> Floor:
     return Floor(noise_m * over_pulses, jitter_s * acquisition.sound_speed_m_per_s / 2 * over_pulses)
 
 
-def detection_text(scene: Scene, simulated: bool = True) -> Iterator[str]:
+def _quadrature_gain(scene: Scene, shot: Shot) -> float:
+    """Return the noise of the worst wanted quadrature over that of a pulse, by the least squares that are fitted."""
+    inside = slow_time_window(scene, shot)
+    time_s = shot.timeline.sensing_s[inside] - shot.timeline.reference_s
+    wanted_hz = np.array(scene.wanted_frequencies_hz)
+    model = design(time_s, ~skipped_pulses(scene, shot)[inside], wanted_hz, also_hz=driven_frequencies_hz(scene))
+    return float(np.linalg.norm(np.linalg.pinv(model.matrix)[: 2 * wanted_hz.size], axis=1).max())
+
+
+def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = None) -> Iterator[str]:
     """Yield the detection floor and, where the medium is known, what moves at the FDA's track-3 limit.
 
     One line a burst length; for ``hpe-rig check`` and the report.
     """
-    floor = detection_floor(scene, simulated)
+    floor = detection_floor(scene, simulated, shot)
     if floor.quadrature_m == 0:
         yield "detection floor: none, neither noise nor trigger jitter is known"
     else:
