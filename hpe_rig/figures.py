@@ -17,7 +17,7 @@ from hpe_rig.figures_svg import BLUE, GREEN, GREY, ORANGE, SKY, Picture, legend,
 from hpe_rig.plan import Shot
 from hpe_rig.report_checks import periodogram
 from hpe_rig.result import Estimate
-from hpe_rig.shot_view import EchoView, MotionView
+from hpe_rig.shot_view import EchoView, MotionView, grey_limit_v
 
 FloatArray = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def rf_line(view: EchoView) -> Picture:
 def m_mode(view: EchoView) -> Picture:
     """Return the image of the gate over slow time."""
     figure, axes = panel()
-    limit_mv = _typical_v(view.image_v) * 1e3 or 1.0
+    limit_mv = grey_limit_v(view.image_v) * 1e3
     edges = [0.0, view.image_time_s[-1] * 1e3 or 1.0, view.image_depth_m[-1] * 1e3, view.image_depth_m[0] * 1e3]
     axes.set_facecolor("#E8B0A0")
     image = axes.imshow(
@@ -190,12 +190,6 @@ def residual(view: MotionView) -> tuple[Picture, ...]:
         f"{amplitude_nm.max():.3g} nm at {frequency_hz[np.argmax(power)]:.4g} Hz."
     )
     return over_time, picture(figure, "residual-spectrum", "Residual over frequency", alt)
-
-
-def _typical_v(image_v: FloatArray) -> float:
-    """Return what a typical column (row, column) reaches: a pulse that a toneburst drowns must not set the scale."""
-    columns = np.abs(image_v[:, np.isfinite(image_v).all(axis=0)])
-    return 1.2 * float(np.median(columns.max(axis=0))) if columns.size else 0.0
 
 
 def _band(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, label: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.result import Estimate
-from hpe_rig.shot_view import EchoView, MotionView
+from hpe_rig.shot_view import EchoView, MotionView, grey_limit_v
 
 FloatArray = NDArray[np.float64]
 State = dict[str, Any]
@@ -31,11 +31,12 @@ def rf_state(view: EchoView) -> State:
 
 
 def image_state(image_v: FloatArray, depth_m: FloatArray, span: float, unit: str) -> State:
-    """Return an M-mode image (row, column) as bytes: 0 missing, 1 to 255 from minus to plus its largest echo."""
+    """Return an M-mode image (row, column) as bytes: 0 missing, 1 to 255 from minus to plus its grey limit."""
     image = image_v[:: -(-image_v.shape[0] // MOST_ROWS), :: -(-image_v.shape[1] // MOST_COLUMNS)]
     missing = ~np.isfinite(image)
-    largest_v = float(np.max(np.abs(image), where=~missing, initial=0.0)) or 1.0
-    grey = np.where(missing, 0, np.round(128 + 127 * np.where(missing, 0.0, image) / largest_v)).astype(np.uint8)
+    limit_v = grey_limit_v(image)
+    share = np.clip(np.where(missing, 0.0, image) / limit_v, -1, 1)
+    grey = np.where(missing, 0, np.round(128 + 127 * share)).astype(np.uint8)
     return {
         "rows": grey.shape[0],
         "columns": grey.shape[1],
@@ -43,7 +44,7 @@ def image_state(image_v: FloatArray, depth_m: FloatArray, span: float, unit: str
         "depth_mm": _list(depth_m[[0, -1]] * 1e3, 3),
         "span": span,
         "unit": unit,
-        "largest_mv": round(largest_v * 1e3, 3),
+        "limit_mv": round(limit_v * 1e3, 3),
     }
 
 

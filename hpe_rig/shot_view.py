@@ -99,6 +99,15 @@ def echo_view(scene: Scene, shot: Shot, records: ShotRecords, line: int = 0, fir
     )
 
 
+def grey_limit_v(image_v: FloatArray) -> float:
+    """Return the echo drawn white in an M-mode image (row, column): a fifth above what a typical column reaches.
+
+    The largest one would not do: a pulse that a toneburst drowns would leave all others grey.
+    """
+    columns = np.abs(image_v[:, np.isfinite(image_v).all(axis=0)])
+    return (1.2 * float(np.median(columns.max(axis=0))) if columns.size else 0.0) or 1.0
+
+
 def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequence[Estimate]) -> MotionView:
     """Return displacement and fit of ``shot``; raises ``ValueError`` where the echoes carry no displacement.
 

@@ -113,7 +113,9 @@ class RunWriter:
             rows = self._rows_of(shot)
             index, rows.latest = place(block, rows.latest, shot)
             kept = index >= 0
-            self._put(rows, index[kept], block.codes[kept], block.trigger_time_s[kept])
+            # A copy only where something is left out.
+            codes = block.codes if kept.all() else block.codes[kept]
+            self._put(rows, index[kept], codes, block.trigger_time_s[kept])
 
     def clipped(self, shot: Shot, clipped: bool) -> None:
         """Write whether the digitizer's input left its range during ``shot``."""

@@ -1,10 +1,12 @@
 """What a run file survives, at full size: a run far larger than memory may grow, and disks that are full.
 
 Usage: python scripts/survival.py stream FOLDER --gigabytes 20
+       python scripts/survival.py throughput FOLDER
        python scripts/survival.py full --sizes 50        (as root: mounts a tmpfs of each size)
-`stream` measures a simulated scene into FOLDER, printing resident memory as the file grows, then writes the same
-records with the run file's writer and with plain h5py, in turns. `full` measures onto each disk, moves what is left to
-a larger one, goes on there, and compares the table with that of an undisturbed run. Linux.
+`stream` measures a simulated scene into FOLDER, printing resident memory as the file grows, then does what
+`throughput` does: write the same records with the run file's writer and with plain h5py, in turns. `full` measures
+onto each disk, moves what is left to a larger one, goes on there, and compares the table with that of an undisturbed
+run. Linux.
 """
 
 from __future__ import annotations
@@ -204,12 +206,14 @@ def main() -> None:
     streaming = commands.add_parser("stream")
     streaming.add_argument("folder", type=Path)
     streaming.add_argument("--gigabytes", type=float, default=20.0)
+    commands.add_parser("throughput").add_argument("folder", type=Path)
     commands.add_parser("full").add_argument("--sizes", type=int, default=50)
     given = parser.parse_args()
     if given.command == "full":
         full(given.sizes)
         return
-    stream(given.folder, given.gigabytes)
+    if given.command == "stream":
+        stream(given.folder, given.gigabytes)
     throughput(given.folder)
 
 

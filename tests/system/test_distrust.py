@@ -18,6 +18,7 @@ from hpe_rig.bench import check_simulation
 from hpe_rig.bench_file import parse_bench, read_bench
 from hpe_rig.conflicts import PlanError
 from hpe_rig.mistakes import SettingsError
+from hpe_rig.report import render
 from hpe_rig.resume import prepare_rest
 from hpe_rig.run import Setup, measure, planned, process
 from hpe_rig.scene import parse_scene, shipped_scenes
@@ -186,6 +187,9 @@ TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
     "a scene with another gate": (scene_with("record_samples = 256", "record_samples = 512"), "its scene asks"),
     "a scene with a gate outside": (scene_with("gate_length_m = 1.0e-3", "gate_length_m = 9e-3"), "the gate takes"),
     "a scene with an endless sweep": (scene_with("[acquisition]", "[acquisition]\nrepeats = 1000000"), "shots"),
+    "run times of another type": (remade("run_time/run_time_s", shape=(11,), dtype="S9"), "/run_time/run_time_s holds"),
+    "run times without end": (remade("run_time/stage", shape=(1_000_000,), dtype="S16"), "1000000 stages"),
+    "run times that are none": (values("run_time/run_time_s", [np.nan, np.inf, -1.0] + 8 * [1e300]), ""),
     "truth that is absent": (lambda path: _delete(path, "truth"), "absent"),
     "settings that are no JSON": (values("snapshot", b"{" * 900), ""),
 }
@@ -203,7 +207,7 @@ def test_a_tampered_run_file_is_refused_with_a_message_that_says_why(small: Path
     change(small)
     if not message:
         # Nothing wrong that anybody needs: any outcome but a traceback.
-        for read in (process, read_snapshots):
+        for read in (process, read_snapshots, render):
             _outcome(partial(read, small))
         return
     with pytest.raises(MESSAGES, match=message) as raised:
