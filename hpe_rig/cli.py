@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from hpe_rig.console import EXIT_INSTRUMENT, EXIT_MISTAKE, announce, extra, guarded, progress, show
+from hpe_rig.console import EXIT_INSTRUMENT, EXIT_MISTAKE, announce, extra, guarded, progress, scenes_like, show
 
 app = typer.Typer(
     help="Measure harmonic motion with pulsed ultrasound excitation, on the bench or on its twin.",
@@ -18,7 +18,10 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="A shipped scene's name or a TOML file.")]
+SceneName = Annotated[
+    str,
+    typer.Argument(metavar="SCENE", help="A shipped scene's name or a TOML file.", autocompletion=scenes_like),
+]
 BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file; absent: the simulated bench.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Csv = Annotated[bool, typer.Option("--csv", help="Print CSV, a row a shot and frequency, instead of a table.")]
@@ -293,7 +296,7 @@ def design(
     minimise: Annotated[str, typer.Option(help="jitter, phase-jitter, bias (of the amplitude) or time.")] = "jitter",
     bench: BenchPath = None,
     bound: Annotated[list[str] | None, typer.Option(help="key=low:high; absent: what scene and bench imply.")] = None,
-    longest_s: Annotated[float | None, typer.Option(help="Most time, s; absent: the scene's own.")] = None,
+    longest_s: Annotated[float | None, typer.Option(help="Most time, s; absent: the scene's own and 1 %.")] = None,
     target: Annotated[str | None, typer.Option(help="Jitter, noise and speckle, to keep, such as 20nm.")] = None,
     draws: Annotated[int, typer.Option(help="Scatterer and noise draws that check the model; 0: none.")] = 200,
     seed: Annotated[int, typer.Option(help="Seed of search and draws.")] = 0,

@@ -6,6 +6,8 @@ the Gaussian of eq. (12), and what is tracked lags.
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
@@ -44,12 +46,17 @@ def medium_averaging(
     return np.asarray(tracked / _displacement(shear_k2, force_width_m[0] ** 2, force_width_m[2] ** 2))
 
 
+@functools.lru_cache(maxsize=1)
+def _nodes() -> tuple[FloatArray, FloatArray]:
+    return np.polynomial.legendre.leggauss(DIRECTIONS)
+
+
 def _displacement(shear_k2: ComplexArray, lateral: float, axial: float) -> ComplexArray:
     """Return the displacement at the focus but for a factor: the sum over wave numbers done, that over directions here.
 
     Only the part 1 - m^2 of the force that has no divergence moves an incompressible medium, m the cosine to the beam.
     """
-    node, weight = np.polynomial.legendre.leggauss(DIRECTIONS)
+    node, weight = _nodes()
     # In the variable that makes a needle's spectrum smooth: m = tan(angle) / slope.
     slope = np.sqrt(max(axial / lateral - 1, 1e-12))
     angle = np.arctan(slope) * (node + 1) / 2

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
@@ -37,8 +37,10 @@ FINAL_DRAWS = 4000
 FINAL_SEED = 1
 SIDE_WEIGHT = 1e-6
 """Weight of the logarithm of what is not minimised: time for jitter or bias, jitter for time. It decides ties alone."""
-POPULATION, GENERATIONS = 12, 40
+POPULATION, GENERATIONS = 10, 30
 FINEST = 1e-4
+OUTSIDE = 100.0
+"""Cost beyond which a candidate keeps a limit not; logarithms of jitters and times stay far below."""
 
 Values = Mapping[Path, Number]
 
@@ -111,11 +113,11 @@ class Problem:
         return self._seen[key]
 
     def cost(self, candidate: Candidate) -> float:
-        """Return what is minimised: below 100 for a candidate within all limits, beyond by how far it is outside."""
+        """Return what is minimised: below `OUTSIDE` within all limits, beyond by how far a candidate is outside."""
         if candidate.conflicts:
-            return 1e4 * len(candidate.conflicts)
+            return OUTSIDE**2 * len(candidate.conflicts)
         excess = sum(math.log(ratio) for ratio in self.excess(candidate).values())
-        return 100 + excess if excess > 0 else self.measure(candidate)
+        return OUTSIDE + excess if excess > 0 else self.measure(candidate)
 
     def excess(self, candidate: Candidate) -> dict[str, float]:
         """Return by which factor a candidate is beyond each limit that it does not keep."""
@@ -157,7 +159,18 @@ class Problem:
             for finding in found
             if finding.level == "refused" or (finding.level == "warning" and finding.check not in self._accepted)
         )
-        return Candidate(values, conflicts, scene, plan, design_setting(scene, plan, self.baseline))
+        refused = Candidate(values, conflicts, scene, plan)
+        return refused if conflicts else self.judged(refused)
+
+    def judged(self, candidate: Candidate) -> Candidate:
+        """Return ``candidate`` as the model sees it, whatever refuses it; with one more conflict where it cannot."""
+        if candidate.setting is not None or candidate.scene is None or candidate.plan is None:
+            return candidate
+        try:
+            return replace(candidate, setting=design_setting(candidate.scene, candidate.plan, self.baseline))
+        except ValueError as error:
+            conflict = Finding("resolution", "refused", str(error), "a longer processing window, or fewer frequencies")
+            return replace(candidate, conflicts=(*candidate.conflicts, conflict))
 
 
 @dataclass(frozen=True)
@@ -176,7 +189,7 @@ def design(problem: Problem, seed: int = 0) -> Design:
     Raises ``SettingsError`` where no candidate keeps all limits, with what refuses the one that comes closest.
     """
     best = _without_the_needless(problem, _pattern_search(problem, _evolution(problem, seed)))
-    if problem.cost(best) >= 100:
+    if problem.cost(best) >= OUTSIDE:
         raise SettingsError("design", list(_why_none(problem, best)))
     return Design(problem, problem.start, best, tuple(_held(problem, best)))
 
@@ -197,11 +210,14 @@ def _place(problem: Problem, candidate: Candidate) -> NDArray[np.float64]:
 
 
 def _evolution(problem: Problem, seed: int) -> NDArray[np.float64]:
-    from scipy.optimize import differential_evolution
+    from scipy.optimize import Bounds, differential_evolution
+
+    def cost(place: NDArray[np.float64]) -> float:
+        return problem.cost(problem.at(place))
 
     found = differential_evolution(
-        lambda place: problem.cost(problem.at(place)),
-        [(0.0, variable.last) for variable in problem.space],
+        cost,
+        Bounds(np.zeros(len(problem.space)), np.array([variable.last for variable in problem.space])),
         integrality=[variable.discrete for variable in problem.space],
         x0=_place(problem, problem.start),
         popsize=POPULATION,
@@ -254,8 +270,9 @@ def _held(problem: Problem, best: Candidate) -> Iterator[str]:
             if moved[index] == place[index]:
                 yield f"{variable.key} = {best.values[variable.key.path]:.6g}: its bound"
                 continue
-            trial = problem.at(moved)
-            if trial.setting is None or problem.cost(trial) < 100 or problem.measure(trial) >= problem.measure(best):
+            trial = problem.judged(problem.at(moved))
+            inside = problem.cost(trial) < OUTSIDE
+            if trial.setting is None or inside or problem.measure(trial) >= problem.measure(best):
                 continue
             reasons = [finding.check for finding in trial.conflicts] or list(problem.excess(trial))
             yield f"{word} {variable.key}: {', '.join(reasons)}"

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hpe_rig.estimation import skipped_pulses
+from hpe_rig.estimation import driven_frequencies_hz, skipped_pulses
 from hpe_rig.jitter_model import LATERAL, Expected, Scattering, Setting, draw_scattering, expected
 from hpe_rig.mistakes import Mistake, SettingsError
 from hpe_rig.plan import Plan, slow_time_window
 from hpe_rig.prediction import expected_snr_db, setting_of
+from hpe_rig.processing.model import design as slow_time_design
 from hpe_rig.scene import Scene
 from hpe_rig.theory import force_spectrum
 
@@ -61,12 +62,11 @@ def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Setting:
     """Return what bias and jitter of the scene's first shot and first frequency depend on.
 
     Beyond ``setting_of``: noise is fixed, so the SNR follows the echo's strength and its depth profile in the gate; the
-    amplitude follows the force; pulses that are skipped do not count.
+    amplitude follows the force; pulses count for what they are worth. Raises ``ValueError`` where they cannot tell the
+    frequencies.
     """
     setting = setting_of(scene)
     assert setting is not None  # noqa: S101 (baseline has refused such a scene)
-    shot = plan.shots[0]
-    pulses = int((slow_time_window(scene, shot) & ~skipped_pulses(scene, shot)).sum())
     profile = [echo_power(setting, gate_m) for gate_m in (setting.gate_length_m, start.gate_length_m)]
     snr = setting.snr * echo_strength(scene, start) * profile[0] / profile[1]
     amplitude_m = setting.amplitude_m
@@ -74,7 +74,26 @@ def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Setting:
         amplitude_m = _drive(scene)
     elif scene.excitation is not None and start.drive > 0:
         amplitude_m *= _drive(scene) / start.drive
-    return replace(setting, pulses=max(pulses, 1), snr=snr, amplitude_m=max(amplitude_m, 1e-15))
+    return replace(setting, pulses=worth_pulses(scene, plan), snr=snr, amplitude_m=max(amplitude_m, 1e-15))
+
+
+def worth_pulses(scene: Scene, plan: Plan) -> int:
+    """Return how many pulses, evenly spread over whole cycles, would tell the first frequency as well as those used.
+
+    Skipped pulses, and frequencies and background that are fitted along and hard to tell apart, cost as many. Raises
+    ``ValueError`` where the pulses cannot tell the frequencies.
+    """
+    shot = plan.shots[0]
+    inside = slow_time_window(scene, shot)
+    model = slow_time_design(
+        shot.timeline.sensing_s[inside] - shot.timeline.reference_s,
+        ~skipped_pulses(scene, shot)[inside],
+        np.array(scene.wanted_frequencies_hz),
+        background_order=scene.processing.background_order,
+        also_hz=() if scene.processing.estimator == "cross_spectrum" else driven_frequencies_hz(scene),
+    )
+    variance = np.sum(model.root[:2] ** 2, axis=1)
+    return max(1, round(2 / float(variance.mean())))
 
 
 def echo_strength(scene: Scene, start: Baseline) -> float:
@@ -99,7 +118,8 @@ def echo_power(setting: Setting, gate_length_m: float) -> float:
 
 def predicted(setting: Setting, estimator: str, draws: int, seed: int = 0) -> Expected:
     """Return bias and jitter from ``draws`` draws of scatterers, the same for every gate and pulse."""
-    scattering = _scattering(replace(setting, **_UNSEEN), draws, seed)
+    x, y, z = (float(f"{width:.3g}") for width in setting.excitation_width_m)
+    scattering = _scattering(replace(setting, **_UNSEEN, excitation_width_m=(x, y, z)), draws, seed)
     speckle = scattering.speckle(setting.gate_length_m, setting.pulse_length_m)
     return expected(setting, estimator, speckle, np.random.default_rng([seed, 1]))
 
@@ -142,7 +162,7 @@ def _response(scene: Scene, frequency_hz: float) -> float:
     return float(abs(moved[0]) * settings.specimen.force_density_n_per_m3)
 
 
-@functools.lru_cache(maxsize=4)
+@functools.lru_cache(maxsize=16)
 def _scattering(beams: Setting, draws: int, seed: int) -> Scattering:
     """Return draws as deep as the tracking beam sees: whatever gate, the scatterers are the same."""
     deep_m = 2 * LATERAL * beams.tracking_width_m[2]
