@@ -6,6 +6,7 @@ import functools
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, ParamSpec
 
 import typer
@@ -44,6 +45,14 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
 def announce(text: str) -> None:
     """Say something that is no result."""
     typer.echo(text, err=True)
+
+
+def scenes_like(incomplete: str) -> list[str]:
+    """Return the shipped scenes and the TOML files here that a shell may complete ``incomplete`` to."""
+    from hpe_rig.scene import shipped_scenes
+
+    names = [*shipped_scenes(), *(path.name for path in sorted(Path().glob("*.toml")))]
+    return [name for name in names if name.startswith(incomplete)]
 
 
 def show(result: Result, json: bool, csv: bool) -> None:

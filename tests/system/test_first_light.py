@@ -13,11 +13,13 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from typer.testing import CliRunner
 
 from drivers import agilent_33250a
 from drivers.interfaces import PulseTrain
 from hpe_rig.bench import open_bench
 from hpe_rig.bench_file import read_bench
+from hpe_rig.cli import app
 from hpe_rig.result import Result
 from hpe_rig.run import Setup, measure, prepare, process
 from hpe_rig.sequencer import Progress, ShotBlock, acquire
@@ -287,6 +289,18 @@ def assert_imports_what_a_prescribed_motion_needs(import_times: str) -> None:
     pushing = {"force", "field", "inverse_laplace", "medium_motion", "moduli", "specimen", "transmitter"}
     assert not loaded & {f"sim_backend.{name}" for name in pushing}
     assert not loaded & {"hpe_rig.figures", "hpe_rig.live", "hpe_rig.resume", "hpe_rig.run_log", "scipy.signal"}
+
+
+def test_a_shell_completes_commands_shipped_scenes_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "bovine-liver.toml").write_text("")
+    monkeypatch.chdir(tmp_path)
+
+    def completed(line: str) -> list[str]:
+        asked = {"_HPE_RIG_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+        return CliRunner().invoke(app, [], env=asked, prog_name="hpe-rig").output.split()
+
+    assert {"report", "resume"} <= set(completed("hpe-rig re"))
+    assert {"bovine-liver.toml", "bovine-muscle", "bovine-muscle-synchronous"} == set(completed("hpe-rig run bov"))
 
 
 def test_a_repeat_keeps_the_scatterers_and_draws_new_noise(prepared: Prepare, tmp_path: Path) -> None:
