@@ -27,7 +27,8 @@ from hpe_rig.processing import (
     relative_to,
     unlike_pulses,
 )
-from hpe_rig.processing.conditioning import codes_to_volts, remove_offset
+from hpe_rig.processing.conditioning import centred_volts
+from hpe_rig.processing.flags import clipped_pulses
 from hpe_rig.records import ShotRecords
 from hpe_rig.result import Estimate, ShotResult
 from hpe_rig.scene import Processing, Scene
@@ -37,6 +38,8 @@ CODE_LIMITS = (-8192, 8191)
 LARGE_STEP = 0.8
 """Quarter wavelengths a pulse from which on the next period of the carrier is close."""
 LARGE_CONDITION = 10.0
+DETECTED = 3.0
+"""Amplitude over its uncertainty below which a harmonic may be noise: it exceeds that by chance in 1 % of cases."""
 HIGHEST_DRIVEN_HZ = 2e4
 """A specimen follows no further: at 20 kHz a shear wave is far shorter than the beam is wide."""
 
@@ -92,10 +95,15 @@ def _estimate_shot(
     frequencies_hz = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
     also_hz = driven_frequencies_hz(scene)
     options = options_of(scene.processing)
-    fit, largest_step = _fit(echoes, reference, frequencies_hz, estimator, also_hz, options)
+    motion = None if estimator == "joint" else motion_of(echoes, estimator)
+    fit, largest_step = _fit(echoes, motion, reference, frequencies_hz, estimator, also_hz, options)
     skipped = skipped_pulses(scene, shot)[inside]
-    clipped = int(np.isin(records.codes[inside][recorded & ~skipped], CODE_LIMITS).any(axis=-1).sum())
-    drift = None if reference is not None else _drift(echoes, frequencies_hz, also_hz, options)
+    clipped = int((clipped_pulses(records.codes, CODE_LIMITS)[inside] & recorded & ~skipped).sum())
+    drift = None
+    if reference is None:
+        # It tells of the bench, not of the estimator: the one with the least noise looks.
+        steady = motion if motion is not None and estimator == "coherent" else coherent(echoes)
+        drift = _drift(steady, frequencies_hz, also_hz, options)
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -121,10 +129,11 @@ def skipped_pulses(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
 
 def shot_echoes(scene: Scene, shot: Shot, records: ShotRecords, inside: NDArray[np.bool_]) -> EchoGate:
     """Return the gated echoes of the pulses ``inside`` (pulse,) the window, without those the scene leaves out."""
-    codes, valid = records.codes[inside], (records.valid & ~skipped_pulses(scene, shot))[inside]
-    volts = codes_to_volts(codes, records.volts_per_code, records.volts_offset)
+    valid = (records.valid & ~skipped_pulses(scene, shot))[inside]
+    codes = records.codes if inside.all() else records.codes[inside]
+    sound = valid & ~clipped_pulses(codes, CODE_LIMITS)
     echoes = EchoGate(
-        volts=remove_offset(volts),
+        volts=centred_volts(codes, records.volts_per_code, sound),
         sample_rate_hz=shot.capture.sample_rate_hz,
         pulse_time_s=shot.timeline.sensing_s[inside] - shot.timeline.reference_s,
         carrier_hz=scene.tracking.carrier_hz,
@@ -138,6 +147,7 @@ def shot_echoes(scene: Scene, shot: Shot, records: ShotRecords, inside: NDArray[
 
 def _fit(
     echoes: EchoGate,
+    motion: Motion | None,
     reference: Motion | None,
     frequencies_hz: NDArray[np.float64],
     estimator: Estimator,
@@ -145,11 +155,10 @@ def _fit(
     options: Options,
 ) -> tuple[HarmonicFit, float]:
     """Return the fit and the largest step between pulses in quarter wavelengths, 0 where it has no meaning."""
-    if estimator == "joint":
+    if motion is None:
         if reference is not None:
             raise ValueError("joint has no displacements to subtract processing.reference_gate_depth_m's from")
         return joint(echoes, frequencies_hz, also_hz=also_hz, background_order=options.background_order), 0.0
-    motion = motion_of(echoes, estimator)
     if reference is not None:
         motion = relative_to(motion, reference)
     return fit_motion(motion, frequencies_hz, estimator, also_hz, options), float(motion.largest_step)
@@ -177,11 +186,11 @@ def _estimate(
 
 
 def _drift(
-    echoes: EchoGate, frequencies_hz: NDArray[np.float64], also_hz: NDArray[np.float64], options: Options
+    motion: Motion, frequencies_hz: NDArray[np.float64], also_hz: NDArray[np.float64], options: Options
 ) -> Drift | None:
-    # It tells of the bench, not of the estimator: the one with the least noise looks.
+    order = options.background_order
     try:
-        return drift_between_halves(echoes, frequencies_hz, "coherent", also_hz, options)
+        return drift_between_halves(motion, frequencies_hz, also_hz=also_hz, background_order=order)
     except ValueError:
         # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
         return None
@@ -217,6 +226,12 @@ def _fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
         yield (
             f"the pulses hardly tell the frequencies, or these and the background, apart (condition "
             f"{fit.condition:.3g}, 1 is best): the uncertainties say so; watch them for longer"
+        )
+    lost = fit.amplitude_m < DETECTED * np.sqrt(fit.covariance[:, 0, 0])
+    if lost.any():
+        yield (
+            f"not told from noise at {', '.join(f'{f:g}' for f in fit.frequency_hz[lost])} Hz: the amplitude is below "
+            f"{DETECTED:g} times its uncertainty, its phase means nothing; take more cycles, pulses or drive"
         )
     found = fit.innovations
     if found is not None and abs(float(found.nis) - 1) > max(found.nis_tolerance, 0.5):

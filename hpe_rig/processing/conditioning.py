@@ -13,13 +13,17 @@ def codes_to_volts(codes: NDArray[np.int16], volts_per_code: float, volts_offset
     return codes * np.float64(volts_per_code) + volts_offset
 
 
-def remove_offset(volts: FloatArray) -> FloatArray:
-    """Return the records (..., pulse, sample) without the mean over their pulses and samples.
+def centred_volts(codes: NDArray[np.int16], volts_per_code: float, sound: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Return the records (pulse, sample) in volts without their offset, float32: 1/1000 of a code step is lost.
 
-    One number for all pulses: a mean of each record would add its noise to that record, and a mean over pulses at
-    each sample would remove the resting echo, which is what carries the phase.
+    The offset is the mean of the ``sound`` records (pulse,), those that are there and within full scale: one number for
+    all, since a mean of each record would add its noise to that record, and a mean over pulses at each sample would
+    remove the resting echo, which is what carries the phase. Without any sound record nothing is taken off.
     """
-    return np.asarray(volts - volts.mean(axis=(-2, -1), keepdims=True))
+    volts = codes * np.float32(volts_per_code)
+    if sound.any():
+        volts -= (volts @ np.full(codes.shape[-1], 1 / codes.shape[-1], np.float32))[sound].mean()
+    return volts
 
 
 def hann(count: int) -> FloatArray:

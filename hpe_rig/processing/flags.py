@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.processing.echoes import BoolArray, EchoGate, valid_volts
+from hpe_rig.processing.echoes import BoolArray, EchoGate, pulse_energy
 
 LIMIT = 8.0
 """Robust standard deviations beyond which a pulse's logarithmic energy is foreign; and at least a factor of two."""
@@ -17,8 +17,7 @@ def unlike_pulses(echoes: EchoGate) -> BoolArray:
     The energy is that of the whole gate, so that what leaks outside the tracked band is seen as well; one echo's energy
     changes little with its motion. Half of the pulses must be sound.
     """
-    volts = valid_volts(echoes)
-    energy = np.einsum("...i,...i->...", volts, volts, dtype=np.float64)
+    energy = pulse_energy(echoes.volts)[..., echoes.valid]
     level = np.log(np.maximum(energy, np.finfo(np.float64).tiny))
     middle = np.median(level, axis=-1, keepdims=True)
     spread = np.median(np.abs(level - middle), axis=-1, keepdims=True) / 0.6745
@@ -30,4 +29,4 @@ def unlike_pulses(echoes: EchoGate) -> BoolArray:
 
 def clipped_pulses(codes: NDArray[np.int16], limits: tuple[int, int]) -> BoolArray:
     """Return which records (..., pulse) of ``codes`` (..., pulse, sample) reach the digitizer's full scale."""
-    return np.asarray(((codes <= limits[0]) | (codes >= limits[1])).any(axis=-1))
+    return np.asarray((codes.min(axis=-1) <= limits[0]) | (codes.max(axis=-1) >= limits[1]))

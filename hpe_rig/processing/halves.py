@@ -1,14 +1,14 @@
-"""Whether the amplitude stayed what it was: both halves of the pulses, each estimated on its own."""
+"""Whether the amplitude stayed what it was, from the first half of the pulses to the second."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from hpe_rig.processing.echoes import BoolArray, EchoGate, FloatArray
-from hpe_rig.processing.estimators import PLAIN, Estimator, Options, estimate
+from hpe_rig.processing.echoes import BoolArray, FloatArray, Motion
+from hpe_rig.processing.model import LARGEST_CONDITION, design
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,31 +26,36 @@ class Drift:
 
 
 def drift_between_halves(
-    echoes: EchoGate,
+    motion: Motion,
     frequencies_hz: FloatArray | Sequence[float],
-    estimator: Estimator = "coherent",
+    *,
     also_hz: FloatArray | Sequence[float] = (),
-    options: Options = PLAIN,
+    background_order: int = 0,
 ) -> Drift:
     """Return the change of amplitude between both halves: suspicious where bursts are missing or motion decays.
 
-    Raises ``ValueError`` as ``estimate`` does when half the pulses cannot carry the estimate.
+    The wanted states may change by a step in the middle, the rest of ``least_squares``' model is that of all pulses.
+    Raises ``ValueError`` as that does, and where half the pulses cannot tell the frequencies apart.
     """
-    middle = echoes.valid.size // 2
-    halves = (_part(echoes, part) for part in (slice(0, middle), slice(middle, None)))
-    first, second = (estimate(half, frequencies_hz, estimator, also_hz, options) for half in halves)
-    mean = (first.amplitude_m + second.amplitude_m) / 2
-    change = second.amplitude_m - first.amplitude_m
-    sigma = np.sqrt(first.covariance[..., 0, 0] + second.covariance[..., 0, 0])
-    tiny = np.finfo(np.float64).tiny
-    suspicious = np.abs(change) > np.maximum(5 * sigma, 0.1 * mean)
-    return Drift(first.frequency_hz, change / mean.clip(min=tiny), change / sigma.clip(min=tiny), suspicious)
-
-
-def _part(echoes: EchoGate, part: slice) -> EchoGate:
-    return replace(
-        echoes,
-        volts=echoes.volts[..., part, :],
-        pulse_time_s=echoes.pulse_time_s[part],
-        valid=echoes.valid[part],
-    )
+    frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
+    valid, wanted = motion.valid, 2 * frequency_hz.size
+    model = design(motion.time_s, valid, frequency_hz, background_order=background_order, also_hz=also_hz)
+    side = np.where(np.arange(valid.size) < valid.size // 2, -1.0, 1.0)[valid]
+    common, step = model.solve(side * model.matrix[:, :wanted].T)
+    products = step @ step.T
+    smallest, *_, largest = np.linalg.eigvalsh(products)
+    free = len(model.matrix) - model.matrix.shape[1] - wanted
+    if free < 1 or not smallest * LARGEST_CONDITION**2 > largest:
+        raise ValueError("half the pulses cannot tell the frequencies apart: watch them for longer")
+    state, residual = model.solve(motion.displacement_m[..., valid])
+    covariance = np.linalg.inv(products)
+    change = residual @ step.T @ covariance
+    left = residual - change @ step
+    mean = (state - change @ common)[..., :wanted]
+    first, second = (np.hypot(half[..., ::2], half[..., 1::2]) for half in (mean - change, mean + change))
+    # of a difference of lengths, each uncertain by the mean of its quadratures
+    quadratures = np.diag(covariance).reshape(-1, 2).sum(axis=-1) / 2
+    sigma = 2 * np.sqrt(np.einsum("...i,...i->...", left, left)[..., None] / free * quadratures)
+    middle, difference, tiny = (first + second) / 2, second - first, np.finfo(np.float64).tiny
+    suspicious = np.abs(difference) > np.maximum(5 * sigma, 0.1 * middle)
+    return Drift(frequency_hz, difference / middle.clip(min=tiny), difference / sigma.clip(min=tiny), suspicious)

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from hpe_rig.processing.echoes import BoolArray, FloatArray, Motion
 from hpe_rig.processing.model import LARGEST_CONDITION, design
@@ -68,7 +67,7 @@ def least_squares(
     background_order: int = 0,
     largest_condition: float = LARGEST_CONDITION,
 ) -> HarmonicFit:
-    """Return all amplitudes and phases from one QR least-squares fit, with covariance from the residual.
+    """Return all amplitudes and phases from one least-squares fit, with covariance from the residual.
 
     ``also_hz`` are frequencies that are there as well: fitted, so that they are no residual, and not returned; half
     the pulse rate may be among them. ``background_order`` is that of the polynomial fitted along. Every valid pulse has
@@ -78,18 +77,15 @@ def least_squares(
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     times = motion.time_s, motion.valid
     model = design(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
-    matrix, wanted = model.matrix, model.wanted
-    q, r = np.linalg.qr(matrix)
-    displacement = motion.displacement_m[..., motion.valid]
-    inverse = solve_triangular(r, np.eye(r.shape[0]))
-    state = (displacement @ q) @ inverse.T
-    residual = displacement - state @ matrix.T
-    variance = np.einsum("...i,...i->...", residual, residual) / (matrix.shape[0] - matrix.shape[1])
+    wanted, (pulses, states) = model.wanted, model.matrix.shape
+    state, residual = model.solve(motion.displacement_m[..., motion.valid])
+    variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
     if motion.walk is not None:
-        variance, covariance = _step_covariance(residual, motion.walk, (inverse @ q.T)[wanted])
+        rows = model.root[wanted] @ (model.matrix @ model.root).T
+        variance, covariance = _step_covariance(residual, motion.walk, rows)
     else:
-        covariance = variance[..., None, None] * (inverse @ inverse.T)[wanted, wanted]
-    return fit_from_state(frequency_hz, state[..., wanted], covariance, variance, len(matrix), model.condition)
+        covariance = variance[..., None, None] * (model.root[wanted] @ model.root[wanted].T)
+    return fit_from_state(frequency_hz, state[..., wanted], covariance, variance, pulses, model.condition)
 
 
 def _step_covariance(residual: FloatArray, walk: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,11 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, band_spectrum, turned
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
-from hpe_rig.processing.model import LARGEST_CONDITION, design
+from hpe_rig.processing.model import LARGEST_CONDITION, design, triangular_root
 from hpe_rig.processing.motion import coherent
 
 STEPS = 12
@@ -45,12 +44,11 @@ def joint(
     # the constant is the phase of the resting echo: centred columns are what is left once that is fitted
     matrix = np.delete(model.matrix, constant, axis=1) if background_order >= 0 else model.matrix
     matrix = matrix - matrix.mean(axis=0)
-    q, r = np.linalg.qr(matrix)
-    inverse = solve_triangular(r, np.eye(r.shape[0]))
+    root = triangular_root(matrix, model.condition if not len(also_hz) else largest_condition)
     spectrum, band_hz = band_spectrum(echoes, 2)
-    reduced, residual = _most_likely(spectrum, band_hz, echoes, matrix, inverse @ q.T)
+    reduced, residual = _most_likely(spectrum, band_hz, echoes, matrix, root @ (matrix @ root).T)
     variance = np.einsum("...i,...i->...", residual, residual) / (len(matrix) - matrix.shape[1] - 1)
-    covariance = variance[..., None, None] * (inverse @ inverse.T)
+    covariance = variance[..., None, None] * (root @ root.T)
     wanted = 2 * frequency_hz.size
     return fit_from_state(
         frequency_hz,

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -19,17 +21,34 @@ LARGEST_CONDITION = 100.0
 """Condition number from which on frequencies are refused as not told apart."""
 
 
+SURE_CONDITION = 1e4
+"""Condition number up to which products of columns, its square, leave half of the digits; QR keeps them all."""
+LARGEST_KEPT = 1 << 16
+"""Pulses up to which a model is kept for the next train with the same times."""
+
+
 @dataclass(frozen=True, slots=True)
 class Design:
     """A model matrix (valid pulse, state), and the condition number of what is wanted (columns scaled to unit length).
 
-    ``every_pulse`` (pulse, state) has the rows of the other pulses as well.
+    ``every_pulse`` (pulse, state) has the rows of the other pulses as well; ``root`` (state, state), upper triangular,
+    times its transpose is the states' covariance for data of unit variance. All are read-only.
     """
 
     matrix: FloatArray
     every_pulse: FloatArray
+    root: FloatArray
     condition: float
     wanted: slice
+
+    def solve(self, data: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the least-squares states (..., state) of ``data`` (..., valid pulse), and what they leave of it."""
+        state = np.zeros((*data.shape[:-1], self.root.shape[0]))
+        # from what the first solution leaves, a second has the accuracy of QR (corrected seminormal equations)
+        for _ in range(2):
+            change = (data @ self.matrix) @ self.root @ self.root.T
+            state, data = state + change, data - change @ self.matrix.T
+        return state, data
 
 
 def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
@@ -71,50 +90,83 @@ def design(
     pulses, or frequencies too close for the time they are watched.
     """
     _require_frequencies(time_s, frequency_hz)
-    columns = [harmonic_columns(time_s, frequency_hz), background_columns(time_s, background_order)]
-    every_wanted = np.hstack(columns)
-    wanted: FloatArray = every_wanted[valid]
-    found, states = wanted.shape
+    choice = tuple(frequency_hz.tolist()), tuple(float(f) for f in also_hz), background_order, largest_condition
+    if time_s.size > LARGEST_KEPT:
+        return _design(time_s, valid, *choice)
+    return _kept_design(time_s.tobytes(), valid.tobytes(), *choice)
+
+
+@lru_cache(maxsize=4)
+def _kept_design(time_s: bytes, valid: bytes, *choice: Any) -> Design:
+    return _design(np.frombuffer(time_s), np.frombuffer(valid, dtype=bool), *choice)
+
+
+def _design(
+    time_s: FloatArray,
+    valid: BoolArray,
+    frequencies_hz: tuple[float, ...],
+    also_hz: tuple[float, ...],
+    background_order: int,
+    largest_condition: float,
+) -> Design:
+    frequency_hz = np.array(frequencies_hz)
+    every_pulse = np.hstack([harmonic_columns(time_s, frequency_hz), background_columns(time_s, background_order)])
+    matrix: FloatArray = every_pulse[valid]
+    found, states = matrix.shape
     if found <= states:
         raise ValueError(
             f"{found} valid pulses cannot give {states} unknowns and their uncertainty: too few; "
             f"try at least {states + 1} pulses or fewer frequencies"
         )
-    condition = _condition(wanted)
+    condition = _condition(matrix)
     if not condition <= largest_condition:
         raise ValueError(_unresolved(time_s[valid], frequency_hz, condition, largest_condition))
-    if not len(also_hz):
-        return Design(wanted, every_wanted, condition, slice(0, states))
-    # Half of what is left stays for the noise.
-    others = _other_columns(time_s, frequency_hz, np.asarray(also_hz, dtype=np.float64))[:, : (found - states) // 2]
-    kept = _tellable(wanted, others[valid], largest_condition)
-    every_pulse = np.hstack([every_wanted, others[:, :kept]])
-    matrix: FloatArray = every_pulse[valid]
-    return Design(matrix, every_pulse, condition, slice(0, states))
+    if also_hz:
+        # Half of what is left stays for the noise.
+        others = _other_columns(time_s, frequency_hz, np.array(also_hz))[:, : (found - states) // 2]
+        every_pulse = np.hstack([every_pulse, others])
+        kept = states + _tellable(every_pulse[valid], states, largest_condition)
+        every_pulse = every_pulse[:, :kept]
+        matrix = every_pulse[valid]
+    root = triangular_root(matrix, max(condition, largest_condition if also_hz else 1.0))
+    for array in (matrix, every_pulse, root):
+        array.flags.writeable = False
+    return Design(matrix, every_pulse, root, condition, slice(0, states))
+
+
+def triangular_root(matrix: FloatArray, condition: float) -> FloatArray:
+    """Return the upper triangular root (state, state) of the inverse of the columns' products."""
+    if condition > SURE_CONDITION:
+        return np.asarray(np.linalg.inv(np.linalg.qr(matrix, mode="r")))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(matrix.T @ matrix)).T)
 
 
 def _condition(matrix: FloatArray) -> float:
     length = np.sqrt(np.einsum("ij,ij->j", matrix, matrix)).clip(min=np.finfo(np.float64).tiny)
-    # the triangular factor has the same condition and far fewer rows
-    values = np.linalg.svd(np.linalg.qr(matrix / length, mode="r"), compute_uv=False)
+    scaled = matrix / length
+    # products of columns have the condition's square: good up to 1e4, beyond it QR has the digits
+    smallest, *_, largest = np.linalg.eigvalsh(scaled.T @ scaled).tolist()
+    if smallest > largest / SURE_CONDITION**2:
+        return float(np.sqrt(largest / smallest))
+    values = np.linalg.svd(np.linalg.qr(scaled, mode="r"), compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
 
 
-def _tellable(wanted: FloatArray, others: FloatArray, largest_condition: float) -> int:
-    """Return how many of ``others``, from the first on, the pulses can tell from ``wanted`` and from each other."""
-    matrix = np.hstack([wanted, others])
+def _tellable(matrix: FloatArray, wanted: int, largest_condition: float) -> int:
+    """Return how many columns after the ``wanted`` the pulses can tell from those and from each other."""
     scaled = matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny)
     gram = scaled.T @ scaled
     # More columns never lower the condition, so a bisection finds the last good number.
-    few, many = 0, others.shape[1]
+    few, many = 0, matrix.shape[1] - wanted
+    # The first look is at all: often they can be told.
+    middle = many
     while few < many:
-        middle = (few + many + 1) // 2
-        states = wanted.shape[1] + middle
-        smallest, *_, largest = np.linalg.eigvalsh(gram[:states, :states])
+        smallest, *_, largest = np.linalg.eigvalsh(gram[: wanted + middle, : wanted + middle])
         if largest <= largest_condition**2 * smallest:
             few = middle
         else:
             many = middle - 1
+        middle = (few + many + 1) // 2
     return few
 
 
@@ -126,10 +178,10 @@ def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatA
     """
     rate_hz = 1 / float(np.median(np.diff(time_s)))
     apart_hz = 0.9 / float(time_s[-1] - time_s[0])
-    seen_hz, new_hz = list(_folded(frequency_hz, rate_hz)), []
+    seen_hz, new_hz = _folded(frequency_hz, rate_hz), []
     for frequency, folded in zip(np.sort(also_hz), _folded(np.sort(also_hz), rate_hz), strict=True):
-        if folded >= apart_hz and all(abs(folded - other) >= apart_hz for other in seen_hz):
-            seen_hz.append(folded)
+        if folded >= apart_hz and np.abs(seen_hz - folded).min() >= apart_hz:
+            seen_hz = np.append(seen_hz, folded)
             new_hz.append(frequency)
     if not new_hz:
         return np.zeros((time_s.size, 0))

@@ -21,9 +21,8 @@ from hpe_rig.processing.echoes import (
     require_echo,
     require_pulses,
     scatter,
-    spectrum_at,
     turned,
-    valid_volts,
+    valid_spectrum,
 )
 
 DivideBy = Literal["centre", "carrier"]
@@ -39,9 +38,11 @@ def coherent(echoes: EchoGate) -> Motion:
     """
     spectrum, frequency_hz = band_spectrum(echoes, 2)
     phase, mean_hz = accumulated_phase(spectrum, frequency_hz)
+    spectrum = np.ascontiguousarray(np.swapaxes(spectrum, -1, -2))
+    power = spectrum.real**2 + spectrum.imag**2
     # the first pass aligns with single-echo noise, the second with the noise of the mean echo
     for _ in range(2):
-        phase, mean_hz, variance = _phase_against_others(spectrum, frequency_hz, phase, mean_hz)
+        phase, mean_hz, variance = _phase_against_others(spectrum, power, frequency_hz, phase, mean_hz)
     return motion_of_phase(echoes, phase, variance, mean_hz[..., None])
 
 
@@ -90,10 +91,9 @@ def cross_spectrum(
     bins = samples if padding == 1 else 1 << (padding * samples - 1).bit_length()
     frequency_hz = band_grid(echoes, bins)
     window = hann(samples) if gate_window == "hann" else np.ones(samples)
-    volts = valid_volts(echoes)
     # the window's side lobes let a constant into the band, which must not pass for an echo: look without
-    require_echo(spectrum_at(volts, echoes.sample_rate_hz, band_grid(echoes, samples)), volts)
-    spectrum = spectrum_at(volts * window, echoes.sample_rate_hz, frequency_hz)
+    require_echo(valid_spectrum(echoes, band_grid(echoes, samples)), echoes)
+    spectrum = valid_spectrum(echoes, frequency_hz, window)
     step, peak_hz = peak_phase(spectrum, frequency_hz)
     divisor_hz = peak_hz if divide_by == "centre" else np.full_like(peak_hz, echoes.carrier_hz)
     # the padded bins hold no more than the unpadded ones, and the Hann window leaves two thirds of those
@@ -167,22 +167,30 @@ def mean_frequency(energy: FloatArray, frequency_hz: FloatArray) -> FloatArray:
 
 
 def _phase_against_others(
-    spectrum: ComplexArray, frequency_hz: FloatArray, phase: FloatArray, mean_hz: FloatArray
+    spectrum: ComplexArray, power: FloatArray, frequency_hz: FloatArray, phase: FloatArray, mean_hz: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return refined phase and its variance (..., pulse) and the mean frequency (...)."""
-    pulses = spectrum.shape[-2]
-    aligned = turned(spectrum, -phase / (2 * np.pi * mean_hz[..., None]), frequency_hz)
-    total = aligned.sum(axis=-2)
-    energy = _energy(aligned)
+    """Return the improved phase and its variance (..., pulse) and the mean frequency (...).
+
+    From ``spectrum`` and ``power``, its squared magnitude, (..., bin, pulse).
+    """
+    pulses = spectrum.shape[-1]
+    aligned = _turned_bins(spectrum, -phase / (2 * np.pi * mean_hz[..., None]), frequency_hz)
+    total = aligned.sum(axis=-1)
+    energy = power.sum(axis=-2)
     # a pulse's own noise in its reference would pull its phase to zero: the reference is the total less the pulse
-    with_total = (aligned @ np.conj(total)[..., :, None])[..., 0]
+    with_total = (np.conj(total)[..., None, :] @ aligned)[..., 0, :]
     product = with_total - energy
     tiny = np.finfo(np.float64).tiny
-    reference = np.maximum(_energy(total[..., None, :]) - 2 * with_total.real + energy, tiny)
+    reference = np.maximum(_energy(total)[..., None] - 2 * with_total.real + energy, tiny)
     misfit = np.maximum(energy - np.abs(product) ** 2 / reference, 0.0)
     variance = misfit / (frequency_hz.size - 1) / (2 * reference) * (pulses - 1) ** 2
-    common = np.abs(total) ** 2 - np.sum(np.abs(aligned) ** 2, axis=-2)
+    common = np.abs(total) ** 2 - power.sum(axis=-1)
     return phase + np.angle(product), mean_frequency(common, frequency_hz), variance
+
+
+def _turned_bins(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
+    """Return ``turned`` of spectra (..., bin, pulse): bins first, numpy works on whole rows of pulses."""
+    return np.swapaxes(turned(np.swapaxes(spectrum, -1, -2), delay_s, frequency_hz), -1, -2)
 
 
 def _energy(spectrum: ComplexArray) -> FloatArray:

@@ -60,11 +60,11 @@ def velocity_to_harmonics(
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
     model = design(velocity.time_s, velocity.valid, frequency_hz, largest_condition, also_hz=also_hz)
-    fill = _fill_matrix(velocity, model)
     every_hz = np.concatenate([frequency_hz, np.asarray(also_hz, dtype=np.float64)])
-    each = [_one_frequency(velocity, f, _half_width_hz(every_hz, f), fill, steps) for f in frequency_hz]
+    filled = _filled(velocity, model)
+    each = [_one_frequency(velocity, filled, f, _half_width_hz(every_hz, f), model, steps) for f in frequency_hz]
     states, functionals = zip(*each, strict=True)
-    pulse_variance, interval_variance = velocity_noise(velocity, model.matrix, every_hz, interval_s)
+    pulse_variance, interval_variance = velocity_noise(velocity, model, every_hz, interval_s)
     over_intervals = np.concatenate(functionals)
     over_pulses = per_pulse(over_intervals, interval_s)
     covariance = pulse_variance[..., None, None] * (over_pulses @ over_pulses.T)
@@ -86,7 +86,7 @@ def _even_interval_s(velocity: Velocity) -> float:
 
 
 def _one_frequency(
-    velocity: Velocity, f: float, half_width_hz: float, fill: FloatArray, steps: Steps
+    velocity: Velocity, filled: FloatArray, f: float, half_width_hz: float, model: Design, steps: Steps
 ) -> tuple[FloatArray, FloatArray]:
     """Return the state (..., 2) of one frequency and the rows (2, interval) that give it from the velocities."""
     valid, interval_s = velocity.valid, _even_interval_s(velocity)
@@ -101,13 +101,13 @@ def _one_frequency(
     solver = np.linalg.pinv(columns[valid])
     response = solver @ (passed(columns.T) * window)[:, valid].T
     correction = _velocity_turn(f, interval_s) @ np.linalg.inv(response) / (2 * np.pi * f)
-    windowed = (passed(_filled(velocity, fill)) * window)[..., valid]
+    windowed = (passed(filled) * window)[..., valid]
     state = filter_constant(columns[valid], windowed, PRIOR).state @ correction.T
     rows = np.zeros((2, valid.size))
     rows[:, valid] = correction @ solver * window[valid]
     # the band-pass is its own transpose, so it carries the rows back to the velocities before it
     back = passed(rows)
-    back[:, valid] += back[:, ~valid] @ fill
+    back[:, valid] += back[:, ~valid] @ model.every_pulse[~valid] @ model.root @ model.root.T @ model.matrix.T
     back[:, ~valid] = 0.0
     return state, back
 
@@ -123,18 +123,14 @@ def _velocity_turn(f: float, interval_s: float) -> FloatArray:
     return np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
 
 
-def _fill_matrix(velocity: Velocity, model: Design) -> FloatArray:
-    """Return the matrix (missing, valid) that predicts missing velocities from a fit to all the others.
+def _filled(velocity: Velocity, model: Design) -> FloatArray:
+    """Return the velocities (..., interval), missing ones predicted from a fit to all the others.
 
     The band-pass needs a value everywhere; one that follows the motion does not disturb its neighbours.
     """
-    return np.asarray(model.every_pulse[~velocity.valid] @ np.linalg.pinv(model.matrix))
-
-
-def _filled(velocity: Velocity, fill: FloatArray) -> FloatArray:
     valid = velocity.valid
     if valid.all():
         return velocity.velocity_m_per_s
     filled: FloatArray = velocity.velocity_m_per_s.copy()
-    filled[..., ~valid] = filled[..., valid] @ fill.T
+    filled[..., ~valid] = model.solve(filled[..., valid])[0] @ model.every_pulse[~valid].T
     return filled

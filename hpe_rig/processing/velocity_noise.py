@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpe_rig.processing.echoes import FloatArray, Velocity
+from hpe_rig.processing.model import Design
 
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 49)])
 """Interval over pulse noise, both as variance of a displacement step, that are tried."""
@@ -14,19 +15,18 @@ LEAST_BINS = 12
 
 
 def velocity_noise(
-    velocity: Velocity, model: FloatArray, frequency_hz: FloatArray, interval_s: float
+    velocity: Velocity, model: Design, frequency_hz: FloatArray, interval_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the variances (...) of one pulse's displacement (m^2) and of one interval's velocity ((m/s)^2).
 
     Noise of the echoes is white over pulses, so neighbouring velocities share it with opposite sign. Where the peak of
     the cross-spectrum jumps between two of equal height the velocities carry noise that does not cancel in
-    the next interval; it is looked for in the spectrum of the residual from ``model`` (valid interval, state) outside
-    ``frequency_hz`` (Whittle likelihood) and 0 unless it stands out.
+    the next interval; it is looked for in the spectrum of the residual from ``model`` outside ``frequency_hz``
+    (Whittle likelihood) and 0 unless it stands out.
     """
-    q = np.linalg.qr(model)[0]
-    values = velocity.velocity_m_per_s[..., velocity.valid]
+    q = model.matrix @ model.root
     residual = np.zeros(velocity.velocity_m_per_s.shape)
-    residual[..., velocity.valid] = values - (values @ q) @ q.T
+    residual[..., velocity.valid] = model.solve(velocity.velocity_m_per_s[..., velocity.valid])[1]
     spread = np.zeros((q.shape[1], velocity.valid.size))
     spread[:, velocity.valid] = q.T
     expected = 2 * len(q) / interval_s**2 - np.sum(per_pulse(spread, interval_s) ** 2)

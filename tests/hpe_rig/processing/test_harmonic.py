@@ -10,6 +10,7 @@ from hpe_rig.processing import (
     HarmonicFit,
     Motion,
     Velocity,
+    coherent,
     drift_between_halves,
     kalman,
     least_squares,
@@ -214,8 +215,8 @@ def test_a_motion_that_stops_halfway_is_suspicious_and_a_steady_one_is_not() -> 
     time_s = np.arange(400) / 4000
     steady = 1e-6 * np.sin(2 * np.pi * 200 * time_s)
     halved = np.where(time_s < 0.05, steady, 0.5 * steady)
-    assert not drift_between_halves(_rigid_echoes(steady, 1), [200.0]).suspicious.any()
-    drift = drift_between_halves(_rigid_echoes(halved, 1), [200.0])
+    assert not drift_between_halves(coherent(_rigid_echoes(steady, 1)), [200.0]).suspicious.any()
+    drift = drift_between_halves(coherent(_rigid_echoes(halved, 1)), [200.0])
     assert drift.suspicious.all()
     assert drift.relative_change[0] == pytest.approx(-2 / 3, rel=0.1)
     assert drift.significance[0] < -5
