@@ -42,7 +42,6 @@ ZERO_LEVEL_CODE: Final = 128
 class Ats460:
     """One board; which of its ways to capture is taken follows from its memory, unless ``mode`` says.
 
-    ``monitor_range_v`` is the range of channel B, which is recorded along with the echoes where it is given.
     ``allocate`` makes the page-aligned memory that the board writes into.
     """
 
@@ -55,14 +54,11 @@ class Ats460:
         board_id: int = 1,
         allocate: Callable[[int], PageBuffer] = PageBuffer,
         mode: Mode | None = None,
-        monitor_range_v: float | None = None,
     ) -> None:
         self._board = AlazarBoard(library, role, system_id, board_id, ATS460_KIND)
         self._clock = clock
         self._allocate = allocate
         self._wanted_mode = mode
-        self._monitor_range_v = monitor_range_v
-        self._channels = (Channel.A,) if monitor_range_v is None else (Channel.A, Channel.B)
         self._capture: Capture | None = None
         self._mode: SinglePortCapture | DualPortCapture | None = None
         self._clipped = False
@@ -83,7 +79,7 @@ class Ats460:
         """Program the board; raise ``InstrumentError`` for what it cannot do, all of it at once."""
         chosen = self._chosen_mode()
         fpga = self._board.capability(Capability.FPGA_VERSION)
-        refuse(self.role, capture_mistakes(capture, chosen, fpga, self._monitor_range_v))
+        refuse(self.role, capture_mistakes(capture, chosen, fpga))
         self._disarm()
         self._capture = self._mode = None
         self._program(capture)
@@ -184,18 +180,14 @@ class Ats460:
         return mode
 
     def _made_mode(self, mode: Mode, capture: Capture) -> SinglePortCapture | DualPortCapture:
-        parts = self._board, self._clock, capture, self._allocate, self._channels
+        parts = self._board, self._clock, capture, self._allocate, tuple(_ranges_v(capture))
         return SinglePortCapture(*parts) if mode == "single_port" else DualPortCapture(*parts, npt=mode == "npt")
-
-    def _ranges_v(self, capture: Capture) -> dict[Channel, float]:
-        monitor = {} if self._monitor_range_v is None else {Channel.B: self._monitor_range_v}
-        return {Channel.A: capture.input_range_v, **monitor}
 
     def _program(self, capture: Capture) -> None:
         board, lib = self._board, self._board.library
         level = level_code(capture.trigger_level_v)
         board.call(lib.AlazarSetCaptureClock, int(ClockSource.INTERNAL), RATE_IDS[capture.sample_rate_hz], 0, 0)
-        for channel, range_v in self._ranges_v(capture).items():
+        for channel, range_v in _ranges_v(capture).items():
             inputs = int(channel), int(Coupling.DC), RANGE_IDS[range_v], int(Impedance.OHM_50)
             board.call(lib.AlazarInputControl, *inputs)
             board.call(lib.AlazarSetBWLimit, int(channel), 0)
@@ -227,7 +219,7 @@ class Ats460:
             self._trigger_time_s(capture, raw),
             volts_per_code(capture.input_range_v),
             volts_offset(capture.input_range_v),
-            self._monitor(values),
+            _monitor(capture, values),
         )
 
     def _trigger_time_s(self, capture: Capture, raw: RawRecords) -> NDArray[np.float64]:
@@ -235,19 +227,15 @@ class Ats460:
             return np.full(raw.words.shape[1], np.nan)
         return raw.counts.astype(np.float64) * SAMPLES_PER_TIMESTAMP / capture.sample_rate_hz
 
-    def _monitor(self, values: NDArray[np.int16]) -> MonitorRecords | None:
-        range_v = self._monitor_range_v
-        return None if range_v is None else MonitorRecords(values[1], volts_per_code(range_v), volts_offset(range_v))
-
     def _programmed(self) -> dict[str, Setting]:
         if self._capture is None or self._mode is None:
             return {}
-        return asdict(self._capture) | {
+        programmed = {key: value for key, value in asdict(self._capture).items() if value is not None}
+        return programmed | {
             "acquisition_mode": self._mode.name,
             "records_per_block": self._mode.records_per_block,
             "trigger_level_code": level_code(self._capture.trigger_level_v),
-            "input_channels": "".join(channel.name for channel in self._channels),
-            **({} if self._monitor_range_v is None else {"monitor_range_v": self._monitor_range_v}),
+            "input_channels": "".join(channel.name for channel in _ranges_v(self._capture)),
             "input_coupling": Coupling.DC.name,
             "input_impedance_ohm": 50.0,
             "aux_output": AuxMode.OUT_TRIGGER.name,
@@ -262,3 +250,14 @@ class Ats460:
     def _disarm(self) -> None:
         if self._mode is not None:
             self._mode.abort()
+
+
+def _ranges_v(capture: Capture) -> dict[Channel, float]:
+    """Return the range of every input that is recorded."""
+    monitor = {} if capture.monitor_range_v is None else {Channel.B: capture.monitor_range_v}
+    return {Channel.A: capture.input_range_v, **monitor}
+
+
+def _monitor(capture: Capture, values: NDArray[np.int16]) -> MonitorRecords | None:
+    range_v = capture.monitor_range_v
+    return None if range_v is None else MonitorRecords(values[1], volts_per_code(range_v), volts_offset(range_v))

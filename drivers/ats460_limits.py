@@ -72,17 +72,15 @@ def refuse(role: str, mistakes: Sequence[str]) -> None:
         raise InstrumentError(role, "; ".join(mistakes), why, "change the value in the scene or bench file")
 
 
-def capture_mistakes(
-    capture: Capture, mode: Mode = "traditional", fpga: int = OLD_FPGA + 1, monitor_range_v: float | None = None
-) -> list[str]:
+def capture_mistakes(capture: Capture, mode: Mode = "traditional", fpga: int = OLD_FPGA + 1) -> list[str]:
     """Return what an ATS460 with FPGA version ``fpga`` cannot do of ``capture`` in ``mode``."""
     return [
-        *([] if monitor_range_v is None else _one_of("monitor_range_v", monitor_range_v, RANGE_IDS)),
+        *([] if capture.monitor_range_v is None else _one_of("monitor_range_v", capture.monitor_range_v, RANGE_IDS)),
         *(_npt_mistakes(capture) if mode == "npt" else []),
         *(_old_fpga_mistakes(capture, fpga) if mode == "single_port" else []),
         *_one_of("sample_rate_hz", capture.sample_rate_hz, RATE_IDS),
         *_one_of("input_range_v", capture.input_range_v, RANGE_IDS),
-        *_record_mistakes(capture.record_samples),
+        *_record_mistakes(capture.record_samples, capture.channels),
         *_delay_mistakes(capture.trigger_delay_samples, capture.record_samples),
         *_outside("record_count", capture.record_count, 1, MOST_RECORDS),
         *_outside("trigger_level_v", capture.trigger_level_v, -TRIGGER_RANGE_V, TRIGGER_RANGE_V),
@@ -111,10 +109,12 @@ def _divisors(count: int) -> list[int]:
     return sorted({*small, *(count // d for d in small)})
 
 
-def _record_mistakes(samples: int) -> list[str]:
-    longest = (BUFFER_LIMIT_BYTES - HEADER_BYTES) // 2 - RECORD_ALIGNMENT
+def _record_mistakes(samples: int, channels: int) -> list[str]:
+    # A buffer holds at least one record of every channel.
+    longest = (BUFFER_LIMIT_BYTES // channels - HEADER_BYTES) // 2 - RECORD_ALIGNMENT
+    name = "record_samples" if channels == 1 else f"record_samples of {channels} channels"
     return [
-        *_outside("record_samples", samples, LEAST_RECORD_SAMPLES, longest),
+        *_outside(name, samples, LEAST_RECORD_SAMPLES, longest),
         *_no_multiple("record_samples", samples, RECORD_ALIGNMENT),
     ]
 

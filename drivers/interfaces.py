@@ -94,7 +94,10 @@ class Toneburst:
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """One record a trigger, ``record_count`` of them; sample 0 comes ``trigger_delay_samples`` after the trigger."""
+    """One record a trigger, ``record_count`` of them; sample 0 comes ``trigger_delay_samples`` after the trigger.
+
+    ``monitor_range_v`` is the range of the second input, which is recorded along with the echoes where it is given.
+    """
 
     sample_rate_hz: float
     record_samples: int
@@ -102,6 +105,12 @@ class Capture:
     record_count: int
     input_range_v: float
     trigger_level_v: float
+    monitor_range_v: float | None = None
+
+    @property
+    def channels(self) -> int:
+        """How many inputs are recorded."""
+        return 1 if self.monitor_range_v is None else 2
 
 
 @dataclass(frozen=True, slots=True)

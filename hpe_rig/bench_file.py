@@ -104,8 +104,15 @@ class DigitizerBoard(Section):
     """Level of the external trigger input."""
     library: str | None = None
     """Name or path of the vendor's library; absent: ATSApi.dll or libATSApi.so, as installed."""
-    acquisition_mode: Literal["single_port", "traditional"] | None = None
+    acquisition_mode: Literal["single_port", "traditional", "npt"] | None = None
     """Way to capture; absent: AutoDMA with record headers where there is dual-port memory, else single port."""
+    monitor_range_v: Positive | None = None
+    """Input range of channel B, which is then recorded along with the echoes of channel A; absent: it is not."""
+
+    @property
+    def mode(self) -> Literal["single_port", "traditional", "npt"]:
+        """The way to capture."""
+        return self.acquisition_mode or ("traditional" if self.dual_port_memory else "single_port")
 
 
 class Wire(Section):

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpe_rig.bench_file import BOARD_MODELS, BenchFile
+from hpe_rig.bench_file import BenchFile
+from hpe_rig.digitizer_conflicts import board, capture_mode, memory
 from hpe_rig.finding import Finding, Level, PlanError, judged, refuse_conflicts
 from hpe_rig.interference import admissible_delays_s, disturbed_pulses, effective_rate_hz, forbidden_window_s
 from hpe_rig.output_conflicts import acoustic_output, drive, generators
@@ -179,42 +180,6 @@ def _gate_in_record(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Find
     yield judged("gate samples", length >= 8, text, "a longer acquisition.gate_length_m or a higher sample rate")
 
 
-def _board(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
-    board, model, capture = bench.digitizer, BOARD_MODELS[bench.digitizer.model], plan.shots[0].capture
-    rates = ", ".join(f"{rate / 1e6:g}" for rate in model.sample_rates_hz)
-    text = f"acquisition.sample_rate_hz = {capture.sample_rate_hz:g} Hz on the {board.model}"
-    yield judged("sample rate", capture.sample_rate_hz in model.sample_rates_hz, text, f"one of {rates} MHz")
-    ranges = ", ".join(f"{volts:g}" for volts in model.input_ranges_v)
-    text = f"acquisition.input_range_v = {capture.input_range_v:g} V on the {board.model}"
-    yield judged("input range", capture.input_range_v in model.input_ranges_v, text, f"one of {ranges} V")
-    good = capture.record_samples >= model.record_minimum and capture.record_samples % model.record_multiple == 0
-    nearest = max(
-        model.record_minimum, model.record_multiple * math.ceil(capture.record_samples / model.record_multiple)
-    )
-    text = f"acquisition.record_samples = {capture.record_samples}, the {board.model} takes multiples of "
-    text += f"{model.record_multiple} from {model.record_minimum}"
-    yield judged("record length", good, text, f"acquisition.record_samples = {nearest}")
-    text = (
-        f"trigger delay of {capture.trigger_delay_samples} samples, the board holds {model.max_trigger_delay_samples}"
-    )
-    good = capture.trigger_delay_samples <= model.max_trigger_delay_samples
-    yield judged("trigger delay", good, text, "a gate nearer to the transducer")
-    nyquist_hz, carrier_hz = capture.sample_rate_hz / 2, scene.tracking.carrier_hz
-    text = f"tracking.carrier_hz = {carrier_hz:g} Hz, half the sampling rate is {nyquist_hz:g} Hz"
-    yield judged("carrier", carrier_hz < nyquist_hz, text, f"acquisition.sample_rate_hz above {2 * carrier_hz:g} Hz")
-
-
-def _memory(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
-    board, capture = bench.digitizer, plan.shots[0].capture
-    if board.dual_port_memory:
-        yield Finding("memory", "passed", f"{capture.record_count} records stream through dual-port memory")
-        return
-    held = min(board.max_records, board.samples_per_channel // (capture.record_samples + 16))
-    text = f"{capture.record_count} records of {capture.record_samples} samples, the board holds {held}"
-    remedy = f"tracking.pulse_count of at most {held}, or shorter acquisition.record_samples"
-    yield judged("memory", capture.record_count <= held, text, remedy)
-
-
 def _periods(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     longest_s = max(shot.train_end_s for shot in plan.shots)
     period_s = scene.acquisition.shot_period_s
@@ -262,6 +227,12 @@ def _excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]
         yield judged(
             "whole cycles", good, text, f"excitation.burst_length_s = {nearest_s:.9g}, a whole number of cycles"
         )
+
+
+def _digitizer(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
+    yield from board(bench, plan, scene.tracking.carrier_hz)
+    yield from capture_mode(bench, plan)
+    yield from memory(bench, plan)
 
 
 def _output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
@@ -322,7 +293,6 @@ _CHECKS: tuple[Callable[[Scene, BenchFile, Plan], Iterator[Finding]], ...] = (
     _folding,
     _resolution,
     _gate_in_record,
-    _board,
-    _memory,
+    _digitizer,
     _periods,
 )

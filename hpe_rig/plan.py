@@ -101,7 +101,8 @@ class Plan:
     @property
     def record_bytes(self) -> int:
         """Expected size of the records in the run file before any compression."""
-        return sum(2 * shot.capture.record_count * shot.capture.record_samples for shot in self.shots)
+        captures = [shot.capture for shot in self.shots]
+        return sum(2 * one.record_count * one.record_samples * one.channels for one in captures)
 
 
 def make_plan(scene: Scene, bench: BenchFile) -> Plan:
@@ -284,6 +285,7 @@ def _capture(scene: Scene, bench: BenchFile) -> Capture:
         record_count=pulse_count(scene),
         input_range_v=acquisition.input_range_v,
         trigger_level_v=board.trigger_level_v,
+        monitor_range_v=board.monitor_range_v,
     )
 
 

@@ -142,17 +142,17 @@ def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence
     group["frequency"].attrs["units"] = "Hz"
 
 
-def _create_echo(group: h5py.Group, plan: Plan, compress: bool) -> None:
+def _create_codes(group: h5py.Group, name: str, input_range_v: float, plan: Plan, compress: bool) -> None:
     capture = plan.shots[0].capture
     shape = (len(plan.shots), capture.record_count, capture.record_samples)
     pulses_a_chunk = max(1, min(shape[1], math.ceil(CHUNK_BYTES / (2 * shape[2]))))
     echo = group.create_dataset(
-        "echo", shape, "<i2", chunks=(1, pulses_a_chunk, shape[2]), fillvalue=MISSING, **(_filter() if compress else {})
+        name, shape, "<i2", chunks=(1, pulses_a_chunk, shape[2]), fillvalue=MISSING, **(_filter() if compress else {})
     )
     # The first chunk brings the index of all of them into being.
     echo[0, :pulses_a_chunk] = MISSING
     # The CF names: readers that know them turn codes into volts and missing records into NaN by themselves.
-    scale, offset = volts_of_codes(capture.input_range_v)
+    scale, offset = volts_of_codes(input_range_v)
     echo.attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
 
 
@@ -171,7 +171,9 @@ def _filter() -> Mapping[str, Any]:
 def _create_records(file: h5py.File, plan: Plan, compress: bool) -> None:
     shots, capture = plan.shots, plan.shots[0].capture
     group = file.create_group("records")
-    _create_echo(group, plan, compress)
+    _create_codes(group, "echo", capture.input_range_v, plan, compress)
+    if capture.monitor_range_v is not None:
+        _create_codes(group, "monitor", capture.monitor_range_v, plan, compress)
     _create_rows(group, "recorded", plan, np.dtype("u1"), 0)
     _create_rows(group, "trigger_time_s", plan, np.dtype("<f8"), math.nan)
     _create_rows(group, "pulse_onset_s", plan, np.dtype("<f8"), math.nan)
@@ -181,6 +183,6 @@ def _create_records(file: h5py.File, plan: Plan, compress: bool) -> None:
     group["shot_complete"] = np.zeros(len(shots), np.uint8)
     group["clipped"] = np.zeros(len(shots), np.uint8)
     sample_s = shots[0].timeline.record_offset_s[0] + np.arange(capture.record_samples) / capture.sample_rate_hz
-    units = {"echo": "V", "trigger_time_s": "s", "pulse_onset_s": "s", "burst_length_s": "s"}
+    units = {"echo": "V", "monitor": "V", "trigger_time_s": "s", "pulse_onset_s": "s", "burst_length_s": "s"}
     name_axes(group, {**_shot_and_pulse(plan), "sample": sample_s}, units)
     group["sample"].attrs.update({"units": "s", "long_name": "time after the onset of the tracking pulse"})

@@ -48,7 +48,14 @@ class StoredRecords(Sequence[ShotRecords]):
             return tuple(self[index] for index in range(*shot.indices(len(self))))
         return self.gated(shot, slice(0, self.shape[2]))
 
-    def gated(self, shot: int, gate: slice) -> ShotRecords:
+    def monitor(self, shot: int) -> ShotRecords | None:
+        """Return the records of ``shot`` at the second input, (pulse, sample); None where it was not recorded."""
+        with trusted(self.path) as trust:
+            if not trust.has("records/monitor"):
+                return None
+        return self.gated(shot, slice(0, self.shape[2]), "monitor")
+
+    def gated(self, shot: int, gate: slice, name: str = "echo") -> ShotRecords:
         """Return the records of ``shot``, of each the samples of ``gate`` alone: (pulse, sample)."""
         shot = _within(shot, self.shape[0])
         if not 0 <= gate.start < gate.stop <= self.shape[2]:
@@ -57,18 +64,18 @@ class StoredRecords(Sequence[ShotRecords]):
                 "Try: a run whose scene passes hpe-rig check."
             )
         with trusted(self.path) as trust:
-            echo = _echo(trust, self.shape)
+            echo = _echo(trust, self.shape, name)
             recorded = self._recorded(trust, echo, shot, gate.stop - gate.start)
             codes = echo[shot, :, gate]
             codes[~recorded] = MISSING
             trigger_time_s = _rows(trust, "records/trigger_time_s", self.shape)[shot]
-            scale, offset = (trust.attribute(name, float, "records/echo") for name in ("scale_factor", "add_offset"))
+            scale, offset = (trust.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset"))
         return ShotRecords(codes, np.where(recorded, trigger_time_s, np.nan), scale, offset)
 
-    def chunks(self, shot: int, pulses: int) -> Iterator[tuple[int, NDArray[np.int16]]]:
+    def chunks(self, shot: int, pulses: int, name: str = "echo") -> Iterator[tuple[int, NDArray[np.int16]]]:
         """Yield the codes of ``shot`` as (first pulse, codes) in steps of ``pulses``, opening the file once."""
         with trusted(self.path) as trust:
-            echo = _echo(trust, self.shape)
+            echo = _echo(trust, self.shape, name)
             recorded = _rows(trust, "records/recorded", self.shape, "u1")[shot] == 1
             for first in range(0, self.shape[1], pulses):
                 codes = echo[shot, first : first + pulses]
@@ -237,10 +244,10 @@ def _run_time_s(trust: Trusted) -> dict[str, float]:
     }
 
 
-def _echo(trust: Trusted, shape: Shape) -> h5py.Dataset:
-    echo = trust.dataset("records/echo", "<i2", shape)
+def _echo(trust: Trusted, shape: Shape, name: str = "echo") -> h5py.Dataset:
+    echo = trust.dataset(f"records/{name}", "<i2", shape)
     if echo.chunks is None:
-        raise UntrustedError("/records/echo is in one piece")
+        raise UntrustedError(f"/records/{name} is in one piece")
     return echo
 
 

@@ -73,6 +73,8 @@ class RunWriter:
         # Held, since looking a dataset up takes longer than writing to it.
         self._rows = {name: self._file[f"records/{name}"] for name in ROWS}
         self._chunk = _Chunk(self._file["records/echo"])
+        monitor = self._file["records"].get("monitor")
+        self._chunks = (self._chunk, *([] if monitor is None else [_Chunk(monitor)]))
         self._shot: _ShotRows | None = None
 
     def __enter__(self) -> RunWriter:
@@ -114,7 +116,8 @@ class RunWriter:
             index, rows.latest = place(block, rows.latest, shot)
             kept = index >= 0
             # A copy only where something is left out.
-            codes = block.codes if kept.all() else block.codes[kept]
+            inputs = (block.codes, *([] if block.monitor is None else [block.monitor.codes]))
+            codes = inputs if kept.all() else tuple(of_input[kept] for of_input in inputs)
             self._put(rows, index[kept], codes, block.trigger_time_s[kept])
 
     def clipped(self, shot: Shot, clipped: bool) -> None:
@@ -159,8 +162,9 @@ class RunWriter:
             with self._writing():
                 for name, row in earlier.rows(shot).items():
                     self._file[name][shot] = row
-                for start, codes in earlier.records.chunks(shot, self._chunk.rows):
-                    self._chunk.write(shot, start, codes)
+                for chunk in self._chunks:
+                    for start, codes in earlier.records.chunks(shot, chunk.rows, chunk.name):
+                        chunk.write(shot, start, codes)
                 self._file.flush()
                 self._mark_complete(shot)
 
@@ -171,14 +175,20 @@ class RunWriter:
         return self._shot
 
     def _put(
-        self, rows: _ShotRows, index: NDArray[np.int64], codes: NDArray[np.int16], time_s: NDArray[np.float64]
+        self,
+        rows: _ShotRows,
+        index: NDArray[np.int64],
+        codes: tuple[NDArray[np.int16], ...],
+        time_s: NDArray[np.float64],
     ) -> None:
         for number in np.unique(index // self._chunk.rows):
             here = index // self._chunk.rows == number
             if (rows.index, number) != self._chunk.place:
                 self._write_chunk()
-                self._chunk.begin(rows.index, int(number))
-            self._chunk.put(index[here] % self._chunk.rows, codes[here])
+                for chunk in self._chunks:
+                    chunk.begin(rows.index, int(number))
+            for chunk, of_input in zip(self._chunks, codes, strict=True):
+                chunk.put(index[here] % chunk.rows, of_input[here])
             rows.recorded[index[here]] = True
             rows.trigger_time_s[index[here]] = time_s[here]
             if index[here][-1] % self._chunk.rows == self._chunk.rows - 1:
@@ -189,7 +199,8 @@ class RunWriter:
         if self._chunk.place is None or self._shot is None or not self._chunk.fresh:
             return
         shot, number = self._chunk.place
-        self._chunk.flush()
+        for chunk in self._chunks:
+            chunk.flush()
         rows = slice(number * self._chunk.rows, (number + 1) * self._chunk.rows)
         for name in ("trigger_time_s", "recorded"):
             self._rows[name][shot, rows] = getattr(self._shot, name)[rows]
@@ -244,6 +255,7 @@ class _Chunk:
 
     def __init__(self, echo: h5py.Dataset) -> None:
         self._echo = echo
+        self.name = str(echo.name).rpartition("/")[2]
         self._plain = echo.id.get_create_plist().get_nfilters() == 0
         self.rows: int = echo.chunks[1]
         self.codes = np.empty(echo.chunks[1:], "<i2")

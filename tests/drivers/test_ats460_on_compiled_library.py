@@ -102,8 +102,8 @@ def script(library_path: Path) -> Script:
 def acquire(
     script: Script, mode: str, monitor_range_v: float | None = None, capture: Capture = CAPTURE, **options: Any
 ) -> SimpleNamespace:
-    digitizer = Ats460(script.library, Ticking(), mode=mode, monitor_range_v=monitor_range_v, **options)
-    digitizer.configure(capture)
+    digitizer = Ats460(script.library, Ticking(), mode=mode, **options)
+    digitizer.configure(dataclasses.replace(capture, monitor_range_v=monitor_range_v))
     digitizer.verify()
     digitizer.arm()
     digitizer.verify()

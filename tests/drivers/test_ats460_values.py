@@ -35,6 +35,8 @@ REFUSED = [
     ({"record_count": 0}, ["record_count = 0", "1"]),
     ({"trigger_level_v": 6.0}, ["trigger_level_v = 6", "5"]),
     ({"record_samples": 2_097_152}, ["record_samples = 2097152"]),
+    ({"record_samples": 1_048_576, "monitor_range_v": 1.0}, ["record_samples of 2 channels = 1048576", "1048552"]),
+    ({"monitor_range_v": 3.0}, ["monitor_range_v = 3", "4"]),
 ]
 
 
