@@ -12,7 +12,7 @@ from hpe_rig.bench_file import read_bench
 from hpe_rig.finding import PlanError
 from hpe_rig.run import measure, prepare, prepare_text
 from hpe_rig.scene import shipped_scenes
-from hpe_rig.store import read_run
+from hpe_rig.store import RunWriter, read_run
 
 TABLE_1 = shipped_scenes()["table-1"]
 MODES = ("single_port", "traditional", "npt")
@@ -47,6 +47,12 @@ def test_every_way_to_capture_gives_the_same_echoes_with_a_second_channel(
     monitor = run.records.monitor(0)
     assert monitor is not None
     assert np.max(np.abs(monitor.codes * monitor.volts_per_code + monitor.volts_offset)) <= HALF_A_CODE_V
+    setup = prepare("table-1", bench(tmp_path, *lines))
+    with RunWriter(tmp_path / "next.h5", setup.scene, setup.bench, setup.plan) as writer:
+        writer.take_over(run, 1)
+    taken_over = read_run(tmp_path / "next.h5").records.monitor(0)
+    assert taken_over is not None
+    np.testing.assert_array_equal(taken_over.codes, monitor.codes)
     # Whatever way: xarray sees the second channel beside the first.
     with xr.open_dataset(run.path, group="records", engine="h5netcdf") as records:
         assert records["monitor"].dims == records["echo"].dims == ("shot", "pulse", "sample")
