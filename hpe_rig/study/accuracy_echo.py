@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.mistakes import Mistake, SettingsError
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
@@ -175,22 +177,48 @@ def write_accuracy(
     longest_s: float,
     show: Callable[[str], None],
 ) -> None:
-    """Measure and write table and figure; without a file for the table ``show`` gets it."""
-    suffix = ".csv" if output is None else output.suffix
-    as_text([], suffix)
+    """Measure and write table and figure; without a file for the table ``show`` gets it.
+
+    What was measured until an interruption is written. Raises SettingsError with everything that is wrong with the
+    options, before anything is measured.
+    """
+    _refuse_mistakes(output, figure, largest, most_echoes, longest_s)
     scatterers = tuple(count for count in SCATTERERS if count <= largest)
     echoes = tuple(count for count in ECHOES if count <= most_echoes)
-    rows = list(measurements(scatterers, echoes, longest_s=longest_s))
+    rows: list[Measurement] = []
+    try:
+        rows.extend(measurements(scatterers, echoes, longest_s=longest_s))
+    finally:
+        if output is not None:
+            output.write_text(as_text(rows, output.suffix), encoding="utf-8")
+            show(f"{output}: {len(rows)} measurements")
     well, of_all = share_chosen_well(rows)
     if output is None:
-        show(as_text(rows, suffix).rstrip())
+        show(as_text(rows, ".csv").rstrip())
     else:
-        output.write_text(as_text(rows, suffix), encoding="utf-8")
-        show(f"{output}: {len(rows)} measurements")
         show(f"the engine's choice took at most twice the fastest evaluation's time in {well} of {of_all} cases")
     if figure is not None:
         write_figure(rows, figure)
         show(f"{figure}")
+
+
+def _refuse_mistakes(
+    output: Path | None, figure: Path | None, largest: int, most_echoes: int, longest_s: float
+) -> None:
+    found = []
+    files = (("--output", output, (".csv", ".json")), ("--figure", figure, (".svg", ".png", ".pdf")))
+    for option, path, suffixes in files:
+        if path is not None and path.suffix not in suffixes:
+            found.append(Mistake(option, f"{path} is no format it has", f"a name in {' or '.join(suffixes)}"))
+        if path is not None and not path.parent.is_dir():
+            found.append(Mistake(option, f"there is no folder {path.parent}", "make it, or another one"))
+    for option, value, least in (("--largest", largest, SCATTERERS[0]), ("--most-echoes", most_echoes, ECHOES[0])):
+        if value < least:
+            found.append(Mistake(option, f"{value} leaves no scene to measure", f"{least} or more"))
+    if not longest_s > 0:
+        found.append(Mistake("--longest-s", f"{longest_s} s leaves nothing to measure", "a time above 0"))
+    if found:
+        raise SettingsError("accuracy echo", found)
 
 
 def as_text(rows: list[Measurement], suffix: str) -> str:

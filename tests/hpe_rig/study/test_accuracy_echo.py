@@ -1,7 +1,9 @@
 """Error against run time of the echo engine."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -46,7 +48,7 @@ def test_table_reads_back_and_another_format_is_refused(rows: list[Measurement])
 
 
 def test_figure_is_written(rows: list[Measurement], tmp_path: Path) -> None:
-    write_figure(rows, tmp_path / "work.svg")
+    write_figure([row for row in rows if row.scatterers == 100], tmp_path / "work.svg")
     assert "<svg" in (tmp_path / "work.svg").read_text(encoding="utf-8")
 
 
@@ -58,3 +60,30 @@ def test_command_writes_the_table(tmp_path: Path) -> None:
     )
     assert done.exit_code == 0, done.output
     assert path.read_text(encoding="utf-8").startswith("scatterers,echoes,samples,evaluation,method,tolerance")
+
+
+def test_every_wrong_option_is_named_before_anything_is_measured(tmp_path: Path) -> None:
+    wrong = ["--output", str(tmp_path / "a.xls"), "--figure", str(tmp_path / "no" / "b.svg"), "--largest", "5"]
+    done = CliRunner().invoke(app, ["accuracy", "echo", *wrong, "--most-echoes", "0", "--longest-s", "0"])
+    assert done.exit_code == 2
+    for option in ("--output", "--figure", "--largest", "--most-echoes", "--longest-s"):
+        assert option in done.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_measured_until_an_interruption_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The interruption comes where Ctrl-C would: while a later scene is measured."""
+    from hpe_rig.study import accuracy_echo
+
+    whole = accuracy_echo._of_scene
+
+    def interrupted(count: int, *rest: Any) -> Iterator[Measurement]:
+        if count > 100:
+            raise KeyboardInterrupt
+        return whole(count, *rest)
+
+    monkeypatch.setattr(accuracy_echo, "_of_scene", interrupted)
+    path = tmp_path / "echo.json"
+    with pytest.raises(KeyboardInterrupt):
+        accuracy_echo.write_accuracy(path, None, 1000, 10, 0.1, print)
+    assert {row["scatterers"] for row in json.loads(path.read_text(encoding="utf-8"))} == {100}
