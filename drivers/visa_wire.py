@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 # Factory setting of the 33250A's RS-232 interface; 8 data bits, no parity and 1 stop bit are VISA's own default.
 SERIAL_BAUD: Final = 57600
 PROLOGIX: Final = "PRLGX"
+SERIAL_OVER_TCP: Final = "ASRLSOCKET://"
 
 
 @final
@@ -60,10 +61,12 @@ class VisaWire:
 
         self.address = address
         self._timeout_code = pyvisa.constants.StatusCode.error_timeout
+        self._own_link: socket.socket | None = None
         try:
             self._resource = _open(_resource_manager(interface.backend if interface else backend), address)
+            self._own_link = _socket_of(self._resource)
+            self._link = interface.link if interface else self._own_link
             self._prepare(timeout_s)
-            self._link = interface.link if interface else _socket_of(self._resource)
             _require_connected(self._link)
         except Exception as error:
             if hasattr(self, "_resource"):
@@ -104,6 +107,9 @@ class VisaWire:
         """Close the connection; closing one that is gone already is no error."""
         with suppress(Exception):
             self._resource.close()
+        # Where the peer was gone already, pyserial leaves it open.
+        if self._own_link is not None:
+            self._own_link.close()
 
     def _prepare(self, timeout_s: float) -> None:
         import pyvisa
@@ -114,7 +120,7 @@ class VisaWire:
         # A Prologix adapter has no read terminator to set; there the line end is cut in read().
         with suppress(pyvisa.VisaIOError):
             self._resource.read_termination = "\n"
-        _send_at_once(_socket_of(self._resource))
+        _send_at_once(self._own_link)
         if isinstance(self._resource, pyvisa.resources.SerialInstrument):
             self._resource.baud_rate = SERIAL_BAUD
             self._resource.flow_control = pyvisa.constants.ControlFlow.dtr_dsr
@@ -143,6 +149,8 @@ def _socket_of(resource: Resource) -> socket.socket | None:
     with suppress(Exception):
         sessions: Any = getattr(resource.visalib, "sessions", None)
         link = sessions[resource.session].interface
+        # Under a serial line that is a TCP socket, pyserial's.
+        link = getattr(link, "_socket", link)
         return link if isinstance(link, socket.socket) else None
     return None
 
@@ -186,6 +194,12 @@ def _open(manager: ResourceManager, address: str) -> MessageBasedResource:
 
 def _opened(manager: ResourceManager, address: str) -> Resource:
     """Return the open resource; where it cannot be opened, nothing stays open of it."""
+    if address.upper().startswith(SERIAL_OVER_TCP):
+        import serial
+
+        # On Windows pyvisa-py asks pyserial for COMsocket://, which is among the modules here.
+        if __package__ not in serial.protocol_handler_packages:
+            serial.protocol_handler_packages.append(__package__)
     try:
         return manager.open_resource(address)
     except Exception as error:

@@ -34,7 +34,12 @@ class SocketServer:
     @property
     def address(self) -> str:
         """The VISA resource name."""
-        return f"TCPIP0::{LOOPBACK}::{self._listener.port}::SOCKET"
+        return f"TCPIP0::{LOOPBACK}::{self.tcp_port}::SOCKET"
+
+    @property
+    def tcp_port(self) -> int:
+        """The port that is listened on."""
+        return self._listener.port
 
     def close(self) -> None:
         """Hang up and stop listening."""
@@ -50,15 +55,27 @@ class SocketServer:
 
 
 @final
-class SerialServer:
-    """A SCPI instrument on a pseudo terminal, which a program opens as it would open an RS-232 port.
-
-    Raises ``OSError`` where the platform has no pseudo terminals (Windows).
-    """
+class SerialOverTcp:
+    """A SCPI instrument's RS-232 line behind a TCP socket, which pyserial opens as ``socket://``."""
 
     def __init__(self, port: Port) -> None:
-        if not hasattr(os, "openpty"):
-            raise OSError("this platform has no pseudo terminals: take the transport socket, hislip, vxi11 or prologix")
+        self._server = SocketServer(port)
+
+    @property
+    def address(self) -> str:
+        """The VISA resource name as pyvisa-py takes it; other VISA libraries know serial lines of this machine only."""
+        return f"ASRLsocket://{LOOPBACK}:{self._server.tcp_port}::INSTR"
+
+    def close(self) -> None:
+        """Hang up and stop listening."""
+        self._server.close()
+
+
+@final
+class SerialServer:
+    """A SCPI instrument on a pseudo terminal, which a program opens as it would open an RS-232 port."""
+
+    def __init__(self, port: Port) -> None:
         import tty
 
         self._port = port
@@ -93,3 +110,8 @@ class SerialServer:
                 reply = self._port.answer(line)
                 with suppress(OSError):
                     os.write(self._ours, reply)
+
+
+def serial_server(port: Port) -> SerialServer | SerialOverTcp:
+    """Return a serial line to the instrument: a pseudo terminal, or TCP where there are none (Windows)."""
+    return SerialServer(port) if hasattr(os, "openpty") else SerialOverTcp(port)

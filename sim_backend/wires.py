@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Literal, Protocol, Self, TypeVar, final, get_args
 
 from sim_backend.hislip_server import HislipServer
-from sim_backend.line_server import SerialServer, SocketServer
+from sim_backend.line_server import SocketServer, serial_server
 from sim_backend.loopback import Instrument, Port
 from sim_backend.prologix_server import PrologixAdapter
 from sim_backend.vxi11_server import Vxi11Gateway
@@ -77,7 +77,7 @@ class Emulator:
             case "socket":
                 return {role: Served(self._open(SocketServer(port)).address) for role, port in ports.items()}
             case "serial":
-                return {role: Served(self._open(SerialServer(port)).address) for role, port in ports.items()}
+                return {role: Served(self._open(serial_server(port)).address) for role, port in ports.items()}
             case "hislip":
                 return {role: Served(self._open(HislipServer(port)).address) for role, port in ports.items()}
         on_bus = dict(enumerate(ports.values(), FIRST_GPIB_ADDRESS))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -71,11 +70,7 @@ def scripted() -> Callable[..., ScriptedInstrument]:
 
 
 IN_PROCESS = "in process"
-needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
-WIRES = [
-    IN_PROCESS,
-    *(pytest.param(name, marks=needs_pty) if name == "serial" else name for name in TRANSPORTS),
-]
+WIRES = [IN_PROCESS, *TRANSPORTS]
 # Long enough for a busy machine, short enough to wait for.
 TIMEOUT_S = 0.4
 

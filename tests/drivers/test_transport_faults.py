@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import time
 from collections.abc import Callable, Iterator
 
 import pytest
+import pyvisa_py.serial
 
 from drivers.agilent_33250a import PulseGenerator33250A
 from drivers.interfaces import InstrumentError, PulseTrain
@@ -65,6 +67,30 @@ class Bench:
         if self.interface is not None:
             self.interface.close()
         self.emulator.close()
+
+
+@pytest.fixture
+def as_on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No pseudo terminals here, and pyvisa-py puts COM before the name of a serial port."""
+    monkeypatch.delattr(os, "openpty", raising=False)
+    monkeypatch.setattr(pyvisa_py.serial, "IS_WIN", True)
+
+
+@pytest.mark.usefixtures("as_on_windows")
+def test_a_serial_line_is_a_tcp_socket_where_there_are_no_terminals() -> None:
+    bench = Bench("serial")
+    assert bench.wire.address.startswith("ASRLsocket://127.0.0.1:")
+    bench.instrument.query, bench.instrument.mishap = "VOLT?", late(0.3)
+    with pytest.raises(InstrumentError, match="no reply"):
+        bench.session.query("VOLT?")
+    assert {bench.session.query("FREQ?") for _ in range(5)} == {"+1.0000000000000E+03"}
+    generator = PulseGenerator33250A(bench.wire, "toneburst")
+    generator.configure(TRAIN)
+    generator.verify()
+    bench.emulator.close()
+    with pytest.raises(InstrumentError, match="closed the connection"):
+        bench.session.query("*IDN?")
+    bench.close()
 
 
 @pytest.fixture(params=[pytest.param(name, id=name) for name in TRANSPORTS])

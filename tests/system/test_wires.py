@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -43,7 +45,7 @@ def in_process(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPath
     return request.param, measure(prepare(request.param), path)
 
 
-@pytest.mark.parametrize("transport", OVER)
+@pytest.mark.parametrize("transport", TRANSPORTS)
 def test_a_measurement_over_a_real_transport_gives_the_records_of_the_one_in_process(
     in_process: tuple[str, Path], transport: str, tmp_path: Path
 ) -> None:
@@ -54,6 +56,17 @@ def test_a_measurement_over_a_real_transport_gives_the_records_of_the_one_in_pro
     for one, other in zip(over.records, direct.records, strict=True):
         np.testing.assert_array_equal(one.codes, other.codes)
         np.testing.assert_array_equal(one.trigger_time_s, other.trigger_time_s)
+
+
+def test_a_measurement_over_a_serial_line_behind_tcp_gives_the_same_records(
+    in_process: tuple[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on Windows, where there are no pseudo terminals."""
+    monkeypatch.delattr(os, "openpty", raising=False)
+    scene, path = in_process
+    over = read_run(measure(prepare(scene, bench_over(tmp_path, "serial")), tmp_path / "run.h5"))
+    for one, other in zip(over.records, read_run(path).records, strict=True):
+        np.testing.assert_array_equal(one.codes, other.codes)
 
 
 MODELS = {"33500B": "Agilent Technologies,33522B", "33600A": "Keysight Technologies,33622A"}
@@ -148,14 +161,16 @@ def test_another_model_than_the_bench_file_says_is_refused_by_name(tmp_path: Pat
 
 
 def test_a_bench_that_nobody_serves_is_refused_by_role_and_address() -> None:
-    # Port 1 is privileged: nobody listens there.
-    nobody = "TCPIP0::127.0.0.1::1::SOCKET"
-    places = dict.fromkeys(read_bench().bench.generators.by_role, (nobody, None))
-    text = addressed(read_bench(), "socket", places).replace('transport = "socket"\n', "")
-    bench = parse_bench("metal", text.replace("simulated = true", "simulated = false")).bench
-    setup = prepare("bovine-muscle")
-    with (
-        pytest.raises(InstrumentError, match=r"master: cannot open .*127\.0\.0\.1::1::SOCKET"),
-        open_bench(setup.scene.scene, bench, setup.plan.roles),
-    ):
-        pass
+    with socket.socket() as deaf:
+        # Bound and not listening: nobody else can take the port, and whoever knocks is refused.
+        deaf.bind(("127.0.0.1", 0))
+        nobody = f"TCPIP0::127.0.0.1::{deaf.getsockname()[1]}::SOCKET"
+        places = dict.fromkeys(read_bench().bench.generators.by_role, (nobody, None))
+        text = addressed(read_bench(), "socket", places).replace('transport = "socket"\n', "")
+        bench = parse_bench("metal", text.replace("simulated = true", "simulated = false")).bench
+        setup = prepare("bovine-muscle")
+        with (
+            pytest.raises(InstrumentError, match=rf"master: cannot open .*{nobody}"),
+            open_bench(setup.scene.scene, bench, setup.plan.roles),
+        ):
+            pass
