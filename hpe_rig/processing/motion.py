@@ -37,13 +37,19 @@ def coherent(echoes: EchoGate) -> Motion:
     than two valid pulses or no echo in the band. Source: maximum likelihood for a known echo in white noise.
     """
     spectrum, frequency_hz = band_spectrum(echoes, 2)
+    phase, variance, mean_hz = coherent_phase(spectrum, frequency_hz)
+    return motion_of_phase(echoes, phase, variance, mean_hz[..., None])
+
+
+def coherent_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...)."""
     phase, mean_hz = accumulated_phase(spectrum, frequency_hz)
     spectrum = np.ascontiguousarray(np.swapaxes(spectrum, -1, -2))
     power = spectrum.real**2 + spectrum.imag**2
     # the first pass aligns with single-echo noise, the second with the noise of the mean echo
     for _ in range(2):
         phase, mean_hz, variance = _phase_against_others(spectrum, power, frequency_hz, phase, mean_hz)
-    return motion_of_phase(echoes, phase, variance, mean_hz[..., None])
+    return phase, variance, mean_hz
 
 
 def kasai(echoes: EchoGate, *, divide_by: DivideBy = "carrier") -> Motion:

@@ -13,6 +13,7 @@ import importlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,10 @@ from numpy.typing import NDArray
 from hpe_rig.processing import EchoGate, Estimator, Motion, Options, estimate, fit_motion, motion_of
 from hpe_rig.processing.conditioning import hann
 from hpe_rig.processing.echoes import band_grid
-from hpe_rig.processing.motion import peak_phase
+from hpe_rig.processing.motion import coherent_phase, peak_phase
 
 Floats = NDArray[np.float64]
+Places = NDArray[np.intp]
 
 NEGLIGIBLE = 1e-13
 """Singular values below this share of the largest are rounding."""
@@ -55,36 +57,46 @@ class Train:
         return EchoGate(volts, self.sample_rate_hz, self.pulse_time_s, self.carrier_hz, self.sound_speed_m_per_s, valid)
 
 
+Form = Literal["peak", "plain", "volts"]
+"""How an estimator takes a gate: its spectrum under the Hann window on the padded grid, the plain one, or samples."""
+
+
+def form_of(estimator: Estimator) -> Form:
+    """Return the form in which an estimator takes a gate."""
+    return "peak" if estimator == "cross_spectrum" else "plain" if estimator == "coherent" else "volts"
+
+
 @dataclass(frozen=True, slots=True)
 class Band:
     """What a train fixes of the spectra; `band_of` makes it."""
 
-    basis: Floats
-    """(number, sample), orthonormal rows: all that any estimator sees of a gate."""
-    peak_hz: Floats
-    """(bin,), the padded grid of the paper's chain."""
-    of_volts: Floats
-    """(sample, 2 * bin), Fourier transform of the Hann gate on that grid: real parts, then imaginary parts."""
-    of_numbers: Floats
-    """(number, 2 * bin), the same of the basis."""
+    numbers: int
+    """How many numbers say all that any estimator sees of a gate."""
+    grid_hz: dict[Form, Floats]
+    """(bin,)"""
+    of_volts: dict[Form, Floats]
+    """(sample, 2 * bin), from samples to spectra: real parts, then imaginary parts."""
+    of_numbers: dict[Form, Floats]
+    """The same from the numbers, (number, 2 * bin), and of "volts" (number, sample), orthonormal rows."""
 
 
 @functools.lru_cache(maxsize=16)
 def band_of(train: Train) -> Band:
     """Return what the estimators see of a gate; raises ``ValueError`` for a gate too short for the band."""
     empty = train.gate(np.zeros((train.pulses, train.samples)))
-    time_s = np.arange(train.samples) / train.sample_rate_hz
-    peak_hz = band_grid(empty, 1 << (PADDING * train.samples - 1).bit_length())
-    plain_hz = band_grid(empty, train.samples)
-    peak, plain = _fourier(time_s, peak_hz) * hann(train.samples)[:, None], _fourier(time_s, plain_hz)
-    left, strength, _ = np.linalg.svd(np.hstack([peak, plain]), full_matrices=False)
+    grid_hz: dict[Form, Floats] = {
+        "peak": band_grid(empty, 1 << (PADDING * train.samples - 1).bit_length()),
+        "plain": band_grid(empty, train.samples),
+    }
+    angle = {
+        form: 2 * np.pi * np.outer(np.arange(train.samples) / train.sample_rate_hz, hz) for form, hz in grid_hz.items()
+    }
+    of_volts = {form: np.hstack([np.cos(turn), -np.sin(turn)]) for form, turn in angle.items()}
+    of_volts["peak"] *= hann(train.samples)[:, None]
+    left, strength, _ = np.linalg.svd(np.hstack(list(of_volts.values())), full_matrices=False)
     basis = np.ascontiguousarray(left[:, strength > NEGLIGIBLE * strength[0]].T)
-    return Band(basis, peak_hz, peak, basis @ peak)
-
-
-def _fourier(time_s: Floats, frequency_hz: Floats) -> Floats:
-    angle = 2 * np.pi * np.outer(time_s, frequency_hz)
-    return np.hstack([np.cos(angle), -np.sin(angle)])
+    of_numbers: dict[Form, Floats] = {form: basis @ columns for form, columns in of_volts.items()}
+    return Band(len(basis), grid_hz, of_volts, of_numbers | {"volts": basis})
 
 
 @functools.lru_cache(maxsize=64)
@@ -103,22 +115,60 @@ def step_functional(train: Train) -> Floats:
     return np.ascontiguousarray(onwards[1:])
 
 
-def peaks_state(train: Train, clean: Floats, which: NDArray[np.intp], level: Floats, noise: Floats) -> Floats:
-    """Return the states (draw, noise, 2 * frequency) of the paper's chain.
+def states(train: Train, estimator: Estimator, clean: Floats, which: Places, level: Floats, noise: Floats) -> Floats:
+    """Return the states (draw, noise, 2 * frequency), NaN where the estimator refuses a realisation.
 
-    ``clean`` (draw, echo, 2 * bin) and ``noise`` (draw, noise, pulse, 2 * bin) as `Band.of_volts` makes them;
-    ``which`` (pulse,) the echo of every pulse; ``level`` (draw,) of the noise.
+    ``clean`` (draw, echo, ...) and ``noise`` (draw, noise, pulse, ...) in the form of the estimator, ``which`` (pulse,)
+    the echo of every pulse, ``level`` (draw,) of the noise.
     """
-    grid_hz = band_of(train).peak_hz
+    if estimator == "cross_spectrum":
+        return _peaks_states(train, clean, which, level, noise)
+    noisy = clean[:, None, which] + level[:, None, None, None] * noise
+    try:
+        return _states(train, estimator, noisy)
+    except ValueError:
+        each = [_states_or_nan(train, estimator, one) for one in noisy.reshape(-1, *noisy.shape[2:])]
+        return np.reshape(each, (*noisy.shape[:2], -1))
+
+
+def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
+    if estimator == "joint":
+        fit = estimate(train.gate(noisy), train.frequencies_hz, estimator, options=train.options)
+        return fit.state[..., : 2 * len(train.frequencies_hz)]
+    if estimator == "coherent":
+        phase, _, mean_hz = coherent_phase(_complex(noisy), band_of(train).grid_hz["plain"])
+        return np.asarray((phase * _metres(train) / mean_hz[..., None]) @ functional(train, estimator))
+    return np.asarray(motion_of(train.gate(noisy), estimator).displacement_m @ functional(train, estimator))
+
+
+def _states_or_nan(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
+    try:
+        return _states(train, estimator, noisy)
+    except ValueError:
+        return np.full(2 * len(train.frequencies_hz), np.nan)
+
+
+def _peaks_states(train: Train, clean: Floats, which: Places, level: Floats, noise: Floats) -> Floats:
+    grid_hz = band_of(train).grid_hz["peak"]
     if compiled():
         shape = (*noise.shape[:2], train.pulses - 1)
         step, peak = np.empty(shape), np.empty(shape, dtype=np.intp)
         _loop()(clean, which, level, noise, step, peak)
         peak_hz = grid_hz[peak]
     else:
-        both = clean[:, None, which] + level[:, None, None, None] * noise
-        step, peak_hz = peak_phase(both[..., : grid_hz.size] + 1j * both[..., grid_hz.size :], grid_hz)
-    return np.asarray(step / peak_hz * (-train.sound_speed_m_per_s / (4 * np.pi)) @ step_functional(train))
+        step, peak_hz = peak_phase(_complex(clean[:, None, which] + level[:, None, None, None] * noise), grid_hz)
+    return np.asarray((step * _metres(train) / peak_hz) @ step_functional(train))
+
+
+def _complex(both: Floats) -> NDArray[np.complex128]:
+    """Return spectra (..., bin) of their real and imaginary parts (..., 2 * bin)."""
+    bins = both.shape[-1] // 2
+    return np.asarray(both[..., :bins] + 1j * both[..., bins:])
+
+
+def _metres(train: Train) -> float:
+    """Return displacement over phase, times the frequency: m Hz/rad."""
+    return -train.sound_speed_m_per_s / (4 * np.pi)
 
 
 @functools.cache
@@ -131,32 +181,6 @@ def compiled() -> bool:
 def _loop() -> Callable[..., None]:
     loop: Callable[..., None] = importlib.import_module("hpe_rig.study.peak_loop").peak_steps
     return loop
-
-
-def volts_state(train: Train, volts: Floats, estimator: Estimator) -> Floats:
-    """Return the states (draw, noise, 2 * frequency) of ``volts`` (draw, noise, pulse, sample) by any estimator.
-
-    NaN where the estimator refuses a realisation, as one that is noise without echo.
-    """
-    try:
-        return _state(train, volts, estimator)
-    except ValueError:
-        each = [_state_or_nan(train, one, estimator) for one in volts.reshape(-1, *volts.shape[2:])]
-        return np.reshape(each, (*volts.shape[:2], -1))
-
-
-def _state(train: Train, volts: Floats, estimator: Estimator) -> Floats:
-    if estimator == "joint":
-        fit = estimate(train.gate(volts), train.frequencies_hz, estimator, options=train.options)
-        return fit.state[..., : 2 * len(train.frequencies_hz)]
-    return np.asarray(motion_of(train.gate(volts), estimator).displacement_m @ functional(train, estimator))
-
-
-def _state_or_nan(train: Train, volts: Floats, estimator: Estimator) -> Floats:
-    try:
-        return _state(train, volts, estimator)
-    except ValueError:
-        return np.full(2 * len(train.frequencies_hz), np.nan)
 
 
 def refuse_unusable(train: Train, estimators: Sequence[Estimator]) -> None:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.study.band import band_of, peaks_state, volts_state
+from hpe_rig.study.band import Form, band_of, form_of, states
 from hpe_rig.study.cases import Case
 from hpe_rig.study.memory import peak_memory_bytes
 from hpe_rig.study.statistics import errors, phase_errors
@@ -88,7 +88,7 @@ def _run_block(active: list[_Running], block: int, draws: slice) -> None:
         echoes.append(_echoes(own, block, draws.stop - draws.start))
         since = _charge(own, since)
     case = active[0].case
-    numbers = len(band_of(case.train).basis)
+    numbers = band_of(case.train).numbers
     rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_NOISE, block)))
     for some, repeats in _parts(case, draws.stop - draws.start):
         shape = (some.stop - some.start, repeats.stop - repeats.start, case.train.pulses, numbers)
@@ -122,41 +122,32 @@ def _echoes(cases: list[_Running], block: int, draws: int) -> _Echoes:
 
 def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
     """Yield draws and noise realisations that are done together: few, and by the case's own numbers alone."""
-    at_once = max(1, _NOISE_VALUES // (case.train.pulses * len(band_of(case.train).peak_hz)))
+    at_once = max(1, _NOISE_VALUES // (case.train.pulses * len(band_of(case.train).grid_hz["peak"])))
     for draw in range(0, draws, step := max(1, at_once // case.noise)):
         for first in range(0, case.noise, at_once):
             yield slice(draw, min(draw + step, draws)), slice(first, min(first + at_once, case.noise))
 
 
-def _in_forms(active: list[_Running], numbers: Floats) -> dict[str, Floats]:
-    """Return unit noise (draw, noise, pulse, ...) as spectra and as samples, whichever is wanted."""
-    band = band_of(active[0].case.train)
-    wanted = {name for one in active for name in one.case.estimators}
-    forms = {}
-    if "cross_spectrum" in wanted:
-        forms["spectra"] = numbers @ band.of_numbers
-    if wanted - {"cross_spectrum"}:
-        forms["volts"] = numbers @ band.basis
-    return forms
+def _in_forms(active: list[_Running], numbers: Floats) -> dict[Form, Floats]:
+    """Return unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes."""
+    wanted = {form_of(name) for one in active for name in one.case.estimators}
+    return {form: numbers @ band_of(active[0].case.train).of_numbers[form] for form in wanted}
 
 
-def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[str, Floats], since: float) -> float:
+def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[Form, Floats], since: float) -> float:
     """Write the states of every case of these echoes at ``place`` (draw, noise); return the time it is."""
     train = made.cases[0].case.train
     volts = made.volts[some]
     power = np.square(volts).mean(axis=2)[:, made.which].mean(axis=1)
-    spectra = volts @ band_of(train).of_volts
+    clean = {form: volts @ columns for form, columns in band_of(train).of_volts.items() if form in noise}
+    clean["volts"] = volts
     since = _charge(made.cases, since)
     for one in made.cases:
         snr_db = one.case.twin.receiver.snr_db
         level = np.zeros_like(power) if snr_db is None else np.sqrt(power / 10 ** (snr_db / 10))
         for name in one.case.estimators:
-            if name == "cross_spectrum":
-                state = peaks_state(train, spectra, made.which, level, noise["spectra"])
-            else:
-                noisy = volts[:, None, made.which] + level[:, None, None, None] * noise["volts"]
-                state = volts_state(train, noisy, name)
-            one.states[name][place] = state
+            form = form_of(name)
+            one.states[name][place] = states(train, name, clean[form], made.which, level, noise[form])
         since = _charge([one], since)
     return since
 
@@ -200,8 +191,8 @@ def _version() -> str:
 def _rows(one: _Running) -> list[Record]:
     """Return bias and jitter of amplitude and phase, a row an estimator and frequency."""
     rows = []
-    for name, states in one.states.items():
-        found = states[: one.draws]
+    for name, every in one.states.items():
+        found = every[: one.draws]
         for index, hz in enumerate(one.case.train.frequencies_hz):
             amplitude_m, phase_rad = _true(one.case, hz)
             in_phase, quadrature = found[..., 2 * index], found[..., 2 * index + 1]
