@@ -9,15 +9,20 @@ from numpy.typing import NDArray
 
 from hpe_rig.plan import Shot
 
+SETTLING_S = 4.5e-6
+"""How long the receiver is not quiet after a toneburst's echo from the gate: 3.2 us of echoes from the focus up to
+2.5 mm behind it, and the filters' ringing down to a thousandth (twin, `hpe_rig.study.experiments_twin`)."""
+
 
 def forbidden_window_s(shot: Shot) -> tuple[float, float]:
     """Return the start and end, relative to a toneburst's onset, between which no tracking pulse may be fired.
 
     A pulse is disturbed when it is fired into the toneburst, or when its gate meets the toneburst or an echo of it
-    from any depth down to the gate's far end.
+    from any depth down to the gate's far end, or what follows it within ``SETTLING_S``.
     """
     gate_start_s, gate_end_s = shot.timeline.gate_offset_s
-    return -(gate_end_s + shot.timeline.pulse_length_s), shot.timeline.burst_length_s + gate_end_s - gate_start_s
+    quiet_s = shot.timeline.burst_length_s + gate_end_s - gate_start_s + SETTLING_S
+    return -(gate_end_s + shot.timeline.pulse_length_s), quiet_s
 
 
 def disturbed_pulses(shot: Shot) -> NDArray[np.bool_]:

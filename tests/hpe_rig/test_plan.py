@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hpe_rig.bench_file import read_bench
 from hpe_rig.conflicts import findings
-from hpe_rig.interference import admissible_delays_s, disturbed_pulses, effective_rate_hz
+from hpe_rig.interference import SETTLING_S, admissible_delays_s, disturbed_pulses, effective_rate_hz
 from hpe_rig.plan import Shot, burst_path_s, make_plan, tracking_path_s
 from hpe_rig.scene import Scene, parse_scene, shipped_scenes
 
@@ -33,7 +33,7 @@ def plainly_disturbed(shot: Shot) -> list[bool]:
         hit = False
         for burst_s in line.burst_onset_s:
             busy = (burst_s, burst_s + line.burst_length_s)
-            heard = (burst_s, busy[1] + line.gate_offset_s[1])
+            heard = (burst_s, busy[1] + line.gate_offset_s[1] + SETTLING_S)
             hit |= pulse_s < busy[1] and pulse_s + line.pulse_length_s > busy[0]
             hit |= gate[0] < heard[1] and gate[1] > heard[0]
         result.append(hit)

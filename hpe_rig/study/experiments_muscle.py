@@ -1,0 +1,290 @@
+"""Fig. 15 to 19: bovine muscle against force, frequency, pulse rate and window."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hpe_rig.detection import detection_floor
+from hpe_rig.figures_svg import MARKS
+from hpe_rig.report_sweep import Line, fit_line
+from hpe_rig.scene import parse_scene, shipped_scenes
+from hpe_rig.study.experiments import Experiment, Repeated, Verdict, by, panels, result_of
+
+Floats = NDArray[np.float64]
+
+HIGHEST = {50e-6: 9, 100e-6: 11, 200e-6: 13}
+"""How many of the highest samples the paper's regression takes."""
+PAPER_SLOPE_NM = {50e-6: 409.0, 100e-6: 812.0, 200e-6: 1654.0}
+PLATEAU = 0.02
+"""F / F_0 up to which 50 us move less than 10 nm."""
+CHI2_16 = (0.66, 1.34)
+"""Between which the root of a mean square over 16 degrees of freedom lies in 95 of 100 draws."""
+CHI2_12 = 1.32
+"""Below which that over 12 lies in 95 of 100 draws."""
+
+
+def figure_15() -> Experiment:
+    """Displacement at 200 Hz against force for three toneburst lengths: regression and floor."""
+    shots = [shot for name in ("muscle-force", "muscle-force-200us") for shot in result_of(name).shots]
+    figure, (left, right) = panels(2)
+    rows, lines, single = [], {}, {}
+    for (length_s, count), (mark, colour) in zip(HIGHEST.items(), MARKS, strict=False):
+        forces = by([shot for shot in shots if shot.burst_length_s == length_s], lambda shot: shot.force_fraction)
+        force = np.array(list(forces))
+        nm = np.array([each.amplitude_m[:, 1] for each in forces.values()]) * 1e9
+        top = slice(-count, None)
+        line = fit_line(force[top], nm[top].mean(axis=1))
+        each = [fit_line(force[top], nm[top, k]) for k in range(nm.shape[1])]
+        if line is None:
+            raise ValueError("the scenes of Fig. 15 have no forces to draw a line through")
+        lines[length_s] = line
+        single[length_s] = [one.r_squared for one in each if one is not None]
+        name = f"T_b = {length_s * 1e6:.0f} us"
+        left.errorbar(force, nm.mean(axis=1), nm.std(axis=1, ddof=1), fmt=mark, color=colour, ms=4, label=name)
+        left.plot(force[top], line.intercept + line.slope * force[top], color=colour, lw=1)
+        right.plot(force, nm.mean(axis=1), mark, color=colour, ms=4, label=name)
+        rows.append(_line_row(length_s, line, single[length_s], nm[:2].mean()))
+    floor = detection_floor(parse_scene("15", shipped_scenes()["muscle-force"]).scene)
+    right.axhspan(100, 200, color="0.9", label="the paper's floor")
+    right.axhline(floor.detected_m * 1e9, color="0.3", ls="--", label="noise exceeds it once in 20")
+    right.set(xscale="log", yscale="log", xlabel="force F / F_0", ylabel="displacement (nm)")
+    left.set(xlabel="force F / F_0", ylabel="displacement (nm)")
+    right.legend(frameon=False, fontsize=7)
+    left.legend(frameon=False, fontsize=7)
+    short, middle, long = (lines[length_s] for length_s in HIGHEST)
+    header = (
+        "T_b",
+        "slope (nm per F_0)",
+        "the paper's",
+        "offset (nm)",
+        "R^2",
+        "R^2 of each repeat",
+        "at F <= 0.04 (nm)",
+    )
+    return Experiment(
+        "Fig. 15",
+        "displacement at 200 Hz against force",
+        "Scenes `muscle-force` and `muscle-force-200us`: 4 kHz, and 2.5 kHz for 200 us; T_s = 100 ms; means of five "
+        "repeats, bars one standard deviation; lines through the 9, 11 and 13 highest points. The force density is "
+        "assumed, so that 100 us give about the paper's slope: ratios and floor are the test.",
+        (header, *rows),
+        figure,
+        (
+            _ratio("slope of 100 us over that of 50 us is 2 within errors", middle, short, 2.0),
+            _ratio("slope of 200 us over that of 50 us is 4 within errors", long, short, 4.0),
+            _ratio("slope of 200 us over that of 100 us is 2 within errors", long, middle, 2.0),
+            Verdict(
+                "R^2 above 0.9",
+                ", ".join(f"{line.r_squared:.3f}" for line in lines.values()),
+                min(line.r_squared for line in lines.values()) > 0.9,
+            ),
+            Verdict(
+                "R^2 above 0.9 without averaging, as in the paper (0.942, 0.976, 0.972)",
+                "; ".join(f"{min(each):.2f} to {max(each):.2f}" for each in single.values()),
+                min(min(each) for each in single.values()) > 0.9,
+            ),
+            Verdict(
+                "points level off between 100 and 200 nm",
+                f"threshold {floor.detected_m * 1e9:.0f} nm from a trigger jitter of 1 ns and 40 dB",
+                100e-9 < floor.detected_m < 200e-9,
+            ),
+        ),
+    )
+
+
+def _line_row(length_s: float, line: Line, single: list[float], plateau_nm: float) -> tuple[str, ...]:
+    return (
+        f"{length_s * 1e6:.0f} us",
+        f"{line.slope:.0f} +- {line.slope_u:.0f}",
+        f"{PAPER_SLOPE_NM[length_s]:.0f}",
+        f"{line.intercept:.0f} +- {line.intercept_u:.0f}",
+        f"{line.r_squared:.3f}",
+        ", ".join(f"{value:.2f}" for value in single),
+        f"{plateau_nm:.0f}",
+    )
+
+
+def _ratio(statement: str, over: Line, under: Line, expected: float) -> Verdict:
+    ratio = over.slope / under.slope
+    u = ratio * np.hypot(over.slope_u / over.slope, under.slope_u / under.slope)
+    return Verdict(statement, f"{ratio:.2f} +- {u:.2f}", bool(abs(ratio - expected) < 2 * u))
+
+
+def figures_16_17() -> Experiment:
+    """Mean and deviation of displacement and phase against force and frequency."""
+    forces = by(result_of("muscle-repeats").shots, lambda shot: shot.force_fraction)
+    figure, axes = panels(4)
+    force, four = np.array(list(forces)), slice(0, 4)
+    for index, (mark, colour) in zip(range(4), MARKS, strict=False):
+        columns = [[getattr(each, what)[index] for each in forces.values()] for what in _WHAT]
+        for panel, column in zip(axes, columns, strict=True):
+            panel.plot(force, column, marker=mark, color=colour, ms=4, label=f"{100 * (index + 1)} Hz")
+    _label(axes, "force F / F_0")
+    means = np.array([each.mean_nm[four] for each in forces.values()])
+    sds, phases = (np.array([getattr(each, what)[four] for each in forces.values()]) for what in ("sd_nm", "sd_deg"))
+    expected_nm = detection_floor(parse_scene("16", shipped_scenes()["muscle-repeats"]).scene).quadrature_m * 1e9
+    over_f, over_force = (np.sqrt(np.mean(sds**2, axis=axis)) / expected_nm for axis in (0, 1))
+    every = forces[1.0]
+    # Five means about a line each: three degrees of freedom at four frequencies.
+    left = np.array([column - np.polyval(np.polyfit(force, column, 1), force) for column in means.T])
+    bent = float(np.sqrt(np.sum(left**2) / 12) / (expected_nm / np.sqrt(len(every.amplitude_m))))
+    trend = np.corrcoef(np.log(means.ravel()), np.log(phases.ravel()))[0, 1]
+    return Experiment(
+        "Fig. 16, 17",
+        "displacement and phase against force and frequency",
+        "Scene `muscle-repeats`: five repeats at 4 kHz, T_b = 100 us, T_s = 100 ms.",
+        _table("F / F_0", {f"{value:g}": each for value, each in forces.items()}),
+        figure,
+        (
+            Verdict(
+                "mean displacement linear in F at 100 to 400 Hz",
+                f"means stand {bent:.2f} times their standard error off the lines, root mean square",
+                bent < CHI2_12,
+            ),
+            Verdict(
+                "standard deviation of displacement independent of F and f_v",
+                f"over the predicted {expected_nm:.0f} nm: {over_force.min():.2f} to {over_force.max():.2f} by force, "
+                f"{over_f.min():.2f} to {over_f.max():.2f} by frequency",
+                bool(CHI2_16[0] < over_force.min() and over_force.max() < CHI2_16[1]),
+            ),
+            Verdict(
+                "standard deviation of phase falls with amplitude, below 25 degrees",
+                f"largest {phases.max():.1f} degrees, correlation of the logarithms {trend:.2f}",
+                bool(phases.max() < 25 and trend < 0),
+            ),
+            Verdict(
+                "displacement falls with frequency, 100 to 1000 Hz",
+                ", ".join(f"{value:.0f}" for value in every.mean_nm) + " nm",
+                bool((np.diff(every.true_m) < 0).all() and every.mean_nm[0] > every.mean_nm[-1]),
+            ),
+        ),
+    )
+
+
+def figure_18() -> Experiment:
+    """Mean and deviation against frequency for every pulse rate."""
+    rates = by(result_of("muscle-pulse-rate").shots, lambda shot: shot.pulse_rate_hz)
+    figure = _over_frequency({f"{rate * 1e-3:g} kHz": each for rate, each in rates.items()})
+    two, two_half, three, four = rates.values()
+    same = min(len(three.mean_nm), 4)
+    apart = _apart(three, four, same)
+    turned = (three.mean_deg - four.mean_deg)[:same]
+    slow = np.array([(each.mean_deg - four.mean_deg)[:same] for each in (two, two_half)])
+    amplitude = np.array([each.mean_nm[:same] / four.mean_nm[:same] - 1 for each in (two, two_half)])
+    return Experiment(
+        "Fig. 18",
+        "displacement and phase for every pulse rate",
+        "Scene `muscle-pulse-rate`: five repeats, T_b = 100 us, T_s = 100 ms. Every burst period is sampled at the "
+        "same instants, so harmonics above half the pulse rate fold onto the wanted ones, the more the lower it is; "
+        "the last row is what would be tracked without. The paper saw it in its phases.",
+        _table("f_prf", {f"{rate * 1e-3:g} kHz": each for rate, each in rates.items()}, truth=four),
+        figure[0],
+        (
+            Verdict(
+                "3 and 4 kHz agree in displacement",
+                f"largest difference {apart:.1f} standard errors, 100 to 400 Hz",
+                apart < 3,
+            ),
+            Verdict(
+                "3 and 4 kHz agree in phase (within the paper's 10 degrees)",
+                f"largest difference {np.abs(turned).max():.1f} degrees",
+                bool(np.abs(turned).max() < 10),
+            ),
+            Verdict(
+                "2.0 and 2.5 kHz differ in phase",
+                f"by {slow.min():.0f} to {slow.max():.0f} degrees",
+                bool(np.abs(slow).max() > np.abs(turned).max()),
+            ),
+            Verdict(
+                "displacement matches at all pulse rates",
+                f"2.0 and 2.5 kHz over 4 kHz: {amplitude.min() * 100:+.0f} to {amplitude.max() * 100:+.0f} %",
+                bool(np.abs(amplitude).max() < 0.1),
+            ),
+        ),
+    )
+
+
+def figure_19() -> Experiment:
+    """Mean and deviation against frequency for every slow-time window."""
+    windows = by(result_of("muscle-window").shots, lambda shot: shot.window_length_s)
+    figure = _over_frequency({f"{length_s * 1e3:g} ms": each for length_s, each in windows.items()})
+    pooled = [np.sqrt(np.mean(each.sd_nm**2)) for each in windows.values()]
+    turned = [np.sqrt(np.mean(each.sd_deg**2)) for each in windows.values()]
+    first, *_, last = windows.values()
+    expected_nm = detection_floor(parse_scene("19", shipped_scenes()["muscle-repeats"]).scene).quadrature_m * 1e9
+    apart = _apart(first, last, len(last.mean_nm))
+    return Experiment(
+        "Fig. 19",
+        "displacement and phase for every slow-time window",
+        "Scene `muscle-window`: the windows are taken from the same records, five repeats, 4 kHz, T_b = 100 us.",
+        _table("T_s", {f"{length_s * 1e3:g} ms": each for length_s, each in windows.items()}),
+        figure[0],
+        (
+            Verdict(
+                "longer T_s lowers the deviation of displacement",
+                ", ".join(f"{value:.0f}" for value in pooled)
+                + " nm over ten harmonics (predicted: "
+                + ", ".join(f"{expected_nm * np.sqrt(0.1 / length_s):.0f}" for length_s in windows)
+                + ")",
+                bool((np.diff(pooled) < 0).all()),
+            ),
+            Verdict(
+                "longer T_s lowers the deviation of phase",
+                ", ".join(f"{value:.1f}" for value in turned) + " degrees",
+                bool((np.diff(turned) < 0).all()),
+            ),
+            Verdict(
+                "means unchanged",
+                f"50 ms and 200 ms: largest difference {apart:.1f} standard errors of ten harmonics",
+                apart < 3.5,
+            ),
+        ),
+    )
+
+
+_WHAT = ("mean_nm", "sd_nm", "mean_deg", "sd_deg")
+
+
+def _apart(one: Repeated, other: Repeated, count: int) -> float:
+    """Return the largest difference of means in standard errors, those of the pooled deviation."""
+    pooled = np.sqrt(np.mean([one.sd_nm[:count] ** 2, other.sd_nm[:count] ** 2]))
+    u = pooled * np.sqrt(2 / len(one.amplitude_m))
+    return float(np.abs(one.mean_nm[:count] - other.mean_nm[:count]).max() / u)
+
+
+def _label(axes: list[Axes], x: str) -> None:
+    names = ("mean displacement (nm)", "its deviation (nm)", "mean phase (degrees)", "its deviation (degrees)")
+    for panel, name in zip(axes, names, strict=True):
+        panel.set(xlabel=x, ylabel=name)
+    axes[0].set_ylim(0, None)
+    axes[0].legend(frameon=False, fontsize=7)
+
+
+def _over_frequency(settings: dict[str, Repeated]) -> tuple[Figure, list[Axes]]:
+    figure, axes = panels(4)
+    for (name, each), (mark, colour) in zip(settings.items(), MARKS, strict=False):
+        for panel, what in zip(axes, _WHAT, strict=True):
+            panel.plot(each.frequency_hz, getattr(each, what), marker=mark, color=colour, ms=4, label=name)
+    _label(axes, "frequency (Hz)")
+    return figure, axes
+
+
+def _table(name: str, settings: dict[str, Repeated], truth: Repeated | None = None) -> tuple[tuple[str, ...], ...]:
+    header = (name, *(f"{hz} Hz: nm, degrees" for hz in (100, 200, 300, 400)))
+    rows = [
+        (
+            key,
+            *(
+                f"{each.mean_nm[k]:.0f} +- {each.sd_nm[k]:.0f}, {each.mean_deg[k]:.0f} +- {each.sd_deg[k]:.0f}"
+                for k in range(4)
+            ),
+        )
+        for key, each in settings.items()
+    ]
+    if truth is not None:
+        tracked_nm = truth.true_m * truth.averaging * 1e9
+        rows.append(("true peak, tracked", *(f"{tracked_nm[k]:.0f}" for k in range(4))))
+    return (header, *rows)
