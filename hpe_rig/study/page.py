@@ -111,9 +111,9 @@ def _svg(picture: Picture) -> Markup:
 
 
 def _width_px(picture: Picture) -> int:
-    """Return how wide a picture is at most shown: a third more than it was drawn for paper."""
+    """Return how wide a picture is at most shown: a quarter more than it was drawn for paper."""
     box = re.search(r'viewBox="[-\d.]+ [-\d.]+ ([\d.]+)', picture.svg)
-    return round(1.33 * 4 / 3 * float(box[1])) if box else 1200
+    return round(1.25 * 4 / 3 * float(box[1])) if box else 1200
 
 
 def _data_address(one: Table) -> str:

@@ -1,0 +1,121 @@
+"""A study's rows as curves and maps: which axis runs along, which ones tell curves or maps apart, and in what unit."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.study.results import StudyResult
+
+Floats = NDArray[np.float64]
+Row = dict[str, Any]
+
+LEAST_OF_A_MAP = 5
+"""Values of an axis from which two axes make a map."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One reading, estimator and frequency of a study."""
+
+    reading: str
+    estimator: str
+    frequency_hz: float
+    rows: tuple[Row, ...]
+
+    @property
+    def key(self) -> str:
+        """The view's name in an id."""
+        return f"{self.reading}-{self.estimator}-{self.frequency_hz:g}"
+
+    @property
+    def title(self) -> str:
+        """What a reader calls it."""
+        reading = "physical" if self.reading == "physical" else "eq. (11) read literally"
+        chain = "the paper's chain" if self.estimator == "cross_spectrum" else self.estimator
+        return f"{reading}, {chain}"
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """Rows along one axis, the values of the others fixed."""
+
+    label: str
+    x: Floats
+    rows: tuple[Row, ...]
+
+    def values(self, column: str) -> Floats:
+        """Return a column, (point,)."""
+        return np.array([row[column] for row in self.rows], dtype=np.float64)
+
+
+def views(result: StudyResult) -> list[View]:
+    """Return every reading, estimator and frequency, in the order of the rows."""
+    found: dict[tuple[str, str, float], list[Row]] = {}
+    for row in result.rows:
+        found.setdefault((row["reading"], row["estimator"], row["frequency_hz"]), []).append(row)
+    return [View(*key, tuple(rows)) for key, rows in found.items()]
+
+
+def view(result: StudyResult, reading: str, estimator: str = "cross_spectrum") -> View | None:
+    """Return the first view of that reading and estimator; None where the study has none."""
+    return next((one for one in views(result) if (one.reading, one.estimator) == (reading, estimator)), None)
+
+
+def axis_names(result: StudyResult) -> list[str]:
+    """Return the axes' names, first to last."""
+    return [axis.name for axis in result.definition.axes]
+
+
+def is_map(result: StudyResult) -> bool:
+    """Return whether the last two axes have numbers enough for a map."""
+    last = result.definition.axes[-2:]
+    return len(last) == 2 and all(
+        len(axis.values()) >= LEAST_OF_A_MAP and axis.name != "SNR" and numbers(axis.values()) for axis in last
+    )
+
+
+def numbers(values: Sequence[Any]) -> bool:
+    """Return whether all values are numbers."""
+    return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
+
+
+def curves(result: StudyResult, one: View) -> list[Curve]:
+    """Return the curves of a view over the last axis; over its places where that axis holds no numbers."""
+    *outer, along = result.definition.axes
+    given = along.values()
+    x = np.array(given if numbers(given) else range(len(given)), dtype=np.float64)
+    found = []
+    for values in itertools.product(*(axis.values() for axis in outer)):
+        rows = [row for row in one.rows if all(row[a.name] == v for a, v in zip(outer, values, strict=True))]
+        label = ", ".join(f"{a.name} = {shown(v, a.unit)}" for a, v in zip(outer, values, strict=True))
+        if len(rows) == len(x):
+            found.append(Curve(label, x, tuple(rows)))
+    return found
+
+
+def maps(result: StudyResult, one: View) -> Iterator[tuple[tuple[Any, ...], Floats, Floats, dict[str, Floats]]]:
+    """Yield (outer values, x (x,), y (y,), every numeric column (y, x)) for each value of the outer axes."""
+    *outer, across, up = result.definition.axes
+    x, y = (np.array(axis.values(), dtype=np.float64) for axis in (across, up))
+    columns = [name for name, value in one.rows[0].items() if isinstance(value, float)]
+    for values in itertools.product(*(axis.values() for axis in outer)):
+        rows = [row for row in one.rows if all(row[a.name] == v for a, v in zip(outer, values, strict=True))]
+        tables = {name: np.array([row[name] for row in rows]).reshape(len(x), len(y)).T for name in columns}
+        yield values, x, y, tables
+
+
+def shown(value: Any, unit: str) -> str:
+    """Return a value with its unit as a person writes it."""
+    if isinstance(value, str) or not unit:
+        return str(value) if isinstance(value, str) else f"{value:g}"
+    if unit == "m":
+        return f"{value * 1e9:g} nm" if abs(value) < 5e-5 else f"{value * 1e3:g} mm"
+    if unit == "Hz" and abs(value) >= 1e3:
+        return f"{value / 1e6:g} MHz" if abs(value) >= 1e6 else f"{value / 1e3:g} kHz"
+    return f"{value:g} {unit}"
