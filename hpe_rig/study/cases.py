@@ -80,21 +80,42 @@ class Point:
     case: Case
 
 
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """A definition with its base scene and, for every axis, values by key and shown values."""
+
+    base: Tables
+    definition: Definition
+    columns: list[dict[str, list[Any]]]
+    shown: list[list[Any]]
+
+    @property
+    def places(self) -> Iterator[tuple[int, ...]]:
+        """Every combination of a place on each axis."""
+        return itertools.product(*(range(len(shown)) for shown in self.shown))
+
+    def common_place(self, place: tuple[int, ...]) -> tuple[int, ...]:
+        """Return where the random numbers of ``place`` are taken from: along a common axis from its first value."""
+        axes = self.definition.axes
+        return tuple(0 if axis.name in self.definition.common else n for axis, n in zip(axes, place, strict=True))
+
+
 def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[Point]:
     """Return every point of a study; raise ``SettingsError`` with all mistakes of all its scenes, each once."""
-    base = _base_tables(definition.scene, folder)
+    columns, shown = [axis.columns() for axis in definition.axes], [axis.values() for axis in definition.axes]
+    grid = _Grid(_base_tables(definition.scene, folder), definition, columns, shown)
     found: dict[str, Mistake] = {str(mistake): mistake for mistake in _useless_keys(definition)}
     out: list[Point] = []
     streams: dict[str, int] = {}
-    for reading, estimators in definition.readings.items():
-        for place in itertools.product(*(range(len(axis.values())) for axis in definition.axes)):
+    for reading in definition.readings:
+        for place in grid.places:
             try:
-                case = _case(base, definition, reading, estimators, place, streams)
+                case = _case(grid, reading, place, streams)
             except SettingsError as error:
                 found |= {str(mistake): mistake for mistake in error.mistakes}
                 continue
-            shown = {axis.name: axis.values()[n] for axis, n in zip(definition.axes, place, strict=True)}
-            out.append(Point(shown, reading, case))
+            values = zip(definition.axes, shown, place, strict=True)
+            out.append(Point({axis.name: each[n] for axis, each, n in values}, reading, case))
     if found:
         raise SettingsError(f"study {name}", list(found.values()))
     return out
@@ -111,57 +132,51 @@ def _useless_keys(definition: Definition) -> Iterator[Mistake]:
             yield Mistake(key, "a study's echoes and estimates do not depend on it", f"one of {', '.join(USED)}")
 
 
-def _case(
-    base: Tables,
-    definition: Definition,
-    reading: Reading,
-    estimators: tuple[Estimator, ...],
-    place: tuple[int, ...],
-    streams: dict[str, int],
-) -> Case:
-    scene, twin = _checked(_tables_at(base, definition, place), reading)
+def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[str, int]) -> Case:
+    definition, estimators = grid.definition, grid.definition.readings[reading]
+    scene, twin = _checked(_tables_at(grid, place), reading)
     train = _train(scene)
-    own = _dump(scene, twin)
-    stream = _stream(base, definition, reading, place, own, streams)
     _refuse_train(train, estimators)
-    silent = copy.deepcopy(own)
-    silent["simulation"].pop("snr_db")
-    sizes = [definition.scatterers, definition.noise, definition.standard_error_m]
+    own = _dump(scene, twin)
+    silent = own | {"simulation": {key: value for key, value in own["simulation"].items() if key != "snr_db"}}
+    stream = _stream(grid, reading, place, own, streams)
+    # Without noise one realisation of it says all.
+    noise = definition.noise if twin.receiver.snr_db is not None else 1
+    sizes = [definition.scatterers, noise, definition.standard_error_m]
     return Case(
         key=_hash([ENGINE, own, list(estimators), sizes, stream]),
         echoes_key=_hash([silent, stream]),
-        noise_key=_hash([silent["tracking"], silent["acquisition"], sizes, list(estimators), stream]),
+        noise_key=_hash([own["tracking"], own["acquisition"], sizes, list(estimators), stream]),
         stream=stream,
         train=train,
         twin=twin,
         gate_offset_s=2 * (scene.acquisition.gate_depth_m - twin.beams.focus_depth_m) / twin.sound_speed_m_per_s,
         estimators=estimators,
         scatterers=definition.scatterers,
-        noise=definition.noise if twin.receiver.snr_db is not None else 1,
+        noise=noise,
         standard_error_m=definition.standard_error_m,
     )
 
 
-def _stream(
-    base: Tables, definition: Definition, reading: Reading, place: tuple[int, ...], own: Tables, known: dict[str, int]
-) -> int:
-    """Return the entropy of a case's random numbers; along a common axis that of the axis' first case."""
-    if definition.common == "all":
-        return int(_hash([definition.seed]), 16)
-    shared = tuple(0 if axis.name in definition.common else n for axis, n in zip(definition.axes, place, strict=True))
+def _stream(grid: _Grid, reading: Reading, place: tuple[int, ...], own: Tables, known: dict[str, int]) -> int:
+    """Return the entropy of a case's random numbers, from its definition or from what it has in common."""
+    seed = grid.definition.seed
+    if grid.definition.common == "all":
+        return int(_hash([seed]), 16)
+    shared = grid.common_place(place)
     if (name := f"{reading} {shared}") not in known:
-        first = own if shared == place else _dump(*_checked(_tables_at(base, definition, shared), reading))
-        known[name] = int(_hash([definition.seed, first]), 16)
+        first = own if shared == place else _dump(*_checked(_tables_at(grid, shared), reading))
+        known[name] = int(_hash([seed, first]), 16)
     return known[name]
 
 
-def _tables_at(base: Tables, definition: Definition, place: tuple[int, ...]) -> Tables:
-    tables = copy.deepcopy(base)
-    for key, value in definition.set.items():
-        _put(tables, key, value)
-    for axis, n in zip(definition.axes, place, strict=True):
-        for key, values in axis.columns().items():
-            _put(tables, key, values[n])
+def _tables_at(grid: _Grid, place: tuple[int, ...]) -> Tables:
+    tables = copy.deepcopy(grid.base)
+    for key, value in grid.definition.set.items():
+        _put(tables, key, copy.deepcopy(value))
+    for columns, n in zip(grid.columns, place, strict=True):
+        for key, values in columns.items():
+            _put(tables, key, copy.deepcopy(values[n]))
     return tables
 
 

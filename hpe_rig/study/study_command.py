@@ -23,8 +23,9 @@ def study_command(
     scheduler: str | None,
     replaced: Mapping[str, Any],
     show: Callable[[str], None],
+    report: bool = False,
 ) -> None:
-    """Run the study ``name``, show its progress and what it took."""
+    """Run the study ``name``, show its progress and what it took; write its report where wanted."""
     count = workers or os.cpu_count() or 1
     open_pool = functools.partial(cluster, scheduler, count) if scheduler else functools.partial(processes, count)
     ahead = 64 if scheduler else 2 * count + 2
