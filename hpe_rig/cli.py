@@ -164,7 +164,7 @@ def check(
     ] = None,
 ) -> None:
     """Print the plan: timeline, checks, what is left out, duration, file size, bias and jitter. Opens nothing."""
-    from hpe_rig.detection import detection_text
+    from hpe_rig.detection import calibration_text, detection_text
     from hpe_rig.prediction import averaging_text, length_m, prediction_text
     from hpe_rig.run import Stages, prepare
     from hpe_rig.timeline import plan_text
@@ -173,7 +173,8 @@ def check(
     target_m = None if target is None else length_m(target, "--target")
     typer.echo(plan_text(setup.scene.scene.title, setup.plan, setup.findings))
     scene_text, simulated = setup.scene.scene, setup.bench.bench.simulated
-    foreseen = [*detection_text(scene_text, simulated, setup.plan.shots[0]), *averaging_text(scene_text, simulated)]
+    foreseen = [*detection_text(scene_text, simulated, setup.plan.shots[0])]
+    foreseen += [*calibration_text(scene_text, setup.bench.bench), *averaging_text(scene_text, simulated)]
     typer.echo("\n" + "\n".join([*foreseen, *prediction_text(scene_text, target_m)]))
     if any(finding.level == "refused" for finding in setup.findings):
         raise typer.Exit(EXIT_MISTAKE)
@@ -323,13 +324,14 @@ def study(
     scatterers: Annotated[int | None, typer.Option(help="Draws of scatterers a case.")] = None,
     noise: Annotated[int | None, typer.Option(help="Noise draws for each draw of scatterers.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of every random number.")] = None,
+    report: Annotated[bool, typer.Option("--report", help="Write STUDY.html and every figure as SVG and PNG.")] = False,
 ) -> None:
     """Run a Monte Carlo parameter study: bias and jitter of amplitude and phase, each with its uncertainty."""
     from hpe_rig.study.study_command import study_command
 
     replaced = {"points": points, "scatterers": scatterers, "noise": noise, "seed": seed}
     with extra("cluster"):
-        study_command(name, output, workers, scheduler, replaced, typer.echo)
+        study_command(name, output, workers, scheduler, replaced, typer.echo, report)
 
 
 @app.command("bench")

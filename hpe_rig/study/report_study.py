@@ -20,6 +20,7 @@ from hpe_rig.study.judging import ABSENT
 from hpe_rig.study.page import Part, render, table, write
 from hpe_rig.study.results import StudyResult
 from hpe_rig.study.series import View, is_map, view, views
+from hpe_rig.study.work_precision import label_decades
 
 PNG_DPI = 150
 LEAD = (
@@ -79,7 +80,7 @@ def run_time_part(results: Sequence[StudyResult]) -> Part:
     """Return error against run time: what was reached in what time, and what 100 or 1000 realisations buy."""
     rows = [row for one in results for row in run_times(one)]
     alt = "; ".join(
-        f"{row['study']}, {row['reading']}, {row['estimator']}: {row['mean displacement from 1000 (nm)']:.2g} nm "
+        f"{row['study']}, {row['reading']}, {row['estimator']}: {row['s.e. of mean from 1000 (nm)']:.2g} nm "
         f"in {row['seconds for 1000']:.3g} s a case"
         for row in rows
     )
@@ -117,8 +118,8 @@ def run_times(result: StudyResult) -> list[dict[str, Any]]:
         )
         row: dict[str, Any] = {"study": result.name, "reading": one.reading, "estimator": one.estimator}
         for wanted in (100, 1000):
-            row[f"mean displacement from {wanted} (nm)"] = float(np.nanmedian(mean_nm)) / math.sqrt(wanted)
-            row[f"jitter from {wanted} (nm)"] = float(np.nanmedian(jitter_nm)) / math.sqrt(wanted)
+            row[f"s.e. of mean from {wanted} (nm)"] = float(np.nanmedian(mean_nm)) / math.sqrt(wanted)
+            row[f"s.e. of jitter from {wanted} (nm)"] = float(np.nanmedian(jitter_nm)) / math.sqrt(wanted)
             row[f"seconds for {wanted}"] = float(np.median(seconds)) * wanted
         out.append(row)
     return out
@@ -171,6 +172,7 @@ def _run_time_figure(results: Sequence[StudyResult]) -> Figure:
                     )  # fmt: skip
         for reading, axes in panels.items():
             axes.set(xlabel="processor time of a case (s)", title=reading)
+            label_decades(axes.xaxis)
         panels["physical"].set_ylabel("standard error of the mean displacement (nm)")
         panels["physical"].legend(fontsize=7, ncols=2)
         return figure

@@ -33,6 +33,10 @@ def study_command(
         results = run_study(name, output, open_pool, ahead, replaced, watch)
     for line in table(results, output):
         show(line)
+    if report:
+        from hpe_rig.study.report_study import write_study_report
+
+        show(f"{write_study_report(Path(name).stem, results, output)}: open it in any browser")
 
 
 def table(results: list[StudyResult], output: Path) -> Iterator[str]:
