@@ -10,10 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.bench import twin_dose
+from hpe_rig.bench_file import BenchFile
 from hpe_rig.estimation import driven_frequencies_hz, skipped_pulses
 from hpe_rig.plan import Shot, slow_time_window
 from hpe_rig.prediction import expected_snr_db, used_pulses
 from hpe_rig.processing.model import design
+from hpe_rig.safety import drive_output
 from hpe_rig.scene import Scene
 
 MISSED = 20
@@ -21,6 +23,8 @@ MISSED = 20
 HANN_NOISE = 1.5
 """N sum w^2 / (sum w)^2 of a Hann window: what it adds to a variance, in the gate and again in slow time."""
 LISTED = 4
+AGREEING = 2.0
+"""Intensities further apart than this factor are not of one transducer: attenuation over the way is known no better."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,4 +106,26 @@ def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = Non
             + ", ".join(f"{limit_m * 1e9:.3g} nm at {hz:g} Hz" for hz, limit_m in moved)
             + f"; the twin's force at {found.reference_drive_vpp:g} Vpp is "
             f"{found.intensity_w_per_m2 / found.limit_w_per_m2:.3g} times that"
+        )
+
+
+def calibration_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
+    """Yield how the bench file's calibration contradicts the twin's force, where their intensities are far apart.
+
+    Body force 2 a I / c, as in the twin; the calibration derated as for the limits.
+    """
+    drive = None if bench.calibration is None else bench.calibration.toneburst
+    if not bench.simulated or bench.calibration is None or drive is None or scene.excitation is None:
+        return
+    found = twin_dose(scene, scene.excitation.burst_length_s[0], np.zeros(1))
+    if found is None:
+        return
+    depth_m, drive_vpp = bench.calibration.focus_depth_m, found.reference_drive_vpp
+    stated_w_per_m2 = drive_output(drive, depth_m, drive_vpp, 1.0).sppa_w_per_m2
+    ratio = found.intensity_w_per_m2 / stated_w_per_m2
+    if not 1 / AGREEING < ratio < AGREEING:
+        yield (
+            f"calibration: [calibration] of the bench file states {stated_w_per_m2 * 1e-4:.3g} W/cm2 at {drive_vpp:g} "
+            f"Vpp, the twin's force stands for {found.intensity_w_per_m2 * 1e-4:.3g} W/cm2, {ratio:.3g} times that: "
+            "the acoustic output by this calibration is not the output that moves the twin"
         )

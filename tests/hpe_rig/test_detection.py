@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hpe_rig.bench import twin_dose
-from hpe_rig.detection import detection_floor, detection_text
-from hpe_rig.run import prepare_text
+from hpe_rig.detection import calibration_text, detection_floor, detection_text
+from hpe_rig.run import prepare, prepare_text
 from hpe_rig.scene import parse_scene, shipped_scenes
 
 SCENES = shipped_scenes()
@@ -66,3 +66,19 @@ def test_pulses_that_shift_pay_for_the_harmonics_that_are_fitted_along():
     plain = detection_floor(alike.scene.scene).noise_m
     assert detection_floor(alike.scene.scene, True, alike.plan.shots[0]).noise_m == pytest.approx(plain, rel=1e-6)
     assert detection_floor(shifted.scene.scene, True, shifted.plan.shots[0]).noise_m > 1.4 * plain
+
+
+def test_a_calibration_that_is_not_of_the_twins_force_is_told_with_both_intensities() -> None:
+    setup = prepare("bovine-muscle")
+    (line,) = calibration_text(setup.scene.scene, setup.bench.bench)
+    # Theory notes, section 4: 17.27 Np/m at 3 MHz; 5.2 W/cm2 in water, derated by 6.3 dB.
+    stands_for = 5e6 * 1540 / (2 * 17.27)
+    ratio = stands_for / (5.2e4 * 10**-0.63)
+    assert f"{stands_for * 1e-4:.3g} W/cm2, {ratio:.3g} times" in line
+    specimen = {**setup.scene.scene.simulation["specimen"], "force_density_n_per_m3": 5e6 / ratio}
+    agreeing = setup.scene.scene.model_copy(
+        update={"simulation": {**setup.scene.scene.simulation, "specimen": specimen}}
+    )
+    assert list(calibration_text(agreeing, setup.bench.bench)) == []
+    real = setup.bench.bench.model_copy(update={"simulated": False})
+    assert list(calibration_text(setup.scene.scene, real)) == []
