@@ -88,9 +88,8 @@ def expected(setting: Setting, estimator: str, speckle: Speckle, generator: np.r
         ratio, pulse, walk = _peak_statistics(setting, speckle, generator)
         deviation = _windowed_deviation(setting, pulse, walk)
     else:
-        ratio, pulse = _whole_gate_ratio(speckle), 1 / (setting.gate_samples * setting.snr)
-        if estimator == "kasai":
-            ratio = ratio * _centre_over_carrier(setting, speckle)
+        ratio, share = _whole_gate(setting, speckle, estimator == "kasai")
+        pulse = 1 / (setting.gate_samples * setting.snr * share)
         walk = _walk(setting, pulse) if estimator in ("kasai", "loupas") else 0.0
         deviation = _fitted_deviation(setting, pulse, walk)
     return _with_noise(setting, estimator, ratio, deviation)
@@ -147,18 +146,22 @@ def _gaussian(place: FloatArray, width_m: Triple) -> FloatArray:
     return np.asarray(np.exp(-0.5 * np.square(place / np.array(width_m)[:, None]).sum(axis=0)))
 
 
-def _whole_gate_ratio(speckle: Speckle) -> FloatArray:
-    """Return tracked over peak displacement (draw,) of the phase of the whole gate."""
-    product = np.sum((np.conj(speckle.resting) * speckle.moved).real, axis=-1)
-    return np.asarray(product / np.sum(np.abs(speckle.resting) ** 2, axis=-1))
+def _whole_gate(setting: Setting, speckle: Speckle, by_carrier: bool) -> tuple[FloatArray, float]:
+    """Return tracked over peak displacement (draw,) of the phase of the whole gate, and the energy's share in the band.
 
-
-def _centre_over_carrier(setting: Setting, speckle: Speckle) -> FloatArray:
-    """Return the centre frequency of each draw's echo (draw,) over the carrier, which "kasai" takes in its place."""
-    resting = speckle.resting
-    turn = np.angle(np.sum(np.conj(resting[:, :-1]) * resting[:, 1:], axis=-1))
+    A moved echo a(t - 2u/c) exp(j w (t - 2u/c)) turns by its derivative against the echo at rest; that over the band's
+    mean frequency, or ``by_carrier`` over the carrier, is what is tracked.
+    """
     seconds = 2 * setting.gate_length_m / setting.sound_speed_m_per_s / INSTANTS
-    return np.asarray(1 + turn / (2 * np.pi * seconds * setting.carrier_hz))
+    carrier = 2 * np.pi * setting.carrier_hz
+    slope = np.gradient(speckle.moved, seconds, axis=-1) + 1j * carrier * speckle.moved
+    inside = _band_bins(setting, INSTANTS)
+    resting, turning = (np.fft.fft(each, axis=-1)[:, inside] for each in (speckle.resting, slope))
+    energy = np.abs(resting) ** 2
+    angular = carrier + 2 * np.pi * np.fft.fftfreq(INSTANTS, seconds)[inside]
+    divisor = carrier * energy.sum(axis=-1) if by_carrier else energy @ angular
+    share = energy.sum() / (INSTANTS * np.sum(np.abs(speckle.resting) ** 2))
+    return np.asarray(np.sum(np.conj(resting) * turning, axis=-1).imag / divisor), float(share)
 
 
 def _walk(setting: Setting, pulse: float) -> float:

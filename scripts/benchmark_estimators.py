@@ -1,20 +1,23 @@
 """Run times and errors of motion and harmonic estimation beside public peers, on the same arrays in one run.
 
-Peers are optional: statsmodels, filterpy, simdkalman, scikit-image; what is not installed is left out and named.
+Peers are optional: statsmodels, filterpy, simdkalman, scikit-image, zea (with jax); what is not installed is left out
+and named.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import statistics
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.processing import ESTIMATORS, EchoGate, Motion, estimate, kalman, least_squares, motion_of
+from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, Motion, estimate, kalman, least_squares, motion_of
 from hpe_rig.study.accuracy_motion import Case, gate, twin_echoes
 
 Floats = NDArray[np.float64]
@@ -31,6 +34,9 @@ def main() -> None:
         _harmonic(pulses, series, repeats)
     print(f"\n{'motion':44}{'median':>12}{'rms error':>12}")
     _motion(repeats)
+    print(f"\n{'velocity of a steady motion, 1 mm/s':44}{'median':>12}{'error':>12}")
+    for pulses, samples in ((100, 130), (4000, 1000)):
+        _velocity(pulses, samples, repeats)
 
 
 def _harmonic(pulses: int, series: int, repeats: int) -> None:
@@ -113,11 +119,38 @@ def _motion(repeats: int) -> None:
         "hpe_rig cross_correlation, 1 x 100 x 130", lambda: _fitted(motion_of(few, "cross_correlation")), one, repeats
     )
     _line("scikit-image phase_cross_correlation", lambda: _skimage(few), one, repeats)
-    long = _long_train()
     harmonics = [100.0 * n for n in range(1, 11)]
+    time_s = np.arange(4000) / RATE_HZ
+    moved_m = np.sum([1e-7 * np.sin(2 * np.pi * f * time_s + n) for n, f in enumerate(harmonics, 1)], axis=0)
+    truth = 1e-7 * np.array([np.cos(1), np.sin(1)])
+    double = _train(moved_m, 1000)
+    single = replace(double, volts=double.volts.astype(np.float32))
     for name in ESTIMATORS:
-        compute = lambda name=name: estimate(long, harmonics, name).state[None, :2]  # noqa: E731
-        _line(f"hpe_rig {name}, 4000 x 1000, ten harmonics", compute, None, 3)
+        for precision, long in (("float64", double), ("float32", single)):
+            compute = lambda name=name, long=long: estimate(long, harmonics, name).state[:2]  # noqa: E731
+            _line(f"{name}, 4000 x 1000 {precision}, 10 harmonics", compute, truth, repeats)
+
+
+def _velocity(pulses: int, samples: int, repeats: int) -> None:
+    time_s = np.arange(pulses) / RATE_HZ
+    echoes = _train(1e-3 * time_s, samples)
+    spectrum = np.fft.fft(echoes.volts, axis=-1)
+    spectrum[:, samples // 2 :] = 0
+    analytic = (2 * np.fft.ifft(spectrum, axis=-1)).astype(np.complex64)[..., None]
+    truth = np.array([1e-3])
+
+    def by_zea() -> Floats:
+        os.environ.setdefault("KERAS_BACKEND", "jax")
+        found = importlib.import_module("zea.doppler").color_doppler(analytic, 9e6, RATE_HZ, 1540.0)
+        return np.array([-float(np.mean(found))])
+
+    def by_slope(name: Estimator) -> Floats:
+        return np.polyfit(time_s, motion_of(echoes, name).displacement_m, 1)[:1]
+
+    for name in ("coherent", "kasai"):
+        compute = lambda name=name: by_slope(name)  # noqa: E731
+        _line(f"hpe_rig {name} and slope, {pulses} x {samples}", compute, truth, 3 * repeats, 1e6, "um/s")
+    _line(f"zea color_doppler, {pulses} x {samples}, from IQ", by_zea, truth, 3 * repeats, 1e6, "um/s")
 
 
 def _fitted(motion: Motion) -> Floats:
@@ -132,30 +165,34 @@ def _skimage(echoes: EchoGate) -> Floats:
     return _fitted(Motion(echoes.pulse_time_s, metres, np.zeros_like(metres), echoes.valid))
 
 
-def _long_train() -> EchoGate:
+def _train(displacement_m: Floats, samples: int) -> EchoGate:
+    """Return echoes (pulse, sample) of one medium that moves as a whole, 40 dB SNR."""
     generator = np.random.default_rng(3)
-    time_s = np.arange(4000) / RATE_HZ
-    displacement = sum(1e-7 * np.sin(2 * np.pi * 100 * n * time_s + n) for n in range(1, 11))
-    spectrum = generator.standard_normal(501) + 1j * generator.standard_normal(501)
-    frequency_hz = np.fft.rfftfreq(1000, 1e-8)
+    bins = samples // 2 + 1
+    spectrum = generator.standard_normal(bins) + 1j * generator.standard_normal(bins)
+    frequency_hz = np.fft.rfftfreq(samples, 1e-8)
     spectrum *= np.exp(-(((frequency_hz - 9e6) / 1e6) ** 2))
-    volts = np.fft.irfft(spectrum * np.exp(-4j * np.pi * frequency_hz * displacement[:, None] / 1540), 1000)
+    volts = np.fft.irfft(spectrum * np.exp(-4j * np.pi * frequency_hz * displacement_m[:, None] / 1540), samples)
     volts += 0.01 * volts.std() * generator.standard_normal(volts.shape)
-    return EchoGate(volts, 100e6, time_s, 9e6, 1540.0, np.ones(4000, dtype=bool))
+    pulses = displacement_m.size
+    return EchoGate(volts, 100e6, np.arange(pulses) / RATE_HZ, 9e6, 1540.0, np.ones(pulses, dtype=bool))
 
 
-def _line(name: str, compute: Callable[[], Floats], truth: Floats | None, repeats: int) -> None:
+def _line(
+    name: str, compute: Callable[[], Floats], truth: Floats, repeats: int, scale: float = 1e9, unit: str = "nm"
+) -> None:
     times_s = []
     try:
+        found = compute()  # imports and compilation are not timed
         for _ in range(repeats):
             start_s = time.perf_counter()
             found = compute()
             times_s.append(time.perf_counter() - start_s)
-    except ModuleNotFoundError as error:
-        print(f"{name:44}{f'{error.name} is not installed':>24}")
+    except ImportError as error:
+        print(f"{name:44}{error.name or 'jax':>14} is not installed")
         return
-    error_m = "-" if truth is None else f"{np.sqrt(np.mean((found - truth) ** 2)) * 1e9:.3g} nm"
-    print(f"{name:44}{statistics.median(times_s) * 1e3:9.3g} ms{error_m:>12}", flush=True)
+    wrong = f"{np.sqrt(np.mean((found - truth) ** 2)) * scale:.3g} {unit}"
+    print(f"{name:44}{statistics.median(times_s) * 1e3:9.3g} ms{wrong:>12}", flush=True)
 
 
 if __name__ == "__main__":

@@ -7,21 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from math import comb
 
 import numpy as np
 from numpy.polynomial import legendre
-from scipy.linalg import solve_triangular
 
 from hpe_rig.processing.echoes import FloatArray, Motion
 from hpe_rig.processing.harmonic import HarmonicFit, Innovations, fit_from_state
-from hpe_rig.processing.model import LARGEST_CONDITION, design, scaled_time
+from hpe_rig.processing.model import LARGEST_CONDITION, SURE_CONDITION, design, scaled_time
 
 PRIOR = 1e10
 """Prior variance over measurement variance: nothing known."""
-BLOCK = 64
-"""Pulses whose innovations are found at once."""
+BLOCK = 16
+"""Pulses, or states if these are more, whose innovations are found from their joint covariance."""
+CHUNK = 1 << 16
+"""Pulses that are in work at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,17 +81,20 @@ def kalman(
 def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovations: bool = False) -> Filtered:
     """Return the filtered state of a constant ``matrix`` (pulse, state) model and ``data`` (..., pulse).
 
-    Information form: a triangular factor grows by QR, a block of pulses at a time, and never loses its definiteness.
-    A block's innovations are those of one pulse after the other, from the Cholesky factor of their joint covariance.
+    Information form: a triangular factor grows by QR, many pulses at a time, and never loses its definiteness.
+    Innovations are those of one pulse after the other, from the Cholesky factor of the joint covariance of a block.
     """
     states = matrix.shape[1]
     values = data.reshape(-1, data.shape[-1]).T
     factor, transformed = np.eye(states) / np.sqrt(prior), np.zeros((states, values.shape[1]))
-    parts = []
-    for rows in _blocks(len(matrix), states) if innovations else _blocks(len(matrix), 0, 1 << 16):
-        block, seen = matrix[rows], values[rows]
+    parts, start, sure = [], 0, not innovations
+    while start < len(matrix):
+        # the first pulses stand alone, while the prior is still felt
+        sure = sure or (start >= 2 * states and np.linalg.cond(factor) < SURE_CONDITION)
+        rows = slice(start, start + (CHUNK if sure else BLOCK if start >= 2 * states else 1))
+        block, seen, start = matrix[rows], values[rows], rows.stop
         if innovations:
-            parts.append(_block_innovations(factor, transformed, block, seen))
+            parts.append((_innovations if sure else _block_innovations)(factor, transformed, block, seen))
         q, factor = np.linalg.qr(np.vstack([factor, block]))
         transformed = q.T @ np.vstack([transformed, seen])
     root = np.linalg.inv(factor)
@@ -126,21 +129,35 @@ def filter_changing(matrix: FloatArray, data: FloatArray, drive: Sequence[FloatA
     return Filtered(state, root, np.einsum("...i,...i->...", found, found), found)
 
 
-def _blocks(pulses: int, alone: int, size: int = BLOCK) -> list[slice]:
-    """Return blocks of pulses; the first pulses stand ``alone``, while the prior is still felt."""
-    edges = [*range(min(2 * alone, pulses)), *range(min(2 * alone, pulses), pulses, size), pulses]
-    return [slice(low, high) for low, high in pairwise(edges)]
-
-
 def _block_innovations(factor: FloatArray, transformed: FloatArray, block: FloatArray, seen: FloatArray) -> FloatArray:
-    """Return the normalised innovations (pulse, realisation) of a block of pulses."""
+    """Return the normalised innovations (pulse, realisation) of one block of pulses."""
     # numpy's general solver is several times quicker than scipy's triangular one for few states
     spread = np.linalg.solve(factor.T, block.T).T
-    surprise = seen - spread @ transformed
-    if len(block) == 1:
-        return np.asarray(surprise / np.sqrt(1.0 + spread[0] @ spread[0]))
     joint = np.linalg.cholesky(np.eye(len(block)) + spread @ spread.T)
-    return np.asarray(solve_triangular(joint, surprise, lower=True, check_finite=False))
+    return np.asarray(np.linalg.solve(joint, seen - spread @ transformed))
+
+
+def _innovations(factor: FloatArray, transformed: FloatArray, matrix: FloatArray, values: FloatArray) -> FloatArray:
+    """Return what ``_block_innovations`` does, of many blocks at once: products of factors instead of factors."""
+    pulses, states = matrix.shape
+    size = max(BLOCK, states)
+    if pulses <= size:
+        return _block_innovations(factor, transformed, matrix, values)
+    whole = pulses // size * size
+    blocks, seen = matrix[:whole].reshape(-1, size, states), values[:whole].reshape(-1, size, values.shape[1])
+    across = np.swapaxes(blocks, -1, -2)
+    information, moment = across @ blocks, across @ seen
+    before = factor.T @ factor + np.cumsum(information, axis=0) - information
+    known = factor.T @ transformed + np.cumsum(moment, axis=0) - moment
+    solved = np.linalg.solve(np.linalg.cholesky(before), np.concatenate([across, known], axis=-1))
+    spread = np.swapaxes(solved[..., :size], -1, -2)
+    joint = np.linalg.cholesky(np.eye(size) + spread @ solved[..., :size])
+    found = np.linalg.solve(joint, seen - spread @ solved[..., size:]).reshape(whole, -1)
+    if whole == pulses:
+        return np.asarray(found)
+    root = np.linalg.cholesky(before[-1] + information[-1])
+    last = np.linalg.solve(root, known[-1] + moment[-1])
+    return np.concatenate([found, _block_innovations(root.T, last, matrix[whole:], values[whole:])])
 
 
 def _process_roots(motion: Motion, states: int, harmonic: int, order: int) -> tuple[FloatArray, FloatArray]:

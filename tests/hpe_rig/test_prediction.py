@@ -27,8 +27,8 @@ def test_noise_jitter_of_the_best_estimators_is_the_bound(table_one: Setting, sn
     setting = replace(table_one, snr=10 ** (snr_db / 10))
     bound_m, _ = harmonic_bound(1e-6, 130, 100, setting.snr, 9e6, 1540.0)
     found = expected(setting, "joint", draw_speckle(setting, np.random.default_rng(1), 400), np.random.default_rng(2))
-    # 1 mm is 129.87 samples; noise of a Rice distribution shrinks by (deviation/amplitude)^2 / 4
-    assert found.noise_jitter_m == pytest.approx(bound_m, rel=3e-3, abs=0)
+    # the gate's ends put 1.5 % of the energy outside the band, 0.8 % of jitter; 1 mm is 129.87 samples, 0.05 %
+    assert found.noise_jitter_m == pytest.approx(1.008 * bound_m, rel=3e-3, abs=0)
 
 
 def test_more_scatterers_cannot_tell_the_drawn_envelopes_from_the_closed_form(table_one: Setting) -> None:
@@ -64,8 +64,6 @@ def test_bias_and_jitter_of_table_one_are_predicted(estimator: Estimator, spread
     [(name, value) for name, values in PARAMETERS.items() for value in values if name != "snr_db"],
 )
 def test_bias_and_jitter_of_figures_5_to_11_are_predicted(name: str, value: float, estimator: Estimator) -> None:
-    if name == "bandwidth" and value > 0.5:
-        pytest.skip("the searched band cuts a 75 % pulse: the model takes its whole energy (scope of the model)")
     _compare(replace(Case(snr_db=20), **{name: value}), estimator, 1000, 0.02, 0.15 + 2 / np.sqrt(1000))
 
 

@@ -117,6 +117,50 @@ def test_stated_uncertainties_are_true(
     np.testing.assert_allclose(np.mean(squares, axis=(0, 1)), 1.02, atol=0.18)
 
 
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+@pytest.mark.parametrize("snr_db", [-20.0, np.inf])
+def test_covariances_are_finite_and_positive_from_drowned_to_noise_free(
+    table_one: TableOne, estimator: Estimator, snr_db: float
+) -> None:
+    fit = estimate(table_one.gate(_noisy(table_one.rigid(_sine(table_one)), 5, snr_db)), [200.0], estimator)
+    assert np.isfinite(fit.amplitude_m).all()
+    assert np.isfinite(fit.covariance).all()
+    # a positive matrix times its rounding
+    assert np.linalg.eigvalsh(fit.covariance).min() >= -1e-12 * np.abs(fit.covariance).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_noise_alone_explains_2000_measurements(table_one: TableOne, estimator: Estimator) -> None:
+    generator = np.random.default_rng(32)
+    squares = []
+    for _ in range(20):
+        clean = twin_echoes(Case(), 100, generator)
+        noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 100)
+        fit = estimate(table_one.gate(clean + noise_v * generator.standard_normal(clean.shape)), [200.0], estimator)
+        error = fit.amplitude_m - estimate(table_one.gate(clean), [200.0], estimator).amplitude_m
+        squares.append(error[:, 0] ** 2 / fit.covariance[:, 0, 0, 0])
+    # a variance of 1 from 2000 draws: sqrt(2 / 2000) = 0.032, three of them, about 1.02 (95 degrees of freedom) to 1.04
+    assert np.mean(squares) == pytest.approx(1.03, abs=0.105)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("snr_db", np.arange(0.0, 61.0, 10.0))
+@pytest.mark.parametrize("estimator", ["coherent", "joint"])
+def test_jitter_over_100_speckles_is_within_five_percent_of_the_bound(
+    table_one: TableOne, estimator: Estimator, snr_db: float
+) -> None:
+    columns = harmonic_columns(table_one.pulse_time_s, np.array([200.0]))
+    generator, ratios = np.random.default_rng(33), []
+    for echo in twin_echoes(Case(), 100, generator):
+        noise_v = np.sqrt(np.mean(echo**2) / 10 ** (snr_db / 10))
+        volts = echo + noise_v * generator.standard_normal((30, *echo.shape))
+        bound = echo_bound(echo[0], 100e6, noise_v, columns, 1540.0)
+        ratios.append(np.var(estimate(table_one.gate(volts), [200.0], estimator).amplitude_m, ddof=1) / bound[0, 0])
+    # 100 x 29 degrees of freedom: the jitter is known to 1.3 %
+    assert np.sqrt(np.mean(ratios)) < 1.05
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_noise_and_speckle_together_explain_2000_measurements(table_one: TableOne, estimator: Estimator) -> None:
@@ -298,15 +342,22 @@ def test_an_acceleration_of_1_m_per_s2_is_fitted_along(table_one: TableOne) -> N
     assert fitted.amplitude_m[0] == pytest.approx(1e-7, rel=0.02)
 
 
-@given(gain=st.floats(1e-3, 1e3), shift=st.integers(0, 5), seed=st.integers(0, 99))
+@given(gain=st.floats(1e-3, 1e3), lift=st.floats(-1, 1), shift=st.integers(0, 5), seed=st.integers(0, 99))
 @settings(max_examples=10, deadline=None)
 @pytest.mark.parametrize("estimator", [*MEAN_ECHO, *PAIRWISE])
-def test_scale_order_and_origin_do_not_matter(
-    table_one: TableOne, speckle_draws: FloatArray, estimator: Estimator, gain: float, shift: int, seed: int
+def test_scale_constant_order_and_origin_do_not_matter(
+    table_one: TableOne,
+    speckle_draws: FloatArray,
+    estimator: Estimator,
+    gain: float,
+    lift: float,
+    shift: int,
+    seed: int,
 ) -> None:
     order = np.random.default_rng(seed).permutation(3)
     echoes = table_one.gate(speckle_draws[:3])
-    moved = replace(table_one.gate(gain * speckle_draws[:3][order]), pulse_time_s=echoes.pulse_time_s + shift * 1e-3)
+    volts = gain * (speckle_draws[:3][order] + lift)
+    moved = replace(table_one.gate(volts), pulse_time_s=echoes.pulse_time_s + shift * 1e-3)
     plain, changed = (estimate(each, [200.0], estimator) for each in (echoes, moved))
     np.testing.assert_allclose(changed.amplitude_m, plain.amplitude_m[order], rtol=1e-8)
     turn = np.angle(np.exp(1j * (changed.phase_rad - plain.phase_rad[order] + 2 * np.pi * 200 * shift * 1e-3)))

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hpe_rig.processing import Motion, kalman, least_squares
@@ -76,6 +80,33 @@ def test_a_huge_prior_gives_least_squares_to_1e9() -> None:
     filtered, fitted = kalman(motion, [200.0, 330.0], prior=1e15), least_squares(motion, [200.0, 330.0])
     np.testing.assert_allclose(filtered.state, fitted.state, rtol=1e-9, atol=1e-18)
     np.testing.assert_allclose(filtered.covariance, fitted.covariance, rtol=1e-9, atol=1e-30)
+    q, r = np.linalg.qr(design(motion.time_s, motion.valid, np.array([200.0, 330.0])).matrix)
+    np.testing.assert_allclose(
+        filtered.state, np.linalg.solve(r, q.T @ motion.displacement_m.T).T, rtol=1e-9, atol=1e-18
+    )
+
+
+@given(turn=st.floats(-3, 3), gain=st.floats(1e-6, 1e3), lift=st.floats(-1e-3, 1e-3), frequency_hz=st.floats(80, 1900))
+@settings(max_examples=30, deadline=None)
+def test_shift_scale_constant_and_conjugation_turn_the_phasor_as_they_must(
+    turn: float, gain: float, lift: float, frequency_hz: float
+) -> None:
+    time_s = np.arange(301) / RATE_HZ
+    data = _wave(301, 1e-6, frequency_hz) + 1e-7 * np.random.default_rng(13).standard_normal(301)
+    motion = _motion(data)
+    for method in (least_squares, kalman):
+        plain = method(motion, [frequency_hz])
+        changed = method(
+            replace(motion, time_s=time_s + turn * 1e-3, displacement_m=gain * (data + lift)), [frequency_hz]
+        )
+        mirrored = method(replace(motion, time_s=-time_s[::-1], displacement_m=data[::-1]), [frequency_hz])
+        phasor = plain.amplitude_m[0] * np.exp(1j * plain.phase_rad[0])
+        late = changed.amplitude_m[0] * np.exp(1j * (changed.phase_rad[0] + 2 * np.pi * frequency_hz * turn * 1e-3))
+        # a prior of 1e10 pulls by 1e-10 of the constant, up to 1e-3 m; times known to 1e-16 s
+        assert abs(late / gain - phasor) < 1e-9 * abs(phasor) + 1e-12 * abs(lift)
+        # sin(-w t + phi) is sin(w t + pi - phi): the phasor at -f is the conjugate one, in the sine's own sign
+        back = mirrored.amplitude_m[0] * np.exp(1j * mirrored.phase_rad[0])
+        assert abs(back + np.conj(phasor)) < 1e-9 * abs(phasor)
 
 
 @pytest.mark.slow
@@ -161,7 +192,7 @@ def test_close_frequencies_are_refused_with_the_condition_or_fitted_with_honest_
     np.testing.assert_allclose(np.mean(error**2, axis=0), 1, atol=0.135)
 
 
-@pytest.mark.parametrize(("points", "cycles"), [(2.5, 40), (5, 1), (5, 1000), (30, 3), (1000, 1), (20, 0.5)])
+@pytest.mark.parametrize(("points", "cycles"), [(2.5, 40), (5, 1), (5, 1000), (30, 3), (1000, 1), (20, 20), (20, 0.5)])
 def test_few_and_many_points_and_cycles_are_recovered(points: float, cycles: float) -> None:
     frequency_hz = RATE_HZ / points
     pulses = round(points * cycles)
