@@ -14,6 +14,8 @@ from hpe_rig.study.work_precision import Point, measured
 Floats = NDArray[np.float64]
 
 WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)
+BLOWN_UP = 1e6
+"""Where an error that overflows is drawn."""
 BURSTS, PERIOD_PS, BURST_PS = 20, 10_000_000_000, 100_000_000
 
 
@@ -85,7 +87,7 @@ def _fourier(specimen: object, time_ps: NDArray[np.int64], period_s: float, high
 
 def _lumped() -> Iterator[Point]:
     """Yield thirteen springs and dashpots, time constants 1e-9 to 1e3 s, under a unit step, at 60 instants to 1e3 s."""
-    from scipy.integrate import solve_ivp
+    from scipy.integrate import DOP853, solve_ivp
 
     from sim_backend.inverse_laplace import AXIS_CONTOUR, panels_of
 
@@ -101,23 +103,45 @@ def _lumped() -> Iterator[Point]:
         exact,
     )
 
-    def solved(method: Literal["Radau", "BDF", "DOP853"], tolerance: float) -> Floats:
-        evaluations = 0
+    def slope(_t: float, y: Floats) -> Floats:
+        return (1 - y) / constants_s
 
-        def slope(_t: float, y: Floats) -> Floats:
-            nonlocal evaluations
-            evaluations += 1
-            if evaluations > 20_000:
-                raise ValueError("the solver crawls")
-            return (1 - y) / constants_s
-
+    def solved(method: Literal["Radau", "BDF"], tolerance: float) -> Floats:
         start = np.zeros(constants_s.size)
         solution = solve_ivp(slope, (0, 1e3), start, method, time_s, rtol=tolerance, atol=tolerance * 1e-3)
         return np.asarray(solution.y.T)
+
+    def crawled(evaluations: int) -> Floats:
+        """Stop an explicit solver, stable only at steps of some ns, after so many evaluations: the rest stays."""
+        solver = DOP853(slope, 0, np.zeros(constants_s.size), 1e3, rtol=1e-4, atol=1e-7)
+        value = np.zeros(exact.shape)
+        while solver.nfev < evaluations:
+            solver.step()
+            value[time_s > (solver.t_old or 0.0)] = solver.y
+        return value
+
+    def blown_up(steps: int) -> Floats:
+        """Take equal explicit steps, far longer than the shortest time constant."""
+        length_s, left = 1e3 / steps, np.ones(constants_s.size)
+        course = np.empty((steps + 1, constants_s.size))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for step in range(steps + 1):
+                course[step] = 1 - left
+                one = -left / constants_s
+                two = -(left + length_s / 2 * one) / constants_s
+                three = -(left + length_s / 2 * two) / constants_s
+                four = -(left + length_s * three) / constants_s
+                left = left + length_s / 6 * (one + 2 * two + 2 * three + four)
+        found = course[np.round(time_s / length_s).astype(np.int64)]
+        return np.nan_to_num(np.clip(found, -BLOWN_UP, BLOWN_UP), nan=BLOWN_UP)
 
     implicit: tuple[Literal["Radau"], Literal["BDF"]] = ("Radau", "BDF")
     for method in implicit:
         for tolerance in (1e-4, 1e-7):
             setting = f"rtol {tolerance:g}"
             yield measured(case, f"scipy {method}", setting, partial(solved, method, tolerance), exact, 1)
-    yield measured(case, "scipy DOP853", "rtol 0.0001", partial(solved, "DOP853", 1e-4), exact, 1)
+    for evaluations in (2_000, 20_000, 100_000):
+        setting = f"{evaluations} evaluations"
+        yield measured(case, "DOP853, crawls", setting, partial(crawled, evaluations), exact, 1)
+    for steps in (1_000, 30_000):
+        yield measured(case, "RK4, blows up", f"{steps} steps", partial(blown_up, steps), exact, 1)

@@ -7,13 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import h5py
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from hpe_rig.estimation import driven_frequencies_hz
 from hpe_rig.figures_svg import STYLE
+from hpe_rig.plan import slow_time_window
+from hpe_rig.processing import Motion, least_squares
 from hpe_rig.result import Result, ShotResult
 from hpe_rig.run import measure, prepare_text, process
 from hpe_rig.scene import shipped_scenes
@@ -74,15 +78,25 @@ class Repeated:
         return np.asarray(np.degrees(np.angle(turn / turn.mean(axis=0)).std(axis=0, ddof=1)))
 
 
-def result_of(scene: str, *edits: tuple[str, str], estimator: str | None = None) -> Result:
-    """Measure a shipped scene, with pieces of its text replaced, and return its result."""
-    text = shipped_scenes()[scene]
-    for old, new in edits:
-        if old not in text:
-            raise ValueError(f"scene {scene} has no {old!r}: adapt the experiment to it")
-        text = text.replace(old, new)
+def result_of(scene: str) -> Result:
+    """Measure a shipped scene and return its result."""
+    return result_and_sampled_truth(scene)[0]
+
+
+def result_and_sampled_truth(scene: str) -> tuple[Result, Floats]:
+    """Return also the amplitude, m (frequency,), of the first shot's true motion at the pulses: what folds is in it."""
+    setup = prepare_text(scene, shipped_scenes()[scene])
     with TemporaryDirectory() as folder:
-        return process(measure(prepare_text(scene, text), Path(folder) / "run.h5"), estimator)
+        run_file = measure(setup, Path(folder) / "run.h5")
+        with h5py.File(run_file) as file:
+            true_m = file["truth/displacement_m"][0]
+        result = process(run_file)
+    shot, settings = setup.plan.shots[0], setup.scene.scene
+    inside = slow_time_window(settings, shot)
+    time_s = shot.timeline.sensing_s[inside]
+    motion = Motion(time_s, true_m[inside], np.zeros(time_s.size), np.ones(time_s.size, bool))
+    fit = least_squares(motion, list(settings.wanted_frequencies_hz), also_hz=driven_frequencies_hz(settings))
+    return result, np.asarray(fit.amplitude_m)
 
 
 def repeated(shots: Sequence[ShotResult]) -> Repeated:
