@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from hpe_rig.console import EXIT_INSTRUMENT, EXIT_MISTAKE, announce, extra, guarded, progress, scenes_like, show
+from hpe_rig.stages import Stages
 
 app = typer.Typer(
     help="Measure harmonic motion with pulsed ultrasound excitation, on the bench or on its twin.",
@@ -56,11 +57,13 @@ def run(
     verbose: Verbose = False,
 ) -> None:
     """Plan, acquire, store, estimate: one measurement from the scene to the table."""
-    from hpe_rig.run import Stages, chosen_estimator, measure, prepare, process
-    from hpe_rig.run_watch import watched
-    from hpe_rig.store import WriteOptions, free_path
-
     stages = Stages()
+    with stages("load"):
+        import hpe_rig.estimation  # noqa: F401, needed at the end
+        from hpe_rig.run import chosen_estimator, measure, prepare, process
+        from hpe_rig.run_watch import watched
+        from hpe_rig.store import WriteOptions, free_path
+
     setup = prepare(scene, bench, stages)
     chosen_estimator(estimator, setup.scene.scene)
     path = output or free_path(setup.scene.name, Path())
@@ -85,13 +88,15 @@ def resume(
     verbose: Verbose = False,
 ) -> None:
     """Go on with a run that stopped: take its complete shots over into a new file, measure the others."""
-    from hpe_rig.resume import prepare_rest
-    from hpe_rig.resume import resume as resume_run
-    from hpe_rig.run import Stages, process
-    from hpe_rig.run_watch import watched
-    from hpe_rig.store import free_path
-
     stages = Stages()
+    with stages("load"):
+        import hpe_rig.estimation  # noqa: F401, needed at the end
+        from hpe_rig.resume import prepare_rest
+        from hpe_rig.resume import resume as resume_run
+        from hpe_rig.run import process
+        from hpe_rig.run_watch import watched
+        from hpe_rig.store import free_path
+
     rest = prepare_rest(run_file, scene, bench, stages)
     announce(f"{rest.complete} of {len(rest.setup.plan.shots)} shots are complete")
     path = output or free_path(run_file.stem, run_file.parent)
@@ -105,7 +110,6 @@ def resume(
 @guarded
 def process(run_file: Path, estimator: Estimator = None, json: Json = False, csv: Csv = False) -> None:
     """Estimate again from a stored run, also with another estimator."""
-    from hpe_rig.run import Stages
     from hpe_rig.run import process as process_run
 
     show(process_run(run_file, estimator, Stages()), json, csv)
@@ -166,7 +170,7 @@ def check(
     """Print the plan: timeline, checks, what is left out, duration, file size, bias and jitter. Opens nothing."""
     from hpe_rig.detection import calibration_text, detection_text
     from hpe_rig.prediction import averaging_text, length_m, prediction_text
-    from hpe_rig.run import Stages, prepare
+    from hpe_rig.run import prepare
     from hpe_rig.timeline import plan_text
 
     setup = prepare(scene, bench, Stages(), refuse=False)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,14 +19,13 @@ from hpe_rig.scene import Estimator, Processing, Scene, SceneText, parse_scene, 
 from hpe_rig.sequencer import (
     Event,
     Observer,
-    Progress,
     ShotBlock,
     ShotDone,
     ShotReady,
-    Step,
     acquire,
     unobserved,
 )
+from hpe_rig.stages import Stages as Stages
 from hpe_rig.store import (
     RunWriter,
     StoredRun,
@@ -40,49 +38,6 @@ from hpe_rig.store import (
     write_result,
 )
 from hpe_rig.truth import true_harmonics_m
-
-
-class Stages:
-    """Wall time by stage, in the order the stages were entered; of stages within each other the innermost counts."""
-
-    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
-        self.run_time_s: dict[str, float] = {}
-        self._clock = clock
-        self._open: list[str] = []
-        self._since_s = clock()
-
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        self._charge()
-        self._open.append(name)
-        try:
-            yield
-        finally:
-            self._charge()
-            self._open.pop()
-
-    def come_after(self, run_time_s: Mapping[str, float]) -> None:
-        """Put the stages of an earlier process before the own ones; where both have one the own counts."""
-        self.run_time_s = {**run_time_s, **self.run_time_s}
-
-    def stepping(self, observer: Observer) -> Observer:
-        """Return ``observer`` such that the innermost stage changes its name with every step of the sequencer."""
-
-        def observe(progress: Progress) -> None:
-            observer(progress)
-            if progress.step is not Step.SAFE:
-                # Told when every output is off already.
-                self._charge()
-                self._open[-1] = progress.step.value
-
-        return observe
-
-    def _charge(self) -> None:
-        now_s = self._clock()
-        if self._open:
-            name = self._open[-1]
-            self.run_time_s[name] = self.run_time_s.get(name, 0.0) + now_s - self._since_s
-        self._since_s = now_s
 
 
 @dataclass(frozen=True, slots=True)

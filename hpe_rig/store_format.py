@@ -13,6 +13,7 @@ FORMAT_VERSION: Final = 2
 RESULT_FORMAT: Final = "hpe_rig result"
 
 STAGES: Final = (
+    "load",
     "plan",
     "take over",
     "open bench",
