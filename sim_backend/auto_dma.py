@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim_backend import alazar_codes as codes
 from sim_backend.alazar_codes import Code
-from sim_backend.board_ats460 import Arming, Taken, is_clipped, words
+from sim_backend.board_ats460 import Arming, BoardSettings, Taken, is_clipped, words
 
 ADDRESS_MULTIPLE, ADDRESS_MULTIPLE_NPT = 32, 64
 
@@ -41,6 +41,21 @@ class Transfer:
         """Size of a buffer."""
         record_bytes = 2 * self.record_samples + (codes.HEADER_BYTES if self.headers else 0)
         return record_bytes * self.records_per_buffer * len(self.channels)
+
+    def refusal(self, settings: BoardSettings, offset: int) -> Code:
+        """Return why a board with dual-port memory refuses the transfer."""
+        if self.flags & ~0x209 or (self.npt and self.headers):
+            return Code.UNSUPPORTED_FUNCTION
+        if not self.channels:
+            return Code.NOT_SUPPORT_THIS_CHANNEL
+        if self.record_samples != settings.record_samples or self.record_samples % (32 if self.npt else 16):
+            return Code.INVALID_SIZE
+        if offset != -settings.pre_samples or (self.npt and offset):
+            return Code.INVALID_OFFSET
+        per_buffer, count = self.records_per_buffer, self.record_count
+        if per_buffer < 1 or count < 1 or (count != codes.ENDLESS_RECORDS and count % per_buffer):
+            return Code.INVALID_RECORDS_PER_BUFFER
+        return Code.SUCCESS if self.buffer_bytes < codes.MOST_BUFFER_BYTES else Code.INVALID_SIZE
 
 
 @dataclass(slots=True)
