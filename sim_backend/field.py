@@ -119,16 +119,21 @@ def _ray_spectrum(width_m: Triple, lateral_m: Floats, axial_m: Floats) -> tuple[
     """Return the squares of the wave numbers, (k,), and their weighted share in every point, (k, point)."""
     m, a, share = polar_nodes(width_m[0] ** 2, width_m[2] ** 2)
     turn = np.exp(1j * _RAY)
-    highest = float(_highest(a, lateral_m.max() * np.sqrt(1 - m**2) + np.abs(axial_m).max() * m).max())
+    reach_m = lateral_m.max() * np.sqrt(1 - m**2) + np.abs(axial_m).max() * m
+    highest = float(_highest(a, reach_m).max())
     edges = highest * 2.0 ** np.arange(-_OCTAVES, 1)
     k2, into = [], []
     for octave, (low, high) in enumerate(zip([0.0, *edges[:-1]], edges, strict=True)):
         short = octave > _OCTAVES - _SHORT_OCTAVES
         node, weight = np.polynomial.legendre.leggauss(_NODES_WHERE_WAVES_ARE_SHORT if short else _NODES_AN_OCTAVE)
         k = turn * ((high + low) / 2 + (high - low) / 2 * node)
-        spread = np.exp(-np.outer(k**2, a)) * share
-        across = _bessel_j0(k[:, None, None] * np.sqrt(1 - m**2)[:, None] * lateral_m)
-        along = np.cos(k[:, None, None] * m[:, None] * axial_m)
+        # Directions in which the force is too long for these wave numbers put nothing into any point.
+        fall = a * (low * low * math.cos(2 * _RAY))
+        seen = fall - high * reach_m * math.sin(_RAY) < _NEGLIGIBLE_EXPONENT
+        sine, cosine = np.sqrt(1 - m[seen] ** 2)[:, None], m[seen][:, None]
+        spread = np.exp(-np.outer(k**2, a[seen])) * share[seen]
+        across = _bessel_j0(k[:, None, None] * sine * lateral_m)
+        along = np.cos(k[:, None, None] * cosine * axial_m)
         block = np.einsum("km,kml,kma->kla", spread, across, along, optimize=True)
         k2.append(k**2)
         into.append(block.reshape(len(k), -1) * (turn * (high - low) / 2 * weight)[:, None])
