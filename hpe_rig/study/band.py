@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import qr
 
 from hpe_rig.processing import EchoGate, Estimator, Motion, Options, estimate, fit_motion, motion_of
 from hpe_rig.processing.conditioning import hann
@@ -27,7 +28,7 @@ Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
 
 NEGLIGIBLE = 1e-13
-"""Singular values below this share of the largest are rounding."""
+"""What is left of a column below this share of the largest is rounding."""
 PADDING = 8
 """The paper's chain: how finely its spectrum is sampled, as `processing.cross_spectrum`'s default."""
 
@@ -80,23 +81,38 @@ class Band:
     """The same from the numbers, (number, 2 * bin), and of "volts" (number, sample), orthonormal rows."""
 
 
-@functools.lru_cache(maxsize=16)
 def band_of(train: Train) -> Band:
     """Return what the estimators see of a gate; raises ``ValueError`` for a gate too short for the band."""
-    empty = train.gate(np.zeros((train.pulses, train.samples)))
+    return _band(train.carrier_hz, train.sample_rate_hz, train.samples)
+
+
+@functools.lru_cache(maxsize=16)
+def _band(carrier_hz: float, sample_rate_hz: float, samples: int) -> Band:
+    # The grids are those of one pulse, whenever it is fired and whatever the sound speed.
+    one = EchoGate(np.zeros((1, samples)), sample_rate_hz, np.zeros(1), carrier_hz, 1.0, np.ones(1, dtype=bool))
     grid_hz: dict[Form, Floats] = {
-        "peak": band_grid(empty, 1 << (PADDING * train.samples - 1).bit_length()),
-        "plain": band_grid(empty, train.samples),
+        "peak": band_grid(one, 1 << (PADDING * samples - 1).bit_length()),
+        "plain": band_grid(one, samples),
     }
-    angle = {
-        form: 2 * np.pi * np.outer(np.arange(train.samples) / train.sample_rate_hz, hz) for form, hz in grid_hz.items()
-    }
+    angle = {form: 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, hz) for form, hz in grid_hz.items()}
     of_volts = {form: np.hstack([np.cos(turn), -np.sin(turn)]) for form, turn in angle.items()}
-    of_volts["peak"] *= hann(train.samples)[:, None]
-    left, strength, _ = np.linalg.svd(np.hstack(list(of_volts.values())), full_matrices=False)
-    basis = np.ascontiguousarray(left[:, strength > NEGLIGIBLE * strength[0]].T)
+    of_volts["peak"] *= hann(samples)[:, None]
+    basis = _basis(np.hstack([of_volts["plain"], of_volts["peak"]]))
     of_numbers: dict[Form, Floats] = {form: basis @ columns for form, columns in of_volts.items()}
     return Band(len(basis), grid_hz, of_volts, of_numbers | {"volts": basis})
+
+
+def _basis(columns: Floats) -> Floats:
+    """Return orthonormal rows (number, sample) that span ``columns`` (sample, column).
+
+    The random numbers multiply them, so they must not hang on rounding, as singular vectors of nearly equal values do.
+    Elimination by the largest column hangs on it where two are equally large: a slope keeps them apart.
+    """
+    slope = np.linspace(1.0, 0.7, columns.shape[1])
+    orthonormal, triangle, _ = qr(columns * slope, mode="economic", pivoting=True)
+    pivot = np.diagonal(triangle)
+    kept = np.abs(pivot) > NEGLIGIBLE * np.abs(pivot[0])
+    return np.ascontiguousarray((orthonormal[:, kept] * np.sign(pivot[kept])).T)
 
 
 @functools.lru_cache(maxsize=64)
