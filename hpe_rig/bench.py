@@ -15,43 +15,18 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces import (
-    Clock,
-    Digitizer,
-    Instrument,
-    InstrumentError,
-    MasterTrigger,
-    PulseGenerator,
-    Setting,
-    ToneburstGenerator,
-)
+from drivers.interfaces import Clock, Instrument, InstrumentError
 from drivers.interfaces import Wire as InstrumentWire
 from hpe_rig.bench_file import GENERATOR_ROLES, BenchFile
-from hpe_rig.interrupts import interruptible, uninterrupted
+from hpe_rig.interrupts import interruptible
 from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of
+from hpe_rig.open_instruments import Bench, make_safe
 from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
     from sim_backend.dose import Dose
     from sim_backend.wires import Emulator, Transport
     from sim_backend.world import World
-
-SAFE_ATTEMPTS = 2
-"""How often an instrument is asked to be safe before it counts as unreachable: one lost reply is no lost bench."""
-SAFE_ORDER = ("toneburst", "burst_train", "master", "tracking_pulser", "tracking_train", "digitizer")
-"""Order of making safe: what pushes first."""
-
-
-class UnsafeBenchError(Exception):
-    """Some output could not be proven off."""
-
-    def __init__(self, failures: Sequence[tuple[str, BaseException]]) -> None:
-        lines = "\n".join(f"  {role}: {error}" for role, error in failures)
-        super().__init__(
-            f"THE BENCH MAY STILL BE DRIVING: not proven off: {', '.join(role for role, _ in failures)}\n{lines}\n"
-            "Switch these outputs off by hand, now; programmed trains are finite and end by themselves."
-        )
-        self.roles = tuple(role for role, _ in failures)
 
 
 class WallClock:
@@ -66,40 +41,6 @@ class WallClock:
 
 PROVEN_OFF = "every output is off, verified"
 """Note on whatever ended the use of a bench, once its outputs had been read back as off."""
-
-
-@dataclass(frozen=True, slots=True)
-class Bench:
-    """The open instruments of a bench; ``burst_train`` and ``toneburst`` are None where nothing pushes."""
-
-    simulated: bool
-    clock: Clock
-    master: MasterTrigger
-    burst_train: PulseGenerator | None
-    toneburst: ToneburstGenerator | None
-    tracking_train: PulseGenerator
-    tracking_pulser: ToneburstGenerator
-    digitizer: Digitizer
-    world: World | None
-
-    @property
-    def instruments(self) -> tuple[Instrument, ...]:
-        """Every open instrument, in the order of making safe."""
-        return tuple(getattr(self, role) for role in SAFE_ORDER if getattr(self, role) is not None)
-
-    @property
-    def generators(self) -> tuple[MasterTrigger | PulseGenerator | ToneburstGenerator, ...]:
-        """The open generators, in the order of the trigger's way."""
-        chain = (self.master, self.burst_train, self.toneburst, self.tracking_train, self.tracking_pulser)
-        return tuple(generator for generator in chain if generator is not None)
-
-    def make_safe(self) -> None:
-        """Switch every output off and abort the capture, each guarded on its own; raise ``UnsafeBenchError``."""
-        make_safe(self.instruments)
-
-    def snapshot(self) -> dict[str, Mapping[str, Setting]]:
-        """Return every instrument's settings as read back, by role."""
-        return {instrument.role: instrument.snapshot() for instrument in self.instruments}
 
 
 def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
@@ -341,28 +282,6 @@ def _assemble(bench: BenchFile, roles: Sequence[str], reached: Reach) -> Bench:
         digitizer=drivers["digitizer"],
         world=reached.world,
     )
-
-
-def make_safe(instruments: Sequence[Instrument]) -> None:
-    """Make each of ``instruments`` safe, whatever happens to the others; raise ``UnsafeBenchError`` for those left."""
-    with uninterrupted():
-        failures = [(item.role, error) for item in instruments if (error := _unsafe(item)) is not None]
-        # Inside, so that an interrupt that was held back cannot take this message's place.
-        if failures:
-            raise UnsafeBenchError(failures)
-
-
-def _unsafe(instrument: Instrument) -> Exception | None:
-    """Return why ``instrument`` could not be proven safe; None where it was."""
-    failure: Exception | None = None
-    for _ in range(SAFE_ATTEMPTS):
-        try:
-            instrument.make_safe()
-        except Exception as error:
-            failure = error
-        else:
-            return None
-    return failure
 
 
 def _close_quietly(instrument: Instrument) -> None:

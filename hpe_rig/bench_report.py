@@ -14,10 +14,11 @@ from rich.console import Console
 from rich.table import Table
 
 from drivers.interfaces import Identity, Instrument, InstrumentError, Setting
-from hpe_rig.bench import make_safe, open_each, visa_addresses
+from hpe_rig.bench import open_each, visa_addresses
 from hpe_rig.bench_compare import file_differences, settings_differences
 from hpe_rig.bench_file import BenchFile, DigitizerBoard, read_bench
 from hpe_rig.mistakes import parse_toml
+from hpe_rig.open_instruments import make_safe
 from hpe_rig.store import read_run, read_snapshots
 
 LATENCY_QUERIES: Final = 5

@@ -97,11 +97,11 @@ def progress(setup: Setup, quiet: bool) -> Iterator[Observer]:
 def _failure(error: BaseException) -> tuple[str, int] | None:
     """Return message and exit code of an expected failure, None for a bug."""
     from drivers.interfaces import InstrumentError
-    from hpe_rig.bench import UnsafeBenchError
     from hpe_rig.conflicts import PlanError
     from hpe_rig.interrupts import Terminated
     from hpe_rig.live_stop import StopRequested
     from hpe_rig.mistakes import SettingsError
+    from hpe_rig.open_instruments import UnsafeBenchError
     from hpe_rig.store import StoreError
 
     notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))

@@ -13,10 +13,11 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.bench import Bench, open_bench
+from hpe_rig.bench import open_bench
 from hpe_rig.conflicts import findings, refuse_conflicts
 from hpe_rig.live_server import LivePage
 from hpe_rig.live_state import State, image_state, level_state, rf_state
+from hpe_rig.open_instruments import Bench
 from hpe_rig.plan import Plan, Shot, make_plan
 from hpe_rig.records import ShotRecords, assemble
 from hpe_rig.run import Setup

@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.bench import Bench, check_simulation, open_bench, simulation_schema
+from hpe_rig.bench import check_simulation, open_bench, simulation_schema
 from hpe_rig.bench_file import BenchFile, BenchText, parse_bench, read_bench
 from hpe_rig.conflicts import Finding, findings, refuse_conflicts
 from hpe_rig.interrupts import interruptible, uninterrupted
 from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of
+from hpe_rig.open_instruments import Bench
 from hpe_rig.plan import Plan, make_plan
 from hpe_rig.result import Result
 from hpe_rig.scene import Estimator, Processing, Scene, SceneText, parse_scene, scene_text

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from drivers.interfaces import DeadlineError, RecordBlock, Setting
-from hpe_rig.bench import Bench
+from hpe_rig.open_instruments import Bench
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 
 

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.bench import Bench, open_bench
+from hpe_rig.bench import open_bench
 from hpe_rig.interrupts import Terminated
+from hpe_rig.open_instruments import Bench
 from hpe_rig.run import Setup
 from hpe_rig.sequencer import Progress, Step, acquire
 

@@ -17,7 +17,8 @@ import pytest
 from drivers.agilent_33250a import Agilent33250A, MasterTrigger33250A
 from drivers.interfaces import DeadlineError, InstrumentError
 from hpe_rig import bench as bench_module
-from hpe_rig.bench import UnsafeBenchError, open_bench
+from hpe_rig.bench import open_bench
+from hpe_rig.open_instruments import UnsafeBenchError
 from hpe_rig.plan import SAFETY_MARGIN_S
 from hpe_rig.run import Setup, measure, process
 from hpe_rig.sequencer import acquire

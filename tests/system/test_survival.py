@@ -21,7 +21,8 @@ import pytest
 
 from drivers.interfaces import RecordBlock
 from hpe_rig import run as run_module
-from hpe_rig.bench import Bench, open_bench
+from hpe_rig.bench import open_bench
+from hpe_rig.open_instruments import Bench
 from hpe_rig.resume import prepare_rest, resume
 from hpe_rig.run import Setup, measure, process
 from hpe_rig.sequencer import Progress, ShotBlock, Step, acquire
