@@ -39,11 +39,14 @@ class Extreme:
     time_s: float
 
 
-def extremes(medium: Iterable[Point] = ()) -> Iterator[Extreme]:
-    """Yield every stage's cases; ``medium`` are the points of `accuracy_specimen`: ours and the best of the others."""
+def extremes(medium: Iterable[Point] = (), longest_cycles: float = 1e4) -> Iterator[Extreme]:
+    """Yield every stage's cases; ``medium`` are the points of `accuracy_specimen`: ours and the best of the others.
+
+    ``longest_cycles`` of the longest train that the estimators get.
+    """
     yield from _of_medium(medium)
     yield from _echoes()
-    yield from _estimators()
+    yield from _estimators(longest_cycles)
     yield from _fits()
 
 
@@ -129,7 +132,7 @@ def _echo(
     return Extreme("echoes", case, reason, "shipped: tolerance 1e-6", error, "rms error / rms echo", time_s)
 
 
-def _estimators() -> Iterator[Extreme]:
+def _estimators(longest_cycles: float) -> Iterator[Extreme]:
     names: tuple[Estimator, ...] = ("coherent", "joint", "cross_spectrum")
     for name in names:
         for case, reason, amplitude_m, points, cycles in (
@@ -138,7 +141,7 @@ def _estimators() -> Iterator[Extreme]:
             ("100 um", "phase over several turns, three quarters of the largest step", 100e-6, 20.0, 5.0),
             ("2.5 pulses a cycle", "hardly above the sampling theorem", 1e-6, 2.5, 40.0),
             ("one cycle", "harmonic and constant hardly apart", 1e-6, 20.0, 1.0),
-            ("ten thousand cycles", "200 000 pulses", 1e-6, 20.0, 1e4),
+            (f"{longest_cycles:g} cycles", f"{20 * longest_cycles:g} pulses", 1e-6, 20.0, longest_cycles),
         ):
             yield _one_scatterer(name, case, reason, amplitude_m, points, cycles)
 
