@@ -116,6 +116,7 @@ def _estimate_shot(
         warnings=(
             *_record_warnings(recorded, recorded & ~skipped & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
+            *_setting_warnings(scene, echoes.pulse_time_s, reference),
             *_drift_warnings(fit, drift),
         ),
     )
@@ -238,6 +239,28 @@ def _fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
         yield (
             f"the Kalman filter's innovations are {float(found.nis):.2f} times what the echoes' noise explains (NIS): "
             "motion that the model lacks (processing.background_order, process_noise), trigger jitter, or bad pulses"
+        )
+
+
+def _setting_warnings(scene: Scene, pulse_time_s: NDArray[np.float64], reference: Motion | None) -> Iterator[str]:
+    excitation = scene.excitation
+    if excitation is not None and excitation.burst_count == 1:
+        yield (
+            "one toneburst leaves a transient, no harmonic motion: amplitudes and phases are those of the sinusoids "
+            "nearest to it; raise excitation.burst_count"
+        )
+    elif excitation is not None:
+        late = int((pulse_time_s > excitation.burst_count / excitation.burst_rate_hz).sum())
+        if late > 0.02 * pulse_time_s.size:
+            yield (
+                f"{late} of {pulse_time_s.size} pulses come after the last toneburst's period, where the motion "
+                "decays: shorten processing.window_length_s or raise excitation.burst_count"
+            )
+    if reference is not None and float(reference.largest_step) > LARGE_STEP:
+        yield (
+            f"the reference gate's echo moves by up to {float(reference.largest_step):.2f} quarter wavelengths from "
+            "pulse to pulse, which an echo that stands still does not: there is none, or it drowns in noise; choose "
+            "another processing.reference_gate_depth_m"
         )
 
 
