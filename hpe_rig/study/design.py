@@ -30,13 +30,15 @@ from hpe_rig.study.scene_keys import Number, with_values
 Goal = Literal["jitter", "phase-jitter", "bias", "time"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
 
-SEARCH_DRAWS = 400
+SEARCH_DRAWS = 200
 """Scatterer draws of a candidate: all have the same, so that their differences are better known than each."""
 FINAL_DRAWS = 4000
 """Draws, other ones, of the scene at the start and of the winner."""
 FINAL_SEED = 1
 SIDE_WEIGHT = 1e-6
 """Weight of the logarithm of what is not minimised: time for jitter or bias, jitter for time. It decides ties alone."""
+NEEDLESS = 1e-4
+"""Loss in the logarithm of what is minimised below which a number is left as it was."""
 POPULATION, GENERATIONS = 10, 30
 FINEST = 1e-4
 OUTSIDE = 100.0
@@ -183,12 +185,12 @@ class Design:
     held: tuple[str, ...]
 
 
-def design(problem: Problem, seed: int = 0) -> Design:
-    """Return the best scene of ``problem``; the same seed gives the same.
+def design(problem: Problem, seed: int = 0, generations: int = GENERATIONS) -> Design:
+    """Return the best scene of ``problem`` after at most so many generations; the same seed gives the same.
 
     Raises ``SettingsError`` where no candidate keeps all limits, with what refuses the one that comes closest.
     """
-    best = _without_the_needless(problem, _pattern_search(problem, _evolution(problem, seed)))
+    best = _without_the_needless(problem, _pattern_search(problem, _evolution(problem, seed, generations)))
     if problem.cost(best) >= OUTSIDE:
         raise SettingsError("design", list(_why_none(problem, best)))
     return Design(problem, problem.start, best, tuple(_held(problem, best)))
@@ -209,7 +211,7 @@ def _place(problem: Problem, candidate: Candidate) -> NDArray[np.float64]:
     return np.array(places)
 
 
-def _evolution(problem: Problem, seed: int) -> NDArray[np.float64]:
+def _evolution(problem: Problem, seed: int, generations: int) -> NDArray[np.float64]:
     from scipy.optimize import Bounds, differential_evolution
 
     def cost(place: NDArray[np.float64]) -> float:
@@ -221,7 +223,7 @@ def _evolution(problem: Problem, seed: int) -> NDArray[np.float64]:
         integrality=[variable.discrete for variable in problem.space],
         x0=_place(problem, problem.start),
         popsize=POPULATION,
-        maxiter=GENERATIONS,
+        maxiter=generations,
         tol=1e-4,
         polish=False,
         seed=seed,
@@ -251,9 +253,13 @@ def _pattern_search(problem: Problem, place: NDArray[np.float64]) -> NDArray[np.
 def _without_the_needless(problem: Problem, place: NDArray[np.float64]) -> Candidate:
     """Return the candidate with every number that does not matter left as the starting scene has it."""
     best = problem.at(place)
-    for path in list(best.values):
-        less = problem.candidate({other: value for other, value in best.values.items() if other != path})
-        if problem.cost(less) <= problem.cost(best) + SIDE_WEIGHT / 10:
+    for variable in problem.space:
+        own = variable.key.value
+        if own is not None and not variable.low <= own <= variable.high:
+            continue
+        values = {path: value for path, value in best.values.items() if path != variable.key.path}
+        less = problem.candidate(values)
+        if problem.cost(less) <= problem.cost(best) + NEEDLESS:
             best = less
     return best
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hpe_rig.estimation import driven_frequencies_hz, skipped_pulses
-from hpe_rig.jitter_model import LATERAL, Expected, Scattering, Setting, draw_scattering, expected
+from hpe_rig.jitter_model import LATERAL, Expected, Scattering, Setting, Speckle, draw_scattering, expected
 from hpe_rig.mistakes import Mistake, SettingsError
 from hpe_rig.plan import Plan, slow_time_window
 from hpe_rig.prediction import expected_snr_db, setting_of
@@ -119,8 +119,8 @@ def echo_power(setting: Setting, gate_length_m: float) -> float:
 def predicted(setting: Setting, estimator: str, draws: int, seed: int = 0) -> Expected:
     """Return bias and jitter from ``draws`` draws of scatterers, the same for every gate and pulse."""
     x, y, z = (float(f"{width:.3g}") for width in setting.excitation_width_m)
-    scattering = _scattering(replace(setting, **_UNSEEN, excitation_width_m=(x, y, z)), draws, seed)
-    speckle = scattering.speckle(setting.gate_length_m, setting.pulse_length_m)
+    beams = replace(setting, **_UNSEEN, excitation_width_m=(x, y, z))
+    speckle = _speckle(beams, setting.gate_length_m, setting.pulse_length_m, draws, seed)
     return expected(setting, estimator, speckle, np.random.default_rng([seed, 1]))
 
 
@@ -160,6 +160,11 @@ def _response(scene: Scene, frequency_hz: float) -> float:
     width_m = settings.beams.excitation_width_m
     moved = frequency_response(settings.specimen, width_m, np.array([frequency_hz]))
     return float(abs(moved[0]) * settings.specimen.force_density_n_per_m3)
+
+
+@functools.lru_cache(maxsize=16)
+def _speckle(beams: Setting, gate_length_m: float, pulse_length_m: float, draws: int, seed: int) -> Speckle:
+    return _scattering(beams, draws, seed).speckle(gate_length_m, pulse_length_m)
 
 
 @functools.lru_cache(maxsize=16)

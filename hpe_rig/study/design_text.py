@@ -176,7 +176,7 @@ def _both(simulated: Simulated | None, name: str, scale: float, unit: str) -> st
 def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
     """Return whether the model holds within what it is known to hold and the simulation's own errors."""
     if simulated is None or candidate.setting is None:
-        return "-"
+        return "not simulated"
     expected = candidate.predict(FINAL_DRAWS, FINAL_SEED)
     jitters = (
         (expected.jitter_m, simulated.jitter_m),
