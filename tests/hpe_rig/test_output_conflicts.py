@@ -27,7 +27,7 @@ MUSCLE = shipped_scenes()["bovine-muscle"]
             ["toneburst", "0.001", "force_fraction"],
         ),
         ("[tracking]", "[tracking]\ncarrier_hz = 26e6", ["tracking_pulser", "25000000", "tracking.carrier_hz"]),
-        ("delay_s = 130e-6", "delay_s = 90.0", ["tracking_train", "85", "delay_s"]),
+        ("delay_s = 131e-6", "delay_s = 90.0", ["tracking_train", "85", "delay_s"]),
     ],
 )
 def test_what_a_driver_would_refuse_is_refused_with_the_plan(old: str, new: str, words: list[str]) -> None:

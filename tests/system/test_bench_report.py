@@ -184,13 +184,13 @@ def test_two_runs_are_compared_in_the_fields_words(prepared: Prepare, tmp_path: 
     first = measure(prepared("bovine-muscle"), tmp_path / "first.h5")
     wider = edited(tmp_path, ("max_duty = 0.05", "max_duty = 0.04"))
     second = measure(
-        prepared("bovine-muscle", ("delay_s = 130e-6", "delay_s = 140e-6"), bench=wider), tmp_path / "second.h5"
+        prepared("bovine-muscle", ("delay_s = 131e-6", "delay_s = 140e-6"), bench=wider), tmp_path / "second.h5"
     )
     lines = compare_with(first, bench_state(second)).splitlines()
     assert lines == [
         "2 differences",
         "  bench file: limits max duty 0.05 in first.h5, 0.04 in second.h5",
-        "  tracking pulse train: delay 130 us in first.h5, 140 us in second.h5",
+        "  tracking pulse train: delay 131 us in first.h5, 140 us in second.h5",
     ]
     assert compare_with(first, bench_state(first)) == "first.h5 and first.h5 do not differ"
 
