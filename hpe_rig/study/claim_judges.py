@@ -145,8 +145,8 @@ def difference_at(which: int, said: float) -> Judge:
 
     def judge(result: StudyResult, reading: str) -> Finding:
         w_z, gap, se = _differences(result, reading)[which]
-        # "Up to and greater than" and "as high as" are read off a figure with contours 0.05 apart.
-        finding = judging.number(gap, se, said, 0.05)
+        # "Up to and greater than" and "as high as" are read off a figure: half a step of 0.05.
+        finding = judging.number(gap, se, said, 0.025)
         if which == 0 and gap > said:
             finding = Finding(finding.found, AGREES)
         return Finding(f"at most {finding.found} at W_z = {w_z:g}", finding.verdict)
@@ -155,12 +155,12 @@ def difference_at(which: int, said: float) -> Judge:
 
 
 def differences_fall(result: StudyResult, reading: str) -> Finding:
-    """Judge whether the largest difference falls from each W_z to the next."""
+    """Judge whether the largest difference falls from the least to the largest W_z, and rises nowhere between."""
     found = _differences(result, reading)
-    falls = all(a - b > judging.SIGNIFICANT * math.hypot(s, t) for (_, a, s), (_, b, t) in itertools.pairwise(found))
+    rises = any(b - a > judging.SIGNIFICANT * math.hypot(s, t) for (_, a, s), (_, b, t) in itertools.pairwise(found))
     whole = found[0][1] - found[-1][1] > judging.SIGNIFICANT * math.hypot(found[0][2], found[-1][2])
     words = "largest " + ", ".join(f"{gap:.2f} at {w_z:g}" for w_z, gap, _ in found)
-    return Finding(words, AGREES if falls else IN_PART if whole else DIFFERS)
+    return Finding(words, (IN_PART if rises else AGREES) if whole else DIFFERS)
 
 
 def wider_axially(result: StudyResult, reading: str) -> Finding:
