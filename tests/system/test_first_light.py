@@ -78,8 +78,8 @@ def test_bovine_muscle_finds_every_harmonic_of_the_specimen_within_the_speckle_s
         # Three standard deviations of the one speckle draw and of the noise together.
         tolerance_m = 3 * np.hypot(estimate.speckle_relative * predicted_m, estimate.amplitude_uncertainty_m)
         assert abs(estimate.amplitude_m - predicted_m) < tolerance_m
-        # Three standard deviations, and what the 0.19 ms of every period that no pulse may see leaves unknown: below 0.1
-        # degrees up to 1 kHz by a noise-free fit of the same pulses to the same model. The field lags beside the focus.
+        # Three standard deviations, and what the 0.19 ms of every period that no pulse may see leaves unknown: below
+        # 0.1 degrees by a noise-free fit of the same pulses to the same model. The field lags beside the focus.
         error_rad = math.remainder(estimate.phase_rad - phase_rad - tracked.phase_rad, 2 * math.pi)
         assert abs(error_rad) < 3 * estimate.phase_uncertainty_rad + np.radians(0.1)
 
