@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from drivers.generator_models import GeneratorModel, model_named
 from drivers.interfaces import PulseTrain, Toneburst, TriggerPulse
 from drivers.limits_33250a import pulse_train_mistakes, toneburst_mistakes, trigger_pulse_mistakes, wiring_mistakes
-from hpe_rig.bench_file import GENERATOR_ROLES, BenchFile, Limits
+from hpe_rig.bench_file import GENERATOR_ROLES, BenchFile
 from hpe_rig.finding import Finding, judged
+from hpe_rig.output_limits import Limits
 from hpe_rig.plan import Plan
 from hpe_rig.safety import AcousticOutput, highest_output, uncalibrated
 

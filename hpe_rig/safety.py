@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from drivers.interfaces import Toneburst
-from hpe_rig.bench_file import BenchFile, Calibration, DriveCalibration, Limits
+from hpe_rig.bench_file import BenchFile
+from hpe_rig.output_limits import Calibration, DriveCalibration, Limits
 from hpe_rig.plan import Shot
 
 DERATING_DB_PER_M_HZ: Final = 0.3 / (1e-2 * 1e6)

@@ -106,44 +106,20 @@ def _mode(name: str) -> Setting:
     return _switch(lambda state: state.modulation == name, lambda state, on: timing.set_modulation(state, name, on))
 
 
-def _rms_per_vpp(state: Registers) -> float:
-    return {"SIN": 0.5 / math.sqrt(2), "RAMP": 0.5 / math.sqrt(3), "NOIS": 0.1}.get(state.function, 0.5)
-
-
-def _to_vpp(state: Registers, value: float, unit: str) -> float:
-    unit = state.unit if unit in ("", "V") else unit
-    if unit == "DBM":
-        if math.isinf(state.load_ohm):
-            raise ScpiError(-221, "Settings conflict; amplitude units cannot be dBm at high-Z load")
-        return math.sqrt(state.load_ohm * 1e-3 * 10 ** (value / 10)) / _rms_per_vpp(state)
-    return value / _rms_per_vpp(state) if unit == "VRMS" else value
-
-
-def _in_unit(state: Registers, vpp: float) -> float:
-    if state.unit == "DBM":
-        return 10 * math.log10((vpp * _rms_per_vpp(state)) ** 2 / (state.load_ohm * 1e-3))
-    return vpp * _rms_per_vpp(state) if state.unit == "VRMS" else vpp
-
-
-def _amplitude_limits(state: Registers) -> tuple[float, float]:
-    share = load_share(state)
-    return registers.SMALLEST_VPP * share, 2 * (registers.PEAK_V - abs(state.offset_v)) * share
-
-
 def _amplitude() -> Setting:
     def limits(state: Registers) -> tuple[float, float]:
-        low, high = _amplitude_limits(state)
-        return _in_unit(state, low), _in_unit(state, high)
+        low, high = levels.amplitude_limits(state)
+        return levels.in_unit(state, low), levels.in_unit(state, high)
 
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         text = _one(arguments)
-        vpp = _extreme(text, _amplitude_limits(state))
+        vpp = _extreme(text, levels.amplitude_limits(state))
         if vpp is None:
-            vpp = _to_vpp(state, *number(text, "VPP VRMS DBM V"))
+            vpp = levels.to_vpp(state, *number(text, "VPP VRMS DBM V"))
         return levels.set_amplitude(state, vpp / load_share(state))
 
     shown = _number(
-        "", limits, lambda state: _in_unit(state, state.amplitude_v * load_share(state)), levels.set_amplitude
+        "", limits, lambda state: levels.in_unit(state, state.amplitude_v * load_share(state)), levels.set_amplitude
     )
     return Setting(write, shown.read)
 

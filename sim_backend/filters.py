@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.settings import BandFilter
+from sim_backend.chain_settings import BandFilter
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

@@ -16,6 +16,7 @@ from sim_backend.registers_33250a import (
     Registers,
     clipped,
 )
+from sim_backend.scpi_text import ScpiError
 
 
 def load_share(registers: Registers) -> float:
@@ -81,3 +82,30 @@ def set_unit(registers: Registers, unit: str) -> Coerced:
     if unit == "DBM" and math.isinf(registers.load_ohm):
         return Coerced(registers).changed("amplitude units cannot be dBm at high-Z load")
     return Coerced(replace(registers, unit=unit))
+
+
+def _rms_per_vpp(state: Registers) -> float:
+    return {"SIN": 0.5 / math.sqrt(2), "RAMP": 0.5 / math.sqrt(3), "NOIS": 0.1}.get(state.function, 0.5)
+
+
+def to_vpp(state: Registers, value: float, unit: str) -> float:
+    """Return an amplitude in ``unit``, or in the unit that is set where that is empty, as peak to peak at the load."""
+    unit = state.unit if unit in ("", "V") else unit
+    if unit == "DBM":
+        if math.isinf(state.load_ohm):
+            raise ScpiError(-221, "Settings conflict; amplitude units cannot be dBm at high-Z load")
+        return math.sqrt(state.load_ohm * 1e-3 * 10 ** (value / 10)) / _rms_per_vpp(state)
+    return value / _rms_per_vpp(state) if unit == "VRMS" else value
+
+
+def in_unit(state: Registers, vpp: float) -> float:
+    """Return an amplitude at the load in the unit that is set."""
+    if state.unit == "DBM":
+        return 10 * math.log10((vpp * _rms_per_vpp(state)) ** 2 / (state.load_ohm * 1e-3))
+    return vpp * _rms_per_vpp(state) if state.unit == "VRMS" else vpp
+
+
+def amplitude_limits(state: Registers) -> tuple[float, float]:
+    """Return the least and largest amplitude at the load, peak to peak."""
+    share = load_share(state)
+    return SMALLEST_VPP * share, 2 * (PEAK_V - abs(state.offset_v)) * share

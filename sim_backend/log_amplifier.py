@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.settings import LogAmplifier
+from sim_backend.chain_settings import LogAmplifier
 
 Floats = NDArray[np.float64]
 

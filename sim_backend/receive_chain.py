@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backend.chain_settings import BandFilter, ReceiveChain
 from sim_backend.filters import band_pass, notch, ringing_s, sampled
 from sim_backend.log_amplifier import compressed
-from sim_backend.settings import BandFilter, ReceiveChain
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]

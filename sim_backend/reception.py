@@ -14,9 +14,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backend.chain_settings import ReceiveChain
 from sim_backend.edges import PS_PER_S, Bursts, Capture, Picoseconds, joined_bursts, no_bursts
 from sim_backend.sampling import STENCIL, sampled_late, samples_late
-from sim_backend.settings import ReceiveChain, SimulationSettings, Specimen
+from sim_backend.settings import SimulationSettings, Specimen
 from sim_backend.trigger_jitter import jittered
 
 Floats = NDArray[np.float64]
@@ -32,7 +33,9 @@ class Physics(Protocol):
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> Floats: ...
 
-    def focus_displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int) -> Floats: ...
+    def focus_displacement_m(
+        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
+    ) -> Floats: ...
 
 
 def with_reception(acoustics: Physics, settings: SimulationSettings) -> Physics:
@@ -49,13 +52,16 @@ class Reception:
         self._acoustics = acoustics
         self._settings = settings
 
-    def focus_displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int) -> Floats:
+    def focus_displacement_m(
+        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
+    ) -> Floats:
         """Return the displacement at the focus at ``time_ps`` (time,), m, moved by the jittered tonebursts."""
-        return self._acoustics.focus_displacement_m(self._pushed(tonebursts), time_ps, origin_ps)
+        return self._acoustics.focus_displacement_m(self._pushed(tonebursts, origin_ps, index), time_ps, origin_ps)
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> Floats:
         """Return what the digitizer samples, float64 (record, sample), V."""
-        tonebursts, pulses = self._pushed(tonebursts), self._tracked(pulses)
+        tonebursts = self._pushed(tonebursts, capture.origin_ps, capture.index)
+        pulses = self._tracked(pulses, capture.origin_ps, capture.index)
         wide, kept = widened(self._settings, capture)
         volts = self._acoustics.record_volts(tonebursts, pulses, wide)
         chain = self._settings.receive_chain
@@ -82,15 +88,15 @@ class Reception:
         rng = self._stream(_CHAIN_NOISE_STREAM, wide.index) if chain.noise_v_per_sqrt_hz else None
         return receive(volts, chain, wide.sample_period_ps / PS_PER_S, switch, rng)
 
-    def _pushed(self, tonebursts: Bursts) -> Bursts:
+    def _pushed(self, tonebursts: Bursts, origin_ps: int, index: int) -> Bursts:
         # Two generators in a row, the burst train's and the toneburst's, each with its own jitter.
         rms_s = self._settings.instruments.trigger_jitter_s * math.sqrt(2)
-        return jittered(tonebursts, rms_s, self._settings.seed * 4 + _TONEBURST_SALT)
+        return jittered(tonebursts, rms_s, self._settings.seed * 4 + _TONEBURST_SALT, origin_ps, index)
 
-    def _tracked(self, pulses: Bursts) -> Bursts:
+    def _tracked(self, pulses: Bursts, origin_ps: int, index: int) -> Bursts:
         # The tracking train's jitter moves trigger and pulse together; only the pulser's own comes between them.
         rms_s = self._settings.instruments.trigger_jitter_s
-        return jittered(pulses, rms_s, self._settings.seed * 4 + _PULSER_SALT)
+        return jittered(pulses, rms_s, self._settings.seed * 4 + _PULSER_SALT, origin_ps, index)
 
     def _stream(self, *key: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence(self._settings.seed, spawn_key=key))

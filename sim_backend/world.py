@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.alazar_library import AlazarLibrary
-from sim_backend.board_ats460 import Arming, Board, BoardSettings, Taken, latencies_of
+from sim_backend.board_ats460 import Board, BoardSettings, Taken, latencies_of
+from sim_backend.captured import FAR_PS, Captured, pulse_of_each_record, same_inputs
 from sim_backend.clock import SimulatedClock
 from sim_backend.edges import (
     PS_PER_S,
@@ -41,7 +42,6 @@ GENERATORS = ("master", "burst_train", "toneburst", "tracking_train", "tracking_
 PULSER = "tracking_pulser"
 SOURCES = (*(f"{role}.output" for role in GENERATORS), "digitizer.aux")
 TARGETS = (*(f"{role}.trigger" for role in GENERATORS), "digitizer.trigger", "transducer.drive")
-FAR_PS = 1 << 60
 KEPT_CAPTURES = 16
 """How many armings are remembered with everything that was emitted: a long run must not grow."""
 
@@ -51,25 +51,9 @@ class Physics(Protocol):
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> NDArray[np.float64]: ...
 
-    def focus_displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int) -> NDArray[np.float64]: ...
-
-
-@dataclass(frozen=True, slots=True)
-class Captured:
-    """One arming with everything that its records depend on."""
-
-    arming: Arming
-    taken: Taken
-    tonebursts: Bursts
-    pulses: Bursts
-    origin_ps: int
-
-    @property
-    def capture(self) -> Capture:
-        """The capture in the words of the physics."""
-        settings, index = self.arming.settings, self.arming.index
-        first_ps = self.taken.first_sample_ps
-        return Capture(index, self.origin_ps, first_ps, settings.sample_period_ps, settings.record_samples)
+    def focus_displacement_m(
+        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
+    ) -> NDArray[np.float64]: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,11 +172,11 @@ class World:
         the very last if negative.
         """
         captured = self._capture(capture_index)
-        onset_ps = _pulse_of_each_record(captured)
+        onset_ps = pulse_of_each_record(captured)
         fired = onset_ps >= 0
         displacement_m = np.full(onset_ps.size, np.nan)
         displacement_m[fired] = self._acoustics().focus_displacement_m(
-            captured.tonebursts, onset_ps[fired] + self._flight_ps(), captured.origin_ps
+            captured.tonebursts, onset_ps[fired] + self._flight_ps(), captured.origin_ps, index=captured.arming.index
         )
         return displacement_m
 
@@ -200,7 +184,9 @@ class World:
         """Return the true displacement at the focus at ``time_s`` after the master trigger's edge: (time,)."""
         captured = self._capture(capture_index)
         time_ps = captured.origin_ps + np.round(time_s * PS_PER_S).astype(np.int64)
-        return self._acoustics().focus_displacement_m(captured.tonebursts, time_ps, captured.origin_ps)
+        return self._acoustics().focus_displacement_m(
+            captured.tonebursts, time_ps, captured.origin_ps, index=captured.arming.index
+        )
 
     def _capture(self, index: int) -> Captured:
         captures = [*self._past, self._captured(self.clock.now_ps)] if self.board.armings else []
@@ -233,7 +219,7 @@ class World:
     def volts(self, until_ps: int) -> NDArray[np.float64]:
         """Return the voltage at channel A for the records of ``taken``: (record, sample)."""
         captured = self._captured(until_ps)
-        if self._recorded is not None and _same_inputs(self._recorded[0], captured):
+        if self._recorded is not None and same_inputs(self._recorded[0], captured):
             volts = self._recorded[1]
         else:
             volts = self._acoustics().record_volts(captured.tonebursts, captured.pulses, captured.capture)
@@ -297,25 +283,3 @@ class World:
         if captured is None:
             raise ValueError("the digitizer was never armed: start a capture first")
         return captured
-
-
-def _pulse_of_each_record(captured: Captured) -> Picoseconds:
-    """Return the onset of the pulse that each record's trigger fired, -1 where there is none: int64 (record,)."""
-    tick_ps, onset_ps = captured.taken.tick_ps, captured.pulses.onset_ps
-    first = np.searchsorted(onset_ps, tick_ps)
-    following_ps = np.append(tick_ps[1:], FAR_PS)
-    padded_ps = np.append(onset_ps, FAR_PS)
-    return np.where(padded_ps[first] < following_ps, padded_ps[first], -1)
-
-
-def _same_inputs(one: Captured, other: Captured) -> bool:
-    if one is other:
-        return True
-    same = one.origin_ps == other.origin_ps and one.arming.index == other.arming.index
-    same = same and np.array_equal(one.taken.first_sample_ps, other.taken.first_sample_ps)
-    names = ("onset_ps", "end_ps", "carrier_hz", "cycles", "amplitude_vpp")
-    return same and all(
-        np.array_equal(getattr(getattr(one, bursts), name), getattr(getattr(other, bursts), name))
-        for bursts in ("tonebursts", "pulses")
-        for name in names
-    )

@@ -17,9 +17,10 @@ RECORDS, SAMPLES = 100, 512
 
 def points() -> Iterator[Point]:
     """Yield the linear and the logarithmic chain of the paper, at tails of 1e-2 to 1e-12 and finer sampling."""
+    from sim_backend.chain_settings import ReceiveChain
     from sim_backend.edges import Capture, no_bursts
     from sim_backend.reception import with_reception
-    from sim_backend.settings import ReceiveChain, SimulationSettings
+    from sim_backend.settings import SimulationSettings
 
     first_ps = 90_000_000 + np.arange(RECORDS) * 250_000_000
     capture = Capture(0, 0, first_ps.astype(np.int64), 10_000, SAMPLES)
@@ -59,5 +60,7 @@ class _Speckle:
         echo = (envelope * np.cos(2 * np.pi * 9e6 * age_s)) @ self._strength_v
         return np.repeat(echo[None], len(capture.first_sample_ps), axis=0)
 
-    def focus_displacement_m(self, tonebursts: object, time_ps: NDArray[np.int64], origin_ps: int) -> Floats:
+    def focus_displacement_m(
+        self, tonebursts: object, time_ps: NDArray[np.int64], origin_ps: int, *, index: int = 0
+    ) -> Floats:
         return np.zeros(len(time_ps))

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench import open_bench
-from hpe_rig.bench_file import DriveCalibration, Limits, read_bench
+from hpe_rig.bench_file import read_bench
 from hpe_rig.conflicts import Finding, PlanError, refuse_conflicts
+from hpe_rig.output_limits import DriveCalibration, Limits
 from hpe_rig.run import prepare
 from hpe_rig.safety import derating_db, drive_output
 

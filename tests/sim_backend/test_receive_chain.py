@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies
 from scipy import signal
 
+from sim_backend.chain_settings import BandFilter, LogAmplifier, ReceiveChain
 from sim_backend.edges import Bursts, Capture, no_bursts
 from sim_backend.filters import band_pass, notch, ringing_s, sampled
 from sim_backend.log_amplifier import compressed
@@ -12,14 +13,7 @@ from sim_backend.receive_chain import TRAIL, fast_length, lead_s, receive
 from sim_backend.receive_switch import switch_gain
 from sim_backend.reception import third_harmonics, widened, with_reception
 from sim_backend.sampling import sampled_late
-from sim_backend.settings import (
-    BandFilter,
-    Instruments,
-    LogAmplifier,
-    ReceiveChain,
-    SimulationSettings,
-    Transmitter,
-)
+from sim_backend.settings import Instruments, SimulationSettings, Transmitter
 from sim_backend.trigger_jitter import jittered
 
 PERIOD_S = 10e-9
@@ -225,7 +219,7 @@ class Recorded:
         time_s = (what.first_sample_ps[:, None] + np.arange(what.samples) * what.sample_period_ps) * 1e-12
         return 1e-3 * np.sin(2 * np.pi * 9e6 * time_s)
 
-    def focus_displacement_m(self, tonebursts, time_ps, origin_ps):
+    def focus_displacement_m(self, tonebursts, time_ps, origin_ps, *, index=0):
         return np.zeros(len(time_ps))
 
 
