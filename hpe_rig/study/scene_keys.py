@@ -40,9 +40,9 @@ def resolve(name: str, keys: Sequence[Key]) -> Key | Mistake:
     if len(found) == 1:
         return found[0]
     if found:
-        paths = ", ".join(map(str, found))
-        return Mistake(name, f"{len(found)} numbers of the scene have that name", f"one of {paths}")
-    entries = [str(key) for key in keys if str(key).rpartition("[")[0].endswith(name)]
+        remedy = f"one of {', '.join(map(str, found))}"
+        return Mistake(name, f"{len(found)} numbers of the scene have that name", remedy)
+    entries = [str(key) for key in keys if f".{str(key).rpartition('[')[0]}".endswith(f".{name}")]
     if entries:
         return Mistake(name, "this is a list, and one number at a time is varied", f"one of {', '.join(entries)}")
     paths = {str(key): str(key) for key in keys} | {str(key).rpartition(".")[2]: str(key) for key in keys}
