@@ -51,7 +51,9 @@ class Acoustics:
         self._focus_motion = _focus_motion(settings, self._travel_s)
         self._medium = _medium_motion(settings, self._field.offset_m, self._travel_s)
 
-    def focus_displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int) -> Floats:
+    def focus_displacement_m(
+        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
+    ) -> Floats:
         """Return the displacement at the focus at ``time_ps`` (time,), positive away from the transducer, m.
 
         ``tonebursts`` move a specimen; ``origin_ps`` is the master trigger's edge, from which a prescribed motion

@@ -1,6 +1,7 @@
-"""Jitter from an instrument's trigger to its output, a function of the seed and the instant alone.
+"""Jitter from an instrument's trigger to its output, a function of seed, capture, and time since the master's edge.
 
-No stream of random numbers: a burst keeps its jitter however often, and in whatever order, bursts are worked out.
+No stream of random numbers: a burst keeps its jitter however often, and in whatever order, bursts are worked out, and a
+run that goes on from another has the jitter that the other would have had.
 """
 
 from __future__ import annotations
@@ -15,17 +16,20 @@ from sim_backend.edges import PS_PER_S, Bursts
 Floats = NDArray[np.float64]
 
 
-def jittered(bursts: Bursts, rms_s: float, seed: int) -> Bursts:
-    """Return ``bursts`` moved by Gaussian jitter of ``rms_s``, onset and end alike; unchanged for 0."""
+def jittered(bursts: Bursts, rms_s: float, seed: int, origin_ps: int = 0, index: int = 0) -> Bursts:
+    """Return ``bursts`` moved by Gaussian jitter of ``rms_s``, onset and end alike; unchanged for 0.
+
+    ``origin_ps`` is the master trigger's edge, ``index`` the capture's.
+    """
     if rms_s == 0 or bursts.onset_ps.size == 0:
         return bursts
-    move_ps = np.rint(_normal(bursts.onset_ps, seed) * (rms_s * PS_PER_S)).astype(np.int64)
+    move_ps = np.rint(_normal(bursts.onset_ps - origin_ps, seed, index) * (rms_s * PS_PER_S)).astype(np.int64)
     return replace(bursts, onset_ps=bursts.onset_ps + move_ps, end_ps=bursts.end_ps + move_ps)
 
 
-def _normal(instant_ps: NDArray[np.int64], seed: int) -> Floats:
+def _normal(instant_ps: NDArray[np.int64], seed: int, index: int) -> Floats:
     """Return a standard normal number for each instant: Box and Muller on two hashed uniform ones."""
-    key = _scrambled(np.full(instant_ps.shape, seed, np.uint64))
+    key = _scrambled(_scrambled(np.full(instant_ps.shape, seed, np.uint64)) + np.uint64(index))
     first = _scrambled(instant_ps.astype(np.uint64) ^ key)
     radius, turn = ((_scrambled(first + np.uint64(step)) >> np.uint64(11)).astype(np.float64) for step in (1, 2))
     unit = 2.0**-53

@@ -189,6 +189,17 @@ def test_jitter_has_its_rms_and_belongs_to_the_burst():
     assert not np.array_equal(jittered(bursts(onset_ps), 1e-9, seed=6).onset_ps, moved.onset_ps)
 
 
+def test_jitter_follows_the_capture_and_not_the_hour():
+    """A run that goes on later draws what it would have drawn; the next capture draws anew."""
+    early, late = np.arange(50) * 250_000_000, np.arange(50) * 250_000_000 + 10**15
+    moves = [
+        jittered(bursts(onset_ps), 1e-9, 5, origin_ps=int(onset_ps[0]), index=index).onset_ps - onset_ps
+        for onset_ps, index in ((early, 3), (late, 3), (early, 4))
+    ]
+    assert np.array_equal(moves[0], moves[1])
+    assert not np.array_equal(moves[0], moves[2])
+
+
 def test_no_jitter_returns_the_bursts_themselves():
     one = bursts([0, 1])
     assert jittered(one, 0.0, seed=1) is one

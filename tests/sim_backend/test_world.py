@@ -36,7 +36,7 @@ class Counting:
         record = np.arange(capture.first_sample_ps.size)[:, None]
         return 1e-4 * record + 1e-2 * len(self.captures) + np.zeros(capture.samples)
 
-    def focus_displacement_m(self, tonebursts, time_ps, origin_ps):
+    def focus_displacement_m(self, tonebursts, time_ps, origin_ps, *, index=0):
         return (time_ps - origin_ps) * 1e-12
 
 
