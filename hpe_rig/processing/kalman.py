@@ -28,13 +28,13 @@ CHUNK = 1 << 16
 class Filtered:
     """State (..., state), root (state, state) of its covariance, sum of squared normalised innovations (...).
 
-    ``innovations`` (..., pulse), normalised, None where not asked for; all in units of the measurement noise.
+    ``innovations`` (..., pulse), normalised, empty where not asked for; all in units of the measurement noise.
     """
 
     state: FloatArray
     root: FloatArray
     fitness: FloatArray
-    innovations: FloatArray | None
+    innovations: FloatArray
 
 
 def kalman(
@@ -74,7 +74,7 @@ def kalman(
     covariance = variance[..., None, None] * (found.root @ found.root.T)
     wanted = model.wanted
     state, covariance = found.state[..., wanted], covariance[..., wanted, wanted]
-    report = None if found.innovations is None else _report(motion, found.innovations, model.matrix.shape[1])
+    report = None if not found.innovations.size else _report(motion, found.innovations, model.matrix.shape[1])
     return fit_from_state(frequency_hz, state, covariance, variance, len(model.matrix), model.condition, report)
 
 
@@ -90,10 +90,13 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
     parts, start, sure = [], 0, not innovations
     while start < len(matrix):
         # the first pulses stand alone, while the prior is still felt
-        sure = sure or (start >= 2 * states and np.linalg.cond(factor) < SURE_CONDITION)
-        rows = slice(start, start + (CHUNK if sure else BLOCK if start >= 2 * states else 1))
+        first = innovations and start == 0
+        sure = sure or (not first and bool(np.linalg.cond(factor) < SURE_CONDITION))
+        rows = slice(start, start + (states + 1 if first else CHUNK if sure else BLOCK))
         block, seen, start = matrix[rows], values[rows], rows.stop
-        if innovations:
+        if first:
+            parts.append(_first_innovations(block, seen, prior))
+        elif innovations:
             parts.append((_innovations if sure else _block_innovations)(factor, transformed, block, seen))
         q, factor = np.linalg.qr(np.vstack([factor, block]))
         transformed = q.T @ np.vstack([transformed, seen])
@@ -102,7 +105,7 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
     residual = values - matrix @ state
     fitness = np.einsum("ij,ij->j", residual, residual) + np.einsum("ij,ij->j", state, state) / prior
     shape = data.shape[:-1]
-    found = np.concatenate(parts).T.reshape(data.shape) if innovations else None
+    found = np.concatenate(parts).T.reshape(data.shape) if innovations else np.zeros((*shape, 0))
     return Filtered(state.T.reshape(*shape, states), root, fitness.reshape(shape), found)
 
 
@@ -117,7 +120,7 @@ def filter_changing(matrix: FloatArray, data: FloatArray, drive: Sequence[FloatA
     state = np.zeros((*data.shape[:-1], states))
     found = np.empty(data.shape)
     for k, row in enumerate(matrix):
-        if k:
+        if k and drive:
             root = np.linalg.qr(np.vstack([root.T, *[each[k].T for each in drive]]))[1].T
         seen = root.T @ row
         innovation_variance = 1.0 + seen @ seen
@@ -127,6 +130,10 @@ def filter_changing(matrix: FloatArray, data: FloatArray, drive: Sequence[FloatA
         root = root - np.outer(gain, seen) / (1.0 + 1.0 / np.sqrt(innovation_variance))
         found[..., k] = innovation / np.sqrt(innovation_variance)
     return Filtered(state, root, np.einsum("...i,...i->...", found, found), found)
+
+
+def _first_innovations(matrix: FloatArray, values: FloatArray, prior: float) -> FloatArray:
+    return filter_changing(matrix, values.T, (), prior).innovations.T
 
 
 def _block_innovations(factor: FloatArray, transformed: FloatArray, block: FloatArray, seen: FloatArray) -> FloatArray:
