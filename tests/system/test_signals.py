@@ -17,6 +17,7 @@ import pytest
 from drivers.agilent_33250a import Agilent33250A, MasterTrigger33250A
 from drivers.interfaces import DeadlineError, InstrumentError
 from hpe_rig import bench as bench_module
+from hpe_rig import open_instruments
 from hpe_rig.bench import open_bench
 from hpe_rig.open_instruments import UnsafeBenchError
 from hpe_rig.plan import SAFETY_MARGIN_S
@@ -242,7 +243,8 @@ def test_the_checks_of_these_tests_can_fail(
     prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
 ) -> None:
     """A bench that is left as it is, is seen to drive."""
-    monkeypatch.setattr(bench_module, "make_safe", lambda instruments: None)
+    for module in (bench_module, open_instruments):
+        monkeypatch.setattr(module, "make_safe", lambda instruments: None)
     measure(prepared("bovine-muscle-synchronous"), tmp_path / "run.h5")
     with pytest.raises(AssertionError):
         assert_safe(worlds[0])
