@@ -58,7 +58,8 @@ def estimate_run(scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimat
             truth_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
         reference = reference_gate(scene, shot)
         still = None if reference is None else stored.records.gated(shot.index, reference)
-        results.append(_estimate_shot(scene, shot, records, still, truth_m, estimator, prediction))
+        for window in scene.windows:
+            results.append(_estimate_shot(window, shot, records, still, truth_m, estimator, prediction))
     return tuple(results)
 
 
@@ -112,6 +113,8 @@ def _estimate_shot(
         pulses_used=int(echoes.valid.sum()),
         pulses_missing=int((~recorded).sum()),
         residual_m=float(fit.residual_rms_m),
+        pulse_rate_hz=shot.tracking_train.rate_hz,
+        window_length_s=scene.processing.window_length_s,
         estimates=tuple(_estimate(fit, truth_m, index, prediction[index]) for index in range(frequencies_hz.size)),
         warnings=(
             *_record_warnings(recorded, recorded & ~skipped & ~echoes.valid, clipped),
