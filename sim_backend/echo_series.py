@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.echo_tables import Tables, one_less, tables_of, terms_needed
+from sim_backend.echo_tables import Tables, tables_of, terms_needed
 from sim_backend.pulse import Pulse, phasors
 
 Floats = NDArray[np.float64]
@@ -69,7 +69,7 @@ def series(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float
     leave = sample_time_s.searchsorted(scene.rest_s + pulse.end_s)
     sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
     rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
-    out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.powers), sums)
+    out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.steps), sums)
     budget = CROSSING_SHARE * tolerance * rms * math.sqrt(len(sample_time_s))
     _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
     return out
@@ -87,14 +87,12 @@ def series_tables(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance
     return tables_of(pulse, sample_time_s.tobytes(), len(scene.shape), orders)
 
 
-def _coefficients(amplitude_rad: Floats, powers: list[tuple[int, ...]]) -> Floats:
+def _coefficients(amplitude_rad: Floats, steps: list[tuple[int, int, int]]) -> Floats:
     """Return b^a / a!, (row, echo, exponent)."""
-    out = np.empty((len(powers), *amplitude_rad.shape[:2]))
+    out = np.empty((len(steps) + 1, *amplitude_rad.shape[:2]))
     out[0] = 1.0
-    place = {power: index for index, power in enumerate(powers)}
-    for index, power in enumerate(powers[1:], 1):
-        shape, lower = one_less(power)
-        np.multiply(out[place[lower]], amplitude_rad[..., shape] / power[shape], out=out[index])
+    for index, (lower, shape, power) in enumerate(steps, 1):
+        np.multiply(out[lower], amplitude_rad[..., shape] / power, out=out[index])
     return np.ascontiguousarray(np.moveaxis(out, 0, -1))
 
 
@@ -106,8 +104,8 @@ def _rest_sums(scene: Resting, enter: Indices, leave: Indices, tables: Tables, p
     """
     begin = scene.row.searchsorted(np.arange(len(scene.amplitude_s) + 1)).tolist()
     every = np.arange(samples)
-    at_once = max(64, _VALUES_AT_ONCE // (len(pulse.frequency_hz) * len(tables.powers)))
-    out = np.zeros((len(scene.amplitude_s), len(tables.powers), samples))
+    at_once = max(64, _VALUES_AT_ONCE // (tables.turn.shape[0] * tables.turn.shape[1]))
+    out = np.zeros((len(scene.amplitude_s), tables.turn.shape[1], samples))
     for row, (first, last) in enumerate(itertools.pairwise(begin)):
         own_enter, own_leave = enter[first:last], leave[first:last]
         middle = int(own_enter.searchsorted(1))
@@ -118,7 +116,7 @@ def _rest_sums(scene: Resting, enter: Indices, leave: Indices, tables: Tables, p
         for cut in range(low, high, at_once):
             length = min(at_once, high - cut)
             part = slice(first + cut, first + cut + length)
-            turned, moments = phasors(pulse, scene.rest_s[part], -1)[:, None], _moments(scene, part, tables.powers)
+            turned, moments = phasors(pulse, scene.rest_s[part], -1)[:, None], _moments(scene, part, tables.steps)
             here = min(max(middle - cut, 0), length)
             # Those there already, an empty place, those to come: the sums begin at the empty place and go either way.
             sums = np.zeros((*tables.turn.shape[:2], length + 1), dtype=np.complex128)
@@ -126,8 +124,8 @@ def _rest_sums(scene: Resting, enter: Indices, leave: Indices, tables: Tables, p
             np.multiply(turned[..., here:], moments[:, here:], out=sums[..., here + 1 :])
             np.cumsum(sums[..., here:], axis=-1, out=sums[..., here:])
             np.cumsum(sums[..., here::-1], axis=-1, out=sums[..., here::-1])
-            alive += sums.take(np.clip(come - cut, here, length), axis=-1)
-            alive += sums.take(np.clip(gone - cut, 0, here), axis=-1)
+            alive += sums.take(np.minimum(np.maximum(come - cut, here), length), axis=-1)
+            alive += sums.take(np.minimum(np.maximum(gone - cut, 0), here), axis=-1)
         out[row] = np.einsum("fqi,fqi->qi", tables.turn, alive).real
     return out
 
@@ -140,15 +138,13 @@ def _runs(key: Indices) -> Indices:
     return np.flatnonzero(new)
 
 
-def _moments(scene: Resting, part: slice, powers: list[tuple[int, ...]]) -> Floats:
+def _moments(scene: Resting, part: slice, steps: list[tuple[int, int, int]]) -> Floats:
     """Return I_n g_n^a, (exponent, scatterer)."""
     shape, weight = scene.shape[:, part], scene.weight[part]
-    out = np.empty((len(powers), len(weight)))
+    out = np.empty((len(steps) + 1, len(weight)))
     out[0] = weight
-    place = {power: index for index, power in enumerate(powers)}
-    for index, power in enumerate(powers[1:], 1):
-        axis, lower = one_less(power)
-        np.multiply(out[place[lower]], shape[axis], out=out[index])
+    for index, (lower, axis, _) in enumerate(steps, 1):
+        np.multiply(out[lower], shape[axis], out=out[index])
     return out
 
 

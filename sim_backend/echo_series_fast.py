@@ -21,7 +21,7 @@ from sim_backend.echo_series import (
     largest_size,
     series_tables,
 )
-from sim_backend.pulse import Pulse
+from sim_backend.pulse import Pulse, angular_rates
 
 Floats = NDArray[np.float64]
 
@@ -34,13 +34,7 @@ def available() -> bool:
 
 def serves(scene: Resting, pulse: Pulse) -> bool:
     """Return whether the compiled loop covers the case: one shape, evenly spaced frequencies."""
-    return len(scene.shape) == 1 and available() and _evenly_spaced(pulse)
-
-
-@functools.lru_cache(maxsize=32)
-def _evenly_spaced(pulse: Pulse) -> bool:
-    hz = np.array(pulse.frequency_hz)
-    return len(hz) < 3 or bool(np.abs(np.diff(hz, 2)).max() <= 1e-14 * np.abs(hz).max())
+    return len(scene.shape) == 1 and available() and angular_rates(pulse)[1] is not None
 
 
 def series_fast(
@@ -53,15 +47,15 @@ def series_fast(
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
     crossing = 1 + (2 * farthest_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0.0)
     bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
-    omega = 2 * np.pi * np.array(pulse.frequency_hz)
+    omega, step = angular_rates(pulse)
     # The loop is compiled for this one kind of array.
     made = out if out.dtype == np.float64 and out.flags.c_contiguous else np.empty(out.shape)
     _loop()(
         scene.row.searchsorted(np.arange(len(amplitude_s) + 1)),
         *map(np.ascontiguousarray, (scene.rest_s, scene.weight, shape, amplitude_s, sample_time_s)),
         np.array([pulse.start_s, pulse.end_s]),
-        float(omega[0]),
-        float(omega[-1] - omega[0]) / max(1, len(omega) - 1),
+        omega[0],
+        step or 0.0,
         tables.scale,
         tables.turn,
         np.array([order for order, _ in bounds]),

@@ -34,17 +34,23 @@ def exponents(shapes: int, orders: int) -> list[tuple[int, ...]]:
     return [tuple(map(axes.count, range(shapes))) for axes in itertools.chain.from_iterable(chosen)]
 
 
-def one_less(power: tuple[int, ...]) -> tuple[int, tuple[int, ...]]:
-    """Return a shape with an exponent above 0, and the exponents with one less of it."""
-    shape = next(axis for axis, count in enumerate(power) if count)
-    return shape, tuple(count - (axis == shape) for axis, count in enumerate(power))
+def steps(powers: list[tuple[int, ...]]) -> list[tuple[int, int, int]]:
+    """Return for every exponent tuple but the first which one it is a shape times, that shape, and its exponent."""
+    place = {power: index for index, power in enumerate(powers)}
+    found = []
+    for power in powers[1:]:
+        shape = next(axis for axis, count in enumerate(power) if count)
+        lower = tuple(count - (axis == shape) for axis, count in enumerate(power))
+        found.append((place[lower], shape, power[shape]))
+    return found
 
 
 @dataclass(frozen=True, slots=True)
 class Tables:
     """What a pulse and a gate fix."""
 
-    powers: list[tuple[int, ...]]
+    steps: list[tuple[int, int, int]]
+    """How each monomial of the shapes but the first follows from an earlier one (`steps`)."""
     scale: float
     """Highest angular frequency of the pulse, rad/s, to which moments and coefficients are referred."""
     turn: Complexes
@@ -69,7 +75,7 @@ def tables_of(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> Tab
     jumps = [np.abs(_edge_derivatives(pulse, edge_s, carrier_hz, 20)).tolist() for edge_s in ends]
     taylor = np.stack([_edge_derivatives(pulse, edge_s, 0.0, 40).real for edge_s in ends])
     return Tables(
-        powers,
+        steps(powers),
         float(2 * math.pi * np.abs(hz).max()),
         rotation,
         (jumps[0], jumps[1]),

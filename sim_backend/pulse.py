@@ -8,6 +8,7 @@ shape are the Fourier series of their support, cut where the rest is below a tol
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -159,22 +160,27 @@ def extended(pulse: Pulse, time_s: Floats) -> Floats:
 
 def phasors(pulse: Pulse, time_s: Floats, sign: int) -> Complexes:
     """Return exp(sign j w_m t), (frequency, *time): two exponentials where the frequencies are evenly spaced."""
-    omega = 2 * np.pi * np.array(pulse.frequency_hz)
-    step = (omega[-1] - omega[0]) / max(1, len(omega) - 1)
-    out = np.empty((len(omega), *time_s.shape), dtype=np.complex128)
-    np.exp(sign * 1j * omega[0] * time_s, out=out[0])
-    if len(omega) > 2 and np.abs(np.diff(omega) - step).max() <= 1e-14 * np.abs(omega).max():
-        turn = np.exp(sign * 1j * step * time_s)
-        for term in range(1, len(omega)):
-            # Anew every sixteenth, so that rounding does not grow along the series.
-            if term % 16 == 0:
-                np.exp(sign * 1j * omega[term] * time_s, out=out[term])
-            else:
-                np.multiply(out[term - 1], turn, out=out[term])
-    else:
-        for term in range(1, len(omega)):
-            np.exp(sign * 1j * omega[term] * time_s, out=out[term])
+    rate, step = angular_rates(pulse)
+    out = np.empty((len(rate), *time_s.shape), dtype=np.complex128)
+    turning = sign * 1j * time_s
+    np.exp(rate[0] * turning, out=out[0])
+    turn = None if step is None or len(rate) < 2 else np.exp(step * turning)
+    for term in range(1, len(rate)):
+        # Anew every sixteenth, so that rounding does not grow along the series.
+        if turn is None or term % 16 == 0:
+            np.exp(rate[term] * turning, out=out[term])
+        else:
+            np.multiply(out[term - 1], turn, out=out[term])
     return out
+
+
+@functools.lru_cache(maxsize=32)
+def angular_rates(pulse: Pulse) -> tuple[tuple[float, ...], float | None]:
+    """Return the angular frequencies, rad/s, and their step, None where they are not evenly spaced."""
+    rate = 2 * np.pi * np.array(pulse.frequency_hz)
+    step = float(rate[-1] - rate[0]) / max(1, len(rate) - 1)
+    even = len(rate) < 3 or bool(np.abs(np.diff(rate) - step).max() <= 1e-14 * np.abs(rate).max())
+    return tuple(rate.tolist()), step if even else None
 
 
 def _strong_terms(start_s: float, end_s: float, frequency_hz: Floats, amplitude: Complexes, tolerance: float) -> Pulse:
