@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hpe_rig.figures_svg import MARKS, Picture, legend, panel, picture
 from hpe_rig.report_sweep import Curve, Sweep
@@ -47,15 +48,25 @@ def _sweep_phase(label: str, curves: Sequence[Curve]) -> Picture:
     for curve, (mark, colour) in zip(curves, _marks(len(curves)), strict=True):
         spread = np.degrees(np.nan_to_num(curve.phase_sd_rad))
         axes.errorbar(
-            curve.x, np.degrees(np.unwrap(curve.phase_rad)), spread, fmt=mark, ms=4, capsize=2, color=colour,
+            curve.x, np.degrees(_continuous(curve)), spread, fmt=mark, ms=4, capsize=2, color=colour,
             label=curve.group or "mean, sd",
         )  # fmt: skip
     axes.set(xlabel=label, ylabel="phase (degrees)")
     legend(axes, "best")
     f = curves[0].frequency_hz
-    low, high = (np.degrees([edge(curve.phase_rad) for curve in curves]) for edge in (np.min, np.max))
+    low, high = (np.degrees([edge(_continuous(curve)) for curve in curves]) for edge in (np.min, np.max))
     alt = f"Phase at {f:g} Hz over {label}: between {low.min():.2f} and {high.max():.2f} degrees."
     return picture(figure, f"sweep-phase-{f:g}", f"Phase at {f:g} Hz over {label}", alt)
+
+
+def _continuous(curve: Curve) -> NDArray[np.float64]:
+    """Return the phase (point,) without jumps of a turn, followed from the strongest point to both sides.
+
+    From there since a point that drowns in noise may be off by any angle, and whatever follows it with it.
+    """
+    strongest = int(np.argmax(curve.amplitude_m))
+    before = np.unwrap(curve.phase_rad[strongest::-1])[::-1]
+    return np.concatenate([before[:-1], np.unwrap(curve.phase_rad[strongest:])])
 
 
 def _marks(count: int) -> list[tuple[str, str]]:

@@ -29,6 +29,7 @@ from hpe_rig.result import Estimate, Result, ShotResult
 from hpe_rig.run import Stages, chosen_estimator, process
 from hpe_rig.scene import Scene, parse_scene
 from hpe_rig.shot_view import MotionView, echo_view, gate_alone, motion_view
+from hpe_rig.shot_warnings import shot_warnings
 from hpe_rig.store import StoredRun, StoreError, read_run
 from hpe_rig.store_format import reason
 
@@ -207,19 +208,8 @@ def _page(*, result: Result, sweep: Sweep | None, **context: Any) -> str:
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     environment.filters.update(nm=_nm, deg=_deg, percent=_percent, svg=_svg)
     template = (resources.files("hpe_rig") / "templates" / "report.html").read_text(encoding="utf-8")
-    warnings = (*result.warnings, *_shot_warnings(result.shots))
+    warnings = (*result.warnings, *shot_warnings(result.shots))
     return environment.from_string(template).render(result=result, sweep=sweep, warnings=warnings, **context)
-
-
-def _shot_warnings(shots: Sequence[ShotResult]) -> list[str]:
-    """Return the shots' warnings, each text once with the shots that have it."""
-    by_text: dict[str, list[int]] = {}
-    for shot in shots:
-        for text in shot.warnings:
-            by_text.setdefault(text, []).append(shot.shot + 1)
-    if len(shots) == 1:
-        return list(by_text)
-    return [f"shot {', '.join(map(str, numbers[:12]))}: {text}" for text, numbers in by_text.items()]
 
 
 def _svg(picture: Picture) -> Markup:

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hpe_rig.result import Estimate, Result, ShotResult
+from hpe_rig.shot_warnings import shot_warnings
 
 TABLE_WIDTH = 120
 LEAST_S = 0.005
@@ -26,7 +27,7 @@ def print_result(result: Result) -> None:
     console.print(
         f"phase: {result.phase_reference}; uncertainties: standard, noise only, of corrected noise and speckle"
     )
-    for warning in (*result.warnings, *(text for shot in result.shots for text in shot.warnings)):
+    for warning in (*result.warnings, *shot_warnings(result.shots)):
         console.print(f"WARNING {warning}", style="bold")
     if result.left_out:
         console.print("left out: " + "; ".join(f"{what} ({why})" for what, why in result.left_out))

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
 import h5py
+import numpy as np
 import pytest
 
+from hpe_rig.figures_sweep import sweep_pictures
 from hpe_rig.report import render, strongest, write_report
+from hpe_rig.report_sweep import Curve, Sweep
 from hpe_rig.result import Result
 from hpe_rig.run import measure, prepare, process
 from hpe_rig.scene import shipped_scenes
+from hpe_rig.shot_warnings import shot_warnings
 from hpe_rig.store import StoreError
 
 VOID = {"meta", "br", "link", "img", "input", "hr"}
@@ -176,3 +181,22 @@ def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_be
     last = process(run_file).shots[-1].estimates[0].amplitude_m * 1e9
     # the twin's force is linear: the slope is the amplitude at full force
     assert float(slopes[0]) == pytest.approx(last, rel=0.02)
+
+
+def test_warnings_alike_but_for_their_numbers_stand_once_with_their_shots(result: Result) -> None:
+    (shot,) = result.shots
+    texts = [f"not told from noise at {90 + n}, 100 Hz: take more" for n in range(20)]
+    shots = [replace(shot, shot=n, warnings=(text, "clipped") if n == 3 else (text,)) for n, text in enumerate(texts)]
+    assert shot_warnings(shots) == [
+        f"shot {', '.join(map(str, range(1, 13)))} ... (20 of 20 shots): such as in shot 1, {texts[0]}",
+        "shot 4: clipped",
+    ]
+    assert shot_warnings(shots[3:4]) == [texts[3], "clipped"]
+
+
+def test_phases_of_a_sweep_are_followed_from_the_strongest_point() -> None:
+    # A point drowned in noise, -179 degrees, and then 60 degrees: followed from the left all would stand at -300.
+    phase_rad, x = np.radians([-179.0, 60.0, 60.0]), np.arange(3.0)
+    curve = Curve(100.0, "", x, np.array([1e-9, 5e-8, 1e-7]), np.zeros(3), phase_rad, np.zeros(3), 1, None)
+    _, phase = sweep_pictures(Sweep("force F / F_0", (curve,)))
+    assert "between 60.00 and 181.00 degrees" in phase.alt
