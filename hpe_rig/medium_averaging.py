@@ -10,7 +10,6 @@ import functools
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 from scipy.special import wofz
 
 from hpe_rig.theory import GateWindow, gate_energy
@@ -84,12 +83,11 @@ def gaussian_averaging(motion_width_m: Triple, tracking_width_m: Triple, axial_s
 def width_scale(averaging: float, motion_width_m: Triple, tracking_width_m: Triple, axial_spread_m: float) -> float:
     """Return the factor on ``motion_width_m`` with which a Gaussian motion is tracked at ``averaging`` of its peak."""
 
-    def excess(scale: float) -> float:
+    low, high = SCALES
+    # The averaging grows with the width: halve the ratio of the bounds until they meet.
+    while high > low * (1 + 1e-12):
+        scale = float(np.sqrt(low * high))
         wide = (motion_width_m[0] * scale, motion_width_m[1] * scale, motion_width_m[2] * scale)
-        return gaussian_averaging(wide, tracking_width_m, axial_spread_m) - averaging
-
-    if excess(SCALES[1]) <= 0:
-        return SCALES[1]
-    if excess(SCALES[0]) >= 0:
-        return SCALES[0]
-    return float(brentq(excess, *SCALES))
+        enough = gaussian_averaging(wide, tracking_width_m, axial_spread_m) >= averaging
+        low, high = (low, scale) if enough else (scale, high)
+    return high
