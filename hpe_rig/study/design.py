@@ -32,7 +32,7 @@ GOALS: tuple[Goal, ...] = get_args(Goal)
 
 SEARCH_DRAWS = 200
 """Scatterer draws of a candidate: all have the same, so that their differences are better known than each."""
-FINAL_DRAWS = 4000
+FINAL_DRAWS = 2000
 """Draws, other ones, of the scene at the start and of the winner."""
 FINAL_SEED = 1
 SIDE_WEIGHT = 1e-6

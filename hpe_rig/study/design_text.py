@@ -144,7 +144,7 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
         simulated = simulate(scene, plan, setting, problem.baseline, draws, seed)
     rows = {
         "amplitude": _nm(setting.amplitude_m),
-        "pulses used": f"{setting.pulses}",
+        "pulses they are worth": f"{setting.pulses}",
         "SNR in the gate": f"{10 * math.log10(setting.snr):.1f} dB",
         "bias, predicted": _nm(expected.bias_m),
         "bias, simulated": _both(simulated, "bias_m", 1e9, "nm"),
