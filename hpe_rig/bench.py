@@ -19,7 +19,7 @@ from drivers.interfaces import Clock, Instrument, InstrumentError
 from drivers.interfaces import Wire as InstrumentWire
 from hpe_rig.bench_file import GENERATOR_ROLES, BenchFile
 from hpe_rig.interrupts import interruptible
-from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of
+from hpe_rig.mistakes import Mistake, mistakes_of
 from hpe_rig.open_instruments import Bench, make_safe
 from hpe_rig.scene import Scene
 
@@ -60,7 +60,7 @@ def twin_medium(scene: Scene, frequency_hz: NDArray[np.float64]) -> tuple[NDArra
     from sim_backend.moduli import shear_modulus
     from sim_backend.settings import SimulationSettings
 
-    specimen = SimulationSettings.model_validate(_declared(scene)).specimen
+    specimen = SimulationSettings.model_validate(declared(scene)).specimen
     if specimen is None or specimen.field == "gaussian":
         return None
     s_per_s = np.asarray(2j * np.pi * frequency_hz, np.complex128)
@@ -74,7 +74,7 @@ def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.floa
     from sim_backend.dose import dose
     from sim_backend.settings import SimulationSettings
 
-    settings = SimulationSettings.model_validate(_declared(scene))
+    settings = SimulationSettings.model_validate(declared(scene))
     if settings.specimen is None:
         return None
     train = scene.excitation.burst_rate_hz, burst_length_s
@@ -97,7 +97,7 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
     """
     with interruptible(), ExitStack() as stack:
         reached = (
-            _reach_twin(_declared(scene), bench, first_shot, stack) if bench.simulated else _reach_metal(bench, stack)
+            _reach_twin(declared(scene), bench, first_shot, stack) if bench.simulated else _reach_metal(bench, stack)
         )
         opened = _assemble(bench, roles, reached)
         for instrument in opened.instruments:
@@ -184,7 +184,7 @@ class Reach:
         return pulses(self.wire(role), role, generator.model, most_vpp)
 
 
-def _declared(scene: Scene) -> dict[str, Any]:
+def declared(scene: Scene) -> dict[str, Any]:
     """Return what a scene declares of the specimen, as the twin's settings."""
     simulation = scene.simulation or {}
     beams = {} if scene.beams is None else scene.beams.model_dump(exclude={"pulse_length_m"})
@@ -205,9 +205,6 @@ def _world(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0)
     from sim_backend.settings import SimulationSettings
     from sim_backend.world import World
 
-    # What the scene declares of beams and sound speed may contradict its [simulation].
-    if mistakes := check_simulation(simulation):
-        raise SettingsError("the scene", mistakes)
     settings = SimulationSettings.model_validate(simulation)
     wiring = [(wire.source, wire.target, wire.delay_s) for wire in bench.wiring]
     models = {role: generator.model for role, generator in bench.generators.by_role.items()}
@@ -232,7 +229,7 @@ def open_emulator(
 
     They listen on loopback alone, share one world and one clock, and are gone on the way out.
     """
-    with interruptible(), _emulator(_world(_declared(scene), bench), bench, transport) as emulator:
+    with interruptible(), _emulator(_world(declared(scene), bench), bench, transport) as emulator:
         yield {role: (there.address, there.interface) for role, there in emulator.served.items()}
 
 

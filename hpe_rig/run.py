@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.bench import check_simulation, open_bench, simulation_schema
+from hpe_rig.bench import check_simulation, declared, open_bench, simulation_schema
 from hpe_rig.bench_file import BenchFile, BenchText, parse_bench, read_bench
 from hpe_rig.conflicts import Finding, findings, refuse_conflicts
 from hpe_rig.interrupts import interruptible, uninterrupted
@@ -66,6 +66,9 @@ def prepare_text(
         bench = read_bench(bench_path)
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check)
+        # What the scene declares of beams and sound speed may contradict its [simulation].
+        if check and scene.scene.simulation and (mistakes := check(declared(scene.scene))):
+            raise SettingsError(f"scene {name}", mistakes)
         plan, found = planned(scene.scene, bench.bench)
         if refuse:
             refuse_conflicts(found)
