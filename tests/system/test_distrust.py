@@ -189,7 +189,7 @@ TAMPERED: dict[str, tuple[Callable[[Path], None], str]] = {
     "a scene with an endless sweep": (scene_with("[acquisition]", "[acquisition]\nrepeats = 1000000"), "shots"),
     "run times of another type": (remade("run_time/run_time_s", shape=(11,), dtype="S9"), "/run_time/run_time_s holds"),
     "run times without end": (remade("run_time/stage", shape=(1_000_000,), dtype="S16"), "1000000 stages"),
-    "run times that are none": (values("run_time/run_time_s", [np.nan, np.inf, -1.0] + 8 * [1e300]), ""),
+    "run times that are none": (values("run_time/run_time_s", np.inf), ""),
     "truth that is absent": (lambda path: _delete(path, "truth"), "absent"),
     "settings that are no JSON": (values("snapshot", b"{" * 900), ""),
 }
