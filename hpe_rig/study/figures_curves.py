@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from hpe_rig.figures_svg import STYLE
@@ -27,8 +29,6 @@ PANELS = (
 )
 BAND = 2.0
 """Standard errors to each side."""
-WIDE_RANGE = 30.0
-"""Ratio of the largest to the smallest bias of two curves beyond which its axis is logarithmic but for the middle."""
 
 
 def curve_figure(result: StudyResult, one: View) -> Figure:
@@ -39,14 +39,17 @@ def curve_figure(result: StudyResult, one: View) -> Figure:
     with rc_context(STYLE):
         if len(found) == 1:
             return _mean_and_deviation(found[0], label)
-        figure = Figure(figsize=(7.2, 5.6), layout="constrained")
+        lines = -(-len(found) // 3)
+        figure = Figure(figsize=(7.2, 5.2 + 0.2 * lines))
+        # Fixed margins: fitting them to every text takes longer than all the drawing.
         panels = figure.subplots(2, 2, sharex=True)
+        figure.subplots_adjust(left=0.11, right=0.98, bottom=0.09, top=0.965 - 0.034 * lines, wspace=0.32, hspace=0.1)
         for axes, (title, quantity, unit, scale) in zip(panels.ravel(), PANELS, strict=True):
             _panel(axes, found, quantity, unit, scale)
             axes.set(ylabel=title)
         for axes in panels[1]:
             axes.set(xlabel=label)
-        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="upper center", ncols=3, frameon=False)
         return figure
 
 
@@ -65,7 +68,6 @@ def curve_alt(result: StudyResult, one: View) -> str:
 
 
 def _panel(axes: Axes, found: Sequence[Curve], quantity: str, unit: str, scale: float) -> None:
-    largest = [float(np.abs(curve.values(f"{quantity}_{unit}")).max()) * scale for curve in found]
     for place, curve in enumerate(found):
         value = curve.values(f"{quantity}_{unit}") * scale
         spread = curve.values(f"{quantity}_se_{unit}") * (scale * BAND)
@@ -75,15 +77,15 @@ def _panel(axes: Axes, found: Sequence[Curve], quantity: str, unit: str, scale: 
         axes.fill_between(curve.x, low, value + spread, color=colour, alpha=0.2, lw=0)
     if quantity.endswith("jitter"):
         axes.set_yscale("log")
+        plain_log(axes.yaxis)
     else:
         axes.axhline(0, color="k", lw=0.8, ls="--")
-        if min(largest) > 0 and max(largest) / min(largest) > WIDE_RANGE:
-            axes.set_yscale("symlog", linthresh=max(min(largest), max(largest) / 1e3))
 
 
 def _mean_and_deviation(curve: Curve, label: str) -> Figure:
     """Return mean, deviation of the realisations as bars, and the mean's own band, over a target line: as Fig. 4."""
-    figure = Figure(figsize=(7.2, 3.2), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.2))
+    figure.subplots_adjust(left=0.1, right=0.98, bottom=0.15, top=0.96, wspace=0.28)
     for axes, title, quantity, unit, scale in zip(
         figure.subplots(1, 2), ("(a) displacement (nm)", "(b) phase (degrees)"), ("amplitude", "phase"),
         ("m", "rad"), (NM, DEGREES), strict=True,
@@ -100,3 +102,12 @@ def _mean_and_deviation(curve: Curve, label: str) -> Figure:
         axes.set(xlabel=label, ylabel=title)
         axes.legend(frameon=False, fontsize=8)
     return figure
+
+
+def plain_log(axis: Axis) -> None:
+    """Label a logarithmic axis with plain numbers: 1, 2, 5 within a decade and a half, powers of ten beyond."""
+    low, high = axis.get_view_interval()
+    within = high < 30 * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if within else (1.0,)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -13,7 +13,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from hpe_rig.figures_svg import STYLE
-from hpe_rig.study.figures_curves import DEGREES, NM
+from hpe_rig.study.figures_curves import DEGREES, NM, plain_log
 from hpe_rig.study.results import StudyResult
 from hpe_rig.study.series import View, axis_names, maps
 
@@ -23,6 +23,7 @@ Levels = Sequence[float] | Floats | None
 OURS = 2.19
 """W_x and W_y of the paper's transducer, marked."""
 LATERAL = ("W_x", "W_y")
+MARGINS = {"left": 0.075, "right": 0.985, "bottom": 0.075, "top": 0.955, "wspace": 0.18, "hspace": 0.26}
 
 
 def lateral_average(w_x: Floats, w_y: Floats, power: float = 2.0) -> Floats:
@@ -66,7 +67,8 @@ def map_alt(result: StudyResult, one: View) -> str:
 
 
 def _four_quantities(x: Floats, y: Floats, table: dict[str, Floats]) -> Figure:
-    figure = Figure(figsize=(7.2, 6.2), layout="constrained")
+    figure = Figure(figsize=(7.2, 6.2))
+    figure.subplots_adjust(**MARGINS)
     phase = np.arange(5, 181, 5.0)
     panels: tuple[tuple[str, Floats, Levels], ...] = (
         (
@@ -87,7 +89,8 @@ def _by_outer_value(
     found: list[tuple[tuple[Any, ...], Floats, Floats, dict[str, Floats]]], outer: Sequence[str], lateral: bool
 ) -> Figure:
     rows = -(-len(found) // 2)
-    figure = Figure(figsize=(7.2, 3.1 * rows), layout="constrained")
+    figure = Figure(figsize=(7.2, 3.1 * rows))
+    figure.subplots_adjust(**MARGINS)
     panels = figure.subplots(rows, 2, squeeze=False).ravel()
     for spare in panels[len(found) :]:
         spare.set_axis_off()
@@ -97,9 +100,10 @@ def _by_outer_value(
         values.append(lateral_average(x[None, :], y[:, None]) - ratio if lateral else ratio)
         title = "lateral theory minus tracked" if lateral else "normalised displacement"
     low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
-    levels = np.arange(np.ceil(low * 20), np.floor(high * 20) + 1) / 20
     for place, (axes, (at, x, y, _), value) in enumerate(zip(panels, found, values, strict=False)):
         head = ", ".join(f"{name} = {v:g}" for name, v in zip(outer, at, strict=True))
+        step = 0.1 if np.ptp(value) > 0.4 else 0.05
+        levels = np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 2)
         _map(axes, x, y, value, levels, f"({'abcdefghijkl'[place % 12]}) {title}, {head}", (low, high))
     return figure
 
@@ -128,6 +132,7 @@ def _map(
     for name, values_of in (("x", x), ("y", y)):
         if values_of.min() > 0 and values_of.max() / values_of.min() >= 20:
             axes.set(**{f"{name}scale": "log"})
+            plain_log(axes.xaxis if name == "x" else axes.yaxis)
     if x.min() <= OURS <= x.max() and y.min() <= OURS <= y.max():
         axes.plot(OURS, OURS, "+", color="#FF9E6D", ms=11, mew=2)
     axes.set_title(title, fontsize=9)

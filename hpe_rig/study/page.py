@@ -21,7 +21,7 @@ from hpe_rig.mistakes import Mistake, SettingsError
 
 Row = Mapping[str, Any]
 
-MOST_ROWS = 400
+MOST_ROWS = 120
 """Rows of a table that the page shows; its CSV has all."""
 
 

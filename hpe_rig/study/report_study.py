@@ -130,9 +130,6 @@ def _picture(result: StudyResult, one: View, folder: Path) -> Picture:
     figure, key = draw(result, one), f"{result.name}-{one.key}"
     folder.mkdir(parents=True, exist_ok=True)
     with rc_context(STYLE):
-        figure.draw_without_rendering()
-        # Laid out once, not for every file.
-        figure.set_layout_engine("none")
         figure.savefig(folder / f"{key}.png", dpi=PNG_DPI)
         figure.savefig(folder / f"{key}.svg", dpi=PNG_DPI, metadata={"Date": None})
     svg = (folder / f"{key}.svg").read_text(encoding="utf-8")
@@ -168,7 +165,7 @@ def _run_time_figure(results: Sequence[StudyResult]) -> Figure:
                 if one is not None:
                     axes.loglog(
                         _column(one, "seconds"), _column(one, "amplitude_bias_se_m") * NM, MARKS[place % len(MARKS)],
-                        ms=4, alpha=0.6, color=COLOURS[place % len(COLOURS)], label=result.name,
+                        ms=4, alpha=0.6, rasterized=True, color=COLOURS[place % len(COLOURS)], label=result.name,
                     )  # fmt: skip
         for reading, axes in panels.items():
             axes.set(xlabel="processor time of a case (s)", title=reading)
