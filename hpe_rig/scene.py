@@ -291,7 +291,7 @@ def scene_text(name_or_path: str) -> tuple[str, str]:
     try:
         return path.stem, path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
+        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
         what = f"neither a shipped scene nor a readable file ({reason})"
         raise SettingsError(
             f"scene {name_or_path}", [Mistake("", what, f"a path, or one of {', '.join(shipped)}")]
