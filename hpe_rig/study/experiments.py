@@ -84,19 +84,21 @@ def result_of(scene: str) -> Result:
 
 
 def result_and_sampled_truth(scene: str) -> tuple[Result, Floats]:
-    """Return also the amplitude, m (frequency,), of the first shot's true motion at the pulses: what folds is in it."""
+    """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what folds is in them."""
     setup = prepare_text(scene, shipped_scenes()[scene])
     with TemporaryDirectory() as folder:
         run_file = measure(setup, Path(folder) / "run.h5")
         with h5py.File(run_file) as file:
-            true_m = file["truth/displacement_m"][0]
+            true_m = file["truth/displacement_m"][...]
         result = process(run_file)
-    shot, settings = setup.plan.shots[0], setup.scene.scene
-    inside = slow_time_window(settings, shot)
-    time_s = shot.timeline.sensing_s[inside]
-    motion = Motion(time_s, true_m[inside], np.zeros(time_s.size), np.ones(time_s.size, bool))
-    fit = least_squares(motion, list(settings.wanted_frequencies_hz), also_hz=driven_frequencies_hz(settings))
-    return result, np.asarray(fit.amplitude_m)
+    scene_, sampled_m = setup.scene.scene, []
+    for shot, row_m in zip(setup.plan.shots, true_m, strict=True):
+        inside = slow_time_window(scene_, shot)
+        time_s = shot.timeline.sensing_s[inside]
+        motion = Motion(time_s, row_m[inside], np.zeros(time_s.size), np.ones(time_s.size, bool))
+        fit = least_squares(motion, list(scene_.wanted_frequencies_hz), also_hz=driven_frequencies_hz(scene_))
+        sampled_m.append(fit.amplitude_m)
+    return result, np.array(sampled_m)
 
 
 def repeated(shots: Sequence[ShotResult]) -> Repeated:

@@ -1,4 +1,4 @@
-"""Fig. 15 to 19: bovine muscle against force, frequency, pulse rate and window."""
+"""Fig. 16 to 19: bovine muscle against force, frequency, pulse rate and window."""
 
 from __future__ import annotations
 
@@ -9,108 +9,16 @@ from numpy.typing import NDArray
 
 from hpe_rig.detection import detection_floor
 from hpe_rig.figures_svg import MARKS
-from hpe_rig.report_sweep import Line, fit_line
+from hpe_rig.report_sweep import fit_line
 from hpe_rig.scene import parse_scene, shipped_scenes
 from hpe_rig.study.experiments import Experiment, Repeated, Verdict, by, panels, result_of
 
 Floats = NDArray[np.float64]
 
-HIGHEST = {50e-6: 9, 100e-6: 11, 200e-6: 13}
-"""How many of the highest samples the paper's regression takes."""
-PAPER_SLOPE_NM = {50e-6: 409.0, 100e-6: 812.0, 200e-6: 1654.0}
-PLATEAU = 0.02
-"""F / F_0 up to which 50 us move less than 10 nm."""
 CHI2_16 = (0.66, 1.34)
 """Between which the root of a mean square over 16 degrees of freedom lies in 95 of 100 draws."""
 CHI2_12 = 1.32
 """Below which that over 12 lies in 95 of 100 draws."""
-
-
-def figure_15() -> Experiment:
-    """Displacement at 200 Hz against force for three toneburst lengths: regression and floor."""
-    shots = [shot for name in ("muscle-force", "muscle-force-200us") for shot in result_of(name).shots]
-    figure, (left, right) = panels(2)
-    rows, lines, single = [], {}, {}
-    for (length_s, count), (mark, colour) in zip(HIGHEST.items(), MARKS, strict=False):
-        forces = by([shot for shot in shots if shot.burst_length_s == length_s], lambda shot: shot.force_fraction)
-        force = np.array(list(forces))
-        nm = np.array([each.amplitude_m[:, 1] for each in forces.values()]) * 1e9
-        top = slice(-count, None)
-        line = fit_line(force[top], nm[top].mean(axis=1))
-        each = [fit_line(force[top], nm[top, k]) for k in range(nm.shape[1])]
-        if line is None:
-            raise ValueError("the scenes of Fig. 15 have no forces to draw a line through")
-        lines[length_s] = line
-        single[length_s] = [one.r_squared for one in each if one is not None]
-        name = f"T_b = {length_s * 1e6:.0f} us"
-        left.errorbar(force, nm.mean(axis=1), nm.std(axis=1, ddof=1), fmt=mark, color=colour, ms=4, label=name)
-        left.plot(force[top], line.intercept + line.slope * force[top], color=colour, lw=1)
-        right.plot(force, nm.mean(axis=1), mark, color=colour, ms=4, label=name)
-        rows.append(_line_row(length_s, line, single[length_s], nm[:2].mean()))
-    floor = detection_floor(parse_scene("15", shipped_scenes()["muscle-force"]).scene)
-    right.axhspan(100, 200, color="0.9", label="the paper's floor")
-    right.axhline(floor.detected_m * 1e9, color="0.3", ls="--", label="noise exceeds it once in 20")
-    right.set(xscale="log", yscale="log", xlabel="force F / F_0", ylabel="displacement (nm)")
-    left.set(xlabel="force F / F_0", ylabel="displacement (nm)")
-    right.legend(frameon=False, fontsize=7)
-    left.legend(frameon=False, fontsize=7)
-    short, middle, long = (lines[length_s] for length_s in HIGHEST)
-    header = (
-        "T_b",
-        "slope (nm per F_0)",
-        "the paper's",
-        "offset (nm)",
-        "R^2",
-        "R^2 of each repeat",
-        "at F <= 0.04 (nm)",
-    )
-    return Experiment(
-        "Fig. 15",
-        "displacement at 200 Hz against force",
-        "Scenes `muscle-force` and `muscle-force-200us`: 4 kHz, and 2.5 kHz for 200 us; T_s = 100 ms; means of five "
-        "repeats, bars one standard deviation; lines through the 9, 11 and 13 highest points. The force density is "
-        "assumed, so that 100 us give about the paper's slope: ratios and floor are the test.",
-        (header, *rows),
-        figure,
-        (
-            _ratio("slope of 100 us over that of 50 us is 2 within errors", middle, short, 2.0),
-            _ratio("slope of 200 us over that of 50 us is 4 within errors", long, short, 4.0),
-            _ratio("slope of 200 us over that of 100 us is 2 within errors", long, middle, 2.0),
-            Verdict(
-                "R^2 above 0.9",
-                ", ".join(f"{line.r_squared:.3f}" for line in lines.values()),
-                min(line.r_squared for line in lines.values()) > 0.9,
-            ),
-            Verdict(
-                "R^2 above 0.9 without averaging, as in the paper (0.942, 0.976, 0.972)",
-                "; ".join(f"{min(each):.2f} to {max(each):.2f}" for each in single.values()),
-                min(min(each) for each in single.values()) > 0.9,
-            ),
-            Verdict(
-                "points level off between 100 and 200 nm",
-                f"threshold {floor.detected_m * 1e9:.0f} nm from a trigger jitter of 1 ns and 40 dB",
-                100e-9 < floor.detected_m < 200e-9,
-            ),
-        ),
-    )
-
-
-def _line_row(length_s: float, line: Line, single: list[float], plateau_nm: float) -> tuple[str, ...]:
-    return (
-        f"{length_s * 1e6:.0f} us",
-        f"{line.slope:.0f} +- {line.slope_u:.0f}",
-        f"{PAPER_SLOPE_NM[length_s]:.0f}",
-        f"{line.intercept:.0f} +- {line.intercept_u:.0f}",
-        f"{line.r_squared:.3f}",
-        ", ".join(f"{value:.2f}" for value in single),
-        f"{plateau_nm:.0f}",
-    )
-
-
-def _ratio(statement: str, over: Line, under: Line, expected: float) -> Verdict:
-    ratio = over.slope / under.slope
-    u = ratio * np.hypot(over.slope_u / over.slope, under.slope_u / under.slope)
-    return Verdict(statement, f"{ratio:.2f} +- {u:.2f}", bool(abs(ratio - expected) < 2 * u))
 
 
 def figures_16_17() -> Experiment:
@@ -229,12 +137,12 @@ def figure_19() -> Experiment:
                 + " nm over ten harmonics (predicted: "
                 + ", ".join(f"{expected_nm * np.sqrt(0.1 / length_s):.0f}" for length_s in windows)
                 + ")",
-                bool((np.diff(pooled) < 0).all()),
+                _falls(list(windows), pooled),
             ),
             Verdict(
                 "longer T_s lowers the deviation of phase",
                 ", ".join(f"{value:.1f}" for value in turned) + " degrees",
-                bool((np.diff(turned) < 0).all()),
+                _falls(list(windows), turned),
             ),
             Verdict(
                 "means unchanged",
@@ -246,6 +154,16 @@ def figure_19() -> Experiment:
 
 
 _WHAT = ("mean_nm", "sd_nm", "mean_deg", "sd_deg")
+
+
+def _falls(length_s: list[float], deviation: list[float]) -> bool:
+    """Return whether deviations fall with the window by three standard errors of their slope over logarithms.
+
+    Ten harmonics of five repeats: 40 degrees of freedom, the logarithm of each is known to 1 / sqrt(80).
+    """
+    line = fit_line(np.log(length_s), np.log(deviation))
+    centred = np.log(length_s) - np.mean(np.log(length_s))
+    return line is not None and bool(line.slope < -3 / np.sqrt(80 * float(centred @ centred)))
 
 
 def _apart(one: Repeated, other: Repeated, count: int) -> float:
