@@ -9,7 +9,6 @@ import contextlib
 import json
 import math
 import os
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -19,7 +18,6 @@ from typing import Any, final
 
 import h5py
 import numpy as np
-from h5py import h5f, h5p
 from numpy.typing import NDArray
 
 from drivers.interfaces import RecordBlock
@@ -30,6 +28,7 @@ from hpe_rig.records import MISSING, Placed, place
 from hpe_rig.scene import SceneText
 from hpe_rig.store_format import SNAPSHOT_BYTES, STAGES, StoreError, reason
 from hpe_rig.store_layout import TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
+from hpe_rig.store_publish import open_for_readers, publish, refuse_small_disk
 from hpe_rig.store_reader import StoredRun
 
 ROWS = ("recorded", "trigger_time_s", "pulse_onset_s", "shot_complete", "clipped")
@@ -65,10 +64,10 @@ class RunWriter:
         self._checkpoint_s = clock()
         self._broken = False
         image = empty_run(scene, bench, plan, options.compress, options.predecessor)
-        _refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
-        _publish(image, path, options.overwrite)
+        refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
+        publish(image, path, options.overwrite)
         with self._writing():
-            self._file = _open_for_readers(path)
+            self._file = open_for_readers(path)
         self._volts = volts_of_codes(plan.shots[0].capture.input_range_v)
         # Held, since looking a dataset up takes longer than writing to it.
         self._rows = {name: self._file[f"records/{name}"] for name in ROWS}
@@ -304,62 +303,3 @@ class _ShotRows:
         self.latest: Placed | None = None
         self.recorded = np.zeros(shot.capture.record_count, bool)
         self.trigger_time_s = np.full(shot.capture.record_count, np.nan)
-
-
-def _refuse_small_disk(path: Path, needed: int) -> None:
-    try:
-        free = shutil.disk_usage(path.parent).free
-    except OSError:
-        # Whatever is wrong with the folder shows, with its own words, when the file is created.
-        return
-    if free < needed:
-        raise StoreError(
-            f"{path}: the run takes {needed / 1e6:.6g} MB, the disk has {free / 1e6:.6g} MB free. "
-            "Try: another folder with --output, --compress, or fewer repeats."
-        )
-
-
-def _publish(image: bytes, path: Path, overwrite: bool) -> None:
-    """Let ``path`` appear as a whole file or not at all."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
-    try:
-        with draft.open("xb") as file:
-            file.write(image)
-            file.flush()
-            os.fsync(file.fileno())
-        if overwrite:
-            draft.replace(path)
-        else:
-            _rename_to_new(draft, path)
-    except FileExistsError:
-        raise StoreError(
-            f"{path} exists and is never overwritten unless told. Try: another --output, or --overwrite."
-        ) from None
-    except OSError as error:
-        raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder with --output.") from None
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink()
-
-
-def _rename_to_new(draft: Path, path: Path) -> None:
-    """Rename, raising ``FileExistsError`` where ``path`` is taken: a link on POSIX, where a rename would replace it."""
-    if os.name == "posix":
-        try:
-            path.hardlink_to(draft)
-        except FileExistsError:
-            raise
-        except OSError:
-            # A file system without links: the check and the rename are then two steps.
-            if path.exists():
-                raise FileExistsError(path) from None
-            draft.rename(path)
-    else:
-        draft.rename(path)
-
-
-def _open_for_readers(path: Path) -> h5py.File:
-    """Open in single-writer-multiple-reader mode from the first moment: a file killed later can still be opened."""
-    access = h5p.create(h5p.FILE_ACCESS)
-    access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
-    return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE, access))
