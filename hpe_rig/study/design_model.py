@@ -12,8 +12,10 @@ import numpy as np
 from hpe_rig.estimation import driven_frequencies_hz, skipped_pulses
 from hpe_rig.jitter_model import LATERAL, Expected, Scattering, Setting, Speckle, draw_scattering, expected
 from hpe_rig.mistakes import Mistake, SettingsError
-from hpe_rig.plan import Plan, slow_time_window
+from hpe_rig.plan import Plan, Shot, slow_time_window
 from hpe_rig.prediction import expected_snr_db, setting_of
+from hpe_rig.processing import EchoGate
+from hpe_rig.processing.echoes import band_grid
 from hpe_rig.processing.model import design as slow_time_design
 from hpe_rig.scene import Scene
 from hpe_rig.theory import force_spectrum
@@ -65,8 +67,9 @@ def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Setting:
 
     Beyond ``setting_of``: noise is fixed, so the SNR follows the echo's strength and its depth profile in the gate; the
     amplitude follows the force; pulses count for what they are worth. Raises ``ValueError`` where they cannot tell the
-    frequencies.
+    frequencies, or the gate is too short for the estimators' band.
     """
+    _require_band(plan.shots[0], scene)
     setting = setting_of(scene)
     assert setting is not None  # noqa: S101 (baseline has refused such a scene)
     profile = [echo_power(setting, gate_m) for gate_m in (setting.gate_length_m, start.gate_length_m)]
@@ -95,6 +98,14 @@ def worth_pulses(scene: Scene, plan: Plan) -> int:
     )
     variance = np.sum(model.root[:2] ** 2, axis=1)
     return max(1, round(2 / float(variance.mean())))
+
+
+def _require_band(shot: Shot, scene: Scene) -> None:
+    gate, tracking = shot.gate, scene.tracking
+    silent = np.zeros((1, gate.stop - gate.start))
+    rate_hz, speed_m_per_s = shot.capture.sample_rate_hz, scene.acquisition.sound_speed_m_per_s
+    echoes = EchoGate(silent, rate_hz, np.zeros(1), tracking.carrier_hz, speed_m_per_s, np.ones(1, dtype=bool))
+    band_grid(echoes, silent.size)
 
 
 def echo_strength(scene: Scene, start: Baseline) -> float:

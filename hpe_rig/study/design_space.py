@@ -15,7 +15,6 @@ from hpe_rig.study.scene_keys import Key, Number, number_keys, resolve
 
 DIGITS = 4
 """Significant digits of a number without steps: finer ones change no jitter by more than 0.1 %."""
-LEAST_GATE_SAMPLES = 8
 WIDE = 4.0
 """Factor up and down from where it stands that a number varies by if nothing else bounds it."""
 
@@ -211,8 +210,9 @@ _BOUNDS: dict[str, Callable[[Scene, BenchFile, float], tuple[float, float]]] = {
     "tracking.delay_s": lambda scene, _, __: (0.0, 1 / scene.tracking.pulse_rate_hz),
     "tracking.pulse_count": lambda scene, _, longest_s: (4, max(5, longest_s * _highest_pulse_rate_hz(scene))),
     "tracking.cycles": _cycles,
+    # A wavelength: two cycles of the echo.
     "acquisition.gate_length_m": lambda scene, _, __: (
-        _record_m(scene, LEAST_GATE_SAMPLES),
+        scene.acquisition.sound_speed_m_per_s / scene.tracking.carrier_hz,
         _record_m(scene, scene.acquisition.record_samples),
     ),
     "acquisition.record_samples": lambda scene, bench, _: (

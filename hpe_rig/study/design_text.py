@@ -11,14 +11,17 @@ from typing import TypeVar
 from hpe_rig.mistakes import Mistake, SettingsError, parse_toml
 from hpe_rig.prediction import length_m
 from hpe_rig.run import prepare
-from hpe_rig.study.design import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Design, Limits, Problem, design
+from hpe_rig.study.design import Design, design
 from hpe_rig.study.design_check import Measured, Simulated, simulate
 from hpe_rig.study.design_model import baseline
+from hpe_rig.study.design_problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Limits, Problem
 from hpe_rig.study.design_space import variables
 from hpe_rig.study.scene_edit import edited_text
 
 MODEL_JITTER, MODEL_BIAS, ERRORS = 0.15, 0.02, 3.0
 """How well the model is to hold: share of a jitter, share of the amplitude for a bias, standard errors on top."""
+UNSURE = 0.25
+"""Share of a jitter beyond which its standard error tells nothing of the model."""
 SLACK = 1.01
 """Share of the starting scene's time that is allowed where nothing else is said."""
 
@@ -120,7 +123,8 @@ def design_lines(found: Design, draws: int = 0, seed: int = 0) -> Iterator[str]:
     for variable in problem.space:
         values = [candidate.values.get(variable.key.path, variable.key.value) for candidate in pair]
         yield _row(str(variable.key), *("absent" if value is None else f"{value:.6g}" for value in values))
-    columns = [_column(problem, candidate, draws, seed) for candidate in pair]
+    after = _column(problem, found.best, draws, seed)
+    columns = [_column(problem, pair[0], draws, seed) if found.best.values else after, after]
     for name in columns[1]:
         yield _row(name, *(column.get(name, "-") for column in columns))
     for reason in found.held:
@@ -170,7 +174,7 @@ def _both(simulated: Simulated | None, name: str, scale: float, unit: str) -> st
     if simulated is None:
         return "-"
     found: Measured = getattr(simulated, name)
-    return f"{found.value * scale:.3g} +- {found.error * scale:.1g} {unit}"
+    return f"{found.value * scale:.3g} +- {found.error * scale:.2g} {unit}"
 
 
 def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
@@ -182,6 +186,8 @@ def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
         (expected.jitter_m, simulated.jitter_m),
         (expected.phase_jitter_rad, simulated.phase_jitter_rad),
     )
+    if any(mc.error > UNSURE * mc.value for _, mc in jitters):
+        return "unsure: more draws"
     good = all(
         abs(model - found.value) <= MODEL_JITTER * found.value + ERRORS * found.error for model, found in jitters
     )

@@ -16,9 +16,10 @@ from hpe_rig.cli import app
 from hpe_rig.mistakes import Mistake, SettingsError
 from hpe_rig.run import Setup, prepare, prepare_text
 from hpe_rig.scene import scene_text
-from hpe_rig.study.design import Design, Goal, Limits, Problem, design
+from hpe_rig.study.design import Design, design
 from hpe_rig.study.design_check import simulate
 from hpe_rig.study.design_model import worth_pulses
+from hpe_rig.study.design_problem import Goal, Limits, Problem
 from hpe_rig.study.design_space import variables
 from hpe_rig.study.design_text import Request, write_design
 from hpe_rig.study.scene_edit import edited_text
