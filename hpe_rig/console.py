@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, ParamSpec
+from typing import TYPE_CHECKING, Annotated, ParamSpec
 
 import typer
 
@@ -119,3 +119,10 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
         case Terminated():
             return f"terminated{notes}", EXIT_TERMINATED
     return None
+
+
+SceneName = Annotated[
+    str,
+    typer.Argument(metavar="SCENE", help="A shipped scene's name or a TOML file.", autocompletion=scenes_like),
+]
+BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file; absent: the simulated bench.")]
