@@ -110,11 +110,13 @@ def _wrong_words(request: Request) -> Iterator[Mistake]:
 def design_lines(found: Design, draws: int = 0, seed: int = 0) -> Iterator[str]:
     """Yield the table of a design: what changed, what is predicted, what ``draws`` draws simulate, time and dose."""
     problem, pair = found.problem, (found.problem.judged(found.start), found.best)
-    limits, scene = problem.limits, found.best.scene
+    limits, scene, plan = problem.limits, found.best.scene, found.best.plan
     assert scene is not None  # noqa: S101
+    assert plan is not None  # noqa: S101
+    shots = "" if len(plan.shots) == 1 else f" in shot 1 of {len(plan.shots)}"
     target = "" if limits.target_m is None else f", target {limits.target_m * 1e9:g} nm"
     yield (
-        f"{problem.goal} of {scene.wanted_frequencies_hz[0]:g} Hz with {scene.processing.estimator}, at most "
+        f"{problem.goal}{shots} of {scene.wanted_frequencies_hz[0]:g} Hz with {scene.processing.estimator}, at most "
         f"{limits.longest_s:.4g} s{target}; {problem.tried} scenes tried"
     )
     if not found.best.values:
@@ -156,6 +158,7 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
         "jitter, simulated": _both(simulated, "jitter_m", 1e9, "nm"),
         "  of it noise": _nm(expected.noise_jitter_m),
         "  of it speckle": _nm(expected.speckle_jitter_m),
+        "jitter over amplitude": f"{100 * expected.jitter_m / setting.amplitude_m:.3g} %",
         "phase jitter, predicted": f"{math.degrees(expected.phase_jitter_rad):.3g} deg",
         "phase jitter, simulated": _both(simulated, "phase_jitter_rad", math.degrees(1), "deg"),
         "model": _agreement(candidate, simulated),
