@@ -43,7 +43,8 @@ def figures_16_17() -> Experiment:
     return Experiment(
         "Fig. 16, 17",
         "displacement and phase against force and frequency",
-        "Scene `muscle-repeats`: five repeats at 4 kHz, T_b = 100 us, T_s = 100 ms.",
+        "Scene `muscle-repeats`: five repeats at 4 kHz, T_b = 100 us, T_s = 100 ms. The paper's mean phase rises with "
+        "frequency; here it falls, as a lag does: the paper does not state its sign and zero.",
         _table("F / F_0", {f"{value:g}": each for value, each in forces.items()}),
         figure,
         (
