@@ -62,7 +62,7 @@ def accuracy(
 def design(
     scene: SceneName,
     over: Annotated[str, typer.Option(help="Keys that may change, such as pulse_rate_hz,gate_length_m.")],
-    minimise: Annotated[str, typer.Option(help="jitter, phase-jitter, bias (of the amplitude) or time.")] = "jitter",
+    minimise: Annotated[str, typer.Option(help="jitter or bias (over the amplitude), phase-jitter, time.")] = "jitter",
     bench: BenchPath = None,
     bound: Annotated[list[str] | None, typer.Option(help="key=low:high; absent: what scene and bench imply.")] = None,
     longest_s: Annotated[float | None, typer.Option(help="Most time, s; absent: the scene's own and 1 %.")] = None,
