@@ -20,7 +20,7 @@ from drivers.interfaces import Wire as InstrumentWire
 from hpe_rig.bench_file import GENERATOR_ROLES, BenchFile
 from hpe_rig.interrupts import interruptible
 from hpe_rig.mistakes import Mistake, mistakes_of
-from hpe_rig.open_instruments import Bench, make_safe
+from hpe_rig.open_instruments import Bench, identify_each, make_safe, proven_off
 from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
@@ -37,10 +37,6 @@ class WallClock:
 
     def sleep(self, duration_s: float) -> None:
         time.sleep(duration_s)
-
-
-PROVEN_OFF = "every output is off, verified"
-"""Note on whatever ended the use of a bench, once its outputs had been read back as off."""
 
 
 def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
@@ -105,14 +101,12 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
         # Nothing is sent to a stranger at a wrong address, not even to switch it off.
         known: list[Instrument] = []
         try:
-            for instrument in opened.instruments:
-                instrument.identify()
-                known.append(instrument)
+            identify_each(opened.instruments, known)
             opened.make_safe()
             yield opened
         except BaseException as error:
             make_safe(known)
-            error.add_note(PROVEN_OFF)
+            error.add_note(proven_off(opened.instruments, known))
             raise
         make_safe(known)
 

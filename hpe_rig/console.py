@@ -104,14 +104,15 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
     from hpe_rig.open_instruments import UnsafeBenchError
     from hpe_rig.store import StoreError
 
-    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+    said = getattr(error, "__notes__", ())
+    notes, lines = ("".join(before + note for note in said) for before in ("; ", "\n  "))
     match error:
         case UnsafeBenchError():
             return str(error), EXIT_UNSAFE
         case SettingsError() | PlanError() | StoreError():
             return str(error), EXIT_MISTAKE
         case InstrumentError():
-            return str(error), EXIT_INSTRUMENT
+            return f"{error}{lines}", EXIT_INSTRUMENT
         case StopRequested():
             return f"stopped from the live page{notes}", EXIT_INTERRUPTED
         case KeyboardInterrupt():

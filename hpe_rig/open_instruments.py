@@ -72,6 +72,33 @@ class Bench:
         return {instrument.role: instrument.snapshot() for instrument in self.instruments}
 
 
+def identify_each(instruments: Sequence[Instrument], known: list[Instrument]) -> None:
+    """Add to ``known`` every instrument that is who it should be; raise the first failure, the others as its notes.
+
+    All are asked whatever the others answer, so that each one that is there can be made safe.
+    """
+    failures: list[Exception] = []
+    for instrument in instruments:
+        try:
+            instrument.identify()
+        except Exception as error:
+            failures.append(error)
+        else:
+            known.append(instrument)
+    if failures:
+        for other in failures[1:]:
+            failures[0].add_note(str(other))
+        raise failures[0]
+
+
+def proven_off(instruments: Sequence[Instrument], known: Sequence[Instrument]) -> str:
+    """Return in words which outputs have been read back as off, once ``known`` of ``instruments`` are safe."""
+    unknown = ", ".join(item.role for item in instruments if item not in known)
+    if not unknown:
+        return "every output is off, verified"
+    return f"not identified, so not proven off: {unknown}: look whether they are on; every other output is off, verified"
+
+
 def make_safe(instruments: Sequence[Instrument]) -> None:
     """Make each of ``instruments`` safe, whatever happens to the others; raise ``UnsafeBenchError`` for those left."""
     with uninterrupted():

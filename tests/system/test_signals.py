@@ -239,6 +239,41 @@ main()
     assert "Traceback" not in done.stderr
 
 
+def test_outputs_left_on_are_off_where_somebody_answers_and_nothing_is_claimed_of_the_others(
+    prepared: Prepare, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
+) -> None:
+    """Of two roles another instrument answers; every output was left on by a program before."""
+    wire = World.wire
+
+    class Stranger:
+        def __init__(self, inner: Any) -> None:
+            self.inner, self.close = inner, inner.close
+
+        def write(self, message: str) -> None:
+            assert message == "*IDN?"
+            self.inner.write(message)
+
+        def read(self) -> str:
+            return str(self.inner.read()).replace("33250A", "34401A")
+
+    def left_on(world: World, role: str) -> Any:
+        opened = wire(world, role)
+        opened.write("OUTP 1")
+        return Stranger(opened) if role in ("toneburst", "tracking_train") else opened
+
+    monkeypatch.setattr(World, "wire", left_on)
+    setup = prepared("bovine-muscle-synchronous")
+    with (
+        pytest.raises(InstrumentError, match="toneburst: .*34401A") as caught,
+        open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles),
+    ):
+        pass
+    assert {role for role, on in worlds[0].outputs_on().items() if on} == {"toneburst", "tracking_train"}
+    other, state = caught.value.__notes__
+    assert "tracking_train: *IDN? was answered with" in other
+    assert "not proven off: toneburst, tracking_train: look" in state
+
+
 def test_the_checks_of_these_tests_can_fail(
     prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
 ) -> None:
