@@ -96,7 +96,7 @@ def proven_off(instruments: Sequence[Instrument], known: Sequence[Instrument]) -
     unknown = ", ".join(item.role for item in instruments if item not in known)
     if not unknown:
         return "every output is off, verified"
-    return f"not identified, so not proven off: {unknown}: look whether they are on; every other output is off, verified"
+    return f"not identified, so not proven off: {unknown}: look whether they are on; the others are off, verified"
 
 
 def make_safe(instruments: Sequence[Instrument]) -> None:

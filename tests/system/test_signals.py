@@ -264,7 +264,7 @@ def test_outputs_left_on_are_off_where_somebody_answers_and_nothing_is_claimed_o
     monkeypatch.setattr(World, "wire", left_on)
     setup = prepared("bovine-muscle-synchronous")
     with (
-        pytest.raises(InstrumentError, match="toneburst: .*34401A") as caught,
+        pytest.raises(InstrumentError, match=r"toneburst: .*34401A") as caught,
         open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles),
     ):
         pass
