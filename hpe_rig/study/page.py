@@ -47,6 +47,11 @@ class Table:
         """Columns that hold text."""
         return {name for name in self.columns if any(isinstance(row[name], str) for row in self.rows)}
 
+    @property
+    def wordy(self) -> bool:
+        """Whether most columns hold text: on a phone its rows then stand as paragraphs."""
+        return 2 * len(self.words) > len(self.columns)
+
     def csv(self) -> str:
         """Return every row as comma separated values with a header, in full precision."""
         text = io.StringIO(newline="")

@@ -58,7 +58,7 @@ def reproduction_part(results: Sequence[StudyResult]) -> Part | None:
         f"Verdicts: {reproduction.counts(told)}.",
     ]
     if len(told) < len(rows):
-        words.append(f"{len(rows) - len(told)} statements need other studies: hpe-rig study paper has them all.")
+        words.append(f"{len(rows) - len(told)} statements need other studies: hpe-rig study reproduction has them all.")
     caption = "Reproduction of the paper."
     return Part("reproduction-part", "Reproduction", tuple(words), (), (table("reproduction", caption, told, False),))
 
