@@ -154,6 +154,42 @@ def figure_19() -> Experiment:
     )
 
 
+def table_2() -> Experiment:
+    """Table II: what each experimental parameter is in the simulation, and what of the jitter follows."""
+    scene = parse_scene("table-2", shipped_scenes()["muscle-repeats"]).scene
+    hz, tracking, rows, points = 200.0, scene.tracking, [], []
+    for rate_hz in (2000.0, 2500.0, 3000.0, 4000.0, 5000.0):
+        for length_s in (50e-3, 100e-3, 150e-3, 200e-3):
+            if rate_hz != 4000.0 and length_s != 100e-3:
+                continue
+            processing = scene.processing.model_copy(update={"window_length_s": length_s, "window_start_s": 0.0})
+            other = tracking.model_copy(update={"pulse_rate_hz": rate_hz})
+            floor = detection_floor(scene.model_copy(update={"processing": processing, "tracking": other}))
+            cycles, points_a_cycle = length_s * hz, rate_hz / hz
+            points.append((cycles * points_a_cycle, floor.quadrature_m * 1e9))
+            rows.append(
+                (
+                    f"{rate_hz * 1e-3:g} kHz",
+                    f"{points_a_cycle:g}",
+                    f"{length_s * 1e3:g} ms",
+                    f"{cycles:g}",
+                    f"{floor.quadrature_m * 1e9:.0f} nm",
+                )
+            )
+    figure, (panel,) = panels(1)
+    panel.loglog(*np.array(sorted(points)).T, "o-", ms=4, color=MARKS[0][1])
+    panel.set(xlabel="pulses N_c N_p", ylabel="deviation of displacement (nm)")
+    return Experiment(
+        "Table II",
+        "experimental and simulation parameters",
+        "At f_v = 200 Hz: force F / F_0 is the displacement D_0, f_prf is N_p = f_prf / f_v points a cycle, T_s is "
+        "N_c = T_s f_v cycles. Jitter and noise see N_c and N_p by their product alone, the number of pulses.",
+        (("f_prf", "N_p", "T_s", "N_c", "deviation from jitter and noise"), *rows),
+        figure,
+        (),
+    )
+
+
 _WHAT = ("mean_nm", "sd_nm", "mean_deg", "sd_deg")
 
 

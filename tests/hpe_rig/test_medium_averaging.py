@@ -33,11 +33,11 @@ def test_tracked_over_peak_displacement_is_that_of_the_theory_notes():
     assert np.degrees(np.angle(ratio[[0, 3]])) == pytest.approx([-0.6, -1.6], abs=0.05)
 
 
-@pytest.mark.parametrize(("modulus_pa", "viscosity_pa_s"), [(4e3, 1.0), (9e3, 2.0), (13.5e3, 1.0)])
+@pytest.mark.parametrize(("modulus_pa", "viscosity_pa_s"), [(4e3, 1.0), (13.5e3, 2.0)])
 def test_averaging_equals_the_quadrature_over_the_twins_field(modulus_pa, viscosity_pa_s):
     specimen = Specimen(shear_modulus_pa=modulus_pa, shear_viscosity_pa_s=viscosity_pa_s)
     depth_m = 0.3e-3
-    node, weight = np.polynomial.legendre.leggauss(24)
+    node, weight = np.polynomial.legendre.leggauss(16)
     across_m, along_m = 4 * TRACKING_M[0] * (node + 1) / 2, 5 * depth_m * node
     across = weight * across_m * np.exp(-((across_m / TRACKING_M[0]) ** 2))
     along = weight * np.exp(-((along_m / depth_m) ** 2) / 2)
