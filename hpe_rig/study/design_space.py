@@ -124,14 +124,14 @@ def _span(text: str) -> tuple[float, float] | None:
 def _variable(
     key: Key, scene: Scene, bench: BenchFile, longest_s: float, given: tuple[float, float] | None
 ) -> Variable | Mistake:
-    step, choices = _steps(key, scene, bench)
+    step, offered = _steps(key, scene, bench)
     bounds = given or _bounds(key, scene, bench, longest_s)
     if bounds is None:
         return Mistake(str(key), "it has no value to start from and no limit", f"--bound {key}=low:high")
-    low, high = bounds if given or step or choices else _inward(*bounds)
-    choices = tuple(choice for choice in choices if low <= choice <= high)
+    low, high = bounds if given or step or offered else _inward(*bounds)
+    choices = tuple(choice for choice in offered if low <= choice <= high)
     variable = Variable(key, low, high, step, choices)
-    if not low < high or variable.last < 1:
+    if not low < high or variable.last < 1 or (offered and not choices):
         remedy = f"--bound {key}=low:high with room for two values"
         return Mistake(str(key), f"from {low:.6g} to {high:.6g} it has no two values to choose from", remedy)
     return variable

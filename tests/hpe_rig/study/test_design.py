@@ -193,6 +193,31 @@ def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
     assert "tracking.pulse_rate_hz" in str(caught.value)
 
 
+@pytest.mark.parametrize("bound", ["sample_rate_hz=1.1e8:1.2e8", "record_samples=513:520", "cycles=2.5:3.5"])
+def test_bounds_without_two_values_are_refused(bound: str) -> None:
+    setup = prepare_text("no-speckle", NO_SPECKLE)
+    with pytest.raises(SettingsError, match="no two values to choose from"):
+        _problem(setup, bound.partition("=")[0], "jitter", bound)
+
+
+def test_what_the_bench_takes_in_steps_is_varied_in_steps() -> None:
+    setup = prepare("bovine-muscle-synchronous", refuse=False)
+    keys = "pulse_rate_hz,sample_rate_hz,record_samples,burst_length_s,cycles,gate_length_m"
+    space = _problem(setup, keys, "jitter").space
+    rate, sampling, record, burst, cycles, gate = (
+        [variable.value(place) for place in np.linspace(0, variable.last, 7)] for variable in space
+    )
+    assert not np.mod(rate, 100.0).any()
+    assert set(sampling) == {20e6, 50e6, 100e6, 125e6}
+    assert not np.mod(record, 16).any()
+    np.testing.assert_allclose(np.array(burst) * 3e6, np.round(np.array(burst) * 3e6), atol=1e-6)
+    assert all(isinstance(value, int) for value in cycles)
+    # c / f to the whole record of 512 samples
+    assert 1540 / 9e6 <= gate[0] < gate[-1] <= 512 / 100e6 * 770
+    for variable in space:
+        assert variable.place(variable.value(variable.last)) == pytest.approx(variable.last)
+
+
 def test_what_the_model_lacks_is_named_at_once() -> None:
     bare = NO_SPECKLE.replace("snr_db = 40.0", "").replace("[beams]", "[medium]").replace("excitation_width_m", "#")
     bare = bare.replace("tracking_width_m", "#").replace("pulse_length_m", "#").replace("[medium]", "")
