@@ -219,6 +219,8 @@ def _excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]
     )
     text = f"excitation.burst_count = {excitation.burst_count}, limits.max_bursts = {limits.max_bursts}"
     yield judged("bursts", excitation.burst_count <= limits.max_bursts, text, f"at most {limits.max_bursts}")
+    if excitation.burst_count == 1:
+        yield Finding("harmonics", "warning", "one toneburst leaves a transient, no harmonics", "burst_count = 20")
     for burst_length_s in excitation.burst_length_s:
         cycles = burst_length_s * excitation.carrier_hz
         nearest_s = max(1, round(cycles)) / excitation.carrier_hz

@@ -247,12 +247,7 @@ def _fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
 
 def _setting_warnings(scene: Scene, pulse_time_s: NDArray[np.float64], reference: Motion | None) -> Iterator[str]:
     excitation = scene.excitation
-    if excitation is not None and excitation.burst_count == 1:
-        yield (
-            "one toneburst leaves a transient, no harmonic motion: amplitudes and phases are those of the sinusoids "
-            "nearest to it; raise excitation.burst_count"
-        )
-    elif excitation is not None:
+    if excitation is not None and excitation.burst_count > 1:
         late = int((pulse_time_s > excitation.burst_count / excitation.burst_rate_hz).sum())
         if late > 0.02 * pulse_time_s.size:
             yield (
