@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -41,6 +42,9 @@ Port = Annotated[int, typer.Option(help="Port of the live page on this machine; 
 
 def main() -> None:
     """Run the command line."""
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        # The matrices are small: threads of the algebra library wait for one another longer than they work.
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A title the console's code page lacks must not cost a measurement.
