@@ -170,9 +170,9 @@ class Processing(Section):
 class Sweep(Section):
     """Settings that are taken in turn besides forces and burst lengths; one run, one report."""
 
-    pulse_rate_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] = ()
+    pulse_rate_hz: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=100)] = ()
     """Pulse rates f_prf, measured in turn in place of tracking.pulse_rate_hz, with equally many pulses each."""
-    window_length_s: Annotated[tuple[Positive, ...], Field(min_length=1)] = ()
+    window_length_s: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=100)] = ()
     """Slow-time windows T_s, taken in turn from the same records in place of processing.window_length_s."""
 
 

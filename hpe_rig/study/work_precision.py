@@ -109,7 +109,7 @@ def write_figure(points: Sequence[Point], path: Path, panels_a_row: int = 4) -> 
         panel.set(xscale="log", yscale="log", xlabel="run time (s)", ylabel="relative error", title=case)
         label_decades(panel.xaxis)
         panel.grid(alpha=0.3)
-        panel.legend(fontsize=7)
+        panel.legend(fontsize=7, framealpha=0.5)
     figure.savefig(path)
 
 
