@@ -11,6 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Final, Never, final
 
 from drivers import programs_33250a as programs
@@ -29,7 +30,6 @@ from drivers.scpi import RefusedError, ScpiSession
 
 OUTPUT_OFF: Final = Register("output_on", "OUTP", False)
 OUTPUT_ON: Final = Register("output_on", "OUTP", True)
-RESET_PERIOD_S: Final = 1e-3
 # The test takes some seconds (assumed: up to half a minute), a read gives up after two.
 SELF_TEST_PATIENCE: Final = 15
 
@@ -49,6 +49,7 @@ class Agilent33250A:
         self._series = series
         self._session = ScpiSession(wire, role)
         self._model = AGILENT_33250A
+        self._identity: Identity | None = None
         self._programmed: tuple[Register, ...] = ()
 
     def identify(self) -> Identity:
@@ -68,7 +69,8 @@ class Agilent33250A:
                 f"give {self.role} the address of a {expected} in the bench file, or its model",
             )
         self._model = model
-        return Identity(fields[0], fields[1], fields[2], ",".join(fields[3:]))
+        self._identity = Identity(fields[0], fields[1], fields[2], ",".join(fields[3:]))
+        return self._identity
 
     def configure(self, program: Program, limits: Limits) -> None:
         """Program with the output off: what changed since the last time, else everything from the reset state.
@@ -77,8 +79,7 @@ class Agilent33250A:
         fails.
         """
         before, self._programmed = self._programmed, ()
-        if not before:
-            self.identify()
+        self._identified()
         refuse(self.role, self._model, limits(self._model))
         groups = program(self._model)
         registers = tuple(register for _, group in groups for register in group)
@@ -89,10 +90,10 @@ class Agilent33250A:
             self._session.program("changes", self._spelled((OUTPUT_OFF, *changed)))
         self._programmed = registers
 
-    def verify(self) -> None:
-        """Read every programmed setting back; raise ``InstrumentError`` where it differs or an error is queued."""
+    def verify(self) -> Mapping[str, Setting]:
+        """Return the ``snapshot``; raise ``InstrumentError`` where it is not as programmed or an error is queued."""
         self._require_configured("verify")
-        self._session.verify("settings", self._spelled(self._programmed))
+        return self._settings(self._session.verify("settings", self._spelled(self._programmed), self._readable))
 
     def enable_output(self) -> None:
         """Switch the output on, verified."""
@@ -109,10 +110,9 @@ class Agilent33250A:
 
     def snapshot(self) -> Mapping[str, Setting]:
         """Return every setting of ``READABLE`` as the instrument states it, and its ``*IDN?`` fields."""
-        identity = self.identify()
-        replies = self._session.query_all([f"{self._model.header(item.header)}?" for item in READABLE])
-        settings = {item.key: self._decoded(item, reply) for item, reply in zip(READABLE, replies, strict=True)}
-        return {"model": identity.model, "vendor": identity.vendor, "firmware": identity.firmware, **settings}
+        self._identified()
+        replies = self._session.query_all([f"{header}?" for header in self._readable])
+        return self._settings(dict(zip(self._readable, replies, strict=True)))
 
     def self_test(self) -> bool:
         """Return whether the instrument's self-test passes; the output is off before it, and verified off after it.
@@ -135,6 +135,10 @@ class Agilent33250A:
             # Elsewhere the command is an error, and cleared with the others.
             self._session.write("SYST:REM")
             self._switch_off()
+        except InstrumentError:
+            # In local mode it may also be silent. Who tries again finds it in remote; a dead one costs no more time.
+            self._session.write("SYST:REM")
+            raise
 
     def close(self) -> None:
         """Close the connection; the instrument keeps its state."""
@@ -146,6 +150,18 @@ class Agilent33250A:
         # neither hide behind nor be blamed on it; what it did itself, the read-back tells.
         self._session.write(off.command, "*CLS")
         self._session.verify("output off", (off,))
+
+    def _identified(self) -> Identity:
+        return self._identity or self.identify()
+
+    @property
+    def _readable(self) -> list[str]:
+        return [self._model.header(item.header) for item in READABLE]
+
+    def _settings(self, replies: Mapping[str, str]) -> Mapping[str, Setting]:
+        who = self._identified()
+        settings = {item.key: self._decoded(item, replies[self._model.header(item.header)]) for item in READABLE}
+        return {"model": who.model, "vendor": who.vendor, "firmware": who.firmware, **settings}
 
     def _from_reset(self, groups: Sequence[Group]) -> None:
         (off,) = self._spelled((OUTPUT_OFF,))
@@ -197,9 +213,9 @@ class GeneratorRole(ABC):
         """See ``Agilent33250A.identify``."""
         return self._generator.identify()
 
-    def verify(self) -> None:
+    def verify(self) -> Mapping[str, Setting]:
         """See ``Agilent33250A.verify``."""
-        self._generator.verify()
+        return self._generator.verify()
 
     def enable_output(self) -> None:
         """See ``Agilent33250A.enable_output``."""
@@ -228,22 +244,11 @@ class MasterTrigger33250A(GeneratorRole):
 
     def configure(self, pulse: TriggerPulse) -> None:
         """Program one pulse on ``*TRG``; raise ``InstrumentError`` for what the instrument cannot do or changed."""
-        # The burst of one pulse lasts one period, so the period only has to hold the pulse.
-        period_s = max(RESET_PERIOD_S, 2 * pulse.width_s)
-
-        def program(model: GeneratorModel) -> list[Group]:
-            return [
-                programs.load(pulse.load_ohm),
-                programs.pulses(1.0 / period_s, pulse.width_s, model.edge_s),
-                programs.levels(pulse.high_v),
-                programs.trigger("BUS"),
-                programs.burst(1, 0.0),
-            ]
 
         def limits(model: GeneratorModel) -> list[str]:
             return [*trigger_pulse_mistakes(pulse, model), *wiring_mistakes("high_v", pulse.high_v, self._max_vpp)]
 
-        self._generator.configure(program, limits)
+        self._generator.configure(partial(programs.trigger_pulse, pulse), limits)
 
     def fire(self) -> None:
         """Emit the pulse; see ``Agilent33250A.fire``."""
@@ -257,19 +262,10 @@ class PulseGenerator33250A(GeneratorRole):
     def configure(self, train: PulseTrain) -> None:
         """Program the train; raise ``InstrumentError`` for what the instrument cannot do or changed."""
 
-        def program(model: GeneratorModel) -> list[Group]:
-            return [
-                programs.load(train.load_ohm),
-                programs.pulses(train.rate_hz, train.width_s, model.edge_s),
-                programs.levels(train.high_v),
-                programs.trigger("EXT"),
-                programs.burst(train.count, train.delay_s),
-            ]
-
         def limits(model: GeneratorModel) -> list[str]:
             return [*pulse_train_mistakes(train, model), *wiring_mistakes("high_v", train.high_v, self._max_vpp)]
 
-        self._generator.configure(program, limits)
+        self._generator.configure(partial(programs.pulse_train, train), limits)
 
 
 @final
@@ -279,18 +275,10 @@ class ToneburstGenerator33250A(GeneratorRole):
     def configure(self, burst: Toneburst) -> None:
         """Program the burst; raise ``InstrumentError`` for what the instrument cannot do or changed."""
 
-        def program(model: GeneratorModel) -> list[Group]:
-            return [
-                programs.load(burst.load_ohm),
-                programs.sine(burst.carrier_hz, burst.amplitude_vpp),
-                programs.trigger("EXT"),
-                programs.burst(burst.cycles, burst.delay_s),
-            ]
-
         def limits(model: GeneratorModel) -> list[str]:
             return [
                 *toneburst_mistakes(burst, model),
                 *wiring_mistakes("amplitude_vpp", burst.amplitude_vpp, self._max_vpp),
             ]
 
-        self._generator.configure(program, limits)
+        self._generator.configure(partial(programs.toneburst, burst), limits)

@@ -87,8 +87,8 @@ class Ats460:
         mode.prepare()
         self._capture, self._mode = capture, mode
 
-    def verify(self) -> None:
-        """Raise ``InstrumentError`` where what the board reports contradicts what was programmed.
+    def verify(self) -> Mapping[str, Setting]:
+        """Return the ``snapshot``; raise ``InstrumentError`` where what the board reports contradicts the programmed.
 
         The vendor's interface reads most settings back nowhere; what it can report is compared.
         """
@@ -111,6 +111,7 @@ class Ats460:
         if wrong:
             why = "another program changed the board, or a capture was left running"
             raise InstrumentError(self.role, "; ".join(wrong), why, "end other programs that use the board, run again")
+        return self.snapshot()
 
     def arm(self) -> None:
         """Wait for triggers from now on."""

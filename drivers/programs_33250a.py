@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Final, Literal
 
+from drivers.generator_models import GeneratorModel
+from drivers.interfaces import PulseTrain, Toneburst, TriggerPulse
 from drivers.read_back import Readable, Register, number, short_form, switch, whole_number
 
 RESET_WIDTH_S: Final = 100e-6
+RESET_PERIOD_S: Final = 1e-3
 # What rescales other settings or limits them: where it changes, the instrument is programmed from its reset state.
 FROM_RESET: Final = frozenset({"OUTP:LOAD", "VOLT:UNIT", "FUNC", "TRIG:SOUR", "BURS:MODE"})
 COUPLED: Final = frozenset({"FREQ", "PULS:WIDT"})
@@ -39,6 +42,39 @@ READABLE: Final = (
 )
 
 Group = tuple[str, tuple[Register, ...]]
+
+
+def trigger_pulse(pulse: TriggerPulse, model: GeneratorModel) -> list[Group]:
+    """Return one pulse on ``*TRG``; it lasts one period, so the period only has to hold the pulse."""
+    period_s = max(RESET_PERIOD_S, 2 * pulse.width_s)
+    return [
+        load(pulse.load_ohm),
+        pulses(1.0 / period_s, pulse.width_s, model.edge_s),
+        levels(pulse.high_v),
+        trigger("BUS"),
+        burst(1, 0.0),
+    ]
+
+
+def pulse_train(train: PulseTrain, model: GeneratorModel) -> list[Group]:
+    """Return a train of pulses on an external trigger."""
+    return [
+        load(train.load_ohm),
+        pulses(train.rate_hz, train.width_s, model.edge_s),
+        levels(train.high_v),
+        trigger("EXT"),
+        burst(train.count, train.delay_s),
+    ]
+
+
+def toneburst(tone: Toneburst, model: GeneratorModel) -> list[Group]:
+    """Return a sine burst on an external trigger."""
+    return [
+        load(tone.load_ohm),
+        sine(tone.carrier_hz, tone.amplitude_vpp),
+        trigger("EXT"),
+        burst(tone.cycles, tone.delay_s),
+    ]
 
 
 def load(load_ohm: float) -> Group:

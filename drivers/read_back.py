@@ -32,11 +32,6 @@ class Register:
         """The command that programs the value."""
         return f"{self.header} {argument(self.value)}"
 
-    @property
-    def query(self) -> str:
-        """The command that reads it back."""
-        return f"{self.header}?"
-
     def holds(self, reply: str) -> bool:
         """Return whether ``reply`` states the programmed value."""
         if isinstance(self.value, str):

@@ -106,17 +106,25 @@ class ScpiSession:
             self.write(*(register.command for register in registers))
             self.verify(group, registers)
 
-    def verify(self, group: str, registers: Sequence[Register]) -> None:
-        """Raise ``RefusedError`` for queued errors and for each register that reads back other than programmed."""
+    def verify(self, group: str, registers: Sequence[Register], others: Sequence[str] = ()) -> Mapping[str, str]:
+        """Return the replies by header, of ``registers`` and then of ``others``, which were not programmed.
+
+        Raises ``RefusedError`` for queued errors and for each register that reads back other than programmed.
+        """
+        headers = list(dict.fromkeys([*(register.header for register in registers), *others]))
         with self._lock:
             # The error queue comes last, so that it tells of the read-back as well.
-            *replies, entry = self.query_all([*(register.query for register in registers), ERROR_QUERY])
+            *read, entry = self.query_all([*(f"{header}?" for header in headers), ERROR_QUERY])
             errors = self._drain(entry)
+        replies = dict(zip(headers, read, strict=True))
         changed = [
-            (register, reply) for register, reply in zip(registers, replies, strict=True) if not register.holds(reply)
+            (register, replies[register.header])
+            for register in registers
+            if not register.holds(replies[register.header])
         ]
         if errors or changed:
             raise _refused(self.role, group, errors, changed)
+        return replies
 
     def close(self) -> None:
         """Close the wire."""

@@ -67,9 +67,9 @@ class Bench:
         """Switch every output off and abort the capture, each guarded on its own; raise ``UnsafeBenchError``."""
         make_safe(self.instruments)
 
-    def snapshot(self) -> dict[str, Mapping[str, Setting]]:
-        """Return every instrument's settings as read back, by role."""
-        return {instrument.role: instrument.snapshot() for instrument in self.instruments}
+    def verify(self) -> dict[str, Mapping[str, Setting]]:
+        """Return every instrument's settings as read back, by role; raise where one is not as programmed."""
+        return {instrument.role: instrument.verify() for instrument in self.instruments}
 
 
 def identify_each(instruments: Sequence[Instrument], known: list[Instrument]) -> None:

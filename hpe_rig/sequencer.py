@@ -98,9 +98,7 @@ def _configure(shot: Shot, bench: Bench, observer: Observer) -> Mapping[str, Map
     bench.tracking_pulser.configure(shot.tracking_pulser)
     bench.digitizer.configure(shot.capture)
     observer(Progress(Step.VERIFY, shot))
-    for instrument in (*bench.generators, bench.digitizer):
-        instrument.verify()
-    return bench.snapshot()
+    return bench.verify()
 
 
 def _enable(shot: Shot, bench: Bench, observer: Observer) -> None:

@@ -26,6 +26,11 @@ BURST = Toneburst(carrier_hz=3.0e6, cycles=600, amplitude_vpp=0.5, delay_s=0.0, 
 ROLES = [(MasterTrigger33250A, PULSE), (PulseGenerator33250A, TRAIN), (ToneburstGenerator33250A, BURST)]
 
 
+def answer_everything(wire) -> None:
+    """Have the script answer as well what was not programmed."""
+    wire.replies |= {item.header: "0" for item in READABLE if item.header not in wire.held}
+
+
 def test_the_roles_satisfy_their_interfaces(scripted) -> None:
     master: MasterTrigger = MasterTrigger33250A(scripted(), "master")
     pulses: PulseGenerator = PulseGenerator33250A(scripted(), "burst_train")
@@ -140,6 +145,7 @@ def test_a_setting_changed_at_the_front_panel_is_found_by_verify(scripted) -> No
     wire = scripted()
     generator = PulseGenerator33250A(wire, "burst_train")
     generator.configure(TRAIN)
+    answer_everything(wire)
     generator.verify()
     wire.held["BURS:NCYC"] = "+5.0000000000000E+02"
     with pytest.raises(InstrumentError, match=r"cycles .*programmed 1000, read back \+5\.0000000000000E\+02"):
@@ -204,6 +210,33 @@ def test_make_safe_sends_the_switch_even_when_replies_are_lost_and_says_that_it_
     with pytest.raises(InstrumentError, match="no reply"):
         ToneburstGenerator33250A(wire, "toneburst").make_safe()
     assert wire.held["OUTP"] == "0"
+
+
+def test_an_instrument_that_is_silent_in_local_mode_is_made_safe_at_the_second_attempt(scripted) -> None:
+    wire = scripted()
+    wire.held["OUTP"] = "1"
+    obey = wire._obey
+    wire._obey = lambda part: obey(part) if "SYST:REM" in wire.messages else None
+    generator = ToneburstGenerator33250A(wire, "toneburst")
+    with pytest.raises(InstrumentError, match="no reply"):
+        generator.make_safe()
+    assert wire.held["OUTP"] == "1"
+    generator.make_safe()
+    assert wire.held["OUTP"] == "0"
+
+
+@pytest.mark.parametrize(("role_type", "program"), ROLES)
+def test_verify_returns_every_setting_in_few_messages_and_asks_for_nothing_twice(scripted, role_type, program) -> None:
+    wire = scripted()
+    generator = role_type(wire, "x")
+    generator.configure(program)
+    answer_everything(wire)
+    wire.messages.clear()
+    read = generator.verify()
+    assert len(wire.messages) == 3
+    assert sorted(wire.commands) == sorted([*(f"{item.header}?" for item in READABLE), "SYST:ERR?"])
+    assert read == generator.snapshot()
+    assert read["burst_on"] is True
 
 
 def test_make_safe_raises_if_the_output_stays_on(scripted) -> None:

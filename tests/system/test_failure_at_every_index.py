@@ -222,7 +222,7 @@ def test_a_fault_at_any_io_call_leaves_the_bench_safe_and_the_records_kept(
     print(f"{memory}: {len(cases)} faults at {clean.calls} calls, {raised} ended the run, ", end="")
     print(f"{reported} named an instrument as unreachable, {len(unsafe)} unsafe")
     assert not unsafe, "\n".join(unsafe)
-    assert len(cases) >= 90
+    assert len(cases) >= 80
     # A measurement may ride out one lost reply of a query asked again; it must not ride out everything.
     assert raised > len(cases) / 2
     # Nor can an instrument that is gone be proven off.
