@@ -227,7 +227,9 @@ def _peak_statistics(
     """Return ratio (draw,), pulse variance and a step's own variance of the phase at the cross-spectrum's peak.
 
     Three noisy pulses a draw, so two steps: s_1 = p_2(f_1) - p_1(f_1) and s_2 = p_3(f_2) - p_2(f_2). Pulse noise v and
-    own noise w give Var s = 2 v + w and Cov(s_1, s_2) = -v; where noise moves the peak, f_1 differs from f_2.
+    own noise w give Var s = 2 v + w and Cov(s_1, s_2) = -v; where noise moves the peak, f_1 differs from f_2. Steps q
+    at f_1 alone, of phases against the clean echo, have no noise of their own: their Var q + 2 Cov(q_1, q_2) is what
+    chance makes of the draws at hand, and is taken off.
     """
     window = hann(INSTANTS)
     bins = PADDING * INSTANTS
@@ -244,12 +246,17 @@ def _peak_statistics(
     steps = [_phase_step(noisy[:, k], noisy[:, k + 1], peak) for k, peak in ((0, first), (1, second))]
     ratios = [_taken(moved / clean, peak).real for peak in (first, second)]
     pulse = max(-float(np.mean(steps[0] * steps[1])), 0.0)
-    own = max(float(np.mean(steps[0] ** 2 + steps[1] ** 2)) / 2 - 2 * pulse, 0.0)
+    phases = [_phase_step(clean, noisy[:, k], first) for k in range(3)]
+    own = max(_own_variance(*steps) - _own_variance(phases[1] - phases[0], phases[2] - phases[1]), 0.0)
     # a step of the motion read at one peak or the other
     half_step = np.sin(np.pi * setting.frequency_hz / setting.pulse_rate_hz)
     step_power = 2 * np.square(setting.amplitude_m / setting.metres_per_radian * half_step)
     own += float(np.mean((ratios[0] - ratios[1]) ** 2)) / 2 * step_power
     return (ratios[0] + ratios[1]) / 2, pulse, own
+
+
+def _own_variance(first: FloatArray, second: FloatArray) -> float:
+    return float(np.mean((first**2 + second**2) / 2 + 2 * first * second))
 
 
 def _band_bins(setting: Setting, bins: int) -> FloatArray:
