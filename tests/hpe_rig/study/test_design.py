@@ -18,7 +18,7 @@ from hpe_rig.run import Setup, prepare, prepare_text
 from hpe_rig.scene import scene_text
 from hpe_rig.study.design import Design, design
 from hpe_rig.study.design_check import simulate
-from hpe_rig.study.design_model import worth_pulses
+from hpe_rig.study.design_model import predicted, worth_pulses
 from hpe_rig.study.design_problem import Goal, Limits, Problem
 from hpe_rig.study.design_space import variables
 from hpe_rig.study.design_text import Request, write_design
@@ -271,6 +271,16 @@ def test_noise_of_a_longer_gate_is_predicted_from_the_echo_left_in_it(gate_m: fl
     # the model's 15 %, and three standard errors of a standard deviation
     assert found.jitter_m.value == pytest.approx(start.predict(50, 0).jitter_m, rel=0.15 + 3 / math.sqrt(2 * draws))
     assert found.jitter_m.error == pytest.approx(found.jitter_m.value / math.sqrt(2 * draws), rel=0.5)
+
+
+def test_few_draws_predict_the_papers_chain_like_many_at_a_high_pulse_rate() -> None:
+    text = NO_SPECKLE.replace("gate_length_m = 1.0e-3", "gate_length_m = 3.0e-3").replace("4000.0", "10600.0")
+    setting = _problem(prepare_text("fast", text), "pulse_count", "jitter").start.setting
+    assert setting is not None
+    many = predicted(setting, "cross_spectrum", 2000, 9).noise_jitter_m
+    # the variance is the covariance v of steps 2 v: 200 draws know it to sqrt(5 / 200) = 16 %, its root to 8 %, three
+    few = [predicted(setting, "cross_spectrum", 200, seed).noise_jitter_m for seed in range(4)]
+    np.testing.assert_allclose(few, many, rtol=0.24)
 
 
 def test_pulses_are_worth_what_the_fit_makes_of_them() -> None:
