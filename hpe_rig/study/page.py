@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, is_dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import jinja2
 from markupsafe import Markup
@@ -23,11 +24,13 @@ Row = Mapping[str, Any]
 
 MOST_ROWS = 120
 """Rows of a table that the page shows; its CSV has all."""
+MOST_INSIDE = 5000
+"""Rows of a table whose CSV the page holds; of more it points to the file beside."""
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows with the same columns; ``key`` names its CSV file and is an id in the page.
+    """Rows with the same columns; ``key`` names its CSV file, ``beside`` where it lies, as seen from the page.
 
     ``folded``: shown when asked for. A column ``verdict`` is emphasised where it says that something is missed.
     """
@@ -36,6 +39,7 @@ class Table:
     caption: str
     rows: Sequence[Row]
     folded: bool = True
+    beside: str | None = None
 
     @property
     def columns(self) -> list[str]:
@@ -45,7 +49,7 @@ class Table:
     @property
     def words(self) -> set[str]:
         """Columns that hold text."""
-        return {name for name in self.columns if any(isinstance(row[name], str) for row in self.rows)}
+        return {name for name in self.columns if any(isinstance(row[name], str) for row in self.rows[:MOST_ROWS])}
 
     @property
     def wordy(self) -> bool:
@@ -72,15 +76,15 @@ class Part:
     tables: tuple[Table, ...] = ()
 
 
-def table(key: str, caption: str, rows: Sequence[Any], folded: bool = True) -> Table:
+def table(key: str, caption: str, rows: Sequence[Any], folded: bool = True, beside: str | None = None) -> Table:
     """Return a table of dataclass instances or mappings."""
-    return Table(key, caption, [_mapping(row) for row in rows], folded)
+    return Table(key, caption, [_mapping(row) for row in rows], folded, beside)
 
 
 def render(title: str, lead: Sequence[str], parts: Sequence[Part], facts: Mapping[str, str] | None = None) -> str:
     """Return the page as HTML text; ``facts`` say where and with what it was made."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters.update(cell=cell, svg=_svg, width=_width_px, data=_data_address)
+    environment.filters.update(cell=cell, svg=_svg, width=_width_px, address=_address)
     template = (resources.files("hpe_rig") / "templates" / "study.html").read_text(encoding="utf-8")
     page = environment.from_string(template)
     return page.render(title=title, lead=lead, parts=parts, facts=facts or {}, most_rows=MOST_ROWS)
@@ -121,5 +125,7 @@ def _width_px(picture: Picture) -> int:
     return round(1.25 * 4 / 3 * float(box[1])) if box else 1200
 
 
-def _data_address(one: Table) -> str:
+def _address(one: Table) -> str:
+    if one.beside is not None and len(one.rows) > MOST_INSIDE:
+        return quote(one.beside)
     return "data:text/csv;charset=utf-8;base64," + base64.b64encode(one.csv().encode()).decode()

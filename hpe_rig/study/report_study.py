@@ -18,7 +18,7 @@ from hpe_rig.study.figures_curves import COLOURS, MARKS, NM, curve_alt, curve_fi
 from hpe_rig.study.figures_maps import map_alt, map_figure
 from hpe_rig.study.judging import ABSENT
 from hpe_rig.study.page import Part, render, table, write
-from hpe_rig.study.results import StudyResult
+from hpe_rig.study.results import SUMMARY, StudyResult
 from hpe_rig.study.series import View, is_map, view, views
 from hpe_rig.study.work_precision import label_decades
 
@@ -67,13 +67,8 @@ def study_part(result: StudyResult, folder: Path) -> Part:
     """Return a study's section; its figures are also written to ``folder`` as SVG and PNG."""
     pictures = tuple(_picture(result, one, folder) for one in views(result))
     caption = f"{result.definition.title}: every case, SI units, se: standard error."
-    return Part(
-        f"{result.name}-part",
-        result.definition.title,
-        _precision(result),
-        pictures,
-        (table(result.name, caption, result.rows),),
-    )
+    every = table(result.name, caption, result.rows, beside=f"{folder.name}/{SUMMARY}")
+    return Part(f"{result.name}-part", result.definition.title, _precision(result), pictures, (every,))
 
 
 def run_time_part(results: Sequence[StudyResult]) -> Part:

@@ -20,7 +20,7 @@ from hpe_rig.mistakes import SettingsError
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.figures_curves import BAND, curve_alt, curve_figure
 from hpe_rig.study.figures_maps import map_figure
-from hpe_rig.study.page import MOST_ROWS, Part, cell, render, table, write
+from hpe_rig.study.page import MOST_INSIDE, MOST_ROWS, Part, cell, render, table, write
 from hpe_rig.study.report_study import write_study_report
 from hpe_rig.study.results import StudyResult
 from hpe_rig.study.run_study import run_study
@@ -175,6 +175,15 @@ def test_numbers_and_long_tables_are_shown_as_a_person_reads_them() -> None:
     )
     assert text.count("<tr>") == MOST_ROWS + 1
     assert f"of {MOST_ROWS + 5} rows" in text
+
+
+def test_a_table_too_long_for_the_page_is_the_file_beside_it() -> None:
+    few, many = ([{"a": k} for k in range(count)] for count in (MOST_INSIDE, MOST_INSIDE + 1))
+    text = render(
+        "t", [], [Part("p", "P", (), (), tuple(table("x", "X", rows, beside="my study/s.csv") for rows in (few, many)))]
+    )
+    assert text.count("data:text/csv") == 1
+    assert 'href="my%20study/s.csv"' in text
 
 
 def test_a_page_that_cannot_be_written_says_so(tmp_path: Path) -> None:
