@@ -104,6 +104,8 @@ def _by_outer_value(
         head = ", ".join(f"{name} = {v:g}" for name, v in zip(outer, at, strict=True))
         step = 0.1 if np.ptp(value) > 0.4 else 0.05
         levels = np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 2)
+        # Where nothing differs a line of zero would follow chance alone.
+        levels = levels[np.abs(levels) > step / 2]
         _map(axes, x, y, value, levels, f"({'abcdefghijkl'[place % 12]}) {title}, {head}", (low, high))
     return figure
 
