@@ -39,7 +39,7 @@ class Effort:
 
 
 def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell: Callable[[str], None]) -> None:
-    """Run every accuracy study and write the report; raises ``SettingsError`` where that is not possible."""
+    """Run every accuracy study and write the report, part by part; raises ``SettingsError`` where it cannot."""
     refuse(path, figure, effort)
     parts, seconds = [], {}
     medium: list[Point] = []
@@ -56,9 +56,11 @@ def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell:
         start_s = time.perf_counter()
         parts.append(study())
         seconds[name] = time.perf_counter() - start_s
-        tell(f"{name}: {seconds[name]:.1f} s")
-    facts = {**versions(), "seconds by part": ", ".join(f"{name} {value:.0f}" for name, value in seconds.items())}
-    write(path, render("Error against run time", lead(parts[0].tables[0]), parts, facts))
+        told = ", ".join(f"{part} {value:.0f}" for part, value in seconds.items())
+        # After every part, so that an interruption costs that part alone.
+        facts = {**versions(), "seconds by part": told}
+        write(path, render("Error against run time", lead(parts[0].tables[0]), parts, facts))
+        tell(f"{name}: {seconds[name]:.1f} s, in {path}")
     tell(f"{path}: open it in any browser")
 
 
