@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 
 import pytest
@@ -104,11 +105,27 @@ def test_half_a_reply_and_garbage_are_errors_and_the_next_answer_fits_its_questi
 
 
 def test_two_threads_share_one_session_without_mixing_their_answers() -> None:
-    session = ScpiSession(Generator33250A(SimulatedClock(), 0.0), "master")
+    class Slow:
+        """Gives way between question and answer, as every real connection does."""
+
+        def __init__(self) -> None:
+            self.instrument = Generator33250A(SimulatedClock(), 0.0)
+            self.read, self.close = self.instrument.read, lambda: None
+
+        def write(self, message: str) -> None:
+            self.instrument.write(message)
+            time.sleep(1e-3)
+
+    session = ScpiSession(Slow(), "master")
     wrong: list[str] = []
 
     def ask(header: str, answer: str) -> None:
-        wrong.extend(reply for _ in range(300) if (reply := session.query(header)) != answer)
+        for _ in range(10):
+            try:
+                reply = session.query(header)
+            except InstrumentError as error:
+                reply = str(error)
+            wrong.extend([reply] if reply != answer else [])
 
     pairs = [("FUNC?", "SIN"), ("OUTP?", "0"), ("TRIG:SOUR?", "IMM")]
     threads = [threading.Thread(target=ask, args=pair) for pair in pairs]

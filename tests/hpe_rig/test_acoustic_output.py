@@ -16,6 +16,7 @@ from hpe_rig.conflicts import Finding, PlanError, refuse_conflicts
 from hpe_rig.output_limits import DriveCalibration, Limits
 from hpe_rig.run import prepare
 from hpe_rig.safety import derating_db, drive_output
+from hpe_rig.scene import shipped_scenes
 
 LIMITS = Limits(full_drive_vpp=1.0, max_duty=0.05, max_burst_length_s=250e-6, max_bursts=200)
 
@@ -102,6 +103,34 @@ def test_a_drive_beyond_the_benchs_limit_is_refused(tmp_path: Path) -> None:
     burst, pulse = of("drive", checked(tmp_path, ("max_drive_vpp = 2.0", "max_drive_vpp = 0.9")))
     assert burst.level == pulse.level == "refused"
     assert "toneburst of 1 Vpp, limits.max_drive_vpp = 0.9 Vpp" in burst.text
+
+
+def test_the_longest_toneburst_of_a_sweep_is_held_against_the_limits(tmp_path: Path) -> None:
+    text = shipped_scenes()["bovine-muscle"]
+    once = "burst_length_s = 100e-6"
+    assert text.count(once) == 1
+    (tmp_path / "sweep.toml").write_text(
+        text.replace(once, "burst_length_s = [60e-6, 300e-6, 60e-6]"), encoding="utf-8"
+    )
+    bench = tmp_path / "bench.toml"
+    bench.write_text(read_bench().text.replace("max_duty = 0.05", "max_duty = 0.02"), encoding="utf-8")
+    found = prepare(str(tmp_path / "sweep.toml"), bench, refuse=False).findings
+    assert "refused" in {finding.level for finding in of("duty", found)}
+    assert "refused" in {finding.level for finding in of("burst length", found)}
+
+
+def test_the_drivers_themselves_refuse_a_swing_beyond_what_an_output_is_wired_for(tmp_path: Path) -> None:
+    bench = tmp_path / "bench.toml"
+    roles = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
+    text = read_bench().text
+    for role in roles:
+        text = text.replace(f"[generators.{role}]", f"[generators.{role}]\nmax_vpp = 0.5")
+    bench.write_text(text, encoding="utf-8")
+    setup = prepare("bovine-muscle", bench, refuse=False)
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as opened:
+        for role in roles:
+            with pytest.raises(InstrumentError, match=rf"{role}: .* above max_vpp = 0\.5"):
+                getattr(opened, role).configure(getattr(setup.plan.shots[0], role))
 
 
 def test_the_drivers_themselves_refuse_a_drive_beyond_the_benchs_limit() -> None:
