@@ -16,8 +16,9 @@ MARKERS = "osd^vx"
 
 def draw_end_to_end(rows: Sequence[EndToEnd], path: Path) -> None:
     """Draw error over run time of every way, and the numerical part of it over tolerance and nodes."""
-    figure = Figure(figsize=(11, 4.8), layout="constrained")
+    figure = Figure(figsize=(11, 4.8))
     whole, numerical = figure.subplots(1, 2, width_ratios=[3, 2])
+    figure.subplots_adjust(left=0.065, right=0.99, bottom=0.11, top=0.93, wspace=0.18)
     _whole(whole, rows)
     _numerical(numerical, rows)
     for axes in (whole, numerical):
