@@ -5,8 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
 from typing import TypeVar
@@ -24,7 +25,7 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 def completed(
     open_pool: OpenPool, run: Callable[[Piece], Result], pieces: Sequence[Piece], ahead: int
-) -> Iterator[Result]:
+) -> Generator[Result, None, None]:
     """Yield the result of every piece as it is done, in any order, with at most ``ahead`` handed out at once.
 
     Where a worker dies the pool is opened anew and what it had not finished is done again. Raises ``SettingsError``
@@ -65,14 +66,23 @@ def _lost(error: Exception) -> bool:
 
 @contextmanager
 def processes(workers: int) -> Iterator[Executor]:
-    """Open ``workers`` processes of one thread each; on leaving, those that run finish their piece."""
+    """Open ``workers`` processes of one thread each; on an exception they are ended at once, whatever they do."""
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    others = multiprocessing.active_children()
     # Started anew on every system alike: a fork would copy the locks of the progress display's thread.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, context, initializer=_ignore_interrupts)
     try:
+        with _interrupts_held():
+            for _ in range(workers):
+                pool.submit(os.getpid)
         yield pool
+    except BaseException:
+        for child in multiprocessing.active_children():
+            if child not in others:
+                child.terminate()
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         for name, value in before.items():
@@ -82,8 +92,21 @@ def processes(workers: int) -> Iterator[Executor]:
 
 
 def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent, which lets the pieces in hand finish."""
+    """Leave Ctrl-C to the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back while processes are started, which inherit that: none is interrupted while it imports."""
+    if sys.platform == "win32":
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

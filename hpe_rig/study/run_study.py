@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -61,12 +62,14 @@ def _compute(
     size = {case.key: case.scatterers * case.noise for case in cases}
     done, total = 0, sum(size.values())
     watch(done, total)
-    for finished in completed(open_pool, run_batch, batches(cases), ahead or 2 * (os.cpu_count() or 1) + 2):
-        for record in finished:
-            store.write(record)
-            records[record["case"]] = record
-            done += size[record["case"]]
-        watch(done, total)
+    ahead = ahead or 2 * (os.cpu_count() or 1) + 2
+    with closing(completed(open_pool, run_batch, batches(cases), ahead)) as finished:
+        for batch in finished:
+            for record in batch:
+                store.write(record)
+                records[record["case"]] = record
+                done += size[record["case"]]
+            watch(done, total)
 
 
 def batches(cases: Sequence[Case]) -> list[list[Case]]:
