@@ -54,7 +54,11 @@ def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell:
     }
     for name, study in studies.items():
         start_s = time.perf_counter()
-        parts.append(study())
+        try:
+            parts.append(study())
+        except KeyboardInterrupt as interrupt:
+            interrupt.add_note(f"{path} holds the parts before {name}" if parts else "no part was finished")
+            raise
         seconds[name] = time.perf_counter() - start_s
         told = ", ".join(f"{part} {value:.0f}" for part, value in seconds.items())
         # After every part, so that an interruption costs that part alone.

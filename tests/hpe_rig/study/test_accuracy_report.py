@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from hpe_rig.cli import app
 from hpe_rig.study import accuracy_end_to_end as end_to_end
+from hpe_rig.study import accuracy_report
 from hpe_rig.study.accuracy_end_to_end import EndToEnd, Way, pareto
 from hpe_rig.study.accuracy_extremes import extremes
 from hpe_rig.study.accuracy_report import end_to_end_part, lead
@@ -73,9 +74,9 @@ def test_extreme_cases_stay_within_what_their_stage_promises() -> None:
             assert row.error <= (2e-3 if row.method == "cross_spectrum" else 1e-3), row
 
 
-def test_the_report_marks_the_shipped_default_and_the_front() -> None:
+def two_ways() -> list[EndToEnd]:
     own = {"tolerance": 1e-6, "degrees": 24, "gate_length_m": 1e-3, "bias": 0.0, "bias_uncertainty": 0.0, "cores": 1}
-    rows = [
+    return [
         EndToEnd(
             **own, varied="nodes", estimator="coherent", nodes=nodes, realisations=count, numerical_error=1e-9,
             standard_error=0.07 / count, error=0.07 / count, time_s=0.1 * count, shipped=nodes == 32, on_front=True,
@@ -83,7 +84,10 @@ def test_the_report_marks_the_shipped_default_and_the_front() -> None:
         for nodes in (32, 6)
         for count in (1, 4)
     ]  # fmt: skip
-    part = end_to_end_part(rows)
+
+
+def test_the_report_marks_the_shipped_default_and_the_front() -> None:
+    part = end_to_end_part(two_ways())
     assert "shipped default" in part.pictures[0].svg
     assert "Pareto front" in part.pictures[0].svg
     assert re.search(r"7 % in 0.1 s from 1; 1.8 % in 0.4 s from 4\.", lead(part.tables[0])[1])
@@ -96,6 +100,18 @@ def test_mistakes_of_the_command_line_are_told_at_once_before_anything_runs(tmp_
     assert done.exit_code == 2
     assert all(word in done.output for word in ("3 mistakes", "--output", "--figure", "--largest"))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_keeps_the_parts_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(accuracy_report, "end_to_end_rows", lambda realisations: two_ways())
+    monkeypatch.setattr(accuracy_report.accuracy_specimen, "points", interrupted)
+    done = CliRunner().invoke(app, ["accuracy", "--output", str(tmp_path / "a.html")])
+    assert done.exit_code == 130
+    assert "a.html holds the parts before specimen" in done.output
+    assert 'download="end-to-end.csv"' in (tmp_path / "a.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
