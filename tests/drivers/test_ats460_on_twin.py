@@ -411,6 +411,13 @@ def test_steps_out_of_order_are_refused(rig: Rig) -> None:
         rig.digitizer.records(1.0)
 
 
+def test_the_trigger_output_is_set_up_also_where_another_program_used_it_otherwise(rig: Rig) -> None:
+    level_output = 14
+    rig.library.AlazarConfigureAuxIO(rig.library.AlazarGetBoardBySystemID(1, 1), level_output, 0)
+    rig.shot(CAPTURE)
+    assert rig.world.board.settings.aux_mode == 0
+
+
 def test_an_absent_board_is_named_by_its_ids() -> None:
     rig = Rig(dual=True)
     with pytest.raises(InstrumentError, match="system_id 1 and board_id 2"):

@@ -165,7 +165,11 @@ def test_a_pulse_wider_than_its_period_is_caught(line, monkeypatch: pytest.Monke
         PulseGenerator33250A(line.wire, "x").configure(dataclasses.replace(TRAIN, width_s=300e-6))
 
 
-@pytest.mark.parametrize("others", ["BURS:NCYC 3", "TRIG:DEL 0", "VOLT:HIGH 1", "BURS:STAT 0", "*RST"])
+# Held at their reset state, and still not to be found otherwise.
+GUARDED = ["OUTP:POL INV", "BURS:PHAS 45", "TRIG:SLOP NEG", "TRIG:SOUR IMM", "BURS:MODE GAT", "VOLT:UNIT VRMS"]
+
+
+@pytest.mark.parametrize("others", ["BURS:NCYC 3", "TRIG:DEL 0", "VOLT:HIGH 1", "BURS:STAT 0", *GUARDED, "*RST"])
 def test_what_another_program_changes_between_configure_and_verify_is_found(line, others: str) -> None:
     generator = PulseGenerator33250A(line.wire, "burst_train")
     generator.configure(TRAIN)
