@@ -30,7 +30,10 @@ LATERAL = 3.5
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What bias and jitter depend on; SI units, widths as sigmas, ``snr`` a power ratio in the gate."""
+    """What bias and jitter depend on; SI units, widths as sigmas, ``snr`` a power ratio in the gate.
+
+    ``trigger_jitter_s``, between a pulse and the sampling clock, moves a whole echo: it is told from noise by no gate.
+    """
 
     excitation_width_m: Triple
     tracking_width_m: Triple
@@ -45,6 +48,12 @@ class Setting:
     frequency_hz: float
     amplitude_m: float
     snr: float
+    trigger_jitter_s: float = 0.0
+
+    @property
+    def jitter_variance(self) -> float:
+        """Variance of a pulse's echo phase by trigger jitter, rad^2."""
+        return float((2 * np.pi * self.carrier_hz * self.trigger_jitter_s) ** 2)
 
     @property
     def gate_samples(self) -> float:
@@ -86,12 +95,12 @@ def expected(setting: Setting, estimator: str, speckle: Speckle, generator: np.r
     """Return bias and jitter of ``estimator`` for speckle drawn by ``draw_speckle`` with the same setting."""
     if estimator == "cross_spectrum":
         ratio, pulse, walk = _peak_statistics(setting, speckle, generator)
-        deviation = _windowed_deviation(setting, pulse, walk)
+        deviation = _windowed_deviation(setting, pulse + setting.jitter_variance, walk)
     else:
         ratio, share = _whole_gate(setting, speckle, estimator == "kasai")
         pulse = 1 / (setting.gate_samples * setting.snr * share)
         walk = _walk(setting, pulse) if estimator in ("kasai", "loupas") else 0.0
-        deviation = _fitted_deviation(setting, pulse, walk)
+        deviation = _fitted_deviation(setting, pulse + setting.jitter_variance, walk)
     return _with_noise(setting, estimator, ratio, deviation)
 
 

@@ -142,6 +142,7 @@ def setting_of(scene: Scene) -> Setting | None:
         frequency_hz=frequency_hz,
         amplitude_m=expected_amplitude_m(scene, frequency_hz),
         snr=10 ** (snr_db / 10),
+        trigger_jitter_s=_number(scene, "instruments", "trigger_jitter_s") or 0.0,
     )
 
 
@@ -204,17 +205,22 @@ class Remedy:
 def remedies(prediction: Prediction, target_m: float, depth_m: float, estimator: str = "coherent") -> Remedy:
     """Return N_c, f_prf and SNR of which each alone brings the noise jitter of ``estimator`` to ``target_m``.
 
-    Noise variance goes with 1 / (N_c f_prf SNR) where a pulse's phase is well above noise. ``reachable_rate_hz`` is
-    c / 2z: no faster pulse rate can be.
+    Noise variance goes with 1 / (N_c f_prf SNR) where a pulse's phase is well above noise; of trigger jitter SNR takes
+    nothing, so ``snr_db`` is inf where that alone exceeds the target, -inf where there is nothing else.
+    ``reachable_rate_hz`` is c / 2z: no faster pulse rate can be.
     """
     setting = prediction.setting
     found = next(each for each in prediction.expected if each.estimator == estimator)
     factor = (found.noise_jitter_m / target_m) ** 2
     cycles = setting.pulses / setting.pulse_rate_hz * setting.frequency_hz
+    windowed = 1.5 if estimator == "cross_spectrum" else 1.0
+    jitter = 2 * windowed * setting.jitter_variance / setting.pulses * setting.metres_per_radian**2
+    left = target_m**2 - jitter
+    snr_factor = (found.noise_jitter_m**2 - jitter) / left if left > 0 else math.inf
     return Remedy(
         max(cycles * factor, LEAST_CYCLES),
         max(setting.pulse_rate_hz * factor, LEAST_POINTS * setting.frequency_hz),
-        10 * math.log10(setting.snr * factor),
+        10 * math.log10(setting.snr * snr_factor) if snr_factor > 0 else -math.inf,
         setting.sound_speed_m_per_s / (2 * depth_m),
     )
 
@@ -226,9 +232,10 @@ def prediction_text(scene: Scene, target_m: float | None = None) -> Iterator[str
         yield "prediction: left out, it needs [beams], a frequency and processing.expected_snr_db"
         return
     prediction = predict(setting)
+    jitter = f"{setting.trigger_jitter_s * 1e9:g} ns trigger jitter, " if setting.trigger_jitter_s else ""
     yield (
         f"prediction at {setting.frequency_hz:g} Hz for {setting.amplitude_m * 1e9:g} nm, "
-        f"{10 * math.log10(setting.snr):g} dB SNR, {setting.pulses} pulses (standard deviations):"
+        f"{10 * math.log10(setting.snr):g} dB SNR, {jitter}{setting.pulses} pulses (standard deviations):"
     )
     yield f"  {'estimator':18}{'bias':>10}{'noise':>10}{'speckle':>10}{'phase':>10}"
     for each in prediction.expected:
@@ -249,10 +256,13 @@ def _target_line(remedy: Remedy, prediction: Prediction, target_m: float, estima
         head += f"reached, noise is {found.noise_jitter_m * 1e9:.3g} nm; the least is "
     else:
         head += f"not reached, noise is {found.noise_jitter_m * 1e9:.3g} nm; it takes "
+    snr = {math.inf: "no SNR, trigger jitter alone is more", -math.inf: "any SNR, trigger jitter alone is less"}.get(
+        remedy.snr_db, f"SNR = {remedy.snr_db:.3g} dB"
+    )
     beyond = " (beyond c/2z)" if remedy.pulse_rate_hz > remedy.reachable_rate_hz else ""
     return (
         f"{head}N_c = {remedy.cycles:.3g} cycles, or f_prf = {remedy.pulse_rate_hz:.4g} Hz{beyond}, "
-        f"or SNR = {remedy.snr_db:.3g} dB; speckle, {found.speckle_jitter_m * 1e9:.3g} nm, stays: it takes other places"
+        f"or {snr}; speckle, {found.speckle_jitter_m * 1e9:.3g} nm, stays: it takes other places"
     )
 
 

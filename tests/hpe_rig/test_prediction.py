@@ -81,6 +81,21 @@ def test_remedies_reach_the_target_each_alone(table_one: Setting) -> None:
         assert found.noise_jitter_m == pytest.approx(wanted_m, rel=2e-3, abs=0)
 
 
+@pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
+def test_trigger_jitter_adds_to_the_noise_and_no_snr_takes_it_away(table_one: Setting, estimator: Estimator) -> None:
+    jitter_s, wanted_m = 0.1e-9, 8e-9
+    quiet, shaken = (predict(replace(table_one, trigger_jitter_s=each), (estimator,), 200) for each in (0.0, jitter_s))
+    # c/2 of it a pulse, 2/N in a quadrature, half as much again behind a Hann window
+    added_m = 770.0 * jitter_s * np.sqrt((3.0 if estimator == "cross_spectrum" else 2.0) / table_one.pulses)
+    noise_m = np.hypot(quiet.expected[0].noise_jitter_m, added_m)
+    assert shaken.expected[0].noise_jitter_m == pytest.approx(noise_m, rel=1e-3, abs=0)
+    assert remedies(shaken, wanted_m, 70e-3, estimator).snr_db == np.inf
+    loud = remedies(shaken, 20e-9, 70e-3, estimator)
+    found = predict(replace(shaken.setting, snr=10 ** (loud.snr_db / 10)), (estimator,), 200).expected[0]
+    # where noise moves the cross-spectrum's peak its variance is not quite in proportion
+    assert found.noise_jitter_m == pytest.approx(20e-9, rel=0.01 if estimator == "coherent" else 0.15)
+
+
 def test_check_prints_every_estimator_and_what_reaches_the_target() -> None:
     text = "\n".join(prediction_text(parse_scene(*scene_text("table-1")).scene, 1e-9))
     for word in ("joint", "cross_spectrum", "target 1 nm with coherent: not reached", "N_c = 14", "beyond c/2z"):
