@@ -72,7 +72,7 @@ def falls_by_20_db(result: StudyResult, reading: str) -> Finding:
     jitter, se = curve.values("amplitude_jitter_m") * NM, curve.values("amplitude_jitter_se_m") * NM
     at = int(np.argmin(np.abs(curve.x - 20)))
     words = (
-        f"displacement jitter {jitter[0]:.3g} -> {jitter[at]:.3g} -> {jitter[-1]:.3g} nm at 0, 20, {curve.x[-1]:g} dB"
+        f"displacement jitter {jitter[0]:.3g}, {jitter[at]:.3g}, {jitter[-1]:.3g} nm at 0, 20, {curve.x[-1]:g} dB"
     )
     return Finding(words, AGREES if jitter[0] - jitter[at] > 3 * math.hypot(se[0], se[at]) else DIFFERS)
 
@@ -120,7 +120,7 @@ def map_trend(quantity: str, falls: bool) -> Judge:
         whole = (value[-1] - value[0]) / math.hypot(se[0], se[-1]) * (-1 if falls else 1)
         top = int(np.argmax(value if falls else -value))
         back = abs(value[top] - value[0]) / max(math.hypot(se[0], se[top]), 1e-300) > judging.SIGNIFICANT and top > 0
-        words = f"{judging.QUANTITIES[quantity]} {value[0]:.3g} -> {value[-1]:.3g} {name} along W_x = W_y"
+        words = f"{judging.QUANTITIES[quantity]} {value[0]:.3g} to {value[-1]:.3g} {name} along W_x = W_y"
         if back:
             words += f", but first to {value[top]:.3g} at W = {x[top]:.2g}"
         verdict = DIFFERS if whole < -judging.SIGNIFICANT else judging.UNTOLD if whole < judging.SIGNIFICANT else AGREES

@@ -91,7 +91,7 @@ def trend(quantity: str, falls: bool, relative: bool = False) -> Judge:
         shown = int(np.argmin(np.abs(first.x - SHOWN_DB)))
         _, _, unit = UNITS[quantity.split("_")[0]]
         unit = "%" if relative else unit
-        words = f"{QUANTITIES[quantity]} {a[shown]:.3g} -> {b[shown]:.3g} {unit} at {first.x[shown]:g} dB"
+        words = f"{QUANTITIES[quantity]} {a[shown]:.3g} to {b[shown]:.3g} {unit} at {first.x[shown]:g} dB"
         words += f"; {'falls' if falls else 'rises'} at {_places(first.x, right)}"
         if wrong.any():
             words += f", {'rises' if falls else 'falls'} at {_places(first.x, wrong)}"

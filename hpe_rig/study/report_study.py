@@ -65,7 +65,11 @@ def reproduction_part(results: Sequence[StudyResult]) -> Part | None:
 
 def study_part(result: StudyResult, folder: Path) -> Part:
     """Return a study's section; its figures are also written to ``folder`` as SVG and PNG."""
-    pictures = tuple(_picture(result, one, folder) for one in views(result))
+    found = views(result)
+    estimators = [one.estimator for one in found]
+    # Readings of the same estimator side by side.
+    side_by_side = sorted(found, key=lambda one: estimators.index(one.estimator))
+    pictures = tuple(_picture(result, one, folder) for one in side_by_side)
     caption = f"{result.definition.title}: every case, SI units, se: standard error."
     every = table(result.name, caption, result.rows, beside=f"{folder.name}/{SUMMARY}")
     return Part(f"{result.name}-part", result.definition.title, _precision(result), pictures, (every,))
