@@ -76,21 +76,20 @@ def ends(result: StudyResult, reading: str) -> tuple[Curve, Curve]:
     return found[0], found[-1]
 
 
-def trend(quantity: str, falls: bool, relative: bool = False) -> Judge:
+def trend(quantity: str, falls: bool) -> Judge:
     """Return the judge of a trend from the first to the last value of the parameter, at every SNR.
 
-    It agrees where it shows significantly at some SNR and its opposite at none. ``relative``: after division by the
-    true amplitude. Equal random numbers along the parameter make the standard errors upper bounds.
+    It agrees where it shows significantly at some SNR and its opposite at none. Equal random numbers along the
+    parameter make the standard errors upper bounds.
     """
 
     def judge(result: StudyResult, reading: str) -> Finding:
         first, last = ends(result, reading)
-        (a, a_se), (b, b_se) = _sizes(first, quantity, relative), _sizes(last, quantity, relative)
+        (a, a_se), (b, b_se) = _sizes(first, quantity), _sizes(last, quantity)
         z = (b - a) / np.maximum(np.hypot(a_se, b_se), 1e-300) * (-1 if falls else 1)
         right, wrong = z > SIGNIFICANT, z < -SIGNIFICANT
         shown = int(np.argmin(np.abs(first.x - SHOWN_DB)))
         _, _, unit = UNITS[quantity.split("_")[0]]
-        unit = "%" if relative else unit
         words = f"{QUANTITIES[quantity]} {a[shown]:.3g} to {b[shown]:.3g} {unit} at {first.x[shown]:g} dB"
         words += f"; {'falls' if falls else 'rises'} at {_places(first.x, right)}"
         if wrong.any():
@@ -152,11 +151,10 @@ def at_point(x: Floats, y: Floats, values: Floats, place: float) -> float:
     return float(np.interp(math.log(place), np.log(y), rows))
 
 
-def _sizes(curve: Curve, quantity: str, relative: bool = False) -> tuple[Floats, Floats]:
-    """Return absolute value and standard error of a quantity, in nm or degrees, or per cent of the true amplitude."""
+def _sizes(curve: Curve, quantity: str) -> tuple[Floats, Floats]:
+    """Return absolute value and standard error of a quantity, in nm or degrees."""
     unit, scale, _ = UNITS[quantity.split("_")[0]]
-    by = 100 / curve.values("amplitude_true_m") if relative else np.full(len(curve.x), scale)
-    return np.abs(curve.values(f"{quantity}_{unit}")) * by, curve.values(f"{quantity}_se_{unit}") * by
+    return np.abs(curve.values(f"{quantity}_{unit}")) * scale, curve.values(f"{quantity}_se_{unit}") * scale
 
 
 def _places(x: Floats, chosen: NDArray[np.bool_]) -> str:
