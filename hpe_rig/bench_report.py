@@ -169,8 +169,11 @@ def _found(
     address = _address(role, bench)
     if isinstance(item, Exception):
         return Found(role, address, None, None, {}, None, (str(item), *_suggestion(role, address, bench, addresses)))
-    identity, latency_s = _timed(item, clock_s)
-    settings = item.snapshot()
+    try:
+        identity, latency_s = _timed(item, clock_s)
+        settings = item.snapshot()
+    except InstrumentError as error:
+        return Found(role, address, None, None, {}, None, (str(error),))
     problems = _digitizer_problems(bench.digitizer, settings) if role == "digitizer" else _output_problems(settings)
     return Found(role, address, identity, latency_s, settings, None, tuple(problems))
 

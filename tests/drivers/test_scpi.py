@@ -170,11 +170,14 @@ def test_an_error_queue_that_never_empties_ends_after_a_bounded_number_of_reads(
     assert len(wire.messages) == QUEUE_READS
 
 
-def test_a_reply_that_is_no_error_entry_is_reported_with_its_text(scripted) -> None:
+def test_a_reply_that_is_no_error_entry_is_reported_with_its_text_and_shifts_no_later_answer(scripted) -> None:
     wire = scripted()
+    session = ScpiSession(wire, "master")
+    session.write("FREQ 7")
     wire.outbox.append("hello")
     with pytest.raises(InstrumentError, match="'hello'"):
-        ScpiSession(wire, "master").drain_errors()
+        session.drain_errors()
+    assert session.query("FREQ?") == "7"
 
 
 def test_silence_is_an_instrument_error_caused_by_the_timeout(scripted) -> None:

@@ -130,6 +130,27 @@ def test_an_output_found_on_is_reported_and_switched_off(monkeypatch: pytest.Mon
     assert not worlds[0].outputs_on()["toneburst"]
 
 
+def test_an_instrument_whose_settings_cannot_be_read_is_one_row_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says who it is, and answers joined queries in part."""
+    wire = World.wire
+
+    class Garbled:
+        def __init__(self, inner) -> None:
+            self.write, self.close, self.inner = inner.write, inner.close, inner
+
+        def read(self) -> str:
+            reply = self.inner.read()
+            return reply.rpartition(";")[0] if reply.count(";") > 3 else reply
+
+    monkeypatch.setattr(
+        World, "wire", lambda world, role: Garbled(wire(world, role)) if role == "toneburst" else wire(world, role)
+    )
+    report = survey(read_bench().bench)
+    assert [found.role for found in report.found if found.identity is None] == ["toneburst"]
+    assert "queries had" in report.found[2].problems[0]
+    assert len(report.settings) == 5
+
+
 def test_a_board_other_than_the_bench_file_says_is_told_with_the_key_to_change(tmp_path: Path) -> None:
     other = edited(tmp_path, ("dual_port_memory = true", "samples_per_channel = 4096"))
     digitizer = survey(read_bench(other).bench).found[-1]
