@@ -89,7 +89,7 @@ def lead(end_to_end: Table) -> list[str]:
     each = (f"{row['error'] * 100:.2g} % in {row['time_s']:.2g} s from {row['realisations']}" for row in shipped)
     return [
         "Every way the twin and the estimators can work, with how wrong and how long: times on one core of this "
-        "machine, errors against exact references.",
+        "machine (processor time end to end, else wall time), errors against exact references.",
         f"Shipped default, error of the final amplitude by number of realisations: {'; '.join(each)}. Tolerance and "
         f"nodes contribute {shipped[0]['numerical_error']:.1g}; the rest is scatterers and noise.",
     ]

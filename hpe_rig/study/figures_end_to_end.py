@@ -44,7 +44,7 @@ def _whole(axes: Axes, rows: Sequence[EndToEnd]) -> None:
             count = f"{row.realisations} realisation{'s' if row.realisations > 1 else ''}"
             axes.annotate(count, (row.time_s, row.error), (6, 8), textcoords="offset points", fontsize=7)
     axes.set(
-        xlabel="run time, scene to amplitude (s)",
+        xlabel="processor time, scene to amplitude (s)",
         ylabel="rms error / true amplitude",
         title="Final amplitude; larger marks: longer gates",
     )
@@ -66,7 +66,7 @@ def _numerical(axes: Axes, rows: Sequence[EndToEnd]) -> None:
     for row in shipped:
         axes.axhline(row.standard_error, color="0.5", lw=0.8, ls="--", label=f"standard error of {most}")
     axes.set(
-        xlabel=f"run time of {most} realisations (s)",
+        xlabel=f"processor time of {most} realisations (s)",
         ylabel="rms numerical error / amplitude",
         title="Of which tolerance and nodes",
     )
