@@ -40,9 +40,9 @@ class Extreme:
 
 
 def extremes(medium: Iterable[Point] = (), longest_cycles: float = 1e4) -> Iterator[Extreme]:
-    """Yield every stage's cases; ``medium`` are the points of `accuracy_specimen`: ours, the best of the others and each that fails.
+    """Yield every stage's cases, ``longest_cycles`` those of the longest train that the estimators get.
 
-    ``longest_cycles`` of the longest train that the estimators get.
+    ``medium`` are the points of `accuracy_specimen`: ours, the best of the others and each that fails.
     """
     yield from _of_medium(medium)
     yield from _echoes()
