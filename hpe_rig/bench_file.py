@@ -206,7 +206,8 @@ def read_bench(path: Path | None = None) -> BenchText:
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        what = f"cannot be read ({error})"
+        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
+        what = f"cannot be read ({reason})"
         raise SettingsError(
             f"bench {path}", [Mistake("", what, "hpe-rig new my-bench --like bench writes one to start from")]
         ) from None

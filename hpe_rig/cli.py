@@ -37,7 +37,7 @@ Compress = Annotated[bool, typer.Option("--compress", help="Compress the records
 Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]; absent: as the scene says.")]
 Live = Annotated[bool, typer.Option("--live", help="Show a live page with a stop button (extra live).")]
 Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to a file beside the run file.")]
-Port = Annotated[int, typer.Option(help="Port of the live page on this machine; 0: any free one.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the live page on this machine; 0: any free one.")]
 
 
 def main() -> None:
@@ -216,7 +216,7 @@ def scenes() -> None:
     from hpe_rig.scene import parse_scene, shipped_scenes
 
     for name, text in shipped_scenes().items():
-        typer.echo(f"{name:20} {parse_scene(name, text).scene.title}")
+        typer.echo(f"{name:26} {parse_scene(name, text).scene.title}")
 
 
 @app.command()

@@ -30,6 +30,7 @@ from hpe_rig.store_format import reason
 HOST = "127.0.0.1"
 START_S = 5.0
 LEAST_PAUSE_S = 0.15
+HURRIED_PAUSE_S = 0.02
 IDLE_SHARE = 2.0
 """The reader rests this many times as long as its last reading took: it keeps no core busy that acquires."""
 ENDED = ("complete", "aborted", "failed")
@@ -56,7 +57,7 @@ class LivePage:
         self._port = int(self._socket.getsockname()[1])
         self.address = f"http://{HOST}:{self._port}/{self._token}/"
         self._latest, self._version = json.dumps({"status": "waiting"}), 0
-        self._ended = self._serving = self._closing = False
+        self._ended = self._serving = self._hurried = False
         self._seen: dict[WebSocket, int] = {}
         config = uvicorn.Config(
             self._application(),
@@ -81,7 +82,7 @@ class LivePage:
         if not self._serving:
             self._socket.close()
             return
-        self._closing = True
+        self._hurried = True
         _wait(lambda: self._ended and all(seen == self._version for seen in [*self._seen.values()]), grace_s)
         # Told to end while it is still starting, the server would not tidy up.
         _wait(lambda: self._server.started, START_S)
@@ -119,10 +120,10 @@ class LivePage:
                     self._changed.notify_all()
             rest_s = max(LEAST_PAUSE_S, IDLE_SHARE * (time.monotonic() - start_s))
             again_s = time.monotonic() + rest_s
-            # Somebody waits for the last state once the page is closing.
-            while time.monotonic() < again_s and not self._closing:
+            # Once a stop is asked for or the page is closing, somebody waits for the last state.
+            while time.monotonic() < again_s and not self._hurried:
                 await asyncio.sleep(min(rest_s, 0.1))
-            await asyncio.sleep(0.01)
+            await asyncio.sleep(HURRIED_PAUSE_S)
 
     def _next(self) -> str | None:
         try:
@@ -161,6 +162,7 @@ class LivePage:
             await asyncio.to_thread(self._source.stop)
         except StoreError as error:
             return JSONResponse({"error": str(error)}, status_code=409)
+        self._hurried = True
         return JSONResponse({"stopping": True})
 
     async def _watch(self, viewer: WebSocket) -> None:

@@ -94,7 +94,10 @@ class RunSource:
             "records": self._before + here,
             "records_planned": sum(shot.capture.record_count for shot in plan.shots),
         }
-        return state | (self._measured(scene, plan, stored, here) if here else {})
+        if not here or (state["stop_requested"] and stored.status == "running"):
+            # An estimate would keep the run's core busy while somebody waits for it to stop.
+            return state
+        return state | self._measured(scene, plan, stored, here)
 
     def _advance(self, stored: StoredRun) -> int:
         """Move on to the last shot that has records and return how many it has."""

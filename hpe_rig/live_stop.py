@@ -23,7 +23,7 @@ class StopRequested(KeyboardInterrupt):
 
 def stop_path(run_file: Path) -> Path:
     """Return the file whose existence asks the run to stop."""
-    return run_file.with_name(f"{run_file.name}.stop")
+    return run_file.parent / f"{run_file.name}.stop"
 
 
 def request_stop(run_file: Path) -> None:

@@ -40,6 +40,7 @@ LONGEST_TEXT = 60_000
 LARGEST_SHOT_BYTES = 256_000_000
 """Records of a shot that are read whole; of more, the gate alone."""
 CLOSE_PERIODS = 2
+PAGE_START = b"<!DOCTYPE html>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +56,31 @@ def write_report(path: Path, estimator: str | None = None, output: Path | None =
     """Write the report of the run in ``path`` and return its own path, by default beside the run with ``.html``.
 
     ``shot`` counts from 1 and says which one is drawn; absent: the one that moves most. Raises ``StoreError`` for a
-    file that cannot be read or written and ``SettingsError`` for what the file says or the caller asks.
+    file that cannot be read or written, or would be lost, and ``SettingsError`` for what the file says or the caller
+    asks.
     """
     target = output or path.with_suffix(".html")
+    _refuse_other(target)
     page = render(path, estimator, shot)
     try:
         target.write_text(page, encoding="utf-8")
     except OSError as error:
         raise StoreError(f"{target} cannot be written ({reason(error)}). Try: another --output.") from None
     return target
+
+
+def _refuse_other(target: Path) -> None:
+    """Raise ``StoreError`` where ``target`` is there and no page: a run, maybe the one that is reported on."""
+    if not target.is_file():
+        return
+    try:
+        with target.open("rb") as file:
+            start = file.read(len(PAGE_START))
+    except OSError:
+        # Writing it says why.
+        return
+    if start and start != PAGE_START:
+        raise StoreError(f"{target} exists and is no HTML page: it is left alone. Try: another --output.")
 
 
 def render(path: Path, estimator: str | None = None, shot: int | None = None) -> str:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -15,44 +15,64 @@ from hpe_rig.store import StoreError, versions
 from hpe_rig.store_format import reason
 
 
-@contextmanager
+def log_path(run_file: Path) -> Path:
+    """Return the log beside a run file, under a name that is not the run file's own."""
+    stem = run_file.name if run_file.suffix == ".log" else run_file.stem
+    return run_file.parent / f"{stem}.log"
+
+
+@contextlib.contextmanager
 def logged(
     setup: Setup, log_file: Path, clock: Callable[[], float] = time.monotonic
 ) -> Iterator[Callable[[Observer], Observer]]:
     """Yield what makes of an observer one whose steps stand in ``log_file`` too, with how the run ended and why.
 
+    A log that is there already is added to: the run it tells of may be one that this one is refused for.
+
     Raises ``StoreError`` where the file cannot be written.
     """
     try:
-        file = log_file.open("w", encoding="utf-8", buffering=1)
+        file = log_file.open("a", encoding="utf-8", buffering=1)
     except OSError as error:
         raise StoreError(
             f"{log_file} cannot be written ({reason(error)}). Try: another --output, or no --verbose."
         ) from None
-    with file:
-        start_s = clock()
+    start_s = clock()
 
-        def write(text: str) -> None:
-            file.write(f"{clock() - start_s:10.4f} s  {text}\n")
+    def put(text: str) -> None:
+        # A disk that fills up ends the run by its own file, with a message; a log alone ends none.
+        with contextlib.suppress(OSError):
+            file.write(text)
 
-        def log(observer: Observer) -> Observer:
-            def observe(progress: Progress) -> None:
-                write(_words(progress))
-                observer(progress)
+    def write(text: str) -> None:
+        put(f"{clock() - start_s:10.4f} s  {text}\n")
 
-            return observe
+    def log(observer: Observer) -> Observer:
+        said = ""
 
-        file.write(f"{datetime.now(UTC).isoformat(timespec='seconds')}  {setup.scene.scene.title}\n")
-        file.write(f"scene {setup.scene.name}, bench {setup.bench.name}: {setup.bench.bench.title}\n")
-        file.write(", ".join(f"{name} {text}" for name, text in versions().items()) + "\n")
-        file.writelines(f"{finding.level}: {finding}\n" for finding in setup.findings)
-        try:
-            yield log
-        except BaseException as error:
-            write(f"ended by {type(error).__name__}: {error}")
-            file.write(traceback.format_exc())
-            raise
+        def observe(progress: Progress) -> None:
+            nonlocal said
+            if (words := _words(progress)) != said:
+                write(words)
+            said = words
+            observer(progress)
+
+        return observe
+
+    put(f"{datetime.now(UTC).isoformat(timespec='seconds')}  {setup.scene.scene.title}\n")
+    put(f"scene {setup.scene.name}, bench {setup.bench.name}: {setup.bench.bench.title}\n")
+    put(", ".join(f"{name} {text}" for name, text in versions().items()) + "\n")
+    put("".join(f"{finding.level}: {finding}\n" for finding in setup.findings))
+    try:
+        yield log
         write("complete")
+    except BaseException as error:
+        write(f"ended by {type(error).__name__}: {error}")
+        put(traceback.format_exc())
+        raise
+    finally:
+        with contextlib.suppress(OSError):
+            file.close()
 
 
 def _words(progress: Progress) -> str:

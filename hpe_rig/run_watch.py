@@ -26,9 +26,9 @@ def watched(setup: Setup, path: Path, live: bool, verbose: bool, announce: Calla
     with ExitStack() as stack:
         log: Watch = _same
         if verbose:
-            from hpe_rig.run_log import logged
+            from hpe_rig.run_log import log_path, logged
 
-            log = stack.enter_context(logged(setup, path.with_suffix(".log")))
+            log = stack.enter_context(logged(setup, log_path(path)))
         if live:
             with extra("live"):
                 from hpe_rig.live import live_page_of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -9,6 +10,8 @@ from enum import StrEnum
 from drivers.interfaces import DeadlineError, RecordBlock, Setting
 from hpe_rig.open_instruments import Bench
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
+
+LONGEST_SLEEP_S = 0.2
 
 
 class Step(StrEnum):
@@ -18,6 +21,7 @@ class Step(StrEnum):
     VERIFY = "verify"
     ARM = "arm"
     ENABLE = "enable outputs"
+    WAIT = "wait"
     FIRE = "fire"
     COLLECT = "collect"
     SAFE = "outputs off"
@@ -74,9 +78,7 @@ def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Genera
         try:
             yield ShotReady(shot, _configure(shot, bench, observer))
             _enable(shot, bench, observer)
-            wait_s = next_start_s - bench.clock.now_s()
-            if wait_s > 0:
-                bench.clock.sleep(wait_s)
+            _wait_until(next_start_s, shot, bench, observer)
             observer(Progress(Step.FIRE, shot))
             next_start_s = bench.clock.now_s() + plan.shot_period_s
             bench.master.fire()
@@ -108,6 +110,16 @@ def _enable(shot: Shot, bench: Bench, observer: Observer) -> None:
     # Downstream first: nothing may trigger an output that is not ready for it.
     for generator in reversed(bench.generators):
         generator.enable_output()
+
+
+def _wait_until(start_s: float, shot: Shot, bench: Bench, observer: Observer) -> None:
+    """Return at ``start_s``; meanwhile the observer is asked again and again, since it may want to end the run."""
+    wait_s = start_s - bench.clock.now_s()
+    for _ in range(math.floor(wait_s / LONGEST_SLEEP_S)):
+        observer(Progress(Step.WAIT, shot))
+        bench.clock.sleep(LONGEST_SLEEP_S)
+    if (rest_s := start_s - bench.clock.now_s()) > 0:
+        bench.clock.sleep(rest_s)
 
 
 def _collect(shot: Shot, bench: Bench, observer: Observer) -> Iterator[ShotBlock]:

@@ -21,6 +21,7 @@ STAGES: Final = (
     "verify",
     "arm",
     "enable outputs",
+    "wait",
     "fire",
     "collect",
     "store",

@@ -29,7 +29,7 @@ def refuse_small_disk(path: Path, needed: int) -> None:
 
 def publish(image: bytes, path: Path, overwrite: bool) -> None:
     """Let ``path`` appear as a whole file or not at all."""
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    draft = path.parent / f".{path.name}.{os.getpid()}.draft"
     try:
         with draft.open("xb") as file:
             file.write(image)

@@ -151,7 +151,8 @@ def _patience() -> h5p.PropFAID:
 def _refuse_foreign(path: Path) -> bool:
     """Return whether the file says that it is being written: it is, or its writer was killed."""
     if not path.is_file():
-        raise UntrustedError("there is no such file" if not path.exists() else "it is no file")
+        what = "is a folder" if path.is_dir() else "is no regular file" if path.exists() else "does not exist"
+        raise StoreError(f"{path} {what}. Try: a file written by hpe-rig run, here or with its folder's name.")
     with path.open("rb") as file:
         start = file.read(FLAGS_PLACE + 1)
     if start[: len(SIGNATURE)] != SIGNATURE:
@@ -164,7 +165,7 @@ def _refuse_foreign(path: Path) -> bool:
 
 
 def _refuse_format(trust: Trusted) -> None:
-    foreign = UntrustedError("it is an HDF5 file, but of another program")
+    foreign = UntrustedError("it is an HDF5 file, but a result or another program's")
     try:
         if trust.attribute("format", str) != FORMAT:
             raise foreign

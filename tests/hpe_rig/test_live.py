@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.client
+import itertools
 import json
 import subprocess
 import sys
@@ -22,7 +23,8 @@ from hpe_rig.live_server import LivePage
 from hpe_rig.live_source import RunSource
 from hpe_rig.live_state import State
 from hpe_rig.live_stop import StopRequested, clear_stop, request_stop, stop_path, stoppable
-from hpe_rig.run import measure, prepare, process
+from hpe_rig.run import measure, prepare, prepare_text, process
+from hpe_rig.scene import scene_text
 from hpe_rig.sequencer import Progress, Step, unobserved
 from hpe_rig.store import StoreError, read_run
 
@@ -181,6 +183,23 @@ def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_pa
     assert stored.records[0].valid.any()
     clear_stop(run_file)
     assert not stop_path(run_file).exists()
+
+
+def test_a_stop_is_seen_while_the_next_shot_is_waited_for(tmp_path: Path) -> None:
+    name, text = scene_text("table-1")
+    long = text.replace("[acquisition]", "[acquisition]\nrepeats = 2\nshot_period_s = 60.0")
+    run_file, waits, fired = tmp_path / "run.h5", [0], [0]
+
+    def ask(progress: Progress) -> None:
+        waits[0] += progress.step is Step.WAIT
+        fired[0] += progress.step is Step.FIRE
+        if waits[0] == 3:
+            request_stop(run_file)
+
+    with pytest.raises(StopRequested):
+        measure(prepare_text(name, long), run_file, stoppable(ask, run_file, clock=itertools.count().__next__))
+    assert (waits, fired) == ([3], [1])
+    assert read_run(run_file).shot_complete.tolist() == [True, False]
 
 
 def test_nobody_looks_for_a_stop_more_often_than_ten_times_a_second(tmp_path: Path) -> None:

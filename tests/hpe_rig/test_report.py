@@ -163,6 +163,18 @@ def test_a_shot_that_does_not_exist_is_refused_with_those_that_do(run_file: Path
 
 
 @pytest.mark.slow
+def test_a_report_replaces_a_report_and_nothing_else(run_file: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "run.h5"
+    before = run_file.read_bytes()
+    copy.write_bytes(before)
+    with pytest.raises(StoreError, match=r"run\.h5 exists and is no HTML page"):
+        write_report(copy, output=copy)
+    assert copy.read_bytes() == before
+    page = tmp_path / "run.html"
+    page.write_text("<!DOCTYPE html>\nan earlier report", encoding="utf-8")
+    assert "SIMULATED" in write_report(copy).read_text(encoding="utf-8")
+
+
 def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_below_a_megabyte(tmp_path: Path) -> None:
     run_file = measured(
         tmp_path,

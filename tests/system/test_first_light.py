@@ -294,6 +294,20 @@ def assert_imports_what_a_prescribed_motion_needs(import_times: str) -> None:
     assert not loaded & {"hpe_rig.figures", "hpe_rig.live", "hpe_rig.resume", "hpe_rig.run_log", "scipy.signal"}
 
 
+def test_a_run_that_is_refused_leaves_run_and_log_of_that_name_as_they_are(tmp_path: Path) -> None:
+    run_file, log = tmp_path / "run.log", tmp_path / "run.log.log"
+    run_file.write_bytes(b"records")
+    log.write_text("how they came\n", encoding="utf-8")
+    done = CliRunner().invoke(app, ["run", "table-1", "--output", str(run_file), "--verbose"])
+    assert done.exit_code == 2
+    assert "never overwritten" in done.stderr
+    assert run_file.read_bytes() == b"records"
+    assert log.read_text(encoding="utf-8").startswith("how they came\n")
+    done = CliRunner().invoke(app, ["run", "table-1", "--output", str(tmp_path), "--overwrite"])
+    assert (done.exit_code, tmp_path.is_dir()) == (2, True)
+    assert "cannot be created" in done.stderr
+
+
 def test_a_shell_completes_commands_shipped_scenes_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "bovine-liver.toml").write_text("")
     monkeypatch.chdir(tmp_path)
