@@ -104,6 +104,25 @@ def test_half_a_reply_and_garbage_are_errors_and_the_next_answer_fits_its_questi
     session.verify("train", [RATE, COUNT])
 
 
+def test_a_reply_that_comes_in_two_lines_shifts_no_later_answer(scripted) -> None:
+    """The second line reads like an empty error queue."""
+    wire = scripted()
+    session = ScpiSession(wire, "master")
+    session.write(RATE.command, COUNT.command)
+    read = wire.read
+
+    def first_line() -> str:
+        wire.read = read
+        head, _, tail = read().rpartition(";")
+        wire.outbox.appendleft(tail)
+        return head
+
+    wire.read = first_line
+    with pytest.raises(InstrumentError, match="3 queries had 2 replies"):
+        session.verify("train", [RATE, COUNT])
+    assert session.query("BURS:NCYC?") == "20"
+
+
 def test_two_threads_share_one_session_without_mixing_their_answers() -> None:
     class Slow:
         """Gives way between question and answer, as every real connection does."""

@@ -134,14 +134,6 @@ class TappedLibrary:
         return function
 
 
-@pytest.fixture(autouse=True)
-def ctrl_c_is_heard() -> Iterator[None]:
-    """Have SIGINT interrupt even where the suite runs in the background, as a shell starts that with SIGINT ignored."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
 @pytest.fixture
 def tapped(monkeypatch: pytest.MonkeyPatch) -> Callable[[Tap], None]:
     """Return a function that puts a tap on every bench opened from then on."""
