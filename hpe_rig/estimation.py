@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,7 +89,8 @@ def _estimate_shot(
     prediction: tuple[Averaging | None, ...],
 ) -> ShotResult:
     inside = slow_time_window(scene, shot)
-    echoes = shot_echoes(scene, shot, records, inside)
+    full_scale = clipped_pulses(records.codes, CODE_LIMITS)
+    echoes = shot_echoes(scene, shot, records, inside, full_scale)
     recorded = records.valid[inside]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, inside))
     frequencies_hz = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
@@ -99,7 +99,7 @@ def _estimate_shot(
     motion = None if estimator == "joint" else motion_of(echoes, estimator)
     fit, largest_step = _fit(echoes, motion, reference, frequencies_hz, estimator, also_hz, options)
     skipped = skipped_pulses(scene, shot)[inside]
-    clipped = int((clipped_pulses(records.codes, CODE_LIMITS)[inside] & recorded & ~skipped).sum())
+    clipped = int((full_scale[inside] & recorded & ~skipped).sum())
     drift = None
     if reference is None:
         # It tells of the bench, not of the estimator: the one with the least noise looks.
@@ -131,11 +131,22 @@ def skipped_pulses(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
     return disturbed if scene.tracking.disturbed == "skip" else np.zeros_like(disturbed)
 
 
-def shot_echoes(scene: Scene, shot: Shot, records: ShotRecords, inside: NDArray[np.bool_]) -> EchoGate:
-    """Return the gated echoes of the pulses ``inside`` (pulse,) the window, without those the scene leaves out."""
+def shot_echoes(
+    scene: Scene,
+    shot: Shot,
+    records: ShotRecords,
+    inside: NDArray[np.bool_],
+    full_scale: NDArray[np.bool_] | None = None,
+) -> EchoGate:
+    """Return the gated echoes of the pulses ``inside`` (pulse,) the window, without those the scene leaves out.
+
+    ``full_scale`` (pulse,), which records reach the digitizer's full scale, is found where not given.
+    """
+    if full_scale is None:
+        full_scale = clipped_pulses(records.codes, CODE_LIMITS)
     valid = (records.valid & ~skipped_pulses(scene, shot))[inside]
     codes = records.codes if inside.all() else records.codes[inside]
-    sound = valid & ~clipped_pulses(codes, CODE_LIMITS)
+    sound = valid & ~full_scale[inside]
     echoes = EchoGate(
         volts=centred_volts(codes, records.volts_per_code, sound),
         sample_rate_hz=shot.capture.sample_rate_hz,
@@ -146,7 +157,7 @@ def shot_echoes(scene: Scene, shot: Shot, records: ShotRecords, inside: NDArray[
     )
     if not scene.processing.flag_pulses or scene.tracking.disturbed == "keep" or not valid.any():
         return echoes
-    return replace(echoes, valid=valid & ~unlike_pulses(echoes))
+    return echoes.without(unlike_pulses(echoes))
 
 
 def _fit(

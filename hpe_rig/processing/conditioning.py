@@ -20,9 +20,10 @@ def centred_volts(codes: NDArray[np.int16], volts_per_code: float, sound: NDArra
     all, since a mean of each record would add its noise to that record, and a mean over pulses at each sample would
     remove the resting echo, which is what carries the phase. Without any sound record nothing is taken off.
     """
-    volts = codes * np.float32(volts_per_code)
+    volts = codes.astype(np.float32)
     if sound.any():
         volts -= (volts @ np.full(codes.shape[-1], 1 / codes.shape[-1], np.float32))[sound].mean()
+    volts *= np.float32(volts_per_code)
     return volts
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ class EchoGate:
 
     ``volts`` (..., pulse, sample), float64 or float32: leading axes are independent realisations. ``pulse_time_s``
     (pulse,): when each pulse senses the displacement (fired plus z/c), increasing. ``valid`` (pulse,): False where a
-    record is missing or flagged; the samples of such a pulse are never read.
+    record is missing or flagged; the samples of such a pulse do not matter. ``energy`` (..., pulse): the gate's, V^2.
     """
 
     volts: Volts
@@ -38,6 +39,7 @@ class EchoGate:
     carrier_hz: float
     sound_speed_m_per_s: float
     valid: BoolArray
+    energy: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         pulses = self.volts.shape[-2] if self.volts.ndim >= 2 else 0
@@ -50,8 +52,15 @@ class EchoGate:
             raise ValueError(f"volts of type {self.volts.dtype}: turn codes into volts, float64 or float32, first")
         if not np.all(np.diff(self.pulse_time_s) > 0):
             raise ValueError("pulse_time_s does not increase: records are out of order; sort them by pulse time")
-        if not np.asarray(np.isfinite(self.volts).all(axis=-1))[..., self.valid].all():
+        object.__setattr__(self, "energy", pulse_energy(self.volts))
+        if not np.isfinite(self.energy[..., self.valid]).all():
             raise ValueError("a pulse marked valid holds samples that are not finite: mark it invalid or read it again")
+
+    def without(self, pulses: BoolArray) -> EchoGate:
+        """Return the same gate, its ``pulses`` (pulse,) no longer valid."""
+        fewer = copy(self)
+        object.__setattr__(fewer, "valid", self.valid & ~pulses)
+        return fewer
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +146,9 @@ def valid_spectrum(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArra
     # a few bins of what is not valid cost less than a copy of all samples that are; they may hold anything
     with np.errstate(invalid="ignore"):
         spectrum = spectrum_at(volts, echoes.sample_rate_hz, frequency_hz)
-    return spectrum if echoes.valid.all() else spectrum[..., echoes.valid, :]
+    if echoes.valid.all():
+        return spectrum
+    return np.swapaxes(np.compress(echoes.valid, np.swapaxes(spectrum, -1, -2), axis=-1), -1, -2)
 
 
 def require_pulses(echoes: EchoGate, least: int) -> None:
@@ -149,9 +160,8 @@ def require_pulses(echoes: EchoGate, least: int) -> None:
 
 def require_echo(spectrum: ComplexArray, echoes: EchoGate) -> None:
     """Raise ``ValueError`` where a train's band (..., valid pulse, bin) holds nothing but the rounding of its volts."""
-    in_band = np.einsum("...i,...i->...", spectrum.real, spectrum.real).sum(axis=-1)
-    in_band += np.einsum("...i,...i->...", spectrum.imag, spectrum.imag).sum(axis=-1)
-    total = pulse_energy(echoes.volts)[..., echoes.valid].sum(axis=-1) * echoes.volts.shape[-1]
+    in_band = (spectrum.real**2 + spectrum.imag**2).sum(axis=(-2, -1))
+    total = echoes.energy[..., echoes.valid].sum(axis=-1) * echoes.volts.shape[-1]
     least = LEAST_IN_FLOAT32 if echoes.volts.dtype == np.float32 else LEAST_IN_BAND
     if not np.all(in_band > least * total):
         raise ValueError(
@@ -180,14 +190,18 @@ def spectrum_at(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray) -
     samples, count = volts.shape[-1], frequency_hz.size
     spacing = sample_rate_hz / (frequency_hz[1] - frequency_hz[0])
     bins, first = round(spacing), round(frequency_hz[0] * spacing / sample_rate_hz)
+    # bins first in memory: what follows works on whole rows of pulses
+    spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
+    by_pulse = np.swapaxes(spectrum, -1, -2)
     if samples * count > FFT_WORTH * bins * np.log2(bins):
-        return rfft(volts, bins, axis=-1)[..., first : first + count].astype(np.complex128)
+        by_pulse[...] = rfft(volts, bins, axis=-1)[..., first : first + count]
+        return by_pulse
     angle = 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, frequency_hz)
     # one real product: numpy would turn the volts into complex numbers for a complex one
     both = volts.reshape(-1, samples) @ np.hstack([np.cos(angle), -np.sin(angle)]).astype(volts.dtype)
-    spectrum = np.empty((len(both), count), dtype=np.complex128)
-    spectrum.real, spectrum.imag = both[:, :count], both[:, count:]
-    return spectrum.reshape(*volts.shape[:-1], count)
+    both = both.reshape(*volts.shape[:-1], 2 * count)
+    by_pulse.real, by_pulse.imag = both[..., :count], both[..., count:]
+    return by_pulse
 
 
 def turned(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
@@ -201,5 +215,5 @@ def turned(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray
     out = np.empty_like(spectrum)
     for index in range(frequency_hz.size):
         np.multiply(spectrum[..., index], factor, out=out[..., index])
-        factor = factor * step
+        factor *= step
     return out

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.processing.echoes import BoolArray, EchoGate, pulse_energy
+from hpe_rig.processing.echoes import BoolArray, EchoGate
 
 LIMIT = 8.0
 """Robust standard deviations beyond which a pulse's logarithmic energy is foreign; and at least a factor of two."""
@@ -17,8 +17,7 @@ def unlike_pulses(echoes: EchoGate) -> BoolArray:
     The energy is that of the whole gate, so that what leaks outside the tracked band is seen as well; one echo's energy
     changes little with its motion. Half of the pulses must be sound.
     """
-    energy = pulse_energy(echoes.volts)[..., echoes.valid]
-    level = np.log(np.maximum(energy, np.finfo(np.float64).tiny))
+    level = np.log(np.maximum(echoes.energy[..., echoes.valid], np.finfo(np.float64).tiny))
     middle = np.median(level, axis=-1, keepdims=True)
     spread = np.median(np.abs(level - middle), axis=-1, keepdims=True) / 0.6745
     foreign = np.abs(level - middle) > np.maximum(LIMIT * spread, np.log(2))

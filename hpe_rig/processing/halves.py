@@ -41,21 +41,24 @@ def drift_between_halves(
     valid, wanted = motion.valid, 2 * frequency_hz.size
     model = design(motion.time_s, valid, frequency_hz, background_order=background_order, also_hz=also_hz)
     side = np.where(np.arange(valid.size) < valid.size // 2, -1.0, 1.0)[valid]
-    common, step = model.solve(side * model.matrix[:, :wanted].T)
+    # one solution for the steps and the motion
+    motions = motion.displacement_m[..., valid]
+    states, left = model.solve(np.vstack([side * model.matrix[:, :wanted].T, motions.reshape(-1, side.size)]))
+    common, step = states[:wanted], left[:wanted]
+    state, residual = (part[wanted:].reshape(*motions.shape[:-1], -1) for part in (states, left))
     products = step @ step.T
     smallest, *_, largest = np.linalg.eigvalsh(products)
     free = len(model.matrix) - model.matrix.shape[1] - wanted
     if free < 1 or not smallest * LARGEST_CONDITION**2 > largest:
         raise ValueError("half the pulses cannot tell the frequencies apart: watch them for longer")
-    state, residual = model.solve(motion.displacement_m[..., valid])
     covariance = np.linalg.inv(products)
     change = residual @ step.T @ covariance
-    left = residual - change @ step
+    rest = residual - change @ step
     mean = (state - change @ common)[..., :wanted]
     first, second = (np.hypot(half[..., ::2], half[..., 1::2]) for half in (mean - change, mean + change))
     # of a difference of lengths, each uncertain by the mean of its quadratures
     quadratures = np.diag(covariance).reshape(-1, 2).sum(axis=-1) / 2
-    sigma = 2 * np.sqrt(np.einsum("...i,...i->...", left, left)[..., None] / free * quadratures)
+    sigma = 2 * np.sqrt(np.einsum("...i,...i->...", rest, rest)[..., None] / free * quadratures)
     middle, difference, tiny = (first + second) / 2, second - first, np.finfo(np.float64).tiny
     suspicious = np.abs(difference) > np.maximum(5 * sigma, 0.1 * middle)
     return Drift(frequency_hz, difference / middle.clip(min=tiny), difference / sigma.clip(min=tiny), suspicious)

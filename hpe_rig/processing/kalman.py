@@ -133,7 +133,11 @@ def filter_changing(matrix: FloatArray, data: FloatArray, drive: Sequence[FloatA
 
 
 def _first_innovations(matrix: FloatArray, values: FloatArray, prior: float) -> FloatArray:
-    return filter_changing(matrix, values.T, (), prior).innovations.T
+    """Return the normalised innovations (pulse, realisation) of the first pulses, whatever the prior."""
+    # the root of their joint covariance by QR, largest rows first: its square would lose the noise beside the prior
+    stacked = np.vstack([np.sqrt(prior) * matrix.T, np.eye(len(matrix))])
+    root: FloatArray = np.asarray(np.linalg.qr(stacked, mode="r"))
+    return np.asarray(np.linalg.solve(root.T, values) * np.sign(np.diagonal(root))[:, None])
 
 
 def _block_innovations(factor: FloatArray, transformed: FloatArray, block: FloatArray, seen: FloatArray) -> FloatArray:
@@ -195,8 +199,11 @@ def _report(motion: Motion, normalised: FloatArray, states: int) -> Innovations:
     tiny = np.finfo(np.float64).tiny
     nis = np.where(stated > 0, energy / degrees / np.maximum(stated, tiny), np.nan)
     neighbours = np.einsum("...i,...i->...", later[..., 1:], later[..., :-1])
-    robust = np.median(np.abs(later), axis=-1, keepdims=True) / 0.6745
+    size = np.abs(later)
+    robust = np.sort(size, axis=-1)[..., degrees // 2, None] / 0.6745
+    used = np.flatnonzero(motion.valid)[states:]
     placed = np.full((*normalised.shape[:-1], motion.valid.size), np.nan)
-    placed[..., np.flatnonzero(motion.valid)[states:]] = later / np.maximum(robust, tiny)
-    outliers = np.abs(np.nan_to_num(placed)) > 5
+    placed[..., used] = later / np.maximum(robust, tiny)
+    outliers = np.zeros(placed.shape, dtype=bool)
+    outliers[..., used] = size > 5 * robust
     return Innovations(placed, nis, 3 * np.sqrt(2 / degrees), neighbours / np.maximum(energy, tiny), outliers)

@@ -89,8 +89,7 @@ def design(
     ``ValueError`` for no or non-positive or repeated frequencies, a frequency at or above half the pulse rate, too few
     pulses, or frequencies too close for the time they are watched.
     """
-    _require_frequencies(time_s, frequency_hz)
-    choice = tuple(frequency_hz.tolist()), tuple(float(f) for f in also_hz), background_order, largest_condition
+    choice = tuple(frequency_hz.tolist()), tuple(np.asarray(also_hz).tolist()), background_order, largest_condition
     if time_s.size > LARGEST_KEPT:
         return _design(time_s, valid, *choice)
     return _kept_design(time_s.tobytes(), valid.tobytes(), *choice)
@@ -110,6 +109,7 @@ def _design(
     largest_condition: float,
 ) -> Design:
     frequency_hz = np.array(frequencies_hz)
+    _require_frequencies(time_s, frequency_hz)
     every_pulse = np.hstack([harmonic_columns(time_s, frequency_hz), background_columns(time_s, background_order)])
     matrix: FloatArray = every_pulse[valid]
     found, states = matrix.shape

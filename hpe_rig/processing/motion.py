@@ -44,11 +44,11 @@ def coherent(echoes: EchoGate) -> Motion:
 def coherent_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...)."""
     phase, mean_hz = accumulated_phase(spectrum, frequency_hz)
-    spectrum = np.ascontiguousarray(np.swapaxes(spectrum, -1, -2))
     power = spectrum.real**2 + spectrum.imag**2
+    energy = power.sum(axis=-1), power.sum(axis=-2)
     # the first pass aligns with single-echo noise, the second with the noise of the mean echo
     for _ in range(2):
-        phase, mean_hz, variance = _phase_against_others(spectrum, power, frequency_hz, phase, mean_hz)
+        phase, mean_hz, variance = _phase_against_others(spectrum, energy, frequency_hz, phase, mean_hz)
     return phase, variance, mean_hz
 
 
@@ -142,7 +142,8 @@ def motion_of_steps(
 
 def consecutive_phase(spectrum: ComplexArray) -> tuple[FloatArray, ComplexArray]:
     """Return phase steps (..., pulse - 1) averaged over the band, and the cross-spectra (..., pulse - 1, bin)."""
-    cross = np.conj(spectrum[..., :-1, :]) * spectrum[..., 1:, :]
+    cross = np.conj(spectrum[..., :-1, :])
+    cross *= spectrum[..., 1:, :]
     return np.angle(cross.sum(axis=-1)), cross
 
 
@@ -173,30 +174,28 @@ def mean_frequency(energy: FloatArray, frequency_hz: FloatArray) -> FloatArray:
 
 
 def _phase_against_others(
-    spectrum: ComplexArray, power: FloatArray, frequency_hz: FloatArray, phase: FloatArray, mean_hz: FloatArray
+    spectrum: ComplexArray,
+    energies: tuple[FloatArray, FloatArray],
+    frequency_hz: FloatArray,
+    phase: FloatArray,
+    mean_hz: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the improved phase and its variance (..., pulse) and the mean frequency (...).
+    """Return the improved phase, the mean frequency (...), and the phase's variance (..., pulse).
 
-    From ``spectrum`` and ``power``, its squared magnitude, (..., bin, pulse).
+    From ``spectrum`` (..., pulse, bin) and its ``energies``, of every pulse (..., pulse) and bin (..., bin).
     """
-    pulses = spectrum.shape[-1]
-    aligned = _turned_bins(spectrum, -phase / (2 * np.pi * mean_hz[..., None]), frequency_hz)
-    total = aligned.sum(axis=-1)
-    energy = power.sum(axis=-2)
+    pulses, (energy, energy_of_bin) = spectrum.shape[-2], energies
+    aligned = turned(spectrum, -phase / (2 * np.pi * mean_hz[..., None]), frequency_hz)
+    total = aligned.sum(axis=-2)
     # a pulse's own noise in its reference would pull its phase to zero: the reference is the total less the pulse
-    with_total = (np.conj(total)[..., None, :] @ aligned)[..., 0, :]
+    with_total = (aligned @ np.conj(total)[..., None])[..., 0]
     product = with_total - energy
     tiny = np.finfo(np.float64).tiny
     reference = np.maximum(_energy(total)[..., None] - 2 * with_total.real + energy, tiny)
     misfit = np.maximum(energy - np.abs(product) ** 2 / reference, 0.0)
     variance = misfit / (frequency_hz.size - 1) / (2 * reference) * (pulses - 1) ** 2
-    common = np.abs(total) ** 2 - power.sum(axis=-1)
+    common = np.abs(total) ** 2 - energy_of_bin
     return phase + np.angle(product), mean_frequency(common, frequency_hz), variance
-
-
-def _turned_bins(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
-    """Return ``turned`` of spectra (..., bin, pulse): bins first, numpy works on whole rows of pulses."""
-    return np.swapaxes(turned(np.swapaxes(spectrum, -1, -2), delay_s, frequency_hz), -1, -2)
 
 
 def _energy(spectrum: ComplexArray) -> FloatArray:
