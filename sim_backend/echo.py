@@ -29,7 +29,7 @@ from sim_backend.echo_choice import LEFT_OUT_SHARE, Method, choices, in_reach, l
 from sim_backend.echo_combined import combined
 from sim_backend.echo_direct import direct
 from sim_backend.echo_motion import Delays, Motion, refuse_aliasing, refuse_unusable
-from sim_backend.echo_nodes import interpolated
+from sim_backend.echo_nodes import interpolated_within
 from sim_backend.echo_running import blocks, local_origin_s, running_sum
 from sim_backend.echo_series import Resting, series
 from sim_backend.pulse import Pulse
@@ -65,9 +65,11 @@ def synthesise(
     """Return the echoes, float64 (echo, sample), their rms error within ``tolerance`` of their rms.
 
     ``weight`` (scatterer,) any sign; ``sample_time_s`` (sample,) ascending, same origin as the delays. ``method``
-    absent: the cheapest that meets the tolerance, at 0 an exact one. Raises ValueError for what is not finite (by
-    name), sample times that do not ascend or lie too wide apart for the pulse, and a method that cannot serve.
+    absent: the cheapest that meets the tolerance, at 0 an exact one. Raises ValueError for what is not finite or fits
+    nothing else (by name), sample times that do not ascend or lie too wide apart for the pulse, and a method that
+    cannot serve.
     """
+    weight, sample_time_s = np.asarray(weight), np.asarray(sample_time_s, dtype=np.float64)
     refuse_unusable(motion, weight, sample_time_s, tolerance)
     refuse_aliasing(pulse, sample_time_s)
     if method is not None and method not in get_args(Method):
@@ -119,19 +121,26 @@ def _evaluate(
     if choice.method == "series" and isinstance(motion, Motion):
         echo = _series_by_blocks(motion, weight, pulse, sample_time_s, tolerance)
     elif choice.method == "interpolated" and isinstance(motion, Motion):
-        moved = (motion.rest_s, weight, motion.shape[0], motion.amplitude_s[:, 0])
-        echo = interpolated(*moved, pulse, sample_time_s, choice.terms)
+        between = interpolated_within(motion, weight, pulse, sample_time_s, choice.terms, tolerance)
+        if between is None:
+            return _exact(motion, weight, pulse, sample_time_s, "running_sum")
+        echo = between
+    elif choice.method == "combined":
+        delay_s = motion.delay_s if isinstance(motion, Delays) else motion.delay_s()
+        made = combined(delay_s, weight, pulse, sample_time_s, tolerance)
+        if made is None:
+            return _exact(motion, weight, pulse, sample_time_s, "running_sum")
+        return Synthesis(made[0], "combined", made[1], len(weight))
     else:
-        if choice.method == "combined":
-            delay_s = motion.delay_s if isinstance(motion, Delays) else motion.delay_s()
-            made = combined(delay_s, weight, pulse, sample_time_s, tolerance)
-            if made is not None:
-                return Synthesis(made[0], "combined", made[1], len(weight))
-        exact = direct if choice.method == "direct" else running_sum
-        parts = motion.parts(_PAIRS_AT_ONCE)
-        echo = np.concatenate([exact(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
-        return Synthesis(echo, "direct" if exact is direct else "running_sum", 0, len(weight))
+        return _exact(motion, weight, pulse, sample_time_s, choice.method)
     return Synthesis(echo, choice.method, choice.terms, len(weight))
+
+
+def _exact(motion: Motion | Delays, weight: Floats, pulse: Pulse, sample_time_s: Floats, method: Method) -> Synthesis:
+    exact = direct if method == "direct" else running_sum
+    parts = motion.parts(_PAIRS_AT_ONCE)
+    echo = np.concatenate([exact(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
+    return Synthesis(echo, method, 0, len(weight))
 
 
 def _series_by_blocks(motion: Motion, weight: Floats, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from sim_backend.echo import DEFAULT_TOLERANCE, synthesise
-from sim_backend.echo_motion import Motion, refuse_aliasing
+from sim_backend.echo_motion import Motion, refuse_aliasing, refuse_misfits, refuse_numbers
 from sim_backend.echo_running import blocks
 from sim_backend.echo_series import MOST_ANGLE_RAD, Resting, largest_angle, series
 from sim_backend.echo_series_fast import series_fast, serves
@@ -38,16 +38,22 @@ def batch(
 
     A row is a draw, a gate (its start subtracted from ``rest_s``) or a parameter value (its own weights or
     ``amplitude_s``). Scatterers must ascend in row and, within one, in delay. ``compiled``: by Numba where it is
-    installed and covers the case. Raises ValueError for float32 with a
-    tolerance that its rounding does not allow.
+    installed and covers the case. Raises ValueError for what is not finite, does not fit or does not ascend, by name,
+    and for float32 with a tolerance that its rounding does not allow.
     """
+    sample_time_s = np.asarray(sample_time_s, dtype=np.float64)
+    _refuse_unusable(scene, sample_time_s, tolerance)
     refuse_aliasing(pulse, sample_time_s)
+    if np.dtype(dtype) not in (np.float32, np.float64):
+        raise ValueError(f"dtype {np.dtype(dtype)} cannot hold echoes: take float64 or float32")
     if np.dtype(dtype) == np.float32 and tolerance < _COARSEST_FLOAT32_TOLERANCE:
         raise ValueError(
             f"float32 rounds at 6e-8 and cannot keep a tolerance of {tolerance:.3g}: take float64 or a tolerance of "
             f"{_COARSEST_FLOAT32_TOLERANCE:.0e} or more"
         )
     out = np.empty((*scene.amplitude_s.shape[:2], len(sample_time_s)), dtype=dtype)
+    if out.size == 0:
+        return out
     if largest_angle(pulse, scene.shape, scene.amplitude_s) <= MOST_ANGLE_RAD:
         for part in blocks(sample_time_s, pulse):
             if compiled and serves(scene, pulse):
@@ -105,6 +111,26 @@ def drawn_echoes(
             done = waiting.pop(0).result()
             waiting += [pool.submit(chunk, *job) for job in islice(jobs, 1)]
             yield done
+
+
+def _refuse_unusable(scene: Resting, sample_time_s: Floats, tolerance: float) -> None:
+    axes = {
+        "rest_s": "scatterer",
+        "weight": "scatterer",
+        "shape": "shape, scatterer",
+        "amplitude_s": "row, echo, shape",
+    }
+    named = {name: getattr(scene, name) for name in axes}
+    refuse_misfits(named | {"row": scene.row}, axes | {"row": "scatterer"})
+    refuse_numbers(named, sample_time_s, tolerance)
+    if len(scene.row) == 0:
+        return
+    step, rows = np.diff(scene.row), len(scene.amplitude_s)
+    if scene.row[0] < 0 or scene.row[-1] >= rows or (step < 0).any() or (np.diff(scene.rest_s)[step == 0] < 0).any():
+        raise ValueError(
+            f"row must ascend from 0 to less than the {rows} rows of amplitude_s and rest_s within each row: order the "
+            "scatterers by numpy.lexsort((rest_s, row))"
+        )
 
 
 def _rows_after(scene: Resting) -> NDArray[np.int64]:

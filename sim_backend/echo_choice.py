@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim_backend.echo_combined import FEWEST_ECHOES
 from sim_backend.echo_motion import Delays, Motion
-from sim_backend.echo_nodes import MOST_NODES, edge_share, node_count
+from sim_backend.echo_nodes import CHECKED, MOST_NODES, edge_share, node_count
 from sim_backend.echo_series import MOST_ANGLE_RAD, largest_angle
 from sim_backend.echo_tables import terms_needed
 from sim_backend.pulse import Pulse
@@ -77,7 +77,9 @@ def choices(
         share = edge_share(motion.rest_s, weight, pulse, largest_s, sample_time_s)
         nodes = node_count(pulse, largest_s, share, tolerance)
         if nodes < MOST_NODES:
-            found.append(Choice("interpolated", 4e-4 * stretches + nodes * (exact_s + combining_s), nodes))
+            found.append(
+                Choice("interpolated", 4e-4 * stretches + (nodes + CHECKED) * exact_s + nodes * combining_s, nodes)
+            )
     angle = largest_angle(pulse, motion.shape, motion.about_middle().amplitude_s[None])
     orders = terms_needed(angle, tolerance)
     columns = math.comb(orders - 1 + len(motion.shape), orders - 1)

@@ -91,11 +91,34 @@ class Motion:
 
 
 def refuse_unusable(motion: Motion | Delays, weight: Floats, sample_time_s: Floats, tolerance: float) -> None:
-    """Raise ValueError for numbers that are not finite, by name and place, and for sample times that do not ascend."""
-    named = {"weight": weight, "sample_time_s": sample_time_s, "tolerance": np.array([tolerance])}
-    parts = ("delay_s",) if isinstance(motion, Delays) else ("rest_s", "shape", "amplitude_s")
-    named |= {name: getattr(motion, name) for name in parts if not callable(getattr(motion, name))}
+    """Raise ValueError for what `refuse_numbers` and `refuse_misfits` say of a motion."""
+    if isinstance(motion, Delays):
+        named, axes = {"delay_s": motion.delay_s}, {"delay_s": "echo, scatterer"}
+    else:
+        named = {"rest_s": motion.rest_s, "shape": motion.shape, "amplitude_s": motion.amplitude_s}
+        axes = {"rest_s": "scatterer", "shape": "shape, scatterer", "amplitude_s": "echo, shape"}
+    refuse_misfits(named | {"weight": weight}, axes | {"weight": "scatterer"})
+    refuse_numbers(named | {"weight": weight}, sample_time_s, tolerance)
+
+
+def refuse_misfits(named: dict[str, Floats], axes: dict[str, str]) -> None:
+    """Raise ValueError where an array lacks an axis or two disagree about the length of one."""
+    length: dict[str, tuple[str, int]] = {}
     for name, value in named.items():
+        own = axes[name].split(", ")
+        if value.ndim != len(own):
+            raise ValueError(f"{name} has shape {value.shape}: its axes must be ({axes[name]})")
+        for axis, size in zip(own, value.shape, strict=True):
+            first, known = length.setdefault(axis, (name, size))
+            if size != known:
+                raise ValueError(
+                    f"{name} is {size} long along its axis '{axis}' and {first} {known}: give each {axis} one of both"
+                )
+
+
+def refuse_numbers(named: dict[str, Floats], sample_time_s: Floats, tolerance: float) -> None:
+    """Raise ValueError for numbers that are not finite, by name and place, and for sample times that do not ascend."""
+    for name, value in (named | {"sample_time_s": sample_time_s, "tolerance": np.array([tolerance])}).items():
         finite = np.isfinite(value)
         if not finite.all():
             place = tuple(np.argwhere(~finite)[0].tolist())

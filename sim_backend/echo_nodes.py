@@ -16,6 +16,8 @@ Floats = NDArray[np.float64]
 
 MOST_NODES = 256
 """Node counts from here on mean that interpolation does not pay."""
+CHECKED = 8
+"""Echoes by which interpolation is checked."""
 # Delays held at once: 64 MB.
 _PAIRS_AT_ONCE = 1 << 23
 
@@ -31,11 +33,11 @@ def node_count(pulse: Pulse, half_range_s: float, edge_share: float, tolerance: 
     if half_range_s == 0:
         return 1
     theta = 2 * np.pi * max(abs(frequency_hz) for frequency_hz in pulse.frequency_hz) * half_range_s
-    order, jump = _edge_jump(pulse)
-    edge = jump * half_range_s**order / math.factorial(order) * math.sqrt(edge_share)
+    edges = [jump * half_range_s**order * math.sqrt(edge_share) for order, jump in enumerate(_edge_jumps(pulse))]
     for nodes in range(max(2, math.ceil(theta)), MOST_NODES):
         smooth = 4 * math.exp(nodes * math.log(theta / 2) - math.lgamma(nodes + 1))
-        if smooth + edge * nodes ** -(order + 0.5) <= tolerance / 2:
+        crossing = sum(edge * nodes ** -(order + 0.5) for order, edge in enumerate(edges))
+        if smooth + crossing <= tolerance / 2:
             return nodes
     return MOST_NODES
 
@@ -61,18 +63,42 @@ def edge_share(delay_s: Floats, weight: Floats, pulse: Pulse, half_range_s: floa
 
 
 @functools.lru_cache(maxsize=32)
-def _edge_jump(pulse: Pulse) -> tuple[int, float]:
-    """Return order and size of the lowest derivative that jumps where the support begins or ends."""
+def _edge_jumps(pulse: Pulse) -> tuple[float, ...]:
+    """Return by how much each derivative, from the pulse itself on, jumps where the support begins or ends.
+
+    Over its factorial and the sum of the pulse's amplitudes, so that a weaker pulse has the same; 1/s^order.
+    """
     omega = 2 * np.pi * np.array(pulse.frequency_hz)
     scale = float(np.abs(pulse.amplitude).sum())
-    edges = np.exp(1j * np.outer([pulse.start_s, pulse.end_s], omega)) * pulse.amplitude
+    edges = np.exp(1j * np.outer([pulse.start_s, pulse.end_s], omega)) * pulse.amplitude / scale
     # Referred to the strongest component, whose phase a derivative of the envelope does not see.
     offset = omega - omega[int(np.argmax(np.abs(pulse.amplitude)))]
-    for order in range(3):
-        jump = float(np.abs(edges @ offset**order).max())
-        if jump > 1e-9 * scale * max(1.0, float(np.abs(offset).max())) ** order:
-            return order, jump
-    return 2, jump
+    sizes = [float(np.abs(edges @ offset**order).max()) / math.factorial(order) for order in range(3)]
+    fastest = max(1.0, float(np.abs(offset).max()))
+    # What cancels exactly on paper is no jump; of the second derivative it is counted all the same.
+    return tuple(
+        size if order == 2 or size * math.factorial(order) > 1e-9 * fastest**order else 0.0
+        for order, size in enumerate(sizes)
+    )
+
+
+def interpolated_within(
+    motion: Motion, weight: Floats, pulse: Pulse, sample_time_s: Floats, nodes: int, tolerance: float
+) -> Floats | None:
+    """Return the echoes of a motion of one shape by `interpolated`; None where it misses ``tolerance``.
+
+    That is told by some echoes that are summed exactly: few scatterers in the gate may all lie where a support ends.
+    """
+    echo = interpolated(motion.rest_s, weight, motion.shape[0], motion.amplitude_s[:, 0], pulse, sample_time_s, nodes)
+    ascending = np.argsort(motion.amplitude_s[:, 0], kind="stable")
+    checked = ascending[np.unique(np.linspace(0, len(echo) - 1, CHECKED).astype(np.int64))]
+    exact = running_sum(motion.rest_s + motion.amplitude_s[checked] @ motion.shape, weight, pulse, sample_time_s)
+    error = echo[checked] - exact
+    # Half of the tolerance: the others may be worse than those checked.
+    if 4 * np.vdot(error, error) > tolerance**2 * np.vdot(exact, exact):
+        return None
+    echo[checked] = exact
+    return echo
 
 
 def interpolated(

@@ -177,17 +177,19 @@ def _correct_crossings(
     edge_time_s = scene.rest_s[who] + np.array([pulse.start_s, pulse.end_s])[end]
     low = sample_time_s.searchsorted(edge_time_s - reach_s[who])
     count = sample_time_s.searchsorted(edge_time_s + reach_s[who], side="right") - low
-    pair = np.repeat(np.arange(len(who)), count)
-    sample = np.arange(len(pair)) + np.repeat(low - np.cumsum(count) + count, count)
-    past_s = sample_time_s[sample] - edge_time_s[pair]
-    who, end = who[pair], end[pair]
-    was_past = sample >= np.where(end == 0, index[0][who], index[1][who])
+    meets = np.flatnonzero(count)
+    who, end, edge_time_s, low, count = (part[meets] for part in (who, end, edge_time_s, low, count))
     cut = each / heaviest / max(1.0, float(np.abs(pulse.amplitude).sum()))
     taylor = enough_taylor(tables.taylor, tables.scale * farthest_s, cut) * [[1.0], [-1.0]]
-    at_once = max(1, _VALUES_AT_ONCE // out.shape[1])
+    at_once = max(1, _VALUES_AT_ONCE // (out.shape[1] * int(count.max(initial=1))))
     for begin in range(0, len(who), at_once):
         some = slice(begin, begin + at_once)
-        _add_pairs(out, scene, who[some], sample[some], past_s[some], was_past[some], taylor[end[some]])
+        pair = np.repeat(np.arange(len(who[some])), count[some])
+        sample = np.arange(len(pair)) + np.repeat(low[some] - np.cumsum(count[some]) + count[some], count[some])
+        past_s = sample_time_s[sample] - edge_time_s[some][pair]
+        own, own_end = who[some][pair], end[some][pair]
+        was_past = sample >= np.where(own_end == 0, index[0][own], index[1][own])
+        _add_pairs(out, scene, own, sample, past_s, was_past, taylor[own_end])
 
 
 def _add_pairs(

@@ -50,9 +50,10 @@ def series_fast(
     omega, step = angular_rates(pulse)
     # The loop is compiled for this one kind of array.
     made = out if out.dtype == np.float64 and out.flags.c_contiguous else np.empty(out.shape)
+    parts = (scene.rest_s, scene.weight, shape, amplitude_s, sample_time_s)
     _loop()(
         scene.row.searchsorted(np.arange(len(amplitude_s) + 1)),
-        *map(np.ascontiguousarray, (scene.rest_s, scene.weight, shape, amplitude_s, sample_time_s)),
+        *(np.ascontiguousarray(part, dtype=np.float64) for part in parts),
         np.array([pulse.start_s, pulse.end_s]),
         omega[0],
         step or 0.0,

@@ -1,16 +1,19 @@
 """The echo of moving scatterers: every evaluation against the double sum as written."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_backend.echo import echoes
+from sim_backend.echo import echoes, synthesise
 from sim_backend.echo_batch import drawn_echoes
 from sim_backend.echo_direct import direct
-from sim_backend.echo_nodes import MOST_NODES, edge_share, interpolated, node_count
+from sim_backend.echo_motion import Motion
+from sim_backend.echo_nodes import MOST_NODES, edge_share, interpolated, interpolated_within, node_count
 from sim_backend.echo_running import running_sum
-from sim_backend.pulse import Pulse, hann_pulse, rectangular_burst, waveform
+from sim_backend.pulse import Pulse, attenuated, hann_pulse, rectangular_burst, waveform
 from sim_backend.scatterers import depth_delay_s, draw_field
 from sim_backend.settings import Beams, Scatterers, SimulationSettings
 
@@ -145,6 +148,32 @@ def test_a_micrometre_at_1e_8_takes_few_nodes_and_a_jumping_pulse_none():
     assert node_count(pulse, half_range_s, share, 1e-8) <= 8
     assert node_count(rectangular_burst(3.0e6, 1e-4), half_range_s, share, 1e-8) == MOST_NODES
     assert node_count(pulse, 0.0, share, 1e-8) == 1
+
+
+@pytest.mark.parametrize("bandwidth", [0.065, 0.3, 0.75])
+def test_pulses_whose_ends_step_by_attenuation_meet_the_tolerance(bandwidth):
+    """126 dB at the carrier, and steps at the ends: what counts is their size against the weakened pulse's."""
+    pulse = attenuated(hann_pulse(9.0e6, bandwidth), 14e-6)
+    tau, weight, g = (part[::5] for part in scene(3))
+    motion = Motion(tau, g[None], 2e-5 / SOUND_SPEED * np.sin(2 * np.pi * np.arange(200)[:, None] / 20.3))
+    exact = running_sum(motion.delay_s(), weight, pulse, GATE_S)
+    for tolerance in (1e-2, 1e-4, 1e-6):
+        assert rms_error(synthesise(motion, weight, pulse, GATE_S, tolerance).echo, exact) < tolerance
+
+
+def test_a_weaker_pulse_needs_as_many_nodes():
+    strong = hann_pulse(9.0e6, 0.065)
+    weak = replace(strong, amplitude=tuple(1e-7 * amplitude for amplitude in strong.amplitude))
+    assert node_count(weak, 1e-8, 0.5, 1e-8) == node_count(strong, 1e-8, 0.5, 1e-8)
+
+
+def test_interpolation_that_misses_the_tolerance_is_noticed():
+    tau, weight, g = scene(0)
+    motion, pulse = Motion(tau, g[None], 2e-6 / SOUND_SPEED * CYCLE[:, None]), hann_pulse(9.0e6, 0.065)
+    assert interpolated_within(motion, weight, pulse, GATE_S, 4, 1e-9) is None
+    made = interpolated_within(motion, weight, pulse, GATE_S, 8, 1e-6)
+    assert made is not None
+    assert rms_error(made, running_sum(motion.delay_s(), weight, pulse, GATE_S)) < 1e-6
 
 
 def test_edges_outside_the_gate_have_no_share():

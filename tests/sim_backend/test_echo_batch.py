@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -90,6 +91,37 @@ def test_float32_is_kept_to_where_its_rounding_allows():
     assert rms_error(ours[0], exact) < 1e-6
     with pytest.raises(ValueError, match="float32 rounds at 6e-8 and cannot keep a tolerance of 1e-08"):
         batch(scene, PULSE, GATE_S, 1e-8, np.float32)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"weight": np.ones(5)}, r"weight is 5 long along its axis 'scatterer' and rest_s \d+"),
+        ({"shape": np.ones(5)}, r"shape has shape \(5,\): its axes must be \(shape, scatterer\)"),
+        ({"amplitude_s": np.full((3, 2, 1), np.nan)}, r"amplitude_s\[0, 0, 0\] is nan"),
+        ({"amplitude_s": np.zeros((2, 4, 1))}, "row must ascend from 0 to less than the 2 rows"),
+    ],
+)
+def test_rows_that_do_not_fit_are_refused_before_compiled_code_reads_beyond_them(wrong, says, compiled):
+    with pytest.raises(ValueError, match=says):
+        batch(replace(three_rows(), **wrong), PULSE, GATE_S, 1e-8, compiled=compiled)
+
+
+def test_scatterers_out_of_order_and_types_that_hold_no_echo_are_refused():
+    scene = three_rows()
+    turned = replace(scene, rest_s=scene.rest_s[::-1])
+    with pytest.raises(ValueError, match=r"numpy\.lexsort\(\(rest_s, row\)\)"):
+        batch(turned, PULSE, GATE_S)
+    with pytest.raises(ValueError, match="dtype int64 cannot hold echoes"):
+        batch(scene, PULSE, GATE_S, 1e-6, np.int64)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_times_in_single_precision_are_taken_at_their_value(compiled):
+    scene, single_s = three_rows(), GATE_S.astype(np.float32)
+    ours = batch(scene, PULSE, single_s, 1e-9, compiled=compiled)
+    assert np.array_equal(ours, batch(scene, PULSE, single_s.astype(np.float64), 1e-9, compiled=compiled))
 
 
 def test_same_seed_gives_the_same_draws_whatever_their_number_and_the_threads():

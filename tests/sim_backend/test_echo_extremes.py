@@ -1,5 +1,7 @@
 """Stiff and extreme scenes: each with its bound, against the direct sum or 30 digits."""
 
+from dataclasses import replace
+
 import mpmath
 import numpy as np
 import pytest
@@ -250,6 +252,16 @@ def test_numbers_that_are_not_finite_are_refused_by_name(name, bad):
             value["sample_time_s"],
             float(value["tolerance"][0]),
         )
+
+
+def test_arrays_that_do_not_fit_are_refused_by_name_and_axis():
+    motion = Motion(np.zeros(3), np.ones((1, 3)), np.zeros((2, 1)))
+    with pytest.raises(ValueError, match="weight is 2 long along its axis 'scatterer' and rest_s 3"):
+        synthesise(motion, np.ones(2), HANN, GATE_S)
+    with pytest.raises(ValueError, match=r"amplitude_s has shape \(2,\): its axes must be \(echo, shape\)"):
+        synthesise(replace(motion, amplitude_s=np.zeros(2)), np.ones(3), HANN, GATE_S)
+    with pytest.raises(ValueError, match=r"delay_s has shape \(3,\): its axes must be \(echo, scatterer\)"):
+        synthesise(Delays(np.zeros(3)), np.ones(3), HANN, GATE_S)
 
 
 def test_times_that_do_not_ascend_negative_tolerance_and_unknown_method_are_refused():

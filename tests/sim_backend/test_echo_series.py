@@ -1,6 +1,7 @@
 """The series: rest sums and exact support ends, NumPy and compiled, against the exact sum."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -143,6 +144,20 @@ def test_motion_of_many_shapes_meets_the_tolerance_by_whatever_is_cheapest(shape
             1e-10,
             "series",
         )
+
+
+def test_samples_that_many_ends_cross_are_corrected_in_bounded_memory():
+    """5000 scatterers whose ends cross up to 150 samples each are a million pairs, 50 bytes each and more."""
+    rng = np.random.default_rng(7)
+    tau, weight, g = np.sort(rng.uniform(-1.5e-6, 1.5e-6, 5000)), rng.standard_normal(5000), rng.random(5000)
+    time_s = (np.arange(2600) - 1300) / 2e9
+    motion = Motion(tau, g[None], 6e-5 / SOUND_SPEED * np.array([[-1.0], [1.0]]))
+    tracemalloc.start()
+    made = synthesise(motion, weight, PULSES[0], time_s, 1e-8, "series")
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 40e6
+    assert rms_error(made.echo, running_sum(motion.delay_s(), weight, PULSES[0], time_s)) < 1e-8
 
 
 def test_blocks_cover_the_gate_without_overlap_and_are_no_longer_than_the_pulse():
