@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.figures_svg import STYLE
 from hpe_rig.study.results import StudyResult
-from hpe_rig.study.series import Curve, View, curves
+from hpe_rig.study.series import Curve, View, axis_label, curves, numbers
 
 Floats = NDArray[np.float64]
 
@@ -34,11 +35,11 @@ BAND = 2.0
 def curve_figure(result: StudyResult, one: View) -> Figure:
     """Return the figure of a study with curves: mean and deviation of a single one, else four panels."""
     found = curves(result, one)
-    axis = result.definition.axes[-1]
-    label = f"{axis.name} ({axis.unit})" if axis.unit else axis.name
+    along = result.definition.axes[-1]
+    label = axis_label(along)
     with rc_context(STYLE):
         if len(found) == 1:
-            return _mean_and_deviation(found[0], label)
+            return _named(_mean_and_deviation(found[0], label), along.values())
         lines = -(-len(found) // 3)
         figure = Figure(figsize=(7.2, 5.2 + 0.2 * lines))
         # Fixed margins: fitting them to every text takes longer than all the drawing.
@@ -50,7 +51,15 @@ def curve_figure(result: StudyResult, one: View) -> Figure:
         for axes in panels[1]:
             axes.set(xlabel=label)
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="upper center", ncols=3, frameon=False)
-        return figure
+        return _named(figure, along.values())
+
+
+def _named(figure: Figure, values: Sequence[Any]) -> Figure:
+    """Return the figure with words at its axis where the values along it are words."""
+    if not numbers(values):
+        for axes in figure.axes:
+            axes.set_xticks(range(len(values)), [str(value) for value in values])
+    return figure
 
 
 def curve_alt(result: StudyResult, one: View) -> str:
@@ -107,6 +116,8 @@ def _mean_and_deviation(curve: Curve, label: str) -> Figure:
 def plain_log(axis: Axis) -> None:
     """Label a logarithmic axis with plain numbers: 1, 2, 5 within a decade and a half, powers of ten beyond."""
     low, high = axis.get_view_interval()
+    if not low > 0:
+        return  # nothing is drawn on it
     within = high < 30 * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if within else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))

@@ -13,9 +13,10 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from hpe_rig.figures_svg import STYLE
+from hpe_rig.study.definition import Axis
 from hpe_rig.study.figures_curves import DEGREES, NM, plain_log
 from hpe_rig.study.results import StudyResult
-from hpe_rig.study.series import View, axis_names, maps
+from hpe_rig.study.series import View, axis_label, maps, shown
 
 Floats = NDArray[np.float64]
 Levels = Sequence[float] | Floats | None
@@ -23,7 +24,7 @@ Levels = Sequence[float] | Floats | None
 OURS = 2.19
 """W_x and W_y of the paper's transducer, marked."""
 LATERAL = ("W_x", "W_y")
-MARGINS = {"left": 0.075, "right": 0.985, "bottom": 0.075, "top": 0.955, "wspace": 0.18, "hspace": 0.26}
+HEIGHT_IN, BELOW_IN, ABOVE_IN = 3.1, 0.47, 0.28
 
 
 def lateral_average(w_x: Floats, w_y: Floats, power: float = 2.0) -> Floats:
@@ -37,15 +38,15 @@ def lateral_average(w_x: Floats, w_y: Floats, power: float = 2.0) -> Floats:
 def map_figure(result: StudyResult, one: View) -> Figure:
     """Return four panels as Fig. 12 for one map; for several a panel each: differences as Fig. 13 over W_x, W_y."""
     found = list(maps(result, one))
-    *outer, across, up = axis_names(result)
+    *outer, across, up = result.definition.axes
     with rc_context(STYLE):
         if len(found) == 1:
             figure = _four_quantities(*found[0][1:])
         else:
-            figure = _by_outer_value(found, outer, (across, up) == LATERAL)
+            figure = _by_outer_value(found, outer, (across.name, up.name) == LATERAL)
         for axes in figure.axes:
             if axes.get_label() == "map":
-                axes.set(xlabel=across, ylabel=up)
+                axes.set(xlabel=axis_label(across), ylabel=axis_label(up))
                 axes.grid(False)
         return figure
 
@@ -56,8 +57,8 @@ def map_alt(result: StudyResult, one: View) -> str:
     for values, _x, _y, table in maps(result, one):
         ratio = 1 + table["amplitude_bias_m"] / table["amplitude_true_m"]
         jitter = table["amplitude_jitter_m"] * NM
-        names = axis_names(result)[:-2]
-        head = ", ".join(f"{name} = {value:g}" for name, value in zip(names, values, strict=True))
+        outer = result.definition.axes[:-2]
+        head = ", ".join(f"{axis.name} = {shown(v, axis.unit)}" for axis, v in zip(outer, values, strict=True))
         parts.append(
             f"{head}: normalised displacement {ratio.min():.2f} to {ratio.max():.2f}, jitter {jitter.min():.0f} to "
             f"{jitter.max():.0f} nm, phase jitter {table['phase_jitter_rad'].min() * DEGREES:.2g} to "
@@ -66,9 +67,17 @@ def map_alt(result: StudyResult, one: View) -> str:
     return f"{one.title}. {'; '.join(parts)}."
 
 
+def _figure(rows: int) -> Figure:
+    height_in = HEIGHT_IN * rows
+    figure = Figure(figsize=(7.2, height_in))
+    figure.subplots_adjust(
+        left=0.085, right=0.985, bottom=BELOW_IN / height_in, top=1 - ABOVE_IN / height_in, wspace=0.2, hspace=0.26
+    )
+    return figure
+
+
 def _four_quantities(x: Floats, y: Floats, table: dict[str, Floats]) -> Figure:
-    figure = Figure(figsize=(7.2, 6.2))
-    figure.subplots_adjust(**MARGINS)
+    figure = _figure(2)
     phase = np.arange(5, 181, 5.0)
     panels: tuple[tuple[str, Floats, Levels], ...] = (
         (
@@ -86,11 +95,10 @@ def _four_quantities(x: Floats, y: Floats, table: dict[str, Floats]) -> Figure:
 
 
 def _by_outer_value(
-    found: list[tuple[tuple[Any, ...], Floats, Floats, dict[str, Floats]]], outer: Sequence[str], lateral: bool
+    found: list[tuple[tuple[Any, ...], Floats, Floats, dict[str, Floats]]], outer: Sequence[Axis], lateral: bool
 ) -> Figure:
     rows = -(-len(found) // 2)
-    figure = Figure(figsize=(7.2, 3.1 * rows))
-    figure.subplots_adjust(**MARGINS)
+    figure = _figure(rows)
     panels = figure.subplots(rows, 2, squeeze=False).ravel()
     for spare in panels[len(found) :]:
         spare.set_axis_off()
@@ -101,7 +109,7 @@ def _by_outer_value(
         title = "lateral theory minus tracked" if lateral else "normalised displacement"
     low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)
     for place, (axes, (at, x, y, _), value) in enumerate(zip(panels, found, values, strict=False)):
-        head = ", ".join(f"{name} = {v:g}" for name, v in zip(outer, at, strict=True))
+        head = ", ".join(f"{axis.name} = {shown(v, axis.unit)}" for axis, v in zip(outer, at, strict=True))
         step = 0.1 if np.ptp(value) > 0.4 else 0.05
         levels = np.round(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step, 2)
         # Where nothing differs a line of zero would follow chance alone.

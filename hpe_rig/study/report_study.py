@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from hpe_rig.study.figures_maps import map_alt, map_figure
 from hpe_rig.study.judging import ABSENT
 from hpe_rig.study.page import Part, render, table, write
 from hpe_rig.study.results import SUMMARY, StudyResult
-from hpe_rig.study.series import View, is_map, view, views
+from hpe_rig.study.series import View, is_map, views
 from hpe_rig.study.work_precision import label_decades
 
 PNG_DPI = 150
@@ -117,8 +117,8 @@ def run_times(result: StudyResult) -> list[dict[str, Any]]:
         )
         row: dict[str, Any] = {"study": result.name, "reading": one.reading, "estimator": one.estimator}
         for wanted in (100, 1000):
-            row[f"s.e. of mean from {wanted} (nm)"] = float(np.nanmedian(mean_nm)) / math.sqrt(wanted)
-            row[f"s.e. of jitter from {wanted} (nm)"] = float(np.nanmedian(jitter_nm)) / math.sqrt(wanted)
+            row[f"s.e. of mean from {wanted} (nm)"] = _median(mean_nm) / math.sqrt(wanted)
+            row[f"s.e. of jitter from {wanted} (nm)"] = _median(jitter_nm) / math.sqrt(wanted)
             row[f"seconds for {wanted}"] = float(np.median(seconds)) * wanted
         out.append(row)
     return out
@@ -142,7 +142,7 @@ def _precision(result: StudyResult) -> tuple[str, ...]:
     words = [
         f"{result.realisations} realisations, {result.rows[0]['draws']} scatterer draws a case with "
         f"{result.rows[0]['noise']} of noise each; standard error of the mean displacement "
-        f"{np.nanmedian(relative) * 100:.2g} % of D_0 (median), at most {np.nanmax(relative) * 100:.2g} %."
+        f"{_median(relative) * 100:.2g} % of D_0 (median), at most {np.max(relative) * 100:.2g} %."
     ]
     refused = sum(row["refused"] for row in result.rows)
     if refused:
@@ -154,21 +154,35 @@ def _column(one: View, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array([row[name] for row in one.rows], dtype=np.float64)
 
 
+def _median(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    """Return the median of what is known; NaN where nothing is: one draw has no standard error."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else math.nan
+
+
 def _run_time_figure(results: Sequence[StudyResult]) -> Figure:
+    found = [(place, result.name, one) for place, result in enumerate(results) for one in _first_of_each(result)]
+    readings = list(dict.fromkeys(one.reading for _, _, one in found))
     with rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.2), layout="constrained")
-        panels: Mapping[str, Any] = dict(zip(("physical", "literal"), figure.subplots(1, 2, sharey=True), strict=True))
-        for place, result in enumerate(results):
-            for reading, axes in panels.items():
-                one = view(result, reading) or next((v for v in views(result) if v.reading == reading), None)
-                if one is not None:
-                    axes.loglog(
-                        _column(one, "seconds"), _column(one, "amplitude_bias_se_m") * NM, MARKS[place % len(MARKS)],
-                        ms=4, alpha=0.6, rasterized=True, color=COLOURS[place % len(COLOURS)], label=result.name,
-                    )  # fmt: skip
+        panels = dict(zip(readings, figure.subplots(1, len(readings), sharey=True, squeeze=False)[0], strict=True))
+        for place, name, one in found:
+            panels[one.reading].loglog(
+                _column(one, "seconds"), _column(one, "amplitude_bias_se_m") * NM, MARKS[place % len(MARKS)],
+                ms=4, alpha=0.6, rasterized=True, color=COLOURS[place % len(COLOURS)], label=name,
+            )  # fmt: skip
         for reading, axes in panels.items():
             axes.set(xlabel="processor time of a case (s)", title=reading)
             label_decades(axes.xaxis)
-        panels["physical"].set_ylabel("standard error of the mean displacement (nm)")
-        panels["physical"].legend(fontsize=7, ncols=2)
+        panels[readings[0]].set_ylabel("standard error of the mean displacement (nm)")
+        panels[readings[0]].legend(fontsize=7, ncols=2)
         return figure
+
+
+def _first_of_each(result: StudyResult) -> list[View]:
+    """Return one view a reading: of the paper's chain, else of the first estimator."""
+    found: dict[str, View] = {}
+    for one in views(result):
+        if one.reading not in found or one.estimator == "cross_spectrum":
+            found[one.reading] = one
+    return list(found.values())

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.study.definition import Axis
 from hpe_rig.study.results import StudyResult
 
 Floats = NDArray[np.float64]
@@ -67,9 +68,9 @@ def view(result: StudyResult, reading: str, estimator: str = "cross_spectrum") -
     return next((one for one in views(result) if (one.reading, one.estimator) == (reading, estimator)), None)
 
 
-def axis_names(result: StudyResult) -> list[str]:
-    """Return the axes' names, first to last."""
-    return [axis.name for axis in result.definition.axes]
+def axis_label(axis: Axis) -> str:
+    """Return what stands at an axis of a figure."""
+    return f"{axis.name} ({axis.unit})" if axis.unit else axis.name
 
 
 def is_map(result: StudyResult) -> bool:

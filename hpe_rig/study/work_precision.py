@@ -118,6 +118,8 @@ def label_decades(axis: Axis) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()
+    if not low > 0:
+        return  # nothing is drawn on it
     within = high < 100 * low
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if within else (1.0,), numticks=12 if within else 6))
     if within:

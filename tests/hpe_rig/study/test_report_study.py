@@ -6,10 +6,12 @@ import base64
 import csv
 import io
 import itertools
+import math
 import re
 from concurrent.futures import ThreadPoolExecutor
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -131,6 +133,26 @@ def test_the_four_panels_have_units_and_bands_of_two_errors(tiny: StudyResult) -
     row = next(r for r in one.rows if r["D_0"] == 500e-9 and r["SNR"] == 40.0)
     assert height_nm == pytest.approx(2 * BAND * row["amplitude_bias_se_m"] * 1e9, rel=1e-9)
     assert "D_0 = 500 nm" in curve_alt(tiny, one)
+
+
+@pytest.mark.parametrize(
+    "axis",
+    [
+        {"name": "pulse", "keys": {"simulation.scatterers.pulse": ["hann", "gaussian"]}},
+        {"name": "W", "keys": {"simulation.beams.width_ratio": [[2.19, 2.19, 2.18]]}},
+    ],
+)
+def test_axes_of_words_and_single_draws_are_drawn_too(tiny: StudyResult, tmp_path: Path, axis: dict[str, Any]) -> None:
+    definition = Definition.model_validate({**tiny.definition.model_dump(), "axes": [axis]})
+    (values,) = axis["keys"].values()
+    silent = {name: math.nan for name in tiny.rows[0] if "_se_" in name}
+    rows = [{**tiny.rows[0], **silent, axis["name"]: value} for value in values]
+    study = StudyResult("words", definition, rows, ("0",))
+    page = write_study_report("words", [study], tmp_path).read_text(encoding="utf-8")
+    assert all(str(value) in page for value in values)
+    assert "nan % of D_0" in page
+    ticks = curve_figure(study, views(study)[0]).axes[0].get_xticklabels()
+    assert [tick.get_text() for tick in ticks] == [str(value) for value in values]
 
 
 def test_a_map_shows_every_computed_point_and_no_other(tiny: StudyResult) -> None:
