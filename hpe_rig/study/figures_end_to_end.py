@@ -65,6 +65,7 @@ def _numerical(axes: Axes, rows: Sequence[EndToEnd]) -> None:
     _star(axes, [(row.time_s, row.numerical_error) for row in shipped])
     for row in shipped:
         axes.axhline(row.standard_error, color="0.5", lw=0.8, ls="--", label=f"standard error of {most}")
+    axes.margins(x=0.12)
     axes.set(
         xlabel=f"processor time of {most} realisations (s)",
         ylabel="rms numerical error / amplitude",
