@@ -36,7 +36,10 @@ def test_field_on_the_axis_is_the_closed_form(medium):
     assert np.abs(ours / expected - 1).max() < 1e-6
 
 
-@pytest.mark.parametrize(("lateral_m", "axial_m"), [(0.3e-3, 0.0), (0.0, 1.5e-3), (0.5e-3, 2.0e-3)])
+@pytest.mark.parametrize(
+    ("lateral_m", "axial_m"),
+    [(0.3e-3, 0.0), (0.0, 1.5e-3), (0.5e-3, 2.0e-3), (0.71e-3, 0.0), (1.0e-3, 2.5e-3), (2.0e-3, 0.0)],
+)
 def test_field_off_the_axis_equals_the_double_integral_over_wave_vectors(lateral_m, axial_m):
     """Real wave numbers, an adaptive quadrature in each direction: viscosity keeps the pole away."""
     specimen = Specimen(shear_viscosity_pa_s=3.0)
@@ -113,6 +116,19 @@ def test_motion_arrives_later_the_farther_out(gelatin):
     assert (np.diff(peak_ps) > 0).all()
     assert peak_ps[2] - peak_ps[0] < 0.22e9
     assert (np.diff(course.max(axis=0)) < 0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("reach_m", "tolerance"), [(2.2e-3, 2e-5), (4.4e-3, 2e-5)])
+def test_a_field_that_reaches_far_holds_what_a_near_one_does(gelatin, reach_m, tolerance):
+    far = focus_field(Specimen(), WIDTH_M, reach_m, REACH_M[1])
+    place_m, depth_m = np.array([0.0, 0.1e-3, 0.35e-3, 0.7e-3]), np.array([0.0, 2.0e-3, 0.5e-3, 0.0])
+    force = ForcePulses(np.array([0]), np.array([100_000_000]), np.array([4e6]))
+    time_ps = np.arange(0, 10_000_000_000, 50_000_000)
+    near, wide = (each.amplitudes(force, time_ps) @ each.shapes(place_m, depth_m).T for each in (gelatin, far))
+    # Each promises 1e-5 of the static displacement.
+    static_m = 4e6 * frequency_response(Specimen(), WIDTH_M, np.zeros(1))[0].real
+    assert np.abs(wide - near).max() < tolerance * static_m
 
 
 def test_field_is_few_modes(gelatin):
