@@ -82,7 +82,9 @@ def design(
 @studies.command()
 @guarded
 def study(
-    name: Annotated[str, typer.Argument(metavar="STUDY", help="fig-4 to fig-13, paper (these), reproduction, or a TOML.")],
+    name: Annotated[
+        str, typer.Argument(metavar="STUDY", help="fig-4 to fig-13, paper (these), reproduction, or a TOML.")
+    ],
     output: Annotated[Path, typer.Option(help="Folder of results; finished cases in it are not repeated.")] = Path(
         "studies"
     ),
