@@ -94,7 +94,9 @@ def _synthesise(
     made = _evaluate(motion, weight, strong, pulse, sample_time_s, tolerance, method)
     if len(strong) < len(near):
         rms = math.sqrt(float(np.vdot(made.echo, made.echo)) / made.echo.size)
-        left_out = float(np.abs(weight[near]).sum() - np.abs(weight[strong]).sum())
+        left_out = float(np.abs(weight[near]).sum() - np.abs(weight[strong]).sum()) * float(
+            np.abs(pulse.amplitude).sum()
+        )
         # The estimate of the rms was too high (scatterers that cancel): the bound does not hold, so take them all.
         if left_out > 2 * LEFT_OUT_SHARE * tolerance * rms:
             return _evaluate(motion, weight, near, pulse, sample_time_s, tolerance, method)

@@ -114,7 +114,7 @@ def left_out_below(weight: Floats, pulse: Pulse, sample_time_s: Floats, toleranc
     """
     if len(weight) < _FEWEST_TO_SORT_OUT or tolerance <= 0:
         return 0.0
-    largest = max(1.0, float(np.abs(pulse.amplitude).sum()))
+    largest = float(np.abs(pulse.amplitude).sum())
     power = float(np.square(np.abs(pulse.amplitude)).sum()) / 2
     pulse_s, gate_s = pulse.end_s - pulse.start_s, float(sample_time_s[-1] - sample_time_s[0])
     rms = math.sqrt(float(weight @ weight) * power * min(1.0, pulse_s / (pulse_s + gate_s)))

@@ -286,3 +286,14 @@ def test_scatterers_left_out_are_paid_for_by_the_tolerance_even_where_the_strong
     assert made.scatterers == 502
     usual = synthesise(moving(*scene()[::2], 1e-6), scene()[1], HANN, GATE_S, 1e-3)
     assert usual.scatterers < 600
+
+
+@pytest.mark.parametrize("strength", [1e-6, 1.0, 1e6])
+def test_scatterers_left_out_of_a_nearly_cancelling_scene_are_taken_back(strength):
+    """Two of weight 1 leave 1e-9 of each other; the 500 left out are up to 1e-4 of that, a hundred tolerances."""
+    rng = np.random.default_rng(13)
+    tau = np.concatenate([[1e-7, 1e-7], np.sort(rng.uniform(1e-7, 1e-6, 500))])
+    weight = np.concatenate([[1.0, -1.0 + 1e-9], 2e-16 * rng.standard_normal(500)])
+    pulse = replace(HANN, amplitude=tuple(strength * amplitude for amplitude in HANN.amplitude))
+    made = synthesise(Delays(np.tile(tau, (2, 1))), weight, pulse, GATE_S, 1e-6)
+    assert made.scatterers == 502
