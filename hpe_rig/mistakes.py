@@ -50,8 +50,15 @@ def mistakes_of(model: type[BaseModel], tables: Mapping[str, Any], prefix: Path 
     try:
         model.model_validate(tables)
     except ValidationError as error:
-        return [_mistake(dict(entry), model, tables, prefix) for entry in error.errors(include_url=False)]
+        entries = [dict(entry) for entry in error.errors(include_url=False)]
+        return [_mistake(entry, model, tables, prefix) for entry in entries if not _follows(entry)]
     return []
+
+
+def _follows(entry: dict[str, Any]) -> bool:
+    """Return whether a list counts as too short only because its wrong entries were left out."""
+    context = entry.get("ctx", {})
+    return bool(entry["type"] == "too_short" and len(entry["input"]) >= context["min_length"])
 
 
 def dotted(path: Path) -> str:
@@ -63,7 +70,7 @@ def dotted(path: Path) -> str:
 
 
 def _mistake(entry: dict[str, Any], model: type[BaseModel], tables: Mapping[str, Any], prefix: Path) -> Mistake:
-    path: Path = entry["loc"]
+    path = _written(entry["loc"], tables)
     if path and path[-1] == 0 and not isinstance(_value_at(tables, path[:-1]), list | tuple):
         path = path[:-1]
     what, remedy = _words(entry, path, _keys_at(model, path[:-1]), tables)
@@ -113,6 +120,21 @@ def _words(entry: dict[str, Any], path: Path, keys: Sequence[str], tables: Mappi
     text = str(context.get("error", entry["msg"]))
     what, _, remedy = text.partition(": ")
     return what, remedy or "what hpe-rig schema says of this key"
+
+
+def _written(path: Path, tables: Any) -> Path:
+    """Return ``path`` without the validator's own names, such as those of alternatives: what is in the file."""
+    *parts, last = path or (None,)
+    written: list[str | int] = []
+    for part in parts:
+        if isinstance(part, int):
+            tables = tables[part] if isinstance(tables, list | tuple) else None
+        elif isinstance(tables, Mapping) and part in tables:
+            tables = tables[part]
+        else:
+            continue
+        written.append(part)
+    return (*written, *([] if last in (None, "[key]") else [last]))
 
 
 def _value_at(tables: Any, path: Path) -> Any:

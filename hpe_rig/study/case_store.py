@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,9 @@ from typing import Any
 from hpe_rig.mistakes import Mistake, SettingsError
 
 Record = dict[str, Any]
+
+FIELDS = frozenset({"case", "estimates", "draws", "noise", "seconds", "peak_memory_bytes", "version"})
+"""What a record holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +29,8 @@ class CaseStore:
             record = json.loads(self._path(key).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        return record if isinstance(record, dict) and record.get("case") == key else None
+        whole = isinstance(record, dict) and record.keys() >= FIELDS and record["case"] == key
+        return record if whole else None
 
     def write(self, record: Record) -> None:
         """Write a record whole or not at all; raises ``SettingsError`` where the folder cannot be written."""
@@ -47,3 +52,7 @@ def write_whole(path: Path, text: str) -> None:
     except OSError as error:
         mistake = Mistake(str(path), f"cannot be written ({error.strerror})", "another folder, by --output")
         raise SettingsError("study", [mistake]) from None
+    finally:
+        # Gone where all went well; where not, nothing of it is left.
+        with suppress(OSError):
+            half.unlink()

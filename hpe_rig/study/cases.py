@@ -7,6 +7,7 @@ import hashlib
 import itertools
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,7 +105,8 @@ def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[
     """Return every point of a study; raise ``SettingsError`` with all mistakes of all its scenes, each once."""
     columns, shown = [axis.columns() for axis in definition.axes], [axis.values() for axis in definition.axes]
     grid = _Grid(_base_tables(definition.scene, folder), definition, columns, shown)
-    found: dict[str, Mistake] = {str(mistake): mistake for mistake in _useless_keys(definition)}
+    unfit = itertools.chain(_useless_keys(definition), _doubled_keys(definition))
+    found: dict[str, Mistake] = {str(mistake): mistake for mistake in unfit}
     out: list[Point] = []
     streams: dict[str, int] = {}
     for reading in definition.readings:
@@ -130,6 +132,12 @@ def _useless_keys(definition: Definition) -> Iterator[Mistake]:
     for key in itertools.chain(definition.set, *(axis.keys for axis in definition.axes)):
         if not any(key == used or key.startswith((f"{used}.", f"{used}[")) for used in USED):
             yield Mistake(key, "a study's echoes and estimates do not depend on it", f"one of {', '.join(USED)}")
+
+
+def _doubled_keys(definition: Definition) -> Iterator[Mistake]:
+    for key, count in Counter(itertools.chain(*(axis.keys for axis in definition.axes))).items():
+        if count > 1:
+            yield Mistake(key, f"{count} axes vary it, and the last one alone would count", "one axis for it")
 
 
 def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[str, int]) -> Case:

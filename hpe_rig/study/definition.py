@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of, parse_toml
 from hpe_rig.scene import Count, Estimator, Positive, Section, Title
 
 Reading = Literal["physical", "literal"]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+COLUMNS = ("reading", "estimator", "frequency_hz", "refused", "draws", "noise", "seconds", "peak_memory_bytes", "case")
+"""Columns of every result, beside those of amplitude and phase: no axis has their names."""
 
 
 class Range(Section):
@@ -41,6 +45,14 @@ class Range(Section):
         return [float(f"{value:.12g}") for value in spaced(self.start, self.stop, self.count)]
 
 
+def _kind(values: Any) -> str:
+    return "range" if isinstance(values, Mapping | Range) else "list"
+
+
+Values = Annotated[Annotated[list[Any], Tag("list")] | Annotated[Range, Tag("range")], Discriminator(_kind)]
+"""A mistake in a range is not also one of a list."""
+
+
 class Axis(Section):
     """What is varied together: the n-th value of every key at once (zip). Several axes: each with each (product)."""
 
@@ -48,7 +60,7 @@ class Axis(Section):
     """Name of the axis: its column in the table."""
     unit: str = ""
     """Unit of the values shown."""
-    keys: Annotated[dict[str, list[Any] | Range], Field(min_length=1)]
+    keys: Annotated[dict[str, Values], Field(min_length=1)]
     """Scene keys, such as "tracking.pulse_rate_hz" or "simulation.motion[0].amplitude_m", each with its values."""
     shown: list[Finite | str] | None = None
     """Values that tables and figures show; absent: those of the first key."""
@@ -102,8 +114,11 @@ class Definition(Section):
     @model_validator(mode="after")
     def _names_are_known_and_unique(self) -> Definition:
         names = [axis.name for axis in self.axes]
-        if len(set(names)) < len(names) or "reading" in names:
-            raise ValueError(f"axes are named {', '.join(names)}: give each a name of its own, and none 'reading'")
+        if len(set(names)) < len(names):
+            raise ValueError(f"axes are named {', '.join(names)}: give each a name of its own")
+        taken = [name for name in names if name in COLUMNS or name.startswith(("amplitude_", "phase_"))]
+        if taken:
+            raise ValueError(f"axes are named {', '.join(taken)}, as columns of every result are: give others")
         unknown = [name for name in self.common if name not in names] if self.common != "all" else []
         if unknown:
             raise ValueError(f"common names {', '.join(unknown)}, which is no axis: take from {', '.join(names)}")
@@ -138,22 +153,39 @@ def read_studies(name_or_path: str, replaced: Mapping[str, Any] | None = None) -
     if "studies" not in tables:
         return {name: (_definition(name, tables, replaced or {}), folder)}
     _refuse(name, mistakes_of(Collection, tables))
-    out = {}
+    out: dict[str, tuple[Definition, Path]] = {}
+    mistakes: list[Mistake] = []
     for inner in Collection.model_validate(tables).studies:
-        own, text, place = _text_of(inner, folder)
-        out[own] = (_definition(own, parse_toml(text, f"study {own}"), replaced or {}), place)
+        try:
+            own, text, place = _text_of(inner, folder)
+            definition = _definition(own, parse_toml(text, f"study {own}"), replaced or {})
+        except SettingsError as error:
+            mistakes += [replace(each, path=f"{inner} {each.path}".rstrip()) for each in error.mistakes]
+            continue
+        if own in out:
+            mistakes.append(Mistake(inner, f"its results would replace those of another {own}", "another file name"))
+        out[own] = (definition, place)
+    _refuse(name, mistakes)
     return out
 
 
 def _definition(name: str, tables: dict[str, Any], replaced: Mapping[str, Any]) -> Definition:
     tables = tables | {key: value for key, value in replaced.items() if key != "points" and value is not None}
     if replaced.get("points") is not None:
-        for axis in tables.get("axes", []):
-            for values in axis.get("keys", {}).values():
-                if isinstance(values, dict):
-                    values["count"] = replaced["points"]
+        for values in _ranges(tables):
+            values["count"] = replaced["points"]
     _refuse(name, mistakes_of(Definition, tables))
     return Definition.model_validate(tables)
+
+
+def _ranges(tables: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the tables of a definition's ranges; what is no axis is refused later."""
+    axes = tables.get("axes")
+    for axis in axes if isinstance(axes, list) else ():
+        keys = axis.get("keys") if isinstance(axis, dict) else None
+        for values in keys.values() if isinstance(keys, dict) else ():
+            if isinstance(values, dict):
+                yield values
 
 
 def _refuse(name: str, mistakes: list[Mistake]) -> None:

@@ -125,6 +125,44 @@ def test_every_mistake_of_every_scene_is_told_once(tmp_path: Path) -> None:
     assert "tracking.pulse_rate_hz: -1.0 is out of bounds" in told
 
 
+def test_a_mistake_stands_where_the_file_has_it_and_is_told_once(tmp_path: Path) -> None:
+    text = PLAIN.replace("[10.0, 20.0]", '{ start = "x", stop = 20.0, count = 1 }')
+    told = _mistakes(text + '[readings]\nphysical = ["coherant"]\nimaginary = ["kasai"]\n', tmp_path)
+    assert "4 mistakes" in told
+    assert "axes[0].keys.simulation.receiver.snr_db.start: 'x' is not a number" in told
+    assert "axes[0].keys.simulation.receiver.snr_db.count: 1 is out of bounds" in told
+    assert "readings.physical[0]: 'coherant'" in told
+    assert "readings.imaginary: 'imaginary'" in told
+
+
+@pytest.mark.parametrize("axes", ['["a"]', "3", '[{ name = "x", keys = ["a"] }]'])
+def test_points_of_what_is_no_axis_are_a_mistake_like_others(axes: str, tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(f'title = "x"\nscene = "table-1"\naxes = {axes}\n', encoding="utf-8")
+    with pytest.raises(SettingsError, match="axes"):
+        read_studies(str(tmp_path / "own.toml"), {"points": 5})
+
+
+def test_a_key_that_two_axes_vary_is_refused(tmp_path: Path) -> None:
+    again = '[[axes]]\nname = "again"\nkeys = { "simulation.receiver.snr_db" = [30.0] }\n'
+    assert "simulation.receiver.snr_db: 2 axes vary it" in _mistakes(PLAIN + again, tmp_path)
+
+
+def test_a_collection_tells_the_mistakes_of_all_its_studies_and_loses_none(tmp_path: Path) -> None:
+    for place, text in {"a": PLAIN, "b": PLAIN, "c": "noise = 0\n" + PLAIN, "d": "seed = -1\n" + PLAIN}.items():
+        (tmp_path / place).mkdir()
+        (tmp_path / place / "own.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "all.toml").write_text(
+        'title = "all"\nstudies = ["a/own.toml", "b/own.toml", "c/own.toml", "d/own.toml"]\n', encoding="utf-8"
+    )
+    with pytest.raises(SettingsError) as caught:
+        read_studies(str(tmp_path / "all.toml"))
+    told = str(caught.value)
+    assert "3 mistakes" in told
+    assert "b/own.toml: its results would replace those of another own" in told
+    assert "c/own.toml noise: 0 is out of bounds" in told
+    assert "d/own.toml seed: -1 is out of bounds" in told
+
+
 @pytest.mark.parametrize(
     ("key", "values", "told"),
     [

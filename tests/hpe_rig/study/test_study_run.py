@@ -20,6 +20,8 @@ from typer.testing import CliRunner
 
 from hpe_rig.cli import app
 from hpe_rig.mistakes import SettingsError
+from hpe_rig.study.case_store import FIELDS, CaseStore
+from hpe_rig.study.definition import Definition
 from hpe_rig.study.executor import MOST_LOSSES, cluster, completed, processes
 from hpe_rig.study.results import StudyResult, read_study
 from hpe_rig.study.run_study import run_study
@@ -98,9 +100,10 @@ def test_an_interrupted_study_goes_on_where_it_stopped(study: str, tmp_path: Pat
 
 def test_a_damaged_file_of_a_case_is_computed_again(study: str, tmp_path: Path) -> None:
     whole = run_study(study, tmp_path / "out", threads)
-    first, second, *_ = sorted((tmp_path / "out" / "cases").rglob("*.json"))
+    first, second, third, *_ = sorted((tmp_path / "out" / "cases").rglob("*.json"))
     first.write_text(first.read_text(encoding="utf-8")[:100], encoding="utf-8")
     second.write_text("[]", encoding="utf-8")
+    third.write_text(json.dumps({"case": third.stem}), encoding="utf-8")
     assert numbers(run_study(study, tmp_path / "out", threads)) == numbers(whole)
 
 
@@ -183,6 +186,24 @@ def test_a_folder_that_cannot_be_written_is_told(study: str, tmp_path: Path) -> 
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(SettingsError, match="cannot be written"):
         run_study(study, tmp_path / "file" / "out", threads)
+
+
+def test_a_case_whose_file_cannot_be_put_in_place_leaves_nothing(tmp_path: Path) -> None:
+    record = dict.fromkeys(FIELDS, 0) | {"case": "abc"}
+    (tmp_path / "ab" / "abc.json" / "in the way").mkdir(parents=True)
+    with pytest.raises(SettingsError, match="cannot be written"):
+        CaseStore(tmp_path).write(record)
+    assert [path.name for path in (tmp_path / "ab").iterdir()] == ["abc.json"]
+
+
+def test_no_axis_hides_a_column_of_the_results(study: str, tmp_path: Path) -> None:
+    (result,) = run_study(study, tmp_path / "out", threads)
+    for column in result.rows[0].keys() - {"D_0", "SNR"}:
+        with pytest.raises(ValueError, match="columns of every result"):
+            Definition.model_validate({"title": "x", "scene": "table-1", "axes": [AXIS | {"name": column}]})
+
+
+AXIS = {"keys": {"simulation.receiver.snr_db": [10.0]}}
 
 
 def _larger(tmp_path: Path) -> str:
