@@ -164,7 +164,7 @@ def _correct_crossings(
     """
     reach_s = np.abs(scene.amplitude_s).max(axis=(0, 1)) @ np.abs(scene.shape)
     farthest_s, heaviest = float(reach_s.max(initial=0.0)), float(np.abs(scene.weight).max(initial=0.0))
-    if farthest_s == 0:
+    if farthest_s == 0 or heaviest == 0:
         return
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
     crossing = 1 + (2 * farthest_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)

@@ -108,6 +108,12 @@ def test_rows_that_do_not_fit_are_refused_before_compiled_code_reads_beyond_them
         batch(replace(three_rows(), **wrong), PULSE, GATE_S, 1e-8, compiled=compiled)
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_scatterers_of_no_weight_are_silent(compiled):
+    scene = three_rows()
+    assert not batch(replace(scene, weight=0 * scene.weight), PULSE, GATE_S, compiled=compiled).any()
+
+
 def test_scatterers_out_of_order_and_types_that_hold_no_echo_are_refused():
     scene = three_rows()
     turned = replace(scene, rest_s=scene.rest_s[::-1])
