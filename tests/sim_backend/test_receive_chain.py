@@ -200,6 +200,32 @@ def test_jitter_follows_the_capture_and_not_the_hour():
     assert not np.array_equal(moves[0], moves[2])
 
 
+class _Sent:
+    """Physics that keeps what was transmitted."""
+
+    def record_volts(self, tonebursts, pulses, capture):
+        self.tonebursts, self.pulses = tonebursts, pulses
+        return np.zeros((1, capture.samples))
+
+    def focus_displacement_m(self, tonebursts, time_ps, origin_ps, *, index=0):
+        self.moving = tonebursts
+        return np.zeros(len(time_ps))
+
+
+def test_one_generator_shakes_a_pulse_and_two_in_a_row_a_toneburst():
+    onset_ps, sent = np.arange(20_000) * 250_000_000, _Sent()
+    physics = with_reception(sent, SimulationSettings(instruments=Instruments(trigger_jitter_s=1e-9)))
+    physics.record_volts(bursts(onset_ps), bursts(onset_ps, 300_000, 9e6), capture())
+    physics.focus_displacement_m(bursts(onset_ps), onset_ps, 0)
+    pushed_s, tracked_s = ((each.onset_ps - onset_ps) * 1e-12 for each in (sent.tonebursts, sent.pulses))
+    # Five standard errors of 20000 draws, as above.
+    assert tracked_s.std() == pytest.approx(1e-9, rel=5 / np.sqrt(40_000))
+    assert pushed_s.std() == pytest.approx(np.sqrt(2) * 1e-9, rel=5 / np.sqrt(40_000))
+    assert abs(np.corrcoef(pushed_s, tracked_s)[0, 1]) < 5 / np.sqrt(20_000)
+    # What moves the focus is what was heard.
+    assert np.array_equal(sent.moving.onset_ps, sent.tonebursts.onset_ps)
+
+
 def test_no_jitter_returns_the_bursts_themselves():
     one = bursts([0, 1])
     assert jittered(one, 0.0, seed=1) is one
