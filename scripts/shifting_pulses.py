@@ -47,7 +47,8 @@ def left_of_truth(setup: Setup) -> NDArray[np.complex128]:
     matrix = np.hstack([np.sin(angle), np.cos(angle), np.ones((time_s.size, 1))])
     sine, cosine = np.linalg.lstsq(matrix, motion_m[used], rcond=None)[0][:-1].reshape(2, -1)
     place = np.searchsorted(np.union1d(wanted_hz, driven_frequencies_hz(scene)), wanted_hz)
-    return (sine + 1j * cosine)[place] / (in_phase_m + 1j * quadrature_m)
+    ratio: NDArray[np.complex128] = (sine + 1j * cosine)[place] / (in_phase_m + 1j * quadrature_m)
+    return ratio
 
 
 if __name__ == "__main__":
