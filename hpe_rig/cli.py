@@ -269,7 +269,11 @@ def bench_command(
 ) -> None:
     """Ask every instrument who it is and how it is set, or compare a bench or run with another run; all stays safe."""
     from hpe_rig.bench_report import bench_state, compare_with, print_report
+    from hpe_rig.mistakes import Mistake, SettingsError
 
+    if bench is not None and bench.suffix == ".h5" and (self_test or compare is None):
+        what = "a run file only remembers a bench: no instrument can be asked or tested"
+        raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])
     state = bench_state(bench, self_test)
     if state.report is not None:
         print_report(state.report)
