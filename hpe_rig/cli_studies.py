@@ -46,8 +46,7 @@ def accuracy(
 
         from hpe_rig.study.work_precision import write_points
 
-        points = list(import_module(f"hpe_rig.study.accuracy_{of}").points())
-        write_points(points, output, figure, typer.echo)
+        write_points(import_module(f"hpe_rig.study.accuracy_{of}").points(), output, figure, typer.echo)
         return
     if of != "echo":
         typer.echo(f"{of}: no such part. Try: echo, motion, harmonic, specimen or chain.", err=True)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.mistakes import Mistake, SettingsError
+from hpe_rig.study.work_precision import file_mistakes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -205,13 +206,7 @@ def write_accuracy(
 def _refuse_mistakes(
     output: Path | None, figure: Path | None, largest: int, most_echoes: int, longest_s: float
 ) -> None:
-    found = []
-    files = (("--output", output, (".csv", ".json")), ("--figure", figure, (".svg", ".png", ".pdf")))
-    for option, path, suffixes in files:
-        if path is not None and path.suffix not in suffixes:
-            found.append(Mistake(option, f"{path} is no format it has", f"a name in {' or '.join(suffixes)}"))
-        if path is not None and not path.parent.is_dir():
-            found.append(Mistake(option, f"there is no folder {path.parent}", "make it, or another one"))
+    found = file_mistakes(output, figure)
     for option, value, least in (("--largest", largest, SCATTERERS[0]), ("--most-echoes", most_echoes, ECHOES[0])):
         if value < least:
             found.append(Mistake(option, f"{value} leaves no scene to measure", f"{least} or more"))

@@ -7,13 +7,15 @@ import io
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hpe_rig.mistakes import Mistake, SettingsError
 
 if TYPE_CHECKING:
     from matplotlib.axis import Axis
@@ -73,20 +75,40 @@ def as_csv(points: Sequence[Point]) -> str:
     return out.getvalue()
 
 
+def file_mistakes(output: Path | None, figure: Path | None) -> list[Mistake]:
+    """Return what is wrong with the names of a table, ``.csv`` or ``.json``, and of a figure; absent ones are right."""
+    found = []
+    files = (("--output", output, (".csv", ".json")), ("--figure", figure, (".svg", ".png", ".pdf")))
+    for option, path, suffixes in files:
+        if path is not None and path.suffix not in suffixes:
+            found.append(Mistake(option, f"{path} is no format it has", f"a name in {' or '.join(suffixes)}"))
+        if path is not None and not path.parent.is_dir():
+            found.append(Mistake(option, f"there is no folder {path.parent}", "make it, or another one"))
+    return found
+
+
 def write_points(
-    points: Sequence[Point], output: Path | None, figure: Path | None, show: Callable[[str], None]
+    points: Iterable[Point], output: Path | None, figure: Path | None, show: Callable[[str], None]
 ) -> None:
-    """Write the table, ``.csv`` or ``.json``, and the figure; without a file for the table ``show`` gets it as text."""
-    if output is None:
-        show(as_text(points))
-    elif output.suffix == ".json":
-        output.write_text(json.dumps([asdict(point) for point in points], indent=1) + "\n", encoding="utf-8")
-    elif output.suffix == ".csv":
-        output.write_text(as_csv(points), encoding="utf-8")
-    else:
-        raise ValueError(f"{output.suffix!r} is no table format here: end the file's name in .csv or .json")
+    """Measure ``points``, write table and figure; without a file for the table ``show`` gets it as text.
+
+    What was measured until an interruption is written. Raises ``SettingsError`` for wrong names before any point.
+    """
+    mistakes = file_mistakes(output, figure)
+    if mistakes:
+        raise SettingsError("command line", mistakes)
+    found: list[Point] = []
+    try:
+        found.extend(points)
+    finally:
+        if output is None:
+            show(as_text(found))
+        elif output.suffix == ".json":
+            output.write_text(json.dumps([asdict(point) for point in found], indent=1) + "\n", encoding="utf-8")
+        else:
+            output.write_text(as_csv(found), encoding="utf-8")
     if figure is not None:
-        write_figure(points, figure)
+        write_figure(found, figure)
 
 
 def write_figure(points: Sequence[Point], path: Path, panels_a_row: int = 4) -> None:

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from hpe_rig.cli import app
 from hpe_rig.study.accuracy_echo import CHOSEN, Measurement, as_text, measurements, share_chosen_well, write_figure
+from hpe_rig.study.work_precision import Point, write_points
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +70,28 @@ def test_every_wrong_option_is_named_before_anything_is_measured(tmp_path: Path)
     for option in ("--output", "--figure", "--largest", "--most-echoes", "--longest-s"):
         assert option in done.output
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("part", ["specimen", "chain"])
+def test_wrong_file_names_of_specimen_and_chain_are_told_before_anything_is_measured(
+    tmp_path: Path, part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.perf_counter", lambda: pytest.fail("a measurement began"))
+    wrong = ["--output", str(tmp_path / "no" / "a.txt"), "--figure", str(tmp_path / "b.bmp")]
+    done = CliRunner().invoke(app, ["accuracy", part, *wrong])
+    assert done.exit_code == 2, done.output
+    for words in ("a.txt is no format", "no folder", "b.bmp is no format"):
+        assert words in done.output
+
+
+def test_points_until_an_interruption_are_written(tmp_path: Path) -> None:
+    def points() -> Iterator[Point]:
+        yield Point("case", "method", "setting", 1e-3, 0.5)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_points(points(), tmp_path / "a.csv", None, print)
+    assert (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()[1] == "case,method,setting,0.001,0.5"
 
 
 def test_what_was_measured_until_an_interruption_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
