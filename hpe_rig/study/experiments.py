@@ -83,9 +83,12 @@ def result_of(scene: str) -> Result:
     return result_and_sampled_truth(scene)[0]
 
 
-def result_and_sampled_truth(scene: str) -> tuple[Result, Floats]:
-    """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what folds is in them."""
-    setup = prepare_text(scene, shipped_scenes()[scene])
+def result_and_sampled_truth(scene: str, text: str | None = None) -> tuple[Result, Floats]:
+    """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what folds is in them.
+
+    ``text`` is measured in place of the shipped scene's.
+    """
+    setup = prepare_text(scene, text or shipped_scenes()[scene])
     with TemporaryDirectory() as folder:
         run_file = measure(setup, Path(folder) / "run.h5")
         with h5py.File(run_file) as file:
