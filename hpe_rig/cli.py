@@ -178,7 +178,7 @@ def check(
     ] = None,
 ) -> None:
     """Print the plan: timeline, checks, what is left out, duration, file size, bias and jitter. Opens nothing."""
-    from hpe_rig.detection import calibration_text, detection_text
+    from hpe_rig.detection import calibration_text, detection_text, fit_gain
     from hpe_rig.prediction import averaging_text, length_m, prediction_text
     from hpe_rig.run import prepare
     from hpe_rig.timeline import plan_text
@@ -189,7 +189,8 @@ def check(
     scene_text, simulated = setup.scene.scene, setup.bench.bench.simulated
     foreseen = [*detection_text(scene_text, simulated, setup.plan.shots[0])]
     foreseen += [*calibration_text(scene_text, setup.bench.bench), *averaging_text(scene_text, simulated)]
-    typer.echo("\n" + "\n".join([*foreseen, *prediction_text(scene_text, target_m)]))
+    gain = fit_gain(scene_text, setup.plan.shots[0])
+    typer.echo("\n" + "\n".join([*foreseen, *prediction_text(scene_text, target_m, gain)]))
     if any(finding.level == "refused" for finding in setup.findings):
         raise typer.Exit(EXIT_MISTAKE)
 

@@ -70,6 +70,16 @@ def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = No
     return Floor(noise_m * over_pulses, jitter_s * acquisition.sound_speed_m_per_s / 2 * over_pulses)
 
 
+def fit_gain(scene: Scene, shot: Shot) -> float:
+    """Return the noise of the worst wanted quadrature over that of a sinusoid fitted alone to all pulses; else 1.
+
+    Above 1 where pulses are skipped and the other driven harmonics, fitted along, are hardly told from the wanted ones.
+    """
+    with suppress(ValueError):
+        return _quadrature_gain(scene, shot) / math.sqrt(2 / used_pulses(scene))
+    return 1.0
+
+
 def _quadrature_gain(scene: Scene, shot: Shot) -> float:
     """Return the noise of the worst wanted quadrature over that of a pulse, by the least squares that are fitted."""
     inside = slow_time_window(scene, shot)

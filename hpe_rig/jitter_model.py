@@ -33,6 +33,7 @@ class Setting:
     """What bias and jitter depend on; SI units, widths as sigmas, ``snr`` a power ratio in the gate.
 
     ``trigger_jitter_s``, between a pulse and the sampling clock, moves a whole echo: it is told from noise by no gate.
+    ``fit_gain``: noise of the fitted quadrature over that of a sinusoid fitted alone to all pulses.
     """
 
     excitation_width_m: Triple
@@ -49,6 +50,7 @@ class Setting:
     amplitude_m: float
     snr: float
     trigger_jitter_s: float = 0.0
+    fit_gain: float = 1.0
 
     @property
     def jitter_variance(self) -> float:
@@ -100,7 +102,7 @@ def expected(setting: Setting, estimator: str, speckle: Speckle, generator: np.r
         ratio, share = _whole_gate(setting, speckle, estimator == "kasai")
         pulse = 1 / (setting.gate_samples * setting.snr * share)
         walk = _walk(setting, pulse) if estimator in ("kasai", "loupas") else 0.0
-        deviation = _fitted_deviation(setting, pulse + setting.jitter_variance, walk)
+        deviation = setting.fit_gain * _fitted_deviation(setting, pulse + setting.jitter_variance, walk)
     return _with_noise(setting, estimator, ratio, deviation)
 
 

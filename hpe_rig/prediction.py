@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -213,8 +213,8 @@ def remedies(prediction: Prediction, target_m: float, depth_m: float, estimator:
     found = next(each for each in prediction.expected if each.estimator == estimator)
     factor = (found.noise_jitter_m / target_m) ** 2
     cycles = setting.pulses / setting.pulse_rate_hz * setting.frequency_hz
-    windowed = 1.5 if estimator == "cross_spectrum" else 1.0
-    jitter = 2 * windowed * setting.jitter_variance / setting.pulses * setting.metres_per_radian**2
+    worse = 1.5 if estimator == "cross_spectrum" else setting.fit_gain**2
+    jitter = 2 * worse * setting.jitter_variance / setting.pulses * setting.metres_per_radian**2
     left = target_m**2 - jitter
     snr_factor = (found.noise_jitter_m**2 - jitter) / left if left > 0 else math.inf
     return Remedy(
@@ -225,13 +225,16 @@ def remedies(prediction: Prediction, target_m: float, depth_m: float, estimator:
     )
 
 
-def prediction_text(scene: Scene, target_m: float | None = None) -> Iterator[str]:
-    """Yield the lines that ``hpe-rig check`` prints: the table, and what reaches ``target_m``."""
+def prediction_text(scene: Scene, target_m: float | None = None, fit_gain: float = 1.0) -> Iterator[str]:
+    """Yield the lines that ``hpe-rig check`` prints: the table, and what reaches ``target_m``.
+
+    ``fit_gain``: what skipped pulses and harmonics fitted along cost (`hpe_rig.detection.fit_gain`).
+    """
     setting = setting_of(scene)
     if setting is None:
         yield "prediction: left out, it needs [beams], a frequency and processing.expected_snr_db"
         return
-    prediction = predict(setting)
+    prediction = predict(replace(setting, fit_gain=fit_gain))
     jitter = f"{setting.trigger_jitter_s * 1e9:g} ns trigger jitter, " if setting.trigger_jitter_s else ""
     yield (
         f"prediction at {setting.frequency_hz:g} Hz for {setting.amplitude_m * 1e9:g} nm, "

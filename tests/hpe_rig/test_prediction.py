@@ -102,6 +102,27 @@ def test_check_prints_every_estimator_and_what_reaches_the_target() -> None:
         assert word in text
 
 
+def test_harmonics_fitted_along_over_skipped_pulses_cost_what_the_fit_says() -> None:
+    from hpe_rig.detection import fit_gain
+    from hpe_rig.run import prepare
+
+    gains = {}
+    for name in ("bovine-muscle", "bovine-muscle-synchronous"):
+        setup = prepare(name, refuse=False)
+        gains[name] = fit_gain(setup.scene.scene, setup.plan.shots[0])
+    # 40 instants a period and none left out: all columns are at right angles
+    assert gains["bovine-muscle-synchronous"] == pytest.approx(1.0, abs=1e-3)
+    # a tenth of the period is never seen: high harmonics stand in for what happens there
+    assert gains["bovine-muscle"] > 5
+    setting = setting_of(parse_scene(*scene_text("bovine-muscle")).scene)
+    assert setting is not None
+    alone, along = (
+        predict(replace(setting, fit_gain=gain), ("coherent",), 200).expected[0]
+        for gain in (1.0, gains["bovine-muscle"])
+    )
+    assert along.noise_jitter_m == pytest.approx(gains["bovine-muscle"] * alone.noise_jitter_m, rel=0.02)
+
+
 def test_without_beams_or_snr_the_prediction_says_what_it_needs() -> None:
     scene = parse_scene(*scene_text("table-1")).scene
     bare = scene.model_copy(update={"beams": None})
