@@ -95,7 +95,8 @@ def test_the_page_is_there_for_whoever_has_the_address_and_for_nobody_else(page:
     assert len(base) > 32
     for path in ("/", "/stop", "/ws", "/" + "a" * (len(base) - 2) + "/"):
         assert asked(page, path)[0] == 404
-    assert asked(page, base, Host="evil.example")[0] == 403
+    for path in (base, base + "state"):
+        assert asked(page, path, Host="evil.example")[0] == 403
     assert asked(page, base + "stop", "POST", Origin="http://evil.example")[0] == 403
 
 
@@ -183,6 +184,35 @@ def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_pa
     assert stored.records[0].valid.any()
     clear_stop(run_file)
     assert not stop_path(run_file).exists()
+
+
+def test_a_stop_that_is_asked_for_as_a_shot_ends_leaves_it_complete(tmp_path: Path) -> None:
+    run_file = tmp_path / "run.h5"
+
+    def ask(progress: Progress) -> None:
+        if progress.step is Step.SAFE:
+            request_stop(run_file)
+
+    measure(prepare("table-1"), run_file, stoppable(ask, run_file, clock=itertools.count().__next__))
+    assert read_run(run_file).status == "complete"
+
+
+def test_nothing_is_estimated_for_the_page_while_somebody_waits_for_the_run_to_stop(tmp_path: Path) -> None:
+    run_file, states = tmp_path / "run.h5", []
+    source = RunSource(run_file)
+
+    def look(progress: Progress) -> None:
+        if progress.step is Step.SAFE:
+            states.append(source.poll() or {})
+            request_stop(run_file)
+            states.append(source.poll() or {})
+
+    measure(prepare("table-1"), run_file, look)
+    states.append(source.poll() or {})
+    assert [state["status"] for state in states] == ["running", "running", "complete"]
+    assert [state["stop_requested"] for state in states] == [False, True, True]
+    assert ["harmonics" in state for state in states] == [True, False, True]
+    assert states[1]["records"] == states[0]["records"] > 0
 
 
 def test_a_stop_is_seen_while_the_next_shot_is_waited_for(tmp_path: Path) -> None:

@@ -162,7 +162,6 @@ def test_a_shot_that_does_not_exist_is_refused_with_those_that_do(run_file: Path
         render(run_file, shot=9)
 
 
-@pytest.mark.slow
 def test_a_report_replaces_a_report_and_nothing_else(run_file: Path, tmp_path: Path) -> None:
     copy = tmp_path / "run.h5"
     before = run_file.read_bytes()
@@ -175,6 +174,7 @@ def test_a_report_replaces_a_report_and_nothing_else(run_file: Path, tmp_path: P
     assert "SIMULATED" in write_report(copy).read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_below_a_megabyte(tmp_path: Path) -> None:
     run_file = measured(
         tmp_path,
