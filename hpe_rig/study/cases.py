@@ -23,7 +23,7 @@ from hpe_rig.study.definition import Definition, Reading
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
 
-ENGINE = 1
+ENGINE = 2
 """Raised whenever the same case gives other numbers: cases stored before are then not taken for finished."""
 
 USED = (

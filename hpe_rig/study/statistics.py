@@ -9,12 +9,15 @@ every standard error here is that of a mean over draws. Law of total variance:
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+
+UNKNOWN_RAD = math.pi / math.sqrt(3)
+"""Standard deviation of a phase about which nothing is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,36 +38,40 @@ class Errors:
         return {f"{quantity}_{name}_{unit}": value for name, value in asdict(self).items()}
 
 
-def errors(deviation: Floats, centre: float = 0.0) -> Errors:
-    """Return bias and jitter of ``deviation`` (draw, noise) from the true value, NaN rows left out.
-
-    ``centre`` is added to the bias: deviations of an angle are taken about their circular mean.
-    """
-    kept = deviation[~np.isnan(deviation).any(axis=1)]
+def errors(deviation: Floats) -> Errors:
+    """Return bias and jitter of ``deviation`` (draw, noise) from the true value, NaN rows left out."""
+    kept = _whole_rows(deviation)
     draws, repeats = kept.shape
     if draws == 0:
         return Errors(*[math.nan] * 8)
     mean = kept.mean(axis=1)
     bias = float(mean.mean())
-    total, total_se = _root_of_mean(((kept - bias) ** 2).mean(axis=1))
-    bias_se = float(mean.std(ddof=1) / math.sqrt(draws)) if draws > 1 else math.nan
+    total = _root_of_mean(((kept - bias) ** 2).mean(axis=1))
+    bias_se = _error_of_mean(mean)
     if repeats == 1:
-        return Errors(bias + centre, bias_se, total, total_se, *[math.nan] * 4)
+        return Errors(bias, bias_se, *total, *[math.nan] * 4)
     # Divided by repeats, as eq. (15); the correction makes noise unbiased and leaves the sum what it is.
     within = kept.var(axis=1)
     noise = _root_of_mean(within * (repeats / (repeats - 1)))
     speckle = _root_of_mean((mean - bias) ** 2 - within / (repeats - 1))
-    return Errors(bias + centre, bias_se, total, total_se, *noise, *speckle)
+    return Errors(bias, bias_se, *total, *noise, *speckle)
 
 
 def phase_errors(phase_rad: Floats, true_rad: float) -> Errors:
-    """Return bias and jitter of a phase (draw, noise): deviations are wrapped about the circular mean.
+    """Return bias and jitter of a phase (draw, noise): the circular mean of its error, and what is wrapped about it.
 
-    For small errors those of eq. (14) and (15); a phase about which nothing is known has a jitter of pi / sqrt(3).
+    For small errors those of eq. (14) and (15). A phase about which nothing is known has a jitter of pi / sqrt(3), and
+    its bias a standard error of at most that: the one of a mean direction grows as the resultant falls.
     """
-    error = phase_rad - true_rad
-    centre = float(np.angle(np.nanmean(np.exp(1j * error)))) if not np.isnan(error).all() else math.nan
-    return errors(wrapped(error - centre), centre)
+    kept = _whole_rows(phase_rad - true_rad)
+    if len(kept) == 0:
+        return errors(kept)
+    centre = float(np.angle(np.exp(1j * kept).mean()))
+    turned = kept - centre
+    resultant = max(float(np.cos(turned).mean()), 1e-12)
+    centre_se = _error_of_mean(np.sin(turned).mean(axis=1)) / resultant
+    # The bound first: of one draw the error is NaN and stays so.
+    return replace(errors(wrapped(turned)), bias=centre, bias_se=float(np.minimum(UNKNOWN_RAD, centre_se)))
 
 
 def wrapped(angle_rad: Floats) -> Floats:
@@ -72,10 +79,19 @@ def wrapped(angle_rad: Floats) -> Floats:
     return np.asarray(np.pi - np.mod(np.pi - angle_rad, 2 * np.pi))
 
 
+def _whole_rows(values: Floats) -> Floats:
+    return values[~np.isnan(values).any(axis=1)]
+
+
+def _error_of_mean(values: Floats) -> float:
+    """Return the standard error of the mean of independent ``values`` (draw,); NaN of a single one."""
+    return float(values.std(ddof=1) / math.sqrt(values.size)) if values.size > 1 else math.nan
+
+
 def _root_of_mean(values: Floats) -> tuple[float, float]:
     """Return the root of the mean of independent ``values`` (draw,) and its standard error; of a negative mean 0."""
     mean = float(values.mean())
-    spread = float(values.std(ddof=1) / math.sqrt(values.size)) if values.size > 1 else math.nan
+    spread = _error_of_mean(values)
     root = math.sqrt(max(mean, 0.0))
     # Near zero the slope of the root says nothing; its own spread is what remains.
     return root, spread / (2 * root) if mean > spread else math.sqrt(spread) if spread >= 0 else math.nan

@@ -74,6 +74,27 @@ def test_a_phase_about_which_nothing_is_known_has_the_jitter_of_a_uniform_one() 
     assert phase_errors(phase, 0.0).jitter == pytest.approx(np.pi / np.sqrt(3), rel=0.01)
 
 
+@pytest.mark.parametrize("spread_rad", [0.2, 1.5])
+def test_the_stated_error_of_a_phase_bias_is_true_however_wide_the_phases_are(spread_rad: float) -> None:
+    rng = np.random.default_rng(8)
+    every = [phase_errors(2.0 + spread_rad * _halves(rng), 0.5) for _ in range(STUDIES)]
+    found, stated = np.array([(one.bias, one.bias_se) for one in every]).T
+    # As above; and 400 phases know a resultant of exp(-1.5^2 / 2) = 0.32 to 12 %, which bends the mean by its square.
+    assert found.std() == pytest.approx(stated.mean(), rel=0.11 + 0.12**2)
+    assert found.mean() == pytest.approx(1.5, abs=_three(found))
+
+
+def _halves(rng: np.random.Generator) -> np.ndarray:
+    """Return normal values (draw, noise) of variance 1, half of which is the draw's."""
+    return (rng.standard_normal((200, 1)) + rng.standard_normal((200, 2))) / np.sqrt(2)
+
+
+def test_the_error_of_a_phase_bias_is_never_above_that_of_an_unknown_phase() -> None:
+    opposite = np.array([[0.0, 0.0], [np.pi - 1e-6, np.pi - 1e-6]])
+    assert phase_errors(opposite, 0.0).bias_se == pytest.approx(np.pi / np.sqrt(3))
+    assert np.isnan(phase_errors(np.array([[0.1, 0.2]]), 0.0).bias_se)
+
+
 def test_draws_with_a_refused_realisation_are_left_out() -> None:
     sample = _nested(np.random.default_rng(7), 30, 2)
     holed = np.vstack([sample, [[np.nan, 1e9]]])
