@@ -108,7 +108,7 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
     notes, lines = ("".join(before + note for note in said) for before in ("; ", "\n  "))
     match error:
         case UnsafeBenchError():
-            return str(error), EXIT_UNSAFE
+            return f"{error}{lines}", EXIT_UNSAFE
         case SettingsError() | PlanError() | StoreError():
             return str(error), EXIT_MISTAKE
         case InstrumentError():

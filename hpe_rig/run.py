@@ -110,9 +110,9 @@ def measure(
         if earlier is not None:
             with taken("take over"):
                 writer.take_over(earlier, first)
+        stack.enter_context(_noting(f"{path} holds the records that had arrived"))
         with taken("open bench"):
             bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
-        stack.enter_context(_noting(f"{path} holds the records that had arrived"))
         with taken("configure"), closing(acquire(rest, bench, taken.stepping(observer))) as events:
             for event in events:
                 _record(event, setup.scene.scene, bench, writer, taken)

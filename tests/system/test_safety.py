@@ -54,7 +54,8 @@ def test_an_interruption_at_any_step_leaves_outputs_off_and_the_digitizer_idle(
     prepared: Prepare, step: Step, error: BaseException, dual_port: bool
 ) -> None:
     memory = ("[simulation]\n", f"[simulation]\ninstruments = {{dual_port_memory = {str(dual_port).lower()}}}\n")
-    assert_safe(run_until(prepared("bovine-muscle", memory), step, error))
+    twice = ("[acquisition]\n", "[acquisition]\nrepeats = 2\nshot_period_s = 1.0\n")
+    assert_safe(run_until(prepared("bovine-muscle", memory, twice), step, error))
 
 
 def test_outputs_are_on_when_the_master_fires(prepared: Prepare) -> None:
