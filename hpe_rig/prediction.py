@@ -275,18 +275,20 @@ def _number(scene: Scene, section: str, key: str) -> float | None:
     return None if value is None else float(value)
 
 
+LARGEST_M = 1e-3
+"""A larger uncertainty is a forgotten unit."""
 _UNITS_M = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "m": 1.0}
 
 
 def length_m(text: str, key: str) -> float:
-    """Return a positive length such as "20nm" or "2e-8"; raise ``SettingsError`` naming ``key`` for anything else."""
+    """Return a length up to 1 mm, such as "20nm" or "2e-8"; raise ``SettingsError`` naming ``key`` for others."""
     match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(nm|um|mm|m)?\s*", text)
     try:
         value = float(match[1]) * _UNITS_M[match[2] or "m"] if match else math.nan
     except ValueError:
         value = math.nan
-    if not 0 < value < math.inf:
+    if not 0 < value <= LARGEST_M:
         raise SettingsError(
-            "command line", [Mistake(key, f"{text!r} is no length", "a number with unit, such as 20nm")]
+            "command line", [Mistake(key, f"{text!r} is no length up to 1 mm", "a number with unit, such as 20nm")]
         )
     return value
