@@ -50,9 +50,9 @@ def shear_speed(
 
     ``position_m`` (place,); ``phase_rad`` and ``uncertainty_rad`` (place, frequency). Phases are unwrapped from place
     to place in order of distance, so neighbours must be less than half a wavelength apart. The wave runs away from the
-    focus: the phase falls with distance. The uncertainty is the phases' alone: within a wavelength or two of a push as
-    short as that, the wave is not yet plane and the speed off by more (100 Hz in 9 kPa, 1 to 4 mm off: a sixth too slow
-    by the medium's own field without noise). Raises ``ValueError`` for fewer than two different places and for a phase
+    focus: the phase falls with distance. The uncertainty is the phases' alone: within a wavelength or two of the push
+    the wave is not yet plane, and the speed off by more (100 Hz in 9 kPa, 1 to 4 mm off the axis: a sixth too slow in
+    the medium's own field, without noise). Raises ``ValueError`` for fewer than two different places and for a phase
     that does not fall. Source: Chen, Fatemi, Greenleaf (2004), phase gradient.
     """
     place, frequency = np.asarray(position_m, dtype=np.float64), np.asarray(frequency_hz, dtype=np.float64)
