@@ -135,7 +135,7 @@ def test_lengths_are_read_with_their_unit(text: str, metres: float) -> None:
     assert length_m(text, "--target") == pytest.approx(metres, rel=1e-12, abs=0)
 
 
-@pytest.mark.parametrize("text", ["", "nm", "20 feet", "-3nm", "0", "1e400"])
+@pytest.mark.parametrize("text", ["20", "", "nm", "20 feet", "-3nm", "0", "1e400"])
 def test_what_is_no_length_is_refused_by_name(text: str) -> None:
     with pytest.raises(SettingsError, match="--target"):
         length_m(text, "--target")
