@@ -104,6 +104,25 @@ def test_a_case_s_name_changes_with_whatever_changes_its_numbers(tmp_path: Path)
     assert _points(PLAIN.replace("two SNR", "another title"), tmp_path)[0].case.key == plain
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("tracking.delay_s", 1e-4),
+        ("processing.background_order", 1),
+        ("processing.process_noise", 1e-3),
+        ("processing.harmonic", "kalman"),
+    ],
+)
+def test_what_the_scene_says_of_train_and_estimate_reaches_the_case(
+    key: str, value: float | str, tmp_path: Path
+) -> None:
+    plain = _points(PLAIN, tmp_path)[0].case
+    case = _points(PLAIN.replace("[set]", f'[set]\n"{key}" = {value!r}'), tmp_path)[0].case
+    train = case.train
+    assert value in (train.delay_s, train.options.background_order, train.options.process_noise, train.options.harmonic)
+    assert case.key != plain.key
+
+
 def test_a_scene_file_beside_the_study_is_its_base(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(shipped_scenes()["table-1"], encoding="utf-8")
     assert len(_points(PLAIN.replace("table-1", "mine.toml"), tmp_path)) == 2

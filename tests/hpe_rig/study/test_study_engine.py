@@ -13,8 +13,9 @@ import pytest
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.study.cases import Case, points_of
 from hpe_rig.study.definition import Definition
-from hpe_rig.study.engine import Record, run_batch
+from hpe_rig.study.engine import Record, _echoes, _Running, run_batch
 from hpe_rig.study.run_study import batches
+from sim_backend.settings import Reflector
 
 SNR = {"name": "SNR", "keys": {"simulation.receiver.snr_db": [10.0, 30.0]}}
 OF_THE_RUN = ("seconds", "peak_memory_bytes")
@@ -80,6 +81,31 @@ def test_a_study_stops_at_the_wanted_standard_error_and_not_before() -> None:
     assert any(row["amplitude_bias_se_m"] > 9e-9 for row in before["estimates"])
 
 
+def test_draws_and_noise_of_every_block_have_random_numbers_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds: list[tuple[int, ...]] = []
+    seed_sequence = np.random.SeedSequence
+
+    def watched(entropy: int, spawn_key: tuple[int, ...]) -> np.random.SeedSequence:
+        seeds.append((entropy, *spawn_key))
+        return seed_sequence(entropy, spawn_key=spawn_key)
+
+    monkeypatch.setattr(np.random, "SeedSequence", watched)
+    run_batch(cases_of(scatterers=48)[:1])
+    assert len(seeds) == len(set(seeds)) == 2 * 3
+
+
+def test_the_echo_of_the_focus_comes_earlier_in_a_gate_beyond_it() -> None:
+    beyond_m = 30 / 100e6 * 1540 / 2
+    gate = {"name": "gate", "keys": {"acquisition.gate_depth_m": [70e-3 + beyond_m]}}
+    (case,) = cases_of(axes=[gate])
+    alone = {"per_cell": 0.0, "reflectors": (Reflector(),)}
+    twin = case.twin.model_copy(update={"scatterers": case.twin.scatterers.model_copy(update=alone)})
+    made = _echoes([_Running(replace(case, twin=twin))], 0, 1)
+    # At rest, as the first pulse finds it: a cosine under an even window, 30 samples of 130 before the middle, 64.5.
+    about = made.volts[0, made.which[0], :70]
+    np.testing.assert_allclose(about, about[::-1], rtol=0, atol=1e-5 * np.abs(about).max())
+
+
 def test_without_noise_one_realisation_of_it_is_all_there_is(tmp_path: Path) -> None:
     scene = shipped_scenes()["table-1"].replace("snr_db = 40.0", "")
     (tmp_path / "silent.toml").write_text(scene, encoding="utf-8")
@@ -112,7 +138,8 @@ def test_batches_hold_every_case_once_and_share_noise() -> None:
     cases = cases_of(axes=[SNR, pulses], readings={"physical": ["kasai"], "literal": ["kasai"]})
     made = batches(cases)
     assert sorted(case.key for batch in made for case in batch) == sorted(case.key for case in cases)
-    assert all(len({case.noise_key for case in batch}) == 1 for batch in made)
+    # Noise is drawn pulse by pulse, so what shares it has equally many.
+    assert all(len({(case.noise_key, case.train.pulses) for case in batch}) == 1 for batch in made)
     assert batches(cases[::-1]) == made
 
 

@@ -147,6 +147,16 @@ def test_a_lost_worker_costs_its_piece_alone() -> None:
     assert sorted(ran) == [0, 1, 2, 3, 4, 5]
 
 
+def test_losses_with_pieces_finished_between_end_nothing() -> None:
+    deaths = iter([True, False] * (MOST_LOSSES + 1))
+
+    @contextmanager
+    def pool() -> Iterator[Executor]:
+        yield Dying(lambda: next(deaths))
+
+    assert list(completed(pool, abs, range(MOST_LOSSES + 1), 1)) == list(range(MOST_LOSSES + 1))
+
+
 def test_workers_that_always_die_end_the_study_with_a_word(study: str, tmp_path: Path) -> None:
     opened = []
 
