@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import signal
-import threading
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -16,8 +14,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from drivers.agilent_33250a import Agilent33250A
+from hpe_rig import live_stop, store_writer
 from hpe_rig import run as run_module
-from hpe_rig import store_writer
 from hpe_rig.cli import app
 from hpe_rig.interrupts import Terminated
 from hpe_rig.live_stop import request_stop, stop_path
@@ -121,19 +120,21 @@ def test_resume_refuses_another_bench_and_a_complete_run(prepared: Prepare, tmp_
         prepare_rest(path)
 
 
-def test_resume_from_the_command_line_logs_and_stops_like_run(prepared: Prepare, tmp_path: Path) -> None:
+def test_resume_from_the_command_line_logs_and_stops_like_run(
+    prepared: Prepare, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = stopped_after(prepared("bovine-muscle-synchronous", *SWEEP), tmp_path / "run.h5", 2)
 
-    def stop_soon() -> None:
-        log = tmp_path / "run-2.log"
-        while not (log.exists() and "fire" in log.read_text()):
-            time.sleep(0.001)
-        request_stop(tmp_path / "run-2.h5")
+    fire = Agilent33250A.fire
 
-    asking = threading.Thread(target=stop_soon)
-    asking.start()
-    done = CliRunner().invoke(app, ["resume", str(path), "--verbose"])
-    asking.join()
+    def fire_and_ask(master: Agilent33250A) -> None:
+        request_stop(tmp_path / "run-2.h5")
+        fire(master)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Agilent33250A, "fire", fire_and_ask)
+        patched.setattr(live_stop, "LOOK_EVERY_S", 0.0)
+        done = CliRunner().invoke(app, ["resume", str(path), "--verbose"])
     assert done.exit_code == 130, done.output
     assert "2 of 4 shots are complete" in done.output
     assert "stopped from the live page" in done.output
