@@ -71,9 +71,7 @@ def falls_by_20_db(result: StudyResult, reading: str) -> Finding:
     curve = judging.ends(result, reading)[0]
     jitter, se = curve.values("amplitude_jitter_m") * NM, curve.values("amplitude_jitter_se_m") * NM
     at = int(np.argmin(np.abs(curve.x - 20)))
-    words = (
-        f"displacement jitter {jitter[0]:.3g}, {jitter[at]:.3g}, {jitter[-1]:.3g} nm at 0, 20, {curve.x[-1]:g} dB"
-    )
+    words = f"displacement jitter {jitter[0]:.3g}, {jitter[at]:.3g}, {jitter[-1]:.3g} nm at 0, 20, {curve.x[-1]:g} dB"
     return Finding(words, AGREES if jitter[0] - jitter[at] > 3 * math.hypot(se[0], se[at]) else DIFFERS)
 
 
