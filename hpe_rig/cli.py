@@ -179,6 +179,7 @@ def check(
 ) -> None:
     """Print the plan: timeline, checks, what is left out, duration, file size, bias and jitter. Opens nothing."""
     from hpe_rig.detection import calibration_text, detection_text, fit_gain
+    from hpe_rig.folding import folding_text
     from hpe_rig.prediction import averaging_text, length_m, prediction_text
     from hpe_rig.run import prepare
     from hpe_rig.timeline import plan_text
@@ -188,6 +189,7 @@ def check(
     typer.echo(plan_text(setup.scene.scene.title, setup.plan, setup.findings))
     scene_text, simulated = setup.scene.scene, setup.bench.bench.simulated
     foreseen = [*detection_text(scene_text, simulated, setup.plan.shots[0])]
+    foreseen += folding_text(scene_text, setup.plan.shots[0], simulated)
     foreseen += [*calibration_text(scene_text, setup.bench.bench), *averaging_text(scene_text, simulated)]
     gain = fit_gain(scene_text, setup.plan.shots[0])
     typer.echo("\n" + "\n".join([*foreseen, *prediction_text(scene_text, target_m, gain)]))

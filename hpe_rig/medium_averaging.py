@@ -38,11 +38,32 @@ def medium_averaging(
     weighted by echo energy. Speckle weights by energy, a Gaussian of variance T^2/2 across: in the plane of wave
     numbers that is a force as much broader, of the same density at each.
     """
-    lateral = force_width_m[0] ** 2 + tracking_width_m[0] ** 2 / 2
-    axial = force_width_m[2] ** 2 + axial_spread_m**2
     shear_k2 = density_kg_per_m3 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa
-    tracked = _displacement(shear_k2, lateral, axial)
-    return np.asarray(tracked / _displacement(shear_k2, force_width_m[0] ** 2, force_width_m[2] ** 2))
+    peak = _displacement(shear_k2, force_width_m[0] ** 2, force_width_m[2] ** 2)
+    return np.asarray(_tracked(shear_k2, force_width_m, tracking_width_m, axial_spread_m) / peak)
+
+
+def tracked_response(
+    modulus_pa: ComplexArray,
+    density_kg_per_m3: float,
+    frequency_hz: FloatArray,
+    force_width_m: Triple,
+    tracking_width_m: Triple,
+    axial_spread_m: float,
+) -> ComplexArray:
+    """Return the tracked displacement over the force, complex (frequency,), but for a real factor common to all.
+
+    Arguments as those of ``medium_averaging``.
+    """
+    shear_k2 = density_kg_per_m3 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa
+    return _tracked(shear_k2, force_width_m, tracking_width_m, axial_spread_m) / modulus_pa
+
+
+def _tracked(
+    shear_k2: ComplexArray, force_width_m: Triple, tracking_width_m: Triple, axial_spread_m: float
+) -> ComplexArray:
+    lateral = force_width_m[0] ** 2 + tracking_width_m[0] ** 2 / 2
+    return _displacement(shear_k2, lateral, force_width_m[2] ** 2 + axial_spread_m**2)
 
 
 @functools.lru_cache(maxsize=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_medium
 from hpe_rig.jitter_model import Expected, Setting, draw_speckle, expected
-from hpe_rig.medium_averaging import depth_spread, gaussian_averaging, medium_averaging, width_scale
+from hpe_rig.medium_averaging import (
+    depth_spread,
+    gaussian_averaging,
+    medium_averaging,
+    tracked_response,
+    width_scale,
+)
 from hpe_rig.mistakes import Mistake, SettingsError
 from hpe_rig.plan import pulse_count
 from hpe_rig.processing import ESTIMATORS, Estimator
@@ -76,6 +82,23 @@ def medium_ratio(
     scene: Scene, frequency_hz: NDArray[np.float64], window: GateWindow, simulated: bool = True
 ) -> NDArray[np.complex128] | None:
     """Return the tracked over peak displacement of the medium's field (frequency,); None where no medium is known."""
+    return _in_medium(medium_averaging, scene, frequency_hz, window, simulated)
+
+
+def medium_response(
+    scene: Scene, frequency_hz: NDArray[np.float64], simulated: bool = True
+) -> NDArray[np.complex128] | None:
+    """Return the tracked displacement over the force but for a common factor (frequency,); None as ``medium_ratio``."""
+    return _in_medium(tracked_response, scene, frequency_hz, "none", simulated)
+
+
+def _in_medium(
+    asked: Callable[..., NDArray[np.complex128]],
+    scene: Scene,
+    frequency_hz: NDArray[np.float64],
+    window: GateWindow,
+    simulated: bool,
+) -> NDArray[np.complex128] | None:
     if scene.beams is None:
         return None
     known: tuple[NDArray[np.complex128], float] | None = None
@@ -88,7 +111,7 @@ def medium_ratio(
         return None
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
     depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), window)
-    return medium_averaging(*known, frequency_hz, *widths, depth_m)
+    return asked(*known, frequency_hz, *widths, depth_m)
 
 
 def averaging_text(scene: Scene, simulated: bool = True) -> Iterator[str]:
