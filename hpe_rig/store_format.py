@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import re
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Final
@@ -48,6 +49,11 @@ class StoreError(Exception):
 
 def versions() -> dict[str, str]:
     """Return the versions that shaped the numbers, and the commit the package was built from where it is known."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
     packages = {name: metadata.version(name) for name in ("numpy", "scipy", "h5py")}
     try:
         own = metadata.version("hpe-rig")

@@ -36,6 +36,7 @@ from hpe_rig.store import (
     result_path,
     write_result,
 )
+from hpe_rig.store_format import versions
 from hpe_rig.store_layout import empty_run
 
 
@@ -149,7 +150,8 @@ def test_a_missing_folder_is_a_message(setup: Setup, tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="a folder's mode means nothing there")
 def test_a_read_only_folder_is_a_message(setup: Setup) -> None:
-    # Beside the tests' own folder, which is closed to the user that a superuser turns into here.
+    # Beside the tests' own folder, which is closed to the user that a superuser turns into here, as packages may be.
+    versions()
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o555)
         with nobody(), pytest.raises(StoreError, match=r"cannot be created \(Permission denied\)"):
