@@ -11,10 +11,9 @@ import numpy as np
 
 from hpe_rig.bench import twin_dose
 from hpe_rig.bench_file import BenchFile
-from hpe_rig.estimation import driven_frequencies_hz, skipped_pulses
-from hpe_rig.plan import Shot, slow_time_window
+from hpe_rig.estimation import design_of
+from hpe_rig.plan import Shot
 from hpe_rig.prediction import expected_snr_db, used_pulses
-from hpe_rig.processing.model import design
 from hpe_rig.safety import drive_output
 from hpe_rig.scene import Scene
 
@@ -82,11 +81,8 @@ def fit_gain(scene: Scene, shot: Shot) -> float:
 
 def _quadrature_gain(scene: Scene, shot: Shot) -> float:
     """Return the noise of the worst wanted quadrature over that of a pulse, by the least squares that are fitted."""
-    inside = slow_time_window(scene, shot)
-    time_s = shot.timeline.sensing_s[inside] - shot.timeline.reference_s
-    wanted_hz = np.array(scene.wanted_frequencies_hz)
-    model = design(time_s, ~skipped_pulses(scene, shot)[inside], wanted_hz, also_hz=driven_frequencies_hz(scene))
-    return float(np.linalg.norm(np.linalg.pinv(model.matrix)[: 2 * wanted_hz.size], axis=1).max())
+    _, model = design_of(scene, shot)
+    return float(np.linalg.norm(model.root[: 2 * len(scene.wanted_frequencies_hz)], axis=1).max())
 
 
 def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = None) -> Iterator[str]:

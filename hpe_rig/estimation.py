@@ -28,6 +28,7 @@ from hpe_rig.processing import (
 )
 from hpe_rig.processing.conditioning import centred_volts
 from hpe_rig.processing.flags import clipped_pulses
+from hpe_rig.processing.model import Design, design
 from hpe_rig.records import ShotRecords
 from hpe_rig.result import Estimate, ShotResult
 from hpe_rig.scene import Processing, Scene
@@ -129,6 +130,17 @@ def skipped_pulses(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
     """Return which pulses the scene leaves out because a toneburst disturbs them, shape (pulse,)."""
     disturbed = disturbed_pulses(shot)
     return disturbed if scene.tracking.disturbed == "skip" else np.zeros_like(disturbed)
+
+
+def design_of(scene: Scene, shot: Shot) -> tuple[NDArray[np.float64], Design]:
+    """Return the times of the pulses used, from the timeline's reference (pulse,), and the model fitted to them.
+
+    As planned, none missing; ``ValueError`` where the pulses do not tell the wanted frequencies apart.
+    """
+    inside = slow_time_window(scene, shot)
+    time_s, used = shot.timeline.sensing_s[inside] - shot.timeline.reference_s, ~skipped_pulses(scene, shot)[inside]
+    wanted_hz = np.array(scene.wanted_frequencies_hz)
+    return time_s[used], design(time_s, used, wanted_hz, also_hz=driven_frequencies_hz(scene))
 
 
 def shot_echoes(

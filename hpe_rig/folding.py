@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.estimation import driven_frequencies_hz, skipped_pulses
-from hpe_rig.plan import Shot, slow_time_window
-from hpe_rig.prediction import medium_response
-from hpe_rig.processing.model import design, harmonic_columns
+from hpe_rig.estimation import design_of
+from hpe_rig.plan import Shot
+from hpe_rig.prediction import motion_of_medium
+from hpe_rig.processing.model import harmonic_columns
 from hpe_rig.scene import Scene
 from hpe_rig.theory import force_spectrum
 
@@ -31,21 +31,18 @@ def fitted_over_true(scene: Scene, shot: Shot, simulated: bool = True) -> NDArra
     place = np.rint(wanted_hz / rate_hz).astype(np.int64)
     harmonic = np.arange(1, int(LOBES / (length_s * rate_hz)) + 1)
     frequency_hz = np.asarray(harmonic * rate_hz, dtype=np.float64)
-    response = medium_response(scene, frequency_hz, simulated)
-    if response is None or not np.allclose(place * rate_hz, wanted_hz, rtol=1e-9) or place.max() > harmonic.size:
+    motion = motion_of_medium(scene, frequency_hz, simulated=simulated)
+    if motion is None or not np.allclose(place * rate_hz, wanted_hz, rtol=1e-9) or place.max() > harmonic.size:
         return None
     # the sinusoid A sin(w t + phase) has the coefficient A exp(j phase) = j times that of exp(j w t)
-    true = 1j * response * force_spectrum(harmonic, rate_hz, length_s)
-    inside = slow_time_window(scene, shot)
-    time_s = shot.timeline.sensing_s[inside] - shot.timeline.reference_s
-    used = ~skipped_pulses(scene, shot)[inside]
+    true = 1j * motion[0] * force_spectrum(harmonic, rate_hz, length_s)
     try:
-        model = design(time_s, used, wanted_hz, also_hz=driven_frequencies_hz(scene))
+        time_s, model = design_of(scene, shot)
     except ValueError:
         # a plan with conflicts may have no fit at all
         return None
     parts = np.stack([true.real, true.imag], axis=-1).ravel()
-    state = model.solve(harmonic_columns(time_s, frequency_hz)[used] @ parts)[0]
+    state = model.solve(harmonic_columns(time_s, frequency_hz) @ parts)[0]
     fitted = state[: 2 * wanted_hz.size].reshape(-1, 2) @ np.array([1, 1j])
     return np.asarray(fitted / true[place - 1])
 

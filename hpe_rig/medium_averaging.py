@@ -23,47 +23,25 @@ SCALES = (0.05, 1e3)
 """Between which a Gaussian's widths are scaled; the upper end tracks the peak to 1e-7."""
 
 
-def medium_averaging(
+def medium_motion(
     modulus_pa: ComplexArray,
     density_kg_per_m3: float,
     frequency_hz: FloatArray,
     force_width_m: Triple,
     tracking_width_m: Triple,
     axial_spread_m: float,
-) -> ComplexArray:
-    """Return the tracked over the peak displacement, complex (frequency,), time factor exp(+jwt).
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return the tracked and the peak displacement over the force, complex (frequency,), time factor exp(+jwt).
 
-    ``modulus_pa`` (frequency,) complex shear modulus; ``force_width_m`` the sigmas of the Gaussian body force (round),
-    ``tracking_width_m`` those of the tracking beam; ``axial_spread_m`` the standard deviation of depth in the gate,
-    weighted by echo energy. Speckle weights by energy, a Gaussian of variance T^2/2 across: in the plane of wave
-    numbers that is a force as much broader, of the same density at each.
+    Both but for one real factor. ``modulus_pa`` (frequency,) complex shear modulus; ``force_width_m`` the sigmas of the
+    Gaussian body force (round), ``tracking_width_m`` those of the tracking beam; ``axial_spread_m`` the standard
+    deviation of depth in the gate, weighted by echo energy. Speckle weights by energy, a Gaussian of variance T^2/2
+    across: in the plane of wave numbers that is a force as much broader, of the same density at each.
     """
     shear_k2 = density_kg_per_m3 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa
-    peak = _displacement(shear_k2, force_width_m[0] ** 2, force_width_m[2] ** 2)
-    return np.asarray(_tracked(shear_k2, force_width_m, tracking_width_m, axial_spread_m) / peak)
-
-
-def tracked_response(
-    modulus_pa: ComplexArray,
-    density_kg_per_m3: float,
-    frequency_hz: FloatArray,
-    force_width_m: Triple,
-    tracking_width_m: Triple,
-    axial_spread_m: float,
-) -> ComplexArray:
-    """Return the tracked displacement over the force, complex (frequency,), but for a real factor common to all.
-
-    Arguments as those of ``medium_averaging``.
-    """
-    shear_k2 = density_kg_per_m3 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa
-    return _tracked(shear_k2, force_width_m, tracking_width_m, axial_spread_m) / modulus_pa
-
-
-def _tracked(
-    shear_k2: ComplexArray, force_width_m: Triple, tracking_width_m: Triple, axial_spread_m: float
-) -> ComplexArray:
-    lateral = force_width_m[0] ** 2 + tracking_width_m[0] ** 2 / 2
-    return _displacement(shear_k2, lateral, force_width_m[2] ** 2 + axial_spread_m**2)
+    lateral, axial = force_width_m[0] ** 2, force_width_m[2] ** 2
+    tracked = _displacement(shear_k2, lateral + tracking_width_m[0] ** 2 / 2, axial + axial_spread_m**2)
+    return tracked / modulus_pa, _displacement(shear_k2, lateral, axial) / modulus_pa
 
 
 @functools.lru_cache(maxsize=1)

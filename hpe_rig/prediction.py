@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_medium
 from hpe_rig.jitter_model import Expected, Setting, draw_speckle, expected
-from hpe_rig.medium_averaging import (
-    depth_spread,
-    gaussian_averaging,
-    medium_averaging,
-    tracked_response,
-    width_scale,
-)
+from hpe_rig.medium_averaging import depth_spread, gaussian_averaging, medium_motion, width_scale
 from hpe_rig.mistakes import Mistake, SettingsError
 from hpe_rig.plan import pulse_count
 from hpe_rig.processing import ESTIMATORS, Estimator
@@ -66,10 +60,10 @@ def predicted_averaging(scene: Scene, estimator: Estimator, simulated: bool = Tr
     # A fixed seed: a prediction is a function of the scene alone.
     spread = speckle_spread(*widths, *gate, np.random.default_rng(0), gate_window=window)
     gaussian = beam_averaging_factor(*widths, *gate, gate_window=window)
-    ratio = medium_ratio(scene, frequency_hz, window, simulated)
-    if ratio is None:
+    motion = motion_of_medium(scene, frequency_hz, window, simulated)
+    if motion is None:
         return (Averaging(gaussian, 0.0, spread),) * frequency_hz.size
-    depth_m = depth_spread(widths[1], *gate, window)
+    depth_m, ratio = depth_spread(widths[1], *gate, window), motion[0] / motion[1]
     # To first order in how far the motion changes over the beam, all that speckle does is in proportion to the loss.
     lost = (1 - np.abs(ratio)) / (1 - gaussian_averaging(*widths, depth_m))
     return tuple(
@@ -78,27 +72,10 @@ def predicted_averaging(scene: Scene, estimator: Estimator, simulated: bool = Tr
     )
 
 
-def medium_ratio(
-    scene: Scene, frequency_hz: NDArray[np.float64], window: GateWindow, simulated: bool = True
-) -> NDArray[np.complex128] | None:
-    """Return the tracked over peak displacement of the medium's field (frequency,); None where no medium is known."""
-    return _in_medium(medium_averaging, scene, frequency_hz, window, simulated)
-
-
-def medium_response(
-    scene: Scene, frequency_hz: NDArray[np.float64], simulated: bool = True
-) -> NDArray[np.complex128] | None:
-    """Return the tracked displacement over the force but for a common factor (frequency,); None as ``medium_ratio``."""
-    return _in_medium(tracked_response, scene, frequency_hz, "none", simulated)
-
-
-def _in_medium(
-    asked: Callable[..., NDArray[np.complex128]],
-    scene: Scene,
-    frequency_hz: NDArray[np.float64],
-    window: GateWindow,
-    simulated: bool,
-) -> NDArray[np.complex128] | None:
+def motion_of_medium(
+    scene: Scene, frequency_hz: NDArray[np.float64], window: GateWindow = "none", simulated: bool = True
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]] | None:
+    """Return ``medium_motion`` of the scene's medium; None where none is known."""
     if scene.beams is None:
         return None
     known: tuple[NDArray[np.complex128], float] | None = None
@@ -111,7 +88,7 @@ def _in_medium(
         return None
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
     depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), window)
-    return asked(*known, frequency_hz, *widths, depth_m)
+    return medium_motion(*known, frequency_hz, *widths, depth_m)
 
 
 def averaging_text(scene: Scene, simulated: bool = True) -> Iterator[str]:
@@ -173,12 +150,12 @@ def _motion_width_m(scene: Scene, frequency_hz: float) -> tuple[float, float, fl
     """Return the sigmas of the Gaussian motion that is tracked like the scene's."""
     assert scene.beams is not None  # noqa: S101
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
-    ratio = medium_ratio(scene, np.array([frequency_hz]), "none")
-    if ratio is None:
+    motion = motion_of_medium(scene, np.array([frequency_hz]))
+    if motion is None:
         return widths[0]
     depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), "none")
     x, y, z = widths[0]
-    scale = width_scale(float(abs(ratio[0])), *widths, depth_m)
+    scale = width_scale(float(abs(motion[0][0] / motion[1][0])), *widths, depth_m)
     return x * scale, y * scale, z * scale
 
 
