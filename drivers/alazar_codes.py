@@ -86,11 +86,6 @@ def code_name(code: int, sdk_major: int | None = None) -> str:
     return _entry(code, sdk_major)[0]
 
 
-def code_meaning(code: int, sdk_major: int | None = None) -> str:
-    """Return in words what ``code`` says."""
-    return _entry(code, sdk_major)[1]
-
-
 def _entry(code: int, sdk_major: int | None) -> tuple[str, str]:
     unnamed = "its name depends on the SDK version", "which is not known"
     if code in AMBIGUOUS and sdk_major is None:
