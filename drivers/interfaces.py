@@ -1,6 +1,6 @@
 """The abstract instruments of the bench, in the field's terms; SI units, the unit in every name.
 
-Everything in ``hpe_rig`` outside ``hpe_rig.bench`` knows the instruments through this file alone.
+Everything in ``hpe_rig`` outside ``hpe_rig.bench.opening`` knows the instruments through this file alone.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hpe_rig.processing import ESTIMATORS
-from hpe_rig.study.accuracy_motion import PARAMETERS, Case, Row, case_rows
+from hpe_rig.validation import PARAMETERS, Case, Row, case_rows
 
 BIAS, JITTER = 0.02, 0.15
 """Wanted: bias within 2 % of D_0, jitter within 15 %."""

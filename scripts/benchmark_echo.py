@@ -24,14 +24,18 @@ from pathlib import Path
 import numpy as np
 from echo_peers import CARRIER_HZ, DEPTH_M, GATE_S, PEER_SAYS, PULSE, C, found_peers
 
-from sim_backend.echo import synthesise
-from sim_backend.echo_batch import batch, drawn_echoes
-from sim_backend.echo_direct import direct
-from sim_backend.echo_motion import Motion
-from sim_backend.echo_running import running_sum
-from sim_backend.echo_series import Resting
-from sim_backend.echo_series_fast import available
-from sim_backend.scatterers import depth_delay_s, draw_field
+from sim_backend.echoes import (
+    Motion,
+    Resting,
+    available,
+    batch,
+    depth_delay_s,
+    direct,
+    draw_field,
+    drawn_echoes,
+    running_sum,
+    synthesise,
+)
 from sim_backend.settings import Beams, Scatterers, SimulationSettings
 
 DISPLACEMENT_M = 1e-6 * np.sin(2 * np.pi * np.arange(101) / 20)

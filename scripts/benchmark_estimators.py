@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, Motion, estimate, kalman, least_squares, motion_of
-from hpe_rig.study.accuracy_motion import Case, gate, twin_echoes
+from hpe_rig.validation import Case, gate, twin_echoes
 
 Floats = NDArray[np.float64]
 RATE_HZ, FREQUENCY_HZ, NOISE_M = 4000.0, 200.0, 1e-7

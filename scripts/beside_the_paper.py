@@ -3,10 +3,18 @@
 import sys
 from pathlib import Path
 
-from hpe_rig.study.experiments import write_page
-from hpe_rig.study.experiments_force import figure_15
-from hpe_rig.study.experiments_muscle import figure_18, figure_19, figures_16_17, table_2
-from hpe_rig.study.experiments_twin import dose, figure_1, figure_14, interference
+from hpe_rig.validation import (
+    dose,
+    figure_1,
+    figure_14,
+    figure_15,
+    figure_18,
+    figure_19,
+    figures_16_17,
+    interference,
+    table_2,
+    write_page,
+)
 
 EXPERIMENTS = (figure_1, figure_14, figure_15, figures_16_17, figure_18, figure_19, table_2, interference, dose)
 

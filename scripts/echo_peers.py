@@ -9,8 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sim_backend.echo_direct import direct
-from sim_backend.pulse import hann_pulse
+from sim_backend.echoes import direct, hann_pulse
 
 C, DEPTH_M, CARRIER_HZ, RATE_HZ = 1540.0, 70e-3, 9.0e6, 100.0e6
 GATE_S = (np.arange(130) - 64.5) / RATE_HZ

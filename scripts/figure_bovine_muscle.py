@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from hpe_rig.acquire import measure, prepare, process
 from hpe_rig.result import Estimate
-from hpe_rig.run import measure, prepare, process
 
 FOLDER = Path(__file__).parent / "figures"
 ESTIMATE = "#D55E00"

@@ -8,7 +8,8 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from hpe_rig.run import Stages, measure, prepare_text, process
+from hpe_rig.acquire import measure, prepare_text, process
+from hpe_rig.result import Stages
 from hpe_rig.scene import shipped_scenes
 
 REPEATS = 5

@@ -3,8 +3,8 @@
 import sys
 from pathlib import Path
 
-from hpe_rig.run import measure, prepare, process
-from hpe_rig.table import print_result
+from hpe_rig.acquire import measure, prepare, process
+from hpe_rig.cli import print_result
 
 
 def main(scene: str = "table-1", bench: str | None = None) -> None:

@@ -14,11 +14,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from drivers.visa_wire import VisaWire
-from hpe_rig.bench_file import TRANSPORTS, read_bench
-from hpe_rig.run import measure, prepare
+from drivers.visa import VisaWire
+from hpe_rig.acquire import Progress, Step, measure, prepare
+from hpe_rig.bench import TRANSPORTS, read_bench
 from hpe_rig.scene import shipped_scenes
-from hpe_rig.sequencer import Progress, Step
 from sim_backend.world import InstrumentWire
 
 SWEEP = ("burst_length_s = 100e-6", "burst_length_s = [100e-6, 120e-6, 80e-6, 100e-6, 60e-6]")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from hpe_rig.run import process
-from hpe_rig.shear import fit_voigt, speed_of_runs
+from hpe_rig.acquire import process
+from hpe_rig.moduli import fit_voigt, speed_of_runs
 
 
 def main(arguments: list[str]) -> None:

@@ -27,11 +27,20 @@ import h5py
 import numpy as np
 
 from drivers.interfaces import RecordBlock
+from hpe_rig.acquire import (
+    Progress,
+    Setup,
+    ShotBlock,
+    Step,
+    acquire,
+    measure,
+    prepare_rest,
+    prepare_text,
+    process,
+    resume,
+)
 from hpe_rig.bench import open_bench
-from hpe_rig.resume import prepare_rest, resume
-from hpe_rig.run import Setup, measure, prepare_text, process
 from hpe_rig.scene import shipped_scenes
-from hpe_rig.sequencer import Progress, ShotBlock, Step, acquire
 from hpe_rig.store import RunWriter, StoreError, read_run
 
 LONG = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim_backend.edges import PS_PER_S, to_ps
+from sim_backend.wiring import PS_PER_S, to_ps
 
 
 class SimulatedClock:

@@ -14,11 +14,21 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.alazar_library import AlazarLibrary
-from sim_backend.board_ats460 import Board, BoardSettings, Taken, latencies_of
-from sim_backend.captured import FAR_PS, Captured, pulse_of_each_record, same_inputs
 from sim_backend.clock import SimulatedClock
-from sim_backend.edges import (
+from sim_backend.digitizer import (
+    FAR_PS,
+    AlazarLibrary,
+    Board,
+    BoardSettings,
+    Captured,
+    Taken,
+    latencies_of,
+    pulse_of_each_record,
+    same_inputs,
+)
+from sim_backend.generator import MODELS, TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V, Generator33250A
+from sim_backend.settings import SimulationSettings
+from sim_backend.wiring import (
     PS_PER_S,
     Bursts,
     Capture,
@@ -33,10 +43,6 @@ from sim_backend.edges import (
     trigger_order,
     wires_of,
 )
-from sim_backend.emission_33250a import TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V
-from sim_backend.generator_33250a import Generator33250A
-from sim_backend.models_33250a import MODELS
-from sim_backend.settings import SimulationSettings
 
 GENERATORS = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
 PULSER = "tracking_pulser"
@@ -232,8 +238,7 @@ class World:
 
     def _acoustics(self) -> Physics:
         if self._physics is None:
-            from sim_backend.acoustics import Acoustics
-            from sim_backend.reception import with_reception
+            from sim_backend.acoustics import Acoustics, with_reception
 
             self._physics = with_reception(Acoustics(self._settings), self._settings)
         return self._physics

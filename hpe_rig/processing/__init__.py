@@ -19,48 +19,6 @@
 Positive displacement is away from the transducer.
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from hpe_rig.processing.correlation import cross_correlation
-from hpe_rig.processing.echoes import EchoGate, Motion, Velocity, velocity_between_pulses
-from hpe_rig.processing.estimators import ESTIMATORS, Estimator, Options, estimate, fit_motion, motion_of
-from hpe_rig.processing.flags import unlike_pulses
-from hpe_rig.processing.following import added, follow
-from hpe_rig.processing.halves import Drift, drift_between_halves
-from hpe_rig.processing.harmonic import HarmonicFit, Innovations, least_squares
-from hpe_rig.processing.joint import joint
-from hpe_rig.processing.kalman import kalman
-from hpe_rig.processing.motion import coherent, cross_spectrum, kasai, loupas
-from hpe_rig.processing.reference import relative_to
-from hpe_rig.processing.velocity_chain import Steps, velocity_to_harmonics
-
-__all__ = [
-    "ESTIMATORS",
-    "Drift",
-    "EchoGate",
-    "Estimator",
-    "HarmonicFit",
-    "Innovations",
-    "Motion",
-    "Options",
-    "Steps",
-    "Velocity",
-    "added",
-    "coherent",
-    "cross_correlation",
-    "cross_spectrum",
-    "drift_between_halves",
-    "estimate",
-    "fit_motion",
-    "follow",
-    "joint",
-    "kalman",
-    "kasai",
-    "least_squares",
-    "loupas",
-    "motion_of",
-    "relative_to",
-    "unlike_pulses",
-    "velocity_between_pulses",
-    "velocity_to_harmonics",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

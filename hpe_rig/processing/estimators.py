@@ -9,8 +9,8 @@ from typing import Literal, get_args
 from hpe_rig.processing.correlation import cross_correlation
 from hpe_rig.processing.echoes import EchoGate, FloatArray, Motion, velocity_between_pulses
 from hpe_rig.processing.harmonic import HarmonicFit, least_squares
-from hpe_rig.processing.joint import joint
-from hpe_rig.processing.kalman import kalman
+from hpe_rig.processing.kalman_filter import kalman
+from hpe_rig.processing.maximum_likelihood import joint
 from hpe_rig.processing.motion import coherent, cross_spectrum, kasai, loupas
 from hpe_rig.processing.velocity_chain import velocity_to_harmonics
 

@@ -15,7 +15,7 @@ import numpy as np
 from hpe_rig.processing.conditioning import hann
 from hpe_rig.processing.echoes import FloatArray, Velocity
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
-from hpe_rig.processing.kalman import PRIOR, filter_constant
+from hpe_rig.processing.kalman_filter import PRIOR, filter_constant
 from hpe_rig.processing.model import LARGEST_CONDITION, Design, design, harmonic_columns
 from hpe_rig.processing.velocity_noise import per_pulse, velocity_noise
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.mistakes import Mistake, SettingsError
+from hpe_rig.scene import Mistake, SettingsError
 
 Record = dict[str, Any]
 

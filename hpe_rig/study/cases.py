@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpe_rig.bench import check_simulation
-from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of, parse_toml
 from hpe_rig.processing import Estimator, Options
-from hpe_rig.scene import Scene, scene_text, shipped_scenes
-from hpe_rig.study.band import Train, refuse_unusable
+from hpe_rig.scene import Mistake, Scene, SettingsError, mistakes_of, parse_toml, scene_text, shipped_scenes
 from hpe_rig.study.definition import Definition, Reading
+from hpe_rig.study.kernels import Train, refuse_unusable
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings

@@ -11,8 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from hpe_rig.mistakes import Mistake, SettingsError, mistakes_of, parse_toml
-from hpe_rig.scene import Count, Estimator, Positive, Section, Title
+from hpe_rig.scene import Count, Estimator, Mistake, Positive, Section, SettingsError, Title, mistakes_of, parse_toml
 
 Reading = Literal["physical", "literal"]
 Finite = Annotated[float, Field(allow_inf_nan=False)]

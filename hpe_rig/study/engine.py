@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.study.band import Form, band_of, form_of, states
 from hpe_rig.study.cases import Case
+from hpe_rig.study.kernels import Form, band_of, form_of, states
 from hpe_rig.study.memory import peak_memory_bytes
 from hpe_rig.study.statistics import errors, phase_errors
 
@@ -64,7 +64,7 @@ class _Echoes:
 
 def run_batch(cases: Sequence[Case]) -> list[Record]:
     """Return one record a case, in their order; the cases must have the same ``noise_key``."""
-    from sim_backend.echo_batch import DRAWS_AT_ONCE
+    from sim_backend.echoes import DRAWS_AT_ONCE
 
     running = [_Running(case) for case in cases]
     for first in range(0, cases[0].scatterers, DRAWS_AT_ONCE):
@@ -100,8 +100,7 @@ def _run_block(active: list[_Running], block: int, draws: slice) -> None:
 
 
 def _echoes(cases: list[_Running], block: int, draws: int) -> _Echoes:
-    from sim_backend.echo_batch import drawn_echoes
-    from sim_backend.tracking_pulse import echo_pulse
+    from sim_backend.echoes import drawn_echoes, echo_pulse
 
     case = cases[0].case
     train, twin = case.train, case.twin

@@ -12,7 +12,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future
 from contextlib import AbstractContextManager, contextmanager
 from typing import TypeVar
 
-from hpe_rig.mistakes import Mistake, SettingsError
+from hpe_rig.scene import Mistake, SettingsError
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")

@@ -17,8 +17,8 @@ from urllib.parse import quote
 import jinja2
 from markupsafe import Markup
 
-from hpe_rig.figures_svg import Picture
-from hpe_rig.mistakes import Mistake, SettingsError
+from hpe_rig.report import Picture
+from hpe_rig.scene import Mistake, SettingsError
 
 Row = Mapping[str, Any]
 
@@ -85,7 +85,7 @@ def render(title: str, lead: Sequence[str], parts: Sequence[Part], facts: Mappin
     """Return the page as HTML text; ``facts`` say where and with what it was made."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     environment.filters.update(cell=cell, svg=_svg, width=_width_px, address=_address)
-    template = (resources.files("hpe_rig") / "templates" / "study.html").read_text(encoding="utf-8")
+    template = (resources.files("hpe_rig.study") / "study.html").read_text(encoding="utf-8")
     page = environment.from_string(template)
     return page.render(title=title, lead=lead, parts=parts, facts=facts or {}, most_rows=MOST_ROWS)
 

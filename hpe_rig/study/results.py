@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.mistakes import Mistake, SettingsError
+from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.study.case_store import Record, write_whole
 from hpe_rig.study.cases import Point
 from hpe_rig.study.definition import Definition

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import pytest
 
 from drivers.interfaces import Wire
-from drivers.visa_wire import VisaInterface, VisaWire
+from drivers.visa.wire import VisaInterface, VisaWire
 from sim_backend.clock import SimulatedClock
-from sim_backend.generator_33250a import Generator33250A
-from sim_backend.wires import TRANSPORTS, Emulator
+from sim_backend.generator.instrument import Generator33250A
+from sim_backend.transports.emulator import TRANSPORTS, Emulator
 from sim_backend.world import InstrumentWire
 
 IDENTITY = "Agilent Technologies,33250A,0,2.04-1.01-2.00-03-2"

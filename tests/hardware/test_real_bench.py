@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.bench import open_bench
-from hpe_rig.run import prepare
+from hpe_rig.acquire.run import prepare
+from hpe_rig.bench.opening import open_bench
 
 pytestmark = pytest.mark.hardware
 

@@ -5,7 +5,7 @@ import ctypes
 import numpy as np
 import pytest
 
-from sim_backend.settings import SimulationSettings, Specimen
+from sim_backend.settings.simulation import SimulationSettings, Specimen
 from sim_backend.world import World
 
 FIG_2 = [

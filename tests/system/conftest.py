@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.result import Result
-from hpe_rig.run import Setup, measure, prepare, process
-from hpe_rig.scene import shipped_scenes
+from hpe_rig.acquire.run import Setup, measure, prepare, process
+from hpe_rig.result.estimates import Result
+from hpe_rig.scene.scene import shipped_scenes
 
 Prepare = Callable[..., Setup]
 Measure = Callable[..., Result]

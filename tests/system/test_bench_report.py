@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig import bench_report
-from hpe_rig.bench_compare import file_differences, prefixed, settings_differences
-from hpe_rig.bench_file import BenchFile, read_bench
-from hpe_rig.bench_report import bench_state, compare_with, survey
-from hpe_rig.run import Setup, measure, prepare
+from hpe_rig.acquire.run import Setup, measure, prepare
+from hpe_rig.bench import inventory as bench_report
+from hpe_rig.bench.bench_file import BenchFile, read_bench
+from hpe_rig.bench.comparison import file_differences, prefixed, settings_differences
+from hpe_rig.bench.inventory import survey
+from hpe_rig.cli.bench import bench_state, compare_with
 from hpe_rig.store import StoreError, read_snapshots
 from sim_backend.world import World
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hpe_rig.bench_file import read_bench
-from hpe_rig.finding import PlanError
-from hpe_rig.run import measure, prepare, prepare_text
-from hpe_rig.scene import shipped_scenes
+from hpe_rig.acquire.run import measure, prepare, prepare_text
+from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.plan.checks.check_result import PlanError
+from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import RunWriter, read_run
 
 TABLE_1 = shipped_scenes()["table-1"]

@@ -14,16 +14,16 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.bench import check_simulation
-from hpe_rig.bench_file import parse_bench, read_bench
-from hpe_rig.conflicts import PlanError
-from hpe_rig.mistakes import SettingsError
-from hpe_rig.report import render
-from hpe_rig.resume import prepare_rest
-from hpe_rig.run import Setup, measure, planned, process
-from hpe_rig.scene import parse_scene, shipped_scenes
+from hpe_rig.acquire.resumption import prepare_rest
+from hpe_rig.acquire.run import Setup, measure, planned, process
+from hpe_rig.bench.bench_file import parse_bench, read_bench
+from hpe_rig.bench.opening import check_simulation
+from hpe_rig.plan.checks.conflicts import PlanError
+from hpe_rig.plan.timeline import plan_text
+from hpe_rig.report.page import render
+from hpe_rig.scene.scene import parse_scene, shipped_scenes
+from hpe_rig.scene.validation import SettingsError
 from hpe_rig.store import StoreError, read_run, read_snapshots
-from hpe_rig.timeline import plan_text
 
 Prepare = Callable[..., Setup]
 MESSAGES = (StoreError, SettingsError, PlanError)

@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from hpe_rig.detection import detection_floor
-from hpe_rig.report_sweep import fit_line
-from hpe_rig.run import measure, prepare_text, process
-from hpe_rig.scene import shipped_scenes
+from hpe_rig.acquire.run import measure, prepare_text, process
+from hpe_rig.prediction.detection import detection_floor
+from hpe_rig.report.sweep import fit_line
+from hpe_rig.scene.scene import shipped_scenes
 
 SCENES = shipped_scenes()
 REPEATS = 8

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.ats460 import Ats460
+from drivers.alazar.ats460 import Ats460
+from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import InstrumentError
-from drivers.page_buffer import PageBuffer
-from hpe_rig.interrupts import Terminated
-from hpe_rig.open_instruments import UnsafeBenchError
-from hpe_rig.run import Setup, measure
+from hpe_rig.acquire.run import Setup, measure
+from hpe_rig.bench.instruments import UnsafeBenchError
+from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.store import StoredRun, read_run
 from sim_backend.world import World
 

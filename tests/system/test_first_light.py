@@ -15,19 +15,19 @@ import pytest
 import xarray as xr
 from typer.testing import CliRunner
 
-from drivers import agilent_33250a
+from drivers.agilent import generators as agilent_33250a
 from drivers.interfaces import PulseTrain
-from hpe_rig.bench import open_bench
-from hpe_rig.bench_file import read_bench
-from hpe_rig.cli import app
-from hpe_rig.prediction import predicted_averaging
-from hpe_rig.result import Result
-from hpe_rig.run import Setup, measure, prepare, process
-from hpe_rig.sequencer import Progress, ShotBlock, acquire
+from hpe_rig.acquire.run import Setup, measure, prepare, process
+from hpe_rig.acquire.sequencer import Progress, ShotBlock, acquire
+from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench.opening import open_bench
+from hpe_rig.cli.app import app
+from hpe_rig.prediction.forecast import predicted_averaging
+from hpe_rig.prediction.theory import force_spectrum
+from hpe_rig.result.estimates import Result
 from hpe_rig.store import StoreError, read_run, result_path
-from hpe_rig.theory import force_spectrum
-from sim_backend.settings import Specimen
-from sim_backend.specimen import frequency_response
+from sim_backend.motion.specimen import frequency_response
+from sim_backend.settings.simulation import Specimen
 
 Prepare = Callable[..., Setup]
 Measure = Callable[..., Result]
@@ -291,7 +291,13 @@ def assert_imports_what_a_prescribed_motion_needs(import_times: str) -> None:
     assert not top & NEVER_IN_A_RUN
     pushing = {"force", "field", "inverse_laplace", "medium_motion", "moduli", "specimen", "transmitter"}
     assert not loaded & {f"sim_backend.{name}" for name in pushing}
-    assert not loaded & {"hpe_rig.figures", "hpe_rig.live", "hpe_rig.resume", "hpe_rig.run_log", "scipy.signal"}
+    assert not loaded & {
+        "hpe_rig.report.figures",
+        "hpe_rig.live.process",
+        "hpe_rig.acquire.resumption",
+        "hpe_rig.acquire.log",
+        "scipy.signal",
+    }
 
 
 def test_a_run_that_is_refused_leaves_run_and_log_of_that_name_as_they_are(tmp_path: Path) -> None:

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from hpe_rig.bench_file import read_bench
-from hpe_rig.interference import disturbed_pulses
-from hpe_rig.plan import make_plan
-from hpe_rig.scene import parse_scene, shipped_scenes
-from sim_backend.acoustics import Acoustics
-from sim_backend.edges import Bursts, Capture, no_bursts
-from sim_backend.reception import with_reception
-from sim_backend.settings import SimulationSettings
+from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.plan.interference import disturbed_pulses
+from hpe_rig.plan.shots import make_plan
+from hpe_rig.scene.scene import parse_scene, shipped_scenes
+from sim_backend.acoustics.acoustics import Acoustics
+from sim_backend.acoustics.reception import with_reception
+from sim_backend.settings.simulation import SimulationSettings
+from sim_backend.wiring import Bursts, Capture, no_bursts
 
 
 def bursts(onset_s, length_s, carrier_hz):

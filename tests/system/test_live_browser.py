@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.report import write_report
-from hpe_rig.run import measure, prepare
-from hpe_rig.scene import shipped_scenes
+from hpe_rig.acquire.run import measure, prepare
+from hpe_rig.report.page import write_report
+from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import read_run
 
 FLAGS = [

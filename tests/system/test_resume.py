@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.agilent_33250a import Agilent33250A
-from hpe_rig import live_stop, store_writer
-from hpe_rig import run as run_module
-from hpe_rig.cli import app
-from hpe_rig.interrupts import Terminated
-from hpe_rig.live_stop import request_stop, stop_path
-from hpe_rig.resume import prepare_rest, resume
-from hpe_rig.run import Setup, Stages, measure, process
-from hpe_rig.sequencer import Progress
-from hpe_rig.store import StoreError, read_run
-from hpe_rig.store_format import STAGES
+from drivers.agilent.generators import Agilent33250A
+from hpe_rig.acquire import run as run_module, stop_request as live_stop
+from hpe_rig.acquire.resumption import prepare_rest, resume
+from hpe_rig.acquire.run import Setup, measure, process
+from hpe_rig.acquire.sequencer import Progress
+from hpe_rig.acquire.stop_request import request_stop, stop_path
+from hpe_rig.bench.interrupts import Terminated
+from hpe_rig.cli.app import app
+from hpe_rig.result.stages import Stages
+from hpe_rig.store import StoreError, read_run, writer as store_writer
+from hpe_rig.store.format import STAGES
 
 Prepare = Callable[..., Setup]
 SWEEP = (

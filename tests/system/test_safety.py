@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.bench import open_bench
-from hpe_rig.interrupts import Terminated
-from hpe_rig.open_instruments import Bench
-from hpe_rig.run import Setup
-from hpe_rig.sequencer import Progress, Step, acquire
+from hpe_rig.acquire.run import Setup
+from hpe_rig.acquire.sequencer import Progress, Step, acquire
+from hpe_rig.bench.instruments import Bench
+from hpe_rig.bench.interrupts import Terminated
+from hpe_rig.bench.opening import open_bench
 
 Prepare = Callable[..., Setup]
 
@@ -92,14 +92,14 @@ def test_a_signal_in_the_middle_of_a_run_ends_with_its_code_and_a_readable_file(
 ) -> None:
     script = f"""
 import os, signal, sys
-from hpe_rig import sequencer
+from hpe_rig.acquire import sequencer
 fire = sequencer._collect
 def collect(*args):
     os.kill(os.getpid(), {int(number)})
     yield from fire(*args)
 sequencer._collect = collect
 sys.argv = ["hpe-rig", "run", "table-1", "--output", "run.h5"]
-from hpe_rig.cli import main
+from hpe_rig.cli.app import main
 main()
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False)

@@ -14,17 +14,16 @@ import h5py
 import numpy as np
 import pytest
 
-from drivers.agilent_33250a import Agilent33250A, MasterTrigger33250A
+from drivers.agilent.generators import Agilent33250A, MasterTrigger33250A
 from drivers.interfaces import DeadlineError, InstrumentError
-from hpe_rig import bench as bench_module
-from hpe_rig import open_instruments
-from hpe_rig.bench import open_bench
-from hpe_rig.open_instruments import UnsafeBenchError
-from hpe_rig.plan import SAFETY_MARGIN_S
-from hpe_rig.run import Setup, measure, process
-from hpe_rig.sequencer import acquire
+from hpe_rig.acquire.run import Setup, measure, process
+from hpe_rig.acquire.sequencer import acquire
+from hpe_rig.bench import instruments as open_instruments, opening as bench_module
+from hpe_rig.bench.instruments import UnsafeBenchError
+from hpe_rig.bench.opening import open_bench
+from hpe_rig.plan.shots import SAFETY_MARGIN_S
 from hpe_rig.store import RunWriter, read_run
-from sim_backend.edges import PS_PER_S
+from sim_backend.wiring import PS_PER_S
 from sim_backend.world import World
 
 Prepare = Callable[..., Setup]
@@ -100,7 +99,7 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
 def test_a_killed_run_leaves_a_readable_file_that_no_later_run_overwrites(tmp_path: Path) -> None:
     script = """
 import os, signal, sys
-from hpe_rig import run
+from hpe_rig.acquire import run
 record = run._record
 def killed(event, *others):
     record(event, *others)
@@ -108,7 +107,7 @@ def killed(event, *others):
         os.kill(os.getpid(), signal.SIGKILL)
 run._record = killed
 sys.argv = ["hpe-rig", "run", "table-1", "--output", "run.h5"]
-from hpe_rig.cli import main
+from hpe_rig.cli.app import main
 main()
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, cwd=tmp_path, check=False)
@@ -153,7 +152,7 @@ def test_an_error_while_processing_leaves_the_bench_safe_and_the_run_complete(
     def fails(*arguments: Any) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("hpe_rig.estimation.estimate_run", fails)
+    monkeypatch.setattr("hpe_rig.processing.estimate_run", fails)
     path = measure(prepared("table-1"), tmp_path / "run.h5")
     with pytest.raises(ZeroDivisionError):
         process(path)
@@ -221,7 +220,7 @@ def test_an_output_that_cannot_be_proven_off_is_named_even_when_ctrl_c_comes_mea
 def test_an_unreachable_output_has_its_own_exit_code(tmp_path: Path) -> None:
     script = """
 import sys
-from drivers.agilent_33250a import Agilent33250A
+from drivers.agilent.generators import Agilent33250A
 off, calls = Agilent33250A.make_safe, []
 def deaf(generator):
     calls.append(generator.role)
@@ -230,7 +229,7 @@ def deaf(generator):
     off(generator)
 Agilent33250A.make_safe = deaf
 sys.argv = ["hpe-rig", "run", "bovine-muscle-synchronous", "--output", "run.h5"]
-from hpe_rig.cli import main
+from hpe_rig.cli.app import main
 main()
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False)

@@ -20,12 +20,12 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import RecordBlock
-from hpe_rig import run as run_module
-from hpe_rig.bench import open_bench
-from hpe_rig.open_instruments import Bench
-from hpe_rig.resume import prepare_rest, resume
-from hpe_rig.run import Setup, measure, process
-from hpe_rig.sequencer import Progress, ShotBlock, Step, acquire
+from hpe_rig.acquire import run as run_module
+from hpe_rig.acquire.resumption import prepare_rest, resume
+from hpe_rig.acquire.run import Setup, measure, process
+from hpe_rig.acquire.sequencer import Progress, ShotBlock, Step, acquire
+from hpe_rig.bench.instruments import Bench
+from hpe_rig.bench.opening import open_bench
 from hpe_rig.store import RunWriter, StoredRun, StoreError, WriteOptions, read_run
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs fork, SIGKILL and file size limits")

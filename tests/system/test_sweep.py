@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from hpe_rig.mistakes import SettingsError
-from hpe_rig.report_sweep import make_sweep
-from hpe_rig.resume import prepare_rest, resume
-from hpe_rig.run import measure, process
-from hpe_rig.scene import parse_scene, shipped_scenes
-from hpe_rig.sequencer import Step
+from hpe_rig.acquire.resumption import prepare_rest, resume
+from hpe_rig.acquire.run import measure, process
+from hpe_rig.acquire.sequencer import Step
+from hpe_rig.report.sweep import make_sweep
+from hpe_rig.scene.scene import parse_scene, shipped_scenes
+from hpe_rig.scene.validation import SettingsError
 
 SHORT = (
     ("repeats = 5", "repeats = 1"),
@@ -69,7 +69,7 @@ def test_slower_trains_need_a_window():
 
 
 def test_every_rate_of_a_sweep_is_checked(prepared):
-    from hpe_rig.conflicts import PlanError
+    from hpe_rig.plan.checks.conflicts import PlanError
 
     with pytest.raises(PlanError, match="12000"):
         prepared("muscle-pulse-rate", *SHORT[:4], ("3000.0, 4000.0]", "3000.0, 12000.0]"))

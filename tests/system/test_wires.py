@@ -17,11 +17,11 @@ import pytest
 import pyvisa
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.bench import open_bench, open_each
-from hpe_rig.bench_file import TRANSPORTS, BenchFile, parse_bench, read_bench
-from hpe_rig.emulate import addressed
-from hpe_rig.finding import PlanError
-from hpe_rig.run import measure, prepare
+from hpe_rig.acquire.run import measure, prepare
+from hpe_rig.bench.bench_file import TRANSPORTS, BenchFile, parse_bench, read_bench
+from hpe_rig.bench.emulation import addressed
+from hpe_rig.bench.opening import open_bench, open_each
+from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.store import read_run
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")

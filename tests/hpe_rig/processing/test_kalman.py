@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from hpe_rig.processing import Motion, kalman, least_squares
-from hpe_rig.processing.kalman import filter_changing, filter_constant
+from hpe_rig.processing.kalman_filter import filter_changing, filter_constant
 from hpe_rig.processing.model import design
 
 FloatArray = NDArray[np.float64]

@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpe_rig.processing import EchoGate, Estimator, Velocity, coherent, estimate, velocity_between_pulses
-from hpe_rig.processing import cross_spectrum as cross_spectrum_motion
+from hpe_rig.processing import (
+    EchoGate,
+    Estimator,
+    Velocity,
+    coherent,
+    cross_spectrum as cross_spectrum_motion,
+    estimate,
+    velocity_between_pulses,
+)
 
 if TYPE_CHECKING:
     from conftest import TableOne

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpe_rig.bounds import harmonic_bound
+from hpe_rig.prediction.bounds import harmonic_bound
 from hpe_rig.processing import HarmonicFit, estimate
-from hpe_rig.study.accuracy_motion import Case, twin_echoes
+from hpe_rig.validation.accuracy.motion import Case, twin_echoes
 
 if TYPE_CHECKING:
     from conftest import TableOne

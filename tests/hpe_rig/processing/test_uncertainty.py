@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpe_rig.bounds import echo_bound
+from hpe_rig.prediction.bounds import echo_bound
 from hpe_rig.processing import (
     ESTIMATORS,
     Estimator,
     estimate,
 )
 from hpe_rig.processing.model import harmonic_columns
-from hpe_rig.study.accuracy_motion import Case, twin_echoes
+from hpe_rig.validation.accuracy.motion import Case, twin_echoes
 
 if TYPE_CHECKING:
     from conftest import TableOne
@@ -130,7 +130,7 @@ def test_noise_and_speckle_together_explain_2000_measurements(table_one: TableOn
 
 
 def _predicted_spread(table_one: TableOne, estimator: Estimator) -> float:
-    from hpe_rig.theory import speckle_spread
+    from hpe_rig.prediction.theory import speckle_spread
 
     pulse_m = table_one.sound_speed_m_per_s / 2 / (table_one.bandwidth * table_one.carrier_hz)
     window = "hann" if estimator == "cross_spectrum" else "none"

@@ -1,0 +1,113 @@
+"""One board of the vendor's library, found by its ids; every call is checked."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from typing import Any, final
+
+from drivers.alazar.api import STATUS_FAILED, AlazarLibrary, BoardOption, Capability, Channel, Parameter, StatusBit
+from drivers.alazar.codes import FAILED, SUCCESS, UNSUPPORTED_FUNCTION, check
+from drivers.interfaces import InstrumentError
+
+VersionCall = Callable[..., int]
+
+
+@final
+class AlazarBoard:
+    """The board's handle and what can be asked of it."""
+
+    def __init__(self, library: AlazarLibrary, role: str, system_id: int, board_id: int, kind: int) -> None:
+        self.library = library
+        self.role = role
+        handle = self.ask(library.AlazarGetBoardBySystemID, system_id, board_id)
+        if not handle:
+            raise InstrumentError(
+                role,
+                f"no board with system_id {system_id} and board_id {board_id}",
+                "the board is not seated, has no driver, or has other ids",
+                "look the ids up in the vendor's own program and put them in the bench file",
+            )
+        self.handle = handle
+        found = self.ask(library.AlazarGetBoardKind, handle)
+        if found != kind:
+            why = "another model sits in this machine"
+            what = f"the board is of kind {found}, expected {kind}"
+            raise InstrumentError(role, what, why, "give the ids of the right board in the bench file")
+        major = self.sdk_version().partition(".")[0]
+        self._sdk_major = int(major) if major.isdecimal() else None
+
+    def call(self, function: Callable[..., int], *arguments: object) -> None:
+        """Call a function whose first argument is the handle; raise ``InstrumentError`` unless it succeeds."""
+        self.check(int(self.ask(function, self.handle, *arguments)), function.__name__)
+
+    def ask(self, function: Callable[..., Any], *arguments: object) -> Any:
+        """Return what ``function`` answers; raise ``InstrumentError`` where the library itself broke down."""
+        try:
+            return function(*arguments)
+        except OSError as error:
+            what, why = f"{function.__name__} broke down: {error}", "the library or its driver is damaged"
+            raise InstrumentError(self.role, what, why, "restart the machine, reinstall driver and SDK") from error
+
+    def check(self, code: int, call: str) -> None:
+        """Raise ``InstrumentError`` unless ``code`` is success, in the words of the installed SDK's version."""
+        check(code, call, self.role, self._sdk_major)
+
+    def capability(self, capability: Capability) -> int:
+        """Return one fixed property of the board."""
+        value = ctypes.c_uint32()
+        self.call(self.library.AlazarQueryCapability, int(capability), 0, ctypes.byref(value))
+        return int(value.value)
+
+    def parameter(self, parameter: Parameter) -> int | None:
+        """Return one state of the board, or None where this board or SDK does not report it."""
+        value = ctypes.c_long()
+        ask = self.handle, Channel.A, int(parameter), ctypes.byref(value)
+        code = self.ask(self.library.AlazarGetParameter, *ask)
+        if code in (FAILED, UNSUPPORTED_FUNCTION):
+            return None
+        self.check(code, "AlazarGetParameter")
+        return int(value.value)
+
+    def channel_info(self) -> tuple[int, int]:
+        """Return the memory in samples per channel, and the bits per sample."""
+        samples, bits = ctypes.c_uint32(), ctypes.c_uint8()
+        self.call(self.library.AlazarGetChannelInfo, ctypes.byref(samples), ctypes.byref(bits))
+        return int(samples.value), int(bits.value)
+
+    def sdk_version(self) -> str:
+        """Return the version of the vendor's library."""
+        return self._version(self.library.AlazarGetSDKVersion)
+
+    def driver_version(self) -> str:
+        """Return the version of the vendor's kernel driver."""
+        return self._version(self.library.AlazarGetDriverVersion)
+
+    def has_dual_port_memory(self) -> bool:
+        """Return whether the board can be read while it captures."""
+        return bool(self.capability(Capability.BOARD_OPTIONS_LOW) & BoardOption.DUAL_PORT_MEMORY)
+
+    def most_records(self, record_samples: int) -> int:
+        """Return how many records of this length the on-board memory holds."""
+        value = ctypes.c_uint32()
+        self.call(self.library.AlazarGetMaxRecordsCapable, record_samples, ctypes.byref(value))
+        return int(value.value)
+
+    def busy(self) -> bool:
+        """Return whether a capture is running."""
+        return bool(self.ask(self.library.AlazarBusy, self.handle))
+
+    def input_clipped(self) -> bool:
+        """Return whether the board reports that an input left its range."""
+        status = self.ask(self.library.AlazarGetStatus, self.handle)
+        if status == STATUS_FAILED:
+            what = f"AlazarGetStatus returned {STATUS_FAILED:#x}"
+            raise InstrumentError(
+                self.role, what, "the board does not answer", "restart the machine, check the board's seat"
+            )
+        return bool(status & (StatusBit.CHANNEL_A_CLIPPED | StatusBit.CHANNEL_B_CLIPPED))
+
+    def _version(self, function: VersionCall) -> str:
+        parts = tuple(ctypes.c_uint8() for _ in range(3))
+        code = self.ask(function, *map(ctypes.byref, parts))
+        return ".".join(str(part.value) for part in parts) if code == SUCCESS else "unknown"

@@ -1,0 +1,1 @@
+from .wire import VisaInterface as VisaInterface, VisaWire as VisaWire

@@ -1,0 +1,136 @@
+"""Configure -> verify -> arm -> enable -> fire -> collect -> safe, shot by shot; yields records, stores nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+from drivers.interfaces import DeadlineError, RecordBlock, Setting
+from hpe_rig.bench import Bench
+from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
+
+LONGEST_SLEEP_S = 0.2
+
+
+class Step(StrEnum):
+    """What the sequencer is about to do."""
+
+    CONFIGURE = "configure"
+    VERIFY = "verify"
+    ARM = "arm"
+    ENABLE = "enable outputs"
+    WAIT = "wait"
+    FIRE = "fire"
+    COLLECT = "collect"
+    SAFE = "outputs off"
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where the sequencer stands: ``records`` of the shot's planned records have arrived."""
+
+    step: Step
+    shot: Shot
+    records: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ShotReady:
+    """A shot is programmed and verified; ``settings`` are those of every instrument, read back, by role."""
+
+    shot: Shot
+    settings: Mapping[str, Mapping[str, Setting]]
+
+
+@dataclass(frozen=True, slots=True)
+class ShotBlock:
+    """Records of one shot, as they arrive."""
+
+    shot: Shot
+    block: RecordBlock
+
+
+@dataclass(frozen=True, slots=True)
+class ShotDone:
+    """A shot has ended and every output is off; ``clipped`` says whether the digitizer's input left its range."""
+
+    shot: Shot
+    clipped: bool
+
+
+Event = ShotReady | ShotBlock | ShotDone
+Observer = Callable[[Progress], None]
+
+
+def unobserved(progress: Progress) -> None:
+    """Take notice of nothing."""
+
+
+def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Generator[Event, None, None]:
+    """Yield what happens in every shot of ``plan``; after each shot, and on any exception, every output is off.
+
+    A shot whose records stop before the deadline yields those that came; ``DeadlineError`` is raised when none did.
+    """
+    next_start_s = bench.clock.now_s()
+    for shot in plan.shots:
+        try:
+            yield ShotReady(shot, _configure(shot, bench, observer))
+            _enable(shot, bench, observer)
+            _wait_until(next_start_s, shot, bench, observer)
+            observer(Progress(Step.FIRE, shot))
+            next_start_s = bench.clock.now_s() + plan.shot_period_s
+            bench.master.fire()
+            yield from _collect(shot, bench, observer)
+        finally:
+            bench.make_safe()
+        observer(Progress(Step.SAFE, shot, shot.capture.record_count))
+        yield ShotDone(shot, bench.digitizer.clipped())
+
+
+def _configure(shot: Shot, bench: Bench, observer: Observer) -> Mapping[str, Mapping[str, Setting]]:
+    observer(Progress(Step.CONFIGURE, shot))
+    bench.master.configure(shot.master)
+    if bench.burst_train is not None and shot.burst_train is not None:
+        bench.burst_train.configure(shot.burst_train)
+    if bench.toneburst is not None and shot.toneburst is not None:
+        bench.toneburst.configure(shot.toneburst)
+    bench.tracking_train.configure(shot.tracking_train)
+    bench.tracking_pulser.configure(shot.tracking_pulser)
+    bench.digitizer.configure(shot.capture)
+    observer(Progress(Step.VERIFY, shot))
+    return bench.verify()
+
+
+def _enable(shot: Shot, bench: Bench, observer: Observer) -> None:
+    observer(Progress(Step.ARM, shot))
+    bench.digitizer.arm()
+    observer(Progress(Step.ENABLE, shot))
+    # Downstream first: nothing may trigger an output that is not ready for it.
+    for generator in reversed(bench.generators):
+        generator.enable_output()
+
+
+def _wait_until(start_s: float, shot: Shot, bench: Bench, observer: Observer) -> None:
+    """Return at ``start_s``; meanwhile the observer is asked again and again, since it may want to end the run."""
+    wait_s = start_s - bench.clock.now_s()
+    for _ in range(math.floor(wait_s / LONGEST_SLEEP_S)):
+        observer(Progress(Step.WAIT, shot))
+        bench.clock.sleep(LONGEST_SLEEP_S)
+    if (rest_s := start_s - bench.clock.now_s()) > 0:
+        bench.clock.sleep(rest_s)
+
+
+def _collect(shot: Shot, bench: Bench, observer: Observer) -> Iterator[ShotBlock]:
+    deadline_s = bench.clock.now_s() + shot.train_end_s + SAFETY_MARGIN_S
+    arrived = 0
+    observer(Progress(Step.COLLECT, shot))
+    try:
+        for block in bench.digitizer.records(deadline_s):
+            arrived += block.codes.shape[0]
+            yield ShotBlock(shot, block)
+            observer(Progress(Step.COLLECT, shot, arrived))
+    except DeadlineError:
+        if not arrived:
+            raise

@@ -1,0 +1,24 @@
+from .bench_file import (
+    BOARD_MODELS as BOARD_MODELS,
+    EXCITATION_ROLES as EXCITATION_ROLES,
+    GENERATOR_ROLES as GENERATOR_ROLES,
+    TRANSPORTS as TRANSPORTS,
+    BenchFile as BenchFile,
+    BenchText as BenchText,
+    parse_bench as parse_bench,
+    read_bench as read_bench,
+)
+from .comparison import file_differences as file_differences, settings_differences as settings_differences
+from .emulation import emulate as emulate
+from .instruments import Bench as Bench, UnsafeBenchError as UnsafeBenchError
+from .interrupts import Terminated as Terminated, interruptible as interruptible, uninterrupted as uninterrupted
+from .inventory import BenchReport as BenchReport, Found as Found, Settings as Settings, survey as survey
+from .opening import (
+    check_simulation as check_simulation,
+    declared as declared,
+    open_bench as open_bench,
+    simulation_schema as simulation_schema,
+    twin_dose as twin_dose,
+    twin_medium as twin_medium,
+)
+from .output_limits import Calibration as Calibration, DriveCalibration as DriveCalibration, Limits as Limits

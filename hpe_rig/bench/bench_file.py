@@ -1,0 +1,261 @@
+"""The bench file: which instruments, at which addresses, wired how, within which limits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated, Literal, get_args
+
+from pydantic import Field
+
+from hpe_rig.bench.output_limits import Calibration, Limits
+from hpe_rig.scene import Mistake, NonNegative, Positive, Section, SettingsError, Title, mistakes_of, parse_toml
+
+GeneratorRole = Literal["master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"]
+GENERATOR_ROLES: tuple[GeneratorRole, ...] = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
+EXCITATION_ROLES: tuple[GeneratorRole, ...] = ("burst_train", "toneburst")
+
+Transport = Literal["socket", "serial", "hislip", "vxi11", "prologix"]
+TRANSPORTS: tuple[Transport, ...] = get_args(Transport)
+
+Outlet = Literal[
+    "master.output",
+    "burst_train.output",
+    "toneburst.output",
+    "tracking_train.output",
+    "tracking_pulser.output",
+    "digitizer.aux",
+]
+Inlet = Literal[
+    "burst_train.trigger",
+    "toneburst.trigger",
+    "tracking_train.trigger",
+    "tracking_pulser.trigger",
+    "digitizer.trigger",
+    "transducer.drive",
+]
+
+
+class Generator(Section):
+    """One function generator."""
+
+    model: Literal["33250A", "33220A", "33500B", "33600A"] = "33250A"
+    """Model, or series, that plays the role and must answer at the address."""
+    address: str | None = None
+    """VISA resource name; not used on the simulated bench."""
+    interface: str | None = None
+    """VISA resource name of the adapter in front of it, such as PRLGX-TCPIP0::host::1234::INTFC; absent: none."""
+    latency_s: NonNegative = 0.0
+    """Trigger input to first output edge."""
+    load_ohm: Annotated[float, Field(ge=1, strict=True)] = 50.0
+    """Load at the output; inf for a high-impedance input."""
+    amplitude_vpp: Positive | None = None
+    """Output amplitude of the tracking pulser."""
+    max_vpp: Positive | None = None
+    """Largest swing into the load that what hangs on the output bears; its driver refuses more."""
+
+
+class Generators(Section):
+    """The generators by role."""
+
+    master: Generator
+    """Master trigger: one pulse starts everything."""
+    burst_train: Generator | None = None
+    """Pulse train at f_r that triggers the toneburst generator."""
+    toneburst: Generator | None = None
+    """Toneburst generator."""
+    tracking_train: Generator
+    """Delayed pulse train at f_prf that triggers the digitizer."""
+    tracking_pulser: Generator
+    """Generator of the tracking pulse, fired by the digitizer's trigger output."""
+
+    @property
+    def by_role(self) -> dict[str, Generator]:
+        """The generators that there are, by role."""
+        pairs = ((role, getattr(self, role)) for role in GENERATOR_ROLES)
+        return {role: generator for role, generator in pairs if generator is not None}
+
+
+class DigitizerBoard(Section):
+    """The digitizer."""
+
+    model: Literal["ATS460"] = "ATS460"
+    """Board model."""
+    system_id: Annotated[int, Field(ge=1, strict=True)] = 1
+    """Alazar system number."""
+    board_id: Annotated[int, Field(ge=1, strict=True)] = 1
+    """Alazar board number in its system."""
+    dual_port_memory: Annotated[bool, Field(strict=True)] = False
+    """Whether the board has the optional dual-port memory, so that records stream out while others come in."""
+    samples_per_channel: Annotated[int, Field(ge=1024, strict=True)] = 8_388_608
+    """On-board memory; bounds a capture where there is no dual-port memory."""
+    max_records: Annotated[int, Field(ge=1, strict=True)] = 256_000
+    """Most records of a capture without dual-port memory; 1000 for FPGA version 18 and below."""
+    latency_s: NonNegative = 0.0
+    """Trigger input to sample 0 without trigger delay."""
+    aux_latency_s: NonNegative = 0.0
+    """Trigger input to rising edge of the trigger output."""
+    aux_waits_for_trigger_delay: Annotated[bool, Field(strict=True)] = False
+    """Whether the trigger output rises only after the trigger delay (not established for the ATS460)."""
+    trigger_level_v: Positive = 1.5
+    """Level of the external trigger input."""
+    library: str | None = None
+    """Name or path of the vendor's library; absent: ATSApi.dll or libATSApi.so, as installed."""
+    acquisition_mode: Literal["single_port", "traditional", "npt"] | None = None
+    """Way to capture; absent: AutoDMA with record headers where there is dual-port memory, else single port."""
+    monitor_range_v: Positive | None = None
+    """Input range of channel B, which is then recorded along with the echoes of channel A; absent: it is not."""
+
+    @property
+    def mode(self) -> Literal["single_port", "traditional", "npt"]:
+        """The way to capture."""
+        return self.acquisition_mode or ("traditional" if self.dual_port_memory else "single_port")
+
+
+class Wire(Section):
+    """One cable from an output to an input."""
+
+    source: Outlet
+    """Where the cable starts."""
+    target: Inlet
+    """Where it ends."""
+    delay_s: NonNegative = 0.0
+    """Propagation delay of the cable and of what stands in it."""
+
+
+class BenchFile(Section):
+    """One bench."""
+
+    title: Title
+    """One line that says which bench this is."""
+    simulated: Annotated[bool, Field(strict=True)]
+    """True for the twin; decides which wires are opened and is written into every file."""
+    transport: Transport | None = None
+    """How VISA reaches the simulated generators, by loopback; absent: they are called in process."""
+    limits: Limits
+    """What the bench must never exceed."""
+    calibration: Calibration | None = None
+    """Acoustic output; absent: it is not estimated, and said so."""
+    generators: Generators
+    """The generators by role."""
+    digitizer: DigitizerBoard
+    """The digitizer."""
+    wiring: tuple[Wire, ...]
+    """The cables."""
+
+    def path_delay_s(self, source: str, target: str) -> float:
+        """Return the delay of the cable from ``source`` to ``target``; NaN where there is none."""
+        delays = [wire.delay_s for wire in self.wiring if (wire.source, wire.target) == (source, target)]
+        return delays[0] if delays else math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class BenchText:
+    """A bench with the text that it was read from, kept verbatim for the run file."""
+
+    name: str
+    text: str
+    bench: BenchFile
+
+
+@dataclass(frozen=True, slots=True)
+class BoardModel:
+    """What a digitizer model accepts (instrument reference, section 2)."""
+
+    sample_rates_hz: tuple[float, ...]
+    input_ranges_v: tuple[float, ...]
+    record_multiple: int
+    record_minimum: int
+    max_trigger_delay_samples: int
+
+
+BOARD_MODELS = MappingProxyType(
+    {
+        "ATS460": BoardModel(
+            sample_rates_hz=(1e6, 2e6, 5e6, 10e6, 20e6, 50e6, 100e6, 125e6),
+            input_ranges_v=(0.02, 0.04, 0.05, 0.08, 0.1, 0.2, 0.4, 0.5, 0.8, 1.0, 2.0, 4.0),
+            record_multiple=16,
+            record_minimum=128,
+            max_trigger_delay_samples=9_999_999,
+        )
+    }
+)
+
+
+def parse_bench(name: str, text: str) -> BenchText:
+    """Return the bench in ``text``; raise ``SettingsError`` with every mistake."""
+    tables = parse_toml(text, f"bench {name}")
+    mistakes = mistakes_of(BenchFile, tables)
+    if not mistakes:
+        bench = BenchFile.model_validate(tables)
+        mistakes = _missing_addresses(bench) + _missing_wires(bench) + _crossed_wires(bench)
+    if mistakes:
+        raise SettingsError(f"bench {name}", mistakes)
+    return BenchText(name, text, bench)
+
+
+def read_bench(path: Path | None = None) -> BenchText:
+    """Return the bench in the TOML file ``path``, or the shipped simulated bench where that is None."""
+    if path is None:
+        shipped = resources.files("hpe_rig.bench") / "shipped" / "simulated.toml"
+        return parse_bench("simulated", shipped.read_text(encoding="utf-8"))
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
+        what = f"cannot be read ({reason})"
+        raise SettingsError(
+            f"bench {path}", [Mistake("", what, "hpe-rig new my-bench --like bench writes one to start from")]
+        ) from None
+    return parse_bench(path.stem, text)
+
+
+def _missing_addresses(bench: BenchFile) -> list[Mistake]:
+    if bench.simulated:
+        return []
+    simulated_only = [Mistake("transport", "only the simulated bench has one", "remove it: the address says it all")]
+    return (simulated_only if bench.transport else []) + [
+        Mistake(
+            f"generators.{role}.address",
+            "this key is required on a real bench",
+            'a VISA name such as "GPIB0::10::INSTR"',
+        )
+        for role, generator in bench.generators.by_role.items()
+        if not generator.address
+    ]
+
+
+def _missing_wires(bench: BenchFile) -> list[Mistake]:
+    needed = [
+        ("master.output", "tracking_train.trigger"),
+        ("tracking_train.output", "digitizer.trigger"),
+        ("digitizer.aux", "tracking_pulser.trigger"),
+        ("tracking_pulser.output", "transducer.drive"),
+    ]
+    if bench.generators.burst_train is not None and bench.generators.toneburst is not None:
+        needed += [
+            ("master.output", "burst_train.trigger"),
+            ("burst_train.output", "toneburst.trigger"),
+            ("toneburst.output", "transducer.drive"),
+        ]
+    remedy = '[[wiring]] with source = "{}" and target = "{}"'
+    return [
+        Mistake("wiring", f"no cable from {source} to {target}", remedy.format(source, target))
+        for source, target in needed
+        if math.isnan(bench.path_delay_s(source, target))
+    ]
+
+
+def _crossed_wires(bench: BenchFile) -> list[Mistake]:
+    """Return the inputs with two sources; only the transducer takes a sum. With the needed cables no loop is left."""
+    sources: dict[str, list[str]] = {}
+    for wire in bench.wiring:
+        sources.setdefault(wire.target, []).append(wire.source)
+    return [
+        Mistake("wiring", f"{target} has {len(found)} sources, {' and '.join(found)}", "one cable an input")
+        for target, found in sources.items()
+        if len(found) > 1 and target != "transducer.drive"
+    ]

@@ -1,0 +1,63 @@
+"""A whole simulated bench offered to any VISA program on this machine, and the bench file that describes it."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Mapping
+
+from hpe_rig.bench.bench_file import TRANSPORTS, BenchText, Transport, parse_bench
+from hpe_rig.bench.interrupts import Terminated
+from hpe_rig.bench.opening import open_emulator
+from hpe_rig.scene import Mistake, Scene, SettingsError
+
+ADDRESSING = re.compile(r"^\s*(address|interface|transport)\s*=.*\n", re.MULTILINE)
+HEAD = """\
+# Served on loopback over {transport} until this program ends: a generator an address, one world, one clock.
+# The digitizer has no address. hpe-rig run --bench THIS.toml serves such a bench anew, with the digitizer, in its own
+# process and at addresses of its own.
+"""
+
+
+def emulate(scene: Scene, bench: BenchText, transport: str, announce: Callable[[str], None]) -> None:
+    """Serve the simulated generators of ``bench``, announce the bench file that reaches them, return on Ctrl-C.
+
+    Raises ``SettingsError`` for a real bench and an unknown transport, ``InstrumentError`` where the platform lacks it.
+    """
+    chosen = next((name for name in TRANSPORTS if name == transport), None)
+    if chosen is None:
+        raise SettingsError(
+            "command line", [Mistake("transport", f"{transport} is no transport", ", ".join(TRANSPORTS))]
+        )
+    if not bench.bench.simulated:
+        remedy = "simulated = true, or leave --bench out"
+        raise SettingsError(f"bench {bench.name}", [Mistake("simulated", "a real bench is not emulated", remedy)])
+    try:
+        with open_emulator(scene, bench.bench, chosen) as addresses:
+            announce(addressed(bench, chosen, addresses))
+            while True:
+                # In short pieces, since on Windows a long wait would not end for Ctrl-C.
+                time.sleep(0.2)
+    except (KeyboardInterrupt, Terminated):
+        return
+
+
+def addressed(bench: BenchText, transport: Transport, addresses: Mapping[str, tuple[str, str | None]]) -> str:
+    """Return the text of ``bench`` with its transport and each generator's VISA address."""
+    text = ADDRESSING.sub("", bench.text)
+    over = f'simulated = true\ntransport = "{transport}"'
+    text = re.sub(r"^simulated\s*=.*$", over, text, count=1, flags=re.MULTILINE)
+    for role, (address, interface) in addresses.items():
+        lines = [f"[generators.{role}]", f'address = "{address}"']
+        lines += [f'interface = "{interface}"'] if interface else []
+        text = text.replace(f"[generators.{role}]", "\n".join(lines), 1)
+    return HEAD.format(transport=transport) + _checked(bench.name, text, addresses)
+
+
+def _checked(name: str, text: str, addresses: Mapping[str, tuple[str, str | None]]) -> str:
+    """Return ``text``; raise ``SettingsError`` if the addresses have not found their places in it."""
+    placed = {role: item.address for role, item in parse_bench(name, text).bench.generators.by_role.items()}
+    if placed != {role: address for role, (address, _) in addresses.items()}:
+        what = "the generators do not stand in tables of their own"
+        raise SettingsError(f"bench {name}", [Mistake("generators", what, "write [generators.master] and so on")])
+    return text

@@ -1,0 +1,281 @@
+"""Open the instruments a scene needs, and nothing else; leave every output off and verified off on every exit.
+
+The one place that chooses wires: the real drivers stand on VISA and the vendor's library, or on the twin.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import Clock, Instrument, InstrumentError, Wire as InstrumentWire
+from hpe_rig.bench.bench_file import GENERATOR_ROLES, BenchFile
+from hpe_rig.bench.instruments import Bench, identify_each, make_safe, proven_off
+from hpe_rig.bench.interrupts import interruptible
+from hpe_rig.scene import Mistake, Scene, mistakes_of
+
+if TYPE_CHECKING:
+    from sim_backend.motion import Dose
+    from sim_backend.transports import Emulator, Transport
+    from sim_backend.world import World
+
+
+class WallClock:
+    """The clock of a real bench."""
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
+    def sleep(self, duration_s: float) -> None:
+        time.sleep(duration_s)
+
+
+def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
+    """Return the mistakes of a ``[simulation]`` section, by the twin's own rules."""
+    from sim_backend.settings import SimulationSettings
+
+    return mistakes_of(SimulationSettings, tables, ("simulation",))
+
+
+def twin_medium(scene: Scene, frequency_hz: NDArray[np.float64]) -> tuple[NDArray[np.complex128], float] | None:
+    """Return the simulated specimen's complex shear modulus (frequency,), Pa, and density, kg/m^3.
+
+    None where the scene's twin has no specimen, or moves it by the Gaussian of eq. (12).
+    """
+    if "specimen" not in (scene.simulation or {}):
+        return None
+    from sim_backend.motion import shear_modulus
+    from sim_backend.settings import SimulationSettings
+
+    specimen = SimulationSettings.model_validate(declared(scene)).specimen
+    if specimen is None or specimen.field == "gaussian":
+        return None
+    s_per_s = np.asarray(2j * np.pi * frequency_hz, np.complex128)
+    return np.asarray(shear_modulus(specimen, s_per_s)), specimen.density_kg_per_m3
+
+
+def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.float64]) -> Dose | None:
+    """Return the simulated specimen's dose and what it could move at ``frequency_hz``; None where there is none."""
+    if "specimen" not in (scene.simulation or {}) or scene.excitation is None:
+        return None
+    from sim_backend.motion import dose
+    from sim_backend.settings import SimulationSettings
+
+    settings = SimulationSettings.model_validate(declared(scene))
+    if settings.specimen is None:
+        return None
+    train = scene.excitation.burst_rate_hz, burst_length_s
+    width_m, speed = settings.beams.excitation_width_m, settings.sound_speed_m_per_s
+    return dose(settings.specimen, width_m, *train, frequency_hz, speed, scene.excitation.carrier_hz)
+
+
+def simulation_schema() -> dict[str, Any]:
+    """Return the JSON schema of the ``[simulation]`` section."""
+    from sim_backend.settings import SimulationSettings
+
+    return SimulationSettings.model_json_schema()
+
+
+@contextmanager
+def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot: int = 0) -> Iterator[Bench]:
+    """Yield the bench with the instruments of ``roles`` open; make it safe, verified, on every way out.
+
+    ``first_shot`` is the index of the first shot to come: a twin that goes on with a run draws on its noise from there.
+    """
+    with interruptible(), ExitStack() as stack:
+        reached = (
+            _reach_twin(declared(scene), bench, first_shot, stack) if bench.simulated else _reach_metal(bench, stack)
+        )
+        opened = _assemble(bench, roles, reached)
+        for instrument in opened.instruments:
+            stack.callback(_close_quietly, instrument)
+        # Nothing is sent to a stranger at a wrong address, not even to switch it off.
+        known: list[Instrument] = []
+        try:
+            identify_each(opened.instruments, known)
+            opened.make_safe()
+            yield opened
+        except BaseException as error:
+            make_safe(known)
+            error.add_note(proven_off(opened.instruments, known))
+            raise
+        make_safe(known)
+
+
+@contextmanager
+def open_each(bench: BenchFile) -> Iterator[Mapping[str, Instrument | Exception]]:
+    """Yield every instrument of the bench file by role, identified, or why it is not there; nothing is changed.
+
+    On the way out those that are there are made safe, verified.
+    """
+    roles = [role for role in GENERATOR_ROLES if getattr(bench.generators, role) is not None]
+    with interruptible(), ExitStack() as stack:
+        reached = _reach_twin({}, bench, 0, stack) if bench.simulated else _reach_metal(bench, stack)
+        found: dict[str, Instrument | Exception] = {}
+        try:
+            for role in (*roles, "digitizer"):
+                try:
+                    instrument = reached.instrument(role, bench)
+                    stack.callback(_close_quietly, instrument)
+                    instrument.identify()
+                    found[role] = instrument
+                except (InstrumentError, OSError) as error:
+                    found[role] = error
+            yield found
+        finally:
+            make_safe([item for item in found.values() if not isinstance(item, Exception)])
+
+
+def visa_addresses() -> tuple[str, ...]:
+    """Return the addresses of the VISA instruments that can be found; empty where none or no VISA is there."""
+    import warnings
+
+    import pyvisa
+
+    for backend in ("", "@py"):
+        try:
+            with warnings.catch_warnings():
+                # Which of its optional parts pyvisa-py lacks is no concern of who looks for instruments.
+                warnings.simplefilter("ignore")
+                return tuple(pyvisa.ResourceManager(backend).list_resources())
+        except (pyvisa.Error, ValueError, OSError):
+            continue
+    return ()
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How the instruments of one bench are reached: a wire a generator, one library, one clock."""
+
+    wire: Callable[[str], InstrumentWire]
+    library: Callable[[], Any]
+    clock: Clock
+    world: World | None
+
+    def instrument(self, role: str, bench: BenchFile) -> Any:
+        """Return the driver of ``role`` on its wire."""
+        from drivers.agilent import MasterTrigger33250A, PulseGenerator33250A, ToneburstGenerator33250A
+        from drivers.alazar import Ats460
+
+        if role == "digitizer":
+            board, library = bench.digitizer, self.library()
+            return Ats460(library, self.clock, role, board.system_id, board.board_id, mode=board.acquisition_mode)
+        generator = getattr(bench.generators, role)
+        most_vpp = generator.max_vpp or math.inf
+        if role in ("toneburst", "tracking_pulser"):
+            most_vpp = min(most_vpp, bench.limits.max_drive_vpp or math.inf)
+            return ToneburstGenerator33250A(self.wire(role), role, generator.model, most_vpp)
+        pulses = MasterTrigger33250A if role == "master" else PulseGenerator33250A
+        return pulses(self.wire(role), role, generator.model, most_vpp)
+
+
+def declared(scene: Scene) -> dict[str, Any]:
+    """Return what a scene declares of the specimen, as the twin's settings."""
+    simulation = scene.simulation or {}
+    beams = {} if scene.beams is None else scene.beams.model_dump(exclude={"pulse_length_m"})
+    declared = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
+    return declared | simulation | {"beams": beams | simulation.get("beams", {})}
+
+
+def _reach_twin(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack) -> Reach:
+    world = _world(simulation, bench, first_shot)
+    if bench.transport is None:
+        return Reach(lambda role: cast(InstrumentWire, world.wire(role)), world.alazar_library, world.clock, world)
+    served = stack.enter_context(_emulator(world, bench, bench.transport)).served
+    wire = _visa_wires({role: (there.address, there.interface) for role, there in served.items()}, "@py", stack)
+    return Reach(wire, world.alazar_library, world.clock, world)
+
+
+def _world(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0) -> World:
+    from sim_backend.settings import SimulationSettings
+    from sim_backend.world import World
+
+    settings = SimulationSettings.model_validate(simulation)
+    wiring = [(wire.source, wire.target, wire.delay_s) for wire in bench.wiring]
+    models = {role: generator.model for role, generator in bench.generators.by_role.items()}
+    return World(settings, wiring, first_capture=first_shot, models=models)
+
+
+def _emulator(world: World, bench: BenchFile, transport: Transport) -> Emulator:
+    from sim_backend.transports import Emulator
+
+    try:
+        return Emulator(transport, world.wire, tuple(bench.generators.by_role))
+    except OSError as error:
+        what = f"the generators cannot be served over {transport}"
+        raise InstrumentError("simulated bench", what, str(error), "take another transport") from error
+
+
+@contextmanager
+def open_emulator(
+    scene: Scene, bench: BenchFile, transport: Transport
+) -> Iterator[Mapping[str, tuple[str, str | None]]]:
+    """Yield the VISA address, and the interface before it if any, of each simulated generator by role.
+
+    They listen on loopback alone, share one world and one clock, and are gone on the way out.
+    """
+    with interruptible(), _emulator(_world(declared(scene), bench), bench, transport) as emulator:
+        yield {role: (there.address, there.interface) for role, there in emulator.served.items()}
+
+
+def _visa_wires(
+    addresses: Mapping[str, tuple[str, str | None]], backend: str, stack: ExitStack
+) -> Callable[[str], InstrumentWire]:
+    """Return what opens the wire of a role; an adapter that several share is opened once."""
+    from drivers.visa import VisaInterface, VisaWire
+
+    interfaces: dict[str, VisaInterface] = {}
+
+    def wire(role: str) -> InstrumentWire:
+        address, before = addresses[role]
+        try:
+            if before and before not in interfaces:
+                interfaces[before] = VisaInterface(before, backend=backend)
+                stack.callback(interfaces[before].close)
+            opened = VisaWire(address, backend=backend, interface=interfaces[before] if before else None)
+        except ConnectionError as error:
+            remedy = f"correct generators.{role}.address, or see what hpe-rig bench finds"
+            raise InstrumentError(role, str(error), "the address, the cable or the power is wrong", remedy) from error
+        stack.callback(opened.close)
+        return opened
+
+    return wire
+
+
+def _reach_metal(bench: BenchFile, stack: ExitStack) -> Reach:
+    from drivers.alazar import load_library
+
+    addresses = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
+    return Reach(
+        _visa_wires(addresses, "", stack), lambda: load_library(name=bench.digitizer.library), WallClock(), None
+    )
+
+
+def _assemble(bench: BenchFile, roles: Sequence[str], reached: Reach) -> Bench:
+    drivers = {role: reached.instrument(role, bench) for role in roles}
+    return Bench(
+        simulated=bench.simulated,
+        clock=reached.clock,
+        master=drivers["master"],
+        burst_train=drivers.get("burst_train"),
+        toneburst=drivers.get("toneburst"),
+        tracking_train=drivers["tracking_train"],
+        tracking_pulser=drivers["tracking_pulser"],
+        digitizer=drivers["digitizer"],
+        world=reached.world,
+    )
+
+
+def _close_quietly(instrument: Instrument) -> None:
+    # The output is proven off by then; a transport that fails to close changes nothing about that.
+    try:
+        instrument.close()
+    except (InstrumentError, OSError):
+        return

@@ -1,0 +1,96 @@
+"""``hpe-rig bench``: a bench as it stands, or as a run file remembers it, printed and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.table import Table
+
+from hpe_rig.bench import BenchReport, Found, Settings, file_differences, read_bench, settings_differences, survey
+from hpe_rig.scene import parse_toml
+from hpe_rig.store import read_run, read_snapshots
+
+TABLE_WIDTH: Final = 120
+
+
+@dataclass(frozen=True, slots=True)
+class BenchState:
+    """A bench's file and settings, from the bench itself (``report``) or from a run file."""
+
+    name: str
+    tables: Mapping[str, Any]
+    settings: Mapping[str, Settings]
+    report: BenchReport | None
+
+
+def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
+    """Return the state of the bench in the bench file ``path``, or of the bench that a run file remembers.
+
+    See ``survey`` for ``self_test``.
+    """
+    if path is not None and path.suffix == ".h5":
+        return _state_of_run(path)
+    text = read_bench(path)
+    report = survey(text.bench, self_test=self_test)
+    return BenchState("the bench now", parse_toml(text.text, text.name), report.settings, report)
+
+
+def compare_with(path: Path, state: BenchState) -> str:
+    """Return in words what differs between the run file ``path`` and ``state``."""
+    run = _state_of_run(path)
+    before = run.settings if state.report is None else _stated_now(run.settings, state.settings)
+    found = [*file_differences(run.tables, state.tables), *settings_differences(before, state.settings)]
+    if not found:
+        return f"{run.name} and {state.name} do not differ"
+    lines = "\n".join(f"  {difference.text(run.name, state.name)}" for difference in found)
+    return f"{len(found)} differences\n{lines}"
+
+
+def _stated_now(before: Mapping[str, Settings], now: Mapping[str, Settings]) -> dict[str, Settings]:
+    """Return ``before`` without what a board states only once it is programmed, as nobody has done now."""
+    stated = now.get("digitizer")
+    if stated is None or "digitizer" not in before:
+        return dict(before)
+    board = {key: value for key, value in before["digitizer"].items() if key in stated}
+    return {**before, "digitizer": board}
+
+
+def _state_of_run(path: Path) -> BenchState:
+    run, snapshots = read_run(path), read_snapshots(path)
+    settings = snapshots[-1] if snapshots else {}
+    return BenchState(path.name, parse_toml(run.bench_toml, run.bench_name), settings, None)
+
+
+def print_report(report: BenchReport) -> None:
+    """Print the table, then what is wrong with the remedy, then the addresses found."""
+    console = Console(soft_wrap=True, highlight=False, markup=False, width=max(TABLE_WIDTH, Console().width))
+    console.print(f"{report.title} ({'SIMULATED' if report.simulated else 'real'})", style="bold")
+    table = Table(box=None, header_style="bold")
+    for header in ("role", "address", "model", "serial", "firmware", "round trip\nms", "found", "self-test"):
+        table.add_column(header, justify="right" if header.startswith("round") else "left")
+    for found in report.found:
+        table.add_row(*_row(found))
+    console.print(table)
+    for found in report.found:
+        for problem in found.problems:
+            console.print(f"{found.role}: {problem.removeprefix(f'{found.role}: ')}", style="bold")
+    if not report.simulated:
+        console.print(
+            f"VISA addresses found: {', '.join(report.addresses) or 'none (LAN instruments may not be listed)'}"
+        )
+    if report.settings:
+        console.print("every instrument that answered is safe: outputs off, digitizer idle, read back")
+
+
+def _row(found: Found) -> tuple[str, ...]:
+    state = "on" if found.settings.get("output_on") else "off" if "output_on" in found.settings else "idle"
+    if found.identity is None or found.latency_s is None:
+        return found.role, found.address, "-", "-", "-", "-", "problem", "-"
+    who = found.identity
+    tested = {None: "-", True: "passed", False: "FAILED"}[found.self_test]
+    latency = f"{found.latency_s * 1e3:.2f}"
+    return found.role, found.address, who.model, who.serial, who.firmware, latency, state, tested

@@ -1,0 +1,125 @@
+"""What every command shares: how failures end, how results are printed, how progress shows."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ParamSpec
+
+import typer
+
+if TYPE_CHECKING:
+    from hpe_rig.acquire import Observer, Setup
+    from hpe_rig.result import Result
+
+P = ParamSpec("P")
+
+EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 1, 3, 130, 143
+
+
+def guarded(command: Callable[P, None]) -> Callable[P, None]:
+    """Return ``command`` such that every expected failure ends in a message and an exit code, never in a traceback."""
+
+    @functools.wraps(command)
+    def guard(*args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            command(*args, **kwargs)
+        except typer.Exit:
+            raise
+        except BaseException as error:
+            failure = _failure(error)
+            if failure is None:
+                raise
+            typer.echo(f"hpe-rig: {failure[0]}", err=True)
+            raise typer.Exit(failure[1]) from None
+
+    return guard
+
+
+def announce(text: str) -> None:
+    """Say something that is no result."""
+    typer.echo(text, err=True)
+
+
+def scenes_like(incomplete: str) -> list[str]:
+    """Return the shipped scenes and the TOML files here that a shell may complete ``incomplete`` to."""
+    from hpe_rig.scene import shipped_scenes
+
+    names = [*shipped_scenes(), *(path.name for path in sorted(Path().glob("*.toml")))]
+    return [name for name in names if name.startswith(incomplete)]
+
+
+def show(result: Result, json: bool, csv: bool) -> None:
+    """Print a result as CSV, JSON or a table."""
+    if csv:
+        from hpe_rig.result import result_csv
+
+        typer.echo(result_csv(result), nl=False)
+        return
+    if json:
+        import json as json_format
+
+        typer.echo(json_format.dumps(result.as_dict(), indent=2))
+        return
+    from hpe_rig.cli.tables import print_result
+
+    print_result(result)
+
+
+@contextmanager
+def progress(setup: Setup, quiet: bool) -> Iterator[Observer]:
+    """Yield what draws a progress bar on a terminal and nothing anywhere else."""
+    from hpe_rig.acquire import Progress, unobserved
+
+    if quiet or not sys.stderr.isatty():
+        yield unobserved
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    total = sum(shot.capture.record_count for shot in setup.plan.shots)
+    with Bar(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=total)
+
+        def observe(progress: Progress) -> None:
+            done = progress.shot.index * progress.shot.capture.record_count + progress.records
+            bar.update(task, completed=done, description=f"shot {progress.shot.index + 1}: {progress.step.value}")
+
+        yield observe
+
+
+def _failure(error: BaseException) -> tuple[str, int] | None:
+    """Return message and exit code of an expected failure, None for a bug."""
+    from drivers.interfaces import InstrumentError
+    from hpe_rig.acquire import StopRequested
+    from hpe_rig.bench import Terminated, UnsafeBenchError
+    from hpe_rig.plan import PlanError
+    from hpe_rig.scene import SettingsError
+    from hpe_rig.store import StoreError
+
+    said = getattr(error, "__notes__", ())
+    notes, lines = ("".join(before + note for note in said) for before in ("; ", "\n  "))
+    match error:
+        case UnsafeBenchError():
+            return f"{error}{lines}", EXIT_UNSAFE
+        case SettingsError() | PlanError() | StoreError():
+            return str(error), EXIT_MISTAKE
+        case InstrumentError():
+            return f"{error}{lines}", EXIT_INSTRUMENT
+        case StopRequested():
+            return f"stopped from the live page{notes}", EXIT_INTERRUPTED
+        case KeyboardInterrupt():
+            return f"interrupted{notes}", EXIT_INTERRUPTED
+        case Terminated():
+            return f"terminated{notes}", EXIT_TERMINATED
+    return None
+
+
+SceneName = Annotated[
+    str,
+    typer.Argument(metavar="SCENE", help="A shipped scene's name or a TOML file.", autocompletion=scenes_like),
+]
+BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file; absent: the simulated bench.")]

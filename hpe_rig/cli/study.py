@@ -1,0 +1,66 @@
+"""``hpe-rig study``: workers, progress and the closing table around `run_study`."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from hpe_rig.bench import interruptible
+from hpe_rig.study import SUMMARY, StudyResult, Watch, cluster, processes, run_study
+
+
+def study_command(
+    name: str,
+    output: Path,
+    workers: int | None,
+    scheduler: str | None,
+    replaced: Mapping[str, Any],
+    show: Callable[[str], None],
+    report: bool = False,
+) -> None:
+    """Run the study ``name``, show its progress and what it took; write its report where wanted."""
+    count = workers or os.cpu_count() or 1
+    open_pool = functools.partial(cluster, scheduler, count) if scheduler else functools.partial(processes, count)
+    ahead = 64 if scheduler else 2 * count + 2
+    with interruptible(), _progress(name) as watch:
+        results = run_study(name, output, open_pool, ahead, replaced, watch)
+    for line in table(results, output):
+        show(line)
+    if report:
+        from hpe_rig.study import write_study_report
+        from hpe_rig.validation import reproduction_part
+
+        compared = reproduction_part(results)
+        page = write_study_report(Path(name).stem, results, output, [compared] if compared else [])
+        show(f"{page}: open it in any browser")
+
+
+def table(results: list[StudyResult], output: Path) -> Iterator[str]:
+    """Yield what every study computed, how precisely and in what time."""
+    yield f"{'study':10} {'cases':>6} {'realisations':>13} {'processor time':>15} {'peak memory':>12}  results"
+    for result in results:
+        cases = len({row["case"] for row in result.rows})
+        memory = max(row["peak_memory_bytes"] for row in result.rows) / 2**20
+        where = output / result.name / SUMMARY
+        yield (
+            f"{result.name:10} {cases:6} {result.realisations:13} {result.seconds:13.1f} s {memory:8.0f} MiB  {where}"
+        )
+
+
+@contextmanager
+def _progress(name: str) -> Iterator[Watch]:
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(f"{name}:"), BarColumn(), MofNCompleteColumn(), TextColumn("realisations"))
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(name, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

@@ -1,0 +1,47 @@
+"""What may look on while a run goes on: a request to stop, a log, a live page; none costs anything unless asked for."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from hpe_rig.acquire import Observer, Setup, clear_stop, stoppable
+from hpe_rig.store import extra
+
+Watch = Callable[[Observer], Observer]
+
+
+@contextmanager
+def watched(setup: Setup, path: Path, live: bool, verbose: bool, announce: Callable[[str], None]) -> Iterator[Watch]:
+    """Yield what makes of an observer one with which the run into ``path`` can be stopped and is logged.
+
+    A live page started from a terminal stays after the run until Ctrl-C. Raises ``StoreError`` where log or page
+    cannot start.
+    """
+    with ExitStack() as stack:
+        log: Watch = _same
+        if verbose:
+            from hpe_rig.acquire import log_path, logged
+
+            log = stack.enter_context(logged(setup, log_path(path)))
+        if live:
+            with extra("live"):
+                from hpe_rig.live import live_page_of
+
+            announce(f"live page: {stack.enter_context(live_page_of(path))}")
+        # A request left over from an earlier run of this name is none for this one.
+        clear_stop(path)
+        stack.callback(clear_stop, path)
+        yield lambda observer: stoppable(log(observer), path)
+        if live and sys.stdin.isatty():
+            announce("the live page stays until Ctrl-C")
+            with suppress(KeyboardInterrupt):
+                while True:
+                    time.sleep(0.5)
+
+
+def _same(observer: Observer) -> Observer:
+    return observer

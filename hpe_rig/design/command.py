@@ -1,0 +1,198 @@
+"""``hpe-rig design``: from the command line's words to the search, the table before and after, and the new scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from hpe_rig.acquire import prepare
+from hpe_rig.design.model import baseline
+from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Limits, Problem
+from hpe_rig.design.search import Design, design
+from hpe_rig.design.simulation_check import Measured, Simulated, simulate
+from hpe_rig.design.variables import variables
+from hpe_rig.prediction import length_m
+from hpe_rig.scene import Mistake, SettingsError, edited_text, parse_toml
+
+MODEL_JITTER, MODEL_BIAS, ERRORS = 0.15, 0.02, 3.0
+"""How well the model is to hold: share of a jitter, share of the amplitude for a bias, standard errors on top."""
+UNSURE = 0.25
+"""Share of a jitter beyond which its standard error tells nothing of the model."""
+SLACK = 1.01
+"""Share of the starting scene's time that is allowed where nothing else is said."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What is asked of a design, in the command line's words."""
+
+    scene: str
+    over: str
+    minimise: str = "jitter"
+    bench: Path | None = None
+    bounds: tuple[str, ...] = ()
+    longest_s: float | None = None
+    target: str | None = None
+    draws: int = 200
+    seed: int = 0
+    output: Path | None = None
+
+
+def write_design(request: Request, tell: Callable[[str], None], announce: Callable[[str], None]) -> None:
+    """Search, tell the table, write the new scene; raise ``SettingsError`` with all mistakes before the search."""
+    problem, text = _problem(request)
+    announce(f"searching {', '.join(str(variable.key) for variable in problem.space)}")
+    found = design(problem, request.seed)
+    if request.draws > 0:
+        announce(f"simulating {request.draws} draws of scatterers and noise")
+    tell("\n".join(design_lines(found, request.draws, request.seed)))
+    if request.output is None:
+        return
+    new = edited_text(text, found.best.values)
+    words = f"hpe-rig design {request.scene} --minimise {request.minimise} --over {request.over}"
+    try:
+        with request.output.open("x", encoding="utf-8") as file:
+            file.write(f"# {words}\n{new}")
+    except OSError as error:
+        mistake = Mistake("--output", f"{request.output} cannot be written ({error.strerror})", "another place")
+        raise SettingsError("command line", [mistake]) from None
+    tell(f"{request.output}: hpe-rig check {request.output}")
+
+
+def _problem(request: Request) -> tuple[Problem, str]:
+    """Return the problem and the scene's text; raise ``SettingsError`` with every mistake of request and scene."""
+    setup = prepare(request.scene, request.bench, refuse=False)
+    text, scene = setup.scene.text, setup.scene.scene
+    tables, mistakes = parse_toml(text, request.scene), list(_wrong_words(request))
+
+    def tried(action: Callable[[], T]) -> T | None:
+        try:
+            return action()
+        except SettingsError as error:
+            mistakes.extend(error.mistakes)
+            return None
+
+    longest_s = SLACK * setup.plan.duration_s if request.longest_s is None else request.longest_s
+    target_m = None if request.target is None else tried(lambda: length_m(request.target or "", "--target"))
+    names = [name.strip() for name in request.over.split(",") if name.strip()]
+    space = tried(lambda: variables(tables, scene, setup.bench.bench, longest_s, names, request.bounds))
+    tried(lambda: baseline(scene))
+    if request.output is not None and space is not None:
+        first = {variable.key.path: variable.value(0) for variable in space}
+        tried(lambda: edited_text(text, first))
+    if mistakes or space is None:
+        raise SettingsError("design", mistakes)
+    goal = next(goal for goal in GOALS if goal == request.minimise)
+    return Problem(setup, tables, space, goal, Limits(longest_s, target_m)), text
+
+
+def _wrong_words(request: Request) -> Iterator[Mistake]:
+    if request.minimise not in GOALS:
+        yield Mistake("--minimise", f"{request.minimise!r} cannot be minimised", f"one of {', '.join(GOALS)}")
+    if request.minimise == "time" and request.target is None:
+        yield Mistake("--target", "the shortest scene needs a jitter to keep", "--target 20nm")
+    if request.longest_s is not None and not 0 < request.longest_s < math.inf:
+        yield Mistake("--longest-s", f"{request.longest_s:g} s is no time", "seconds, such as 0.5")
+    if request.draws < 0 or request.draws in (1, 2):
+        yield Mistake("--draws", f"{request.draws} draws tell no jitter", "100 or more, or 0 for none")
+    if request.seed < 0:
+        yield Mistake("--seed", "a seed is not negative", "0 or more")
+    if request.output is not None and request.output.exists():
+        yield Mistake("--output", f"{request.output} exists and is never overwritten", "another name")
+
+
+def design_lines(found: Design, draws: int = 0, seed: int = 0) -> Iterator[str]:
+    """Yield the table of a design: what changed, what is predicted, what ``draws`` draws simulate, time and dose."""
+    problem, pair = found.problem, (found.problem.judged(found.start), found.best)
+    limits, scene, plan = problem.limits, found.best.scene, found.best.plan
+    assert scene is not None  # noqa: S101
+    assert plan is not None  # noqa: S101
+    shots = "" if len(plan.shots) == 1 else f" in shot 1 of {len(plan.shots)}"
+    target = "" if limits.target_m is None else f", target {limits.target_m * 1e9:g} nm"
+    yield (
+        f"{problem.goal}{shots} of {scene.wanted_frequencies_hz[0]:g} Hz with {scene.processing.estimator}, at most "
+        f"{limits.longest_s:.4g} s{target}; {problem.tried} scenes tried"
+    )
+    if not found.best.values:
+        yield "no scene within the limits is better than the one at hand"
+    yield f"{'':34}{'before':>22}{'after':>22}"
+    for variable in problem.space:
+        values = [candidate.values.get(variable.key.path, variable.key.value) for candidate in pair]
+        yield _row(str(variable.key), *("absent" if value is None else f"{value:.6g}" for value in values))
+    after = _column(problem, found.best, draws, seed)
+    columns = [_column(problem, pair[0], draws, seed) if found.best.values else after, after]
+    for name in columns[1]:
+        yield _row(name, *(column.get(name, "-") for column in columns))
+    for reason in found.held:
+        yield f"held back: {reason}"
+    if found.start.conflicts:
+        yield f"before, check refuses it: {', '.join(dict.fromkeys(item.check for item in found.start.conflicts))}"
+
+
+def _row(name: str, before: str, after: str) -> str:
+    return f"{name:34}{before:>22}{after:>22}"
+
+
+def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> dict[str, str]:
+    scene, plan, setting = candidate.scene, candidate.plan, candidate.setting
+    if scene is None or plan is None or setting is None:
+        return {}
+    expected = candidate.predict(FINAL_DRAWS, FINAL_SEED)
+    output = candidate.output(problem.bench)
+    simulated: Simulated | None = None
+    if draws and not candidate.conflicts:
+        simulated = simulate(scene, plan, setting, problem.baseline, draws, seed)
+    rows = {
+        "amplitude": _nm(setting.amplitude_m),
+        "pulses they are worth": f"{setting.pulses}",
+        "SNR in the gate": f"{10 * math.log10(setting.snr):.1f} dB",
+        "bias, predicted": _nm(expected.bias_m),
+        "bias, simulated": _both(simulated, "bias_m", 1e9, "nm"),
+        "jitter, predicted": _nm(expected.jitter_m),
+        "jitter, simulated": _both(simulated, "jitter_m", 1e9, "nm"),
+        "  of it noise": _nm(expected.noise_jitter_m),
+        "  of it speckle": _nm(expected.speckle_jitter_m),
+        "jitter over amplitude": f"{100 * expected.jitter_m / setting.amplitude_m:.3g} %",
+        "phase jitter, predicted": f"{math.degrees(expected.phase_jitter_rad):.3g} deg",
+        "phase jitter, simulated": _both(simulated, "phase_jitter_rad", math.degrees(1), "deg"),
+        "model": _agreement(candidate, simulated),
+        "time": f"{plan.duration_s:.4g} s",
+        "derated MI": "not calibrated" if output is None else f"{output.mechanical_index:.3g}",
+        "I_spta": "not calibrated" if output is None else f"{output.spta_w_per_m2 / 10:.3g} mW/cm2",
+    }
+    return rows if draws else {name: text for name, text in rows.items() if "simulated" not in name and name != "model"}
+
+
+def _nm(value_m: float) -> str:
+    return f"{value_m * 1e9:.4g} nm"
+
+
+def _both(simulated: Simulated | None, name: str, scale: float, unit: str) -> str:
+    if simulated is None:
+        return "-"
+    found: Measured = getattr(simulated, name)
+    return f"{found.value * scale:.3g} +- {found.error * scale:.2g} {unit}"
+
+
+def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
+    """Return whether the model holds within what it is known to hold and the simulation's own errors."""
+    if simulated is None or candidate.setting is None:
+        return "not simulated"
+    expected = candidate.predict(FINAL_DRAWS, FINAL_SEED)
+    jitters = (
+        (expected.jitter_m, simulated.jitter_m),
+        (expected.phase_jitter_rad, simulated.phase_jitter_rad),
+    )
+    if any(mc.error > UNSURE * mc.value for _, mc in jitters):
+        return "unsure: more draws"
+    good = all(
+        abs(model - found.value) <= MODEL_JITTER * found.value + ERRORS * found.error for model, found in jitters
+    )
+    bias, amplitude_m = simulated.bias_m, candidate.setting.amplitude_m
+    good &= abs(expected.bias_m - bias.value) <= MODEL_BIAS * amplitude_m + ERRORS * bias.error
+    return "holds" if good else "is off: simulated"

@@ -1,0 +1,145 @@
+"""Monte Carlo of one scene: the twin's echoes and the scene's own estimator, against which the model is checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.design.model import Baseline, echo_power, twin_settings
+from hpe_rig.plan import Plan, slow_time_window
+from hpe_rig.prediction import Setting
+from hpe_rig.processing import EchoGate, driven_frequencies_hz, estimate, options_of, skipped_pulses
+from hpe_rig.scene import Scene
+
+if TYPE_CHECKING:
+    from sim_backend.settings import SimulationSettings
+
+Floats = NDArray[np.float64]
+TOLERANCE = 1e-7
+DRAWS_AT_ONCE = 16
+MOST_VALUES = 1 << 27
+"""Samples of a chunk of draws, 1 GiB, up to which a scene is simulated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """A mean or a standard deviation over draws, and its standard error."""
+
+    value: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """Bias and jitter, eq. (14) and (15), of one scene; a draw is new scatterers and new noise."""
+
+    draws: int
+    bias_m: Measured
+    jitter_m: Measured
+    phase_jitter_rad: Measured
+
+
+def simulate(scene: Scene, plan: Plan, setting: Setting, start: Baseline, draws: int, seed: int) -> Simulated | None:
+    """Return what ``draws`` draws make of the first shot of ``scene``; None where 16 of them do not fit the memory.
+
+    Moved at the first frequency alone, at a phase of its own in each draw. Beams, pulse length, amplitude and SNR are
+    the model's, ``setting``; scatterers are the twin's. The noise of a draw is that of a receiver that sees the draw's
+    own resting echo in the reference gate at the starting scene's SNR.
+    """
+    train = _train(scene, plan, setting, start)
+    if train.values > MOST_VALUES:
+        return None
+    errors = np.concatenate(list(_errors(scene, setting, train, draws, seed)))
+    amplitude_m, phase_rad = errors.T
+    return Simulated(
+        draws,
+        Measured(float(amplitude_m.mean()), float(amplitude_m.std(ddof=1)) / math.sqrt(draws)),
+        deviation(amplitude_m),
+        deviation(phase_rad),
+    )
+
+
+def deviation(values: Floats) -> Measured:
+    """Return the standard deviation of ``values`` and its standard error, from their fourth moment."""
+    centred = values - values.mean()
+    variance, fourth = float(np.mean(centred**2)), float(np.mean(centred**4))
+    spread = math.sqrt(max(fourth - variance**2, 0.0) / values.size)
+    return Measured(math.sqrt(variance), spread / (2 * math.sqrt(variance)) if variance > 0 else 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Train:
+    """When the pulses of a shot sense the motion (pulse,), which count, and where in fast time they are seen."""
+
+    time_s: Floats
+    valid: NDArray[np.bool_]
+    sample_s: Floats
+    gate: slice
+    reference: slice
+    reference_snr: float
+
+    @property
+    def values(self) -> int:
+        return DRAWS_AT_ONCE * self.time_s.size * self.sample_s.size
+
+
+def _train(scene: Scene, plan: Plan, setting: Setting, start: Baseline) -> _Train:
+    shot = plan.shots[0]
+    inside = slow_time_window(scene, shot)
+    gate_m = start.gate_length_m
+    reference = round(2 * gate_m / setting.sound_speed_m_per_s * setting.sample_rate_hz)
+    counts = shot.gate.stop - shot.gate.start, max(reference, 1)
+    most = max(counts)
+    gate, still = (slice((most - count) // 2, (most - count) // 2 + count) for count in counts)
+    return _Train(
+        shot.timeline.sensing_s[inside] - shot.timeline.reference_s,
+        ~skipped_pulses(scene, shot)[inside],
+        (np.arange(most) - (most - 1) / 2) / setting.sample_rate_hz,
+        gate,
+        still,
+        setting.snr * echo_power(setting, gate_m) / echo_power(setting, setting.gate_length_m),
+    )
+
+
+def _errors(scene: Scene, setting: Setting, train: _Train, draws: int, seed: int) -> Iterator[Floats]:
+    """Yield the errors of amplitude, m, and phase, rad, of 16 draws at a time: (draw, 2)."""
+    from sim_backend.echoes import drawn_echoes, hann_pulse
+
+    echo_rng, noise_rng, phase_rng = (np.random.default_rng([seed, stream]) for stream in range(3))
+    phase_rad = phase_rng.uniform(-np.pi, np.pi, draws)
+    angle = 2 * np.pi * setting.frequency_hz * train.time_s + phase_rad[:, None]
+    # The first pulse finds everything at rest: it tells the noise.
+    moved_m = np.concatenate([np.zeros((draws, 1)), setting.amplitude_m * np.sin(angle)], axis=1)
+    bandwidth = setting.sound_speed_m_per_s / 2 / (setting.pulse_length_m * setting.carrier_hz)
+    pulse, settings = hann_pulse(setting.carrier_hz, bandwidth), _twin(scene, setting)
+    frequencies_hz, also_hz = np.array(scene.wanted_frequencies_hz), driven_frequencies_hz(scene)
+    first = 0
+    for echoes in drawn_echoes(settings, moved_m, pulse, train.sample_s, echo_rng, draws, TOLERANCE):
+        power = np.mean(np.square(echoes[:, 0, train.reference]), axis=-1)[:, None, None]
+        volts = noise_rng.standard_normal(echoes[:, 1:, train.gate].shape)
+        volts *= np.sqrt(power / train.reference_snr)
+        volts += echoes[:, 1:, train.gate]
+        gated = EchoGate(
+            volts,
+            setting.sample_rate_hz,
+            train.time_s,
+            setting.carrier_hz,
+            setting.sound_speed_m_per_s,
+            train.valid,
+        )
+        fit = estimate(gated, frequencies_hz, scene.processing.estimator, also_hz, options_of(scene.processing))
+        turned = fit.phase_rad[:, 0] - phase_rad[first : first + len(echoes)]
+        yield np.stack([fit.amplitude_m[:, 0] - setting.amplitude_m, np.angle(np.exp(1j * turned))], axis=-1)
+        first += len(echoes)
+
+
+def _twin(scene: Scene, setting: Setting) -> SimulationSettings:
+    settings = twin_settings(scene)
+    widths = {"excitation_width_m": setting.excitation_width_m, "tracking_width_m": setting.tracking_width_m}
+    beams = settings.beams.model_copy(update={**widths, "width_ratio": None})
+    return settings.model_copy(update={"beams": beams})

@@ -1,0 +1,144 @@
+"""Align the focus on the specimen: single tracking shots, nothing pushing, again and again until stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.acquire import Setup, ShotBlock, acquire
+from hpe_rig.bench import Bench, open_bench
+from hpe_rig.live.server import LivePage
+from hpe_rig.live.state import State, image_state, level_state, rf_state
+from hpe_rig.plan import Plan, Shot, findings, make_plan, refuse_conflicts
+from hpe_rig.report import EchoView, echo_view
+from hpe_rig.scene import Scene
+from hpe_rig.store import ShotRecords, assemble
+
+LONGEST_MEMORY = 240
+"""Single shots that the M-mode image holds."""
+SHOT_PERIOD_S = 0.05
+"""Twenty single shots a second are as many as an eye follows."""
+
+ABOUT_VIBRATION = ("pulse count", "frequencies", "aliasing", "resolution", "synchronous")
+"""Checks of a plan that ask whether a vibration can be estimated: no question for a single pulse."""
+
+
+def without_pushing(setup: Setup) -> Setup:
+    """Return ``setup`` with one tracking pulse a shot and no toneburst; raise ``PlanError`` where it cannot run."""
+    scene = setup.scene.scene
+    tracking = scene.tracking.model_copy(update={"pulse_count": 1})
+    processing = scene.processing.model_copy(
+        update={"frequencies_hz": None, "window_start_s": 0.0, "window_length_s": None, "synchronous": False}
+    )
+    acquisition = scene.acquisition.model_copy(update={"repeats": 1, "shot_period_s": None})
+    parts = {"excitation": None, "tracking": tracking, "processing": processing, "acquisition": acquisition}
+    single = scene.model_copy(update=parts)
+    bench = setup.bench.bench
+    plan = make_plan(single, bench)
+    found = tuple(item for item in findings(single, bench, plan) if item.check not in ABOUT_VIBRATION)
+    refuse_conflicts(found)
+    return Setup(replace(setup.scene, scene=single), setup.bench, plan, found)
+
+
+@final
+class AlignSource:
+    """The single shots so far; written by the thread that acquires, read by the one that serves."""
+
+    def __init__(self, scene: Scene, shot: Shot, simulated: bool) -> None:
+        self._scene, self._shot, self._simulated = scene, shot, simulated
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._lines: deque[NDArray[np.float64]] = deque(maxlen=LONGEST_MEMORY)
+        self._view: EchoView | None = None
+        self._shots, self._sent, self._status = 0, -1, "running"
+
+    @property
+    def stopped(self) -> bool:
+        """Whether somebody has asked for a stop."""
+        return self._stop.is_set()
+
+    def stop(self) -> None:
+        """Ask for a stop after the shot that is running."""
+        self._stop.set()
+
+    def put(self, records: ShotRecords) -> None:
+        """Take one single shot's records."""
+        view = echo_view(self._scene, self._shot, records)
+        with self._lock:
+            self._shots += 1
+            if view is not None:
+                self._view = view
+                self._lines.append(view.image_v[:, 0])
+
+    def end(self, status: str) -> None:
+        """Say how it ended, once every output is off."""
+        with self._lock:
+            self._shots, self._status = self._shots + 1, status
+
+    def poll(self) -> State | None:
+        """Return the last shot's RF line and the gate over the last shots; None where nothing is new."""
+        with self._lock:
+            if self._shots == self._sent:
+                return None
+            self._sent, view, lines, status = self._shots, self._view, list(self._lines), self._status
+        state: State = {
+            "mode": "align",
+            "title": f"Aligning: {self._scene.title}",
+            "simulated": self._simulated,
+            "status": status,
+            "stop_requested": self.stopped,
+            "shot": len(lines) if status != "running" else self._sent,
+        }
+        if view is None:
+            return state | {"why": "no record has arrived yet"}
+        image_v = np.full((view.image_depth_m.size, LONGEST_MEMORY), np.nan)
+        image_v[:, LONGEST_MEMORY - len(lines) :] = np.array(lines).T
+        return state | {
+            "rf": rf_state(view),
+            "trend_mv": [round(float(line.std()) * 1e3, 3) for line in lines],
+            "level": level_state(view, self._scene.acquisition.input_range_v),
+            "image": image_state(image_v, view.image_depth_m, float(LONGEST_MEMORY), "shots"),
+        }
+
+
+def align(setup: Setup, port: int, announce: Callable[[str], None]) -> int:
+    """Repeat single tracking shots and show them until stopped from the page or by Ctrl-C; outputs are off after each.
+
+    Returns the number of shots. ``setup`` as ``without_pushing`` returns it; ``announce`` gets the page's address.
+    """
+    source = AlignSource(setup.scene.scene, setup.plan.shots[0], setup.bench.bench.simulated)
+    page = LivePage(source, port)
+    server = threading.Thread(target=page.serve, daemon=True)
+    server.start()
+    announce(f"live page: {page.address}")
+    shots, status = 0, "failed"
+    try:
+        with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+            while not source.stopped:
+                start_s = time.monotonic()
+                source.put(_single_shot(setup.plan, bench))
+                shots += 1
+                time.sleep(max(0.0, SHOT_PERIOD_S - (time.monotonic() - start_s)))
+        status = "aborted"
+    except KeyboardInterrupt:
+        status = "aborted"
+        raise
+    finally:
+        source.end(status)
+        page.close(grace_s=1.0)
+        server.join(5.0)
+    return shots
+
+
+def _single_shot(plan: Plan, bench: Bench) -> ShotRecords:
+    with contextlib.closing(acquire(plan, bench)) as events:
+        blocks = [event.block for event in events if isinstance(event, ShotBlock)]
+    return assemble(blocks, plan.shots[0])

@@ -1,0 +1,76 @@
+"""The live page of a run: served by a process of its own that reads the run file, so no browser can hold up a run."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hpe_rig.live.server import LivePage
+from hpe_rig.live.source import RunSource
+from hpe_rig.store import StoreError
+
+START_S = 20.0
+"""How long a page may take to start before the run goes on without it."""
+GRACE_S = 15.0
+"""Longest time for the last state to be read and to reach every viewer; it ends as soon as it has."""
+
+
+def serve_run(run_file: Path, port: int = 0, attached: bool = False) -> None:
+    """Print the address of the live page of ``run_file`` and serve it until Ctrl-C.
+
+    ``attached``: until standard input ends, which is when the process that started this one does.
+    """
+    page = LivePage(RunSource(run_file), port)
+    print(page.address, flush=True)
+    if attached:
+        threading.Thread(target=_close_with_input, args=(page,), daemon=True).start()
+    with contextlib.suppress(KeyboardInterrupt):
+        page.serve()
+
+
+@contextlib.contextmanager
+def live_page_of(run_file: Path, port: int = 0) -> Iterator[str]:
+    """Start the live page of ``run_file`` in a process of its own and yield its address; end it afterwards.
+
+    Raises ``StoreError`` where it does not start.
+    """
+    command = [sys.executable, "-m", "hpe_rig", "live", str(run_file), "--port", str(port), "--attached"]
+    # A group of its own: Ctrl-C ends the run first, and the page shows how it ended.
+    apart: dict[str, Any] = {"start_new_session": True}
+    if os.name == "nt":
+        apart = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
+    child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **apart)  # noqa: S603
+    try:
+        yield _address(child)
+    finally:
+        if child.stdin is not None:
+            child.stdin.close()
+        try:
+            child.wait(timeout=GRACE_S + 5.0)
+        except subprocess.TimeoutExpired:
+            child.kill()
+
+
+def _address(child: subprocess.Popen[str]) -> str:
+    found: list[str] = []
+
+    def read() -> None:
+        found.append(child.stdout.readline().strip() if child.stdout is not None else "")
+
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    reader.join(START_S)
+    if not found or not found[0].startswith("http"):
+        raise StoreError("the live page did not start. Try: hpe-rig live RUN.h5 by hand, which says why.")
+    return found[0]
+
+
+def _close_with_input(page: LivePage) -> None:
+    sys.stdin.read()
+    page.close(GRACE_S)

@@ -1,0 +1,152 @@
+"""What a run file holds so far, read from another process while it is written."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Protocol, final
+
+import numpy as np
+
+from hpe_rig.acquire import request_stop, stop_path
+from hpe_rig.bench import parse_bench
+from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
+from hpe_rig.plan import Plan, make_plan
+from hpe_rig.processing import HarmonicFit, driven_frequencies_hz, estimate, options_of, shot_echoes
+from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
+from hpe_rig.result import Estimate
+from hpe_rig.scene import Scene, parse_scene
+from hpe_rig.store import StoredRun, StoreError, read_run
+
+LONGEST_HISTORY = 240
+
+
+class Source(Protocol):
+    """Where the live page gets its state from, and whom it asks to stop."""
+
+    def poll(self) -> State | None:
+        """Return the state, None where nothing has changed; called from one thread at a time."""
+        ...
+
+    def stop(self) -> None:
+        """Ask for a safe stop; raise ``StoreError`` where nobody can be asked."""
+        ...
+
+
+@final
+class RunSource:
+    """A run file, written by another process or long complete."""
+
+    def __init__(self, path: Path) -> None:
+        """Take ``path``; raises nothing: a file that is not there yet is waited for."""
+        self._path = path
+        self._seen: tuple[int, int, bool] | None = None
+        self._planned: tuple[Scene, Plan] | None = None
+        self._shot = 0
+        self._before = 0
+        self._history: list[State] = []
+
+    def poll(self) -> State | None:
+        """Return the state; None where the file has not changed since."""
+        try:
+            seen = self._fingerprint()
+            if seen == self._seen:
+                return None
+            stored = read_run(self._path)
+        except (OSError, StoreError) as error:
+            # Just being created, or no run file at all: both may be different a moment later.
+            return self._waiting(str(error))
+        self._seen = seen
+        return self._state(stored)
+
+    def stop(self) -> None:
+        """Ask the run to stop through the file that it looks for."""
+        request_stop(self._path)
+
+    def _fingerprint(self) -> tuple[int, int, bool]:
+        status = self._path.stat()
+        return status.st_mtime_ns, status.st_size, stop_path(self._path).exists()
+
+    def _waiting(self, why: str) -> State | None:
+        if self._seen == (0, 0, False):
+            return None
+        self._seen = (0, 0, False)
+        return {"mode": "run", "status": "waiting", "title": self._path.name, "why": why}
+
+    def _plan(self, stored: StoredRun) -> tuple[Scene, Plan]:
+        if self._planned is None:
+            scene = parse_scene(stored.scene_name, stored.scene_toml).scene
+            self._planned = scene, make_plan(scene, parse_bench(stored.bench_name, stored.bench_toml).bench)
+        return self._planned
+
+    def _state(self, stored: StoredRun) -> State:
+        scene, plan = self._plan(stored)
+        here = self._advance(stored)
+        state: State = {
+            "mode": "run",
+            "title": scene.title,
+            "simulated": stored.simulated,
+            "status": stored.status,
+            "stop_requested": stop_path(self._path).exists(),
+            "shot": self._shot + 1,
+            "shots": len(plan.shots),
+            "records": self._before + here,
+            "records_planned": sum(shot.capture.record_count for shot in plan.shots),
+        }
+        if not here or (state["stop_requested"] and stored.status == "running"):
+            # An estimate would keep the run's core busy while somebody waits for it to stop.
+            return state
+        return state | self._measured(scene, plan, stored, here)
+
+    def _advance(self, stored: StoredRun) -> int:
+        """Move on to the last shot that has records and return how many it has."""
+        here = _arrived(stored, self._shot)
+        while self._shot + 1 < len(stored.records) and (later := _arrived(stored, self._shot + 1)):
+            self._shot, self._before, here = self._shot + 1, self._before + here, later
+        return here
+
+    def _measured(self, scene: Scene, plan: Plan, stored: StoredRun, here: int) -> State:
+        shot, records = plan.shots[self._shot], stored.records[self._shot]
+        echoes = echo_view(scene, shot, records, line=-1)
+        if echoes is None:
+            return {}
+        state: State = {
+            "rf": rf_state(echoes),
+            "level": level_state(echoes, scene.acquisition.input_range_v),
+            "image": image_state(echoes.image_v, echoes.image_depth_m, float(echoes.image_time_s[-1]) * 1e3, "ms"),
+        }
+        try:
+            gated = gate_alone(records, shot.gate)
+            arrived = shot_echoes(scene, shot, gated, shown_pulses(scene, shot))
+            wanted = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
+            fit = estimate(arrived, wanted, "coherent", driven_frequencies_hz(scene), options_of(scene.processing))
+            estimates = _estimates(fit)
+            state["motion"] = motion_state(motion_view(scene, shot, gated, estimates))
+        except ValueError as error:
+            # Not enough pulses yet; the page says so and shows the echoes.
+            return state | {"why": str(error), "history": self._history}
+        harmonics = harmonic_state(estimates)
+        self._history.append({"records": self._before + here, "nm": [item["nm"] for item in harmonics]})
+        self._history = self._history[-LONGEST_HISTORY:]
+        return state | {"harmonics": harmonics, "history": self._history}
+
+
+def _arrived(stored: StoredRun, shot: int) -> int:
+    return int(np.count_nonzero(stored.rows(shot)["records/recorded"] == 1))
+
+
+def _estimates(fit: HarmonicFit) -> list[Estimate]:
+    return [
+        Estimate(
+            frequency_hz=float(fit.frequency_hz[index]),
+            amplitude_m=float(fit.amplitude_m[index]),
+            amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
+            phase_rad=float(fit.phase_rad[index]),
+            phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
+            averaging_factor=None,
+            speckle_relative=None,
+            true_amplitude_m=None,
+            true_phase_rad=None,
+        )
+        for index in range(fit.frequency_hz.size)
+    ]

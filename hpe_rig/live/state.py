@@ -1,0 +1,95 @@
+"""What the live page shows, as plain values for JSON: small, whatever the size of the run."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.report import EchoView, MotionView, grey_limit_v
+from hpe_rig.result import Estimate
+
+FloatArray = NDArray[np.float64]
+State = dict[str, Any]
+
+MOST_POINTS = 600
+MOST_COLUMNS, MOST_ROWS = 240, 96
+
+
+def rf_state(view: EchoView) -> State:
+    """Return the RF line in mV over depth in mm, and the gate."""
+    step = -(-view.line_v.size // MOST_POINTS)
+    return {
+        "depth_mm": _list(view.line_depth_m[::step] * 1e3, 3),
+        "mv": _list(view.line_v[::step] * 1e3, 3),
+        "gate_mm": _list(np.array(view.gate_m) * 1e3, 3),
+    }
+
+
+def image_state(image_v: FloatArray, depth_m: FloatArray, span: float, unit: str) -> State:
+    """Return an M-mode image (row, column) as bytes: 0 missing, 1 to 255 from minus to plus its grey limit."""
+    image = image_v[:: -(-image_v.shape[0] // MOST_ROWS), :: -(-image_v.shape[1] // MOST_COLUMNS)]
+    missing = ~np.isfinite(image)
+    limit_v = grey_limit_v(image)
+    share = np.clip(np.where(missing, 0.0, image) / limit_v, -1, 1)
+    grey = np.where(missing, 0, np.round(128 + 127 * share)).astype(np.uint8)
+    return {
+        "rows": grey.shape[0],
+        "columns": grey.shape[1],
+        "grey": base64.b64encode(grey.tobytes()).decode("ascii"),
+        "depth_mm": _list(depth_m[[0, -1]] * 1e3, 3),
+        "span": span,
+        "unit": unit,
+        "limit_mv": round(limit_v * 1e3, 3),
+    }
+
+
+def motion_state(view: MotionView) -> State:
+    """Return displacement and fit in nm over time in ms, the last pulses of them."""
+    last = slice(-MOST_POINTS, None)
+    middle_m = float(view.displacement_m[last].mean())
+    return {
+        "time_ms": _list(view.time_s[last] * 1e3, 4),
+        "nm": _list((view.displacement_m[last] - middle_m) * 1e9, 2),
+        "fit_nm": _list((view.fitted_m[last] - middle_m) * 1e9, 2),
+        "residual_nm": round(float(view.residual_m.std()) * 1e9, 3),
+    }
+
+
+def harmonic_state(estimates: Sequence[Estimate]) -> list[State]:
+    """Return amplitude in nm and phase in degrees of every harmonic, with standard uncertainties."""
+    return [
+        {
+            "hz": item.frequency_hz,
+            "nm": _number(item.amplitude_m * 1e9),
+            "u_nm": _number(item.amplitude_uncertainty_m * 1e9),
+            "deg": _number(math.degrees(item.phase_rad)),
+            "u_deg": _number(math.degrees(item.phase_uncertainty_rad)),
+        }
+        for item in estimates
+    ]
+
+
+def level_state(view: EchoView, full_scale_v: float) -> State:
+    """Return how strong the echo in the gate is, for aligning: rms and largest in mV, and its share of full scale."""
+    inside = (view.line_depth_m >= view.gate_m[0]) & (view.line_depth_m <= view.gate_m[1])
+    gate_v = view.line_v[inside] if inside.any() else np.zeros(1)
+    largest_v = float(np.abs(gate_v).max())
+    return {
+        "rms_mv": round(float(gate_v.std()) * 1e3, 3),
+        "largest_mv": round(largest_v * 1e3, 3),
+        "of_full_scale": round(largest_v / full_scale_v, 4),
+        "clipped": bool(np.abs(view.line_v).max() >= 0.999 * full_scale_v),
+    }
+
+
+def _list(values: FloatArray, digits: int) -> list[float]:
+    return [round(float(value), digits) for value in values]
+
+
+def _number(value: float) -> float | None:
+    return float(f"{value:.6g}") if math.isfinite(value) else None

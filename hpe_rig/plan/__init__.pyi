@@ -1,0 +1,22 @@
+from .checks.acoustic_output import (
+    AcousticOutput as AcousticOutput,
+    drive_output as drive_output,
+    highest_output as highest_output,
+)
+from .checks.conflicts import (
+    Finding as Finding,
+    PlanError as PlanError,
+    findings as findings,
+    refuse_conflicts as refuse_conflicts,
+)
+from .interference import disturbed_pulses as disturbed_pulses
+from .shots import (
+    SAFETY_MARGIN_S as SAFETY_MARGIN_S,
+    Plan as Plan,
+    Shot as Shot,
+    make_plan as make_plan,
+    pulse_count as pulse_count,
+    reference_gate as reference_gate,
+    slow_time_window as slow_time_window,
+)
+from .timeline import plan_text as plan_text

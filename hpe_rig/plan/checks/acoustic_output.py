@@ -1,0 +1,101 @@
+"""Acoustic output at the focus, estimated from the bench's calibration before anything is switched on.
+
+Derated by 0.3 dB/cm/MHz and compared as the FDA's track 3 does: I_spta against its limit, and the mechanical index or
+I_sppa against theirs. Pressure is taken to be proportional to the generator's amplitude, intensity to its square.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from drivers.interfaces import Toneburst
+from hpe_rig.bench import BenchFile, Calibration, DriveCalibration, Limits
+from hpe_rig.plan.shots import Shot
+
+DERATING_DB_PER_M_HZ: Final = 0.3 / (1e-2 * 1e6)
+# Of the calibrated carrier: a transducer's response hardly changes within it.
+CARRIER_TOLERANCE: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class AcousticOutput:
+    """Estimated derated output of one shot at the focus."""
+
+    mechanical_index: float
+    sppa_w_per_m2: float
+    spta_w_per_m2: float
+
+    def within(self, limits: Limits) -> bool:
+        """Return whether time average, and peak pressure or pulse average, are within the bench's limits."""
+        peak = self.mechanical_index <= limits.max_mechanical_index or self.sppa_w_per_m2 <= limits.max_sppa_w_per_m2
+        return peak and self.spta_w_per_m2 <= limits.max_spta_w_per_m2
+
+
+def derating_db(carrier_hz: float, depth_m: float) -> float:
+    """Return the attenuation that the output in water is reduced by, in dB."""
+    return DERATING_DB_PER_M_HZ * carrier_hz * depth_m
+
+
+def drive_output(drive: DriveCalibration, depth_m: float, amplitude_vpp: float, duty: float) -> AcousticOutput:
+    """Return the output of one drive of ``amplitude_vpp`` that is on for ``duty`` of the time."""
+    share, attenuation_db = amplitude_vpp / drive.amplitude_vpp, derating_db(drive.carrier_hz, depth_m)
+    rarefaction_pa = drive.rarefaction_pa * share * 10 ** (-attenuation_db / 20)
+    sppa_w_per_m2 = drive.sppa_w_per_m2 * share**2 * 10 ** (-attenuation_db / 10)
+    index = rarefaction_pa / 1e6 / math.sqrt(drive.carrier_hz / 1e6)
+    return AcousticOutput(index, sppa_w_per_m2, sppa_w_per_m2 * duty)
+
+
+def combined(outputs: Sequence[AcousticOutput]) -> AcousticOutput:
+    """Return the output of drives that take turns at one focus: the largest peak, the sum of the averages."""
+    return AcousticOutput(
+        max(output.mechanical_index for output in outputs),
+        max(output.sppa_w_per_m2 for output in outputs),
+        sum(output.spta_w_per_m2 for output in outputs),
+    )
+
+
+def shot_output(calibration: Calibration, shot: Shot) -> AcousticOutput:
+    """Return the output of ``shot``, averaged over its trains; ``uncalibrated`` drives are left out."""
+    depth_m = calibration.focus_depth_m
+    drives = [
+        drive_output(drive, depth_m, burst.amplitude_vpp, _duty(burst, rate_hz))
+        for drive, burst, rate_hz in _drives(calibration, shot)
+        if drive is not None
+    ]
+    return combined(drives) if drives else AcousticOutput(0.0, 0.0, 0.0)
+
+
+def uncalibrated(calibration: Calibration | None, shot: Shot) -> Iterator[str]:
+    """Yield in words what of ``shot`` the calibration says nothing about."""
+    if calibration is None:
+        yield "the bench file has no [calibration]"
+        return
+    names = ("tracking pulse", "toneburst")
+    for name, (drive, burst, _) in zip(names, _drives(calibration, shot), strict=False):
+        if drive is None:
+            yield f"the {name} is not calibrated"
+        elif abs(burst.carrier_hz / drive.carrier_hz - 1) > CARRIER_TOLERANCE:
+            yield f"the {name} of {burst.carrier_hz / 1e6:g} MHz was calibrated at {drive.carrier_hz / 1e6:g} MHz"
+
+
+def highest_output(bench: BenchFile, shots: Sequence[Shot]) -> AcousticOutput:
+    """Return the largest of each quantity over ``shots``; zero where there is no calibration."""
+    if bench.calibration is None:
+        return AcousticOutput(0.0, 0.0, 0.0)
+    outputs = [shot_output(bench.calibration, shot) for shot in shots]
+    peak = combined(outputs)
+    return AcousticOutput(peak.mechanical_index, peak.sppa_w_per_m2, max(output.spta_w_per_m2 for output in outputs))
+
+
+def _drives(calibration: Calibration, shot: Shot) -> list[tuple[DriveCalibration | None, Toneburst, float]]:
+    drives = [(calibration.tracking_pulse, shot.tracking_pulser, shot.tracking_train.rate_hz)]
+    if shot.toneburst is not None and shot.burst_train is not None:
+        drives.append((calibration.toneburst, shot.toneburst, shot.burst_train.rate_hz))
+    return drives
+
+
+def _duty(burst: Toneburst, rate_hz: float) -> float:
+    return burst.cycles / burst.carrier_hz * rate_hz

@@ -1,0 +1,304 @@
+"""Scene -> shots with every edge in absolute time; a function of scene and bench file alone."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import Capture, PulseTrain, Toneburst, TriggerPulse
+from hpe_rig.bench import EXCITATION_ROLES, GENERATOR_ROLES, BenchFile
+from hpe_rig.plan.omitted import LeftOut, left_out
+from hpe_rig.scene import Mistake, Scene, SettingsError
+
+TTL_HIGH_V = 4.0
+MASTER_PULSE_S = 10e-6
+MOST_SHOTS = 20_000
+MOST_PULSES = 1_000_000
+SAFETY_MARGIN_S = 1.0
+"""How much later than planned the digitizer's deadline stands, beyond the trains themselves."""
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """Instants of one shot at the transducer, in seconds after the master trigger's edge.
+
+    ``burst_onset_s`` (burst,), ``pulse_onset_s`` (pulse,); the gate and the record of pulse k stand
+    ``gate_offset_s`` and ``record_offset_s`` (start, end) after ``pulse_onset_s[k]``.
+    """
+
+    burst_onset_s: NDArray[np.float64]
+    burst_length_s: float
+    pulse_onset_s: NDArray[np.float64]
+    pulse_length_s: float
+    gate_offset_s: tuple[float, float]
+    record_offset_s: tuple[float, float]
+
+    @property
+    def sensing_s(self) -> NDArray[np.float64]:
+        """When each tracking pulse reaches the middle of the gate and senses its motion, shape (pulse,)."""
+        return self.pulse_onset_s + self._way_s
+
+    @property
+    def reference_s(self) -> float:
+        """Phase reference: arrival of the first toneburst at the gate, or the master's edge where nothing pushes."""
+        return float(self.burst_onset_s[0]) + self._way_s if self.burst_onset_s.size else 0.0
+
+    @property
+    def _way_s(self) -> float:
+        return sum(self.gate_offset_s) / 4
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One master trigger: what every instrument is programmed to, and when what happens."""
+
+    index: int
+    repeat: int
+    force_fraction: float | None
+    master: TriggerPulse
+    burst_train: PulseTrain | None
+    toneburst: Toneburst | None
+    tracking_train: PulseTrain
+    tracking_pulser: Toneburst
+    capture: Capture
+    timeline: Timeline
+
+    @property
+    def gate(self) -> slice:
+        """Samples of the record that lie in the gate."""
+        rate_hz, start_s = self.capture.sample_rate_hz, self.timeline.record_offset_s[0]
+        first = round((self.timeline.gate_offset_s[0] - start_s) * rate_hz)
+        length = round((self.timeline.gate_offset_s[1] - self.timeline.gate_offset_s[0]) * rate_hz)
+        return slice(first, first + length)
+
+    @property
+    def train_end_s(self) -> float:
+        """End of both trains after the master trigger's edge."""
+        tracking, burst = self.tracking_train, self.burst_train
+        ends = [tracking.delay_s + tracking.count / tracking.rate_hz]
+        return max(ends + ([burst.count / burst.rate_hz] if burst else []))
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything a measurement will do."""
+
+    roles: tuple[str, ...]
+    shots: tuple[Shot, ...]
+    shot_period_s: float
+    left_out: tuple[LeftOut, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Expected time of the measurement: the shots without the instruments' programming."""
+        return self.shot_period_s * (len(self.shots) - 1) + self.shots[-1].train_end_s
+
+    @property
+    def record_bytes(self) -> int:
+        """Expected size of the records in the run file before any compression."""
+        captures = [shot.capture for shot in self.shots]
+        return sum(2 * one.record_count * one.record_samples * one.channels for one in captures)
+
+
+def make_plan(scene: Scene, bench: BenchFile) -> Plan:
+    """Return the plan of ``scene`` on ``bench``; it may hold conflicts, which ``hpe_rig.plan.checks.conflicts`` finds.
+
+    Raises ``SettingsError`` where the scene asks for more shots or pulses than anyone could wait for.
+    """
+    if len(scene.rates) > 1:
+        return _joined([make_plan(each, bench) for each in scene.rates])
+    (scene,) = scene.rates
+    _refuse_endless(scene)
+    capture = _capture(scene, bench)
+    lengths = scene.excitation.burst_length_s if scene.excitation else (None,)
+    # One timeline for all shots of a burst length: long sweeps and many repeats stay small.
+    timelines = {length: _timeline(scene, bench, length, capture) for length in lengths}
+    shots = tuple(
+        _shot(index, repeat, force, scene, bench, capture, timelines[burst_length_s], burst_length_s)
+        for index, (burst_length_s, force, repeat) in enumerate(_sweep(scene))
+    )
+    period_s = scene.acquisition.shot_period_s or max(shot.train_end_s for shot in shots)
+    roles = tuple(role for role in GENERATOR_ROLES if scene.excitation or role not in EXCITATION_ROLES)
+    return Plan((*roles, "digitizer"), shots, period_s, tuple(left_out(scene, bench)))
+
+
+def _joined(plans: list[Plan]) -> Plan:
+    """Return one plan of the shots of all; what is left out is the same in each."""
+    shots = tuple(replace(shot, index=index) for index, shot in enumerate(s for plan in plans for s in plan.shots))
+    return Plan(plans[0].roles, shots, max(plan.shot_period_s for plan in plans), plans[0].left_out)
+
+
+def slow_time_window(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
+    """Return which pulses lie in the processing window, shape (pulse,)."""
+    processing = scene.processing
+    after_first_s = shot.timeline.pulse_onset_s - shot.timeline.pulse_onset_s[0]
+    end_s = math.inf if processing.window_length_s is None else processing.window_start_s + processing.window_length_s
+    half_s = 0.5 / shot.tracking_train.rate_hz
+    inside: NDArray[np.bool_] = (after_first_s > processing.window_start_s - half_s) & (after_first_s < end_s - half_s)
+    return inside
+
+
+def pulse_count(scene: Scene) -> int:
+    """Return the number of tracking pulses: as asked, or as many periods as the burst train lasts."""
+    if scene.tracking.pulse_count is not None:
+        return scene.tracking.pulse_count
+    if scene.excitation is None:
+        return 1
+    train_s = scene.excitation.burst_count / scene.excitation.burst_rate_hz
+    return max(1, math.floor(train_s * scene.tracking.pulse_rate_hz + 1e-6))
+
+
+def reference_gate(scene: Scene, shot: Shot) -> slice | None:
+    """Return the samples of a record that lie in the reference gate, None where the scene has none."""
+    depth_m = scene.processing.reference_gate_depth_m
+    if depth_m is None:
+        return None
+    acquisition = scene.acquisition
+    length_m = scene.processing.reference_gate_length_m or acquisition.gate_length_m
+    per_metre = 2 / acquisition.sound_speed_m_per_s * shot.capture.sample_rate_hz
+    shift = round((depth_m - length_m / 2 - acquisition.gate_depth_m + acquisition.gate_length_m / 2) * per_metre)
+    start = shot.gate.start + shift
+    return slice(start, start + round(length_m * per_metre))
+
+
+def tracking_path_s(bench: BenchFile) -> tuple[float, float]:
+    """Return the time from the master's edge, without t_d, to the digitizer's trigger and to the pulse's onset."""
+    generators, board = bench.generators, bench.digitizer
+    trigger_s = bench.path_delay_s("master.output", "tracking_train.trigger") + generators.tracking_train.latency_s
+    trigger_s += bench.path_delay_s("tracking_train.output", "digitizer.trigger")
+    onset_s = trigger_s + board.aux_latency_s + bench.path_delay_s("digitizer.aux", "tracking_pulser.trigger")
+    onset_s += generators.tracking_pulser.latency_s + bench.path_delay_s("tracking_pulser.output", "transducer.drive")
+    return trigger_s, onset_s
+
+
+def burst_path_s(bench: BenchFile) -> float:
+    """Return the time from the master's edge to the first toneburst's onset at the transducer; NaN if not wired."""
+    train, toneburst = bench.generators.burst_train, bench.generators.toneburst
+    if train is None or toneburst is None:
+        return math.nan
+    to_train_s = bench.path_delay_s("master.output", "burst_train.trigger") + train.latency_s
+    to_toneburst_s = bench.path_delay_s("burst_train.output", "toneburst.trigger") + toneburst.latency_s
+    return to_train_s + to_toneburst_s + bench.path_delay_s("toneburst.output", "transducer.drive")
+
+
+def _sweep(scene: Scene) -> itertools.product[tuple[float | None, float | None, int]]:
+    excitation, repeats = scene.excitation, range(scene.acquisition.repeats)
+    lengths: tuple[float | None, ...] = excitation.burst_length_s if excitation else (None,)
+    forces: tuple[float | None, ...] = excitation.force_fraction if excitation else (None,)
+    return itertools.product(lengths, forces, repeats)
+
+
+def _refuse_endless(scene: Scene) -> None:
+    excitation, mistakes = scene.excitation, []
+    shots = scene.acquisition.repeats * (
+        len(excitation.burst_length_s) * len(excitation.force_fraction) if excitation else 1
+    )
+    if shots > MOST_SHOTS:
+        what = f"the scene asks for {shots} shots, a run holds at most {MOST_SHOTS}"
+        mistakes.append(Mistake("acquisition.repeats", what, "fewer repeats, or several runs"))
+    if excitation and scene.tracking.pulse_count is None:
+        pulses = excitation.burst_count / excitation.burst_rate_hz * scene.tracking.pulse_rate_hz
+        if not pulses <= MOST_PULSES:
+            what = f"the burst train lasts {pulses:.3g} pulse periods, a shot has at most {MOST_PULSES} pulses"
+            mistakes.append(Mistake("tracking.pulse_rate_hz", what, "fewer bursts, or tracking.pulse_count"))
+    if mistakes:
+        raise SettingsError("the scene", mistakes)
+
+
+def _shot(
+    index: int,
+    repeat: int,
+    force: float | None,
+    scene: Scene,
+    bench: BenchFile,
+    capture: Capture,
+    timeline: Timeline,
+    burst_length_s: float | None,
+) -> Shot:
+    tracking, pulser = scene.tracking, bench.generators.tracking_pulser
+    return Shot(
+        index=index,
+        repeat=repeat,
+        force_fraction=force,
+        master=TriggerPulse(MASTER_PULSE_S, TTL_HIGH_V, bench.generators.master.load_ohm),
+        burst_train=_burst_train(scene, bench),
+        toneburst=_toneburst(scene, bench, burst_length_s, force),
+        tracking_train=_train(
+            tracking.pulse_rate_hz, pulse_count(scene), tracking.delay_s, bench.generators.tracking_train.load_ohm
+        ),
+        tracking_pulser=Toneburst(
+            tracking.carrier_hz,
+            tracking.cycles,
+            pulser.amplitude_vpp or bench.limits.full_drive_vpp,
+            0.0,
+            pulser.load_ohm,
+        ),
+        capture=capture,
+        timeline=timeline,
+    )
+
+
+def _train(rate_hz: float, count: int, delay_s: float, load_ohm: float) -> PulseTrain:
+    return PulseTrain(rate_hz, count, delay_s, min(10e-6, 0.25 / rate_hz), TTL_HIGH_V, load_ohm)
+
+
+def _burst_train(scene: Scene, bench: BenchFile) -> PulseTrain | None:
+    excitation, generator = scene.excitation, bench.generators.burst_train
+    if excitation is None or generator is None:
+        return None
+    return _train(excitation.burst_rate_hz, excitation.burst_count, 0.0, generator.load_ohm)
+
+
+def _toneburst(scene: Scene, bench: BenchFile, length_s: float | None, force: float | None) -> Toneburst | None:
+    excitation, generator = scene.excitation, bench.generators.toneburst
+    if excitation is None or generator is None or length_s is None or force is None:
+        return None
+    # Force is proportional to intensity, so to the square of the drive.
+    amplitude_vpp = bench.limits.full_drive_vpp * math.sqrt(force)
+    cycles = max(1, round(length_s * excitation.carrier_hz))
+    return Toneburst(excitation.carrier_hz, cycles, amplitude_vpp, 0.0, generator.load_ohm)
+
+
+def _gate_offset_s(scene: Scene) -> tuple[float, float]:
+    gate = scene.acquisition
+    half_s = gate.gate_length_m / gate.sound_speed_m_per_s
+    middle_s = 2 * gate.gate_depth_m / gate.sound_speed_m_per_s
+    return middle_s - half_s, middle_s + half_s
+
+
+def _capture(scene: Scene, bench: BenchFile) -> Capture:
+    acquisition, board = scene.acquisition, bench.digitizer
+    trigger_s, onset_s = tracking_path_s(bench)
+    middle_s = sum(_gate_offset_s(scene)) / 2 + onset_s - trigger_s - board.latency_s
+    delay = math.floor(middle_s * acquisition.sample_rate_hz - acquisition.record_samples / 2)
+    # Should the pulser wait for the trigger delay, no delay can bring the record closer to the echo.
+    delay = 0 if board.aux_waits_for_trigger_delay else max(0, delay)
+    return Capture(
+        sample_rate_hz=acquisition.sample_rate_hz,
+        record_samples=acquisition.record_samples,
+        trigger_delay_samples=delay,
+        record_count=pulse_count(scene),
+        input_range_v=acquisition.input_range_v,
+        trigger_level_v=board.trigger_level_v,
+        monitor_range_v=board.monitor_range_v,
+    )
+
+
+def _timeline(scene: Scene, bench: BenchFile, burst_length_s: float | None, capture: Capture) -> Timeline:
+    tracking, excitation = scene.tracking, scene.excitation
+    trigger_s, onset_s = tracking_path_s(bench)
+    start_s = trigger_s + bench.digitizer.latency_s + capture.trigger_delay_samples / capture.sample_rate_hz - onset_s
+    bursts = np.arange(excitation.burst_count if excitation else 0, dtype=np.float64)
+    burst_rate_hz = excitation.burst_rate_hz if excitation else 1.0
+    return Timeline(
+        burst_onset_s=burst_path_s(bench) + bursts / burst_rate_hz,
+        burst_length_s=burst_length_s or 0.0,
+        pulse_onset_s=onset_s + tracking.delay_s + np.arange(capture.record_count) / tracking.pulse_rate_hz,
+        pulse_length_s=tracking.cycles / tracking.carrier_hz,
+        gate_offset_s=_gate_offset_s(scene),
+        record_offset_s=(start_s, start_s + capture.record_samples / capture.sample_rate_hz),
+    )

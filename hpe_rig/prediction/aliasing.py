@@ -1,0 +1,57 @@
+"""What harmonics of the bursts that the fit cannot tell apart do to those that are wanted, before a measurement."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.plan import Shot
+from hpe_rig.prediction.forecast import motion_of_medium
+from hpe_rig.prediction.theory import force_spectrum
+from hpe_rig.processing import design_of, harmonic_columns
+from hpe_rig.scene import Scene
+
+LOBES = 10
+"""Lobes of the force spectrum, each 1/T_b wide, whose harmonics are taken along; what moves falls as their square."""
+
+
+def fitted_over_true(scene: Scene, shot: Shot, simulated: bool = True) -> NDArray[np.complex128] | None:
+    """Return what least squares make of each wanted harmonic over what it is (frequency,), without noise.
+
+    From the medium's steady motion under the bursts, tracked at the pulses that the estimate uses; None where no
+    medium is known, nothing pushes, or the wanted frequencies are no multiples of the burst rate.
+    """
+    if scene.excitation is None or shot.toneburst is None:
+        return None
+    rate_hz, length_s = scene.excitation.burst_rate_hz, shot.toneburst.cycles / shot.toneburst.carrier_hz
+    wanted_hz = np.array(scene.wanted_frequencies_hz)
+    place = np.rint(wanted_hz / rate_hz).astype(np.int64)
+    harmonic = np.arange(1, int(LOBES / (length_s * rate_hz)) + 1)
+    frequency_hz = np.asarray(harmonic * rate_hz, dtype=np.float64)
+    motion = motion_of_medium(scene, frequency_hz, simulated=simulated)
+    if motion is None or not np.allclose(place * rate_hz, wanted_hz, rtol=1e-9) or place.max() > harmonic.size:
+        return None
+    # the sinusoid A sin(w t + phase) has the coefficient A exp(j phase) = j times that of exp(j w t)
+    true = 1j * motion[0] * force_spectrum(harmonic, rate_hz, length_s)
+    try:
+        time_s, model = design_of(scene, shot)
+    except ValueError:
+        # a plan with conflicts may have no fit at all
+        return None
+    parts = np.stack([true.real, true.imag], axis=-1).ravel()
+    state = model.solve(harmonic_columns(time_s, frequency_hz) @ parts)[0]
+    fitted = state[: 2 * wanted_hz.size].reshape(-1, 2) @ np.array([1, 1j])
+    return np.asarray(fitted / true[place - 1])
+
+
+def folding_text(scene: Scene, shot: Shot, simulated: bool = True) -> Iterator[str]:
+    """Yield by how much the wanted harmonics are off at most; for ``hpe-rig check``."""
+    ratio = fitted_over_true(scene, shot, simulated)
+    if ratio is not None:
+        amplitude, phase = np.abs(np.abs(ratio) - 1).max(), np.degrees(np.abs(np.angle(ratio)).max())
+        yield (
+            f"folding in this medium: harmonics not told apart change the wanted ones by at most "
+            f"{100 * amplitude:.2g} % and {phase:.2g} deg (least squares, no noise; stated by no uncertainty)"
+        )

@@ -1,0 +1,284 @@
+"""Bias and jitter of amplitude and phase, predicted: what beams, gate, pulse, noise and estimator make of a motion.
+
+Echoes stand as complex envelopes in the gate: draws of speckle, with and without the displacement as weight, blurred
+by the pulse (no carrier, no pulses in slow time). Their ratios give bias and speckle jitter; noise enters through the
+phase variance of a pulse and the part of a step's noise that does not return in the next step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ive
+
+from hpe_rig.processing import hann
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Triple = tuple[float, float, float]
+
+INSTANTS = 64
+BAND_OF_CARRIER = 1.0
+"""Width of the band that the estimators sum, in carriers."""
+PADDING = 4
+PHASE_LIMIT = np.pi / np.sqrt(3)
+LATERAL = 3.5
+"""Half width of the drawn box in sigmas of the tracking beam: scatterers beyond echo 2e-3 of the peak."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What bias and jitter depend on; SI units, widths as sigmas, ``snr`` a power ratio in the gate.
+
+    ``trigger_jitter_s``, between a pulse and the sampling clock, moves a whole echo: it is told from noise by no gate.
+    ``fit_gain``: noise of the fitted quadrature over that of a sinusoid fitted alone to all pulses.
+    """
+
+    excitation_width_m: Triple
+    tracking_width_m: Triple
+    gate_length_m: float
+    pulse_length_m: float
+    scatterers_per_m3: float
+    carrier_hz: float
+    sound_speed_m_per_s: float
+    sample_rate_hz: float
+    pulse_rate_hz: float
+    pulses: int
+    frequency_hz: float
+    amplitude_m: float
+    snr: float
+    trigger_jitter_s: float = 0.0
+    fit_gain: float = 1.0
+
+    @property
+    def jitter_variance(self) -> float:
+        """Variance of a pulse's echo phase by trigger jitter, rad^2."""
+        return float((2 * np.pi * self.carrier_hz * self.trigger_jitter_s) ** 2)
+
+    @property
+    def gate_samples(self) -> float:
+        """Samples in the gate."""
+        return 2 * self.gate_length_m / self.sound_speed_m_per_s * self.sample_rate_hz
+
+    @property
+    def metres_per_radian(self) -> float:
+        """Displacement of a radian of echo phase."""
+        return self.sound_speed_m_per_s / (4 * np.pi * self.carrier_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """Predicted for one estimator: all against the peak displacement and its phase; standard deviations."""
+
+    estimator: str
+    bias_m: float
+    noise_jitter_m: float
+    speckle_jitter_m: float
+    phase_bias_rad: float
+    phase_jitter_rad: float
+
+    @property
+    def jitter_m(self) -> float:
+        """Noise and speckle together."""
+        return float(np.hypot(self.noise_jitter_m, self.speckle_jitter_m))
+
+
+@dataclass(frozen=True, slots=True)
+class Speckle:
+    """Envelopes (draw, instant) of echoes at rest and weighted by their displacement."""
+
+    resting: ComplexArray
+    moved: ComplexArray
+
+
+def expected(setting: Setting, estimator: str, speckle: Speckle, generator: np.random.Generator) -> Expected:
+    """Return bias and jitter of ``estimator`` for speckle drawn by ``draw_speckle`` with the same setting."""
+    if estimator == "cross_spectrum":
+        ratio, pulse, walk = _peak_statistics(setting, speckle, generator)
+        deviation = _windowed_deviation(setting, pulse + setting.jitter_variance, walk)
+    else:
+        ratio, share = _whole_gate(setting, speckle, estimator == "kasai")
+        pulse = 1 / (setting.gate_samples * setting.snr * share)
+        walk = _walk(setting, pulse) if estimator in ("kasai", "loupas") else 0.0
+        deviation = setting.fit_gain * _fitted_deviation(setting, pulse + setting.jitter_variance, walk)
+    return _with_noise(setting, estimator, ratio, deviation)
+
+
+@dataclass(frozen=True, slots=True)
+class Scattering:
+    """Draws of scatterers summed into cells of depth, (draw, cell): echo and echo weighted by the displacement."""
+
+    echo: ComplexArray
+    moved: ComplexArray
+    depth_m: FloatArray
+
+    def speckle(self, gate_length_m: float, pulse_length_m: float) -> Speckle:
+        """Return the envelopes in a gate around the focus that a Hann pulse makes of these scatterers."""
+        instant = ((np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5) * gate_length_m
+        distance = (instant - self.depth_m[:, None]) / pulse_length_m
+        blur = np.where(np.abs(distance) < 0.5, np.cos(np.pi * distance) ** 2, 0.0)
+        return Speckle(self.echo @ blur, self.moved @ blur)
+
+
+def draw_speckle(setting: Setting, generator: np.random.Generator, draws: int = 1000) -> Speckle:
+    """Return envelopes of ``draws`` independent speckles: scatterers of the setting's density, placed at random."""
+    deep_m = setting.gate_length_m + setting.pulse_length_m
+    cells = int(np.clip(4 * np.ceil(deep_m / setting.pulse_length_m), 48, 192))
+    scattering = draw_scattering(setting, generator, draws, deep_m, cells)
+    return scattering.speckle(setting.gate_length_m, setting.pulse_length_m)
+
+
+def draw_scattering(
+    setting: Setting, generator: np.random.Generator, draws: int, deep_m: float, cells: int
+) -> Scattering:
+    """Return ``draws`` draws of the setting's scatterers in ``cells`` cells within ``deep_m`` around the focus.
+
+    Beams and density alone count: the same draws serve any gate and pulse that stay within.
+    """
+    lateral_m = [2 * LATERAL * width for width in setting.tracking_width_m[:2]]
+    count = generator.poisson(setting.scatterers_per_m3 * np.prod(lateral_m) * deep_m, draws)
+    owner = np.repeat(np.arange(draws), count)
+    place = (generator.random((3, owner.size)) - 0.5) * np.array([*lateral_m, deep_m])[:, None]
+    echo = _gaussian(place, setting.tracking_width_m) * np.exp(2j * np.pi * generator.random(owner.size))
+    cell = np.minimum(((place[2] / deep_m + 0.5) * cells).astype(np.int64), cells - 1)
+
+    def summed(values: ComplexArray) -> ComplexArray:
+        flat = owner * cells + cell
+        parts = [np.bincount(flat, part, draws * cells) for part in (values.real, values.imag)]
+        return np.asarray((parts[0] + 1j * parts[1]).reshape(draws, cells))
+
+    moved = echo * _gaussian(place, setting.excitation_width_m)
+    return Scattering(summed(echo), summed(moved), ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m)
+
+
+def _gaussian(place: FloatArray, width_m: Triple) -> FloatArray:
+    return np.asarray(np.exp(-0.5 * np.square(place / np.array(width_m)[:, None]).sum(axis=0)))
+
+
+def _whole_gate(setting: Setting, speckle: Speckle, by_carrier: bool) -> tuple[FloatArray, float]:
+    """Return tracked over peak displacement (draw,) of the phase of the whole gate, and the energy's share in the band.
+
+    A moved echo a(t - 2u/c) exp(j w (t - 2u/c)) turns by its derivative against the echo at rest; that over the band's
+    mean frequency, or ``by_carrier`` over the carrier, is what is tracked.
+    """
+    seconds = 2 * setting.gate_length_m / setting.sound_speed_m_per_s / INSTANTS
+    carrier = 2 * np.pi * setting.carrier_hz
+    slope = np.gradient(speckle.moved, seconds, axis=-1) + 1j * carrier * speckle.moved
+    inside = _band_bins(setting, INSTANTS)
+    resting, turning = (np.fft.fft(each, axis=-1)[:, inside] for each in (speckle.resting, slope))
+    energy = np.abs(resting) ** 2
+    angular = carrier + 2 * np.pi * np.fft.fftfreq(INSTANTS, seconds)[inside]
+    divisor = carrier * energy.sum(axis=-1) if by_carrier else energy @ angular
+    share = energy.sum() / (INSTANTS * np.sum(np.abs(speckle.resting) ** 2))
+    return np.asarray(np.sum(np.conj(resting) * turning, axis=-1).imag / divisor), float(share)
+
+
+def _walk(setting: Setting, pulse: float) -> float:
+    """Return the phase variance of a step's own noise for one correlation over the whole band.
+
+    With M independent bins of in-band SNR s a pulse has 1/(2 M s) and a step 1/(2 M s^2) of its own.
+    """
+    bins = BAND_OF_CARRIER * setting.carrier_hz * 2 * setting.gate_length_m / setting.sound_speed_m_per_s
+    return 2 * bins * pulse**2
+
+
+def _windowed_deviation(setting: Setting, pulse: float, walk: float) -> float:
+    """Return the standard deviation, m, of a quadrature after a Hann window over steps: N sum w^2/(sum w)^2 is 1.5."""
+    half_step = np.sin(np.pi * setting.frequency_hz / setting.pulse_rate_hz)
+    level = pulse + walk / (4 * half_step**2)
+    return float(setting.metres_per_radian * np.sqrt(2 * 1.5 * level / setting.pulses))
+
+
+def _fitted_deviation(setting: Setting, pulse: float, walk: float) -> float:
+    """Return the standard deviation, m, of a quadrature fitted to the pulses with a constant, by least squares.
+
+    A random walk is strongest at its slowest, and a fit without window lets that into the quadratures.
+    """
+    if walk == 0:
+        return float(setting.metres_per_radian * np.sqrt(2 * pulse / setting.pulses))
+    angle = 2 * np.pi * setting.frequency_hz / setting.pulse_rate_hz * np.arange(setting.pulses)
+    rows = np.linalg.pinv(np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1))[:2]
+    over_steps = np.cumsum(rows[:, :0:-1], axis=1)
+    level = pulse * np.sum(rows**2) / 2 + walk * np.sum(over_steps**2) / 2
+    return float(setting.metres_per_radian * np.sqrt(level))
+
+
+def _with_noise(setting: Setting, estimator: str, ratio: FloatArray, deviation: float) -> Expected:
+    """Return what noise makes of amplitudes ``ratio`` (draw,): a Rice distribution about each."""
+    amplitude = np.abs(ratio) * setting.amplitude_m
+    mean = _rice_mean(amplitude, deviation)
+    spread = np.maximum(amplitude**2 + 2 * deviation**2 - mean**2, 0.0)
+    phase = np.minimum(deviation / np.maximum(amplitude, np.finfo(np.float64).tiny), PHASE_LIMIT)
+    # the mean of 1/amplitude^2 hangs on the few darkest draws: leave a hundredth out
+    phase = np.minimum(phase, np.quantile(phase, 0.99))
+    return Expected(
+        estimator,
+        float(mean.mean() - setting.amplitude_m),
+        float(np.sqrt(spread.mean())),
+        float(mean.std()),
+        0.0,
+        float(np.sqrt(np.mean(phase**2))),
+    )
+
+
+def _rice_mean(amplitude: FloatArray, deviation: float) -> FloatArray:
+    """Return the mean of the length of a vector ``amplitude`` plus noise ``deviation`` in both its parts."""
+    if deviation == 0:
+        return amplitude
+    x = np.square(amplitude / deviation) / 2
+    # L_1/2(-x) = exp(-x/2) [(1 + x) I0(x/2) + x I1(x/2)], the exponential inside the scaled functions
+    return np.asarray(deviation * np.sqrt(np.pi / 2) * ((1 + x) * ive(0, x / 2) + x * ive(1, x / 2)))
+
+
+def _peak_statistics(
+    setting: Setting, speckle: Speckle, generator: np.random.Generator
+) -> tuple[FloatArray, float, float]:
+    """Return ratio (draw,), pulse variance and a step's own variance of the phase at the cross-spectrum's peak.
+
+    Three noisy pulses a draw, so two steps: s_1 = p_2(f_1) - p_1(f_1) and s_2 = p_3(f_2) - p_2(f_2). Pulse noise v and
+    own noise w give Var s = 2 v + w and Cov(s_1, s_2) = -v; where noise moves the peak, f_1 differs from f_2. Steps q
+    at f_1 alone, of phases against the clean echo, have no noise of their own: their Var q + 2 Cov(q_1, q_2) is what
+    chance makes of the draws at hand, and is taken off.
+    """
+    window = hann(INSTANTS)
+    bins = PADDING * INSTANTS
+    power = np.mean(np.abs(speckle.resting) ** 2, axis=-1, keepdims=True)[:, None]
+    # noise of the real signal's band, seen through the gate: its share in INSTANTS samples of the envelope
+    scale = np.sqrt(power * INSTANTS / (setting.gate_samples * setting.snr))
+    shape = (len(speckle.resting), 3, INSTANTS)
+    noise = scale * (generator.standard_normal(shape) + 1j * generator.standard_normal(shape))
+    inside = _band_bins(setting, bins)
+    clean, moved = (np.fft.fft(each * window, bins)[:, inside] for each in (speckle.resting, speckle.moved))
+    noisy = clean[:, None] + np.fft.fft(noise * window, bins)[..., inside]
+    level = np.abs(noisy) ** 2
+    first, second = (np.argmax(level[:, k] * level[:, k + 1], axis=-1)[:, None] for k in (0, 1))
+    steps = [_phase_step(noisy[:, k], noisy[:, k + 1], peak) for k, peak in ((0, first), (1, second))]
+    ratios = [_taken(moved / clean, peak).real for peak in (first, second)]
+    pulse = max(-float(np.mean(steps[0] * steps[1])), 0.0)
+    phases = [_phase_step(clean, noisy[:, k], first) for k in range(3)]
+    own = max(_own_variance(*steps) - _own_variance(phases[1] - phases[0], phases[2] - phases[1]), 0.0)
+    # a step of the motion read at one peak or the other
+    half_step = np.sin(np.pi * setting.frequency_hz / setting.pulse_rate_hz)
+    step_power = 2 * np.square(setting.amplitude_m / setting.metres_per_radian * half_step)
+    own += float(np.mean((ratios[0] - ratios[1]) ** 2)) / 2 * step_power
+    return (ratios[0] + ratios[1]) / 2, pulse, own
+
+
+def _own_variance(first: FloatArray, second: FloatArray) -> float:
+    return float(np.mean((first**2 + second**2) / 2 + 2 * first * second))
+
+
+def _band_bins(setting: Setting, bins: int) -> FloatArray:
+    """Return which bins of the envelope's spectrum lie in the searched band."""
+    seconds = 2 * setting.gate_length_m / setting.sound_speed_m_per_s / INSTANTS
+    return np.asarray(np.abs(np.fft.fftfreq(bins, seconds)) <= setting.carrier_hz * BAND_OF_CARRIER / 2)
+
+
+def _taken(values: ComplexArray, place: NDArray[np.int64]) -> ComplexArray:
+    return np.take_along_axis(values, place, axis=-1)[:, 0]
+
+
+def _phase_step(before: ComplexArray, after: ComplexArray, place: NDArray[np.int64]) -> FloatArray:
+    return np.asarray(np.angle(np.conj(_taken(before, place)) * _taken(after, place)))

@@ -1,0 +1,49 @@
+"""The true amplitude and phase at the focus, from the twin's motion at every instant and not only at the pulses.
+
+Tonebursts are short, so they move the specimen at frequencies far above half the pulse rate too. Sampled at the pulses,
+these fold onto the wanted ones, in the truth as in the measurement, and no comparison would show it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.plan import Shot, slow_time_window
+from hpe_rig.scene import Scene
+
+INSTANTS_A_PULSE = 16
+
+
+def true_harmonics_m(
+    scene: Scene, shot: Shot, motion_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Return A cos(phase) and A sin(phase) of the peak displacement at every wanted frequency, m, (frequency, 2).
+
+    Over the whole burst periods of the processing window, where every driven harmonic is orthogonal to every other, or
+    over the window where nothing pushes; ``motion_m`` gives the displacement at times after the master trigger's edge.
+    Phases as in the result: sine, from ``Timeline.reference_s``.
+    """
+    from hpe_rig.processing.echoes import Motion
+    from hpe_rig.processing.harmonic import least_squares
+
+    sensing_s = shot.timeline.sensing_s[slow_time_window(scene, shot)]
+    time_s = sensing_s[0] + _instants_s(scene, float(sensing_s[-1] - sensing_s[0]))
+    motion = Motion(
+        time_s - shot.timeline.reference_s, motion_m(time_s), np.zeros(time_s.size), np.ones(time_s.size, bool)
+    )
+    fit = least_squares(motion, list(scene.wanted_frequencies_hz))
+    return np.stack([fit.amplitude_m * np.cos(fit.phase_rad), fit.amplitude_m * np.sin(fit.phase_rad)], axis=-1)
+
+
+def _instants_s(scene: Scene, length_s: float) -> NDArray[np.float64]:
+    rate_hz = scene.tracking.pulse_rate_hz * INSTANTS_A_PULSE
+    if scene.excitation is None or length_s * scene.excitation.burst_rate_hz < 1:
+        return np.arange(math.floor(length_s * rate_hz) + 1) / rate_hz
+    burst_rate_hz = scene.excitation.burst_rate_hz
+    periods = math.floor(length_s * burst_rate_hz + 1e-9)
+    instants = math.ceil(rate_hz / burst_rate_hz)
+    return np.arange(periods * instants) / (instants * burst_rate_hz)

@@ -1,0 +1,19 @@
+from .page import write_report as write_report
+from .svg import (
+    MARKS as MARKS,
+    STYLE as STYLE,
+    Picture as Picture,
+    inline as inline,
+    label_decades as label_decades,
+    picture as picture,
+)
+from .sweep import Line as Line, fit_line as fit_line
+from .views import (
+    EchoView as EchoView,
+    MotionView as MotionView,
+    echo_view as echo_view,
+    gate_alone as gate_alone,
+    grey_limit_v as grey_limit_v,
+    motion_view as motion_view,
+    shown_pulses as shown_pulses,
+)

@@ -1,0 +1,239 @@
+"""Pictures of one shot for the report: one panel each, so that a page sets them side by side or below each other.
+
+Every picture has a title and an alternative text that says in words and numbers what is to be seen. Colours are from
+the Okabe-Ito set, safe for colour-blind readers, and never the only thing that tells two curves apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from hpe_rig.plan import Shot
+from hpe_rig.report.residual_tests import periodogram
+from hpe_rig.report.svg import BLUE, GREEN, GREY, ORANGE, SKY, Picture, legend, legend_above, panel, picture, thin
+from hpe_rig.report.views import EchoView, MotionView, grey_limit_v
+from hpe_rig.result import Estimate
+
+FloatArray = NDArray[np.float64]
+
+
+def timing(shot: Shot) -> tuple[Picture, ...]:
+    """Return the timing diagram of one burst period and, closer, of one tracking pulse from firing to record."""
+    line = shot.timeline
+    period_s = 1 / shot.tracking_train.rate_hz
+    span_s = 1 / shot.burst_train.rate_hz if shot.burst_train else min(8, line.pulse_onset_s.size) * period_s
+    start_s = float(line.burst_onset_s[0]) if line.burst_onset_s.size else float(line.pulse_onset_s[0])
+    whole = _timing_picture(shot, start_s, span_s, "timing", f"One burst period of {span_s * 1e3:g} ms")
+    if not line.burst_onset_s.size:
+        whole = _timing_picture(shot, start_s, span_s, "timing", f"{span_s * 1e3:g} ms of tracking")
+    after = line.pulse_onset_s[line.pulse_onset_s >= start_s]
+    first_s = float(after[0]) if after.size else float(line.pulse_onset_s[0])
+    close_s = first_s - start_s + 1.1 * line.record_offset_s[1]
+    return whole, _timing_picture(shot, start_s, close_s, "timing-close", "Closer: to the first record and its gate")
+
+
+def rf_line(view: EchoView) -> Picture:
+    """Return one RF line over depth with the gate."""
+    figure, axes = panel()
+    axes.axvspan(*(edge * 1e3 for edge in view.gate_m), color=SKY, alpha=0.25, lw=0, label="gate")
+    axes.plot(view.line_depth_m * 1e3, view.line_v * 1e3, color=GREY, lw=0.8)
+    axes.set(xlabel="depth (mm)", ylabel="echo (mV)")
+    legend(axes, "upper right")
+    inside = (view.line_depth_m >= view.gate_m[0]) & (view.line_depth_m <= view.gate_m[1])
+    peak_mv = np.abs(view.line_v[inside]).max(initial=0.0) * 1e3
+    alt = (
+        f"Echo of the first pulse from {view.line_depth_m[0] * 1e3:.2f} to {view.line_depth_m[-1] * 1e3:.2f} mm depth; "
+        f"the gate from {view.gate_m[0] * 1e3:.2f} to {view.gate_m[1] * 1e3:.2f} mm is shaded, its largest echo is "
+        f"{peak_mv:.3g} mV."
+    )
+    return picture(figure, "rf", "RF line and gate", alt)
+
+
+def m_mode(view: EchoView) -> Picture:
+    """Return the image of the gate over slow time."""
+    figure, axes = panel()
+    limit_mv = grey_limit_v(view.image_v) * 1e3
+    edges = [0.0, view.image_time_s[-1] * 1e3 or 1.0, view.image_depth_m[-1] * 1e3, view.image_depth_m[0] * 1e3]
+    axes.set_facecolor("#E8B0A0")
+    image = axes.imshow(
+        view.image_v * 1e3,
+        aspect="auto",
+        cmap="gray",
+        vmin=-limit_mv,
+        vmax=limit_mv,
+        extent=(edges[0], edges[1], edges[2], edges[3]),
+        interpolation="nearest",
+    )
+    bar = figure.colorbar(image)
+    bar.set_label("echo (mV)", size=9)
+    bar.ax.tick_params(labelsize=9)
+    axes.grid(visible=False)
+    axes.set(xlabel="slow time after the first pulse (ms)", ylabel="depth (mm)")
+    missing = int(np.isnan(view.image_v).all(axis=0).sum())
+    alt = (
+        f"M-mode image of the gate, {view.image_depth_m[0] * 1e3:.2f} to {view.image_depth_m[-1] * 1e3:.2f} mm deep, "
+        f"over {edges[1]:.4g} ms; horizontal stripes are echoes at rest within a wavelength. "
+        + (f"{missing} of {view.image_v.shape[1]} columns are missing." if missing else "No column is missing.")
+    )
+    return picture(figure, "m-mode", "M-mode of the gate", alt)
+
+
+def displacement(view: MotionView, span_s: float | None, key: str, title: str) -> Picture:
+    """Return displacement over time with the fit, the first ``span_s`` of it where given."""
+    figure, axes = panel()
+    shown = np.ones(view.time_s.size, np.bool_) if span_s is None else view.time_s <= view.time_s[0] + span_s
+    time_ms, seen_nm, fitted_nm = (
+        values[shown] for values in (view.time_s * 1e3, view.displacement_m * 1e9, view.fitted_m * 1e9)
+    )
+    middle_nm = float(seen_nm.mean())
+    dense = time_ms.size > 400
+    axes.plot(*thin(time_ms, seen_nm - middle_nm), ".", ms=2 if dense else 3.5, color=GREY, label="measured")
+    axes.plot(*thin(time_ms, fitted_nm - middle_nm), "-", lw=0.9, color=ORANGE, label="fitted harmonics")
+    axes.set(xlabel="time after the phase reference (ms)", ylabel="displacement (nm)")
+    legend_above(axes)
+    alt = (
+        f"Displacement over {np.ptp(time_ms):.4g} ms: {seen_nm.size} pulses between {seen_nm.min() - middle_nm:.0f} "
+        f"and {seen_nm.max() - middle_nm:.0f} nm; the fitted harmonics follow with "
+        f"{np.std(seen_nm - fitted_nm):.3g} nm rms left."
+    )
+    return picture(figure, key, title, alt)
+
+
+def amplitude_spectrum(estimates: Sequence[Estimate]) -> Picture:
+    """Return amplitude over frequency with uncertainty and, on the twin, truth and prediction."""
+    figure, axes = panel()
+    frequency_hz = np.array([item.frequency_hz for item in estimates])
+    amplitude_nm = np.array([item.amplitude_m for item in estimates]) * 1e9
+    uncertainty_nm = np.array([item.amplitude_uncertainty_m for item in estimates]) * 1e9
+    true_nm, averaging, spread = (
+        np.array([math.nan if value is None else value for value in column])
+        for column in (
+            [item.true_amplitude_m for item in estimates],
+            [item.averaging_factor for item in estimates],
+            [item.speckle_relative for item in estimates],
+        )
+    )
+    predicted_nm = true_nm * 1e9 * averaging
+    known = bool(np.isfinite(true_nm).all())
+    if known:
+        axes.plot(frequency_hz, true_nm * 1e9, "x", color=GREY, ms=5, label="true peak displacement")
+    if np.isfinite(predicted_nm).all():
+        band = predicted_nm * (1 - 2 * spread), predicted_nm * (1 + 2 * spread)
+        _band(axes, frequency_hz, *band, label="predicted, 2 speckle sd")
+    axes.errorbar(
+        frequency_hz, amplitude_nm, 2 * uncertainty_nm, fmt="o", ms=4, color=ORANGE, capsize=2, label="estimate, 2 u"
+    )
+    if not known and np.isfinite(averaging).all():
+        peak_nm = np.array([item.corrected_amplitude_m for item in estimates]) * 1e9
+        doubt_nm = np.array([item.corrected_uncertainty_m for item in estimates]) * 1e9
+        axes.errorbar(
+            frequency_hz, peak_nm, 2 * doubt_nm, fmt="D", ms=4, mfc="none", color=BLUE, capsize=2,
+            label="peak by predicted averaging, 2 u",
+        )  # fmt: skip
+    axes.set(xlabel="vibration frequency (Hz)", ylabel="amplitude (nm)", ylim=(0, None))
+    legend(axes, "best")
+    pairs = ", ".join(f"{a:.4g} at {f:g} Hz" for f, a in zip(frequency_hz[:10], amplitude_nm[:10], strict=True))
+    alt = f"Amplitude in nm: {pairs}; standard uncertainty {uncertainty_nm.min():.2g} to {uncertainty_nm.max():.2g} nm."
+    if known:
+        ratio = amplitude_nm / np.maximum(true_nm * 1e9, np.finfo(np.float64).tiny)
+        alt += f" The estimates are {ratio.min():.3f} to {ratio.max():.3f} of the true peak displacement."
+    return picture(figure, "amplitude", "Amplitude spectrum", alt)
+
+
+def phase_spectrum(estimates: Sequence[Estimate]) -> Picture:
+    """Return phase over frequency, unwrapped, with uncertainty and, on the twin, truth."""
+    figure, axes = panel()
+    frequency_hz = np.array([item.frequency_hz for item in estimates])
+    phase = np.unwrap([item.phase_rad for item in estimates])
+    uncertainty_deg = np.degrees([item.phase_uncertainty_rad for item in estimates])
+    errors = [item.phase_error_rad for item in estimates]
+    if all(error is not None for error in errors):
+        truth = phase - np.array(errors, dtype=np.float64)
+        axes.plot(frequency_hz, np.degrees(truth), "x-", color=GREY, lw=0.8, label="truth")
+    axes.errorbar(
+        frequency_hz, np.degrees(phase), 2 * uncertainty_deg, fmt="o", ms=4, color=ORANGE, capsize=2,
+        label="estimate, 2 u",
+    )  # fmt: skip
+    axes.set(xlabel="vibration frequency (Hz)", ylabel="phase (degrees)")
+    legend(axes, "best")
+    pairs = ", ".join(f"{p:.2f} at {f:g} Hz" for f, p in zip(frequency_hz[:10], np.degrees(phase)[:10], strict=True))
+    largest = uncertainty_deg.max()
+    alt = f"Phase in degrees: {pairs}; standard uncertainty up to {largest:.2g} degrees."
+    return picture(figure, "phase", "Phase spectrum", alt)
+
+
+def residual(view: MotionView) -> tuple[Picture, ...]:
+    """Return what is left after the fit: over time and over frequency."""
+    left_nm = view.residual_m * 1e9
+    figure, axes = panel()
+    axes.plot(*thin(view.time_s * 1e3, left_nm), ".", ms=2, color=BLUE)
+    axes.set(xlabel="time after the phase reference (ms)", ylabel="residual (nm)")
+    alt = f"Residual displacement, {left_nm.std():.3g} nm rms, largest {np.abs(left_nm).max():.3g} nm."
+    over_time = picture(figure, "residual", "Residual over time", alt)
+    frequency_hz, power = periodogram(view)
+    if power.size < 2:
+        return (over_time,)
+    figure, axes = panel()
+    amplitude_nm = 2 * np.sqrt(power) / left_nm.size * 1e9
+    expected_nm = 2 * float(np.sqrt(power.mean())) / left_nm.size * 1e9
+    axes.plot(*thin(frequency_hz, amplitude_nm), ".", ms=3, color=BLUE, label="a frequency")
+    axes.axhline(expected_nm, color=GREY, lw=1, ls="--", label="white: rms")
+    axes.set(xlabel="frequency (Hz)", ylabel="residual amplitude (nm)", ylim=(0, None))
+    legend_above(axes)
+    alt = (
+        f"Spectrum of the residual at {power.size} frequencies that were not fitted: {expected_nm:.3g} nm rms, largest "
+        f"{amplitude_nm.max():.3g} nm at {frequency_hz[np.argmax(power)]:.4g} Hz."
+    )
+    return over_time, picture(figure, "residual-spectrum", "Residual over frequency", alt)
+
+
+def _band(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, label: str) -> None:
+    """Shade between ``low`` and ``high``; a single point gets a bar."""
+    if x.size > 1:
+        axes.fill_between(x, low, high, color=SKY, alpha=0.4, lw=0, label=label)
+    else:
+        axes.vlines(x, low, high, color=SKY, lw=8, alpha=0.5, label=label)
+
+
+def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: str) -> Picture:
+    """Draw every instrument's intervals in one row each, from ``start_s`` on."""
+    line = shot.timeline
+    bursts, pulses = line.burst_onset_s, line.pulse_onset_s
+    rows = [
+        ("gate", pulses, line.gate_offset_s, BLUE),
+        ("record", pulses, line.record_offset_s, SKY),
+        ("tracking pulse", pulses, (0.0, line.pulse_length_s), GREEN),
+    ]
+    if bursts.size:
+        rows += [
+            ("its echoes", bursts, (0.0, line.burst_length_s + line.gate_offset_s[1]), "#F0C9A8"),
+            ("toneburst", bursts, (0.0, line.burst_length_s), ORANGE),
+        ]
+    unit, factor = ("ms", 1e3) if span_s > 2e-3 else ("us", 1e6)
+    figure, axes = panel(left=0.22)
+    for place, (_, onset_s, (low_s, high_s), colour) in enumerate(rows):
+        seen = onset_s[(onset_s + high_s >= start_s) & (onset_s + low_s <= start_s + span_s)]
+        starts = (seen + low_s - start_s) * factor
+        # what is narrower than a pixel is drawn a pixel wide
+        width = max((high_s - low_s) * factor, span_s * factor / 400)
+        axes.broken_barh([(float(left), width) for left in starts], (place - 0.3, 0.6), color=colour, lw=0)
+    axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
+    zero = "the toneburst's onset" if bursts.size else "the first pulse"
+    axes.set(xlim=(0, span_s * factor), xlabel=f"time after {zero} ({unit})", ylim=(-0.6, len(rows) - 0.4))
+    axes.grid(axis="y", visible=False)
+    first = pulses[pulses >= start_s]
+    delay_us = (float(first[0]) - start_s) * 1e6 if first.size else math.nan
+    gate_us = [edge * 1e6 for edge in line.gate_offset_s]
+    alt = (
+        f"Timing over {span_s * factor:.4g} {unit}: "
+        + (f"a toneburst of {line.burst_length_s * 1e6:g} us; " if bursts.size else "no toneburst; ")
+        + f"the first tracking pulse follows after {delay_us:.4g} us, the next ones every "
+        f"{1e6 / shot.tracking_train.rate_hz:g} us; each gate is open {gate_us[0]:.2f} to {gate_us[1]:.2f} us after "
+        f"its pulse, inside its record."
+    )
+    return picture(figure, key, title, alt)

@@ -1,0 +1,243 @@
+"""Run file -> one self-contained HTML page: inline SVG, no script, no network, opens anywhere.
+
+The numbers come from the stored records, estimated again, never from a table that somebody could have edited.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from hpe_rig.acquire import chosen_estimator, process
+from hpe_rig.bench import BenchFile, parse_bench
+from hpe_rig.plan import Finding, Plan, findings, make_plan
+from hpe_rig.prediction import detection_text
+from hpe_rig.report import figures, provenance as report_provenance
+from hpe_rig.report.foreseen import foreseen
+from hpe_rig.report.residual_tests import Check, residual_checks
+from hpe_rig.report.svg import Picture
+from hpe_rig.report.sweep import Sweep, make_sweep
+from hpe_rig.report.sweep_figures import sweep_pictures
+from hpe_rig.report.views import MotionView, echo_view, gate_alone, motion_view
+from hpe_rig.result import Estimate, Result, ShotResult, Stages, shot_warnings
+from hpe_rig.scene import Scene, parse_scene
+from hpe_rig.store import StoredRun, StoreError, read_run, reason
+
+MOST_ROWS = 1000
+"""Rows of the table of every shot; what is beyond stays in the result file."""
+LONGEST_TEXT = 60_000
+"""Characters of scene and bench file that are shown."""
+LARGEST_SHOT_BYTES = 256_000_000
+"""Records of a shot that are read whole; of more, the gate alone."""
+CLOSE_PERIODS = 2
+PAGE_START = b"<!DOCTYPE html>"
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorStage:
+    """What one stage adds to the error of the strongest harmonic, in words."""
+
+    stage: str
+    size: str
+    source: str
+
+
+def write_report(path: Path, estimator: str | None = None, output: Path | None = None, shot: int | None = None) -> Path:
+    """Write the report of the run in ``path`` and return its own path, by default beside the run with ``.html``.
+
+    ``shot`` counts from 1 and says which one is drawn; absent: the one that moves most. Raises ``StoreError`` for a
+    file that cannot be read or written, or would be lost, and ``SettingsError`` for what the file says or the caller
+    asks.
+    """
+    target = output or path.with_suffix(".html")
+    _refuse_other(target)
+    page = render(path, estimator, shot)
+    try:
+        target.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(f"{target} cannot be written ({reason(error)}). Try: another --output.") from None
+    return target
+
+
+def _refuse_other(target: Path) -> None:
+    """Raise ``StoreError`` where ``target`` is there and no page: a run, maybe the one that is reported on."""
+    if not target.is_file():
+        return
+    try:
+        with target.open("rb") as file:
+            start = file.read(len(PAGE_START))
+    except OSError:
+        # Writing it says why.
+        return
+    if start and start != PAGE_START:
+        raise StoreError(f"{target} exists and is no HTML page: it is left alone. Try: another --output.")
+
+
+def render(path: Path, estimator: str | None = None, shot: int | None = None) -> str:
+    """Return the report of the run in ``path`` as HTML text; raises as ``write_report``."""
+    stored = read_run(path)
+    scene = parse_scene(stored.scene_name, stored.scene_toml).scene
+    bench = parse_bench(stored.bench_name, stored.bench_toml).bench
+    stages = Stages()
+    result = process(path, estimator, stages)
+    shown = _shown(result, shot)
+    plan = make_plan(scene, bench)
+    found = findings(scene, bench, plan)
+    with stages("draw"):
+        pictures, checks, motion = _look(scene, plan, stored, shown)
+        sweep = make_sweep(result.shots)
+        swept = sweep_pictures(sweep) if sweep else ()
+    return _page(
+        result=result,
+        shown=shown,
+        scene=scene,
+        stored=stored,
+        pictures={picture.key: picture for picture in pictures},
+        swept=swept,
+        sweep=sweep,
+        checks=checks,
+        errors=error_stages(shown, motion),
+        findings=found,
+        foreseen=foreseen(scene, shown, chosen_estimator(estimator, scene)),
+        settings=report_provenance.settings(path, shown.shot),
+        attributes=report_provenance.attributes(path, [f"version_{name}" for name in result.versions]),
+        fingerprint=report_provenance.fingerprint(path),
+        facts=[*_facts(scene, bench, plan, result), *_dose(scene, stored, found)],
+        strongest=strongest(shown),
+        most_rows=MOST_ROWS,
+        longest_text=LONGEST_TEXT,
+        stages=_bars(result),
+    )
+
+
+def strongest(shot: ShotResult) -> Estimate:
+    """Return the estimate of the largest amplitude."""
+    return max(shot.estimates, key=lambda item: item.amplitude_m)
+
+
+def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage]:
+    """Return what every stage adds to the error of the strongest harmonic of ``shot``, first to last."""
+    lead = strongest(shot)
+    rows = []
+    if motion is not None:
+        echo_nm = math.sqrt(float(motion.noise_m2.mean())) * 1e9
+        rows.append(ErrorStage("one echo", f"{echo_nm:.3g} nm", "scatter of the echoes about their mean shape"))
+    rows.append(ErrorStage("one displacement", f"{shot.residual_m * 1e9:.3g} nm rms", "residual of the fit"))
+    amplitude = f"{lead.amplitude_uncertainty_m * 1e9:.3g} nm, {math.degrees(lead.phase_uncertainty_rad):.2g} degrees"
+    rows.append(
+        ErrorStage("harmonic", amplitude, f"standard uncertainty from that residual, {shot.pulses_used} pulses")
+    )
+    if lead.averaging_factor is not None:
+        bias = f"{(lead.averaging_factor - 1) * 100:+.1f} %"
+        rows.append(ErrorStage("beam averaging", bias, "predicted bias against the peak displacement, not corrected"))
+    if lead.speckle_relative is not None:
+        spread = f"{lead.speckle_relative * 100:.1f} %, {lead.speckle_relative * lead.amplitude_m * 1e9:.3g} nm"
+        rows.append(ErrorStage("speckle", spread, "predicted standard deviation from place to place"))
+    if lead.amplitude_error is not None and lead.phase_error_rad is not None:
+        error = f"{lead.amplitude_error * 100:+.1f} %, {math.degrees(lead.phase_error_rad):+.2f} degrees"
+        rows.append(ErrorStage("all together", error, "against the truth, which the twin knows"))
+    return rows
+
+
+def _shown(result: Result, shot: int | None) -> ShotResult:
+    if shot is None:
+        return max(result.shots, key=lambda item: strongest(item).amplitude_m if item.estimates else 0.0)
+    for item in result.shots:
+        if item.shot == shot - 1:
+            return item
+    numbers = ", ".join(str(item.shot + 1) for item in result.shots[:10])
+    raise StoreError(f"shot {shot} has no result, of {len(result.shots)} that have one. Try: --shot {numbers}.")
+
+
+def _look(
+    scene: Scene, plan: Plan, stored: StoredRun, result: ShotResult
+) -> tuple[list[Picture], list[Check], MotionView | None]:
+    """Return the pictures of one shot, the tests of its residual and its motion, None where there is none."""
+    shot = plan.shots[result.shot]
+    whole = 2 * shot.capture.record_count * shot.capture.record_samples <= LARGEST_SHOT_BYTES
+    part = slice(0, shot.capture.record_samples) if whole else shot.gate
+    records = stored.records.gated(result.shot, part)
+    pictures = list(figures.timing(shot))
+    echoes = echo_view(scene, shot, records, first_sample=part.start)
+    if echoes is not None:
+        pictures += [figures.rf_line(echoes), figures.m_mode(echoes)]
+    if result.estimates:
+        pictures += [figures.amplitude_spectrum(result.estimates), figures.phase_spectrum(result.estimates)]
+    try:
+        motion = motion_view(scene, shot, gate_alone(records, shot.gate, part.start), result.estimates)
+    except ValueError as error:
+        return pictures, [Check("displacement", "not possible", str(error), "")], None
+    periods_s = CLOSE_PERIODS / min((item.frequency_hz for item in result.estimates), default=math.inf)
+    close_s = periods_s if 0 < periods_s < motion.time_s[-1] - motion.time_s[0] else None
+    pictures.append(figures.displacement(motion, None, "displacement", "Displacement in the processing window"))
+    if close_s:
+        title = f"Closer: {CLOSE_PERIODS} periods of the lowest frequency"
+        pictures.append(figures.displacement(motion, close_s, "displacement-close", title))
+    return pictures + list(figures.residual(motion)), residual_checks(motion), motion
+
+
+def _facts(scene: Scene, bench: BenchFile, plan: Plan, result: Result) -> list[tuple[str, str]]:
+    """Return what was measured and how, as names and values."""
+    gate, tracking = scene.acquisition, scene.tracking
+    shot = plan.shots[0]
+    facts = [("bench", bench.title), ("run file", result.run_file), ("run", result.status)]
+    if scene.excitation:
+        lengths = " / ".join(f"{length * 1e6:g}" for length in scene.excitation.burst_length_s)
+        forces = " / ".join(f"{force:g}" for force in scene.excitation.force_fraction)
+        push = f"{scene.excitation.burst_count} tonebursts of {lengths} us at {scene.excitation.burst_rate_hz:g} Hz"
+        facts.append(("push", f"{push}, F = {forces} F_0"))
+    else:
+        facts.append(("push", "none: the scene has no [excitation]"))
+    return [
+        *facts,
+        ("track", f"{shot.capture.record_count} pulses of {tracking.cycles} cycles at {tracking.pulse_rate_hz:g} Hz"),
+        ("gate", f"{gate.gate_length_m * 1e3:g} mm at {gate.gate_depth_m * 1e3:g} mm depth"),
+        ("shots", f"{len(result.shots)} of {len(plan.shots)} planned"),
+        ("estimator", result.estimator),
+        ("phase", result.phase_reference),
+    ]
+
+
+def _dose(scene: Scene, stored: StoredRun, found: Sequence[Finding]) -> list[tuple[str, str]]:
+    """Return the acoustic output by the bench file's calibration, the detection floor, and what the limits let move."""
+    output = [("acoustic output", finding.text) for finding in found if finding.check == "acoustic output"]
+    lines = [text.partition(": ") for text in detection_text(scene, stored.simulated)]
+    return output + [(name, text) for name, _, text in lines]
+
+
+def _bars(result: Result) -> list[tuple[str, float, float]]:
+    """Return stage, seconds and share of the longest one."""
+    longest = max(result.run_time_s.values(), default=0.0) or 1.0
+    return [(name, seconds, seconds / longest) for name, seconds in result.run_time_s.items()]
+
+
+def _page(*, result: Result, sweep: Sweep | None, **context: Any) -> str:
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.filters.update(nm=_nm, deg=_deg, percent=_percent, svg=_svg)
+    template = (resources.files("hpe_rig.report") / "report.html").read_text(encoding="utf-8")
+    warnings = (*result.warnings, *shot_warnings(result.shots))
+    return environment.from_string(template).render(result=result, sweep=sweep, warnings=warnings, **context)
+
+
+def _svg(picture: Picture) -> Markup:
+    # Drawn here, from numbers, with every text escaped by the drawing itself.
+    return Markup(picture.svg)  # noqa: S704
+
+
+def _nm(length_m: float | None, digits: int = 4) -> str:
+    return "–" if length_m is None or not math.isfinite(length_m) else f"{length_m * 1e9:.{digits}g}"
+
+
+def _deg(angle_rad: float | None, form: str = ".2f") -> str:
+    return "–" if angle_rad is None or not math.isfinite(angle_rad) else format(math.degrees(angle_rad), form)
+
+
+def _percent(ratio: float | None, form: str = "+.1f") -> str:
+    return "–" if ratio is None or not math.isfinite(ratio) else format(ratio * 100, form)

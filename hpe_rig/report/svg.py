@@ -1,0 +1,113 @@
+"""One panel as SVG text, ready to stand in a page: styled, named for readers who do not see it, ids its own."""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+SIZE_IN = (4.8, 3.1)
+BLUE, ORANGE, GREEN, GREY, SKY = "#0072B2", "#D55E00", "#007A5A", "#5A5A5A", "#56B4E9"
+MARKS = (("o", BLUE), ("s", ORANGE), ("^", GREEN), ("D", "#8A4F7D"), ("v", GREY))
+MOST_POINTS = 1500
+
+STYLE: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "hpe_rig",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.edgecolor": "#333333",
+    "grid.alpha": 0.3,
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.2,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One picture: ``svg`` carries ``title`` and ``alt`` for readers who do not see it."""
+
+    key: str
+    title: str
+    alt: str
+    svg: str
+
+
+def legend(axes: Axes, place: Any) -> None:
+    """Put a plain legend there."""
+    axes.legend(loc=place, frameon=False, fontsize=8)
+
+
+def legend_above(axes: Axes) -> None:
+    """Put a legend in one line above the panel, where it covers nothing."""
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, fontsize=8)
+
+
+def thin(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return at most about ``MOST_POINTS`` points that keep every stretch's lowest and highest value."""
+    if x.size <= MOST_POINTS:
+        return x, y
+    stretches = np.array_split(np.arange(x.size), MOST_POINTS // 2)
+    kept = np.unique([[part[np.argmin(y[part])], part[np.argmax(y[part])]] for part in stretches])
+    return x[kept], y[kept]
+
+
+def panel(left: float = 0.15) -> tuple[Figure, Axes]:
+    """Return a figure of one panel; ``left`` is the share of the width that the row names take."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=SIZE_IN)
+        axes = figure.subplots()
+        # Fixed margins: fitting them to every text takes as long as all the drawing.
+        figure.subplots_adjust(left=left, right=0.97, bottom=0.155, top=0.9)
+        return figure, axes
+
+
+def picture(figure: Figure, key: str, title: str, alt: str) -> Picture:
+    """Return ``figure`` as a picture; ``key`` is its name in the page."""
+    text = io.StringIO()
+    with rc_context(STYLE):
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None}, dpi=110)
+    return Picture(key, title, alt, inline(text.getvalue(), key, title, alt))
+
+
+def inline(svg: str, key: str, title: str, alt: str) -> str:
+    """Return ``svg`` as an element to stand in a page: named for readers, its ids its own, its width the page's."""
+    body = svg[svg.index("<svg") :].strip()
+    body = re.sub(r"<metadata>.*?</metadata>\s*", "", body, flags=re.DOTALL)
+    body = re.sub(r'\bid="', f'id="{key}-', body)
+    body = re.sub(r'(url\(#|xlink:href="#)', rf"\g<1>{key}-", body)
+    head, _, rest = body.partition(">")
+    head = re.sub(r' (?:width|height)="[^"]*"', "", head)
+    names = f'<title id="{key}-t">{_escape(title)}</title><desc id="{key}-d">{_escape(alt)}</desc>'
+    return f'{head} role="img" aria-labelledby="{key}-t {key}-d">{names}{rest}'
+
+
+def _escape(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def label_decades(axis: Axis) -> None:
+    """Label a logarithmic axis such that numbers do not meet: 1, 2, 5 within two decades, powers of ten beyond."""
+    low, high = axis.get_view_interval()
+    if not low > 0:
+        return  # nothing is drawn on it
+    within = high < 100 * low
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if within else (1.0,), numticks=12 if within else 6))
+    if within:
+        axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())

@@ -1,0 +1,141 @@
+"""What a measurement says: displacement amplitude and phase with uncertainties, units, provenance and run time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from hpe_rig.result.html_repr import result_html
+
+
+@dataclass(frozen=True, slots=True)
+class Averaging:
+    """Predicted tracked over peak displacement at one frequency, its lag, and its relative spread over speckle."""
+
+    factor: float
+    phase_rad: float
+    speckle_relative: float
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """One vibration frequency of one shot; uncertainties are standard ones, from noise alone.
+
+    ``true_amplitude_m`` and ``true_phase_rad`` are those of the peak displacement at the focus, known on the twin;
+    ``averaging_factor`` is the predicted ratio of tracked to peak displacement, None where no beams are given.
+    """
+
+    frequency_hz: float
+    amplitude_m: float
+    amplitude_uncertainty_m: float
+    phase_rad: float
+    phase_uncertainty_rad: float
+    averaging_factor: float | None
+    speckle_relative: float | None
+    true_amplitude_m: float | None
+    true_phase_rad: float | None
+
+    @property
+    def snr_db(self) -> float:
+        """Amplitude over its standard uncertainty."""
+        if self.amplitude_uncertainty_m == 0:
+            return math.inf
+        ratio = self.amplitude_m / self.amplitude_uncertainty_m
+        return 20 * math.log10(ratio) if ratio > 0 else -math.inf
+
+    @property
+    def predicted_amplitude_m(self) -> float | None:
+        """The true peak displacement as beams of the declared widths would track it."""
+        if self.true_amplitude_m is None or self.averaging_factor is None:
+            return None
+        return self.true_amplitude_m * self.averaging_factor
+
+    @property
+    def corrected_amplitude_m(self) -> float | None:
+        """The peak displacement that would be tracked as ``amplitude_m``, by the predicted averaging."""
+        return None if not self.averaging_factor else self.amplitude_m / self.averaging_factor
+
+    @property
+    def corrected_uncertainty_m(self) -> float | None:
+        """Standard uncertainty of ``corrected_amplitude_m``, from noise and speckle together."""
+        if not self.averaging_factor:
+            return None
+        speckle_m = self.amplitude_m * (self.speckle_relative or 0.0)
+        return math.hypot(self.amplitude_uncertainty_m, speckle_m) / self.averaging_factor
+
+    @property
+    def amplitude_error(self) -> float | None:
+        """Relative error of the amplitude against the true peak displacement at the focus."""
+        return None if not self.true_amplitude_m else self.amplitude_m / self.true_amplitude_m - 1
+
+    @property
+    def phase_error_rad(self) -> float | None:
+        """Error of the phase against the truth, within half a turn."""
+        if self.true_phase_rad is None:
+            return None
+        return math.remainder(self.phase_rad - self.true_phase_rad, 2 * math.pi)
+
+
+@dataclass(frozen=True, slots=True)
+class ShotResult:
+    """The estimates of one shot, with what was varied and what was missing."""
+
+    shot: int
+    repeat: int
+    burst_length_s: float | None
+    force_fraction: float | None
+    pulses_used: int
+    pulses_missing: int
+    residual_m: float
+    estimates: tuple[Estimate, ...]
+    warnings: tuple[str, ...]
+    pulse_rate_hz: float | None = None
+    window_length_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The result of a run."""
+
+    title: str
+    run_file: str
+    simulated: bool
+    status: str
+    estimator: str
+    phase_reference: str
+    shots: tuple[ShotResult, ...]
+    warnings: tuple[str, ...]
+    left_out: tuple[tuple[str, str], ...]
+    versions: Mapping[str, str]
+    run_time_s: Mapping[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; numbers that JSON cannot hold become None."""
+        tables = asdict(self)
+        for shot, table in zip(self.shots, tables["shots"], strict=True):
+            for estimate, row in zip(shot.estimates, table["estimates"], strict=True):
+                derived = (
+                    "snr_db",
+                    "corrected_amplitude_m",
+                    "corrected_uncertainty_m",
+                    "predicted_amplitude_m",
+                    "amplitude_error",
+                    "phase_error_rad",
+                )
+                row.update({name: getattr(estimate, name) for name in derived})
+        plain: dict[str, Any] = _finite(tables)
+        return plain
+
+    def _repr_html_(self) -> str:
+        """Return figure and table, as a notebook shows a value."""
+        return result_html(self.as_dict())
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

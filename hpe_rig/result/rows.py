@@ -1,0 +1,46 @@
+"""A result as rows, one a shot and frequency: for CSV, for pandas, for whatever takes plain values."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import TYPE_CHECKING, Any
+
+from hpe_rig.result.estimates import Result
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Value = str | int | float | bool | None
+
+
+def result_rows(result: Result) -> list[dict[str, Value]]:
+    """Return one row a shot and frequency, in SI units with the unit in every name; unknown is None."""
+    rows: list[dict[str, Value]] = []
+    for shot in result.as_dict()["shots"]:
+        of_shot = _single_values(shot)
+        rows += [of_shot | _single_values(estimate) for estimate in shot["estimates"]]
+    return rows
+
+
+def result_csv(result: Result) -> str:
+    """Return the rows as CSV with a header; unknown is empty, numbers keep every digit."""
+    rows = result_rows(result)
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, rows[0].keys() if rows else (), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+def result_frame(result: Result) -> pd.DataFrame:
+    """Return the rows as a pandas frame, title, estimator and ``simulated`` among its ``attrs``."""
+    import pandas as pd
+
+    frame = pd.DataFrame(result_rows(result))
+    frame.attrs.update({name: getattr(result, name) for name in ("title", "run_file", "estimator", "simulated")})
+    return frame
+
+
+def _single_values(table: dict[str, Any]) -> dict[str, Value]:
+    return {name: value for name, value in table.items() if not isinstance(value, dict | list)}

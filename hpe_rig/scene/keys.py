@@ -1,0 +1,99 @@
+"""Numbers of a scene by their path: what there is, found by a short name, set to a value."""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Union, get_args, get_origin
+
+from hpe_rig.scene.scene import Scene, Section
+from hpe_rig.scene.validation import Mistake, Path, dotted
+
+Number = int | float
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One number of a scene: its path, its value (None: absent and without a default), whether it must be whole."""
+
+    path: Path
+    value: Number | None
+    whole: bool
+
+    def __str__(self) -> str:
+        return dotted(self.path)
+
+
+def number_keys(tables: Mapping[str, Any]) -> list[Key]:
+    """Return every number that the scene in ``tables`` has or could have; entries of lists one by one."""
+    scene = Scene.model_validate(tables)
+    return [*_of_section(scene, tables, ()), *_of_tables(tables.get("simulation", {}), ("simulation",))]
+
+
+def resolve(name: str, keys: Sequence[Key]) -> Key | Mistake:
+    """Return the key that ``name`` means, the end of its path or all of it; a mistake where none or several fit."""
+    exact = [key for key in keys if str(key) == name]
+    found = exact or [key for key in keys if str(key).endswith(f".{name}")]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        remedy = f"one of {', '.join(map(str, found))}"
+        return Mistake(name, f"{len(found)} numbers of the scene have that name", remedy)
+    entries = [str(key) for key in keys if f".{str(key).rpartition('[')[0]}".endswith(f".{name}")]
+    if entries:
+        return Mistake(name, "this is a list, and one number at a time is varied", f"one of {', '.join(entries)}")
+    paths = {str(key): str(key) for key in keys} | {str(key).rpartition(".")[2]: str(key) for key in keys}
+    close = difflib.get_close_matches(name, paths, n=1, cutoff=0.5)
+    known = dict.fromkeys(str(key).partition("[")[0] for key in keys)
+    remedy = paths[close[0]] if close else f"one of {', '.join(known)}"
+    return Mistake(name, "no number of the scene has that name", remedy)
+
+
+def with_values(tables: Mapping[str, Any], values: Mapping[Path, Number]) -> dict[str, Any]:
+    """Return a copy of the scene's tables with ``values``; sections that are absent are made."""
+    changed: dict[str, Any] = copy.deepcopy(dict(tables))
+    for path, value in values.items():
+        place: Any = changed
+        for part in path[:-1]:
+            place = place.setdefault(part, {}) if isinstance(place, dict) else place[part]
+        place[path[-1]] = value
+    return changed
+
+
+def _of_section(section: Section, given: Any, prefix: Path) -> Iterator[Key]:
+    for name, field in type(section).model_fields.items():
+        value, path = getattr(section, name), (*prefix, name)
+        if isinstance(value, Section):
+            yield from _of_section(value, given.get(name, {}), path)
+        elif isinstance(given.get(name), list):
+            yield from _of_tables(given[name], path)
+        elif name != "simulation":
+            kinds = set(_number_types(field.annotation))
+            alone = value[0] if isinstance(value, tuple) and len(value) == 1 else value
+            if kinds and not isinstance(alone, tuple):
+                yield Key(path, alone, kinds == {int})
+
+
+def _of_tables(value: Any, path: Path) -> Iterator[Key]:
+    if isinstance(value, Mapping):
+        for name, inner in value.items():
+            yield from _of_tables(inner, (*path, name))
+    elif isinstance(value, list):
+        for index, inner in enumerate(value):
+            yield from _of_tables(inner, (*path, index))
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield Key(path, value, False)
+
+
+def _number_types(annotation: Any) -> Iterator[type]:
+    """Yield int or float for each number that the annotation allows, alone or as the only entry of a list."""
+    if annotation in (int, float):
+        yield annotation
+    elif get_origin(annotation) is tuple and Ellipsis in get_args(annotation):
+        yield from _number_types(get_args(annotation)[0])
+    elif get_origin(annotation) in (Annotated, Union, types.UnionType):
+        for inner in get_args(annotation)[: 1 if get_origin(annotation) is Annotated else None]:
+            yield from _number_types(inner)

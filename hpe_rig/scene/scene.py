@@ -1,0 +1,298 @@
+"""The scene: what is measured and on which specimen. TOML, SI units, the unit in every key; validated at once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, parse_toml
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
+Fraction = Annotated[float, Field(gt=0, le=1, strict=True)]
+Count = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
+Triple = tuple[Positive, Positive, Positive]
+
+
+Estimator = Literal["coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum"]
+
+
+def _as_list(value: Any) -> Any:
+    return value if isinstance(value, list | tuple) else [value]
+
+
+OneOrMorePositive = Annotated[
+    tuple[Positive, ...],
+    BeforeValidator(_as_list, json_schema_input_type=Positive | list[Positive]),
+    Field(min_length=1),
+]
+OneOrMoreFractions = Annotated[
+    tuple[Fraction, ...],
+    BeforeValidator(_as_list, json_schema_input_type=Fraction | list[Fraction]),
+    Field(min_length=1),
+]
+
+
+def _one_line(text: str) -> str:
+    if len(text) > MOST_TITLE or not text.isprintable():
+        raise ValueError(f"a title is one line of at most {MOST_TITLE} characters: shorten it, without line breaks")
+    return text
+
+
+MOST_TITLE = 300
+Title = Annotated[str, AfterValidator(_one_line)]
+
+
+class Section(BaseModel):
+    """A frozen table of settings that refuses keys it does not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+
+
+class Excitation(Section):
+    """The tonebursts that push; without this section nothing pushes and no excitation generator is opened."""
+
+    burst_rate_hz: Positive
+    """Repetition rate f_r of the tonebursts."""
+    burst_length_s: OneOrMorePositive
+    """Length T_b of a toneburst; a list measures each length in turn."""
+    burst_count: Count
+    """Number of tonebursts in a train."""
+    carrier_hz: Positive = 3.0e6
+    """Frequency f_0 of the toneburst."""
+    force_fraction: OneOrMoreFractions = (1.0,)
+    """Radiation force F as a fraction of F_0, the force at the bench's full drive; a list measures each in turn."""
+
+
+class Tracking(Section):
+    """The pulses that track the motion."""
+
+    pulse_rate_hz: Positive
+    """Repetition rate f_prf of the tracking pulses."""
+    delay_s: NonNegative = 0.0
+    """Delay t_d from the master trigger to the start of the tracking train."""
+    pulse_count: Count | None = None
+    """Number of tracking pulses; absent: as many periods as the burst train lasts."""
+    cycles: Annotated[int, Field(ge=1, le=1000, strict=True)] = 3
+    """Cycles of one tracking pulse."""
+    carrier_hz: Positive = 9.0e6
+    """Frequency f_f of the tracking pulse."""
+    disturbed: Literal["refuse", "skip", "keep"] = "refuse"
+    """What to do where a toneburst or its echo meets a tracking pulse or gate: refuse the scene; measure and leave
+    those pulses out of the estimate (a pulse rate that is no multiple of the burst rate cannot avoid a few); or keep
+    them with a warning."""
+
+
+class Acquisition(Section):
+    """What is recorded."""
+
+    gate_depth_m: Positive
+    """Distance from the transducer to the middle of the gate."""
+    gate_length_m: Positive = 1.0e-3
+    """Gate length l_g."""
+    sound_speed_m_per_s: Positive = 1540.0
+    """Longitudinal sound speed c assumed between transducer and gate."""
+    sample_rate_hz: Positive = 100.0e6
+    """Sampling rate F_s of the digitizer."""
+    record_samples: Annotated[int, Field(ge=1, le=10_000_000, strict=True)] = 512
+    """Samples of one record; the record is placed around the gate."""
+    input_range_v: Positive = 0.8
+    """Full scale of the digitizer's input, plus and minus."""
+    repeats: Count = 1
+    """How often every shot is repeated."""
+    shot_period_s: Positive | None = None
+    """Time between master triggers; absent: as soon as the trains have ended."""
+
+
+class Beams(Section):
+    """What is known of the beams; without this section no beam-averaging factor is predicted."""
+
+    excitation_width_m: Triple
+    """E_x, E_y, E_z: sigmas of the displacement's Gaussian, eq. (12)."""
+    tracking_width_m: Triple
+    """T_x, T_y, T_z: sigmas of the tracking beam's Gaussian, eq. (8)."""
+    pulse_length_m: Positive | None = None
+    """Axial length c T / 2 of the tracking pulse as received, T its full length; absent: that of its cycles."""
+
+
+class Medium(Section):
+    """What is known of the specimen, a Voigt medium; without it, the motion is taken to be the Gaussian of eq. (12).
+
+    The twin's own specimen takes its place where this section is absent.
+    """
+
+    shear_modulus_pa: Positive
+    """Shear elasticity mu1."""
+    shear_viscosity_pa_s: NonNegative
+    """Shear viscosity mu2."""
+    density_kg_per_m3: Positive = 1000.0
+    """Mass density."""
+
+
+class Processing(Section):
+    """How records become amplitude and phase."""
+
+    estimator: Estimator = "coherent"
+    """Motion estimator; cross_spectrum is the paper's chain, joint the maximum likelihood over all pulses."""
+    harmonic: Literal["least_squares", "kalman"] = "least_squares"
+    """How displacement becomes amplitude and phase; joint and cross_spectrum have their own way."""
+    process_noise: NonNegative = 0.0
+    """Change per pulse of a harmonic state that harmonic = "kalman" follows, variance over that of a pulse's noise."""
+    background_order: Annotated[int, Field(ge=0, le=20, strict=True)] = 0
+    """Background fitted along: 0 constant, 1 velocity, 2 acceleration, more: drift; not by cross_spectrum."""
+    flag_pulses: Annotated[bool, Field(strict=True)] = True
+    """Leave pulses out whose gate holds an energy unlike the others': leaked tonebursts, spikes, lost echoes."""
+    reference_gate_depth_m: Positive | None = None
+    """Middle of a second gate, inside the record, whose echoes do not move: its apparent motion, the trigger jitter, is
+    subtracted. Not with joint."""
+    reference_gate_length_m: Positive | None = None
+    """Length of that gate; absent: acquisition.gate_length_m."""
+    expected_snr_db: Annotated[float, Field(allow_inf_nan=False, strict=True)] | None = None
+    """Echo power over noise power in the gate, for the prediction; absent: as the twin simulates."""
+    expected_amplitude_m: Positive | None = None
+    """Displacement amplitude, for the prediction; absent: as the twin's motion prescribes, or 100 nm."""
+    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    """Vibration frequencies f_v wanted; absent: f_r and its multiples up to the tenth below f_prf / 2."""
+    window_start_s: NonNegative = 0.0
+    """Start of the slow-time window after the first tracking pulse."""
+    window_length_s: Positive | None = None
+    """Length T_s of the slow-time window; absent: to the last pulse."""
+    synchronous: Annotated[bool, Field(strict=True)] = False
+    """Require a burst period that is a whole multiple of the pulse period."""
+
+
+class Sweep(Section):
+    """Settings that are taken in turn besides forces and burst lengths; one run, one report."""
+
+    pulse_rate_hz: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=100)] = ()
+    """Pulse rates f_prf, measured in turn in place of tracking.pulse_rate_hz, with equally many pulses each."""
+    window_length_s: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=100)] = ()
+    """Slow-time windows T_s, taken in turn from the same records in place of processing.window_length_s."""
+
+
+class Scene(Section):
+    """One measurement."""
+
+    title: Title
+    """One line that says what is measured."""
+    excitation: Excitation | None = None
+    """The tonebursts that push."""
+    tracking: Tracking
+    """The pulses that track."""
+    acquisition: Acquisition
+    """What is recorded."""
+    beams: Beams | None = None
+    """What is known of the beams."""
+    medium: Medium | None = None
+    """What is known of the specimen, for the predicted beam averaging."""
+    processing: Processing = Processing()
+    """How records become amplitude and phase."""
+    sweep: Sweep = Sweep()
+    """Pulse rates and windows that are taken in turn."""
+    simulation: dict[str, Any] | None = None
+    """What the twin simulates, in the twin's own words; a real bench leaves it out."""
+
+    @property
+    def wanted_frequencies_hz(self) -> tuple[float, ...]:
+        """Vibration frequencies to estimate, in Hz, as asked or as the excitation implies."""
+        if self.processing.frequencies_hz is not None:
+            return self.processing.frequencies_hz
+        if self.excitation is None:
+            return ()
+        rate_hz, slowest_hz = self.excitation.burst_rate_hz, min(self.pulse_rates_hz)
+        return tuple(n * rate_hz for n in range(1, 11) if n * rate_hz < slowest_hz / 2)
+
+    @property
+    def pulse_rates_hz(self) -> tuple[float, ...]:
+        """Pulse rates that are measured in turn."""
+        return self.sweep.pulse_rate_hz or (self.tracking.pulse_rate_hz,)
+
+    @property
+    def windows(self) -> tuple[Scene, ...]:
+        """The scene once for each slow-time window that is taken of its records."""
+        lengths_s = self.sweep.window_length_s or (self.processing.window_length_s,)
+        each = (self.processing.model_copy(update={"window_length_s": length_s}) for length_s in lengths_s)
+        return tuple(self.model_copy(update={"processing": processing}) for processing in each)
+
+    @property
+    def rates(self) -> tuple[Scene, ...]:
+        """The scene once for each pulse rate, its other settings the same: frequencies and number of pulses too."""
+        if not self.sweep.pulse_rate_hz:
+            return (self,)
+        processing = self.processing.model_copy(update={"frequencies_hz": self.wanted_frequencies_hz or None})
+        count = self.tracking.pulse_count
+        if count is None and self.excitation is not None:
+            train_s = self.excitation.burst_count / self.excitation.burst_rate_hz
+            count = max(1, math.floor(train_s * max(self.sweep.pulse_rate_hz) + 1e-6))
+        alike = {"processing": processing, "sweep": self.sweep.model_copy(update={"pulse_rate_hz": ()})}
+        each = (
+            self.tracking.model_copy(update={"pulse_rate_hz": rate_hz, "pulse_count": count})
+            for rate_hz in self.sweep.pulse_rate_hz
+        )
+        return tuple(self.model_copy(update={**alike, "tracking": tracking}) for tracking in each)
+
+    @model_validator(mode="after")
+    def _windows_within_slow_trains(self) -> Scene:
+        windows_s = self.sweep.window_length_s or (self.processing.window_length_s,)
+        if self.sweep.pulse_rate_hz and None in windows_s:
+            raise ValueError(
+                "sweep.pulse_rate_hz gives slower trains that outlast the tonebursts: set processing.window_length_s "
+                "or sweep.window_length_s, so that the same stretch of each is taken"
+            )
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class SceneText:
+    """A scene with the text that it was read from, kept verbatim for the run file."""
+
+    name: str
+    text: str
+    scene: Scene
+
+
+SimulationCheck = Callable[[Mapping[str, Any]], list[Mistake]]
+
+
+def parse_scene(name: str, text: str, simulation_check: SimulationCheck | None = None) -> SceneText:
+    """Return the scene in ``text``; raise ``SettingsError`` with every mistake.
+
+    ``simulation_check`` is the twin's own check of ``[simulation]``; None leaves that section unread.
+    """
+    tables = parse_toml(text, f"scene {name}")
+    mistakes = mistakes_of(Scene, tables)
+    simulation = tables.get("simulation")
+    if simulation_check is not None and isinstance(simulation, Mapping):
+        mistakes += simulation_check(simulation)
+    if mistakes:
+        raise SettingsError(f"scene {name}", mistakes)
+    return SceneText(name, text, Scene.model_validate(tables))
+
+
+def shipped_scenes() -> dict[str, str]:
+    """Return the shipped scenes' texts by name."""
+    folder = resources.files("hpe_rig.scene") / "shipped"
+    files = sorted((file for file in folder.iterdir() if file.name.endswith(".toml")), key=lambda file: file.name)
+    return {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
+
+
+def scene_text(name_or_path: str) -> tuple[str, str]:
+    """Return name and text of a shipped scene or of a TOML file; raise ``SettingsError`` with what exists."""
+    shipped = shipped_scenes()
+    if name_or_path in shipped:
+        return name_or_path, shipped[name_or_path]
+    path = Path(name_or_path)
+    try:
+        return path.stem, path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
+        what = f"neither a shipped scene nor a readable file ({reason})"
+        raise SettingsError(
+            f"scene {name_or_path}", [Mistake("", what, f"a path, or one of {', '.join(shipped)}")]
+        ) from None

@@ -1,0 +1,22 @@
+from .format import (
+    FORMAT as FORMAT,
+    FORMAT_VERSION as FORMAT_VERSION,
+    StoreError as StoreError,
+    free_path as free_path,
+    reason as reason,
+    result_path as result_path,
+    versions as versions,
+)
+from .layout import Predecessor as Predecessor
+from .optional_packages import extra as extra
+from .reader import (
+    StoredRecords as StoredRecords,
+    StoredRun as StoredRun,
+    StoredTruth as StoredTruth,
+    read_run as read_run,
+    read_snapshots as read_snapshots,
+)
+from .records import ShotRecords as ShotRecords, assemble as assemble
+from .result_file import write_result as write_result
+from .validation import UntrustedError as UntrustedError, trusted as trusted
+from .writer import RunWriter as RunWriter, WriteOptions as WriteOptions

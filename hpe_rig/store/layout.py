@@ -1,0 +1,188 @@
+"""The empty run file as bytes: every group, dataset and attribute, before the first record.
+
+Nothing can be created once others read along, so everything stands at its final size and is filled in later. All but
+the echoes has its place on the disk from the start: when the disk fills up it is a chunk of echoes that does not fit,
+and nothing that the library would still have to write.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.bench import BenchText
+from hpe_rig.plan import Plan
+from hpe_rig.scene import SceneText
+from hpe_rig.store.format import (
+    BITSHUFFLE,
+    CHUNK_BYTES,
+    FORMAT,
+    FORMAT_VERSION,
+    ROW_CHUNK,
+    SNAPSHOT_BYTES,
+    STAGE_BYTES,
+    STAGES,
+    STATUS_BYTES,
+    StoreError,
+    versions,
+)
+from hpe_rig.store.optional_packages import extra
+from hpe_rig.store.records import MISSING
+
+LIBVER = ("v110", "v110")
+"""Read by HDF5 1.10 and everything after it, and by nothing before: concurrent reading came with 1.10."""
+CENTRE_CODE = 8191.5
+"""Codes from zero volts to full scale of 14 bits, zero-centred: zero volts lies between two codes."""
+MOST_PLACED_BYTES = 64_000_000
+"""Up to this size the quantities with a value a pulse get their place at once; beyond, as they are written."""
+
+
+TRUE_HARMONICS = ("in_phase_m", "quadrature_m")
+"""A cos(phase) and A sin(phase) of the true displacement at the focus, in group ``true_harmonics``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Predecessor:
+    """The run file that a run goes on from, by name, and how many of its shots were taken over."""
+
+    name: str = ""
+    shots: int = 0
+
+
+def empty_run(
+    scene: SceneText, bench: BenchText, plan: Plan, compress: bool = False, predecessor: Predecessor | None = None
+) -> bytes:
+    """Return the bytes of a run file without records; the same for the same arguments, bit for bit."""
+    with h5py.File("empty", "w", driver="core", backing_store=False, libver=LIBVER) as file:
+        _write_header(file, scene, bench, plan, predecessor or Predecessor())
+        _create_records(file, plan, compress)
+        times = file.create_group("run_time")
+        times["run_time_s"] = np.full(len(STAGES), math.nan)
+        name_axes(times, {"stage": np.array(STAGES, f"S{STAGE_BYTES}")}, {"run_time_s": "s"})
+        if bench.bench.simulated:
+            truth = file.create_group("truth")
+            _create_rows(truth, "displacement_m", plan, np.dtype("<f8"), math.nan)
+            name_axes(truth, _shot_and_pulse(plan), {"displacement_m": "m"})
+            _create_true_harmonics(file, len(plan.shots), scene.scene.wanted_frequencies_hz)
+        file.flush()
+        image: bytes = file.id.get_file_image()
+    return image
+
+
+def volts_of_codes(input_range_v: float) -> tuple[float, float]:
+    """Return scale and offset from codes to volts of an input that spans plus and minus ``input_range_v``."""
+    return input_range_v / CENTRE_CODE, 0.5 * input_range_v / CENTRE_CODE
+
+
+def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:
+    """Give every dataset of ``group`` its units and, axis by axis in this order, the named scales."""
+    datasets = [item for item in group.values() if isinstance(item, h5py.Dataset) and item.ndim]
+    for name, values in scales.items():
+        group[name] = values
+        group[name].make_scale(name)
+    for dataset in datasets:
+        dataset.attrs["units"] = units.get(dataset.name.rpartition("/")[2], "1")
+        for axis, name in zip(range(dataset.ndim), scales, strict=False):
+            dataset.dims[axis].attach_scale(group[name])
+
+
+def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Plan, predecessor: Predecessor) -> None:
+    simulation = scene.scene.simulation or {}
+    attributes = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "title": scene.scene.title,
+        "scene_name": scene.name,
+        "bench_name": bench.name,
+        "simulated": bench.bench.simulated,
+        "seed": simulation.get("seed", 1) if bench.bench.simulated else -1,
+        "predecessor": predecessor.name,
+        "predecessor_shots": predecessor.shots,
+    }
+    for name, value in (attributes | {f"version_{name}": text for name, text in versions().items()}).items():
+        file.attrs[name] = _fixed(value) if isinstance(value, str) else value
+    file.attrs.create("status", np.bytes_("running"), dtype=f"S{STATUS_BYTES}")
+    file["scene"], file["bench"] = _fixed(scene.text), _fixed(bench.text)
+    snapshot = file.create_dataset("snapshot", len(plan.shots), f"S{SNAPSHOT_BYTES}", chunks=(1,))
+    if snapshot.nbytes <= MOST_PLACED_BYTES:
+        snapshot[...] = b""
+    name_axes(file, {"shot": np.arange(len(plan.shots))}, {})
+
+
+def _fixed(text: str) -> NDArray[Any]:
+    """Return ``text`` as UTF-8 of its own fixed length, which a reader can judge before it reads it."""
+    encoded = text.encode("utf-8")
+    return np.array(encoded, dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
+
+
+def _shot_and_pulse(plan: Plan) -> dict[str, NDArray[Any]]:
+    return {"shot": np.arange(len(plan.shots)), "pulse": np.arange(plan.shots[0].capture.record_count)}
+
+
+def _create_rows(group: h5py.Group, name: str, plan: Plan, dtype: np.dtype[Any], fill: float) -> None:
+    shape = (len(plan.shots), plan.shots[0].capture.record_count)
+    rows = group.create_dataset(name, shape, dtype, chunks=(1, min(shape[1], ROW_CHUNK)), fillvalue=fill)
+    if rows.nbytes <= MOST_PLACED_BYTES:
+        rows[...] = fill
+
+
+def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence[float]) -> None:
+    group = file.create_group("true_harmonics")
+    for name in TRUE_HARMONICS:
+        group[name] = np.full((shots, len(frequencies_hz)), math.nan)
+    name_axes(
+        group, {"shot": np.arange(shots), "frequency": np.array(frequencies_hz)}, dict.fromkeys(TRUE_HARMONICS, "m")
+    )
+    group["frequency"].attrs["units"] = "Hz"
+
+
+def _create_codes(group: h5py.Group, name: str, input_range_v: float, plan: Plan, compress: bool) -> None:
+    capture = plan.shots[0].capture
+    shape = (len(plan.shots), capture.record_count, capture.record_samples)
+    pulses_a_chunk = max(1, min(shape[1], math.ceil(CHUNK_BYTES / (2 * shape[2]))))
+    echo = group.create_dataset(
+        name, shape, "<i2", chunks=(1, pulses_a_chunk, shape[2]), fillvalue=MISSING, **(_filter() if compress else {})
+    )
+    # The first chunk brings the index of all of them into being.
+    echo[0, :pulses_a_chunk] = MISSING
+    # The CF names: readers that know them turn codes into volts and missing records into NaN by themselves.
+    scale, offset = volts_of_codes(input_range_v)
+    echo.attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
+
+
+def _filter() -> Mapping[str, Any]:
+    with extra("compression"):
+        import hdf5plugin
+    filters: Mapping[str, Any] = hdf5plugin.Bitshuffle(cname="lz4")
+    if filters["compression"] != BITSHUFFLE:
+        raise StoreError(
+            f"hdf5plugin offers filter {filters['compression']} where run files have bitshuffle, {BITSHUFFLE}. "
+            "Try: pip install --upgrade hdf5plugin, or no --compress."
+        )
+    return filters
+
+
+def _create_records(file: h5py.File, plan: Plan, compress: bool) -> None:
+    shots, capture = plan.shots, plan.shots[0].capture
+    group = file.create_group("records")
+    _create_codes(group, "echo", capture.input_range_v, plan, compress)
+    if capture.monitor_range_v is not None:
+        _create_codes(group, "monitor", capture.monitor_range_v, plan, compress)
+    _create_rows(group, "recorded", plan, np.dtype("u1"), 0)
+    _create_rows(group, "trigger_time_s", plan, np.dtype("<f8"), math.nan)
+    _create_rows(group, "pulse_onset_s", plan, np.dtype("<f8"), math.nan)
+    group["burst_length_s"] = [shot.timeline.burst_length_s for shot in shots]
+    group["force_fraction"] = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
+    group["repeat"] = [shot.repeat for shot in shots]
+    group["shot_complete"] = np.zeros(len(shots), np.uint8)
+    group["clipped"] = np.zeros(len(shots), np.uint8)
+    sample_s = shots[0].timeline.record_offset_s[0] + np.arange(capture.record_samples) / capture.sample_rate_hz
+    units = {"echo": "V", "monitor": "V", "trigger_time_s": "s", "pulse_onset_s": "s", "burst_length_s": "s"}
+    name_axes(group, {**_shot_and_pulse(plan), "sample": sample_s}, units)
+    group["sample"].attrs.update({"units": "s", "long_name": "time after the onset of the tracking pulse"})

@@ -1,0 +1,73 @@
+"""A run file comes into being: where there is room, as a whole or not at all, open to readers from the first moment."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from pathlib import Path
+
+import h5py
+from h5py import h5f, h5p
+
+from hpe_rig.store.format import StoreError, reason
+
+
+def refuse_small_disk(path: Path, needed: int) -> None:
+    """Raise ``StoreError`` where the disk of ``path`` has less than ``needed`` bytes free."""
+    try:
+        free = shutil.disk_usage(path.parent).free
+    except OSError:
+        # Whatever is wrong with the folder shows, with its own words, when the file is created.
+        return
+    if free < needed:
+        raise StoreError(
+            f"{path}: the run takes {needed / 1e6:.6g} MB, the disk has {free / 1e6:.6g} MB free. "
+            "Try: another folder with --output, --compress, or fewer repeats."
+        )
+
+
+def publish(image: bytes, path: Path, overwrite: bool) -> None:
+    """Let ``path`` appear as a whole file or not at all."""
+    draft = path.parent / f".{path.name}.{os.getpid()}.draft"
+    try:
+        with draft.open("xb") as file:
+            file.write(image)
+            file.flush()
+            os.fsync(file.fileno())
+        if overwrite:
+            draft.replace(path)
+        else:
+            _rename_to_new(draft, path)
+    except FileExistsError:
+        raise StoreError(
+            f"{path} exists and is never overwritten unless told. Try: another --output, or --overwrite."
+        ) from None
+    except OSError as error:
+        raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder with --output.") from None
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+
+
+def _rename_to_new(draft: Path, path: Path) -> None:
+    """Rename, raising ``FileExistsError`` where ``path`` is taken: a link on POSIX, where a rename would replace it."""
+    if os.name == "posix":
+        try:
+            path.hardlink_to(draft)
+        except FileExistsError:
+            raise
+        except OSError:
+            # A file system without links: the check and the rename are then two steps.
+            if path.exists():
+                raise FileExistsError(path) from None
+            draft.rename(path)
+    else:
+        draft.rename(path)
+
+
+def open_for_readers(path: Path) -> h5py.File:
+    """Open in single-writer-multiple-reader mode from the first moment: a file killed later can still be opened."""
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
+    return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE, access))

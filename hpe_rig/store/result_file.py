@@ -1,0 +1,84 @@
+"""The result file: a file of its own, so that records are written once, and never half there."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+from pathlib import Path
+from typing import Final
+
+import h5py
+import numpy as np
+
+from hpe_rig.result import Result
+from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
+from hpe_rig.store.layout import LIBVER, name_axes
+
+RESULT_UNITS: Final = {
+    "amplitude_m": "m",
+    "amplitude_uncertainty_m": "m",
+    "phase_rad": "rad",
+    "phase_uncertainty_rad": "rad",
+    "averaging_factor": "1",
+    "speckle_relative": "1",
+    "true_amplitude_m": "m",
+    "true_phase_rad": "rad",
+}
+
+
+def write_result(path: Path, result: Result) -> None:
+    """Write ``result`` to ``path``, in place of an earlier result there and of nothing else.
+
+    Group ``results``: one dataset an estimate's value, dimensions shot and frequency, NaN where a value is unknown.
+    Raises ``StoreError`` if it cannot be written.
+    """
+    _refuse_foreign(path)
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    try:
+        with h5py.File(draft, "w", libver=LIBVER) as file:
+            _write(file, result)
+        draft.replace(path)
+    except (OSError, RuntimeError) as error:
+        raise StoreError(
+            f"{path} cannot be written ({reason(error)}). The run file is as it was. "
+            "Try: make room or a writable folder, then hpe-rig process."
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+
+
+def _write(file: h5py.File, result: Result) -> None:
+    file.attrs["format"] = RESULT_FORMAT
+    for name in ("title", "run_file", "simulated", "estimator", "phase_reference"):
+        file.attrs[name] = getattr(result, name)
+    file["json"] = json.dumps(result.as_dict())
+    rows = [shot.estimates for shot in result.shots]
+    group = file.create_group("results")
+    for name in RESULT_UNITS:
+        values = [[_number(getattr(estimate, name)) for estimate in row] for row in rows]
+        group.create_dataset(name, data=values, dtype="f8")
+    frequency_hz = np.array([estimate.frequency_hz for estimate in rows[0]])
+    shots = np.array([shot.shot for shot in result.shots])
+    name_axes(group, {"shot": shots, "frequency": frequency_hz}, RESULT_UNITS)
+    group["frequency"].attrs["units"] = "Hz"
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Raise ``StoreError`` where ``path`` is there and was not written as a result."""
+    if not path.exists():
+        return
+    try:
+        with h5py.File(path, "r") as file:
+            # Results of earlier versions carry no format; nothing else has a group of this name with these attributes.
+            known = file.attrs.get("format") == RESULT_FORMAT or {"run_file", "estimator"} <= set(file.attrs)
+    except (OSError, KeyError, ValueError, RuntimeError):
+        known = False
+    if not known:
+        raise StoreError(f"{path} exists and is no result of hpe-rig: it is left alone. Try: move it away.")
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value

@@ -1,0 +1,230 @@
+"""Reading an HDF5 file that somebody else may have written: nothing is taken for granted, nothing outside it opened.
+
+A file can name other files (external links, external storage, virtual datasets), declare sizes that it does not
+hold, and carry filters; each is refused here, before a byte of data is asked for.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import math
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from h5py import h5f, h5p
+
+from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, StoreError, reason
+from hpe_rig.store.optional_packages import extra
+
+MOST_TEXT_BYTES: Final = 1_000_000
+MOST_CHUNK_BYTES: Final = 64_000_000
+SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+SUPERBLOCK: Final = 3
+"""Version of the HDF5 superblock of every run file; from it on all of the library's metadata carry checksums."""
+FLAGS_PLACE: Final = 11
+"""Where that superblock marks a file as being written."""
+READ_ATTEMPTS: Final = 20
+OPEN_ATTEMPTS: Final = 5
+OPEN_PAUSE_S: Final = 0.02
+
+
+class UntrustedError(Exception):
+    """Something in a file is not what a run file has there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trusted:
+    """An open file of which only what has been checked is handed out."""
+
+    file: h5py.File
+
+    def text(self, name: str) -> str:
+        """Return the text in the scalar dataset ``name``."""
+        dataset = self._item(name, h5py.Dataset)
+        _refuse_outside(dataset, name)
+        return _text(dataset[()], f"/{name}") if _is_text(dataset, f"/{name}") else ""
+
+    def dataset(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
+        """Return dataset ``name`` if it has this type and shape; None stands for any length."""
+        dataset = self._item(name, h5py.Dataset)
+        _refuse_outside(dataset, name)
+        if dataset.dtype != np.dtype(dtype):
+            raise UntrustedError(f"/{name} holds {str(dataset.dtype)[:40]}, not {np.dtype(dtype)}")
+        alike = len(dataset.shape or ()) == len(shape)
+        if not alike or any(want not in (None, have) for want, have in zip(shape, dataset.shape, strict=True)):
+            raise UntrustedError(f"/{name} has shape {dataset.shape}, where {shape} fits the rest of the file")
+        _refuse_chunks(dataset, name)
+        return dataset
+
+    def attribute(self, name: str, kind: type, of: str | None = None) -> Any:
+        """Return the scalar attribute ``name`` of the file or of dataset ``of``, as ``kind``: str, int, bool, float."""
+        owner = self.file if of is None else self._item(of, h5py.Dataset)
+        where = f"attribute {of or ''}.{name}"
+        if name not in owner.attrs:
+            raise UntrustedError(f"{where} is absent")
+        identity = owner.attrs.get_id(name)
+        if identity.shape != ():
+            raise UntrustedError(f"{where} is no single value")
+        if kind is str:
+            return _text(owner.attrs[name], where) if _is_text(identity, where) else ""
+        if identity.dtype.kind not in {int: "iu", bool: "b", float: "f"}[kind]:
+            raise UntrustedError(f"{where} is no {kind.__name__}")
+        value = kind(owner.attrs[name])
+        if not math.isfinite(value):
+            raise UntrustedError(f"{where} is {value}")
+        return value
+
+    def has(self, name: str) -> bool:
+        """Return whether there is something at ``name``."""
+        return name in self.file
+
+    def _item(self, name: str, kind: type) -> Any:
+        path = ""
+        for part in name.split("/"):
+            path = f"{path}/{part}"
+            link = self.file.get(path, getlink=True)
+            if link is None:
+                raise UntrustedError(f"{path} is absent")
+            if not isinstance(link, h5py.HardLink):
+                raise UntrustedError(f"{path} points out of its place, which no run file does")
+        item = self.file[name]
+        if not isinstance(item, kind):
+            raise UntrustedError(f"{path} is no {kind.__name__.lower()}")
+        return item
+
+
+@contextlib.contextmanager
+def trusted(path: Path) -> Iterator[Trusted]:
+    """Yield the run file ``path``, also while another program writes it; raise ``StoreError`` for anything wrong."""
+    try:
+        in_use = _refuse_foreign(path)
+        with _opened(path, in_use) as file:
+            trust = Trusted(file)
+            _refuse_format(trust)
+            yield trust
+    except UntrustedError as error:
+        raise StoreError(
+            f"{path} is not a readable run file: {error}. It is damaged, was changed, or comes from elsewhere. "
+            "Try: a file written by hpe-rig run."
+        ) from None
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, OverflowError, MemoryError) as error:
+        raise StoreError(
+            f"{path} is not a readable run file ({reason(error)}). It is cut short, damaged or comes from elsewhere. "
+            "Try: a copy of it, or measure again."
+        ) from error
+
+
+def _opened(path: Path, in_use: bool) -> h5py.File:
+    if not in_use:
+        with contextlib.suppress(OSError):
+            return h5py.File(path, "r")
+        # A run that a full disk ended is shorter than its last chunk would be; a reader of a growing file minds less.
+    access = _patience()
+    for _ in range(OPEN_ATTEMPTS - 1):
+        with contextlib.suppress(OSError):
+            return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, access))
+        # A writer may be between two of its steps; a damaged file is asked for these 0.1 s as well.
+        time.sleep(OPEN_PAUSE_S)
+    return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, access))
+
+
+def _patience() -> h5p.PropFAID:
+    """Return file access properties under which damaged metadata are read ``READ_ATTEMPTS`` times, not for ever.
+
+    The library doubles its pause at each of 100 attempts by default; h5py does not hand this setting through.
+    """
+    access = h5p.create(h5p.FILE_ACCESS)
+    beside = Path(h5py.__file__).parent / "hdf5.dll"
+    with contextlib.suppress(OSError, AttributeError):
+        library = ctypes.CDLL(str(beside if beside.exists() else h5p.__file__))
+        library.H5Pset_metadata_read_attempts(ctypes.c_int64(access.id), ctypes.c_uint(READ_ATTEMPTS))
+    return access
+
+
+def _refuse_foreign(path: Path) -> bool:
+    """Return whether the file says that it is being written: it is, or its writer was killed."""
+    if not path.is_file():
+        what = "is a folder" if path.is_dir() else "is no regular file" if path.exists() else "does not exist"
+        raise StoreError(f"{path} {what}. Try: a file written by hpe-rig run, here or with its folder's name.")
+    with path.open("rb") as file:
+        start = file.read(FLAGS_PLACE + 1)
+    if start[: len(SIGNATURE)] != SIGNATURE:
+        raise UntrustedError("it is no HDF5 file")
+    if len(start) <= FLAGS_PLACE or start[len(SIGNATURE)] != SUPERBLOCK:
+        raise UntrustedError(
+            f"it is an HDF5 file of another kind (a run file has a superblock of version {SUPERBLOCK})"
+        )
+    return start[FLAGS_PLACE] != 0
+
+
+def _refuse_format(trust: Trusted) -> None:
+    foreign = UntrustedError("it is an HDF5 file, but a result or another program's")
+    try:
+        if trust.attribute("format", str) != FORMAT:
+            raise foreign
+    except UntrustedError:
+        raise foreign from None
+    version = trust.attribute("format_version", int)
+    if version > FORMAT_VERSION:
+        raise UntrustedError(
+            f"it has format version {version}, this program reads up to {FORMAT_VERSION}; a newer hpe-rig reads it"
+        )
+    if version < FORMAT_VERSION:
+        raise UntrustedError(f"it has format version {version}, which came before run files kept their promises")
+
+
+def _is_text(holder: Any, where: str) -> bool:
+    """Return whether there is text to be read; raise ``UntrustedError`` where there is something else."""
+    if holder.shape != ():
+        raise UntrustedError(f"{where} is no single text")
+    information = h5py.check_string_dtype(holder.dtype)
+    if information is None:
+        raise UntrustedError(f"{where} is no text")
+    if information.length is None:
+        # Such text lies in a heap without checksums, in which a damaged file can lead the library round in circles.
+        raise UntrustedError(f"{where} is a text of variable length, which no run file holds")
+    if holder.dtype.itemsize > MOST_TEXT_BYTES:
+        raise UntrustedError(f"{where} is a text of {holder.dtype.itemsize} bytes, more than {MOST_TEXT_BYTES}")
+    return True
+
+
+def _text(value: Any, where: str) -> str:
+    try:
+        text = value.decode("utf-8") if isinstance(value, bytes) else str(value)
+        text.encode("utf-8")
+    except UnicodeError:
+        raise UntrustedError(f"{where} is no UTF-8 text") from None
+    if len(text) > MOST_TEXT_BYTES:
+        raise UntrustedError(f"{where} is a text of {len(text)} characters, more than {MOST_TEXT_BYTES}")
+    # A terminal would obey them.
+    if any(not character.isprintable() and character not in "\n\r\t" for character in text):
+        raise UntrustedError(f"{where} holds control characters")
+    return text
+
+
+def _refuse_outside(dataset: h5py.Dataset, name: str) -> None:
+    if dataset.is_virtual or dataset.external:
+        raise UntrustedError(f"/{name} keeps its values in another file, which no run file does")
+
+
+def _refuse_chunks(dataset: h5py.Dataset, name: str) -> None:
+    if dataset.chunks is not None and math.prod(dataset.chunks) * dataset.dtype.itemsize > MOST_CHUNK_BYTES:
+        raise UntrustedError(f"/{name} has chunks of {dataset.chunks}, larger than any run file's")
+    plist = dataset.id.get_create_plist()
+    filters = [plist.get_filter(index)[0] for index in range(plist.get_nfilters())]
+    if filters not in ([], [BITSHUFFLE]):
+        raise UntrustedError(f"/{name} went through filters {filters[:5]}, of which a run file knows {BITSHUFFLE} only")
+    if filters:
+        _load_filter()
+
+
+def _load_filter() -> None:
+    with extra("compression"):
+        import hdf5plugin  # noqa: F401, registers the filter

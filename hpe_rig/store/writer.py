@@ -1,0 +1,304 @@
+"""Records to disk while they arrive: whole chunks, flushed, in a file that others may read at any moment.
+
+Order is the promise: a chunk of echoes is on its way to the disk before the marks that say its records are there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import RecordBlock
+from hpe_rig.bench import BenchText, uninterrupted
+from hpe_rig.plan import Plan, Shot
+from hpe_rig.scene import SceneText
+from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, StoreError, reason
+from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
+from hpe_rig.store.publish import open_for_readers, publish, refuse_small_disk
+from hpe_rig.store.reader import StoredRun
+from hpe_rig.store.records import MISSING, Placed, place
+
+ROWS = ("recorded", "trigger_time_s", "pulse_onset_s", "shot_complete", "clipped")
+CHECKPOINT_S = 1.0
+"""Longest time that written records may wait for the disk itself, checked at the end of each shot."""
+
+
+@dataclass(frozen=True, slots=True)
+class WriteOptions:
+    """How a run file is written; ``predecessor`` is the run that it goes on from."""
+
+    compress: bool = False
+    overwrite: bool = False
+    predecessor: Predecessor = field(default_factory=Predecessor)
+
+
+@final
+class RunWriter:
+    """An open run file; records are appended as they arrive, the status says how it ended."""
+
+    def __init__(
+        self,
+        path: Path,
+        scene: SceneText,
+        bench: BenchText,
+        plan: Plan,
+        options: WriteOptions = WriteOptions(),
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Create ``path``; raise ``StoreError`` if it exists, cannot be written or would not hold the records."""
+        self.path = path
+        self._clock = clock
+        self._checkpoint_s = clock()
+        self._broken = False
+        image = empty_run(scene, bench, plan, options.compress, options.predecessor)
+        refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
+        publish(image, path, options.overwrite)
+        with self._writing():
+            self._file = open_for_readers(path)
+        self._volts = volts_of_codes(plan.shots[0].capture.input_range_v)
+        # Held, since looking a dataset up takes longer than writing to it.
+        self._rows = {name: self._file[f"records/{name}"] for name in ROWS}
+        self._chunk = _Chunk(self._file["records/echo"])
+        monitor = self._file["records"].get("monitor")
+        self._chunks = (self._chunk, *([] if monitor is None else [_Chunk(monitor)]))
+        self._shot: _ShotRows | None = None
+
+    def __enter__(self) -> RunWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        failed = "failed" if kind is not None and issubclass(kind, Exception) else "aborted"
+        try:
+            with uninterrupted(), self._writing():
+                self._end("complete" if kind is None else failed)
+            if not self.path.exists():
+                raise StoreError(f"{self.path} vanished while it was written. Try: another folder, measure again.")
+        except StoreError:
+            # What broke the run is the better message.
+            if kind is None:
+                raise
+
+    def settings(self, shot: Shot, settings: Mapping[str, Mapping[str, Any]]) -> None:
+        """Write the instruments' settings as read back for ``shot``, and when its pulses are due."""
+        text = json.dumps(settings, sort_keys=True, separators=(",", ":"))
+        if len(text) > SNAPSHOT_BYTES:
+            raise StoreError(
+                f"the settings of shot {shot.index + 1} take {len(text)} bytes, a run file has room for "
+                f"{SNAPSHOT_BYTES}. Try: report this with the bench file."
+            )
+        with self._writing():
+            self._file["snapshot"][shot.index] = text
+            self._rows["pulse_onset_s"][shot.index] = shot.timeline.pulse_onset_s
+
+    def append(self, shot: Shot, block: RecordBlock) -> None:
+        """Put the records of ``block`` in their pulses' places; chunks that are full go to the disk."""
+        if not block.codes.size:
+            return
+        self._refuse_other_volts(block)
+        with self._writing():
+            rows = self._rows_of(shot)
+            index, rows.latest = place(block, rows.latest, shot)
+            kept = index >= 0
+            # A copy only where something is left out.
+            inputs = (block.codes, *([] if block.monitor is None else [block.monitor.codes]))
+            codes = inputs if kept.all() else tuple(of_input[kept] for of_input in inputs)
+            self._put(rows, index[kept], codes, block.trigger_time_s[kept])
+
+    def clipped(self, shot: Shot, clipped: bool) -> None:
+        """Write whether the digitizer's input left its range during ``shot``."""
+        with self._writing():
+            self._rows["clipped"][shot.index] = clipped
+
+    def truth(self, shot: Shot, displacement_m: NDArray[np.float64]) -> None:
+        """Write the true displacement at the focus for each record of ``shot``, shape (record,)."""
+        recorded = np.zeros(0, bool) if self._shot is None else self._shot.recorded
+        valid = np.flatnonzero(recorded)
+        row_m = np.full(recorded.size, np.nan)
+        row_m[valid] = displacement_m[: valid.size]
+        if valid.size:
+            with self._writing():
+                self._file["truth/displacement_m"][shot.index] = row_m
+
+    def true_harmonics(self, shot: Shot, harmonics_m: NDArray[np.float64]) -> None:
+        """Write in-phase and quadrature of the true displacement at the wanted frequencies, (frequency, 2)."""
+        with self._writing():
+            for name, column_m in zip(TRUE_HARMONICS, harmonics_m.T, strict=True):
+                self._file[f"true_harmonics/{name}"][shot.index] = column_m
+
+    def run_time(self, run_time_s: Mapping[str, float]) -> None:
+        """Write the wall time of each stage so far."""
+        with self._writing():
+            self._file["run_time/run_time_s"][...] = [run_time_s.get(name, math.nan) for name in STAGES]
+
+    def finish(self, shot: Shot) -> None:
+        """Hand everything of ``shot`` to the operating system, then mark it as complete; now and then sync the disk."""
+        with self._writing():
+            self._write_chunk()
+            self._file.flush()
+            self._mark_complete(shot.index)
+            if self._clock() - self._checkpoint_s >= CHECKPOINT_S:
+                self._sync()
+                self._checkpoint_s = self._clock()
+
+    def take_over(self, earlier: StoredRun, shots: int) -> None:
+        """Copy the first ``shots`` shots of another run of the same plan, chunk by chunk."""
+        for shot in range(shots):
+            with self._writing():
+                for name, row in earlier.rows(shot).items():
+                    self._file[name][shot] = row
+                for chunk in self._chunks:
+                    for start, codes in earlier.records.chunks(shot, chunk.rows, chunk.name):
+                        chunk.write(shot, start, codes)
+                self._file.flush()
+                self._mark_complete(shot)
+
+    def _rows_of(self, shot: Shot) -> _ShotRows:
+        if self._shot is None or self._shot.index != shot.index:
+            self._write_chunk()
+            self._shot = _ShotRows(shot)
+        return self._shot
+
+    def _put(
+        self,
+        rows: _ShotRows,
+        index: NDArray[np.int64],
+        codes: tuple[NDArray[np.int16], ...],
+        time_s: NDArray[np.float64],
+    ) -> None:
+        for number in np.unique(index // self._chunk.rows):
+            here = index // self._chunk.rows == number
+            if (rows.index, number) != self._chunk.place:
+                self._write_chunk()
+                for chunk in self._chunks:
+                    chunk.begin(rows.index, int(number))
+            for chunk, of_input in zip(self._chunks, codes, strict=True):
+                chunk.put(index[here] % chunk.rows, of_input[here])
+            rows.recorded[index[here]] = True
+            rows.trigger_time_s[index[here]] = time_s[here]
+            if index[here][-1] % self._chunk.rows == self._chunk.rows - 1:
+                self._write_chunk()
+
+    def _write_chunk(self) -> None:
+        """Write the chunk begun, then the marks of its records; nothing where nothing was added since."""
+        if self._chunk.place is None or self._shot is None or not self._chunk.fresh:
+            return
+        shot, number = self._chunk.place
+        for chunk in self._chunks:
+            chunk.flush()
+        rows = slice(number * self._chunk.rows, (number + 1) * self._chunk.rows)
+        for name in ("trigger_time_s", "recorded"):
+            self._rows[name][shot, rows] = getattr(self._shot, name)[rows]
+            self._rows[name].flush()
+
+    def _mark_complete(self, shot: int) -> None:
+        self._rows["shot_complete"][shot] = 1
+        self._rows["shot_complete"].flush()
+
+    def _end(self, status: str) -> None:
+        try:
+            if not self._broken:
+                self._write_chunk()
+                self._file.flush()
+        finally:
+            with contextlib.suppress(OSError, RuntimeError):
+                self._file.attrs.modify("status", np.bytes_(status))
+                self._sync()
+            self._file.close()
+
+    def _sync(self) -> None:
+        self._file.flush()
+        os.fsync(self._file.id.get_vfd_handle())
+
+    def _refuse_other_volts(self, block: RecordBlock) -> None:
+        expected = self._volts
+        found = block.volts_per_code, block.volts_offset
+        if not all(math.isclose(one, other, rel_tol=1e-9) for one, other in zip(found, expected, strict=True)):
+            raise StoreError(
+                f"the digitizer says {block.volts_per_code:g} V a code, its range {expected[0]:g}. Its input range is "
+                "not the programmed one. Try: hpe-rig bench, then another acquisition.input_range_v."
+            )
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, RuntimeError) as error:
+            self._broken = True
+            raise StoreError(
+                f"{self.path} cannot be written any further ({reason(error)}). What was written before is kept. "
+                f"Try: make room or bring the folder back, then hpe-rig resume {self.path.name}."
+            ) from error
+
+
+@final
+class _Chunk:
+    """The chunk of echoes that is being filled; ``place`` is its (shot, number), None before the first.
+
+    ``fresh`` says whether it holds records that the file does not.
+    """
+
+    def __init__(self, echo: h5py.Dataset) -> None:
+        self._echo = echo
+        self.name = str(echo.name).rpartition("/")[2]
+        self._plain = echo.id.get_create_plist().get_nfilters() == 0
+        self.rows: int = echo.chunks[1]
+        self.codes = np.empty(echo.chunks[1:], "<i2")
+        self.place: tuple[int, int] | None = None
+        self.fresh = False
+
+    def begin(self, shot: int, number: int) -> None:
+        """Forget what is held and start on another chunk."""
+        self.codes.fill(MISSING)
+        self.place = (shot, number)
+
+    def put(self, rows: NDArray[np.int64], codes: NDArray[np.int16]) -> None:
+        """Take ``codes`` (row, sample) in at ``rows``."""
+        self.codes[rows] = codes
+        self.fresh = True
+
+    def flush(self) -> None:
+        """Write the chunk, which stays held so that late records can be added."""
+        if self.place is not None:
+            shot, number = self.place
+            self._write(shot, number * self.rows)
+
+    def write(self, shot: int, first: int, codes: NDArray[np.int16]) -> None:
+        """Write whole ``codes`` (pulse, sample) from pulse ``first`` on, a multiple of the chunk's rows."""
+        self.begin(shot, first // self.rows)
+        self.codes[: codes.shape[0]] = codes
+        self._write(shot, first)
+
+    def _write(self, shot: int, first: int) -> None:
+        if self._plain:
+            # Past the library's cache: nothing is left there to fail again when the disk is full.
+            self._echo.id.write_direct_chunk((shot, first, 0), self.codes)
+        else:
+            rows = min(self.rows, self._echo.shape[1] - first)
+            self._echo[shot, first : first + rows] = self.codes[:rows]
+        self._echo.flush()
+        self.fresh = False
+
+
+@final
+class _ShotRows:
+    """What is known of the records of the shot that is running."""
+
+    def __init__(self, shot: Shot) -> None:
+        self.index = shot.index
+        self.latest: Placed | None = None
+        self.recorded = np.zeros(shot.capture.record_count, bool)
+        self.trigger_time_s = np.full(shot.capture.record_count, np.nan)

@@ -1,0 +1,215 @@
+"""From echoes and noise to amplitude and phase, for many realisations: what a train of pulses and a gate fix.
+
+Every estimator here looks at a gate through its spectrum in the transmitted band alone, that is through some fifty
+numbers (`basis`) of its hundred or more samples. White noise in the samples is white noise in those numbers, so it is
+drawn there: exactly the same statistics for fewer random numbers. And the way from displacements to amplitude and
+phase is linear (least squares, or the paper's band-pass, Hann window and Kalman filter), so it is one matrix.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from hpe_rig.processing import (
+    EchoGate,
+    Estimator,
+    Motion,
+    Options,
+    band_grid,
+    coherent_phase,
+    estimate,
+    fit_motion,
+    hann,
+    motion_of,
+    peak_phase,
+)
+
+Floats = NDArray[np.float64]
+Places = NDArray[np.intp]
+
+NEGLIGIBLE = 1e-13
+"""What is left of a column below this share of the largest is rounding."""
+PADDING = 8
+"""The paper's chain: how finely its spectrum is sampled, as `processing.cross_spectrum`'s default."""
+
+
+@dataclass(frozen=True, slots=True)
+class Train:
+    """When the pulses are fired, what the gate is and what is wanted of it; hashable."""
+
+    pulse_rate_hz: float
+    pulses: int
+    delay_s: float
+    carrier_hz: float
+    sound_speed_m_per_s: float
+    sample_rate_hz: float
+    samples: int
+    frequencies_hz: tuple[float, ...]
+    options: Options
+
+    @property
+    def pulse_time_s(self) -> Floats:
+        """When each pulse senses the motion, (pulse,)."""
+        return self.delay_s + np.arange(self.pulses) / self.pulse_rate_hz
+
+    def gate(self, volts: Floats) -> EchoGate:
+        """Return echoes (..., pulse, sample) as the estimators take them."""
+        valid = np.ones(self.pulses, dtype=bool)
+        return EchoGate(volts, self.sample_rate_hz, self.pulse_time_s, self.carrier_hz, self.sound_speed_m_per_s, valid)
+
+
+Form = Literal["peak", "plain", "volts"]
+"""How an estimator takes a gate: its spectrum under the Hann window on the padded grid, the plain one, or samples."""
+
+
+def form_of(estimator: Estimator) -> Form:
+    """Return the form in which an estimator takes a gate."""
+    return "peak" if estimator == "cross_spectrum" else "plain" if estimator == "coherent" else "volts"
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """What a train fixes of the spectra; `band_of` makes it."""
+
+    numbers: int
+    """How many numbers say all that any estimator sees of a gate."""
+    grid_hz: dict[Form, Floats]
+    """(bin,)"""
+    of_volts: dict[Form, Floats]
+    """(sample, 2 * bin), from samples to spectra: real parts, then imaginary parts."""
+    of_numbers: dict[Form, Floats]
+    """The same from the numbers, (number, 2 * bin), and of "volts" (number, sample), orthonormal rows."""
+
+
+def band_of(train: Train) -> Band:
+    """Return what the estimators see of a gate; raises ``ValueError`` for a gate too short for the band."""
+    return _band(train.carrier_hz, train.sample_rate_hz, train.samples)
+
+
+@functools.lru_cache(maxsize=16)
+def _band(carrier_hz: float, sample_rate_hz: float, samples: int) -> Band:
+    # The grids are those of one pulse, whenever it is fired and whatever the sound speed.
+    one = EchoGate(np.zeros((1, samples)), sample_rate_hz, np.zeros(1), carrier_hz, 1.0, np.ones(1, dtype=bool))
+    grid_hz: dict[Form, Floats] = {
+        "peak": band_grid(one, 1 << (PADDING * samples - 1).bit_length()),
+        "plain": band_grid(one, samples),
+    }
+    angle = {form: 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, hz) for form, hz in grid_hz.items()}
+    of_volts = {form: np.hstack([np.cos(turn), -np.sin(turn)]) for form, turn in angle.items()}
+    of_volts["peak"] *= hann(samples)[:, None]
+    basis = _basis(np.hstack([of_volts["plain"], of_volts["peak"]]))
+    of_numbers: dict[Form, Floats] = {form: basis @ columns for form, columns in of_volts.items()}
+    return Band(len(basis), grid_hz, of_volts, of_numbers | {"volts": basis})
+
+
+def _basis(columns: Floats) -> Floats:
+    """Return orthonormal rows (number, sample) that span ``columns`` (sample, column).
+
+    The random numbers multiply them, so they must not hang on rounding, as singular vectors of nearly equal values do.
+    Elimination by the largest column hangs on it where two are equally large: a slope keeps them apart.
+    """
+    slope = np.linspace(1.0, 0.7, columns.shape[1])
+    orthonormal, triangle, _ = qr(columns * slope, mode="economic", pivoting=True)
+    pivot = np.diagonal(triangle)
+    kept = np.abs(pivot) > NEGLIGIBLE * np.abs(pivot[0])
+    return np.ascontiguousarray((orthonormal[:, kept] * np.sign(pivot[kept])).T)
+
+
+@functools.lru_cache(maxsize=64)
+def functional(train: Train, estimator: Estimator) -> Floats:
+    """Return the matrix (pulse, 2 * frequency) from displacements to A cos(phi), A sin(phi), interleaved."""
+    unit = np.eye(train.pulses)
+    motion = Motion(train.pulse_time_s, unit, np.ones_like(unit), np.ones(train.pulses, dtype=bool))
+    fit = fit_motion(motion, train.frequencies_hz, estimator, options=train.options)
+    return np.asarray(fit.state[:, : 2 * len(train.frequencies_hz)])
+
+
+@functools.lru_cache(maxsize=64)
+def step_functional(train: Train) -> Floats:
+    """Return the matrix (step, 2 * frequency) of the paper's chain from displacement steps between pulses."""
+    onwards = np.cumsum(functional(train, "cross_spectrum")[::-1], axis=0)[::-1]
+    return np.ascontiguousarray(onwards[1:])
+
+
+def states(train: Train, estimator: Estimator, clean: Floats, which: Places, level: Floats, noise: Floats) -> Floats:
+    """Return the states (draw, noise, 2 * frequency), NaN where the estimator refuses a realisation.
+
+    ``clean`` (draw, echo, ...) and ``noise`` (draw, noise, pulse, ...) in the form of the estimator, ``which`` (pulse,)
+    the echo of every pulse, ``level`` (draw,) of the noise.
+    """
+    if estimator == "cross_spectrum":
+        return _peaks_states(train, clean, which, level, noise)
+    noisy = clean[:, None, which] + level[:, None, None, None] * noise
+    try:
+        return _states(train, estimator, noisy)
+    except ValueError:
+        each = [_states_or_nan(train, estimator, one) for one in noisy.reshape(-1, *noisy.shape[2:])]
+        return np.reshape(each, (*noisy.shape[:2], -1))
+
+
+def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
+    if estimator == "joint":
+        fit = estimate(train.gate(noisy), train.frequencies_hz, estimator, options=train.options)
+        return fit.state[..., : 2 * len(train.frequencies_hz)]
+    if estimator == "coherent":
+        phase, _, mean_hz = coherent_phase(_complex(noisy), band_of(train).grid_hz["plain"])
+        return np.asarray((phase * _metres(train) / mean_hz[..., None]) @ functional(train, estimator))
+    return np.asarray(motion_of(train.gate(noisy), estimator).displacement_m @ functional(train, estimator))
+
+
+def _states_or_nan(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
+    try:
+        return _states(train, estimator, noisy)
+    except ValueError:
+        return np.full(2 * len(train.frequencies_hz), np.nan)
+
+
+def _peaks_states(train: Train, clean: Floats, which: Places, level: Floats, noise: Floats) -> Floats:
+    grid_hz = band_of(train).grid_hz["peak"]
+    if compiled():
+        shape = (*noise.shape[:2], train.pulses - 1)
+        step, peak = np.empty(shape), np.empty(shape, dtype=np.intp)
+        _loop()(clean, which, level, noise, step, peak)
+        peak_hz = grid_hz[peak]
+    else:
+        step, peak_hz = peak_phase(_complex(clean[:, None, which] + level[:, None, None, None] * noise), grid_hz)
+    return np.asarray((step * _metres(train) / peak_hz) @ step_functional(train))
+
+
+def _complex(both: Floats) -> NDArray[np.complex128]:
+    """Return spectra (..., bin) of their real and imaginary parts (..., 2 * bin)."""
+    bins = both.shape[-1] // 2
+    return np.asarray(both[..., :bins] + 1j * both[..., bins:])
+
+
+def _metres(train: Train) -> float:
+    """Return displacement over phase, times the frequency: m Hz/rad."""
+    return -train.sound_speed_m_per_s / (4 * np.pi)
+
+
+@functools.cache
+def compiled() -> bool:
+    """Return whether Numba is installed; without it results differ by rounding."""
+    return importlib.util.find_spec("numba") is not None
+
+
+@functools.cache
+def _loop() -> Callable[..., None]:
+    loop: Callable[..., None] = importlib.import_module("hpe_rig.study.cross_spectrum_numba").peak_steps
+    return loop
+
+
+def refuse_unusable(train: Train, estimators: Sequence[Estimator]) -> None:
+    """Raise ``ValueError`` where the train cannot carry an estimate, before anything is drawn."""
+    band_of(train)
+    for estimator in estimators:
+        functional(train, estimator if estimator != "joint" else "coherent")

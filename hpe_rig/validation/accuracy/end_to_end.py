@@ -1,0 +1,258 @@
+"""Error of the final amplitude against seconds: from tonebursts through medium, echoes and noise to one number.
+
+Scene: bovine muscle, 15 tonebursts at 100 Hz, pulses at 3990 Hz, the last 100 ms used, noise 40 dB below the echo. The
+final amplitude is the mean over realisations (new scatterers, new noise) of the estimate at 200 Hz over the beams'
+averaging factor; the truth is the steady state in closed form, so nothing that is tabulated, drawn or fitted enters it.
+(At 4000 Hz every burst period is sampled at the same instants and harmonics near 3.8 kHz fold onto 200 Hz: 9 %.)
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.prediction import beam_averaging_factor, force_spectrum, scatterer_density
+from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate
+
+if TYPE_CHECKING:
+    from sim_backend.settings import SimulationSettings
+
+Floats = NDArray[np.float64]
+
+FREQUENCY_HZ, BURST_RATE_HZ, BURST_LENGTH_S, BURSTS = 200.0, 100.0, 100e-6, 15
+PULSE_RATE_HZ, FIRST_PULSE_S, USED_FROM_S = 3990.0, 130e-6, 50e-3
+FORCE_N_PER_M3, SNR_DB = 5.0e6, 40.0
+CARRIER_HZ, SAMPLE_RATE_HZ = 9e6, 100e6
+SAME_DRAWS = 16
+EXACT_TOLERANCE = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """One way from the scene to the amplitude; the defaults are the shipped ones."""
+
+    estimator: Estimator = "coherent"
+    gate_length_m: float = 1e-3
+    tolerance: float = 1e-6
+    """Of the echoes."""
+    nodes: int = 32
+    """Of the medium's contour."""
+    degrees: int = 24
+    """Of its panels of log time."""
+
+
+@dataclass(frozen=True, slots=True)
+class EndToEnd:
+    """One way and number of realisations; errors relative to the true amplitude."""
+
+    varied: str
+    estimator: str
+    gate_length_m: float
+    tolerance: float
+    nodes: int
+    degrees: int
+    realisations: int
+    numerical_error: float
+    """What tolerance and nodes do to the amplitudes of the same noise-free draws, root mean square."""
+    bias: float
+    """Of the mean of the most realisations: what more of them do not mend, known to ``bias_uncertainty``."""
+    bias_uncertainty: float
+    standard_error: float
+    """Standard deviation of the mean of ``realisations``, from scatterers and noise."""
+    error: float
+    """Root mean square of both."""
+    time_s: float
+    """Processor time of all realisations, medium and estimation included; up to ten of them: the best of three."""
+    shipped: bool
+    """Whether all is as shipped, apart from the realisations."""
+    on_front: bool
+    """Whether no other row is as good in less time."""
+    cores: int
+
+
+def ways() -> list[tuple[str, Way]]:
+    """Return what is varied, and how: every estimator in every gate, then tolerance and nodes one at a time."""
+    shipped = Way()
+    found = [
+        ("estimator and gate", replace(shipped, estimator=name, gate_length_m=gate_m))
+        for gate_m in (0.5e-3, 1e-3, 2e-3)
+        for name in ESTIMATORS
+    ]
+    found += [("tolerance", replace(shipped, tolerance=tolerance)) for tolerance in (1e-1, 1e-2, 1e-4, 1e-8, 1e-10)]
+    nodes = ((6, 6), (10, 10), (16, 14), (24, 20))
+    return found + [("nodes", replace(shipped, nodes=n, degrees=degrees)) for n, degrees in nodes]
+
+
+def rows(
+    realisations: Sequence[int] = (1, 10, 100, 1000),
+    chosen: Sequence[tuple[str, Way]] | None = None,
+    seed: int = 0,
+) -> list[EndToEnd]:
+    """Return a row for every way and number of realisations, ascending; the largest gives bias and deviation."""
+    found = [row for varied, way in chosen or ways() for row in _of_way(varied, way, realisations, seed)]
+    front = set(pareto([row.time_s for row in found], [row.error for row in found]))
+    return [replace(row, on_front=index in front) for index, row in enumerate(found)]
+
+
+def pareto(times_s: Sequence[float], errors: Sequence[float]) -> list[int]:
+    """Return the indices, by ascending time, of the points that no other beats in both time and error."""
+    front: list[int] = []
+    for index in sorted(range(len(times_s)), key=lambda k: (times_s[k], errors[k])):
+        if not math.isnan(errors[index]) and (not front or errors[index] < errors[front[-1]]):
+            front.append(index)
+    return front
+
+
+def amplitudes(way: Way, realisations: int, seed: int) -> Floats:
+    """Return the final amplitude of each realisation, m, (realisation,)."""
+    from sim_backend.echoes import drawn_echoes, hann_pulse
+
+    settings = scene()
+    moved_m = displacement(way.nodes, way.degrees)
+    pulse = hann_pulse(CARRIER_HZ, settings.scatterers.bandwidth)
+    scatterers, noise = (np.random.default_rng([seed, stream]) for stream in (0, 1))
+    found = []
+    for clean in drawn_echoes(settings, moved_m, pulse, _gate_s(way), scatterers, realisations, way.tolerance):
+        noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 10 ** (SNR_DB / 10))
+        found.append(_estimated(way, clean + noise_v * noise.standard_normal(clean.shape)))
+    return np.concatenate(found)
+
+
+def numerical_error(way: Way, seed: int = 0) -> float:
+    """Return how far tolerance and nodes move noise-free amplitudes of the same scatterers, relative, rms."""
+    rough = _of_same_draws(way, way.tolerance, displacement(way.nodes, way.degrees), seed)
+    fine = _of_same_draws(way, EXACT_TOLERANCE, displacement(72, 48), seed)
+    return float(np.sqrt(np.mean((rough / fine - 1) ** 2)))
+
+
+def true_amplitude_m() -> float:
+    """Return the steady amplitude at 200 Hz, the force's Fourier coefficient times the medium's response."""
+    from sim_backend.motion import frequency_response
+
+    settings = scene()
+    assert settings.specimen is not None  # noqa: S101
+    width_m, frequency_hz = settings.beams.excitation_width_m, np.array([FREQUENCY_HZ])
+    response = frequency_response(settings.specimen, width_m, frequency_hz)[0]
+    force = force_spectrum(round(FREQUENCY_HZ / BURST_RATE_HZ), BURST_RATE_HZ, BURST_LENGTH_S, FORCE_N_PER_M3)
+    return float(2 * np.abs(force * response))
+
+
+def scene() -> SimulationSettings:
+    """Return the scene in the twin's words."""
+    from sim_backend.settings import SimulationSettings, Specimen
+
+    return SimulationSettings(specimen=Specimen(preset="bovine_muscle", field="gaussian"))
+
+
+def displacement(nodes: int, degrees: int) -> Floats:
+    """Return the displacement at the focus when each used pulse senses it, m, (pulse,)."""
+    from sim_backend.motion import (
+        Contour,
+        ForcePulses,
+        StepResponse,
+        memory_s,
+        panels_of,
+        transfer,
+        transient_displacement,
+    )
+    from sim_backend.wiring import to_ps
+
+    settings = scene()
+    assert settings.specimen is not None  # noqa: S101
+    specimen, width_m = settings.specimen, settings.beams.excitation_width_m
+    # The shipped contour at 32 nodes; fewer need a shorter and lower one to be at their best, more a longer.
+    share = nodes / 32
+    contour = Contour(nodes, 3.5 * share**0.3, 3.0 * share, 0.65) if share <= 1 else Contour(nodes, 5.2, 1.5, 0.5)
+    panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None], contour, degrees)
+    onset_ps = np.arange(BURSTS) * to_ps(1 / BURST_RATE_HZ)
+    force = ForcePulses(onset_ps, onset_ps + to_ps(BURST_LENGTH_S), np.full(BURSTS, FORCE_N_PER_M3))
+    pulse_ps = np.round((_pulse_s() + FIRST_PULSE_S) * 1e12).astype(np.int64)
+    return transient_displacement(StepResponse(memory_s(specimen, panels), panels), force, pulse_ps)
+
+
+def _of_way(varied: str, way: Way, realisations: Sequence[int], seed: int) -> Iterator[EndToEnd]:
+    found = amplitudes(way, realisations[0], seed)
+    times_s = []
+    for count in realisations:
+        taken_s = []
+        for _ in range(3 if count <= 10 else 1):
+            start_s = time.process_time()
+            found = amplitudes(way, count, seed)
+            taken_s.append(time.process_time() - start_s)
+        times_s.append(min(taken_s))
+    truth_m = true_amplitude_m()
+    bias, deviation = float(found.mean() / truth_m - 1), float(found.std(ddof=1) / truth_m)
+    numerical = numerical_error(way)
+    for count, time_s in zip(realisations, times_s, strict=True):
+        standard_error = deviation / math.sqrt(count)
+        yield EndToEnd(
+            varied=varied,
+            estimator=way.estimator,
+            gate_length_m=way.gate_length_m,
+            tolerance=way.tolerance,
+            nodes=way.nodes,
+            degrees=way.degrees,
+            realisations=count,
+            numerical_error=numerical,
+            bias=bias,
+            bias_uncertainty=deviation / math.sqrt(len(found)),
+            standard_error=standard_error,
+            error=math.hypot(bias, standard_error),
+            time_s=time_s,
+            shipped=way == Way(),
+            on_front=False,
+            cores=os.cpu_count() or 1,
+        )
+
+
+def _estimated(way: Way, volts: Floats) -> Floats:
+    """Return amplitudes over the beams' averaging, m, (realisation,) of echoes (realisation, pulse, sample)."""
+    time_s = _pulse_s()
+    valid = np.ones(len(time_s), dtype=bool)
+    settings = scene()
+    gate = EchoGate(volts, SAMPLE_RATE_HZ, time_s, CARRIER_HZ, settings.sound_speed_m_per_s, valid)
+    also_hz = [n * BURST_RATE_HZ for n in range(1, 11) if n * BURST_RATE_HZ != FREQUENCY_HZ]
+    fit = estimate(gate, [FREQUENCY_HZ], way.estimator, also_hz)
+    return np.asarray(fit.amplitude_m[:, 0] / _averaging(way))
+
+
+def _averaging(way: Way) -> float:
+    settings = scene()
+    beams, scatterers = settings.beams, settings.scatterers
+    return beam_averaging_factor(
+        beams.excitation_width_m,
+        beams.tracking_width_m,
+        way.gate_length_m,
+        settings.sound_speed_m_per_s / 2 / (scatterers.bandwidth * CARRIER_HZ),
+        gate_window="hann" if way.estimator == "cross_spectrum" else "none",
+        scatterers_per_m3=scatterer_density(beams.tracking_width_m, scatterers.per_cell),
+    )
+
+
+def _of_same_draws(way: Way, tolerance: float, moved_m: Floats, seed: int) -> Floats:
+    from sim_backend.echoes import Resting, batch, draw_thinned, hann_pulse
+
+    settings, gate_s = scene(), _gate_s(way)
+    pulse = hann_pulse(CARRIER_HZ, settings.scatterers.bandwidth)
+    reach_s = (float(gate_s[0]) - 2 * pulse.end_s, float(gate_s[-1]) + 2 * pulse.end_s)
+    field = draw_thinned(settings, reach_s, EXACT_TOLERANCE, np.random.default_rng(seed), SAME_DRAWS)
+    amplitude_s = np.broadcast_to(moved_m[:, None] * (2 / settings.sound_speed_m_per_s), (SAME_DRAWS, len(moved_m), 1))
+    resting = Resting(field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s)
+    return _estimated(way, np.asarray(batch(resting, pulse, gate_s, tolerance), dtype=np.float64))
+
+
+def _pulse_s() -> Floats:
+    count = round((BURSTS / BURST_RATE_HZ - USED_FROM_S) * PULSE_RATE_HZ)
+    return np.asarray(USED_FROM_S + np.arange(count) / PULSE_RATE_HZ)
+
+
+def _gate_s(way: Way) -> Floats:
+    samples = round(2 * way.gate_length_m / scene().sound_speed_m_per_s * SAMPLE_RATE_HZ)
+    return np.asarray((np.arange(samples) - (samples - 1) / 2) / SAMPLE_RATE_HZ)

@@ -1,0 +1,193 @@
+"""Error against run time of every estimator: the paper's parameters one at a time, the twin's echoes, many draws."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.prediction import Expected, Setting, draw_speckle, echo_bound, expected, scatterer_density
+from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, harmonic_columns
+
+Floats = NDArray[np.float64]
+
+PARAMETERS: dict[str, tuple[float, ...]] = {
+    "snr_db": (0, 10, 20, 30, 40, 60),
+    "amplitude_m": (100e-9, 500e-9, 1e-6, 5e-6, 10e-6),
+    "cycles": (3, 5, 10, 15, 20),
+    "points": (5, 10, 15, 20, 25, 30),
+    "per_cell": (11, 16, 21, 27, 33),
+    "gate_length_m": (0.5e-3, 1e-3, 2e-3),
+    "sample_rate_hz": (50e6, 100e6, 200e6),
+    "bandwidth": (0.065, 0.2, 0.4, 0.75),
+}
+"""Values of Figs. 4 to 11, by the paper's parameter: SNR, D_0, N_c, N_p, N_s, l_g, F_s, BW."""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Table I with what a study changes."""
+
+    snr_db: float = 20.0
+    amplitude_m: float = 1e-6
+    cycles: float = 5
+    points: float = 20
+    per_cell: float = 11.0
+    gate_length_m: float = 1e-3
+    sample_rate_hz: float = 100e6
+    bandwidth: float = 0.065
+    frequency_hz: float = 200.0
+    carrier_hz: float = 9e6
+    sound_speed_m_per_s: float = 1540.0
+
+    @property
+    def pulse_time_s(self) -> Floats:
+        """When each pulse senses the motion, (pulse,)."""
+        return np.arange(round(self.cycles * self.points)) / (self.points * self.frequency_hz)
+
+    @property
+    def gate_s(self) -> Floats:
+        """Sample times relative to the echo of the focus, (sample,)."""
+        samples = round(2 * self.gate_length_m / self.sound_speed_m_per_s * self.sample_rate_hz)
+        return np.asarray((np.arange(samples) - (samples - 1) / 2) / self.sample_rate_hz, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One estimator in one case: bias, jitters (standard deviations), efficiency, truth of the uncertainty, time."""
+
+    parameter: str
+    value: float
+    snr_db: float
+    estimator: str
+    draws: int
+    bias_m: float
+    noise_jitter_m: float
+    speckle_jitter_m: float
+    phase_bias_rad: float
+    phase_jitter_rad: float
+    bound_m: float
+    efficiency: float
+    """Bound over noise jitter, the latter half the width of the middle 68 % of errors: rare jumps count little."""
+    normalised_error: float
+    """Mean square of the noise error over its stated variance: 1 where the stated uncertainty is true."""
+    predicted_bias_m: float
+    predicted_noise_m: float
+    predicted_speckle_m: float
+    us_per_pulse: float
+    cores: int
+
+
+def rows(
+    parameters: Sequence[str] = tuple(PARAMETERS),
+    estimators: Sequence[Estimator] = ESTIMATORS,
+    draws: int = 200,
+    snr_db: Sequence[float] = (10.0, 40.0),
+    seed: int = 0,
+) -> Iterator[Row]:
+    """Yield a row for every parameter's every value, SNR and estimator; the parameter ``snr_db`` is its own SNR."""
+    for name in parameters:
+        for value in PARAMETERS[name]:
+            for level in (value,) if name == "snr_db" else snr_db:
+                yield from case_rows(replace(Case(snr_db=level), **{name: value}), name, value, estimators, draws, seed)
+
+
+def case_rows(
+    case: Case, parameter: str, value: float, estimators: Sequence[Estimator], draws: int, seed: int
+) -> Iterator[Row]:
+    """Yield a row for every estimator, all from the same echoes and noise."""
+    clean = twin_echoes(case, draws, np.random.default_rng([seed, 0]))
+    noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 10 ** (case.snr_db / 10))
+    noisy = clean + noise_v * np.random.default_rng([seed, 1]).standard_normal(clean.shape)
+    columns = harmonic_columns(case.pulse_time_s, np.array([case.frequency_hz]))
+    bound = echo_bound(clean[:, 0], case.sample_rate_hz, noise_v[:, 0, 0], columns, case.sound_speed_m_per_s)
+    setting = setting_of(case)
+    speckle = draw_speckle(setting, np.random.default_rng([seed, 2]))
+    for name in estimators:
+        model = expected(setting, name, speckle, np.random.default_rng([seed, 3]))
+        yield _row(case, parameter, value, name, clean, noisy, np.sqrt(bound[:, 0, 0]), model)
+
+
+def twin_echoes(case: Case, draws: int, generator: np.random.Generator) -> Floats:
+    """Return noise-free echoes of the twin, (draw, pulse, sample), moved by D_0 sin(2 pi f t)."""
+    from sim_backend.echoes import drawn_echoes, hann_pulse
+    from sim_backend.settings import Scatterers, SimulationSettings
+
+    settings = SimulationSettings(
+        scatterers=Scatterers(per_cell=case.per_cell, bandwidth=case.bandwidth),
+        sound_speed_m_per_s=case.sound_speed_m_per_s,
+    )
+    moved = case.amplitude_m * np.sin(2 * np.pi * case.frequency_hz * case.pulse_time_s)
+    pulse = hann_pulse(case.carrier_hz, case.bandwidth)
+    return np.concatenate(list(drawn_echoes(settings, moved, pulse, case.gate_s, generator, draws, 1e-7)))
+
+
+def setting_of(case: Case) -> Setting:
+    """Return the case in the words of the analytic model."""
+    tracking = (0.078e-3, 0.078e-3, 0.83e-3)
+    return Setting(
+        excitation_width_m=(0.17e-3, 0.17e-3, 1.80e-3),
+        tracking_width_m=tracking,
+        gate_length_m=case.gate_length_m,
+        pulse_length_m=case.sound_speed_m_per_s / 2 / (case.bandwidth * case.carrier_hz),
+        scatterers_per_m3=scatterer_density(tracking, case.per_cell),
+        carrier_hz=case.carrier_hz,
+        sound_speed_m_per_s=case.sound_speed_m_per_s,
+        sample_rate_hz=case.sample_rate_hz,
+        pulse_rate_hz=case.points * case.frequency_hz,
+        pulses=case.pulse_time_s.size,
+        frequency_hz=case.frequency_hz,
+        amplitude_m=case.amplitude_m,
+        snr=10 ** (case.snr_db / 10),
+    )
+
+
+def gate(case: Case, volts: Floats) -> EchoGate:
+    """Return echoes (..., pulse, sample) as the estimators take them."""
+    everything = np.ones(volts.shape[-2], dtype=bool)
+    return EchoGate(
+        volts, case.sample_rate_hz, case.pulse_time_s, case.carrier_hz, case.sound_speed_m_per_s, everything
+    )
+
+
+def _row(
+    case: Case,
+    parameter: str,
+    value: float,
+    name: Estimator,
+    clean: Floats,
+    noisy: Floats,
+    bound_m: Floats,
+    model: Expected,
+) -> Row:
+    resting = estimate(gate(case, clean), [case.frequency_hz], name)
+    start_s = time.perf_counter()
+    fit = estimate(gate(case, noisy), [case.frequency_hz], name)
+    time_s = time.perf_counter() - start_s
+    amplitude_m, phase_rad = fit.amplitude_m[:, 0], fit.phase_rad[:, 0]
+    error_m = amplitude_m - resting.amplitude_m[:, 0]
+    low, high = np.quantile(error_m / bound_m, [0.1587, 0.8413])
+    return Row(
+        parameter=parameter,
+        value=value,
+        snr_db=case.snr_db,
+        estimator=name,
+        draws=len(clean),
+        bias_m=float(amplitude_m.mean() - case.amplitude_m),
+        noise_jitter_m=float(np.sqrt(np.mean((error_m - error_m.mean()) ** 2))),
+        speckle_jitter_m=float(resting.amplitude_m[:, 0].std()),
+        phase_bias_rad=float(phase_rad.mean()),
+        phase_jitter_rad=float(phase_rad.std()),
+        bound_m=float(np.sqrt(np.mean(bound_m**2))),
+        efficiency=float(2 / (high - low)),
+        normalised_error=float(np.mean(error_m**2 / fit.covariance[:, 0, 0, 0])),
+        predicted_bias_m=model.bias_m,
+        predicted_noise_m=model.noise_jitter_m,
+        predicted_speckle_m=model.speckle_jitter_m,
+        us_per_pulse=time_s / (amplitude_m.size * case.pulse_time_s.size) * 1e6,
+        cores=os.cpu_count() or 1,
+    )

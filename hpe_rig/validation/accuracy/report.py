@@ -1,0 +1,193 @@
+"""``hpe-rig accuracy`` without a part: every table, and one report of them all."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from hpe_rig.report import Picture, inline
+from hpe_rig.scene import Mistake, SettingsError
+from hpe_rig.store import versions
+from hpe_rig.study import Part, Table, cell, render, table, write
+from hpe_rig.validation.accuracy import (
+    chain as accuracy_chain,
+    echo as accuracy_echo,
+    harmonic as accuracy_harmonic,
+    motion as accuracy_motion,
+    specimen as accuracy_specimen,
+)
+from hpe_rig.validation.accuracy.end_to_end import EndToEnd, rows as end_to_end_rows
+from hpe_rig.validation.accuracy.end_to_end_figure import draw_end_to_end
+from hpe_rig.validation.accuracy.extremes import Extreme, extremes
+from hpe_rig.validation.accuracy.table import draw_harmonic, draw_motion
+from hpe_rig.validation.accuracy.work_precision import Point, write_figure
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much is tried: sizes of the echo engine's scenes, draws a case of the estimators."""
+
+    largest: int = 1_000_000
+    most_echoes: int = 10_000
+    longest_s: float = 5.0
+    draws: int = 100
+
+    @property
+    def realisations(self) -> tuple[int, ...]:
+        """Realisations end to end."""
+        most = 10 * self.draws
+        return (*(count for count in (1, 10, 100) if count < most), most)
+
+
+def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell: Callable[[str], None]) -> None:
+    """Run every accuracy study and write the report, part by part; raises ``SettingsError`` where it cannot."""
+    refuse(path, figure, effort)
+    parts, seconds = [], {}
+    medium: list[Point] = []
+    studies: dict[str, Callable[[], Part]] = {
+        "end to end": lambda: end_to_end_part(end_to_end_rows(effort.realisations)),
+        "specimen": lambda: specimen_part(medium),
+        "stiff and extreme": lambda: extremes_part(list(extremes(medium))),
+        "echo": lambda: echo_part(effort),
+        "chain": lambda: chain_part(list(accuracy_chain.points())),
+        "motion": lambda: motion_part(effort.draws),
+        "harmonic": harmonic_part,
+    }
+    for name, study in studies.items():
+        start_s = time.perf_counter()
+        try:
+            parts.append(study())
+        except KeyboardInterrupt as interrupt:
+            interrupt.add_note(f"{path} holds the parts before {name}" if parts else "no part was finished")
+            raise
+        seconds[name] = time.perf_counter() - start_s
+        told = ", ".join(f"{part} {value:.0f}" for part, value in seconds.items())
+        # After every part, so that an interruption costs that part alone.
+        facts = {**versions(), "seconds by part": told}
+        write(path, render("Error against run time", lead(parts[0].tables[0]), parts, facts))
+        tell(f"{name}: {seconds[name]:.1f} s, in {path}")
+    tell(f"{path}: open it in any browser")
+
+
+def refuse(path: Path, figure: Path | None, effort: Effort) -> None:
+    """Raise ``SettingsError`` with every mistake of the command line, before the minutes are spent."""
+    mistakes = []
+    if path.suffix not in (".html", ".htm"):
+        mistakes.append(Mistake("--output", f"{path.suffix!r} is no format of the report", "a name that ends in .html"))
+    elif not path.parent.is_dir():
+        mistakes.append(Mistake("--output", f"{path.parent} is no folder", "a folder that exists"))
+    if figure is not None:
+        mistakes.append(Mistake("--figure", "the report has a figure of every part inside", "a PART beside it"))
+    if not (effort.largest >= 100 and effort.most_echoes >= 10):
+        mistakes.append(Mistake("--largest, --most-echoes", "no scene is that small", "100 or more, and 10 or more"))
+    if mistakes:
+        raise SettingsError("command line", mistakes)
+
+
+def lead(end_to_end: Table) -> list[str]:
+    """Return what matters most: how far the shipped default is from the front."""
+    shipped = [row for row in end_to_end.rows if row["shipped"]]
+    each = (f"{row['error'] * 100:.2g} % in {row['time_s']:.2g} s from {row['realisations']}" for row in shipped)
+    return [
+        "Every way the twin and the estimators can work, with how wrong and how long: times on one core of this "
+        "machine (processor time end to end, else wall time), errors against exact references.",
+        f"Shipped default, error of the final amplitude by number of realisations: {'; '.join(each)}. Tolerance and "
+        f"nodes contribute {shipped[0]['numerical_error']:.1g}; the rest is scatterers and noise.",
+    ]
+
+
+def end_to_end_part(rows: Sequence[EndToEnd]) -> Part:
+    """Return the end-to-end section."""
+    front = [row for row in rows if row.on_front]
+    alt = "; ".join(
+        f"{row.estimator}, {row.realisations} realisations: {row.error:.1e} in {row.time_s:.2g} s" for row in front
+    )
+    words = (
+        "From tonebursts through medium, echoes and noise (40 dB) to the mean amplitude at 200 Hz over its beam "
+        "averaging, against the steady state in closed form. Error: bias and standard error together, rms; "
+        f"the bias is known to its own uncertainty, from {max(row.realisations for row in rows)} realisations.",
+        "The bias of cross_spectrum, the paper's chain, is its Hann window's: pulses at 3990 Hz fold what moves at 3.8 "
+        "kHz onto 190 Hz, of which the window lets half into 200 Hz.",
+    )
+    picture = drawn(
+        rows, draw_end_to_end, "end-to-end", "Error of the final amplitude against seconds", f"Front: {alt}."
+    )
+    caption = "End to end: errors relative to the true amplitude; on front: nothing else is as good in less time."
+    return Part("end-to-end-part", "End to end", words, (picture,), (table("end-to-end", caption, rows),))
+
+
+def specimen_part(found: list[Point]) -> Part:
+    """Return the medium's section; its points are added to ``found``."""
+    found += accuracy_specimen.points()
+    return _points_part("specimen", "Medium: response to a burst train", found)
+
+
+def chain_part(points: Sequence[Point]) -> Part:
+    """Return the receive chain's section."""
+    return _points_part("chain", "Receive chain: tails and oversampling", points)
+
+
+def extremes_part(cases: Sequence[Extreme]) -> Part:
+    """Return the table of stiff and extreme cases."""
+    words = (
+        "Cases chosen to break a method, noise-free, shipped settings; stages whose result is exact in closed form are "
+        "compared with it. A dash: the method gave up.",
+    )
+    return Part("stiff", "Stiff and extreme cases", words, (), (table("extremes", "Error by case.", cases, False),))
+
+
+def echo_part(effort: Effort) -> Part:
+    """Return the echo engine's section."""
+    scatterers = tuple(count for count in accuracy_echo.SCATTERERS if count <= effort.largest)
+    echoes = tuple(count for count in accuracy_echo.ECHOES if count <= effort.most_echoes)
+    rows = list(accuracy_echo.measurements(scatterers, echoes, longest_s=effort.longest_s))
+    alt = f"Relative error against run time, {scatterers[0]} to {scatterers[-1]} scatterers: the table has the numbers."
+    picture = drawn(rows, accuracy_echo.write_figure, "echo", "Echoes: error against run time", alt)
+    caption = "Echo engine: error relative to the direct sum, every evaluation."
+    return Part("echo-part", "Echo engine", (), (picture,), (table("echo", caption, rows),))
+
+
+def motion_part(draws: int) -> Part:
+    """Return the section of the estimators of displacement."""
+    rows = list(accuracy_motion.rows(draws=draws))
+    alt = "; ".join(_best(rows, name) for name in dict.fromkeys(row.estimator for row in rows))
+    picture = drawn(rows, draw_motion, "motion", "Estimators: noise jitter over its bound against time", f"{alt}.")
+    caption = f"Estimators, the paper's parameters one at a time, {draws} draws a case."
+    return Part("motion-part", "Echoes to amplitude and phase", (), (picture,), (table("motion", caption, rows),))
+
+
+def harmonic_part() -> Part:
+    """Return the section of the fits."""
+    rows = list(accuracy_harmonic.rows())
+    alt = "; ".join(
+        f"{row.method}, {row.pulses} pulses: {row.jitter_m / row.bound_m:.2f} in {row.time_s:.2g} s" for row in rows
+    )
+    picture = drawn(rows, draw_harmonic, "harmonic", "Fits: jitter over its bound against time", f"{alt}.")
+    caption = "Displacement to amplitude and phase, 200 realisations."
+    return Part("harmonic-part", "Displacement to harmonics", (), (picture,), (table("harmonic", caption, rows),))
+
+
+def drawn(rows: Sequence[Any], draw: Callable[[Any, Path], None], key: str, title: str, alt: str) -> Picture:
+    """Return what ``draw`` writes as a picture to stand in a page."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "drawn.svg"
+        draw(rows, path)
+        return Picture(key, title, alt, inline(path.read_text(encoding="utf-8"), key, title, alt))
+
+
+def _points_part(key: str, title: str, points: Sequence[Point]) -> Part:
+    cases = list(dict.fromkeys(point.case for point in points))
+    best = [min((p for p in points if p.case == case and p.error == p.error), key=lambda p: p.error) for case in cases]
+    alt = "; ".join(f"{p.case}: {cell(p.error)} by {p.method}, {p.setting}" for p in best)
+    picture = drawn(points, write_figure, key, f"{title}: error against run time", f"Least errors: {alt}.")
+    rows = [asdict(point) for point in points]
+    return Part(f"{key}-part", title, (), (picture,), (table(key, "Largest error over largest value.", rows),))
+
+
+def _best(rows: Sequence[accuracy_motion.Row], name: str) -> str:
+    own = [row.noise_jitter_m / row.bound_m for row in rows if row.estimator == name]
+    return f"{name}: {min(own):.2f} to {max(own):.2f} of the bound"

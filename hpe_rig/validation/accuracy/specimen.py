@@ -1,0 +1,154 @@
+"""Error against run time of the specimen's response to a burst train, and of a stiff lumped model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.validation.accuracy.work_precision import Point, measured
+
+Floats = NDArray[np.float64]
+
+WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)
+BLOWN_UP = 1e6
+"""Where an error that overflows is drawn."""
+BURSTS, PERIOD_PS, BURST_PS = 20, 10_000_000_000, 100_000_000
+
+
+def points() -> Iterator[Point]:
+    """Yield the transient of 20 bursts at 800 instants in each medium, then the lumped model."""
+    from sim_backend.settings import Specimen
+
+    for case, medium in {
+        "gelatin 8 %": {"preset": "gelatin_8"},
+        "bovine muscle": {"preset": "bovine_muscle"},
+        "elastic 7.25 kPa": {"shear_viscosity_pa_s": 0.0},
+        "Voigt 1 Pa, 100 Pa s": {"shear_modulus_pa": 1.0, "shear_viscosity_pa_s": 100.0},
+        "power law 0.3": {"medium": "power_law", "power": 0.3},
+        "Maxwell 10 kPa, 1 mPa s": {"medium": "maxwell", "shear_modulus_pa": 1e4, "shear_viscosity_pa_s": 1e-3},
+        "Zener 1 kPa, 10 MPa": {"medium": "zener", "shear_modulus_pa": 1e3, "branch_modulus_pa": 1e7},
+    }.items():
+        yield from _transients(case, Specimen.model_validate(medium))
+    yield from _lumped()
+
+
+def _transients(case: str, specimen: object) -> Iterator[Point]:
+    from sim_backend.motion import (
+        Contour,
+        ForcePulses,
+        Panels,
+        StepResponse,
+        memory_s,
+        panels_of,
+        transfer,
+        transient_displacement,
+    )
+    from sim_backend.settings import Specimen
+
+    assert isinstance(specimen, Specimen)  # noqa: S101
+    onset_ps = np.arange(BURSTS) * PERIOD_PS
+    force = ForcePulses(onset_ps, onset_ps + BURST_PS, np.ones(BURSTS))
+    time_ps = 175_000_000 + np.arange(800) * 250_000_000
+
+    def by_panels(contour: Contour, degrees: int) -> Floats:
+        panels: Panels = panels_of(lambda s: transfer(specimen, WIDTH_M, s)[:, None], contour, degrees)
+        return transient_displacement(StepResponse(memory_s(specimen, panels), panels), force, time_ps)
+
+    exact = by_panels(Contour(72, 5.2, 1.5, 0.5), 48)
+    for nodes, degrees in ((6, 6), (10, 10), (16, 14), (24, 20), (32, 24)):
+        contour = Contour(nodes, 3.5 * (nodes / 32) ** 0.3, 3.0 * nodes / 32, 0.65)
+        setting = f"{nodes} nodes, {degrees} degrees"
+        yield measured(case, "hyperbola, panels of log time", setting, partial(by_panels, contour, degrees), exact)
+    for period_s, highest_hz in ((0.25, 2e3), (0.25, 2e4), (1.0, 1e4)):
+        setting = f"{period_s:g} s, {highest_hz / 1e3:g} kHz"
+        yield measured(
+            case,
+            "Fourier synthesis, padded",
+            setting,
+            partial(_fourier, specimen, time_ps, period_s, highest_hz),
+            exact,
+            repeats=1,
+        )
+
+
+def _fourier(specimen: object, time_ps: NDArray[np.int64], period_s: float, highest_hz: float) -> Floats:
+    """Return the periodic response to the whole train from its Fourier series; the mean of a period is set by rest."""
+    from sim_backend.motion import frequency_response
+    from sim_backend.settings import Specimen
+
+    assert isinstance(specimen, Specimen)  # noqa: S101
+    frequency_hz = np.arange(1, int(highest_hz * period_s) + 1) / period_s
+    burst_s = BURST_PS * 1e-12
+    one = burst_s * np.sinc(frequency_hz * burst_s) * np.exp(-1j * np.pi * frequency_hz * burst_s)
+    train = one * np.exp(-2j * np.pi * np.outer(np.arange(BURSTS) * PERIOD_PS * 1e-12, frequency_hz)).sum(axis=0)
+    coefficient = 2 / period_s * train * frequency_response(specimen, WIDTH_M, frequency_hz)
+    # At the end of the period the medium has come to rest, as before the first burst.
+    time_s = np.append(time_ps * 1e-12, 0.0)
+    value = np.array([(coefficient * np.exp(2j * np.pi * frequency_hz * t)).sum().real for t in time_s])
+    return np.asarray(value[:-1] - value[-1])
+
+
+def _lumped() -> Iterator[Point]:
+    """Yield thirteen springs and dashpots, time constants 1e-9 to 1e3 s, under a unit step, at 60 instants to 1e3 s."""
+    from scipy.integrate import DOP853, solve_ivp
+
+    from sim_backend.motion import AXIS_CONTOUR, panels_of
+
+    constants_s = np.logspace(-9, 3, 13)
+    time_s = np.logspace(-10, 3, 60)
+    exact = -np.expm1(-time_s[:, None] / constants_s)
+    case = "lumped, 1e-9 to 1e3 s"
+    yield measured(
+        case,
+        "hyperbola, panels of log time",
+        "32 nodes, 24 degrees",
+        lambda: panels_of(lambda s: 1 / (1 + s[:, None] * constants_s), AXIS_CONTOUR).at(time_s),
+        exact,
+    )
+
+    def slope(_t: float, y: Floats) -> Floats:
+        return (1 - y) / constants_s
+
+    def solved(method: Literal["Radau", "BDF"], tolerance: float) -> Floats:
+        start = np.zeros(constants_s.size)
+        solution = solve_ivp(slope, (0, 1e3), start, method, time_s, rtol=tolerance, atol=tolerance * 1e-3)
+        return np.asarray(solution.y.T)
+
+    def crawled(evaluations: int) -> Floats:
+        """Stop an explicit solver, stable only at steps of some ns, after so many evaluations: the rest stays."""
+        solver = DOP853(slope, 0, np.zeros(constants_s.size), 1e3, rtol=1e-4, atol=1e-7)
+        value = np.zeros(exact.shape)
+        while solver.nfev < evaluations:
+            solver.step()
+            value[time_s > (solver.t_old or 0.0)] = solver.y
+        return value
+
+    def blown_up(steps: int) -> Floats:
+        """Take equal explicit steps, far longer than the shortest time constant."""
+        length_s, left = 1e3 / steps, np.ones(constants_s.size)
+        course = np.empty((steps + 1, constants_s.size))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for step in range(steps + 1):
+                course[step] = 1 - left
+                one = -left / constants_s
+                two = -(left + length_s / 2 * one) / constants_s
+                three = -(left + length_s / 2 * two) / constants_s
+                four = -(left + length_s * three) / constants_s
+                left = left + length_s / 6 * (one + 2 * two + 2 * three + four)
+        found = course[np.round(time_s / length_s).astype(np.int64)]
+        return np.nan_to_num(np.clip(found, -BLOWN_UP, BLOWN_UP), nan=BLOWN_UP)
+
+    implicit: tuple[Literal["Radau"], Literal["BDF"]] = ("Radau", "BDF")
+    for method in implicit:
+        for tolerance in (1e-4, 1e-7):
+            setting = f"rtol {tolerance:g}"
+            yield measured(case, f"scipy {method}", setting, partial(solved, method, tolerance), exact, 1)
+    for evaluations in (2_000, 20_000, 100_000):
+        setting = f"{evaluations} evaluations"
+        yield measured(case, "DOP853, crawls", setting, partial(crawled, evaluations), exact, 1)
+    for steps in (1_000, 30_000):
+        yield measured(case, "RK4, blows up", f"{steps} steps", partial(blown_up, steps), exact, 1)

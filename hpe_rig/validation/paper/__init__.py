@@ -1,0 +1,1 @@
+"""hpe_rig/validation/paper"""

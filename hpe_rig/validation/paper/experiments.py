@@ -1,0 +1,155 @@
+"""The paper's experiments on the twin, each a figure and a table beside what the paper says, with a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import h5py
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hpe_rig.acquire import measure, prepare_text, process
+from hpe_rig.plan import slow_time_window
+from hpe_rig.processing import Motion, driven_frequencies_hz, least_squares
+from hpe_rig.report import STYLE
+from hpe_rig.result import Result, ShotResult
+from hpe_rig.scene import shipped_scenes
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """One statement of the paper, or of what the twin must show, and what came out."""
+
+    statement: str
+    found: str
+    met: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """One experiment: ``table`` is its header and rows."""
+
+    key: str
+    title: str
+    how: str
+    table: tuple[tuple[str, ...], ...]
+    figure: Figure
+    verdicts: tuple[Verdict, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Repeated:
+    """Repeats at one setting: amplitude and phase at every frequency, (repeat, frequency)."""
+
+    frequency_hz: Floats
+    amplitude_m: Floats
+    phase_rad: Floats
+    true_m: Floats
+    averaging: Floats
+
+    @property
+    def mean_nm(self) -> Floats:
+        """Mean amplitude, nm (frequency,)."""
+        return np.asarray(self.amplitude_m.mean(axis=0) * 1e9)
+
+    @property
+    def sd_nm(self) -> Floats:
+        """Standard deviation of the amplitude over the repeats, nm (frequency,)."""
+        return np.asarray(self.amplitude_m.std(axis=0, ddof=1) * 1e9)
+
+    @property
+    def mean_deg(self) -> Floats:
+        """Mean phase, degrees, unwrapped over frequency (frequency,)."""
+        return np.asarray(np.degrees(np.unwrap(np.angle(np.exp(1j * self.phase_rad).mean(axis=0)))))
+
+    @property
+    def sd_deg(self) -> Floats:
+        """Standard deviation of the phase over the repeats, degrees (frequency,)."""
+        turn = np.exp(1j * self.phase_rad)
+        return np.asarray(np.degrees(np.angle(turn / turn.mean(axis=0)).std(axis=0, ddof=1)))
+
+
+def result_of(scene: str) -> Result:
+    """Measure a shipped scene and return its result."""
+    return result_and_sampled_truth(scene)[0]
+
+
+def result_and_sampled_truth(scene: str, text: str | None = None) -> tuple[Result, Floats]:
+    """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what folds is in them.
+
+    ``text`` is measured in place of the shipped scene's.
+    """
+    setup = prepare_text(scene, text or shipped_scenes()[scene])
+    with TemporaryDirectory() as folder:
+        run_file = measure(setup, Path(folder) / "run.h5")
+        with h5py.File(run_file) as file:
+            true_m = file["truth/displacement_m"][...]
+        result = process(run_file)
+    scene_, sampled_m = setup.scene.scene, []
+    for shot, row_m in zip(setup.plan.shots, true_m, strict=True):
+        inside = slow_time_window(scene_, shot)
+        time_s = shot.timeline.sensing_s[inside]
+        motion = Motion(time_s, row_m[inside], np.zeros(time_s.size), np.ones(time_s.size, bool))
+        fit = least_squares(motion, list(scene_.wanted_frequencies_hz), also_hz=driven_frequencies_hz(scene_))
+        sampled_m.append(fit.amplitude_m)
+    return result, np.array(sampled_m)
+
+
+def repeated(shots: Sequence[ShotResult]) -> Repeated:
+    """Return the repeats of one setting as arrays."""
+    estimates = [shot.estimates for shot in shots]
+    true_m = np.array([[item.true_amplitude_m or np.nan for item in row] for row in estimates]).mean(axis=0)
+    return Repeated(
+        np.array([item.frequency_hz for item in estimates[0]]),
+        np.array([[item.amplitude_m for item in row] for row in estimates]),
+        np.array([[item.phase_rad for item in row] for row in estimates]),
+        true_m,
+        np.array([item.averaging_factor or np.nan for item in estimates[0]]),
+    )
+
+
+def by(shots: Sequence[ShotResult], setting: Callable[[ShotResult], float | None]) -> dict[float, Repeated]:
+    """Return the repeats at each value of ``setting``, in ascending order."""
+    values = sorted({setting(shot) or 0.0 for shot in shots})
+    return {value: repeated([shot for shot in shots if (setting(shot) or 0.0) == value]) for value in values}
+
+
+def panels(count: int) -> tuple[Figure, list[Axes]]:
+    """Return a figure with ``count`` panels side by side."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(3.6 * count, 3.1), layout="constrained")
+        axes = figure.subplots(1, count, squeeze=False).ravel().tolist()
+    return figure, axes
+
+
+def write_page(experiments: Sequence[Experiment], folder: Path) -> Path:
+    """Write a page in Markdown and a figure an experiment; return the page's path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = [
+        "# The paper's experiments on the twin",
+        "",
+        "Figure and table beside what the paper says; a miss is a miss.",
+        "",
+    ]
+    rows = [(item.key, verdict) for item in experiments for verdict in item.verdicts]
+    lines += ["| | statement | found | |", "|---|---|---|---|"]
+    lines += [f"| {key} | {v.statement} | {v.found} | {'met' if v.met else '**missed**'} |" for key, v in rows]
+    for item in experiments:
+        name = f"{item.key.lower().replace(' ', '-').replace('.', '').replace(',', '')}.svg"
+        with rc_context(STYLE):
+            item.figure.savefig(folder / name, metadata={"Date": None})
+        lines += ["", f"## {item.key}: {item.title}", "", item.how, "", f"![{item.title}]({name})", ""]
+        lines += ["| " + " | ".join(row) + " |" for row in item.table[:1]]
+        lines += ["|" + "---|" * len(item.table[0])]
+        lines += ["| " + " | ".join(row) + " |" for row in item.table[1:]]
+    path = folder / "beside-the-paper.md"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path

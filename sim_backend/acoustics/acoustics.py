@@ -1,0 +1,235 @@
+"""Everything between the generators' outputs and the digitizer's input: bursts in, volts out.
+
+    tonebursts -> force -> displacement at the focus -> scatterers -> echoes -> front end
+
+Each arrow is one file. A part the settings leave out is neither imported nor drawn nor summed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.acoustics.overlap import burst_record_pairs, sample_span
+from sim_backend.echoes import (
+    Pulse,
+    behind_the_way,
+    depth_delay_s,
+    draw_field,
+    echo_pulse,
+    echoes,
+    noticeable,
+    rectangular_burst,
+)
+from sim_backend.receiver import echo_gain_v, leak_per_vpp_v, leak_v, noise_v, pulse_strength, toneburst_echo_strength
+from sim_backend.settings import SimulationSettings
+from sim_backend.wiring import PS_PER_S, Bursts, Capture, Picoseconds, to_ps
+
+if TYPE_CHECKING:
+    from sim_backend.motion import MediumMotion
+
+Floats = NDArray[np.float64]
+FocusMotion = Callable[[Bursts, Picoseconds, int], Floats]
+
+# Children of the world's seed: what each is used for must never change, or old scenes give new data.
+_SCATTERER_STREAM = 0
+_NOISE_STREAM = 1
+
+# Relative; a thousandth of a 14-bit code of a full-scale echo is 1e-7, its phase error a pm of motion.
+_ECHO_TOLERANCE = 1e-8
+# Pulses that start up to some ns apart move the ends of their support: below this only the exact sum of each helps.
+_FIELD_ECHO_TOLERANCE = 2e-7
+
+
+class Acoustics:
+    """The specimen, its scatterers and the receive chain of one world; the scatterers stay for all captures."""
+
+    def __init__(self, settings: SimulationSettings) -> None:
+        self._settings = settings
+        self._travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
+        self._field = draw_field(settings.scatterers, settings.beams, _stream(settings, _SCATTERER_STREAM))
+        self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
+        self._gain_v = echo_gain_v(settings, self._delay_s, self._field.tracking_weight)
+        self._focus_motion = _focus_motion(settings, self._travel_s)
+        self._medium = _medium_motion(settings, self._field.offset_m, self._travel_s)
+
+    def focus_displacement_m(
+        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
+    ) -> Floats:
+        """Return the displacement at the focus at ``time_ps`` (time,), positive away from the transducer, m.
+
+        ``tonebursts`` move a specimen; ``origin_ps`` is the master trigger's edge, from which a prescribed motion
+        counts. Neither specimen nor motion: zeros.
+        """
+        if self._focus_motion is None:
+            return np.zeros(len(time_ps))
+        return self._focus_motion(tonebursts, time_ps, origin_ps)
+
+    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> Floats:
+        """Return what reaches the digitizer's input, float64 (record, sample), V.
+
+        Echoes of every tracking pulse and toneburst that fall into a record, toneburst leak, and noise. The noise
+        depends on seed and ``capture.index`` alone, the scatterers on the seed alone. Records must ascend in time.
+        """
+        receiver = self._settings.receiver
+        shape = (len(capture.first_sample_ps), capture.samples)
+        if receiver.snr_db is None:
+            volts = np.zeros(shape)
+        else:
+            volts = noise_v(receiver, *shape, _stream(self._settings, _NOISE_STREAM, capture.index))
+        self._add_tracking_echoes(volts, tonebursts, pulses, capture)
+        self._add_toneburst_echoes(volts, tonebursts, capture)
+        self._add_leak(volts, tonebursts, capture)
+        return volts
+
+    def _add_tracking_echoes(self, volts: Floats, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
+        strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
+        for carrier_hz in np.unique(pulses.carrier_hz):
+            alike = pulses.carrier_hz == carrier_hz
+            shape = echo_pulse(self._settings, float(carrier_hz))
+            motion_m = self._motion_sensed_m(tonebursts, pulses.onset_ps[alike], capture)
+            weight = self._field.tracking_weight
+            self._add_echoes(volts, capture, shape, weight, pulses.onset_ps[alike], strength_v[alike], motion_m)
+
+    def _add_toneburst_echoes(self, volts: Floats, tonebursts: Bursts, capture: Capture) -> None:
+        """Add the echoes of the tonebursts; a scatterer's motion during its burst is left out."""
+        strength_v = self._gain_v * toneburst_echo_strength(tonebursts, self._settings.receiver)
+        kinds = np.stack([tonebursts.carrier_hz, (tonebursts.end_ps - tonebursts.onset_ps) / PS_PER_S], axis=1)
+        for kind in np.unique(kinds, axis=0):
+            alike = (kinds == kind).all(axis=1)
+            shape = behind_the_way(self._settings, rectangular_burst(*kind.tolist()))
+            motion_m = self._motion_sensed_m(tonebursts, tonebursts.onset_ps[alike], capture)
+            weight = self._field.excitation_weight
+            self._add_echoes(volts, capture, shape, weight, tonebursts.onset_ps[alike], strength_v[alike], motion_m)
+
+    def _add_leak(self, volts: Floats, tonebursts: Bursts, capture: Capture) -> None:
+        leak_per_vpp = leak_per_vpp_v(self._settings)
+        if leak_per_vpp == 0:
+            return
+        pairs = burst_record_pairs(tonebursts.onset_ps, tonebursts.end_ps, capture)
+        for burst, record in zip(*pairs, strict=True):
+            begin_ps = int(capture.first_sample_ps[record])
+            onset_ps, end_ps = int(tonebursts.onset_ps[burst]), int(tonebursts.end_ps[burst])
+            span = sample_span(onset_ps - begin_ps, end_ps - begin_ps, capture)
+            age_ps = begin_ps - onset_ps + np.arange(span.start, span.stop) * capture.sample_period_ps
+            amplitude_v = leak_per_vpp * tonebursts.amplitude_vpp[burst]
+            volts[record, span] += leak_v(amplitude_v, tonebursts.carrier_hz[burst], age_ps)
+
+    def _motion_sensed_m(self, tonebursts: Bursts, onset_ps: Picoseconds, capture: Capture) -> Floats:
+        """Return the amplitude of every motion shape when a pulse of ``onset_ps`` (burst,) passes: (burst, shape)."""
+        passage_ps = onset_ps + to_ps(self._travel_s)
+        if self._medium is not None:
+            return self._medium.amplitudes_m(tonebursts, passage_ps)
+        return self.focus_displacement_m(tonebursts, passage_ps, capture.origin_ps)[:, None]
+
+    def _add_echoes(
+        self,
+        volts: Floats,
+        capture: Capture,
+        shape: Pulse,
+        weight: Floats,
+        onset_ps: Picoseconds,
+        strength_v: Floats,
+        motion_m: Floats,
+    ) -> None:
+        """Add the echoes of like pulses, everything from ``onset_ps`` on (burst,), to the records they meet."""
+        seen = noticeable(weight)
+        if not (strength_v.any() and seen.any()):
+            return
+        delay_s = self._delay_s[seen]
+        shapes = (self._field.motion_weight[None] if self._medium is None else self._medium.shape)[:, seen]
+        reach_m = float(np.abs(motion_m).max(axis=0) @ np.abs(shapes).max(axis=1))
+        margin_s = 2 * reach_m / self._settings.sound_speed_m_per_s
+        arrival_s = 2 * self._travel_s
+        early_ps = math.floor((arrival_s + delay_s.min() + shape.start_s - margin_s) * PS_PER_S)
+        late_ps = math.ceil((arrival_s + delay_s.max() + shape.end_s + margin_s) * PS_PER_S)
+        burst, record = burst_record_pairs(onset_ps + early_ps, onset_ps + late_ps, capture)
+        if len(burst) == 0:
+            return
+        age_ps = capture.first_sample_ps[record] - onset_ps[burst]
+        span = sample_span(early_ps - int(age_ps.max()), late_ps - int(age_ps.min()), capture)
+        sample_ps = int(age_ps[0]) + np.arange(span.start, span.stop) * capture.sample_period_ps
+        block = echoes(
+            delay_s,
+            weight[seen],
+            shapes,
+            motion_m[burst],
+            shape,
+            _after_arrival_s(sample_ps, arrival_s),
+            self._settings.sound_speed_m_per_s,
+            _ECHO_TOLERANCE if self._medium is None else _FIELD_ECHO_TOLERANCE,
+            shift_s=(age_ps - age_ps[0]) / PS_PER_S,
+        )
+        block *= strength_v[burst, None]
+        if len(np.unique(record)) == len(record):
+            volts[record, span] += block
+        else:
+            np.add.at(volts[:, span], record, block)
+
+
+def draw_echoes(
+    settings: SimulationSettings,
+    displacement_m: Floats,
+    sample_time_s: Floats,
+    rng: np.random.Generator,
+    carrier_hz: float = 9.0e6,
+    tolerance: float = 1e-9,
+) -> Floats:
+    """Return noise-free echoes of one new draw of scatterers, float64 (echo, sample), at unit gain: for studies.
+
+    ``displacement_m`` (echo,) at the focus; ``sample_time_s`` (sample,) ascending, 0 is the arrival of the resting
+    focus' echo, so a gate of length l around the focus is |t| <= l/c.
+    """
+    field = draw_field(settings.scatterers, settings.beams, rng)
+    seen = noticeable(field.tracking_weight)
+    return echoes(
+        depth_delay_s(field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)[seen],
+        field.tracking_weight[seen],
+        field.motion_weight[seen],
+        displacement_m,
+        echo_pulse(settings, carrier_hz),
+        sample_time_s,
+        settings.sound_speed_m_per_s,
+        tolerance,
+    )
+
+
+def _stream(settings: SimulationSettings, *key: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))
+
+
+def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion | None:
+    """Return what moves the focus, or None; the medium's transient is tabulated once, here."""
+    if settings.specimen is not None:
+        from sim_backend.motion import radiation_force, tabulate_step_response, transient_displacement
+
+        specimen = settings.specimen
+        response = tabulate_step_response(specimen, settings.beams.excitation_width_m)
+        return lambda tonebursts, time_ps, _origin_ps: transient_displacement(
+            response, radiation_force(tonebursts, specimen, travel_s, settings.transmitter), time_ps
+        )
+    if settings.motion:
+        from sim_backend.motion import motion_at
+
+        components = settings.motion
+        return lambda _tonebursts, time_ps, origin_ps: motion_at(components, time_ps - origin_ps)
+    return None
+
+
+def _medium_motion(settings: SimulationSettings, offset_m: Floats, travel_s: float) -> MediumMotion | None:
+    """Return how the medium's own field moves the scatterers; None where they move by the Gaussian of eq. (12)."""
+    if settings.specimen is None or settings.specimen.field == "gaussian":
+        return None
+    from sim_backend.motion import medium_motion
+
+    return medium_motion(settings, offset_m, travel_s)
+
+
+def _after_arrival_s(sample_ps: NDArray[np.int64], arrival_s: float) -> Floats:
+    """Return sample times after the focus' echo: integers are subtracted first, so no digit of the phase is lost."""
+    whole_ps = to_ps(arrival_s)
+    return np.asarray((sample_ps - whole_ps) / PS_PER_S - (arrival_s - whole_ps / PS_PER_S))

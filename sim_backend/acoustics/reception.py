@@ -1,0 +1,146 @@
+"""The twin's physics with imperfect triggers, a real receive chain and a real sample clock around it.
+
+    jittered bursts -> acoustics over a longer, finer record -> receive chain -> samples when the clock takes them
+
+Only built where the settings have a part of it (`with_reception`); otherwise the acoustics stand alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.receiver import STENCIL, jittered, sampled_late, samples_late
+from sim_backend.settings import ReceiveChain, SimulationSettings, Specimen
+from sim_backend.wiring import PS_PER_S, Bursts, Capture, Picoseconds, joined_bursts, no_bursts
+
+Floats = NDArray[np.float64]
+
+# Children of the world's seed, after those of the acoustics.
+_CHAIN_NOISE_STREAM = 100
+_CLOCK_STREAM = 101
+_PULSER_SALT, _TONEBURST_SALT = 1, 2
+
+
+class Physics(Protocol):
+    """From what was transmitted to what was received."""
+
+    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> Floats: ...
+
+    def focus_displacement_m(
+        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
+    ) -> Floats: ...
+
+
+def with_reception(acoustics: Physics, settings: SimulationSettings) -> Physics:
+    """Return ``acoustics`` with what the settings put around it; itself where that is nothing."""
+    instruments = settings.instruments
+    needed = settings.receive_chain is not None or instruments.trigger_jitter_s > 0 or samples_late(instruments)
+    return Reception(acoustics, settings) if needed else acoustics
+
+
+class Reception:
+    """Jitter, receive chain and sample clock around an ideal physics."""
+
+    def __init__(self, acoustics: Physics, settings: SimulationSettings) -> None:
+        self._acoustics = acoustics
+        self._settings = settings
+
+    def focus_displacement_m(
+        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
+    ) -> Floats:
+        """Return the displacement at the focus at ``time_ps`` (time,), m, moved by the jittered tonebursts."""
+        return self._acoustics.focus_displacement_m(self._pushed(tonebursts, origin_ps, index), time_ps, origin_ps)
+
+    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> Floats:
+        """Return what the digitizer samples, float64 (record, sample), V."""
+        tonebursts = self._pushed(tonebursts, capture.origin_ps, capture.index)
+        pulses = self._tracked(pulses, capture.origin_ps, capture.index)
+        wide, kept = widened(self._settings, capture)
+        volts = self._acoustics.record_volts(tonebursts, pulses, wide)
+        chain = self._settings.receive_chain
+        if chain is not None:
+            volts = self._received(volts, chain, tonebursts, pulses, wide)
+        if not samples_late(self._settings.instruments):
+            return volts[:, kept]
+        period_s = capture.sample_period_ps / PS_PER_S
+        rng = self._stream(_CLOCK_STREAM, capture.index)
+        return sampled_late(volts, kept, period_s, self._settings.instruments, rng)
+
+    def _received(
+        self, volts: Floats, chain: ReceiveChain, tonebursts: Bursts, pulses: Bursts, wide: Capture
+    ) -> Floats:
+        from sim_backend.receiver import receive, switch_gain
+
+        thirds = third_harmonics(tonebursts, self._settings)
+        if thirds.onset_ps.size:
+            volts = volts + self._acoustics.record_volts(thirds, no_bursts(), wide)
+        switch = None
+        if chain.recovery_time_s is not None:
+            switch = switch_gain(joined_bursts([tonebursts, pulses]), wide, chain.recovery_time_s)
+        rng = self._stream(_CHAIN_NOISE_STREAM, wide.index) if chain.noise_v_per_sqrt_hz else None
+        return receive(volts, chain, wide.sample_period_ps / PS_PER_S, switch, rng)
+
+    def _pushed(self, tonebursts: Bursts, origin_ps: int, index: int) -> Bursts:
+        # Two generators in a row, the burst train's and the toneburst's, each with its own jitter.
+        rms_s = self._settings.instruments.trigger_jitter_s * math.sqrt(2)
+        return jittered(tonebursts, rms_s, self._settings.seed * 4 + _TONEBURST_SALT, origin_ps, index)
+
+    def _tracked(self, pulses: Bursts, origin_ps: int, index: int) -> Bursts:
+        # The tracking train's jitter moves trigger and pulse together; only the pulser's own comes between them.
+        rms_s = self._settings.instruments.trigger_jitter_s
+        return jittered(pulses, rms_s, self._settings.seed * 4 + _PULSER_SALT, origin_ps, index)
+
+    def _stream(self, *key: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence(self._settings.seed, spawn_key=key))
+
+
+def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, slice]:
+    """Return a longer and finer capture that the chain needs for ``capture``, and which of its samples those are."""
+    chain = settings.receive_chain
+    fine = 1 if chain is None else chain.oversampling
+    margin = STENCIL if samples_late(settings.instruments) else 0
+    lead, total = margin, capture.samples * fine + 2 * margin
+    period_ps = capture.sample_period_ps // fine
+    if chain is not None:
+        from sim_backend.receiver import TRAIL, fast_length, lead_s
+
+        ringing = math.ceil(lead_s(chain) * PS_PER_S / period_ps)
+        after = margin + TRAIL if ringing else margin
+        total = fast_length(margin + ringing + capture.samples * fine + after)
+        lead = total - capture.samples * fine - after
+    first_ps = capture.first_sample_ps - lead * period_ps
+    wide = replace(capture, first_sample_ps=first_ps, sample_period_ps=period_ps, samples=total)
+    return wide, slice(lead, lead + capture.samples * fine, fine)
+
+
+def third_harmonics(tonebursts: Bursts, settings: SimulationSettings) -> Bursts:
+    """Return what tonebursts transmit at three times their carrier, as bursts of their own; none where that is zero.
+
+    They leak and echo like the tonebursts; what they would push is left out.
+    """
+    chain, transmitter = settings.receive_chain, settings.transmitter
+    share = 0.0 if chain is None else chain.third_harmonic
+    relative = np.full(tonebursts.onset_ps.shape, share)
+    if transmitter.saturation_v is not None:
+        from sim_backend.motion import harmonic_v, transmit_response
+
+        first, third = (harmonic_v(tonebursts.amplitude_vpp, transmitter, harmonic) for harmonic in (1, 3))
+        specimen = settings.specimen or Specimen()
+        passed = [
+            transmit_response(n * tonebursts.carrier_hz, specimen.resonance_hz, specimen.resonance_quality)
+            for n in (1, 3)
+        ]
+        relative += np.abs(third / np.where(first > 0, first, 1.0)) * passed[1] / passed[0]
+    if not relative.any():
+        return no_bursts()
+    return replace(
+        tonebursts,
+        carrier_hz=3 * tonebursts.carrier_hz,
+        cycles=3 * tonebursts.cycles,
+        amplitude_vpp=relative * tonebursts.amplitude_vpp,
+    )

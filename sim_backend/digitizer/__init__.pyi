@@ -1,0 +1,8 @@
+from .board import Board as Board, BoardSettings as BoardSettings, Taken as Taken, latencies_of as latencies_of
+from .capture_snapshot import (
+    FAR_PS as FAR_PS,
+    Captured as Captured,
+    pulse_of_each_record as pulse_of_each_record,
+    same_inputs as same_inputs,
+)
+from .library import AlazarLibrary as AlazarLibrary

@@ -1,0 +1,165 @@
+"""Dual-port AutoDMA: the queue of posted buffers, and records packed as the board would write them."""
+
+from __future__ import annotations
+
+import ctypes
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.digitizer import codes
+from sim_backend.digitizer.board import Arming, BoardSettings, Taken, is_clipped, words
+from sim_backend.digitizer.codes import Code
+
+ADDRESS_MULTIPLE, ADDRESS_MULTIPLE_NPT = 32, 64
+
+
+@dataclass(frozen=True, slots=True)
+class Transfer:
+    """What BeforeAsyncRead asked for."""
+
+    channels: tuple[int, ...]
+    record_samples: int
+    records_per_buffer: int
+    record_count: int
+    flags: int
+
+    @property
+    def headers(self) -> bool:
+        """Whether every record is preceded by a header."""
+        return bool(self.flags & codes.ADMA_RECORD_HEADERS)
+
+    @property
+    def npt(self) -> bool:
+        """Whether records have no pre-trigger part, headers or alignment of their own."""
+        return bool(self.flags & codes.ADMA_NPT)
+
+    @property
+    def buffer_bytes(self) -> int:
+        """Size of a buffer."""
+        record_bytes = 2 * self.record_samples + (codes.HEADER_BYTES if self.headers else 0)
+        return record_bytes * self.records_per_buffer * len(self.channels)
+
+    def refusal(self, settings: BoardSettings, offset: int) -> Code:
+        """Return why a board with dual-port memory refuses the transfer."""
+        if self.flags & ~0x209 or (self.npt and self.headers):
+            return Code.UNSUPPORTED_FUNCTION
+        if not self.channels:
+            return Code.NOT_SUPPORT_THIS_CHANNEL
+        if self.record_samples != settings.record_samples or self.record_samples % (32 if self.npt else 16):
+            return Code.INVALID_SIZE
+        if offset != -settings.pre_samples or (self.npt and offset):
+            return Code.INVALID_OFFSET
+        per_buffer, count = self.records_per_buffer, self.record_count
+        if per_buffer < 1 or count < 1 or (count != codes.ENDLESS_RECORDS and count % per_buffer):
+            return Code.INVALID_RECORDS_PER_BUFFER
+        return Code.SUCCESS if self.buffer_bytes < codes.MOST_BUFFER_BYTES else Code.INVALID_SIZE
+
+
+@dataclass(slots=True)
+class BufferQueue:
+    """Buffers that the program gave to the board, in the order of posting."""
+
+    transfer: Transfer
+    memory_records: int
+    posted: deque[int] = field(default_factory=deque)
+    delivered: int = 0
+    overflowed: bool = False
+
+    def post(self, address: int, size: int) -> Code:
+        """Take a buffer into the queue."""
+        if not address:
+            return Code.NULL_PARAM
+        if address in self.posted:
+            return Code.INVALID_BUFFER
+        if address % (ADDRESS_MULTIPLE_NPT if self.transfer.npt else ADDRESS_MULTIPLE):
+            return Code.INVALID_ADDRESS
+        if not 0 < size < codes.MOST_BUFFER_BYTES:
+            return Code.INVALID_SIZE
+        if size < self.transfer.buffer_bytes:
+            return Code.BUFFER_TOO_SMALL
+        self.posted.append(address)
+        return Code.SUCCESS
+
+    def turn_of(self, address: int) -> Code:
+        """Return whether ``address`` is the buffer to wait for."""
+        if not address:
+            return Code.NULL_PARAM
+        if address not in self.posted:
+            return Code.BUFFER_NOT_READY
+        return Code.SUCCESS if address == self.posted[0] else Code.DMA_IN_PROGRESS
+
+    def notice_overflow(self, records_complete: int) -> None:
+        """Remember if more records are complete than posted buffers and the board's memory hold."""
+        room = (self.delivered + len(self.posted)) * self.transfer.records_per_buffer + self.memory_records
+        self.overflowed = self.overflowed or records_complete > room
+
+    def full(self, records_complete: int) -> int:
+        """Return how many posted buffers are full."""
+        return min(len(self.posted), max(0, records_complete // self.transfer.records_per_buffer - self.delivered))
+
+    def filled_ps(self, taken: Taken) -> int | None:
+        """Return when the buffer at the head is full; None if the triggers known so far never fill it."""
+        needed = (self.delivered + 1) * self.transfer.records_per_buffer
+        return int(taken.end_ps[needed - 1]) if taken.end_ps.size >= needed else None
+
+    def deliver(self, arming: Arming, taken: Taken, volts: NDArray[np.float64], reset_ps: int) -> None:
+        """Write the next records into the buffer at the head and let go of it."""
+        count = self.transfer.records_per_buffer
+        records = slice(self.delivered * count, (self.delivered + 1) * count)
+        data = packed(self.transfer, arming, taken, volts, records, reset_ps)
+        ctypes.memmove(self.posted.popleft(), data, len(data))
+        self.delivered += 1
+
+
+def packed(
+    transfer: Transfer, arming: Arming, taken: Taken, volts: NDArray[np.float64], records: slice, reset_ps: int
+) -> bytes:
+    """Return the bytes of consecutive records: R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ..."""
+    blocks = []
+    for channel in transfer.channels:
+        settings = arming.settings.inputs[channel]
+        at_input = volts[records] if channel == 0 else np.zeros_like(volts[records])
+        data = words(at_input, settings, arming.settings.signed).view(np.uint8)
+        if transfer.headers:
+            data = np.concatenate([headers(arming, taken, volts, channel, records, reset_ps), data], axis=1)
+        blocks.append(data)
+    return np.stack(blocks, axis=0 if transfer.npt else 1).tobytes()
+
+
+def headers(
+    arming: Arming, taken: Taken, volts: NDArray[np.float64], channel: int, records: slice, reset_ps: int
+) -> NDArray[np.uint8]:
+    """Return record headers as uint8 (record, 16): four little-endian words (reference, 2.6).
+
+    Assumed: records count from 0, resolution code 2 and format 0 for 14-bit unsigned, "this channel" on channel A only.
+    """
+    settings = arming.settings
+    count = timestamps(arming, taken, reset_ps)[records]
+    number = np.arange(taken.tick_ps.size)[records]
+    external = (taken.by[records] == codes.TRIGGERED_BY_EXTERNAL).astype(np.int64)
+    rate_id = next(rate_id for rate_id, rate_hz in codes.SAMPLE_RATES_HZ.items() if rate_hz == settings.sample_rate_hz)
+    channel_input = settings.inputs[channel]
+    range_id = next(range_id for range_id, range_v in codes.INPUT_RANGES_V.items() if range_v == channel_input.range_v)
+    quad = np.empty((count.size, 4), np.int64)
+    quad[:, 0] = (
+        (codes.SERIAL_NUMBER & 0x3FFFF) | 1 << 18 | channel << 22 | 1 << 23 | 2 << 27 | int(settings.signed) << 30
+    )
+    quad[:, 1] = (number & 0xFFFFFF) | codes.BOARD_KIND << 24
+    quad[:, 2] = count & 0xFFFFFFFF
+    quad[:, 3] = count >> 32 | 1 << 8 | rate_id << 11 | range_id << 18 | 2 << 23 | channel_input.impedance << 25
+    quad[:, 3] |= external << 27 | (1 - external) << 30 | (1 - channel) << 31
+    return quad.astype("<u4").view(np.uint8)
+
+
+def timestamps(arming: Arming, taken: Taken, reset_ps: int) -> NDArray[np.int64]:
+    """Return the 40-bit trigger time stamps, one count two samples: int64 (record,)."""
+    period_ps = codes.SAMPLES_PER_TIMESTAMP * arming.settings.sample_period_ps
+    return (taken.tick_ps - reset_ps) // period_ps & 0xFFFFFFFFFF
+
+
+def clipped_channels(arming: Arming, volts: NDArray[np.float64]) -> int:
+    """Return the clipped bits of the status: 2 for channel A; channel B sees nothing."""
+    return 2 if is_clipped(volts, arming.settings.inputs[0]) else 0

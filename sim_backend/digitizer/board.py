@@ -1,0 +1,240 @@
+"""The ATS460 without its library: programmed settings and the voltage at its trigger input -> records and AUX edges.
+
+Assumed, no source found: the external trigger input has a high impedance; the board is ready for the next trigger as
+soon as a record (and then its pre-trigger part) is complete; the AUX trigger output is 5 V behind 50 ohm, rises at the
+sample clock's tick that follows the trigger, unless told otherwise whatever the trigger delay, and falls at the end of
+the record.
+Not modelled: triggering on an input channel or by two engines at once, AC coupling, bandwidth limit, other AUX outputs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.digitizer import codes
+from sim_backend.wiring import (
+    PS_PER_S,
+    Emission,
+    Picoseconds,
+    Steps,
+    accepted,
+    crossings,
+    joined_steps,
+    no_bursts,
+    to_ps,
+)
+
+TRIGGER_INPUT_OHM = 1e6
+AUX_HIGH_V = 5.0
+TIMEOUT_TICK_PS = 10_000_000
+HALF_SCALE = 8191.5
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """One input channel."""
+
+    range_v: float = 0.8
+    impedance: int = codes.IMPEDANCE_50_OHM
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """One trigger engine: source, slope and level code."""
+
+    source: int = codes.SOURCE_DISABLE
+    slope: int = codes.SLOPE_POSITIVE
+    level_code: int = 128
+
+
+@dataclass(frozen=True, slots=True)
+class BoardSettings:
+    """Everything a program can set on the board."""
+
+    sample_rate_hz: int = 100_000_000
+    inputs: tuple[Input, Input] = (Input(), Input())
+    operation: int = 0
+    engines: tuple[Engine, Engine] = (Engine(), Engine())
+    external_range_v: float = 5.0
+    delay_samples: int = 0
+    timeout_ticks: int = 0
+    aux_mode: int = codes.AUX_OUT_TRIGGER
+    pre_samples: int = 0
+    post_samples: int = 0
+    record_count: int = 1
+    signed: bool = False
+
+    @property
+    def sample_period_ps(self) -> int:
+        """Period of the sample clock."""
+        return PS_PER_S // self.sample_rate_hz
+
+    @property
+    def record_samples(self) -> int:
+        """Samples of a record."""
+        return self.pre_samples + self.post_samples
+
+
+@dataclass(frozen=True, slots=True)
+class Arming:
+    """One capture: armed at ``start_ps`` with ``settings``, given up at ``stop_ps``."""
+
+    index: int
+    start_ps: int
+    settings: BoardSettings
+    stop_ps: int = 1 << 61
+
+
+@dataclass(frozen=True, slots=True)
+class Taken:
+    """Triggers that an arming accepted; arrays (record,). ``by`` says what triggered, ``ignored`` counts the others."""
+
+    tick_ps: Picoseconds
+    first_sample_ps: Picoseconds
+    end_ps: Picoseconds
+    by: NDArray[np.int64]
+    ignored: int
+
+    def complete(self, time_ps: int) -> int:
+        """Return how many records are complete at ``time_ps``."""
+        return int(np.searchsorted(self.end_ps, time_ps, side="right"))
+
+
+@dataclass(frozen=True, slots=True)
+class Latencies:
+    """From the trigger's clock tick to sample 0 and to the AUX edge, which may wait for the trigger delay."""
+
+    sample_ps: int
+    aux_ps: int
+    aux_waits_for_delay: bool = False
+
+
+def records_of(arming: Arming, arriving: Steps, latencies: Latencies, until_ps: int) -> Taken:
+    """Return the records that an arming takes from the voltage at the trigger input."""
+    settings, period_ps = arming.settings, arming.settings.sample_period_ps
+    edge_ps = _trigger_edges(settings, arriving)
+    ready_ps = arming.start_ps + settings.pre_samples * period_ps
+    edge_ps = edge_ps[(edge_ps >= ready_ps) & (edge_ps < arming.stop_ps)]
+    tick_ps = -(-edge_ps // period_ps) * period_ps
+    to_end_ps = latencies.sample_ps + (settings.delay_samples + settings.post_samples) * period_ps
+    busy_ps = to_end_ps + settings.pre_samples * period_ps
+    if settings.timeout_ticks:
+        last_ps = min(until_ps, arming.stop_ps)
+        taken_ps, by = _with_timeout(tick_ps, ready_ps, busy_ps, settings, last_ps)
+    else:
+        taken_ps = tick_ps[accepted(tick_ps, busy_ps, settings.record_count)]
+        by = np.full(taken_ps.size, codes.TRIGGERED_BY_EXTERNAL)
+    first_ps = taken_ps + latencies.sample_ps + (settings.delay_samples - settings.pre_samples) * period_ps
+    end_ps = taken_ps + to_end_ps
+    # A board that has all its records waits for no trigger and so misses none.
+    meant = tick_ps[tick_ps < end_ps[-1]] if taken_ps.size == settings.record_count else tick_ps
+    ignored = meant.size - int(np.count_nonzero(by == codes.TRIGGERED_BY_EXTERNAL))
+    return Taken(taken_ps, first_ps, end_ps, by, ignored)
+
+
+def aux_steps(arming: Arming, taken: Taken, latencies: Latencies) -> Steps:
+    """Return the AUX output's voltage steps in trigger output mode; none in any other."""
+    if arming.settings.aux_mode != codes.AUX_OUT_TRIGGER:
+        return joined_steps([])
+    low, high = np.zeros(taken.tick_ps.size), np.full(taken.tick_ps.size, AUX_HIGH_V)
+    settings = arming.settings
+    waited_ps = settings.delay_samples * settings.sample_period_ps if latencies.aux_waits_for_delay else 0
+    rise_ps = taken.tick_ps + latencies.aux_ps + waited_ps
+    fall_ps = np.maximum(taken.end_ps, rise_ps)
+    return joined_steps([Steps(rise_ps, low, high), Steps(fall_ps, high, low)])
+
+
+def words(volts: NDArray[np.float64], channel: Input, signed: bool) -> NDArray[np.uint16]:
+    """Return 14-bit codes, left-justified in little-endian 16-bit words; the shape is that of ``volts``."""
+    code = np.clip(np.round(_at_input(volts, channel) / channel.range_v * HALF_SCALE + HALF_SCALE), 0, 16383).astype(
+        "<u2"
+    )
+    if signed:
+        code = (code - 0x2000) & 0x3FFF
+    return (code << 2).astype("<u2")
+
+
+def is_clipped(volts: NDArray[np.float64], channel: Input) -> bool:
+    """Return whether a voltage leaves the input range."""
+    return bool(np.any(np.abs(_at_input(volts, channel)) > channel.range_v))
+
+
+def _at_input(volts: NDArray[np.float64], channel: Input) -> NDArray[np.float64]:
+    # Volts are meant into 50 ohm, from a 50 ohm source: an input of 1 Mohm sees twice as much.
+    return volts if channel.impedance == codes.IMPEDANCE_50_OHM else 2 * volts
+
+
+def _trigger_edges(settings: BoardSettings, arriving: Steps) -> Picoseconds:
+    used = {0: (0,), 1: (1,), 2: (0, 1)}.get(settings.operation, ())
+    edges = [np.empty(0, np.int64)]
+    for engine in (settings.engines[index] for index in used):
+        if engine.source == codes.SOURCE_EXTERNAL:
+            level_v = (engine.level_code - 128) / 127 * settings.external_range_v
+            edges.append(crossings(arriving, level_v, engine.slope == codes.SLOPE_POSITIVE, TRIGGER_INPUT_OHM))
+    return np.unique(np.concatenate(edges))
+
+
+def _with_timeout(
+    tick_ps: Picoseconds, ready_ps: int, busy_ps: int, settings: BoardSettings, last_ps: int
+) -> tuple[Picoseconds, NDArray[np.int64]]:
+    taken: list[int] = []
+    by: list[int] = []
+    while len(taken) < settings.record_count:
+        index = int(np.searchsorted(tick_ps, ready_ps))
+        patience_ps = ready_ps + settings.timeout_ticks * TIMEOUT_TICK_PS
+        timed_out = index == tick_ps.size or tick_ps[index] > patience_ps
+        trigger_ps = patience_ps if timed_out else int(tick_ps[index])
+        if trigger_ps >= last_ps:
+            break
+        taken.append(-(-trigger_ps // settings.sample_period_ps) * settings.sample_period_ps)
+        by.append(codes.TRIGGERED_BY_TIMEOUT if timed_out else codes.TRIGGERED_BY_EXTERNAL)
+        ready_ps = taken[-1] + busy_ps
+    return np.array(taken, np.int64), np.array(by, np.int64)
+
+
+@dataclass(slots=True)
+class Board:
+    """The board's state: settings now, and every arming whose AUX edges may still matter."""
+
+    latencies: Latencies
+    settings: BoardSettings = field(default_factory=BoardSettings)
+    armings: list[Arming] = field(default_factory=list)
+    running: bool = False
+    count: int = 0
+    changes: int = 0
+
+    @property
+    def times_out(self) -> bool:
+        """Whether records come without triggers."""
+        return self.running and self.armings[-1].settings.timeout_ticks > 0
+
+    def arm(self, now_ps: int, settings: BoardSettings) -> None:
+        """Start a capture with ``settings``."""
+        self.armings.append(Arming(self.count, now_ps, settings))
+        self.count += 1
+        self.running = True
+        self.changes += 1
+
+    def stop(self, now_ps: int) -> None:
+        """Give the running capture up."""
+        if self.running:
+            self.armings[-1] = replace(self.armings[-1], stop_ps=now_ps)
+            self.running = False
+            self.changes += 1
+
+    def respond(self, arriving: Steps, until_ps: int) -> tuple[Emission, list[Taken]]:
+        """Return the AUX output over all armings, and the records of each."""
+        taken = [records_of(arming, arriving, self.latencies, until_ps) for arming in self.armings]
+        steps = [
+            aux_steps(arming, records, self.latencies) for arming, records in zip(self.armings, taken, strict=True)
+        ]
+        ignored = sum(records.ignored for records in taken)
+        return Emission(joined_steps(steps), no_bursts(), ignored), taken
+
+
+def latencies_of(sample_s: float, aux_s: float, aux_waits_for_delay: bool = False) -> Latencies:
+    """Return the board's latencies in whole picoseconds."""
+    return Latencies(to_ps(sample_s), to_ps(aux_s), aux_waits_for_delay)

@@ -1,0 +1,249 @@
+"""A simulated ATS460 as its library drives it: settings, captures, records, AutoDMA; plain numbers in and out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.clock import SimulatedClock
+from sim_backend.digitizer import codes
+from sim_backend.digitizer.auto_dma import BufferQueue, Transfer, clipped_channels, timestamps
+from sim_backend.digitizer.board import Arming, Board, BoardSettings, Taken, words
+from sim_backend.digitizer.codes import Code
+from sim_backend.digitizer.settings import Changes
+from sim_backend.settings import Instruments
+
+REGISTER_READ_PS = 1_000_000
+"""Time that a status query takes (assumed); without it a program that polls without sleeping would wait for ever."""
+PS_PER_MS = 1_000_000_000
+
+
+class Recorder(Protocol):
+    """The world as the library needs it: time, the board, and the records of its last arming."""
+
+    clock: SimulatedClock
+    board: Board
+
+    def arm(self, settings: BoardSettings) -> None: ...
+
+    def taken(self, until_ps: int) -> Taken: ...
+
+    def volts(self, until_ps: int) -> NDArray[np.float64]: ...
+
+
+class AlazarState:
+    """One board that has just been reset."""
+
+    def __init__(self, recorder: Recorder, instruments: Instruments) -> None:
+        self.instruments = instruments
+        self._recorder = recorder
+        self._board = recorder.board
+        self._clock = recorder.clock
+        self._queue: BufferQueue | None = None
+        self._reset_option = codes.TIMESTAMP_ALWAYS
+        self._reset_ps = self._clock.now_ps
+        self._board.stop(self._clock.now_ps)
+        self._board.settings = BoardSettings()
+
+    @property
+    def settings(self) -> BoardSettings:
+        """What is programmed."""
+        return self._board.settings
+
+    def capabilities(self) -> dict[int, int]:
+        """Return the fixed properties by their number."""
+        dual_port = codes.OPTION_DUAL_PORT if self.instruments.dual_port_memory else 0
+        return {
+            codes.CAPABILITY_SERIAL: codes.SERIAL_NUMBER,
+            codes.CAPABILITY_CALIBRATION: 10110,
+            codes.CAPABILITY_MEMORY: self.instruments.samples_per_channel,
+            codes.CAPABILITY_BOARD: codes.BOARD_KIND,
+            codes.CAPABILITY_FPGA: self.instruments.fpga_version,
+            codes.CAPABILITY_OPTIONS: codes.OPTION_EXTERNAL_CLOCK | dual_port,
+        }
+
+    def parameters(self) -> dict[int, int]:
+        """Return what can be asked for, by its number."""
+        complete, queue = self._complete(), self._queue
+        posted, full = (len(queue.posted), queue.full(complete)) if queue else (0, 0)
+        return {
+            codes.PARAMETER_DATA_WIDTH: codes.RESOLUTION_BITS,
+            codes.PARAMETER_BUFFER_BYTES: queue.transfer.buffer_bytes if queue else 0,
+            codes.PARAMETER_BUFFER_COUNT: posted,
+            codes.PARAMETER_GET_FORMAT: int(self.settings.signed),
+            codes.PARAMETER_SAMPLES_PER_TIMESTAMP: codes.SAMPLES_PER_TIMESTAMP,
+            codes.PARAMETER_RECORDS_CAPTURED: complete,
+            codes.PARAMETER_MOST_PRETRIGGER: max(0, self.settings.record_samples - 64),
+            codes.PARAMETER_BUFFERS_PENDING: posted,
+            codes.PARAMETER_BUFFERS_FULL: full,
+            codes.PARAMETER_BUFFERS_EMPTY: posted - full,
+        }
+
+    def change(self, changes: Changes) -> None:
+        """Program the board."""
+        self._board.settings = replace(self.settings, **changes)
+
+    def reset_timestamp(self, option: int) -> None:
+        """Let time stamps start now and, as ``option`` says, at every arming."""
+        self._reset_option, self._reset_ps = option, self._clock.now_ps
+
+    def most_records(self, samples: int) -> int:
+        """Return how many records of this length fit the memory."""
+        most = min(self.instruments.samples_per_channel // (samples + 16), codes.MOST_RECORDS)
+        return min(most, codes.MOST_RECORDS_OLD_FPGA) if self._old_fpga else most
+
+    def refuse_count(self, count: int) -> Code:
+        """Return whether a single-port capture can have ``count`` records."""
+        if self._old_fpga and count > codes.MOST_RECORDS_OLD_FPGA:
+            return Code.TOO_MANY_RECORDS
+        return Code.SUCCESS if 1 <= count <= self.most_records(self.settings.record_samples) else Code.INVALID_SIZE
+
+    def start(self) -> Code:
+        """Wait for triggers from now on."""
+        if self._board.running and self._queue is not None:
+            return Code.SUCCESS
+        if not self.settings.record_samples:
+            return Code.NOT_INITIALIZED
+        refusal = Code.SUCCESS if self._queue is not None else self.refuse_count(self.settings.record_count)
+        if refusal is Code.SUCCESS:
+            self._arm()
+        return refusal
+
+    def stop(self) -> None:
+        """End the capture."""
+        self._board.stop(self._clock.now_ps)
+
+    def busy(self) -> bool:
+        """Return, after the time that asking takes, whether a capture is running."""
+        self._clock.now_ps += REGISTER_READ_PS
+        return self._is_busy()
+
+    def triggered(self) -> bool:
+        """Return, after the time that asking takes, whether the capture has had its first trigger."""
+        self._clock.now_ps += REGISTER_READ_PS
+        if not self._board.armings:
+            return False
+        tick_ps = self._recorder.taken(self._clock.now_ps).tick_ps
+        return bool(tick_ps.size > 0 and tick_ps[0] <= self._clock.now_ps)
+
+    def status(self) -> int:
+        """Return the status bits of the last capture."""
+        complete = self._complete()
+        if not complete:
+            return 0
+        timed_out = np.any(self._recorder.taken(self._clock.now_ps).by[:complete] == codes.TRIGGERED_BY_TIMEOUT)
+        return int(timed_out) | clipped_channels(self._arming, self._recorder.volts(self._clock.now_ps)[:complete])
+
+    def refuse_record(self, record: int) -> Code:
+        """Return whether ``record``, counted from 1, can be read from the memory."""
+        if self._queue is not None:
+            return Code.DMA_IN_PROGRESS
+        if not self._board.armings or self._is_busy():
+            return Code.FAILED
+        return Code.SUCCESS if 1 <= record <= self._complete() else Code.INVALID_INDEX
+
+    def refuse_timestamp(self, record: int) -> Code:
+        """Return whether ``record`` has a time stamp that can be read."""
+        if self._old_fpga and record > codes.MOST_RECORDS_OLD_FPGA:
+            return Code.RECORD_TOO_HIGH
+        return self.refuse_record(record)
+
+    def samples(self, channel: int, record: int, offset: int, count: int) -> bytes | None:
+        """Return ``count`` samples of a record of channel 1 or 2 as it lies in memory; None where it has none."""
+        settings = self._arming.settings
+        start = settings.pre_samples + offset
+        if start < 0 or start + count > settings.record_samples:
+            return None
+        volts = self._recorder.volts(self._clock.now_ps)[record - 1, start : start + count]
+        at_input = volts if channel == 1 else np.zeros_like(volts)
+        return words(at_input, settings.inputs[channel - 1], settings.signed).tobytes()
+
+    def trigger_address(self, record: int) -> int:
+        """Return where in memory a record starts, in samples."""
+        return (record - 1) * (self._arming.settings.record_samples + 16)
+
+    def timestamp(self, record: int) -> int:
+        """Return the trigger counter of a record."""
+        taken = self._recorder.taken(self._clock.now_ps)
+        return int(timestamps(self._arming, taken, self._reset_ps)[record - 1])
+
+    def triggered_by(self, record: int) -> int:
+        """Return what triggered a record."""
+        return int(self._recorder.taken(self._clock.now_ps).by[record - 1])
+
+    def begin_transfer(self, transfer: Transfer, offset: int) -> Code:
+        """Prepare AutoDMA, and start it at once where the program does not do so itself."""
+        if self._queue is not None:
+            return Code.DMA_IN_PROGRESS
+        dual_port = self.instruments.dual_port_memory
+        refusal = transfer.refusal(self.settings, offset) if dual_port else Code.UNSUPPORTED_FUNCTION
+        if refusal is not Code.SUCCESS:
+            return refusal
+        self._queue = BufferQueue(transfer, self.instruments.samples_per_channel // (transfer.record_samples + 16))
+        if not transfer.flags & codes.ADMA_EXTERNAL_STARTCAPTURE:
+            self._arm()
+        return Code.SUCCESS
+
+    def post_buffer(self, address: int, size: int) -> Code:
+        """Take a buffer to write into."""
+        if self._queue is None:
+            return Code.NOT_INITIALIZED
+        if self._board.running:
+            self._queue.notice_overflow(self._complete())
+        return self._queue.post(address, size)
+
+    def wait_for_buffer(self, address: int, timeout_ms: int) -> Code:
+        """Fill the buffer and let time pass until it is full, or until the time-out."""
+        if self._queue is None:
+            return Code.BUFFER_NOT_READY
+        refusal = self._queue.turn_of(address)
+        if refusal is not Code.SUCCESS:
+            return refusal
+        deadline_ps = self._clock.now_ps + timeout_ms * PS_PER_MS
+        if not self._board.running:
+            self._clock.advance_to(deadline_ps)
+            return Code.WAIT_TIMEOUT
+        self._queue.notice_overflow(self._complete())
+        if self._queue.overflowed:
+            return Code.BUFFER_OVERFLOW
+        taken = self._recorder.taken(deadline_ps)
+        filled_ps = self._queue.filled_ps(taken)
+        if filled_ps is None or filled_ps > deadline_ps:
+            self._clock.advance_to(deadline_ps)
+            return Code.WAIT_TIMEOUT
+        volts = self._recorder.volts(deadline_ps)
+        self._clock.advance_to(filled_ps)
+        self._queue.deliver(self._arming, taken, volts, self._reset_ps)
+        return Code.SUCCESS
+
+    def end_transfer(self) -> None:
+        """End the capture and let go of every buffer."""
+        self.stop()
+        self._queue = None
+
+    @property
+    def _arming(self) -> Arming:
+        return self._board.armings[-1]
+
+    @property
+    def _old_fpga(self) -> bool:
+        return self.instruments.fpga_version <= codes.OLD_FPGA
+
+    def _arm(self) -> None:
+        settings = self.settings
+        if self._queue is not None:
+            settings = replace(settings, record_count=self._queue.transfer.record_count)
+        self._recorder.arm(settings)
+        if self._reset_option == codes.TIMESTAMP_ALWAYS:
+            self._reset_ps = self._clock.now_ps
+
+    def _complete(self) -> int:
+        if not self._board.armings:
+            return 0
+        return self._recorder.taken(self._clock.now_ps).complete(min(self._clock.now_ps, self._arming.stop_ps))
+
+    def _is_busy(self) -> bool:
+        return self._board.running and self._complete() < self._arming.settings.record_count

@@ -1,0 +1,157 @@
+"""How scatterers move, as delays of their echoes, and what makes no echo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.echoes.pulse import Pulse
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """Any motion: the delay of every scatterer in every echo."""
+
+    delay_s: Floats
+    """(echo, scatterer)"""
+
+    @property
+    def echo_count(self) -> int:
+        """How many echoes."""
+        return len(self.delay_s)
+
+    def range_s(self) -> tuple[Floats, Floats]:
+        """Return each scatterer's earliest and latest delay, (scatterer,)."""
+        return self.delay_s.min(axis=0), self.delay_s.max(axis=0)
+
+    def of(self, part: Indices) -> Delays:
+        """Return the same of some scatterers."""
+        return Delays(self.delay_s[:, part])
+
+    def parts(self, pairs_at_once: int) -> Iterator[Floats]:
+        """Yield the delays of some echoes at a time, (echo, scatterer), about ``pairs_at_once`` of them."""
+        at_once = max(1, pairs_at_once // max(1, self.delay_s.shape[1]))
+        for first in range(0, len(self.delay_s), at_once):
+            yield self.delay_s[first : first + at_once]
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Motion of few spatial shapes: delay = rest + amplitude @ shape.
+
+    A standing motion has one shape; a travelling wave of one frequency two (in phase and in quadrature); sampling
+    jitter adds a shape of ones.
+    """
+
+    rest_s: Floats
+    """(scatterer,), the echo delay at rest."""
+    shape: Floats
+    """(shape, scatterer)"""
+    amplitude_s: Floats
+    """(echo, shape), delay where the shape is 1: 2 A / c."""
+
+    @property
+    def echo_count(self) -> int:
+        """How many echoes."""
+        return len(self.amplitude_s)
+
+    def range_s(self) -> tuple[Floats, Floats]:
+        """Return bounds on each scatterer's earliest and latest delay, (scatterer,)."""
+        reach_s = float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
+        return self.rest_s - reach_s, self.rest_s + reach_s
+
+    def of(self, part: Indices) -> Motion:
+        """Return the same of some scatterers."""
+        return Motion(self.rest_s[part], self.shape[:, part], self.amplitude_s)
+
+    def delay_s(self) -> Floats:
+        """Return the delay of every scatterer in every echo, (echo, scatterer)."""
+        return self.rest_s + self.amplitude_s @ self.shape
+
+    def parts(self, pairs_at_once: int) -> Iterator[Floats]:
+        """Yield the delays of some echoes at a time, (echo, scatterer), about ``pairs_at_once`` of them."""
+        at_once = max(1, pairs_at_once // max(1, len(self.rest_s)))
+        for first in range(0, len(self.amplitude_s), at_once):
+            yield self.rest_s + self.amplitude_s[first : first + at_once] @ self.shape
+
+    def about_middle(self) -> Motion:
+        """Return the same motion about the middle of its range, where the series is shortest."""
+        high, low = self.amplitude_s.max(axis=0), self.amplitude_s.min(axis=0)
+        middle_s = (high + low) / 2
+        # A small offset costs no term, moving every delay would.
+        if (np.abs(middle_s) <= 0.05 * (high - low)).all():
+            return self
+        return Motion(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s)
+
+
+def refuse_unusable(motion: Motion | Delays, weight: Floats, sample_time_s: Floats, tolerance: float) -> None:
+    """Raise ValueError for what `refuse_numbers` and `refuse_misfits` say of a motion."""
+    if isinstance(motion, Delays):
+        named, axes = {"delay_s": motion.delay_s}, {"delay_s": "echo, scatterer"}
+    else:
+        named = {"rest_s": motion.rest_s, "shape": motion.shape, "amplitude_s": motion.amplitude_s}
+        axes = {"rest_s": "scatterer", "shape": "shape, scatterer", "amplitude_s": "echo, shape"}
+    refuse_misfits(named | {"weight": weight}, axes | {"weight": "scatterer"})
+    refuse_numbers(named | {"weight": weight}, sample_time_s, tolerance)
+
+
+def refuse_misfits(named: dict[str, Floats], axes: dict[str, str]) -> None:
+    """Raise ValueError where an array lacks an axis or two disagree about the length of one."""
+    length: dict[str, tuple[str, int]] = {}
+    for name, value in named.items():
+        own = axes[name].split(", ")
+        if value.ndim != len(own):
+            raise ValueError(f"{name} has shape {value.shape}: its axes must be ({axes[name]})")
+        for axis, size in zip(own, value.shape, strict=True):
+            first, known = length.setdefault(axis, (name, size))
+            if size != known:
+                raise ValueError(
+                    f"{name} is {size} long along its axis '{axis}' and {first} {known}: give each {axis} one of both"
+                )
+
+
+def refuse_numbers(named: dict[str, Floats], sample_time_s: Floats, tolerance: float) -> None:
+    """Raise ValueError for numbers that are not finite, by name and place, and for sample times that do not ascend."""
+    for name, value in (named | {"sample_time_s": sample_time_s, "tolerance": np.array([tolerance])}).items():
+        finite = np.isfinite(value)
+        if not finite.all():
+            place = tuple(np.argwhere(~finite)[0].tolist())
+            raise ValueError(f"{name}{list(place)} is {value[place]}: every number that makes an echo must be finite")
+    if tolerance < 0:
+        raise ValueError(f"tolerance is {tolerance}: take 0 for exact sums or a relative error such as 1e-6")
+    if (np.diff(sample_time_s) <= 0).any():
+        raise ValueError("sample_time_s must ascend: sort the sample times")
+
+
+def refuse_aliasing(pulse: Pulse, sample_time_s: Floats) -> None:
+    """Raise ValueError where the samples are too far apart for the pulse's highest frequency."""
+    if len(sample_time_s) < 2:
+        return
+    rate_hz = (len(sample_time_s) - 1) / float(sample_time_s[-1] - sample_time_s[0])
+    highest_hz = max(abs(hz) for hz in pulse.frequency_hz)
+    if rate_hz <= 2 * highest_hz:
+        raise ValueError(
+            f"the sample rate of {rate_hz / 1e6:.4g} MHz is below twice the pulse's highest frequency of "
+            f"{highest_hz / 1e6:.4g} MHz, so echoes would alias: sample above {2 * highest_hz / 1e6:.4g} MHz or take a "
+            "narrower pulse"
+        )
+
+
+def harmonic_motion(
+    rest_s: Floats, field_m: NDArray[np.complex128], frequency_hz: Floats, time_s: Floats, sound_speed_m_per_s: float
+) -> Motion:
+    """Return the motion of a medium's own field: Re sum_f U_f(n) exp(j 2 pi f t_k), two shapes each.
+
+    ``field_m`` (frequency, scatterer) complex axial displacement, with whatever phase waves give it; ``time_s``
+    (echo,) when each pulse passes. Static parts are a frequency of 0.
+    """
+    angle = 2 * np.pi * np.multiply.outer(time_s, frequency_hz)
+    shape = np.concatenate([field_m.real, field_m.imag])
+    amplitude_s = np.concatenate([np.cos(angle), -np.sin(angle)], axis=1) * (2 / sound_speed_m_per_s)
+    return Motion(rest_s, shape, amplitude_s)

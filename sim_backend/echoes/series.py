@@ -1,0 +1,236 @@
+"""Echoes of proportional motion from sums over the resting scatterers: nearly free in the number of echoes.
+
+With delays tau_n + sum_r b_kr g_rn (b the motion as a delay, g its shapes), an exponential of the pulse turns by
+
+    exp(-j w sum_r b_kr g_rn) = sum_a  (-j w)^|a|  b_k^a / a!  g_n^a          (a: one exponent a shape)
+
+so every echo is a short combination, with coefficients b_k^a / a!, of the sums ``U_a(t) = sum_n I_n g_n^a p^(|a|)(t -
+tau_n)`` (sign aside) over scatterers at rest. That moves the exponentials but not the ends of the support; the few
+samples that an end crosses while its scatterer moves are corrected one by one with the pulse's Taylor series there.
+Both parts converge geometrically, whatever the pulse: no derivative has to be continuous at the ends.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.echoes.pulse import Pulse, phasors
+from sim_backend.echoes.series_tables import Tables, tables_of, terms_needed
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+Indices = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+MOST_ANGLE_RAD = 3.0
+"""Largest turn of the highest frequency: beyond, the series' terms grow and take digits with them."""
+
+_VALUES_AT_ONCE = 1 << 18
+# Share of the tolerance for crossings left out or cut short.
+CROSSING_SHARE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Resting:
+    """Scatterers of one or more scenes (rows) and their motion, in ascending row and, within one, delay."""
+
+    row: Indices
+    """(scatterer,), the scene each belongs to."""
+    rest_s: Floats
+    """(scatterer,), echo delay about which it moves."""
+    weight: Floats
+    """(scatterer,)."""
+    shape: Floats
+    """(shape, scatterer), g."""
+    amplitude_s: Floats
+    """(row, echo, shape), b: the delay that a shape of 1 adds."""
+
+
+def largest_angle(pulse: Pulse, shape: Floats, amplitude_s: Floats) -> float:
+    """Return a bound on the turn of the pulse's highest frequency, rad."""
+    if shape.size == 0 or amplitude_s.size == 0:
+        return 0.0
+    reach_s = sum(largest_size(amplitude_s[..., axis]) * largest_size(shape[axis]) for axis in range(len(shape)))
+    return 2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz) * reach_s
+
+
+def series(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Floats:
+    """Return the echoes, float64 (row, echo, sample), to ``tolerance`` of their rms; samples within one pulse length.
+
+    Raises ValueError where the motion turns the pulse by more than `MOST_ANGLE_RAD`.
+    """
+    tables = series_tables(scene, pulse, sample_time_s, tolerance)
+    enter = sample_time_s.searchsorted(scene.rest_s + pulse.start_s)
+    leave = sample_time_s.searchsorted(scene.rest_s + pulse.end_s)
+    sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
+    rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
+    out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.steps), sums)
+    budget = CROSSING_SHARE * tolerance * rms * math.sqrt(len(sample_time_s))
+    _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
+    return out
+
+
+def series_tables(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Tables:
+    """Return what pulse, gate and number of orders fix; raises ValueError where the motion is too large."""
+    angle = largest_angle(pulse, scene.shape, scene.amplitude_s)
+    if angle > MOST_ANGLE_RAD:
+        raise ValueError(
+            f"the motion turns the pulse by {angle:.3g} rad, the series holds up to {MOST_ANGLE_RAD} rad: "
+            "take the running sum"
+        )
+    orders = terms_needed(angle, tolerance)
+    return tables_of(pulse, sample_time_s.tobytes(), len(scene.shape), orders)
+
+
+def _coefficients(amplitude_rad: Floats, steps: list[tuple[int, int, int]]) -> Floats:
+    """Return b^a / a!, (row, echo, exponent)."""
+    out = np.empty((len(steps) + 1, *amplitude_rad.shape[:2]))
+    out[0] = 1.0
+    for index, (lower, shape, power) in enumerate(steps, 1):
+        np.multiply(out[lower], amplitude_rad[..., shape] / power, out=out[index])
+    return np.ascontiguousarray(np.moveaxis(out, 0, -1))
+
+
+def _rest_sums(scene: Resting, enter: Indices, leave: Indices, tables: Tables, pulse: Pulse, samples: int) -> Floats:
+    """Return U_a, real (row, exponent, sample), of the scatterers whose support at rest holds a sample.
+
+    In ascending delay those that entered since the first sample follow one another, and so do those that were there
+    and have yet to leave: one running sum over each, read at every sample.
+    """
+    begin = scene.row.searchsorted(np.arange(len(scene.amplitude_s) + 1)).tolist()
+    every = np.arange(samples)
+    at_once = max(64, _VALUES_AT_ONCE // (tables.turn.shape[0] * tables.turn.shape[1]))
+    out = np.zeros((len(scene.amplitude_s), tables.turn.shape[1], samples))
+    for row, (first, last) in enumerate(itertools.pairwise(begin)):
+        own_enter, own_leave = enter[first:last], leave[first:last]
+        middle = int(own_enter.searchsorted(1))
+        gone = own_leave.searchsorted(every, side="right")
+        come = np.maximum(own_enter.searchsorted(every, side="right"), middle)
+        low, high = int(gone[0]), int(come[-1])
+        alive = np.zeros(tables.turn.shape, dtype=np.complex128)
+        for cut in range(low, high, at_once):
+            length = min(at_once, high - cut)
+            part = slice(first + cut, first + cut + length)
+            turned, moments = phasors(pulse, scene.rest_s[part], -1)[:, None], _moments(scene, part, tables.steps)
+            here = min(max(middle - cut, 0), length)
+            # Those there already, an empty place, those to come: the sums begin at the empty place and go either way.
+            sums = np.zeros((*tables.turn.shape[:2], length + 1), dtype=np.complex128)
+            np.multiply(turned[..., :here], moments[:, :here], out=sums[..., :here])
+            np.multiply(turned[..., here:], moments[:, here:], out=sums[..., here + 1 :])
+            np.cumsum(sums[..., here:], axis=-1, out=sums[..., here:])
+            np.cumsum(sums[..., here::-1], axis=-1, out=sums[..., here::-1])
+            alive += sums.take(np.minimum(np.maximum(come - cut, here), length), axis=-1)
+            alive += sums.take(np.minimum(np.maximum(gone - cut, 0), here), axis=-1)
+        out[row] = np.einsum("fqi,fqi->qi", tables.turn, alive).real
+    return out
+
+
+def _runs(key: Indices) -> Indices:
+    """Return where a new value begins."""
+    new = np.empty(len(key), dtype=np.bool_)
+    new[:1] = True
+    np.not_equal(key[1:], key[:-1], out=new[1:])
+    return np.flatnonzero(new)
+
+
+def _moments(scene: Resting, part: slice, steps: list[tuple[int, int, int]]) -> Floats:
+    """Return I_n g_n^a, (exponent, scatterer)."""
+    shape, weight = scene.shape[:, part], scene.weight[part]
+    out = np.empty((len(steps) + 1, len(weight)))
+    out[0] = weight
+    for index, (lower, axis, _) in enumerate(steps, 1):
+        np.multiply(out[lower], shape[axis], out=out[index])
+    return out
+
+
+def _correct_crossings(
+    out: Floats,
+    scene: Resting,
+    index: tuple[Indices, Indices],
+    tables: Tables,
+    pulse: Pulse,
+    sample_time_s: Floats,
+    budget: float,
+) -> None:
+    """Add, at each sample that an end of a support crosses, what the motion lets in or out; in place.
+
+    ``index`` (start, end): first sample from each scatterer's end on, at rest. Crossings that together add less than
+    ``budget`` to one echo are left out.
+    """
+    reach_s = np.abs(scene.amplitude_s).max(axis=(0, 1)) @ np.abs(scene.shape)
+    farthest_s, heaviest = float(reach_s.max(initial=0.0)), float(np.abs(scene.weight).max(initial=0.0))
+    if farthest_s == 0 or heaviest == 0:
+        return
+    duration_s = float(sample_time_s[-1] - sample_time_s[0])
+    crossing = 1 + (2 * farthest_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
+    each = budget / (2 * len(reach_s) * crossing)
+    size, share = np.abs(scene.weight), reach_s / farthest_s
+    bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
+    matter = [np.flatnonzero(size * (share**order * largest) > each) for order, largest in bounds]
+    who = np.concatenate(matter)
+    end = np.repeat([0, 1], [len(part) for part in matter])
+    edge_time_s = scene.rest_s[who] + np.array([pulse.start_s, pulse.end_s])[end]
+    low = sample_time_s.searchsorted(edge_time_s - reach_s[who])
+    count = sample_time_s.searchsorted(edge_time_s + reach_s[who], side="right") - low
+    meets = np.flatnonzero(count)
+    who, end, edge_time_s, low, count = (part[meets] for part in (who, end, edge_time_s, low, count))
+    cut = each / heaviest / max(1.0, float(np.abs(pulse.amplitude).sum()))
+    taylor = enough_taylor(tables.taylor, tables.scale * farthest_s, cut) * [[1.0], [-1.0]]
+    at_once = max(1, _VALUES_AT_ONCE // (out.shape[1] * int(count.max(initial=1))))
+    for begin in range(0, len(who), at_once):
+        some = slice(begin, begin + at_once)
+        pair = np.repeat(np.arange(len(who[some])), count[some])
+        sample = np.arange(len(pair)) + np.repeat(low[some] - np.cumsum(count[some]) + count[some], count[some])
+        past_s = sample_time_s[sample] - edge_time_s[some][pair]
+        own, own_end = who[some][pair], end[some][pair]
+        was_past = sample >= np.where(own_end == 0, index[0][own], index[1][own])
+        _add_pairs(out, scene, own, sample, past_s, was_past, taylor[own_end])
+
+
+def _add_pairs(
+    out: Floats, scene: Resting, who: Indices, sample: Indices, past_s: Floats, was_past: Booleans, taylor: Floats
+) -> None:
+    """Add to ``out``, at ``sample`` (pair,), the part of the scatterers ``who`` whose end has moved over it."""
+    row = scene.row[who]
+    if len(scene.amplitude_s) == 1:
+        moved_s = scene.shape[:, who].T @ scene.amplitude_s[0].T
+    else:
+        moved_s = np.matmul(scene.amplitude_s[row], scene.shape[:, who].T[:, :, None])[:, :, 0]
+    x = past_s[:, None] - moved_s
+    value = np.repeat(taylor[:, -1:], x.shape[1], axis=1)
+    for coefficient in taylor.T[-2::-1]:
+        value *= x
+        value += coefficient[:, None]
+    value *= ((x >= 0) * 1.0 - was_past[:, None]) * scene.weight[who, None]
+    place = row * out.shape[2] + sample
+    order = np.argsort(place, kind="stable")
+    run = _runs(place[order])
+    first = order[run]
+    out[row[first], :, sample[first]] += np.add.reduceat(value[order], run, axis=0)
+
+
+def largest_near(jumps: list[float], reach_s: float) -> tuple[int, float]:
+    """Return the lowest order that jumps, and a bound on the exponentials within ``reach_s`` of the support's end."""
+    bound = 0.0
+    for jump in reversed(jumps):
+        bound = bound * reach_s + jump
+    return next((order for order, jump in enumerate(jumps) if jump > 0), 0), bound
+
+
+def largest_size(value: Floats) -> float:
+    """Return the largest magnitude, 0 of nothing."""
+    return max(abs(float(value.max())), abs(float(value.min()))) if value.size else 0.0
+
+
+def enough_taylor(taylor: Floats, angle: float, tolerance: float) -> Floats:
+    """Return as many Taylor coefficients (end, order) as keep the rest below ``tolerance``, ``angle`` from the end."""
+    tail, orders = angle, 1
+    while tail > tolerance and orders < taylor.shape[1]:
+        orders += 1
+        tail *= angle / orders
+    return taylor[:, :orders]

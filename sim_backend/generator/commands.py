@@ -1,0 +1,295 @@
+"""The command table of a 33250A: header -> what it sets and what it answers, as functions of the registers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+from sim_backend.generator import levels, registers, timing
+from sim_backend.generator.levels import load_share
+from sim_backend.generator.models import Model
+from sim_backend.generator.registers import Coerced, Registers
+from sim_backend.generator.scpi_text import ScpiError, boolean, keyword, number, quoted, real_reply
+
+Write = Callable[[Registers, tuple[str, ...]], Coerced]
+Read = Callable[[Registers, tuple[str, ...]], str]
+Limits = Callable[[Registers], tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What one header does; None where the form without or with ``?`` does not exist."""
+
+    write: Write | None
+    read: Read | None
+
+
+def _one(arguments: tuple[str, ...]) -> str:
+    if not arguments:
+        raise ScpiError(-109, "Missing parameter")
+    if len(arguments) > 1:
+        raise ScpiError(-108, "Parameter not allowed")
+    return arguments[0]
+
+
+def _extreme(text: str, limits: tuple[float, float]) -> float | None:
+    low, high = limits
+    return {"MIN": low, "MINIMUM": low, "MAX": high, "MAXIMUM": high}.get(text.upper())
+
+
+def _number(
+    units: str,
+    limits: Limits,
+    get: Callable[[Registers], float],
+    put: Callable[[Registers, float], Coerced],
+    infinite: bool = False,
+    convert: Callable[[Registers, float, str], float] = lambda state, value, unit: value,
+) -> Setting:
+    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        text = _one(arguments)
+        value = _extreme(text, limits(state))
+        if infinite and text.upper() in ("INF", "INFINITY"):
+            value = math.inf
+        return put(state, convert(state, *number(text, units)) if value is None else value)
+
+    def read(state: Registers, arguments: tuple[str, ...]) -> str:
+        if not arguments:
+            return real_reply(get(state))
+        value = _extreme(_one(arguments), limits(state))
+        if value is None:
+            raise ScpiError(-224, "Illegal parameter value")
+        return real_reply(value)
+
+    return Setting(write, read)
+
+
+def _plain(units: str, low: float, high: float, field: str, quantity: str) -> Setting:
+    def put(state: Registers, value: float) -> Coerced:
+        value, errors = registers.clipped(value, low, high, quantity)
+        return Coerced(replace(state, **{field: value}), errors)  # type: ignore[arg-type]
+
+    return _number(units, lambda state: (low, high), lambda state: getattr(state, field), put)
+
+
+def _choice(words: str, get: Callable[[Registers], str], put: Callable[[Registers, str], Coerced]) -> Setting:
+    return Setting(
+        lambda state, arguments: put(state, keyword(_one(arguments), words.split())),
+        lambda state, arguments: get(state),
+    )
+
+
+def _word(words: str, field: str) -> Setting:
+    return _choice(
+        words,
+        lambda state: getattr(state, field),
+        lambda state, word: Coerced(replace(state, **{field: word})),  # type: ignore[arg-type]
+    )
+
+
+def _switch(get: Callable[[Registers], bool], put: Callable[[Registers, bool], Coerced]) -> Setting:
+    return Setting(
+        lambda state, arguments: put(state, boolean(_one(arguments))), lambda state, arguments: str(int(get(state)))
+    )
+
+
+def _flag(field: str) -> Setting:
+    return _switch(
+        lambda state: getattr(state, field),
+        lambda state, on: Coerced(replace(state, **{field: on})),  # type: ignore[arg-type]
+    )
+
+
+def _mode(name: str) -> Setting:
+    return _switch(lambda state: state.modulation == name, lambda state, on: timing.set_modulation(state, name, on))
+
+
+def _amplitude() -> Setting:
+    def limits(state: Registers) -> tuple[float, float]:
+        low, high = levels.amplitude_limits(state)
+        return levels.in_unit(state, low), levels.in_unit(state, high)
+
+    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        text = _one(arguments)
+        vpp = _extreme(text, levels.amplitude_limits(state))
+        if vpp is None:
+            vpp = levels.to_vpp(state, *number(text, "VPP VRMS DBM V"))
+        return levels.set_amplitude(state, vpp / load_share(state))
+
+    shown = _number(
+        "", limits, lambda state: levels.in_unit(state, state.amplitude_v * load_share(state)), levels.set_amplitude
+    )
+    return Setting(write, shown.read)
+
+
+def _level(
+    open_limits: Limits, get: Callable[[Registers], float], put: Callable[[Registers, float], Coerced]
+) -> Setting:
+    def limits(state: Registers) -> tuple[float, float]:
+        low, high = open_limits(state)
+        return low * load_share(state), high * load_share(state)
+
+    return _number(
+        "V",
+        limits,
+        lambda state: get(state) * load_share(state),
+        lambda state, value: put(state, value / load_share(state)),
+    )
+
+
+def _offset_limits(state: Registers) -> tuple[float, float]:
+    room = registers.PEAK_V - state.amplitude_v / 2
+    return -room, room
+
+
+def _gap_v(state: Registers) -> float:
+    return registers.LEVEL_GAP_V / load_share(state)
+
+
+def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
+    frequency_hz, errors = registers.clipped(frequency_hz, *timing.frequency_limits_hz(state), "frequency")
+    return timing.settle_frequency(Coerced(replace(state, frequency_hz=frequency_hz), errors))
+
+
+def _period_limits_s(state: Registers) -> tuple[float, float]:
+    low_hz, high_hz = state.model.frequency_limits_hz["PULS"]
+    return 1 / high_hz, 1 / low_hz
+
+
+def _put_period(state: Registers, period_s: float) -> Coerced:
+    period_s, errors = registers.clipped(period_s, *_period_limits_s(state), "pulse period")
+    return timing.settle_frequency(timing.settle_pulse(Coerced(replace(state, frequency_hz=1 / period_s), errors)))
+
+
+def _put_edge(state: Registers, edge_s: float) -> Coerced:
+    edge_s, errors = registers.clipped(edge_s, *timing.edge_limits_s(state), "pulse edge time")
+    return Coerced(replace(state, edge_s=edge_s), errors)
+
+
+def _put_duty(state: Registers, percent: float) -> Coerced:
+    percent, errors = registers.clipped(percent, *timing.duty_limits_percent(state), "duty cycle")
+    return Coerced(replace(state, duty_percent=percent), errors)
+
+
+def _put_delay(state: Registers, delay_s: float) -> Coerced:
+    delay_s, errors = registers.clipped(delay_s, *state.model.delay_limits_s, "trigger delay")
+    return timing.settle_burst(Coerced(replace(state, delay_s=delay_s), errors))
+
+
+def _phase() -> Setting:
+    def limits(state: Registers) -> tuple[float, float]:
+        return (-360.0, 360.0) if state.angle_unit == "DEG" else (-2 * math.pi, 2 * math.pi)
+
+    def put(state: Registers, angle: float) -> Coerced:
+        angle, errors = registers.clipped(angle, *limits(state), "burst phase")
+        degrees = angle if state.angle_unit == "DEG" else math.degrees(angle)
+        return Coerced(replace(state, burst_phase_deg=degrees), errors)
+
+    def get(state: Registers) -> float:
+        return state.burst_phase_deg if state.angle_unit == "DEG" else math.radians(state.burst_phase_deg)
+
+    def convert(state: Registers, angle: float, unit: str) -> float:
+        if unit in ("", state.angle_unit):
+            return angle
+        return math.degrees(angle) if unit == "RAD" else math.radians(angle)
+
+    return _number("DEG RAD", limits, get, put, convert=convert)
+
+
+def _text() -> Setting:
+    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        return Coerced(replace(state, display_text=quoted(_one(arguments))))
+
+    return Setting(write, lambda state, arguments: f'"{state.display_text}"')
+
+
+def _range() -> Setting:
+    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        once = _one(arguments).upper() == "ONCE"
+        return Coerced(replace(state, range_auto="0" if once else str(int(boolean(arguments[0])))))
+
+    return Setting(write, lambda state, arguments: state.range_auto)
+
+
+def _clear_text(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+    return Coerced(replace(state, display_text=""))
+
+
+SETTINGS = {
+    "[SOURce:]FUNCtion[:SHAPe]": _choice(
+        "SINusoid SQUare RAMP PULSe NOISe DC USER", lambda state: state.function, timing.set_function
+    ),
+    "[SOURce:]FUNCtion:SQUare:DCYCle": _number(
+        "", timing.duty_limits_percent, lambda state: state.duty_percent, _put_duty
+    ),
+    "[SOURce:]FUNCtion:RAMP:SYMMetry": _plain("", 0.0, 100.0, "symmetry_percent", "symmetry"),
+    "[SOURce:]FREQuency[:CW]": _number(
+        "HZ", timing.frequency_limits_hz, lambda state: state.frequency_hz, _put_frequency
+    ),
+    "[SOURce:]VOLTage[:LEVel][:IMMediate][:AMPLitude]": _amplitude(),
+    "[SOURce:]VOLTage[:LEVel][:IMMediate]:OFFSet": _level(
+        _offset_limits, lambda state: state.offset_v, levels.set_offset
+    ),
+    "[SOURce:]VOLTage[:LEVel][:IMMediate]:HIGH": _level(
+        lambda state: (state.low_v + _gap_v(state), registers.PEAK_V), lambda state: state.high_v, levels.set_high
+    ),
+    "[SOURce:]VOLTage[:LEVel][:IMMediate]:LOW": _level(
+        lambda state: (-registers.PEAK_V, state.high_v - _gap_v(state)), lambda state: state.low_v, levels.set_low
+    ),
+    "[SOURce:]VOLTage:RANGe:AUTO": _range(),
+    "[SOURce:]VOLTage:UNIT": _choice("VPP VRMS DBM", lambda state: state.unit, levels.set_unit),
+    "[SOURce:]PULSe:PERiod": _number("S", _period_limits_s, lambda state: 1 / state.frequency_hz, _put_period),
+    "[SOURce:]PULSe:WIDTh": _number("S", timing.width_limits_s, lambda state: state.width_s, timing.set_width),
+    "[SOURce:]PULSe:TRANsition": _number("S", timing.edge_limits_s, lambda state: state.edge_s, _put_edge),
+    "[SOURce:]BURSt:STATe": _switch(lambda state: state.burst, timing.set_burst),
+    "[SOURce:]BURSt:MODE": _choice("TRIGgered GATed", lambda state: state.burst_mode, timing.set_burst_mode),
+    "[SOURce:]BURSt:NCYCles": _number(
+        "",
+        lambda state: (1.0, float(state.model.most_cycles)),
+        lambda state: state.cycles,
+        timing.set_cycles,
+        infinite=True,
+    ),
+    "[SOURce:]BURSt:INTernal:PERiod": _number(
+        "S",
+        lambda state: state.model.burst_period_limits_s,
+        lambda state: state.burst_period_s,
+        timing.set_burst_period,
+    ),
+    "[SOURce:]BURSt:PHASe": _phase(),
+    "[SOURce:]BURSt:GATE:POLarity": _word("NORMal INVerted", "gate_polarity"),
+    "[SOURce:]AM:STATe": _mode("AM"),
+    "[SOURce:]FM:STATe": _mode("FM"),
+    "[SOURce:]FSKey:STATe": _mode("FSK"),
+    "[SOURce:]SWEep:STATe": _mode("SWE"),
+    "OUTPut[:STATe]": _flag("output"),
+    "OUTPut:LOAD": _number(
+        "OHM", lambda state: registers.LOAD_LIMITS_OHM, lambda state: state.load_ohm, levels.set_load, infinite=True
+    ),
+    "OUTPut:POLarity": _word("NORMal INVerted", "polarity"),
+    "OUTPut:SYNC[:STATe]": _flag("sync"),
+    "OUTPut:TRIGger[:STATe]": _switch(lambda state: state.trigger_output, timing.set_trigger_output),
+    "OUTPut:TRIGger:SLOPe": _word("POSitive NEGative", "trigger_output_slope"),
+    "TRIGger:SOURce": _choice("IMMediate EXTernal BUS", lambda state: state.trigger_source, timing.set_source),
+    "TRIGger:SLOPe": _word("POSitive NEGative", "trigger_slope"),
+    "TRIGger:DELay": _number("S", lambda state: state.model.delay_limits_s, lambda state: state.delay_s, _put_delay),
+    "UNIT:ANGLe": _word("DEGree RADian", "angle_unit"),
+    "DISPlay[:WINDow][:STATe]": _flag("display"),
+    "DISPlay[:WINDow]:TEXT[:DATA]": _text(),
+    "DISPlay[:WINDow]:TEXT:CLEar": Setting(_clear_text, None),
+    "SYSTem:BEEPer:STATe": _flag("beeper"),
+}
+"""Every setting of the twin's 33250A by header (reference, 1.4)."""
+
+
+def settings_of(model: Model) -> Mapping[str, Setting]:
+    """Return the settings of ``model`` by header; the series spell those of the pulse differently."""
+    pulse = "[SOURce:]PULSe:"
+
+    def spelled(header: str) -> str:
+        if not header.startswith(pulse):
+            return header
+        own = header.replace(pulse, f"[SOURce:]{model.pulse_node}:")
+        return own + model.both_edges_node if own.endswith("TRANsition") else own
+
+    return {spelled(header): setting for header, setting in SETTINGS.items()}

@@ -1,0 +1,162 @@
+"""What a 33250A puts out: programmed registers and trigger edges -> voltage steps or sine bursts.
+
+Assumed, no source found: Trig In is a 10 kohm TTL input that switches at 2.0 V; a trigger is ignored from the one
+before it until that one's burst has ended; a change of any setting that shapes the output cuts a burst, running or
+pending. Not modelled: ramp, noise, arbitrary, modulated and gated outputs (they put out nothing), BURS:PHAS, jitter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+
+from sim_backend.generator.registers import Registers
+from sim_backend.wiring import (
+    PS_PER_S,
+    Bursts,
+    Emission,
+    Picoseconds,
+    Steps,
+    accepted,
+    crossings,
+    joined_bursts,
+    joined_steps,
+    to_ps,
+)
+
+TRIGGER_LEVEL_V = 2.0
+TRIGGER_INPUT_OHM = 10e3
+MOST_STEPS = 20_000_000
+FAR_PS = 1 << 61
+UNSEEN = frozenset(
+    {"unit", "load_ohm", "sync", "trigger_output", "trigger_output_slope", "range_auto", "angle_unit"}
+    | {"display", "display_text", "beeper"}
+)
+"""Registers that do not show at the output; the declared load only changes what is displayed."""
+
+History = Sequence[tuple[int, Registers]]
+
+
+def shapes_output(before: Registers, after: Registers) -> bool:
+    """Return whether the step from one state to the other can be seen at the output."""
+    return (before.output or after.output) and any(
+        getattr(before, item.name) != getattr(after, item.name) for item in fields(Registers) if item.name not in UNSEEN
+    )
+
+
+def is_endless(registers: Registers) -> bool:
+    """Return whether the output goes on without further triggers."""
+    if not registers.output:
+        return False
+    return not registers.burst or registers.trigger_source == "IMM" or math.isinf(registers.cycles)
+
+
+def respond(history: History, software_ps: Sequence[int], arriving: Steps, latency_ps: int, until_ps: int) -> Emission:
+    """Return all that is put out; ``history`` holds (time, registers) from the first state on, by time.
+
+    ``software_ps`` are triggers by command, ``arriving`` is the voltage at Trig In. Outputs without an end of their own
+    are worked out to ``until_ps``. The emission's voltages and amplitudes are open-circuit ones.
+    """
+    segments = [
+        (start_ps, history[index + 1][0] if index + 1 < len(history) else FAR_PS, registers)
+        for index, (start_ps, registers) in enumerate(history)
+    ]
+    steps, bursts, ignored, idle_v = [], [], 0, 0.0
+    for index, (start_ps, stop_ps, registers) in enumerate(segments):
+        next_idle_v = _idle_v(segments[index + 1][2]) if index + 1 < len(segments) else 0.0
+        onset_ps, missed = _onsets(registers, start_ps, stop_ps, software_ps, arriving, latency_ps, until_ps)
+        ignored += missed
+        if _idle_v(registers) != idle_v:
+            steps.append(_steps(np.array([start_ps]), idle_v, _idle_v(registers)))
+        idle_v = _idle_v(registers)
+        if onset_ps.size and registers.function == "SIN":
+            bursts.append(_sines(registers, onset_ps, min(stop_ps, until_ps) if is_endless(registers) else stop_ps))
+        elif onset_ps.size and registers.function in ("PULS", "SQU"):
+            limit_ps = min(stop_ps, until_ps) if is_endless(registers) else stop_ps
+            train, cut = _pulses(registers, onset_ps, limit_ps, next_idle_v)
+            steps.append(train)
+            idle_v = next_idle_v if cut else idle_v
+    return Emission(joined_steps(steps), joined_bursts(bursts), ignored)
+
+
+def _onsets(
+    registers: Registers,
+    start_ps: int,
+    stop_ps: int,
+    software_ps: Sequence[int],
+    arriving: Steps,
+    latency_ps: int,
+    until_ps: int,
+) -> tuple[Picoseconds, int]:
+    nothing = np.empty(0, np.int64)
+    if not registers.output or registers.modulation:
+        return nothing, 0
+    if not registers.burst:
+        return np.array([start_ps]), 0
+    if registers.burst_mode == "GAT":
+        return nothing, 0
+    triggers = [np.array([time for time in software_ps if start_ps <= time < stop_ps], np.int64)]
+    if registers.trigger_source == "EXT":
+        edges = crossings(arriving, TRIGGER_LEVEL_V, registers.trigger_slope == "POS", TRIGGER_INPUT_OHM)
+        triggers.append(edges[(edges >= start_ps) & (edges < stop_ps)])
+    elif registers.trigger_source == "IMM":
+        last_ps, period_ps = min(stop_ps, until_ps), to_ps(registers.burst_period_s)
+        triggers.append(np.arange(start_ps, last_ps, period_ps, dtype=np.int64))
+    trigger_ps = np.sort(np.concatenate(triggers))
+    busy_ps = min(FAR_PS, round(min(registers.delay_s + registers.burst_s, 1e6) * PS_PER_S))
+    taken = accepted(trigger_ps, busy_ps)
+    onset_ps = trigger_ps[taken] + latency_ps + to_ps(registers.delay_s)
+    return onset_ps[onset_ps < stop_ps], trigger_ps.size - taken.size
+
+
+def _idle_v(registers: Registers) -> float:
+    if not registers.output or registers.function not in ("PULS", "SQU"):
+        return 0.0
+    return registers.low_v if registers.polarity == "NORM" else registers.high_v
+
+
+def _active_v(registers: Registers) -> float:
+    return registers.high_v if registers.polarity == "NORM" else registers.low_v
+
+
+def _cycles(registers: Registers) -> float:
+    return registers.cycles if registers.burst else math.inf
+
+
+def _sines(registers: Registers, onset_ps: Picoseconds, stop_ps: int) -> Bursts:
+    length_s = min(_cycles(registers) / registers.frequency_hz, 1e6)
+    full_ps = onset_ps + to_ps(length_s)
+    end_ps = np.minimum(full_ps, stop_ps)
+    whole = math.isfinite(_cycles(registers)) & (end_ps == full_ps)
+    cycles = np.where(whole, _cycles(registers), (end_ps - onset_ps) / PS_PER_S * registers.frequency_hz)
+    same = np.ones(onset_ps.size)
+    return Bursts(onset_ps, end_ps, registers.frequency_hz * same, cycles, registers.amplitude_v * same)
+
+
+def _pulses(registers: Registers, onset_ps: Picoseconds, stop_ps: int, after_cut_v: float) -> tuple[Steps, bool]:
+    period_ps = PS_PER_S / registers.frequency_hz
+    high_s = (
+        registers.width_s if registers.function == "PULS" else registers.duty_percent / 100 / registers.frequency_hz
+    )
+    longest = int(min(_cycles(registers), math.ceil(max(0, stop_ps - int(onset_ps[0])) / period_ps)))
+    if onset_ps.size * longest > MOST_STEPS:
+        raise ValueError(
+            f"the programmed output has {onset_ps.size * longest} pulses, more than the twin follows ({MOST_STEPS}); "
+            "program a finite burst or a lower frequency"
+        )
+    # Every pulse from its burst's onset, not from the pulse before: rounding must not add up.
+    offset_ps = np.rint(np.arange(longest) * period_ps).astype(np.int64)
+    rise_ps = (onset_ps[:, None] + offset_ps).ravel()
+    rise_ps = rise_ps[rise_ps < stop_ps]
+    fall_ps = rise_ps + to_ps(high_s)
+    cut = fall_ps > stop_ps
+    idle_v, active_v = _idle_v(registers), _active_v(registers)
+    falls = Steps(np.minimum(fall_ps, stop_ps), np.full(fall_ps.size, active_v), np.where(cut, after_cut_v, idle_v))
+    return joined_steps([_steps(rise_ps, idle_v, active_v), falls]), bool(cut.any())
+
+
+def _steps(time_ps: Picoseconds, before_v: float, after_v: float) -> Steps:
+    return Steps(time_ps, np.full(time_ps.size, before_v), np.full(time_ps.size, after_v))

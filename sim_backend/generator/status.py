@@ -1,0 +1,65 @@
+"""Error queue and status registers of a 33250A (reference, 1.5 and 1.6)."""
+
+from __future__ import annotations
+
+from sim_backend.generator.scpi_text import ScpiError, integer_reply
+
+QUEUE_DEPTH = 20
+STB_ERRORS, STB_MESSAGE, STB_EVENT, STB_SUMMARY = 4, 16, 32, 64
+ESR_COMPLETE, ESR_QUERY, ESR_DEVICE, ESR_EXECUTION, ESR_COMMAND, ESR_POWER_ON = 1, 4, 8, 16, 32, 128
+_EVENT_OF_HUNDREDS = {1: ESR_COMMAND, 2: ESR_EXECUTION, 3: ESR_DEVICE, 4: ESR_QUERY}
+
+
+class Status:
+    """The status of one instrument since power-on."""
+
+    def __init__(self) -> None:
+        self._errors: list[tuple[int, str]] = []
+        self._events = ESR_POWER_ON
+        self._enabled = {"ESE": 0, "SRE": 0}
+
+    def queue(self, number: int, text: str) -> None:
+        """Append an error; the 21st turns the newest into -350 and is lost."""
+        self._events |= _EVENT_OF_HUNDREDS[-number // 100] if number < 0 else ESR_DEVICE
+        if len(self._errors) < QUEUE_DEPTH:
+            self._errors.append((number, text))
+        else:
+            self._errors[-1] = (-350, "Queue overflow")
+
+    def next_error(self) -> str:
+        """Remove and return the oldest error."""
+        number, text = self._errors.pop(0) if self._errors else (0, "No error")
+        return f'{integer_reply(number)},"{text}"'
+
+    def clear(self) -> None:
+        """Empty error queue and event register."""
+        self._errors.clear()
+        self._events = 0
+
+    def complete(self) -> None:
+        """Note the completion of everything that was asked for."""
+        self._events |= ESR_COMPLETE
+
+    def events(self) -> str:
+        """Return and clear the event register."""
+        value, self._events = self._events, 0
+        return integer_reply(value)
+
+    def byte(self, message_waiting: bool) -> str:
+        """Return the status byte."""
+        value = (STB_ERRORS if self._errors else 0) | (STB_MESSAGE if message_waiting else 0)
+        value |= STB_EVENT if self._events & self._enabled["ESE"] else 0
+        value |= STB_SUMMARY if value & self._enabled["SRE"] else 0
+        return integer_reply(value)
+
+    def enable(self, register: str, arguments: tuple[str, ...]) -> None:
+        """Set an enable register, "ESE" or "SRE"; raise ``ScpiError`` for anything but a whole number."""
+        if not arguments:
+            raise ScpiError(-109, "Missing parameter")
+        if not arguments[0].isdigit():
+            raise ScpiError(-148, "Character data not allowed")
+        self._enabled[register] = int(arguments[0]) & 0xFF
+
+    def enabled(self, register: str) -> str:
+        """Return an enable register."""
+        return integer_reply(self._enabled[register])

@@ -1,0 +1,207 @@
+"""Displacement around the focus, in time: broader than the force that causes it, and later the farther out.
+
+    u(r, t) = sum over modes of shape_i(lateral, axial) * amplitude_i(t)
+
+The same medium and force as `sim_backend.motion.specimen`, off the axis, where the integral over wave numbers k has no
+closed form worth its price. It runs along a ray in the complex k plane instead: clear of the shear pole at every node
+of the hyperbola in the s plane, an elastic medium's included. The force is round: equal lateral widths.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.motion.force import ForcePulses
+from sim_backend.motion.inverse_laplace import FIELD_CONTOUR, Contour, Panels, panels_of
+from sim_backend.motion.moduli import shear_modulus
+from sim_backend.motion.specimen import StepResponse, Triple, force_volume, memory_s, polar_nodes, transients
+from sim_backend.settings import Specimen
+from sim_backend.wiring import Picoseconds
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+# The ray's angle: more than the hyperbola's 0.35, behind which the pole hides, and less than pi / 4. Waves grow along
+# it as exp(|k| r sin(ray)), which costs digits and nodes far from the axis: there both turn towards the real one.
+_RAY = 0.55
+_LARGEST_GROWTH_EXPONENT = 4.0
+_OCTAVES = 21
+_NODES_AN_OCTAVE = 12
+_NODES_WHERE_WAVES_ARE_SHORT = 28
+_SHORT_OCTAVES = 5
+_NEGLIGIBLE_EXPONENT = 32.0
+_DEAR_ARGUMENT = 100.0
+_LATERAL_DEGREES = 16
+_LATERAL_DEGREES_A_WIDTH = 3.8
+_AXIAL_DEGREES = 10
+
+
+@dataclass(frozen=True, slots=True)
+class FocusField:
+    """The medium's step response in a cylinder around the focus, as few shapes, each with its own course in time."""
+
+    lateral_reach_m: float
+    axial_reach_m: float
+    response: StepResponse
+    """Amplitude of every mode, m per N/m^3."""
+    shape: Floats
+    """Chebyshev coefficients of every mode in the squares of both coordinates, (mode, lateral, axial)."""
+
+    def shapes(self, lateral_m: Floats, axial_m: Floats) -> Floats:
+        """Return every mode's shape at points (point,), distances from axis and focal plane: (point, mode)."""
+        reach = (self.lateral_reach_m, self.axial_reach_m)
+        if lateral_m.size and (lateral_m.max() > reach[0] * 1.0001 or np.abs(axial_m).max() > reach[1] * 1.0001):
+            raise ValueError(
+                f"a point {lateral_m.max() * 1e3:.3g} mm off the axis and {np.abs(axial_m).max() * 1e3:.3g} mm off the "
+                f"focal plane lies outside the tabulated field of {reach[0] * 1e3:.3g} and {reach[1] * 1e3:.3g} mm. "
+                "Try: a field that reaches as far as the scatterers."
+            )
+        rows = _chebyshev((lateral_m / reach[0]) ** 2, self.shape.shape[1])
+        columns = _chebyshev((axial_m / reach[1]) ** 2, self.shape.shape[2])
+        return np.asarray(np.einsum("pl,mla,pa->pm", rows, self.shape, columns, optimize=True))
+
+    def amplitudes(self, force: ForcePulses, time_ps: Picoseconds) -> Floats:
+        """Return every mode's amplitude under all ``force`` pulses at ``time_ps`` (time,): (time, mode)."""
+        return transients(self.response, force, time_ps)
+
+
+def focus_field(
+    specimen: Specimen, width_m: Triple, lateral_reach_m: float, axial_reach_m: float, tolerance: float = 1e-5
+) -> FocusField:
+    """Return the field of ``specimen`` around the focus, good to ``tolerance`` of the static displacement there.
+
+    Raises ``ValueError`` for a force of unequal lateral widths.
+    """
+    across = max(_LATERAL_DEGREES, math.ceil(_LATERAL_DEGREES_A_WIDTH * lateral_reach_m / width_m[0]))
+    lateral_m = lateral_reach_m * np.sqrt(_nodes(across))
+    axial_m = axial_reach_m * np.sqrt(_nodes(_AXIAL_DEGREES))
+    spectrum = _Spectrum(width_m, lateral_m, axial_m)
+    panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
+    degrees, count, points = panels.coefficient.shape
+    left, size, right = np.linalg.svd(panels.coefficient.reshape(-1, points), full_matrices=False)
+    modes = max(1, int(np.count_nonzero(size > 0.1 * tolerance * size[0])))
+    courses = (left[:, :modes] * size[:modes]).reshape(degrees, count, modes)
+    grid = right[:modes].reshape(modes, across, _AXIAL_DEGREES)
+    shape = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(_AXIAL_DEGREES), optimize=True)
+    response = StepResponse(memory_s(specimen, Panels(courses)), Panels(courses))
+    return FocusField(lateral_reach_m, axial_reach_m, response, shape)
+
+
+def field_transfer(
+    specimen: Specimen, width_m: Triple, lateral_m: Floats, axial_m: Floats, frequency_hz: Floats
+) -> Complexes:
+    """Return displacement over body force on a grid, (frequency, lateral, axial), m per N/m^3, factor exp(+jwt)."""
+    s = np.asarray(2j * np.pi * np.asarray(frequency_hz), np.complex128)
+    value = _Spectrum(width_m, lateral_m, axial_m).transfer(specimen, s)
+    return value.reshape(len(s), len(lateral_m), len(axial_m))
+
+
+class _Spectrum:
+    """What the force's spectrum puts into every point from every wave number on the ray: computed once a geometry."""
+
+    def __init__(self, width_m: Triple, lateral_m: Floats, axial_m: Floats) -> None:
+        if not math.isclose(width_m[0], width_m[1], rel_tol=1e-12):
+            raise ValueError(
+                f"the field around the focus needs a round beam, its widths are {width_m[0]:g} m and {width_m[1]:g} m. "
+                'Try: simulation.specimen.field = "gaussian", or equal excitation widths.'
+            )
+        self._strength = force_volume(width_m)
+        self.ray = _ray(width_m, float(lateral_m.max()), float(np.abs(axial_m).max()))
+        self._k2, self._into = _ray_spectrum(width_m, lateral_m, axial_m, self.ray)
+
+    def transfer(self, specimen: Specimen, s_per_s: Complexes) -> Complexes:
+        """Return the displacement at every point, (s, point)."""
+        modulus = shear_modulus(specimen, s_per_s)
+        pole = specimen.density_kg_per_m3 * s_per_s**2 / modulus
+        kernel = self._k2 / (self._k2 + pole[:, None]) / modulus[:, None]
+        return np.asarray(self._strength * (kernel @ self._into))
+
+
+def _ray(width_m: Triple, lateral_reach_m: float, axial_reach_m: float) -> float:
+    """Return the angle up to which waves along the ray grow at most to ``_LARGEST_GROWTH_EXPONENT`` in any point."""
+    m, a, _ = polar_nodes(width_m[0] ** 2, width_m[2] ** 2)
+    reach_m = lateral_reach_m * np.sqrt(1 - m**2) + axial_reach_m * m
+    # exp(|k| r sin(ray) - a |k|^2 cos(2 ray)) is largest at r^2 sin(ray)^2 / (4 a cos(2 ray))
+    most = float((reach_m**2 / (4 * a)).max())
+    return min(_RAY, math.asin(math.sqrt(_LARGEST_GROWTH_EXPONENT / (most + 2 * _LARGEST_GROWTH_EXPONENT))))
+
+
+def _turned(contour: Contour, share: float) -> Contour:
+    """Return a hyperbola with this share of the angle, as exact: it passes its poles nearer, with more nodes."""
+    if share == 1.0:
+        return contour
+    alpha = contour.alpha * share
+    span = math.acosh(math.cosh(contour.span) * math.sin(contour.alpha) / math.sin(alpha))
+    return replace(contour, nodes=math.ceil(contour.nodes / share), span=span, alpha=alpha)
+
+
+def _ray_spectrum(width_m: Triple, lateral_m: Floats, axial_m: Floats, ray: float) -> tuple[Complexes, Complexes]:
+    """Return the squares of the wave numbers, (k,), and their weighted share in every point, (k, point)."""
+    m, a, share = polar_nodes(width_m[0] ** 2, width_m[2] ** 2)
+    turn, finer = np.exp(1j * ray), _RAY / ray
+    reach_m = lateral_m.max() * np.sqrt(1 - m**2) + np.abs(axial_m).max() * m
+    highest = float(_highest(a, reach_m, ray).max())
+    edges = highest * 2.0 ** np.arange(-_OCTAVES, 1)
+    k2, into = [], []
+    for octave, (low, high) in enumerate(zip([0.0, *edges[:-1]], edges, strict=True)):
+        short = octave > _OCTAVES - _SHORT_OCTAVES
+        count = _NODES_WHERE_WAVES_ARE_SHORT if short else _NODES_AN_OCTAVE
+        node, weight = np.polynomial.legendre.leggauss(math.ceil(count * finer))
+        k = turn * ((high + low) / 2 + (high - low) / 2 * node)
+        # Directions in which the force is too long for these wave numbers put nothing into any point.
+        fall = a * (low * low * math.cos(2 * ray))
+        seen = fall - high * reach_m * math.sin(ray) < _NEGLIGIBLE_EXPONENT
+        sine, cosine = np.sqrt(1 - m[seen] ** 2)[:, None], m[seen][:, None]
+        spread = np.exp(-np.outer(k**2, a[seen])) * share[seen]
+        across = _bessel_j0(k[:, None, None] * sine * lateral_m)
+        along = np.cos(k[:, None, None] * cosine * axial_m)
+        block = np.einsum("km,kml,kma->kla", spread, across, along, optimize=True)
+        k2.append(k**2)
+        into.append(block.reshape(len(k), -1) * (turn * (high - low) / 2 * weight)[:, None])
+    return np.concatenate(k2), np.concatenate(into)
+
+
+def _highest(a: Floats, distance_m: Floats, ray: float) -> Floats:
+    """Return |k| where the force's spectrum, which falls, outweighs the waves, which grow along the ray off it."""
+    fall, growth = a * math.cos(2 * ray), distance_m * math.sin(ray)
+    return np.asarray((growth + np.sqrt(growth**2 + 4 * _NEGLIGIBLE_EXPONENT * fall)) / (2 * fall))
+
+
+def _bessel_j0(w: Complexes) -> Complexes:
+    """Return J0 in NumPy alone: its series where |w| is small, else the mean of cos(w cos(angle)).
+
+    The mean is exact once four times the angles pass |w|. Far out that is dear, and scipy worth its import.
+    """
+    largest = float(np.abs(w).max())
+    if largest < 0.5:
+        x = w * w / 4
+        return np.asarray(1 - x * (1 - x / 4 * (1 - x / 9)))
+    if largest > _DEAR_ARGUMENT:
+        from scipy.special import jv
+
+        return np.asarray(jv(0, w))
+    angles = 8 + math.ceil(0.3 * largest)
+    angle = (np.arange(angles) + 0.5) * np.pi / (2 * angles)
+    total = np.zeros_like(w)
+    for cosine in np.cos(angle):
+        total += np.cos(w * cosine)
+    return total / angles
+
+
+def _nodes(count: int) -> Floats:
+    return np.asarray((np.cos((np.arange(count) + 0.5) * np.pi / count) + 1) / 2)
+
+
+def _chebyshev(place: Floats, count: int) -> Floats:
+    angle = np.arccos(np.clip(2 * place - 1, -1.0, 1.0))
+    return np.asarray(np.cos(angle[:, None] * np.arange(count)))
+
+
+def _to_series(count: int) -> Floats:
+    series = np.cos(np.outer(np.arange(count), (np.arange(count) + 0.5) * np.pi / count)) * (2 / count)
+    series[0] /= 2
+    return np.asarray(series)

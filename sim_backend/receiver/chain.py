@@ -1,0 +1,103 @@
+"""From the transducer's terminals to the digitizer, element by element; what the scene leaves out costs nothing.
+
+    notch -> T/R switch -> (preamplifier noise) -> band-pass -> logarithmic amplifier -> band-pass
+
+Linear neighbours are one filter: without a switch in the way and without logarithm the whole chain is one product.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.receiver.filters import band_pass, notch, ringing_s, sampled
+from sim_backend.receiver.log_amplifier import compressed
+from sim_backend.settings import BandFilter, ReceiveChain
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+_RECORDS_AT_ONCE = 64
+TRAIL = 24
+"""Samples that the chain needs after the wanted ones: how far the sampled filters look ahead."""
+
+
+def lead_s(chain: ReceiveChain) -> float:
+    """Return how much earlier than the wanted volts the chain's input must begin, for ``chain.tail_tolerance``."""
+    return ringing_s(_bands(chain), chain.tail_tolerance)
+
+
+def fast_length(samples: int) -> int:
+    """Return the smallest number from ``samples`` on with no prime factor above 5: what a Fourier transform likes."""
+    odd: list[int] = [3**threes * 5**fives for threes in range(8) for fives in range(6)]
+    return min(factor << max(0, math.ceil(math.log2(samples / factor))) for factor in odd)
+
+
+def receive(
+    volts: Floats,
+    chain: ReceiveChain,
+    sample_period_s: float,
+    switch: Floats | None = None,
+    rng: np.random.Generator | None = None,
+) -> Floats:
+    """Return what leaves the chain, float64 (record, sample), for ``volts`` (record, sample) at the transducer.
+
+    The filters see each record as if it repeated: the first `lead_s` of it and its last `TRAIL` samples are spoilt.
+    ``switch`` (record, sample) is the share that the T/R switch passes, None all of it; ``rng`` draws the
+    preamplifier's noise, needed where the chain has any.
+    """
+    frequency_hz: Floats = np.fft.rfftfreq(volts.shape[1], sample_period_s).astype(np.float64)
+    out = np.empty_like(volts)
+    for first in range(0, len(volts), _RECORDS_AT_ONCE):
+        some = slice(first, first + _RECORDS_AT_ONCE)
+        passed = None if switch is None else switch[some]
+        out[some] = _receive(volts[some], chain, frequency_hz, sample_period_s, passed, rng)
+    return out
+
+
+def _receive(
+    volts: Floats,
+    chain: ReceiveChain,
+    frequency_hz: Floats,
+    period_s: float,
+    switch: Floats | None,
+    rng: np.random.Generator | None,
+) -> Floats:
+    pending: Complexes | None = None
+    if chain.notch is not None:
+        pending = sampled(notch(chain.notch, frequency_hz), 1.0)
+    if switch is not None:
+        volts, pending = _filtered(volts, pending) * switch, None
+    if chain.noise_v_per_sqrt_hz and rng is not None:
+        volts, pending = _filtered(volts, pending) + _noise(volts.shape, chain, period_s, rng), None
+    if chain.band_pass is not None:
+        pending = _product(pending, sampled(band_pass(chain.band_pass, frequency_hz), 0.0))
+    if chain.log_amplifier is not None:
+        volts, pending = compressed(_filtered(volts, pending), chain.log_amplifier), None
+    if chain.second_band_pass is not None:
+        pending = _product(pending, sampled(band_pass(chain.second_band_pass, frequency_hz), 0.0))
+    return _filtered(volts, pending)
+
+
+def _filtered(volts: Floats, response: Complexes | None) -> Floats:
+    if response is None:
+        return volts
+    return np.asarray(np.fft.irfft(np.fft.rfft(volts) * response, volts.shape[1]))
+
+
+def _product(one: Complexes | None, other: Complexes) -> Complexes:
+    return other if one is None else one * other
+
+
+def _noise(shape: tuple[int, ...], chain: ReceiveChain, period_s: float, rng: np.random.Generator) -> Floats:
+    """Return white noise of the preamplifier's density, up to half the sampling rate of the chain."""
+    assert chain.noise_v_per_sqrt_hz is not None  # noqa: S101
+    noise = rng.standard_normal(shape)
+    noise *= chain.noise_v_per_sqrt_hz * math.sqrt(0.5 / period_s)
+    return noise
+
+
+def _bands(chain: ReceiveChain) -> list[BandFilter]:
+    return [band for band in (chain.notch, chain.band_pass, chain.second_band_pass) if band is not None]

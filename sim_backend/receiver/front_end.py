@@ -1,0 +1,78 @@
+"""From the sum over scatterers to volts at the digitizer: gain, noise, toneburst leak.
+
+The band of the receive chain is not modelled here: an echo keeps its strength whatever its carrier.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.echoes import echo_pulse, echoes
+from sim_backend.settings import Receiver, SimulationSettings, Specimen
+from sim_backend.wiring import PS_PER_S, Bursts
+
+Floats = NDArray[np.float64]
+
+_REFERENCE_CYCLES = 3.0
+# One echo only: the last digits cost nothing.
+_GAIN_TOLERANCE = 1e-12
+_SAMPLES_PER_CYCLE = 16
+
+
+def reference_gate_s(receiver: Receiver, sound_speed_m_per_s: float) -> Floats:
+    """Return dense sample times that fill the reference gate, relative to the echo of the focus, (sample,)."""
+    length_s = 2 * receiver.reference_gate_m / sound_speed_m_per_s
+    count = max(_SAMPLES_PER_CYCLE, math.ceil(length_s * receiver.reference_carrier_hz * _SAMPLES_PER_CYCLE))
+    return np.asarray(((np.arange(count) + 0.5) / count - 0.5) * length_s)
+
+
+def echo_gain_v(settings: SimulationSettings, depth_delay_s: Floats, weight: Floats) -> float:
+    """Return the volts of a scatterer of weight 1, so that the resting echo has ``echo_rms_v`` in the reference gate.
+
+    It belongs to the scatterers given (scatterer,) and to the reference pulse: 3 cycles, ``reference_pulse_vpp``,
+    ``reference_carrier_hz``. Zero where nothing echoes into the gate.
+    """
+    receiver, sound_speed_m_per_s = settings.receiver, settings.sound_speed_m_per_s
+    pulse = echo_pulse(settings, receiver.reference_carrier_hz)
+    gate_s = reference_gate_s(receiver, sound_speed_m_per_s)
+    still = np.zeros_like(weight), np.zeros(1)
+    resting = echoes(depth_delay_s, weight, *still, pulse, gate_s, sound_speed_m_per_s, _GAIN_TOLERANCE)
+    rms = float(np.sqrt(np.mean(np.square(resting))))
+    return receiver.echo_rms_v / rms if rms > 0 else 0.0
+
+
+def pulse_strength(pulses: Bursts, receiver: Receiver) -> Floats:
+    """Return each tracking pulse's strength relative to the reference pulse, (burst,).
+
+    A burst shorter than the transducer's response delivers amplitude in proportion to its length.
+    """
+    return np.asarray(pulses.amplitude_vpp / receiver.reference_pulse_vpp * pulses.cycles / _REFERENCE_CYCLES)
+
+
+def noise_v(receiver: Receiver, records: int, samples: int, rng: np.random.Generator) -> Floats:
+    """Return white noise, (record, sample), ``snr_db`` below the resting echo of the reference pulse, eq. (16).
+
+    A stronger pulse therefore gains signal over noise, as on the bench. The caller skips it where ``snr_db`` is None.
+    """
+    level_v = 0.0 if receiver.snr_db is None else receiver.echo_rms_v * 10 ** (-receiver.snr_db / 20)
+    noise = rng.standard_normal((records, samples))
+    noise *= level_v
+    return noise
+
+
+def toneburst_echo_strength(tonebursts: Bursts, receiver: Receiver) -> Floats:
+    """Return each toneburst's echo strength relative to the reference pulse, (burst,): long bursts ring up fully."""
+    return np.asarray(receiver.toneburst_echo_gain * tonebursts.amplitude_vpp / receiver.reference_pulse_vpp)
+
+
+def leak_per_vpp_v(settings: SimulationSettings) -> float:
+    """Return the volts a toneburst being transmitted leaks into the receiver for each Vpp at the generator."""
+    return settings.receiver.toneburst_leak_v / (settings.specimen or Specimen()).reference_drive_vpp
+
+
+def leak_v(amplitude_v: float, carrier_hz: float, age_ps: NDArray[np.int64]) -> Floats:
+    """Return the leak of one toneburst at ``age_ps`` (sample,) after its onset, while it is transmitted, V."""
+    return np.asarray(amplitude_v * np.sin(2 * np.pi * carrier_hz * (age_ps / PS_PER_S)))

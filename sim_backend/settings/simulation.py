@@ -1,0 +1,259 @@
+"""The ``[simulation]`` section of a scene: what the twin simulates; validated here, in the twin's own words.
+
+Provenance of every default is in its description: *paper* (Table I or Sec. III of the source paper), *manual*
+(instrument reference), *assumed* (no source; set it in the scene where it matters).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from sim_backend.settings.chain import ReceiveChain
+from sim_backend.settings.presets import Preset, with_preset
+from sim_backend.settings.section import Finite, NonNegative, Positive, Section, Triple
+
+
+class Specimen(Section):
+    """A viscoelastic medium driven by the radiation force of the excitation beam."""
+
+    preset: Preset | None = None
+    """A specimen by name, which fills in every medium setting that is absent."""
+    medium: Literal["voigt", "maxwell", "zener", "power_law"] = "voigt"
+    """Law of the complex shear modulus."""
+    shear_modulus_pa: Positive = 7.25e3
+    """Shear elasticity mu1 (paper: gelatin 12 %, 7.25 kPa); of a power law, the modulus at the reference frequency."""
+    shear_viscosity_pa_s: NonNegative = 1.0
+    """Shear viscosity mu2 (paper: 1.0 Pa s)."""
+    branch_modulus_pa: Positive = 10.0e3
+    """Spring in series with the viscosity, of a Zener medium (assumed)."""
+    power: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    """Exponent of a power law's frequency (assumed)."""
+    reference_frequency_hz: Positive = 100.0
+    """Frequency at which a power law has ``shear_modulus_pa``."""
+    attenuation_db_per_cm_mhz: Positive = 0.5
+    """Attenuation of the medium (assumed); with the force it tells the intensity at the focus."""
+    density_kg_per_m3: Positive = 1000.0
+    """Mass density (assumed)."""
+    field: Literal["medium", "gaussian"] = "medium"
+    """Motion around the focus: the medium's own field, broader and later farther out, or the Gaussian of eq. (12)."""
+    force_density_n_per_m3: Positive = 4.0e6
+    """Body force at the focus while a toneburst of ``reference_drive_vpp`` is on (assumed)."""
+    reference_drive_vpp: Positive = 1.0
+    """Toneburst amplitude at the generator that gives ``force_density_n_per_m3``; force goes with its square."""
+    resonance_hz: Positive = 3.0e6
+    """Centre of the transducer's transmit band (paper: 3.0 MHz)."""
+    resonance_quality: Positive = 2.34
+    """Quality of that band as one damped mode (paper: -16 dB at 9 MHz)."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_in_preset(cls, given: Any) -> Any:
+        return with_preset(given)
+
+    @model_validator(mode="after")
+    def _maxwell_needs_viscosity(self) -> Specimen:
+        if self.medium == "maxwell" and self.shear_viscosity_pa_s == 0:
+            raise ValueError("a maxwell medium without viscosity resists nothing: raise shear_viscosity_pa_s above 0")
+        return self
+
+
+class Transmitter(Section):
+    """Hybrid junction, power amplifier and matching transformer between generators and transducer."""
+
+    gain_db: Finite = 40.0
+    """Gain of the power amplifier (paper: 40 dB)."""
+    hybrid_loss_db: NonNegative = 3.0
+    """Loss of the hybrid junction from either generator: half the power goes to its other port (assumed)."""
+    matching_gain_db: Finite = 0.0
+    """Voltage gain of diode bridge and matching transformer (assumed)."""
+    saturation_v: Positive | None = None
+    """Ceiling of the amplifier's output amplitude; absent: it is linear and has no harmonics."""
+    saturation_sharpness: Annotated[float, Field(ge=0.5, le=20)] = 2.0
+    """Exponent p of the ceiling, the Rapp law (assumed)."""
+
+
+class MotionComponent(Section):
+    """One sinusoid of a prescribed motion, D(t) = amplitude sin(2 pi f t + phase), t from the master trigger's edge."""
+
+    frequency_hz: Positive
+    """Vibration frequency."""
+    amplitude_m: NonNegative
+    """Peak displacement D_0 at the focus."""
+    phase_rad: Finite = 0.0
+    """Vibration phase."""
+
+
+Ratio = Annotated[float, Field(gt=0, allow_inf_nan=True)]
+
+
+class Beams(Section):
+    """Gaussian excitation and tracking beams; widths are the sigmas E and T of eq. (8) and (12)."""
+
+    excitation_width_m: Triple = (0.17e-3, 0.17e-3, 1.80e-3)
+    """E_x, E_y, E_z (paper, Table I)."""
+    tracking_width_m: Triple = (0.078e-3, 0.078e-3, 0.83e-3)
+    """T_x, T_y, T_z (paper, Table I)."""
+    width_ratio: tuple[Ratio, Ratio, Ratio] | None = None
+    """W_x, W_y, W_z: the motion is W times T wide instead of E; inf: it is the same everywhere."""
+    lateral_offset_m: tuple[Finite, Finite] = (0.0, 0.0)
+    """Where the tracking axis lies, x and y from the excitation axis (assumed: on it)."""
+    focus_depth_m: Positive = 70.0e-3
+    """Distance z_F from the transducer to the common focus (paper: 70 mm)."""
+
+    @model_validator(mode="after")
+    def _ratio_is_a_number(self) -> Beams:
+        if any(ratio != ratio for ratio in self.width_ratio or ()):
+            raise ValueError("width_ratio holds nan: give numbers above 0, or inf for the same motion everywhere")
+        return self
+
+    def motion_width_m(self) -> tuple[float, float, float]:
+        """Return the sigmas of the displacement, E, or W times T where W is given."""
+        if self.width_ratio is None:
+            return self.excitation_width_m
+        (wx, wy, wz), (tx, ty, tz) = self.width_ratio, self.tracking_width_m
+        return wx * tx, wy * ty, wz * tz
+
+
+class Reflector(Section):
+    """A strong reflector among the scatterers."""
+
+    kind: Literal["point", "plane"] = "point"
+    """A point, or a plane across the beam that reflects everywhere alike."""
+    position_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    """x, y, z from the focus; of a plane z alone counts."""
+    strength: Finite = 10.0
+    """Reflectivity, that of a scatterer being 1; of a plane, of its whole beam-weighted area at the focus."""
+    moves: bool = True
+    """Whether it takes part in the motion."""
+
+
+class Scatterers(Section):
+    """Point scatterers, uniform in a box around the focus."""
+
+    volume_m: Triple = (1.0e-3, 1.0e-3, 5.0e-3)
+    """Box x_v, y_v, z_v, centred on the focus (paper, Table I)."""
+    per_cell: NonNegative = 11.0
+    """Scatterers per resolution cell, the volume where the tracking beam is above -6 dB (paper, Table I)."""
+    axial_delay: Literal["two_way", "none"] = "two_way"
+    """Whether the echo of a scatterer carries the delay of its depth; "none" is eq. (11) read literally."""
+    bandwidth: Annotated[float, Field(gt=0, le=2)] = 0.065
+    """Fractional bandwidth BW of the echo pulse relative to the tracking carrier: eq. (9)'s, or -6 dB width."""
+    pulse: Literal["hann", "gaussian", "burst"] = "hann"
+    """Echo pulse: Hann of eq. (9), Gaussian, or a 3-cycle burst through a Gaussian band about ``band_centre_hz``."""
+    band_centre_hz: Positive = 9.0e6
+    """Centre of the receive band of ``pulse = "burst"`` (paper: band-pass filter at 9.0 MHz)."""
+    measured_pulse: tuple[Finite, ...] | None = None
+    """Samples of a measured echo pulse, centred on its arrival; replaces ``pulse`` whatever the carrier."""
+    measured_pulse_rate_hz: Positive = 100.0e6
+    """Sample rate of ``measured_pulse``."""
+    reflectivity: Literal["unit", "sign", "normal"] = "unit"
+    """Reflectivity of each scatterer: 1 (paper), +1 or -1, or standard normal."""
+    reflectors: tuple[Reflector, ...] = ()
+    """Point and plane reflectors besides the scatterers."""
+    attenuation_db_per_cm_mhz: NonNegative = 0.0
+    """Loss one way; echoes from the focus lose their high frequencies (assumed: none; soft tissue 0.5)."""
+
+
+class Receiver(Section):
+    """Receive chain between transducer and digitizer."""
+
+    snr_db: Finite | None = None
+    """Echo power at rest in the reference gate over noise power; absent: no noise is drawn."""
+    reference_gate_m: Positive = 1.0e-3
+    """Length of the reference gate around the focus in which ``snr_db`` and ``echo_rms_v`` hold."""
+    echo_rms_v: Positive = 0.1
+    """Root mean square of the resting echo in the reference gate for a 3-cycle pulse of ``reference_pulse_vpp``."""
+    reference_pulse_vpp: Positive = 1.0
+    """Tracking pulse amplitude at the generator that gives ``echo_rms_v``."""
+    reference_carrier_hz: Positive = 9.0e6
+    """Carrier of the pulse that gives ``echo_rms_v`` (paper: 9.0 MHz)."""
+    toneburst_leak_v: NonNegative = 2.0
+    """Amplitude at the digitizer while a toneburst of the specimen's reference drive is transmitted (assumed)."""
+    toneburst_echo_gain: NonNegative = 1.0
+    """Echo of the toneburst relative to a tracking echo of the same drive, after the 3 MHz notch (assumed)."""
+
+
+class Instruments(Section):
+    """The simulated instruments' own properties."""
+
+    dual_port_memory: bool = True
+    """Whether the digitizer has the optional dual-port memory that AutoDMA needs."""
+    samples_per_channel: Annotated[int, Field(ge=1024)] = 8_388_608
+    """On-board memory of the digitizer (assumed)."""
+    fpga_version: Annotated[int, Field(ge=1)] = 19
+    """FPGA version of the digitizer; 18 and below hold at most 1000 single-port records (manual)."""
+    generator_latency_s: NonNegative = 100.0e-9
+    """Trigger input to first output edge of a 33250A (manual, from memory: < 100 ns)."""
+    digitizer_latency_s: NonNegative = 0.0
+    """Trigger input to sample 0 without trigger delay (assumed)."""
+    aux_latency_s: NonNegative = 0.0
+    """Trigger input to rising edge of the AUX trigger output (assumed)."""
+    aux_waits_for_trigger_delay: bool = False
+    """Whether that edge comes only after the digitizer's trigger delay (assumed: not, whatever the delay)."""
+    message_time_s: NonNegative = 1.0e-3
+    """Time one SCPI message takes (assumed)."""
+    trigger_jitter_s: NonNegative = 0.0
+    """Jitter of each 33250A from trigger to output, root mean square; 0 where it does not matter."""
+    sample_clock_jitter_s: NonNegative = 0.0
+    """Aperture jitter of the digitizer, root mean square."""
+    sample_clock_offset: Annotated[float, Field(gt=-1e-2, lt=1e-2)] = 0.0
+    """How much longer than nominal the digitizer's sample period is, relative."""
+
+
+class SimulationSettings(Section):
+    """Everything the twin is told apart from what the drivers program."""
+
+    seed: Annotated[int, Field(ge=0)] = 1
+    """Seed of every random number drawn."""
+    sound_speed_m_per_s: Positive = 1540.0
+    """Longitudinal sound speed c (paper, Table I)."""
+    specimen: Specimen | None = None
+    """A medium moved by the tonebursts; exclusive with ``motion``."""
+    transmitter: Transmitter = Transmitter()
+    """What stands between the generators and the transducer."""
+    motion: tuple[MotionComponent, ...] | None = None
+    """Prescribed motion (eq. 13); exclusive with ``specimen``."""
+    beams: Beams = Beams()
+    """Excitation and tracking beams."""
+    scatterers: Scatterers = Scatterers()
+    """What echoes."""
+    receiver: Receiver = Receiver()
+    """What happens to the echo before the digitizer."""
+    receive_chain: ReceiveChain | None = None
+    """The receive chain element by element; absent: an ideal one."""
+    instruments: Instruments = Instruments()
+    """What the simulated instruments are."""
+
+    @model_validator(mode="after")
+    def _one_cause_of_noise(self) -> SimulationSettings:
+        if self.receive_chain is not None and self.receiver.snr_db is not None:
+            raise ValueError(
+                "receiver.snr_db and receive_chain exclude each other: with a chain the noise is the preamplifier's, "
+                "receive_chain.noise_v_per_sqrt_hz"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _field_of_a_round_force(self) -> SimulationSettings:
+        if self.specimen is None or self.specimen.field == "gaussian":
+            return self
+        x, y, _ = self.beams.excitation_width_m
+        remedy = 'specimen.field = "gaussian"'
+        if abs(x - y) > 1e-12 * x:
+            raise ValueError(
+                f"the medium's own field is that of a round force, beams.excitation_width_m is {x:g} m by {y:g} m: "
+                f"make both equal, or set {remedy}"
+            )
+        if self.beams.width_ratio is not None:
+            raise ValueError(f"beams.width_ratio sets the shape of a Gaussian motion: remove it, or set {remedy}")
+        return self
+
+    @model_validator(mode="after")
+    def _one_cause_of_motion(self) -> SimulationSettings:
+        if self.specimen is not None and self.motion is not None:
+            raise ValueError(
+                "specimen and motion exclude each other: remove [simulation.specimen] or [[simulation.motion]]"
+            )
+        return self

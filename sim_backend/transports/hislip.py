@@ -1,0 +1,140 @@
+"""Instruments behind HiSLIP (IVI-6.1): a synchronous and an asynchronous connection, messages with numbers."""
+
+from __future__ import annotations
+
+import itertools
+import socket
+import struct
+import threading
+from enum import IntEnum
+from typing import Final, NamedTuple, final
+
+from sim_backend.transports.loopback import LOOPBACK, Listener, Port, receive_exactly
+
+
+class Kind(IntEnum):
+    """Message types of IVI-6.1, table 4, as far as they occur here."""
+
+    INITIALIZE = 0
+    INITIALIZE_RESPONSE = 1
+    FATAL_ERROR = 2
+    ERROR = 3
+    ASYNC_LOCK = 4
+    ASYNC_LOCK_RESPONSE = 5
+    DATA = 6
+    DATA_END = 7
+    DEVICE_CLEAR_COMPLETE = 8
+    DEVICE_CLEAR_ACKNOWLEDGE = 9
+    ASYNC_REMOTE_LOCAL = 10
+    ASYNC_REMOTE_LOCAL_RESPONSE = 11
+    TRIGGER = 12
+    ASYNC_MAXIMUM = 15
+    ASYNC_MAXIMUM_RESPONSE = 16
+    ASYNC_INITIALIZE = 17
+    ASYNC_INITIALIZE_RESPONSE = 18
+    ASYNC_CLEAR = 19
+    ASYNC_STATUS = 21
+    ASYNC_STATUS_RESPONSE = 22
+    ASYNC_CLEAR_ACKNOWLEDGE = 23
+
+
+UNRECOGNIZED_TYPE, BAD_INITIALIZATION = 1, 3
+
+HEADER: Final = struct.Struct("!2sBBIQ")
+PROLOGUE: Final = b"HS"
+VERSION_1_0: Final = 0x0100
+MAXIMUM_BYTES: Final = 1 << 20
+
+
+class Message(NamedTuple):
+    """One HiSLIP message."""
+
+    kind: int
+    control: int
+    parameter: int
+    payload: bytes
+
+
+@final
+class HislipServer:
+    """A SCPI instrument at the sub-address ``hislip0``; a reply carries the number of the message that asked for it."""
+
+    def __init__(self, port: Port) -> None:
+        self._port = port
+        self._sessions = itertools.count(1)
+        self._lock = threading.Lock()
+        self._listener = Listener(self._converse)
+
+    @property
+    def address(self) -> str:
+        """The VISA resource name."""
+        return f"TCPIP0::{LOOPBACK}::hislip0,{self._listener.port}::INSTR"
+
+    def close(self) -> None:
+        """Hang up and stop listening."""
+        self._listener.close()
+
+    def _converse(self, peer: socket.socket) -> None:
+        first = receive(peer)
+        if first.kind == Kind.INITIALIZE:
+            with self._lock:
+                session = next(self._sessions)
+            send(peer, Message(Kind.INITIALIZE_RESPONSE, 0, VERSION_1_0 << 16 | session & 0xFFFF, b""))
+            self._answer_synchronous(peer)
+        elif first.kind == Kind.ASYNC_INITIALIZE:
+            send(peer, Message(Kind.ASYNC_INITIALIZE_RESPONSE, 0, int.from_bytes(b"\0\0TW"), b""))
+            self._answer_asynchronous(peer)
+        else:
+            send(peer, Message(Kind.FATAL_ERROR, BAD_INITIALIZATION, 0, b"Initialize comes first"))
+
+    def _answer_synchronous(self, peer: socket.socket) -> None:
+        begun = b""
+        while True:
+            message = receive(peer)
+            match message.kind:
+                case Kind.DATA:
+                    begun += message.payload
+                case Kind.DATA_END:
+                    whole, begun = begun + message.payload, b""
+                    reply = self._port.answer(whole)
+                    if reply:
+                        send(peer, Message(Kind.DATA_END, 0, message.parameter, reply))
+                case Kind.DEVICE_CLEAR_COMPLETE:
+                    begun = b""
+                    self._port.reply()
+                    send(peer, Message(Kind.DEVICE_CLEAR_ACKNOWLEDGE, 0, 0, b""))
+                case Kind.TRIGGER:
+                    self._port.take(b"*TRG")
+                case _:
+                    send(peer, Message(Kind.ERROR, UNRECOGNIZED_TYPE, 0, b"unrecognized message type"))
+
+    def _answer_asynchronous(self, peer: socket.socket) -> None:
+        while True:
+            message = receive(peer)
+            match message.kind:
+                case Kind.ASYNC_MAXIMUM:
+                    send(peer, Message(Kind.ASYNC_MAXIMUM_RESPONSE, 0, 0, struct.pack("!Q", MAXIMUM_BYTES)))
+                case Kind.ASYNC_CLEAR:
+                    send(peer, Message(Kind.ASYNC_CLEAR_ACKNOWLEDGE, 0, 0, b""))
+                case Kind.ASYNC_STATUS:
+                    send(peer, Message(Kind.ASYNC_STATUS_RESPONSE, self._port.status_byte(), 0, b""))
+                case Kind.ASYNC_LOCK:
+                    send(peer, Message(Kind.ASYNC_LOCK_RESPONSE, 1, 0, b""))
+                case Kind.ASYNC_REMOTE_LOCAL:
+                    send(peer, Message(Kind.ASYNC_REMOTE_LOCAL_RESPONSE, 0, 0, b""))
+                case _:
+                    send(peer, Message(Kind.ERROR, UNRECOGNIZED_TYPE, 0, b"unrecognized message type"))
+
+
+def send(peer: socket.socket, message: Message) -> None:
+    """Send one message."""
+    header = HEADER.pack(PROLOGUE, message.kind, message.control, message.parameter, len(message.payload))
+    peer.sendall(header + message.payload)
+
+
+def receive(peer: socket.socket) -> Message:
+    """Return the next message; raise ``EOFError`` where the peer hangs up or does not speak HiSLIP."""
+    prologue, kind, control, parameter, size = HEADER.unpack(receive_exactly(peer, HEADER.size))
+    if prologue != PROLOGUE or size > MAXIMUM_BYTES:
+        raise EOFError("not a HiSLIP message")
+    return Message(kind, control, parameter, receive_exactly(peer, size))

@@ -1,0 +1,117 @@
+"""Instruments behind a byte stream where a line feed ends a message: raw TCP socket and RS-232."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+from contextlib import suppress
+from typing import final
+
+from sim_backend.transports.loopback import LOOPBACK, RECEIVE_BYTES, Listener, Port
+
+
+class Lines:
+    """Bytes in, whole lines out."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def completed_by(self, received: bytes) -> list[bytes]:
+        """Return the lines that ``received`` completes, without their line feed; what is left over is kept."""
+        *lines, self._rest = (self._rest + received).split(b"\n")
+        return lines
+
+
+@final
+class SocketServer:
+    """A SCPI instrument on a raw TCP socket."""
+
+    def __init__(self, port: Port, tcp_port: int = 0) -> None:
+        self._port = port
+        self._listener = Listener(self._converse, tcp_port)
+
+    @property
+    def address(self) -> str:
+        """The VISA resource name."""
+        return f"TCPIP0::{LOOPBACK}::{self.tcp_port}::SOCKET"
+
+    @property
+    def tcp_port(self) -> int:
+        """The port that is listened on."""
+        return self._listener.port
+
+    def close(self) -> None:
+        """Hang up and stop listening."""
+        self._listener.close()
+
+    def _converse(self, peer: socket.socket) -> None:
+        lines = Lines()
+        while received := peer.recv(RECEIVE_BYTES):
+            for line in lines.completed_by(received):
+                reply = self._port.answer(line)
+                if reply:
+                    peer.sendall(reply)
+
+
+@final
+class SerialOverTcp:
+    """A SCPI instrument's RS-232 line behind a TCP socket, which pyserial opens as ``socket://``."""
+
+    def __init__(self, port: Port) -> None:
+        self._server = SocketServer(port)
+
+    @property
+    def address(self) -> str:
+        """The VISA resource name as pyvisa-py takes it; other VISA libraries know serial lines of this machine only."""
+        return f"ASRLsocket://{LOOPBACK}:{self._server.tcp_port}::INSTR"
+
+    def close(self) -> None:
+        """Hang up and stop listening."""
+        self._server.close()
+
+
+@final
+class SerialServer:
+    """A SCPI instrument on a pseudo terminal, which a program opens as it would open an RS-232 port."""
+
+    def __init__(self, port: Port) -> None:
+        import tty
+
+        self._port = port
+        self._ours, self._theirs = os.openpty()
+        # Without raw mode the terminal would echo commands back as replies.
+        tty.setraw(self._theirs)
+        self._wake, self._woken = os.pipe()
+        self._thread = threading.Thread(target=self._converse, daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """The VISA resource name."""
+        return f"ASRL{os.ttyname(self._theirs)}::INSTR"
+
+    def close(self) -> None:
+        """Stop answering and take the terminal away."""
+        os.write(self._woken, b".")
+        self._thread.join(timeout=5.0)
+        for descriptor in (self._ours, self._theirs, self._wake, self._woken):
+            os.close(descriptor)
+
+    def _converse(self) -> None:
+        import select
+
+        lines = Lines()
+        while True:
+            ready, _, _ = select.select([self._ours, self._wake], [], [])
+            if self._wake in ready:
+                return
+            for line in lines.completed_by(os.read(self._ours, RECEIVE_BYTES)):
+                reply = self._port.answer(line)
+                with suppress(OSError):
+                    os.write(self._ours, reply)
+
+
+def serial_server(port: Port) -> SerialServer | SerialOverTcp:
+    """Return a serial line to the instrument: a pseudo terminal, or TCP where there are none (Windows)."""
+    return SerialServer(port) if hasattr(os, "openpty") else SerialOverTcp(port)

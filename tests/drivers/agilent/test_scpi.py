@@ -1,0 +1,260 @@
+"""One SCPI session against scripts that coerce, queue errors, stay silent or answer late."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+
+import pytest
+
+from drivers.agilent.read_back import Register
+from drivers.agilent.scpi import QUEUE_READS, RefusedError, ScpiSession, joined
+from drivers.interfaces import InstrumentError
+from sim_backend.clock import SimulatedClock
+from sim_backend.generator.instrument import Generator33250A
+
+RATE = Register("rate_hz", "FREQ", 100.0)
+COUNT = Register("count", "BURS:NCYC", 20)
+
+
+class LateWire:
+    """Answers each query with its own text; the reply to ``lost`` is ``stale`` and only comes after ``late`` reads.
+
+    A connection keeps its order: what is asked later is answered behind the late reply.
+    """
+
+    def __init__(self, lost: str, late: int, stale: str) -> None:
+        self.lost, self.late, self.stale = lost, late, stale
+        self.outbox: deque[str] = deque()
+        self.reads_to_wait = 0
+        self.held = "0"
+
+    def write(self, message: str) -> None:
+        for part in message.split(";"):
+            if part == self.lost:
+                self.lost, self.reads_to_wait = "", self.late
+                self.outbox.append(self.stale)
+            elif part.startswith("*ESE "):
+                self.held = part.split()[1]
+            elif part == "*ESE?":
+                self.outbox.append(f"+{self.held}")
+            elif part.endswith("?"):
+                self.outbox.append(f"answer to {part}")
+
+    def read(self) -> str:
+        self.reads_to_wait -= 1
+        if self.reads_to_wait >= 0 or not self.outbox:
+            raise TimeoutError("nothing to read")
+        return self.outbox.popleft()
+
+    def close(self) -> None:
+        pass
+
+
+def test_joined_commands_each_start_at_the_root_and_common_ones_stay_bare() -> None:
+    assert joined(["OUTP 0", "*CLS", "FUNC PULS", "PULS:WIDT 1E-5"]) == "OUTP 0;*CLS;:FUNC PULS;:PULS:WIDT 1E-5"
+
+
+def test_a_group_goes_out_as_one_message_and_comes_back_with_the_error_queue_in_another(scripted) -> None:
+    wire = scripted()
+    ScpiSession(wire, "master").program("train", [RATE, COUNT])
+    assert wire.messages == ["FREQ 1.000000000000E+02;:BURS:NCYC 20", "FREQ?;:BURS:NCYC?;:SYST:ERR?"]
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_an_error_at_each_position_of_a_group_is_an_error_that_names_it(place: int) -> None:
+    """The instrument stops at the first command that it does not know; what stands before it has been carried out."""
+    registers = [RATE, COUNT, Register("delay_s", "TRIG:DEL", 1e-3)]
+    registers[place] = Register("nonsense", "NON:SENS", 1.0)
+    session = ScpiSession(Generator33250A(SimulatedClock(), 0.0), "master")
+    with pytest.raises(InstrumentError) as caught:
+        session.program("train", registers)
+    assert "NON:SENS" in str(caught.value)
+    assert "-113" in str(caught.value) or place == 0
+    assert float(session.query("FREQ?")) == (1000.0 if place == 0 else 100.0)
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_a_coercion_at_each_position_of_a_group_is_found(scripted, place: int) -> None:
+    registers = [Register(f"key_{index}", f"HEAD:NUM{index}", 1.0) for index in range(4)]
+    wire = scripted(replies={f"HEAD:NUM{place}": "+2.0000000000000E+00"})
+    with pytest.raises(RefusedError, match=f"key_{place} "):
+        ScpiSession(wire, "master").program("group", registers)
+
+
+def test_an_error_queue_that_overflowed_is_told_with_every_error_and_is_empty_afterwards() -> None:
+    session = ScpiSession(Generator33250A(SimulatedClock(), 0.0), "master")
+    for _ in range(30):
+        session.write("FREQ 1E12")
+    errors = session.drain_errors()
+    assert [error.number for error in errors] == [-222] * 19 + [-350]
+    assert session.drain_errors() == ()
+
+
+@pytest.mark.parametrize("reply", ["+1.0E+02", '+1.0E+02;+0,"No error"', "+1.0E+02;+20;", "\x00\xff;\x80;\x81", ";;"])
+def test_half_a_reply_and_garbage_are_errors_and_the_next_answer_fits_its_question(scripted, reply: str) -> None:
+    wire = scripted()
+    session = ScpiSession(wire, "master")
+    session.write(RATE.command, COUNT.command)
+    read = wire.read
+    wire.read = lambda: (setattr(wire, "read", read), wire.outbox.clear(), reply)[-1]
+    with pytest.raises(InstrumentError, match="master"):
+        session.verify("train", [RATE, COUNT])
+    session.verify("train", [RATE, COUNT])
+
+
+def test_a_reply_that_comes_in_two_lines_shifts_no_later_answer(scripted) -> None:
+    """The second line reads like an empty error queue."""
+    wire = scripted()
+    session = ScpiSession(wire, "master")
+    session.write(RATE.command, COUNT.command)
+    read = wire.read
+
+    def first_line() -> str:
+        wire.read = read
+        head, _, tail = read().rpartition(";")
+        wire.outbox.appendleft(tail)
+        return head
+
+    wire.read = first_line
+    with pytest.raises(InstrumentError, match="3 queries had 2 replies"):
+        session.verify("train", [RATE, COUNT])
+    assert session.query("BURS:NCYC?") == "20"
+
+
+def test_two_threads_share_one_session_without_mixing_their_answers() -> None:
+    class Slow:
+        """Gives way between question and answer, as every real connection does."""
+
+        def __init__(self) -> None:
+            self.instrument = Generator33250A(SimulatedClock(), 0.0)
+            self.read, self.close = self.instrument.read, lambda: None
+
+        def write(self, message: str) -> None:
+            self.instrument.write(message)
+            time.sleep(1e-3)
+
+    session = ScpiSession(Slow(), "master")
+    wrong: list[str] = []
+
+    def ask(header: str, answer: str) -> None:
+        for _ in range(10):
+            try:
+                reply = session.query(header)
+            except InstrumentError as error:
+                reply = str(error)
+            wrong.extend([reply] if reply != answer else [])
+
+    pairs = [("FUNC?", "SIN"), ("OUTP?", "0"), ("TRIG:SOUR?", "IMM")]
+    threads = [threading.Thread(target=ask, args=pair) for pair in pairs]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
+
+
+def test_a_coerced_value_is_an_error_that_names_the_setting_and_both_values(scripted) -> None:
+    session = ScpiSession(scripted(replies={"FREQ": "+5.0000000000000E+07"}), "burst_train")
+    with pytest.raises(InstrumentError) as caught:
+        session.program("train", [Register("rate_hz", "FREQ", 6e7), COUNT])
+    text = str(caught.value)
+    assert caught.value.role == "burst_train"
+    assert "rate_hz" in text
+    assert "6.000000000000E+07" in text
+    assert "+5.0000000000000E+07" in text
+    assert "count" not in caught.value.what
+
+
+def test_a_queued_error_is_an_error_even_if_every_value_reads_back(scripted) -> None:
+    wire = scripted(errors=['-221,"Settings conflict; a, b"', '-222,"Data out of range"'])
+    with pytest.raises(InstrumentError, match=r"-221 Settings conflict; a, b, -222 Data out of range"):
+        ScpiSession(wire, "master").program("train", [RATE])
+    assert not wire.errors
+
+
+def test_every_difference_of_a_group_is_in_one_error(scripted) -> None:
+    wire = scripted(replies={"FREQ": "+1.0E+00", "BURS:NCYC": "+1.0E+00"})
+    with pytest.raises(InstrumentError) as caught:
+        ScpiSession(wire, "master").program("train", [RATE, COUNT])
+    assert "rate_hz" in caught.value.what
+    assert "count" in caught.value.what
+
+
+def test_an_error_queue_that_never_empties_ends_after_a_bounded_number_of_reads(scripted) -> None:
+    wire = scripted(replies={}, errors=['-100,"again"'] * 1000)
+    with pytest.raises(InstrumentError, match="not empty"):
+        ScpiSession(wire, "master").drain_errors()
+    assert len(wire.messages) == QUEUE_READS
+
+
+def test_a_reply_that_is_no_error_entry_is_reported_with_its_text_and_shifts_no_later_answer(scripted) -> None:
+    wire = scripted()
+    session = ScpiSession(wire, "master")
+    session.write("FREQ 7")
+    wire.outbox.append("hello")
+    with pytest.raises(InstrumentError, match="'hello'"):
+        session.drain_errors()
+    assert session.query("FREQ?") == "7"
+
+
+def test_silence_is_an_instrument_error_caused_by_the_timeout(scripted) -> None:
+    with pytest.raises(InstrumentError, match=r"master: no reply to '\*OPT\?'") as caught:
+        ScpiSession(scripted(), "master").query("*OPT?")
+    assert isinstance(caught.value.__cause__, TimeoutError)
+
+
+@pytest.mark.parametrize("late", range(1, 8))
+@pytest.mark.parametrize("stale", ["+1.0E+02", "+1", "+2", "+3", '+0,"No error"', "answer to FREQ?"])
+def test_a_late_reply_is_never_taken_for_a_later_one(late: int, stale: str) -> None:
+    """``late`` covers arrival before, during and after the draining; ``stale`` includes the sync numbers themselves."""
+    session = ScpiSession(LateWire("VOLT?", late, stale), "toneburst")
+    with pytest.raises(InstrumentError):
+        session.query("VOLT?")
+    answered = 0
+    for query in ["TRIG:DEL?", "BURS:NCYC?"] * 5:
+        try:
+            assert session.query(query) == f"answer to {query}"
+            answered += 1
+        except InstrumentError:
+            continue
+    # Each refused query waits at least twice more for the late reply.
+    assert answered >= 10 - late / 2
+
+
+def test_an_interrupt_while_waiting_does_not_leave_the_reply_for_the_next_query() -> None:
+    class InterruptedOnce(LateWire):
+        def read(self) -> str:
+            if self.late:
+                self.late = 0
+                raise KeyboardInterrupt
+            return super().read()
+
+    session = ScpiSession(InterruptedOnce("", 1, ""), "master")
+    with pytest.raises(KeyboardInterrupt):
+        session.query("FREQ?")
+    assert session.query("OUTP?") == "answer to OUTP?"
+
+
+def test_a_session_that_cannot_be_brought_in_step_refuses_every_query_but_still_writes(scripted) -> None:
+    wire = scripted(replies={"*ESE": "+300"})
+    session = ScpiSession(wire, "master")
+    for query in ("*OPT?", "OUTP?", "OUTP?"):
+        with pytest.raises(InstrumentError):
+            session.query(query)
+    assert "OUTP?" not in wire.commands
+    session.write("OUTP 0")
+    assert wire.held["OUTP"] == "0"
+
+
+@pytest.mark.parametrize("method", ["write", "read"])
+def test_a_lost_connection_is_an_instrument_error_with_its_cause(scripted, method: str) -> None:
+    def broken(*arguments: str) -> str:
+        raise ConnectionResetError("peer left")
+
+    wire = scripted()
+    setattr(wire, method, broken)
+    with pytest.raises(InstrumentError, match="peer left") as caught:
+        ScpiSession(wire, "tracking_train").query("FREQ?")
+    assert isinstance(caught.value.__cause__, ConnectionResetError)

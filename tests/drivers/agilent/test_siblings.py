@@ -1,0 +1,135 @@
+"""Siblings of the 33250A on the twin: the table of differences is chosen by ``*IDN?``, limits and spelling hold."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from drivers.agilent.generators import MasterTrigger33250A, PulseGenerator33250A, ToneburstGenerator33250A
+from drivers.agilent.limits import pulse_train_mistakes, toneburst_mistakes
+from drivers.agilent.models import MODELS, model_named
+from drivers.interfaces import InstrumentError, PulseTrain, Toneburst, TriggerPulse
+from sim_backend.clock import SimulatedClock
+from sim_backend.generator import models as models_33250a
+from sim_backend.generator.instrument import Generator33250A
+
+PULSE = TriggerPulse(width_s=10e-6, high_v=4.0, load_ohm=math.inf)
+TRAIN = PulseTrain(rate_hz=5e3, count=1000, delay_s=10e-3, width_s=10e-6, high_v=4.0, load_ohm=math.inf)
+BURST = Toneburst(carrier_hz=3.0e6, cycles=600, amplitude_vpp=0.5, delay_s=1e-3, load_ohm=50.0)
+NAMES = [model.name for model in MODELS]
+
+
+def twin(name: str) -> Generator33250A:
+    return Generator33250A(SimulatedClock(), 100e-9, models_33250a.MODELS[name])
+
+
+@pytest.mark.parametrize(
+    ("answer", "name"),
+    [
+        ("33250A", "33250A"),
+        ("33220A", "33220A"),
+        ("33522B", "33500B"),
+        ("33521A", "33500B"),
+        ("33612A", "33600A"),
+        ("33250B", None),
+        ("33500", None),
+        ("34401A", None),
+        ("", None),
+    ],
+)
+def test_the_second_field_of_the_identity_chooses_the_series(answer: str, name: str | None) -> None:
+    model = model_named(answer)
+    assert (model.name if model else None) == name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_role_is_programmed_and_read_back_on_every_model(name: str) -> None:
+    instrument = twin(name)
+    for role, program in (
+        (MasterTrigger33250A(instrument, "a", name), PULSE),
+        (PulseGenerator33250A(instrument, "b", name), TRAIN),
+        (ToneburstGenerator33250A(instrument, "c", name), BURST),
+    ):
+        role.configure(program)
+        role.verify()
+        role.enable_output()
+        assert role.snapshot()["output_on"] is True
+        role.make_safe()
+        assert role.snapshot()["output_on"] is False
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sampled_from(MODELS),
+    st.floats(0, 1),
+    st.floats(0, 1),
+    st.floats(0, 1),
+    st.floats(0, 1),
+)
+def test_trains_at_and_between_the_limits_of_every_model_read_back(model, rate, count, delay, width) -> None:
+    low_hz, high_hz = model.pulse_rate_hz
+    rate_hz = min(max(low_hz * (high_hz / low_hz) ** rate, low_hz), high_hz)
+    least_s = model.least_width_s(1 / rate_hz)
+    widest_s = min(model.width_s[1], 1 / rate_hz - max(model.width_s[0], 1.6 * model.edge_s))
+    train = PulseTrain(
+        rate_hz=rate_hz,
+        count=round(model.cycles[0] + count * (model.cycles[1] - model.cycles[0])),
+        delay_s=delay * model.delay_s[1],
+        width_s=min(max(least_s + width * (widest_s - least_s), least_s), widest_s),
+        high_v=4.0,
+        load_ohm=math.inf,
+    )
+    assert pulse_train_mistakes(train, model) == []
+    generator = PulseGenerator33250A(twin(model.name), "x")
+    generator.configure(train)
+    generator.verify()
+
+
+LIMITS = [
+    ("33220A", PulseGenerator33250A, dataclasses.replace(TRAIN, count=50_001), "count = 50001"),
+    ("33220A", PulseGenerator33250A, dataclasses.replace(TRAIN, width_s=10e-9), "width_s = 1e-08"),
+    ("33220A", ToneburstGenerator33250A, dataclasses.replace(BURST, carrier_hz=9e6), "counted bursts of a 33220A"),
+    ("33500B", ToneburstGenerator33250A, dataclasses.replace(BURST, carrier_hz=9e6), "counted bursts of a 33500B"),
+    ("33600A", ToneburstGenerator33250A, dataclasses.replace(BURST, carrier_hz=9e6), "counted bursts of a 33600A"),
+    ("33500B", PulseGenerator33250A, dataclasses.replace(TRAIN, delay_s=1001.0), "delay_s = 1001"),
+]
+
+
+@pytest.mark.parametrize(("name", "role_type", "program", "text"), LIMITS)
+def test_a_siblings_own_limits_are_refused_before_a_setting_is_sent(name, role_type, program, text) -> None:
+    instrument = twin(name)
+    before = instrument.registers
+    with pytest.raises(InstrumentError, match=text):
+        role_type(instrument, "x").configure(program)
+    assert instrument.registers == before
+
+
+def test_a_sibling_counts_and_waits_for_longer_than_a_33250a_can() -> None:
+    train = dataclasses.replace(TRAIN, count=2_000_000, delay_s=90.0)
+    assert len(pulse_train_mistakes(train)) == 2
+    PulseGenerator33250A(twin("33600A"), "x").configure(train)
+
+
+@pytest.mark.parametrize("name", ["33220A", "33500B", "33600A"])
+def test_the_33250as_own_spelling_is_unknown_to_a_sibling(name: str) -> None:
+    instrument = twin(name)
+    instrument.write("PULS:WIDT 1E-5")
+    instrument.write("SYST:ERR?")
+    assert instrument.read() == '-113,"Undefined header"'
+
+
+def test_only_a_two_channel_model_takes_a_channel_number_and_only_its_own() -> None:
+    replies = []
+    for name, header in (("33250A", "SOUR1:FREQ 2E3"), ("33600A", "SOUR1:FREQ 2E3"), ("33600A", "SOUR2:FREQ 2E3")):
+        instrument = twin(name)
+        instrument.write(header)
+        instrument.write("SYST:ERR?")
+        replies.append(int(instrument.read().split(",")[0]))
+    assert replies == [-113, 0, -114]
+
+
+def test_a_9_mhz_pulse_is_within_a_33250as_limits() -> None:
+    assert toneburst_mistakes(dataclasses.replace(BURST, carrier_hz=9e6, cycles=3)) == []

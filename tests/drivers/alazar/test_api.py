@@ -1,0 +1,123 @@
+"""The vendor's interface as bound: sizes, argument counts, constants of the reference, return codes."""
+
+from __future__ import annotations
+
+import ctypes
+import inspect
+from types import SimpleNamespace
+
+import pytest
+
+from drivers.alazar.api import SIGNATURES, Adma, AlazarLibrary, Capability, Parameter, bind, load_library
+from drivers.alazar.codes import RETURN_CODES, SUCCESS, WAIT_TIMEOUT, check, code_name
+from drivers.interfaces import InstrumentError
+
+
+def fake_library() -> SimpleNamespace:
+    return SimpleNamespace(**{name: SimpleNamespace() for name in SIGNATURES})
+
+
+@pytest.mark.parametrize("name", SIGNATURES)
+def test_every_signature_has_as_many_arguments_as_the_protocol(name: str) -> None:
+    parameters = inspect.signature(getattr(AlazarLibrary, name)).parameters
+    assert len(SIGNATURES[name][1]) == len(parameters) - 1
+
+
+def test_the_protocol_has_no_function_without_a_signature() -> None:
+    declared = {name for name in vars(AlazarLibrary) if name.startswith("Alazar")}
+    assert declared == set(SIGNATURES)
+
+
+def test_the_vendors_integers_are_32_bit_and_its_long_follows_the_platform() -> None:
+    library = bind(fake_library(), "digitizer")
+    before = [ctypes.sizeof(kind) for kind in library.AlazarBeforeAsyncRead.argtypes]
+    pointer, long = ctypes.sizeof(ctypes.c_void_p), ctypes.sizeof(ctypes.c_long)
+    assert before == [pointer, 4, long, 4, 4, 4, 4]
+    read = [ctypes.sizeof(kind) for kind in library.AlazarRead.argtypes]
+    assert read == [pointer, 4, pointer, 4, long, long, 4]
+
+
+def test_the_handle_comes_back_in_full_width() -> None:
+    """Without a result type ctypes would cut a 64 bit handle to 32 bit."""
+    assert bind(fake_library(), "digitizer").AlazarGetBoardBySystemID.restype is ctypes.c_void_p
+
+
+@pytest.mark.parametrize("name", [n for n, (_, arguments) in SIGNATURES.items() if ctypes.c_void_p in arguments])
+def test_out_parameters_accept_what_the_driver_passes(name: str) -> None:
+    for kind in SIGNATURES[name][1]:
+        if hasattr(kind, "contents"):
+            kind.from_param(ctypes.byref(kind._type_()))
+
+
+def test_functions_that_the_library_lacks_are_all_named() -> None:
+    library = fake_library()
+    del library.AlazarGetTriggerTimestamp, library.AlazarAbortAsyncRead
+    with pytest.raises(InstrumentError, match="AlazarGetTriggerTimestamp, AlazarAbortAsyncRead"):
+        bind(library, "digitizer")
+
+
+def test_a_missing_library_says_what_to_install() -> None:
+    with pytest.raises(InstrumentError, match="install the AlazarTech driver") as caught:
+        load_library(name="no-such-library-anywhere.so")
+    assert isinstance(caught.value.__cause__, OSError)
+
+
+def test_success_passes() -> None:
+    check(512, "AlazarStartCapture", "digitizer")
+
+
+# Picked over the whole table of reference 2.8, so that one name too many or too few shifts one of them.
+NAMED = {
+    512: "ApiSuccess",
+    513: "ApiFailed",
+    518: "ApiDmaInProgress",
+    531: "ApiNullParam",
+    533: "ApiUnsupportedFunction",
+    536: "ApiInvalidSize",
+    547: "ApiEepromNotPresent",
+    556: "ApiNotInitialized",
+    561: "ApiNotSupportThisChannel",
+    572: "ApiInvalidHandle",
+    573: "ApiBufferNotReady",
+    579: "ApiWaitTimeout",
+    581: "ApiBufferTooSmall",
+    582: "ApiBufferOverflow",
+    584: "ApiInvalidRecordsPerBuffer",
+    589: "ApiTransferComplete",
+    591: "ApiNotSupportedInDualChannelMode",
+    592: "ApiNotSupportedInQuadChannelMode",
+    602: "ApiOCTIgnoreBadClockNotSupported",
+    613: "ApiRecordFootersNotSupported",
+}
+
+
+@pytest.mark.parametrize(("code", "name"), NAMED.items())
+def test_return_codes_have_the_vendors_names(code: int, name: str) -> None:
+    assert RETURN_CODES[code] == name
+
+
+@pytest.mark.parametrize("code", [code for code in RETURN_CODES if code != SUCCESS])
+def test_every_other_code_is_an_error_naming_call_number_name_and_role(code: int) -> None:
+    with pytest.raises(InstrumentError) as caught:
+        check(code, "AlazarStartCapture", "digitizer")
+    text = str(caught.value)
+    assert all(part in text for part in ("digitizer", "AlazarStartCapture", str(code), RETURN_CODES[code]))
+
+
+@pytest.mark.parametrize("code", [603, 604, 607])
+def test_codes_that_changed_their_meaning_are_not_given_a_name(code: int) -> None:
+    assert "SDK version" in code_name(code)
+    with pytest.raises(InstrumentError, match=f"{code}.*SDK version"):
+        check(code, "AlazarStartCapture", "digitizer")
+
+
+def test_a_refused_record_count_names_the_limit_of_old_fpgas() -> None:
+    with pytest.raises(InstrumentError, match=r"604 .*FPGA version 18 and below.*1000"):
+        check(604, "AlazarSetRecordCount", "digitizer")
+
+
+def test_constants_are_those_of_the_reference() -> None:
+    assert WAIT_TIMEOUT == 579
+    assert int(Adma.EXTERNAL_STARTCAPTURE | Adma.ENABLE_RECORD_HEADERS | Adma.TRADITIONAL) == 0x9
+    assert int(Capability.BOARD_OPTIONS_LOW) == 0x10000037
+    assert int(Parameter.SAMPLES_PER_TIMESTAMP_CLOCK) == 0x10000044

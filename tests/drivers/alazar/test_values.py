@@ -1,0 +1,125 @@
+"""Limits, sizes, words and memory of the ATS460 driver; nothing here needs a board."""
+
+from __future__ import annotations
+
+import dataclasses
+import mmap
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from drivers.alazar.limits import BUFFER_LIMIT_BYTES, capture_mistakes, level_code, records_per_buffer
+from drivers.alazar.page_buffer import PageBuffer
+from drivers.alazar.samples import codes, header_record_dtype, timestamp_counts, volts_offset, volts_per_code
+from drivers.interfaces import Capture
+
+CAPTURE = Capture(
+    sample_rate_hz=100e6,
+    record_samples=2048,
+    trigger_delay_samples=8000,
+    record_count=1000,
+    input_range_v=0.8,
+    trigger_level_v=1.5,
+)
+
+REFUSED = [
+    ({"record_samples": 112}, ["record_samples = 112", "128"]),
+    ({"record_samples": 2040}, ["record_samples = 2040", "16", "2032", "2048"]),
+    ({"sample_rate_hz": 25e6}, ["sample_rate_hz = 25000000", "2e+07", "5e+07"]),
+    ({"input_range_v": 8.0}, ["input_range_v = 8", "4"]),
+    ({"trigger_delay_samples": 10_000_000}, ["trigger_delay_samples = 10000000", "9999999"]),
+    ({"trigger_delay_samples": -100}, ["pre-trigger samples = 100", "64", "128"]),
+    ({"trigger_delay_samples": -2048}, ["pre-trigger samples = 2048", "1984"]),
+    ({"record_count": 0}, ["record_count = 0", "1"]),
+    ({"trigger_level_v": 6.0}, ["trigger_level_v = 6", "5"]),
+    ({"record_samples": 2_097_152}, ["record_samples = 2097152"]),
+    ({"record_samples": 1_048_576, "monitor_range_v": 1.0}, ["record_samples of 2 channels = 1048576", "1048552"]),
+    ({"monitor_range_v": 3.0}, ["monitor_range_v = 3", "4"]),
+]
+
+
+@pytest.mark.parametrize(("change", "texts"), REFUSED)
+def test_what_the_board_cannot_do_is_named_with_both_numbers(change, texts) -> None:
+    mistakes = capture_mistakes(dataclasses.replace(CAPTURE, **change))
+    assert len(mistakes) == 1
+    assert all(text in mistakes[0] for text in texts)
+
+
+def test_all_mistakes_are_found_at_once() -> None:
+    wrong = dataclasses.replace(CAPTURE, record_samples=100, sample_rate_hz=1.0, record_count=0, input_range_v=3.0)
+    assert len(capture_mistakes(wrong)) == 5
+
+
+@pytest.mark.parametrize("delay", [0, 8000, 1, -64, -1984])
+def test_delays_and_pre_triggers_the_board_can_do_are_accepted(delay: int) -> None:
+    assert capture_mistakes(dataclasses.replace(CAPTURE, trigger_delay_samples=delay)) == []
+
+
+@pytest.mark.parametrize(("level_v", "code"), [(0.0, 128), (1.0, 153), (1.5, 166), (2.0, 178), (5.0, 255)])
+def test_level_codes_are_those_of_the_reference(level_v: float, code: int) -> None:
+    assert level_code(level_v) == code
+
+
+@given(st.integers(8, 4096), st.integers(1, 20_000))
+def test_records_per_buffer_divide_the_count_and_fit_the_buffer(sixteenths: int, count: int) -> None:
+    capture = dataclasses.replace(CAPTURE, record_samples=16 * sixteenths, record_count=count)
+    per_buffer = records_per_buffer(capture)
+    assert count % per_buffer == 0
+    assert per_buffer * header_record_dtype(capture.record_samples).itemsize < BUFFER_LIMIT_BYTES
+    assert per_buffer == 1 or per_buffer <= count / 8
+
+
+def test_a_buffer_takes_a_mebibyte_of_a_long_capture_and_one_record_of_a_prime_count() -> None:
+    assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=10_000)) == 250
+    assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=10_000), channels=2) == 125
+    assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=997)) == 1
+
+
+def test_npt_records_have_their_own_alignment_and_no_pre_trigger() -> None:
+    wrong = dataclasses.replace(CAPTURE, record_samples=2032, trigger_delay_samples=-64)
+    assert capture_mistakes(wrong) == []
+    alignment, before = capture_mistakes(wrong, "npt")
+    assert "2016 or 2048" in alignment
+    assert "64 pre-trigger samples" in before
+
+
+def test_an_old_fpga_holds_a_thousand_single_port_records_and_any_number_of_autodma_records() -> None:
+    many = dataclasses.replace(CAPTURE, record_count=1001)
+    assert "FPGA version 18" in capture_mistakes(many, "single_port", 18)[0]
+    assert capture_mistakes(many, "single_port", 19) == []
+    assert capture_mistakes(many, "traditional", 18) == []
+
+
+@given(st.integers(0, 2**14 - 1))
+def test_codes_and_volts_invert_the_references_formula(code: int) -> None:
+    full_scale_v = 0.8
+    volts = full_scale_v * (code - 8191.5) / 8191.5
+    word = np.array([code << 2], np.uint16)
+    read = codes(word) * volts_per_code(full_scale_v) + volts_offset(full_scale_v)
+    # One rounding error a term: the sum is of numbers up to the full scale.
+    assert read[0] == pytest.approx(volts, abs=4 * np.finfo(float).eps * full_scale_v)
+
+
+@given(st.integers(0, 2**40 - 1), st.integers(0, 2**24 - 1))
+def test_the_time_stamp_is_forty_bits_whatever_shares_its_word(count: int, other_bits: int) -> None:
+    header = np.array([[1, 2, count & 0xFFFF_FFFF, (other_bits << 8) | (count >> 32)]], np.uint32)
+    assert timestamp_counts(header)[0] == count
+
+
+def test_buffers_start_on_a_page_and_are_empty() -> None:
+    buffer = PageBuffer(5000)
+    assert buffer.address % mmap.PAGESIZE == 0
+    assert not buffer.copy(np.dtype("u1"), 5000).any()
+    buffer.free()
+
+
+def test_a_copy_outlives_its_buffer_and_freeing_twice_is_no_error() -> None:
+    buffer = PageBuffer(4096)
+    copy = buffer.copy(np.dtype("<u2"), 16)
+    buffer.free()
+    buffer.free()
+    assert buffer.freed
+    assert copy.shape == (16,)
+    with pytest.raises(ValueError, match="freed"):
+        buffer.copy(np.dtype("<u2"), 16)

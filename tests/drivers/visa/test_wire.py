@@ -1,0 +1,212 @@
+"""The VISA wire over a loopback socket or terminal that serves the simulated generator, or a script that misbehaves."""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from drivers.agilent.generators import PulseGenerator33250A
+from drivers.agilent.scpi import ScpiSession
+from drivers.interfaces import InstrumentError, PulseTrain
+from drivers.visa.wire import VisaWire
+from sim_backend.clock import SimulatedClock
+from sim_backend.generator.instrument import Generator33250A
+
+TRAIN = PulseTrain(rate_hz=5e3, count=1000, delay_s=10e-3, width_s=10e-6, high_v=4.0, load_ohm=math.inf)
+TIMEOUT_S = 0.15
+
+
+@contextmanager
+def served(instrument, delays_s: dict[str, float] | None = None) -> Iterator[str]:
+    """Yield the VISA address of ``instrument``; a message in ``delays_s`` is answered that much later, in order."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    peers: list[socket.socket] = []
+
+    def serve() -> None:
+        try:
+            peer, _ = listener.accept()
+        except OSError:
+            return
+        peers.append(peer)
+        with peer, peer.makefile("rwb") as lines:
+            for line in lines:
+                message = line.decode().rstrip("\r\n")
+                time.sleep((delays_s or {}).get(message, 0.0))
+                instrument.write(message)
+                answer(instrument, lines)
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        yield f"TCPIP0::127.0.0.1::{listener.getsockname()[1]}::SOCKET"
+    finally:
+        listener.close()
+        for peer in peers:
+            with_shutdown(peer)
+        thread.join(timeout=5)
+        assert not thread.is_alive()
+
+
+def answer(instrument, lines) -> None:
+    while True:
+        try:
+            reply = instrument.read()
+        except TimeoutError:
+            break
+        lines.write(reply.encode() + b"\n")
+    try:
+        lines.flush()
+    except OSError:
+        return
+
+
+def with_shutdown(peer: socket.socket) -> None:
+    try:
+        peer.shutdown(socket.SHUT_RDWR)
+    except OSError:
+        return
+
+
+@pytest.fixture
+def opened() -> Iterator[Callable[[str], VisaWire]]:
+    wires: list[VisaWire] = []
+
+    def open_wire(address: str) -> VisaWire:
+        wires.append(VisaWire(address, TIMEOUT_S, backend="@py"))
+        return wires[-1]
+
+    yield open_wire
+    for wire in wires:
+        wire.close()
+
+
+def test_a_reply_arrives_without_its_line_end(scripted, opened) -> None:
+    with served(scripted()) as address:
+        wire = opened(address)
+        wire.write("*IDN?")
+        assert wire.read() == "Agilent Technologies,33250A,0,2.04-1.01-2.00-03-2"
+        wire.close()
+
+
+def test_the_simulated_generator_behind_a_socket_is_programmed_as_it_is_directly(opened) -> None:
+    direct, remote = (Generator33250A(SimulatedClock(), 100e-9) for _ in range(2))
+    generators = [PulseGenerator33250A(direct, "burst_train")]
+    with served(remote) as address:
+        generators.append(PulseGenerator33250A(opened(address), "burst_train"))
+        for generator in generators:
+            generator.configure(TRAIN)
+            generator.verify()
+            generator.enable_output()
+        assert generators[0].snapshot() == generators[1].snapshot()
+        generators[1].make_safe()
+        generators[1].close()
+    assert remote.registers != direct.registers
+    generators[0].make_safe()
+    assert remote.registers == direct.registers
+
+
+def test_silence_is_a_timeout_after_the_time_that_was_set(scripted, opened) -> None:
+    with served(scripted()) as address:
+        wire = opened(address)
+        wire.write("*OPT?")
+        started = time.monotonic()
+        with pytest.raises(TimeoutError, match=r"within 0\.15 s"):
+            wire.read()
+        # The upper bound only has to tell 0.15 s from the default of 2 s on a busy machine.
+        assert TIMEOUT_S * 0.9 < time.monotonic() - started < 1.5
+        wire.close()
+
+
+@pytest.mark.parametrize("delay_s", [0.2, 0.45])
+def test_a_reply_that_is_late_on_the_socket_is_discarded(scripted, opened, delay_s: float) -> None:
+    instrument = scripted(replies={"VOLT": "late", "FREQ": "+1.0E+03"})
+    with served(instrument, {"VOLT?": delay_s}) as address:
+        session = ScpiSession(opened(address), "toneburst")
+        with pytest.raises(InstrumentError, match=r"no reply to 'VOLT\?'"):
+            session.query("VOLT?")
+        replies = set()
+        for _ in range(5):
+            try:
+                replies.add(session.query("FREQ?"))
+            except InstrumentError:
+                continue
+        assert replies == {"+1.0E+03"}
+        session.close()
+
+
+def test_a_closed_port_is_an_instrument_error_that_names_the_address(opened) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    with pytest.raises((ConnectionError, InstrumentError), match=f"127.0.0.1::{port}"):
+        ScpiSession(opened(f"TCPIP0::127.0.0.1::{port}::SOCKET"), "master").query("*IDN?")
+
+
+@pytest.mark.parametrize("address", ["NOSUCH::1::INSTR", "not an address", "ASRL/dev/no-such-tty::INSTR"])
+def test_an_address_that_cannot_be_opened_is_named(address: str) -> None:
+    with pytest.raises(ConnectionError, match="cannot open"):
+        VisaWire(address, TIMEOUT_S, backend="@py")
+
+
+def test_a_connection_closed_by_the_instrument_is_an_error_not_a_reply(scripted, opened) -> None:
+    with served(scripted()) as address:
+        session = ScpiSession(opened(address), "master")
+        assert session.query("*IDN?").startswith("Agilent")
+    for _ in range(3):
+        with pytest.raises(InstrumentError, match="master"):
+            session.query("*IDN?")
+
+
+def test_without_a_vendor_library_the_free_one_is_taken(scripted) -> None:
+    with served(scripted()) as address:
+        wire = VisaWire(address, TIMEOUT_S, backend="/no/such/libvisa.so")
+        wire.write("*IDN?")
+        assert "33250A" in wire.read()
+        wire.close()
+
+
+def test_closing_twice_is_no_error(scripted) -> None:
+    with served(scripted()) as address:
+        wire = VisaWire(address, TIMEOUT_S, backend="@py")
+        wire.close()
+        wire.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
+def test_a_serial_address_sets_the_instruments_line_and_takes_remote_control_first(scripted) -> None:
+    import tty
+
+    instrument = scripted()
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+
+    def serve() -> None:
+        with open(ours, "rb", buffering=0, closefd=False) as lines:
+            instrument.write(read_line(lines))
+            instrument.write(read_line(lines))
+            os.write(ours, instrument.read().encode() + b"\n")
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    wire = VisaWire(f"ASRL{os.ttyname(theirs)}::INSTR", 1.0, backend="@py")
+    wire.write("*IDN?")
+    assert "33250A" in wire.read()
+    wire.close()
+    thread.join(timeout=5)
+    os.close(ours)
+    os.close(theirs)
+    assert instrument.messages == ["SYST:REM", "*IDN?"]
+
+
+def read_line(lines) -> str:
+    received = b""
+    while not received.endswith(b"\n"):
+        received += lines.read(1)
+    return received.decode().strip()

@@ -1,0 +1,312 @@
+"""The designer finds what closed forms say is best, within limits that hold, and says all that is wrong at once."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.acquire.run import Setup, prepare, prepare_text
+from hpe_rig.cli.app import app
+from hpe_rig.design.command import Request, write_design
+from hpe_rig.design.model import predicted, worth_pulses
+from hpe_rig.design.problem import Goal, Limits, Problem
+from hpe_rig.design.search import Design, design
+from hpe_rig.design.simulation_check import simulate
+from hpe_rig.design.variables import variables
+from hpe_rig.prediction.bounds import harmonic_bound
+from hpe_rig.scene.editing import edited_text
+from hpe_rig.scene.keys import Key, number_keys, resolve
+from hpe_rig.scene.scene import scene_text
+from hpe_rig.scene.validation import Mistake, SettingsError
+
+# Everything moves alike and by little: hardly any speckle jitter, and the noise is the Cramer-Rao bound's.
+NO_SPECKLE = scene_text("table-1")[1].replace("[0.17e-3, 0.17e-3, 1.80e-3]", "[1.0, 1.0, 1.0]")
+NO_SPECKLE = NO_SPECKLE.replace("amplitude_m = 1000e-9", "amplitude_m = 20e-9")
+
+HIGH_HARMONIC = """
+title = "3 kHz, pushed by tonebursts"
+[excitation]
+burst_rate_hz = 100.0
+burst_length_s = 100e-6
+burst_count = 4
+[tracking]
+pulse_rate_hz = 8000.0
+disturbed = "keep"
+[acquisition]
+gate_depth_m = 20.0e-3
+[beams]
+excitation_width_m = [1.0, 1.0, 1.0]
+tracking_width_m = [0.078e-3, 0.078e-3, 0.83e-3]
+pulse_length_m = 1.32e-3
+[processing]
+estimator = "cross_spectrum"
+frequencies_hz = [3000.0]
+expected_snr_db = 20.0
+expected_amplitude_m = 1e-7
+[simulation]
+seed = 1
+"""
+
+
+def _problem(
+    setup: Setup, over: str, goal: Goal, *bounds: str, longest_s: float | None = None, target_m: float | None = None
+) -> Problem:
+    longest_s = longest_s or setup.plan.duration_s
+    tables = tomllib.loads(setup.scene.text)
+    space = variables(tables, setup.scene.scene, setup.bench.bench, longest_s, over.split(","), bounds)
+    return Problem(setup, tables, space, goal, Limits(longest_s, target_m))
+
+
+def _best(found: Design) -> dict[str, float]:
+    return {".".join(map(str, path)): value for path, value in found.best.values.items()}
+
+
+@pytest.fixture(scope="module")
+def most_pulses() -> Design:
+    setup = prepare_text("no-speckle", NO_SPECKLE)
+    return design(_problem(setup, "pulse_rate_hz,pulse_count", "jitter", longest_s=0.02), generations=4)
+
+
+def test_noise_falls_with_the_pulses_so_as_many_as_time_and_depth_allow_are_best(most_pulses: Design) -> None:
+    best = _best(most_pulses)
+    rate_hz, count = best["tracking.pulse_rate_hz"], best["tracking.pulse_count"]
+    # The echo of 70 mm and its record must be over before the next pulse: below c/2z, nearer than 3 %.
+    limit_hz = 1540 / (2 * 70.5e-3)
+    assert 0.97 * limit_hz < rate_hz < limit_hz
+    assert 0.02 * rate_hz - 1 <= count <= 0.02 * rate_hz
+    bound_m, _ = harmonic_bound(20e-9, 130, int(count), 1e4, 9e6, 1540.0)
+    # Rice at 20 nm 0.1 %, pulses that are no whole cycles 1 %, the band's share of a speckle's echo 1 %
+    assert most_pulses.best.predict(50, 0).noise_jitter_m == pytest.approx(float(bound_m), rel=0.02)
+
+
+def test_what_holds_the_best_scene_back_is_said(most_pulses: Design) -> None:
+    words = " ".join(most_pulses.held)
+    assert "record in period" in words
+    assert "more tracking.pulse_count: time" in words
+
+
+def test_the_same_seed_gives_the_same_design() -> None:
+    setup = prepare_text("no-speckle", NO_SPECKLE)
+    first, again = (design(_problem(setup, "gate_length_m", "phase-jitter"), 7, generations=1) for _ in range(2))
+    assert again.best.values == first.best.values
+    assert again.problem.tried == first.problem.tried
+
+
+def test_the_toneburst_that_moves_a_harmonic_most_is_half_its_period() -> None:
+    found = design(_problem(prepare_text("high", HIGH_HARMONIC), "burst_length_s", "phase-jitter"), generations=3)
+    # eq. (18): the harmonic n goes with sin(pi n f_r T_b); one cycle of 3 MHz is the step
+    assert _best(found)["excitation.burst_length_s"] == pytest.approx(1 / 6000, abs=1.01 / 3e6)
+    assert found.best.setting is not None
+    gain = 1 / math.sin(math.pi * 3000 * 100e-6)
+    assert found.best.setting.amplitude_m == pytest.approx(1e-7 * gain, rel=1e-4)
+
+
+def test_the_dose_holds_the_toneburst_back() -> None:
+    setup = prepare_text("low", HIGH_HARMONIC.replace("[3000.0]", "[100.0]"))
+    calibration = setup.bench.bench.calibration
+    assert calibration is not None
+    assert calibration.toneburst is not None
+    loud = calibration.toneburst.model_copy(update={"sppa_w_per_m2": 1.5e6})
+    file = setup.bench.bench.model_copy(update={"calibration": calibration.model_copy(update={"toneburst": loud})})
+    setup = replace(setup, bench=replace(setup.bench, bench=file))
+    found = design(_problem(setup, "burst_length_s", "jitter"), generations=3)
+    # 0.3 dB/cm/MHz over 7 cm: 6.3 dB at 3 MHz, 18.9 dB at 9 MHz
+    tracking = 3.2e3 * 10**-1.89 * 3 / 9e6 * 8000
+    allowed_s = (7.2e3 - tracking) / (1.5e6 * 10**-0.63 * 100)
+    assert _best(found)["excitation.burst_length_s"] == pytest.approx(math.floor(allowed_s * 3e6) / 3e6, rel=1e-9)
+    assert "more excitation.burst_length_s: acoustic output" in found.held
+
+
+def test_the_shortest_scene_keeps_the_target() -> None:
+    setup = prepare_text("no-speckle", NO_SPECKLE)
+    target_m = 1e-9
+    found = design(_problem(setup, "pulse_count", "time", longest_s=0.2, target_m=target_m), generations=4)
+    # N = 2 (metres per radian / target)^2 / (samples SNR), of the bound
+    needed = 2 * (1540 / (4 * math.pi * 9e6) / target_m) ** 2 / (129.87 * 1e4)
+    # whole cycles of 20 pulses tell amplitudes best: within one; 1 % of speckle jitter is 2 % of the pulses
+    assert _best(found)["tracking.pulse_count"] == pytest.approx(needed, abs=20)
+    assert found.best.expected.jitter_m <= target_m
+
+
+@pytest.mark.slow
+def test_no_scene_of_a_grid_is_better_than_the_design() -> None:
+    setup = prepare("bovine-muscle-synchronous", refuse=False)
+    problem = _problem(setup, "pulse_rate_hz,tracking.delay_s", "phase-jitter", longest_s=0.202)
+    found = design(problem, 1)
+    rate, delay = problem.space
+    grid = [
+        {rate.key.path: rate.value(place), delay.key.path: delay.value(share)}
+        for place in range(int(rate.last) + 1)
+        for share in np.linspace(0, 1, 40)
+    ]
+    assert len(grid) > 1000
+    # numbers that gain less than 1e-4 stay as the scene has them
+    assert problem.cost(found.best.values) <= min(map(problem.cost, grid)) + 1e-4
+
+
+def test_a_number_that_does_not_matter_stays_as_it_is() -> None:
+    setup = prepare_text("no-speckle", NO_SPECKLE)
+    found = design(_problem(setup, "pulse_count,input_range_v", "jitter", longest_s=0.05), generations=2)
+    assert set(_best(found)) == {"tracking.pulse_count"}
+
+
+def test_a_target_out_of_reach_says_what_can_be_reached() -> None:
+    problem = _problem(prepare_text("no-speckle", NO_SPECKLE), "pulse_count", "time", target_m=1e-12)
+    with pytest.raises(SettingsError, match=r"comes down to 1\.[67].*0\.001 nm are wanted"):
+        design(problem, generations=1)
+
+
+def test_no_scene_within_the_limits_names_the_conflict() -> None:
+    problem = _problem(prepare_text("no-speckle", NO_SPECKLE), "pulse_rate_hz", "jitter", "pulse_rate_hz=2e4:3e4")
+    with pytest.raises(SettingsError, match="depth: no candidate passes"):
+        design(problem, generations=1)
+
+
+def test_every_mistake_is_named_at_once(tmp_path: Path) -> None:
+    taken = tmp_path / "taken.toml"
+    taken.touch()
+    request = Request(
+        scene="bovine-muscle",
+        over="pulserate,carrier_hz,excitation_width_m,shot_period_s",
+        minimise="speed",
+        bounds=("gate_length_m=1e-3:2e-3", "cycles=5:2"),
+        longest_s=-1.0,
+        target="3 feet",
+        draws=1,
+        seed=-1,
+        output=taken,
+    )
+    with pytest.raises(SettingsError) as caught:
+        write_design(request, print, print)
+    named = [mistake.path for mistake in caught.value.mistakes]
+    assert named == [
+        *("--minimise", "--longest-s", "--draws", "--seed", "--output", "--target"),
+        *("pulserate", "carrier_hz", "excitation_width_m"),
+        *("--bound gate_length_m=1e-3:2e-3", "--bound cycles=5:2", "acquisition.shot_period_s"),
+    ]
+    assert "tracking.pulse_rate_hz" in str(caught.value)
+
+
+@pytest.mark.parametrize("bound", ["sample_rate_hz=1.1e8:1.2e8", "record_samples=513:520", "cycles=2.5:3.5"])
+def test_bounds_without_two_values_are_refused(bound: str) -> None:
+    setup = prepare_text("no-speckle", NO_SPECKLE)
+    with pytest.raises(SettingsError, match="no two values to choose from"):
+        _problem(setup, bound.partition("=")[0], "jitter", bound)
+
+
+def test_what_the_bench_takes_in_steps_is_varied_in_steps() -> None:
+    setup = prepare("bovine-muscle-synchronous", refuse=False)
+    keys = "pulse_rate_hz,sample_rate_hz,record_samples,burst_length_s,cycles,gate_length_m"
+    space = _problem(setup, keys, "jitter").space
+    rate, sampling, record, burst, cycles, gate = (
+        [variable.value(place) for place in np.linspace(0, variable.last, 7)] for variable in space
+    )
+    assert not np.mod(rate, 100.0).any()
+    assert set(sampling) == {20e6, 50e6, 100e6, 125e6}
+    assert not np.mod(record, 16).any()
+    np.testing.assert_allclose(np.array(burst) * 3e6, np.round(np.array(burst) * 3e6), atol=1e-6)
+    assert all(isinstance(value, int) for value in cycles)
+    # c / f to the whole record of 512 samples
+    assert 1540 / 9e6 <= gate[0] < gate[-1] <= 512 / 100e6 * 770
+    for variable in space:
+        assert variable.place(variable.value(variable.last)) == pytest.approx(variable.last)
+
+
+def test_what_the_model_lacks_is_named_at_once() -> None:
+    bare = NO_SPECKLE.replace("snr_db = 40.0", "").replace("[beams]", "[medium]").replace("excitation_width_m", "#")
+    bare = bare.replace("tracking_width_m", "#").replace("pulse_length_m", "#").replace("[medium]", "")
+    setup = prepare_text("bare", bare)
+    with pytest.raises(SettingsError) as caught:
+        _problem(setup, "pulse_count", "jitter")
+    assert [mistake.path for mistake in caught.value.mistakes] == ["beams", "processing.expected_snr_db"]
+
+
+def test_short_names_are_found_where_they_are_unambiguous() -> None:
+    keys = number_keys(tomllib.loads(scene_text("bovine-muscle")[1]))
+    found = resolve("pulse_rate_hz", keys)
+    assert isinstance(found, Key)
+    assert str(found) == "tracking.pulse_rate_hz"
+    twice, many = resolve("carrier_hz", keys), resolve("tracking_width_m", keys)
+    assert isinstance(twice, Mistake)
+    assert twice.remedy == "one of excitation.carrier_hz, tracking.carrier_hz"
+    assert isinstance(many, Mistake)
+    assert "tracking_width_m[2]" in many.remedy
+    assert isinstance(resolve("beams.tracking_width_m[2]", keys), Key)
+
+
+def test_a_scenes_text_keeps_its_comments() -> None:
+    text = scene_text("muscle-force")[1]
+    values = {
+        ("processing", "window_start_s"): 0.06,
+        ("tracking", "pulse_count"): 77,
+        ("beams", "tracking_width_m", 1): 9e-5,
+        ("simulation", "scatterers", "per_cell"): 12.0,
+    }
+    new = edited_text(text, values)
+    assert "window_start_s = 0.06     # leave out the start-up transient" in new
+    unchanged = set(text.splitlines()) - set(new.splitlines())
+    assert len(unchanged) == 2
+    assert tomllib.loads(new)["simulation"]["scatterers"]["per_cell"] == 12.0
+    with pytest.raises(SettingsError, match="line of its own"):
+        edited_text("tracking = { pulse_rate_hz = 1.0 }", {("tracking", "pulse_rate_hz"): 2.0})
+
+
+@pytest.mark.parametrize("gate_m", [1e-3, 3e-3])
+def test_noise_of_a_longer_gate_is_predicted_from_the_echo_left_in_it(gate_m: float) -> None:
+    setup = prepare_text("gate", NO_SPECKLE.replace("gate_length_m = 1.0e-3", f"gate_length_m = {gate_m}"))
+    problem = _problem(setup, "pulse_count", "jitter")
+    start = replace(problem.start, values={})
+    assert start.setting is not None
+    assert start.scene is not None
+    assert start.plan is not None
+    draws = 96
+    found = simulate(start.scene, start.plan, start.setting, problem.baseline, draws, 3)
+    assert found is not None
+    # the model's 15 %, and three standard errors of a standard deviation
+    assert found.jitter_m.value == pytest.approx(start.predict(50, 0).jitter_m, rel=0.15 + 3 / math.sqrt(2 * draws))
+    assert found.jitter_m.error == pytest.approx(found.jitter_m.value / math.sqrt(2 * draws), rel=0.5)
+
+
+def test_few_draws_predict_the_papers_chain_like_many_at_a_high_pulse_rate() -> None:
+    text = NO_SPECKLE.replace("gate_length_m = 1.0e-3", "gate_length_m = 3.0e-3").replace("4000.0", "10600.0")
+    setting = _problem(prepare_text("fast", text), "pulse_count", "jitter").start.setting
+    assert setting is not None
+    many = predicted(setting, "cross_spectrum", 2000, 9).noise_jitter_m
+    # the variance is the covariance v of steps 2 v: 200 draws know it to sqrt(5 / 200) = 16 %, its root to 8 %, three
+    few = [predicted(setting, "cross_spectrum", 200, seed).noise_jitter_m for seed in range(4)]
+    np.testing.assert_allclose(few, many, rtol=0.24)
+
+
+def test_pulses_are_worth_what_the_fit_makes_of_them() -> None:
+    setup = prepare("bovine-muscle", refuse=False)
+    scene, shot = setup.scene.scene, setup.plan.shots[0]
+    bare = scene.model_copy(update={"excitation": None})
+    time_s = shot.timeline.pulse_onset_s
+    time_s = time_s[time_s - time_s[0] >= 50e-3 - 1e-4]
+    frequencies_hz = 100.0 * np.arange(1, 11)
+    angle = 2 * np.pi * np.outer(time_s, frequencies_hz)
+    matrix = np.hstack([np.sin(angle), np.cos(angle), np.ones((time_s.size, 1))])
+    plan = replace(setup.plan, shots=(replace(shot, timeline=replace(shot.timeline, burst_onset_s=np.zeros(0))),))
+    own = bare.model_copy(
+        update={"processing": scene.processing.model_copy(update={"frequencies_hz": tuple(frequencies_hz)})}
+    )
+    variance = np.linalg.inv(matrix.T @ matrix).diagonal()[[0, 10]]
+    assert worth_pulses(own, plan) == round(2 / variance.mean())
+    # a gap after every toneburst leaves a hundred harmonics hard to tell apart
+    assert worth_pulses(scene, setup.plan) < 0.1 * time_s.size
+
+
+def test_the_command_writes_a_scene_that_check_passes(tmp_path: Path) -> None:
+    output = tmp_path / "better.toml"
+    words = ["design", "table-1", "--over", "pulse_count", "--longest-s", "0.03", "--draws", "32"]
+    result = CliRunner().invoke(app, [*words, "--output", str(output)])
+    assert result.exit_code == 0, result.output
+    assert "jitter, simulated" in result.output
+    assert "pulse_length_m = 1.32e-3    # 1.71 us" in output.read_text(encoding="utf-8")
+    assert prepare(str(output)).plan.duration_s <= 0.03

@@ -1,0 +1,304 @@
+"""The live page's server without a browser: who may look, what they see, and that none holds up another."""
+
+from __future__ import annotations
+
+import http.client
+import itertools
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from hpe_rig.acquire.run import measure, prepare, prepare_text, process
+from hpe_rig.acquire.sequencer import Progress, Step, unobserved
+from hpe_rig.acquire.stop_request import StopRequested, clear_stop, request_stop, stop_path, stoppable
+from hpe_rig.live.alignment import AlignSource, align, without_pushing
+from hpe_rig.live.server import LivePage
+from hpe_rig.live.source import RunSource
+from hpe_rig.live.state import State
+from hpe_rig.scene.scene import scene_text
+from hpe_rig.store import StoreError, read_run
+
+
+class Counter:
+    """A source whose state is a count, and large: what a slow viewer chokes on."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.stopped = False
+
+    def poll(self) -> State:
+        self.count += 1
+        return {"status": "running", "count": self.count, "bulk": "x" * 300_000}
+
+    def stop(self) -> None:
+        self.stopped = True
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return measure(prepare("table-1"), tmp_path_factory.mktemp("live") / "run.h5")
+
+
+@pytest.fixture
+def counter() -> Counter:
+    return Counter()
+
+
+@pytest.fixture
+def page(counter: Counter) -> Iterator[LivePage]:
+    served = LivePage(counter)
+    thread = threading.Thread(target=served.serve, daemon=True)
+    thread.start()
+    try:
+        yield served
+    finally:
+        served.close()
+        thread.join(10)
+        assert not thread.is_alive()
+
+
+def asked(page: LivePage, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], str]:
+    parts = urlsplit(page.address)
+    assert parts.hostname == "127.0.0.1"
+    connection = http.client.HTTPConnection("127.0.0.1", parts.port or 0, timeout=10)
+    connection.request(method, path, headers=headers)
+    reply = connection.getresponse()
+    text = reply.read().decode()
+    connection.close()
+    return reply.status, {name.lower(): value for name, value in reply.getheaders()}, text
+
+
+def watch(page: LivePage) -> str:
+    return page.address.replace("http:", "ws:") + "ws"
+
+
+def test_the_page_is_there_for_whoever_has_the_address_and_for_nobody_else(page: LivePage) -> None:
+    base = urlsplit(page.address).path
+    status, headers, text = asked(page, base)
+    assert status == 200
+    assert "Stop safely" in text
+    assert "@NONCE@" not in text
+    policy = headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert headers["cache-control"] == "no-store"
+    assert len(base) > 32
+    for path in ("/", "/stop", "/ws", "/" + "a" * (len(base) - 2) + "/"):
+        assert asked(page, path)[0] == 404
+    for path in (base, base + "state"):
+        assert asked(page, path, Host="evil.example")[0] == 403
+    assert asked(page, base + "stop", "POST", Origin="http://evil.example")[0] == 403
+
+
+def test_two_pages_have_different_addresses() -> None:
+    pages = [LivePage(Counter()) for _ in range(2)]
+    tokens = {urlsplit(page.address).path for page in pages}
+    assert len(tokens) == 2
+    for page in pages:
+        page.close()
+
+
+def test_a_port_that_is_taken_is_refused_with_a_message(page: LivePage) -> None:
+    port = urlsplit(page.address).port
+    assert port is not None
+    with pytest.raises(StoreError, match=rf"port {port} cannot be used"):
+        LivePage(Counter(), port)
+
+
+def test_a_foreign_page_cannot_watch(page: LivePage) -> None:
+    with pytest.raises(InvalidStatus, match="403"), connect(watch(page), origin="http://evil.example"):
+        pass
+
+
+def test_stop_reaches_the_source(page: LivePage, counter: Counter) -> None:
+    status, _, _ = asked(page, urlsplit(page.address).path + "stop", "POST")
+    assert status == 200
+    assert counter.stopped
+
+
+def test_ten_viewers_see_news_while_one_of_them_never_reads(page: LivePage, counter: Counter) -> None:
+    with ExitStack() as stack:
+        deaf = stack.enter_context(connect(watch(page), max_size=None, max_queue=1, close_timeout=0.2))
+        viewers = [stack.enter_context(connect(watch(page), max_size=None)) for _ in range(9)]
+        first = [json.loads(viewer.recv(timeout=10))["count"] for viewer in viewers]
+        deadline_s = time.monotonic() + 10
+        while counter.count < max(first) + 5 and time.monotonic() < deadline_s:
+            time.sleep(0.05)
+        # states go on being read although one viewer has taken none
+        assert counter.count >= max(first) + 5
+        for viewer in viewers:
+            last = 0
+            while last < max(first) + 3:
+                last = json.loads(viewer.recv(timeout=10))["count"]
+        assert deaf.state.name == "OPEN"
+
+
+def test_the_source_shows_what_the_result_says(run_file: Path) -> None:
+    source = RunSource(run_file)
+    state = source.poll()
+    assert state is not None
+    (estimate,) = process(run_file).shots[0].estimates
+    (harmonic,) = state["harmonics"]
+    assert harmonic["nm"] == pytest.approx(estimate.amplitude_m * 1e9, rel=1e-5)
+    assert harmonic["u_nm"] == pytest.approx(estimate.amplitude_uncertainty_m * 1e9, rel=1e-5)
+    assert (state["records"], state["records_planned"], state["status"]) == (101, 101, "complete")
+    assert state["simulated"] is True
+    assert len(json.dumps(state, allow_nan=False)) < 100_000
+    assert source.poll() is None
+
+
+def test_a_file_that_is_not_there_yet_is_waited_for(tmp_path: Path, run_file: Path) -> None:
+    source = RunSource(tmp_path / "later.h5")
+    first = source.poll()
+    assert first is not None
+    assert first["status"] == "waiting"
+    assert source.poll() is None
+    (tmp_path / "later.h5").write_bytes(run_file.read_bytes())
+    state = source.poll()
+    assert state is not None
+    assert state["status"] == "complete"
+
+
+def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_path: Path) -> None:
+    setup = prepare("table-1")
+    run_file = tmp_path / "run.h5"
+
+    def ask_late(progress: Progress) -> None:
+        if progress.step is Step.COLLECT and progress.records:
+            request_stop(run_file)
+
+    with pytest.raises(StopRequested):
+        measure(setup, run_file, stoppable(ask_late, run_file, clock=iter(range(10**6)).__next__))
+    stored = read_run(run_file)
+    assert stored.status == "aborted"
+    assert stored.records[0].valid.any()
+    clear_stop(run_file)
+    assert not stop_path(run_file).exists()
+
+
+def test_a_stop_that_is_asked_for_as_a_shot_ends_leaves_it_complete(tmp_path: Path) -> None:
+    run_file = tmp_path / "run.h5"
+
+    def ask(progress: Progress) -> None:
+        if progress.step is Step.SAFE:
+            request_stop(run_file)
+
+    measure(prepare("table-1"), run_file, stoppable(ask, run_file, clock=itertools.count().__next__))
+    assert read_run(run_file).status == "complete"
+
+
+def test_nothing_is_estimated_for_the_page_while_somebody_waits_for_the_run_to_stop(tmp_path: Path) -> None:
+    run_file, states = tmp_path / "run.h5", []
+    source = RunSource(run_file)
+
+    def look(progress: Progress) -> None:
+        if progress.step is Step.SAFE:
+            states.append(source.poll() or {})
+            request_stop(run_file)
+            states.append(source.poll() or {})
+
+    measure(prepare("table-1"), run_file, look)
+    states.append(source.poll() or {})
+    assert [state["status"] for state in states] == ["running", "running", "complete"]
+    assert [state["stop_requested"] for state in states] == [False, True, True]
+    assert ["harmonics" in state for state in states] == [True, False, True]
+    assert states[1]["records"] == states[0]["records"] > 0
+
+
+def test_a_stop_is_seen_while_the_next_shot_is_waited_for(tmp_path: Path) -> None:
+    name, text = scene_text("table-1")
+    long = text.replace("[acquisition]", "[acquisition]\nrepeats = 2\nshot_period_s = 60.0")
+    run_file, waits, fired = tmp_path / "run.h5", [0], [0]
+
+    def ask(progress: Progress) -> None:
+        waits[0] += progress.step is Step.WAIT
+        fired[0] += progress.step is Step.FIRE
+        if waits[0] == 3:
+            request_stop(run_file)
+
+    with pytest.raises(StopRequested):
+        measure(prepare_text(name, long), run_file, stoppable(ask, run_file, clock=itertools.count().__next__))
+    assert (waits, fired) == ([3], [1])
+    assert read_run(run_file).shot_complete.tolist() == [True, False]
+
+
+def test_nobody_looks_for_a_stop_more_often_than_ten_times_a_second(tmp_path: Path) -> None:
+    times_s = iter([0.0, 0.01, 0.05, 0.2])
+    observe = stoppable(unobserved, tmp_path / "run.h5", clock=times_s.__next__)
+    progress = Progress(Step.COLLECT, prepare("table-1").plan.shots[0])
+    observe(progress)
+    request_stop(tmp_path / "run.h5")
+    observe(progress)
+    observe(progress)
+    with pytest.raises(StopRequested):
+        observe(progress)
+
+
+def test_alignment_opens_no_generator_that_pushes() -> None:
+    setup = without_pushing(prepare("bovine-muscle"))
+    assert set(setup.plan.roles) == {"master", "tracking_train", "tracking_pulser", "digitizer"}
+    (shot,) = setup.plan.shots
+    assert shot.toneburst is None
+    assert shot.capture.record_count == 1
+
+
+def test_alignment_repeats_single_shots_until_stopped_from_the_page() -> None:
+    addresses: list[str] = []
+    states: list[State] = []
+
+    def look(text: str) -> None:
+        addresses.append(text.removeprefix("live page: "))
+        threading.Thread(target=stop_after_some, daemon=True).start()
+
+    def stop_after_some() -> None:
+        parts = urlsplit(addresses[0])
+        with connect(addresses[0].replace("http:", "ws:") + "ws", max_size=None, open_timeout=20) as viewer:
+            while not states or states[-1].get("shot", 0) < 5:
+                states.append(json.loads(viewer.recv(timeout=20)))
+            connection = http.client.HTTPConnection("127.0.0.1", parts.port or 0, timeout=10)
+            connection.request("POST", parts.path + "stop")
+            assert connection.getresponse().status == 200
+            connection.close()
+            while states[-1]["status"] == "running":
+                states.append(json.loads(viewer.recv(timeout=20)))
+
+    shots = align(without_pushing(prepare("bovine-muscle")), 0, look)
+    assert shots >= 5
+    assert states[-1]["status"] == "aborted"
+    shown = [state for state in states if "rf" in state]
+    assert shown[-1]["mode"] == "align"
+    assert shown[-1]["level"]["rms_mv"] > 10
+
+
+def test_an_alignment_without_records_says_so() -> None:
+    setup = without_pushing(prepare("table-1"))
+    source = AlignSource(setup.scene.scene, setup.plan.shots[0], simulated=True)
+    state = source.poll()
+    assert state is not None
+    assert "no record" in state["why"]
+
+
+def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tmp_path: Path) -> None:
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom hpe_rig.acquire import measure, prepare\n"
+        "from hpe_rig.cli.app import app\n"
+        "from hpe_rig.cli.watch import watched\nsetup = prepare('table-1')\n"
+        f"path = Path({str(tmp_path / 'run.h5')!r})\n"
+        "with watched(setup, path, False, False, print) as watching:\n"
+        "    measure(setup, path, watching(lambda progress: None))\n"
+        "print(*sorted({name.partition('.')[0] for name in sys.modules}))\n"
+    )
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert not {"matplotlib", "jinja2", "starlette", "uvicorn", "websockets", "pandas", "xarray", "pyvisa"} & set(
+        loaded.stdout.split()
+    )

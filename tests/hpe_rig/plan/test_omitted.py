@@ -1,0 +1,36 @@
+"""What a scene leaves out is said, and what it does not leave out is not."""
+
+import pytest
+
+from hpe_rig.acquire.run import prepare_text
+from hpe_rig.scene.scene import shipped_scenes
+
+CHAIN = shipped_scenes()["gelatin-8"]
+PLAIN = shipped_scenes()["bovine-muscle"]
+
+
+def left_out(text: str) -> dict[str, str]:
+    return {item.what: item.why for item in prepare_text("a", text).plan.left_out}
+
+
+@pytest.mark.parametrize(
+    ("text", "there", "absent"),
+    [
+        (CHAIN, [], ["receiver noise", "receive chain", "trigger jitter", "specimen response"]),
+        (CHAIN.replace('preset = "paper"', ""), [], ["receiver noise"]),
+        (CHAIN.replace('preset = "paper"', "").replace("noise_v_per", "#"), ["receiver noise"], ["receive chain"]),
+        (CHAIN.replace("trigger_jitter_s = 1.0e-9", ""), ["trigger jitter"], []),
+        (PLAIN, ["receive chain", "trigger jitter"], ["receiver noise"]),
+        (PLAIN.replace("snr_db = 40.0", ""), ["receiver noise"], []),
+    ],
+)
+def test_noise_chain_and_jitter_are_left_out_where_the_scene_has_none(text, there, absent):
+    said = left_out(text)
+    assert set(there) <= said.keys()
+    assert not set(absent) & said.keys()
+
+
+def test_reason_names_the_key_that_would_bring_the_noise():
+    text = CHAIN.replace('preset = "paper"', "").replace("noise_v_per", "#")
+    assert "simulation.receive_chain.noise_v_per_sqrt_hz" in left_out(text)["receiver noise"]
+    assert "simulation.receiver.snr_db" in left_out(PLAIN.replace("snr_db = 40.0", ""))["receiver noise"]

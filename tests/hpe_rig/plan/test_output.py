@@ -1,0 +1,55 @@
+"""What the generators cannot do is found with the plan, by the rules of their drivers, before anything is opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivers.interfaces import InstrumentError
+from hpe_rig.acquire.run import prepare_text
+from hpe_rig.acquire.sequencer import acquire
+from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench.opening import open_bench
+from hpe_rig.plan.checks.conflicts import PlanError, findings
+from hpe_rig.plan.shots import make_plan
+from hpe_rig.scene.scene import parse_scene, shipped_scenes
+
+MUSCLE = shipped_scenes()["bovine-muscle"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            "burst_count = 20",
+            "burst_count = 20\nforce_fraction = 1e-9",
+            ["toneburst", "0.001", "force_fraction"],
+        ),
+        ("[tracking]", "[tracking]\ncarrier_hz = 26e6", ["tracking_pulser", "25000000", "tracking.carrier_hz"]),
+        ("delay_s = 131e-6", "delay_s = 90.0", ["tracking_train", "85", "delay_s"]),
+    ],
+)
+def test_what_a_driver_would_refuse_is_refused_with_the_plan(old: str, new: str, words: list[str]) -> None:
+    assert old in MUSCLE
+    text = MUSCLE.replace(old, new)
+    with pytest.raises(PlanError) as raised:
+        prepare_text("edited", text)
+    (line,) = [line for line in str(raised.value).splitlines() if line.strip().startswith("generators:")]
+    assert all(word in line for word in [*words, "Try:"]), line
+    scene, bench = parse_scene("edited", text).scene, read_bench(None).bench
+    plan = make_plan(scene, bench)
+    # The oracle: the driver itself, at the simulated instrument.
+    with open_bench(scene, bench, plan.roles) as opened, pytest.raises(InstrumentError, match="no setting was sent"):
+        list(acquire(plan, opened))
+
+
+def test_a_swing_above_the_bench_files_bound_is_refused_with_the_plan(tmp_path: Path) -> None:
+    text = read_bench(None).text
+    assert "[generators.toneburst]" in text
+    path = tmp_path / "bench.toml"
+    path.write_text(text.replace("[generators.toneburst]", "[generators.toneburst]\nmax_vpp = 0.5"), encoding="utf-8")
+    scene, bench = parse_scene("muscle", MUSCLE).scene, read_bench(path).bench
+    found = findings(scene, bench, make_plan(scene, bench))
+    (refused,) = [finding for finding in found if finding.level == "refused"]
+    assert "above max_vpp = 0.5" in refused.text

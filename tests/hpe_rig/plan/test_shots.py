@@ -1,0 +1,166 @@
+"""The plan's edges and the interference rule against their plain forms."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.plan.checks.conflicts import findings
+from hpe_rig.plan.interference import SETTLING_S, admissible_delays_s, disturbed_pulses, effective_rate_hz
+from hpe_rig.plan.shots import Shot, burst_path_s, make_plan, tracking_path_s
+from hpe_rig.scene.scene import Scene, parse_scene, shipped_scenes
+
+BENCH = read_bench().bench
+MUSCLE = parse_scene("bovine-muscle", shipped_scenes()["bovine-muscle-synchronous"]).scene
+TABLE_1 = parse_scene("table-1", shipped_scenes()["table-1"]).scene
+
+
+def muscle(delay_s: float, pulse_rate_hz: float = 4000.0, burst_length_s: float = 100e-6) -> Scene:
+    tracking = MUSCLE.tracking.model_copy(update={"delay_s": delay_s, "pulse_rate_hz": pulse_rate_hz})
+    assert MUSCLE.excitation is not None
+    excitation = MUSCLE.excitation.model_copy(update={"burst_length_s": (burst_length_s,)})
+    return MUSCLE.model_copy(update={"tracking": tracking, "excitation": excitation})
+
+
+def plainly_disturbed(shot: Shot) -> list[bool]:
+    """Interval by interval: pulse against toneburst, gate against toneburst, gate against every echo of it."""
+    line, result = shot.timeline, []
+    for pulse_s in line.pulse_onset_s:
+        gate = (pulse_s + line.gate_offset_s[0], pulse_s + line.gate_offset_s[1] + line.pulse_length_s)
+        hit = False
+        for burst_s in line.burst_onset_s:
+            busy = (burst_s, burst_s + line.burst_length_s)
+            heard = (burst_s, busy[1] + line.gate_offset_s[1] + SETTLING_S)
+            hit |= pulse_s < busy[1] and pulse_s + line.pulse_length_s > busy[0]
+            hit |= gate[0] < heard[1] and gate[1] > heard[0]
+        result.append(hit)
+    return result
+
+
+@given(
+    delay_s=st.floats(0, 1e-3),
+    pulse_rate_hz=st.sampled_from([2000.0, 2500.0, 3000.0, 3333.0, 4000.0, 5000.0]),
+    burst_length_s=st.sampled_from([50e-6, 100e-6, 200e-6]),
+)
+def test_disturbed_pulses_are_those_whose_intervals_overlap(
+    delay_s: float, pulse_rate_hz: float, burst_length_s: float
+) -> None:
+    shot = make_plan(muscle(delay_s, pulse_rate_hz, burst_length_s), BENCH).shots[0]
+    assert disturbed_pulses(shot).tolist() == plainly_disturbed(shot)
+
+
+@pytest.mark.parametrize("pulse_rate_hz", [2000.0, 2500.0, 3000.0, 4000.0, 5000.0])
+@pytest.mark.parametrize("burst_length_s", [50e-6, 100e-6, 200e-6])
+def test_admissible_delays_are_exactly_the_undisturbed_ones(pulse_rate_hz: float, burst_length_s: float) -> None:
+    intervals = admissible_delays_s(make_plan(muscle(0.0, pulse_rate_hz, burst_length_s), BENCH).shots[0])
+    period_s = 1 / pulse_rate_hz
+    for delay_s in np.linspace(0.05e-6, period_s, 400, endpoint=False):
+        shot = make_plan(muscle(float(delay_s + period_s), pulse_rate_hz, burst_length_s), BENCH).shots[0]
+        free = not disturbed_pulses(shot).any()
+        margin_s = min((abs(delay_s - edge) for interval in intervals for edge in interval), default=1.0)
+        if margin_s > 1e-9:
+            inside = any(low < delay_s + turn * period_s < high for low, high in intervals for turn in (0, 1))
+            assert free == inside, delay_s
+
+
+def test_the_papers_pulse_rates_are_the_highest_free_of_interference() -> None:
+    # Sec. IV.C: f_prf = 4.0, 4.0 and 2.5 kHz for T_b = 50, 100, 200 us; at 200 us, 4 kHz has no admissible delay.
+    for burst_length_s, rate_hz in ((50e-6, 4000.0), (100e-6, 4000.0), (200e-6, 2500.0)):
+        assert admissible_delays_s(make_plan(muscle(0.0, rate_hz, burst_length_s), BENCH).shots[0])
+    assert not admissible_delays_s(make_plan(muscle(0.0, 4000.0, 200e-6), BENCH).shots[0])
+
+
+def test_edges_follow_the_wiring_cable_by_cable() -> None:
+    # Shipped bench: 5 ns a cable, 10 ns to the transducer, 100 ns a triggered generator.
+    trigger_s, onset_s = tracking_path_s(BENCH)
+    assert trigger_s == pytest.approx(5e-9 + 100e-9 + 5e-9)
+    assert onset_s == pytest.approx(trigger_s + 5e-9 + 100e-9 + 10e-9)
+    assert burst_path_s(BENCH) == pytest.approx(5e-9 + 100e-9 + 5e-9 + 100e-9 + 10e-9)
+    shot = make_plan(MUSCLE, BENCH).shots[0]
+    np.testing.assert_allclose(np.diff(shot.timeline.burst_onset_s), 0.01, rtol=1e-12)
+    np.testing.assert_allclose(np.diff(shot.timeline.pulse_onset_s), 250e-6, rtol=1e-9)
+    assert shot.timeline.pulse_onset_s[0] == pytest.approx(130e-6 + onset_s)
+
+
+def test_the_record_is_placed_around_the_gate() -> None:
+    shot = make_plan(MUSCLE, BENCH).shots[0]
+    middle = (shot.gate.start + shot.gate.stop) / 2
+    assert abs(middle - shot.capture.record_samples / 2) <= 1
+    assert shot.gate.stop - shot.gate.start == round(2 * 1e-3 / 1540 * 100e6)
+
+
+def test_a_pulser_that_waits_for_the_trigger_delay_gets_none() -> None:
+    digitizer = BENCH.digitizer.model_copy(update={"aux_waits_for_trigger_delay": True})
+    bench = BENCH.model_copy(update={"digitizer": digitizer})
+    plan = make_plan(MUSCLE, bench)
+    assert plan.shots[0].capture.trigger_delay_samples == 0
+    refused = [item for item in findings(MUSCLE, bench, plan) if item.level == "refused"]
+    assert [item.check for item in refused] == ["gate in record"]
+    assert "record_samples = 9168" in refused[0].remedy
+
+
+def test_force_goes_with_the_square_of_the_drive() -> None:
+    assert MUSCLE.excitation is not None
+    excitation = MUSCLE.excitation.model_copy(update={"force_fraction": (1.0, 0.81, 0.49)})
+    plan = make_plan(MUSCLE.model_copy(update={"excitation": excitation}), BENCH)
+    drives = [shot.toneburst.amplitude_vpp for shot in plan.shots if shot.toneburst]
+    np.testing.assert_allclose(drives, [1.0, 0.9, 0.7], rtol=1e-12)
+
+
+def test_a_sweep_takes_every_length_force_and_repeat() -> None:
+    assert MUSCLE.excitation is not None
+    excitation = MUSCLE.excitation.model_copy(update={"burst_length_s": (50e-6, 100e-6), "force_fraction": (1.0, 0.5)})
+    acquisition = MUSCLE.acquisition.model_copy(update={"repeats": 3})
+    plan = make_plan(MUSCLE.model_copy(update={"excitation": excitation, "acquisition": acquisition}), BENCH)
+    rows = [(shot.timeline.burst_length_s, shot.force_fraction, shot.repeat) for shot in plan.shots]
+    assert len(set(rows)) == len(plan.shots) == 2 * 2 * 3
+    assert [shot.index for shot in plan.shots] == list(range(12))
+
+
+def test_a_scene_without_excitation_needs_no_excitation_generator() -> None:
+    plan = make_plan(TABLE_1, BENCH)
+    assert plan.roles == ("master", "tracking_train", "tracking_pulser", "digitizer")
+    assert any("burst_train and toneburst" in item.what for item in plan.left_out)
+    assert plan.shots[0].timeline.reference_s == 0.0
+
+
+def test_times_are_those_at_the_gate() -> None:
+    line = make_plan(MUSCLE, BENCH).shots[0].timeline
+    way_s = 70e-3 / 1540
+    np.testing.assert_allclose(line.sensing_s - line.pulse_onset_s, way_s, rtol=1e-9)
+    assert line.reference_s == pytest.approx(line.burst_onset_s[0] + way_s)
+
+
+@pytest.mark.parametrize("name", sorted(shipped_scenes()))
+def test_shipped_scenes_have_no_conflicts(name: str) -> None:
+    scene = parse_scene(name, shipped_scenes()[name]).scene
+    levels = {item.check: item.level for item in findings(scene, BENCH, make_plan(scene, BENCH))}
+    assert "refused" not in levels.values()
+    assert [check for check, level in levels.items() if level == "warning"] in ([], ["folding"])
+
+
+def test_an_unwired_bench_has_no_path() -> None:
+    assert math.isnan(BENCH.path_delay_s("master.output", "toneburst.trigger"))
+
+
+@pytest.mark.parametrize(
+    ("pulse_rate_hz", "expected_hz"), [(4000.0, 4000.0), (4050.0, 8100.0), (3980.0, 19900.0), (3990.0, 39900.0)]
+)
+def test_the_effective_rate_counts_the_distinct_instants_of_a_burst_period(
+    pulse_rate_hz: float, expected_hz: float
+) -> None:
+    # The plain count: distinct places of all pulses in a burst period of 10 ms, over 20 periods.
+    places = {round(k * 100 / pulse_rate_hz * 1e6) % 1_000_000 for k in range(round(0.2 * pulse_rate_hz))}
+    assert len(places) == round(expected_hz / 100)
+    assert effective_rate_hz(pulse_rate_hz, 100.0, 20) == pytest.approx(expected_hz)
+
+
+def test_harmonics_that_fold_are_warned_of_unless_the_pulses_shift_from_burst_to_burst() -> None:
+    def folding(pulse_rate_hz: float) -> str:
+        scene = muscle(130e-6, pulse_rate_hz)
+        return next(item.level for item in findings(scene, BENCH, make_plan(scene, BENCH)) if item.check == "folding")
+
+    assert folding(4000.0) == "warning"
+    assert folding(3990.0) == "passed"

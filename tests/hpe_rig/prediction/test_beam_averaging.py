@@ -1,0 +1,134 @@
+"""Averaging over the tracking beam in the medium's own field: theory notes, quadrature, the twin's own scatterers."""
+
+import numpy as np
+import pytest
+
+from hpe_rig.acquire.run import measure, prepare_text
+from hpe_rig.prediction.beam_averaging import depth_spread, gaussian_averaging, medium_motion, width_scale
+from hpe_rig.prediction.forecast import averaging_text, predicted_averaging
+from hpe_rig.scene.scene import parse_scene, shipped_scenes
+from hpe_rig.scene.validation import SettingsError
+from sim_backend.echoes.cumulative_sum import running_sum
+from sim_backend.echoes.pulse import hann_pulse
+from sim_backend.echoes.scatterers import depth_delay_s, draw_field
+from sim_backend.motion.field import field_transfer
+from sim_backend.settings.simulation import Beams, Scatterers, Specimen
+
+FORCE_M = (0.17e-3, 0.17e-3, 1.80e-3)
+TRACKING_M = (0.078e-3, 0.078e-3, 0.83e-3)
+GATE_M, PULSE_M = 1.0e-3, 1.32e-3
+FREQUENCY_HZ = np.array([100.0, 200.0, 400.0, 1000.0])
+MUSCLE = shipped_scenes()["bovine-muscle"]
+
+
+def voigt(modulus_pa, viscosity_pa_s, frequency_hz=FREQUENCY_HZ):
+    return modulus_pa + 2j * np.pi * frequency_hz * viscosity_pa_s
+
+
+def test_tracked_over_peak_displacement_is_that_of_the_theory_notes():
+    """theory.md section 5: an endless column of 0.34 mm in 4 kPa gelatin, T = 0.155 mm; half a unit of its digits."""
+    column_m, tracking_m = (0.34e-3, 0.34e-3, 0.5), (0.155e-3, 0.155e-3, 1.0)
+    tracked, peak = medium_motion(voigt(4e3, 1.0), 1000.0, FREQUENCY_HZ, column_m, tracking_m, 0.0)
+    ratio = tracked / peak
+    assert np.abs(ratio) == pytest.approx([0.984, 0.980, 0.973, 0.955], abs=6e-4)
+    assert np.degrees(np.angle(ratio[[0, 3]])) == pytest.approx([-0.6, -1.6], abs=0.05)
+
+
+@pytest.mark.parametrize(("modulus_pa", "viscosity_pa_s"), [(4e3, 1.0), (13.5e3, 2.0)])
+def test_averaging_equals_the_quadrature_over_the_twins_field(modulus_pa, viscosity_pa_s):
+    specimen = Specimen(shear_modulus_pa=modulus_pa, shear_viscosity_pa_s=viscosity_pa_s)
+    depth_m = 0.3e-3
+    node, weight = np.polynomial.legendre.leggauss(16)
+    across_m, along_m = 4 * TRACKING_M[0] * (node + 1) / 2, 5 * depth_m * node
+    across = weight * across_m * np.exp(-((across_m / TRACKING_M[0]) ** 2))
+    along = weight * np.exp(-((along_m / depth_m) ** 2) / 2)
+    field = field_transfer(specimen, FORCE_M, across_m, np.abs(along_m), FREQUENCY_HZ)
+    peak = field_transfer(specimen, FORCE_M, np.zeros(1), np.zeros(1), FREQUENCY_HZ)[:, 0, 0]
+    expected = np.einsum("fra,r,a->f", field, across, along) / across.sum() / along.sum() / peak
+    tracked, own = medium_motion(voigt(modulus_pa, viscosity_pa_s), 1000.0, FREQUENCY_HZ, FORCE_M, TRACKING_M, depth_m)
+    # What the field's own quadrature promises.
+    assert np.abs(tracked / own - expected).max() < 2e-6
+
+
+def test_gaussian_of_the_scaled_width_is_tracked_alike():
+    depth_m = depth_spread(TRACKING_M, GATE_M, PULSE_M, "none")
+    for averaging in (0.3, 0.9, 0.955, 0.984):
+        scale = width_scale(averaging, FORCE_M, TRACKING_M, depth_m)
+        wide_m = tuple(scale * width for width in FORCE_M)
+        assert gaussian_averaging(wide_m, TRACKING_M, depth_m) == pytest.approx(averaging, rel=1e-9)
+    assert width_scale(1.0, FORCE_M, TRACKING_M, depth_m) > 100
+
+
+def test_declared_medium_goes_before_the_twins_and_the_gaussian_is_the_last_resort():
+    own = predicted_averaging(parse_scene("a", MUSCLE).scene, "coherent")
+    soft = MUSCLE + "\n[medium]\nshear_modulus_pa = 1e3\nshear_viscosity_pa_s = 1.0\n"
+    declared = predicted_averaging(parse_scene("a", soft).scene, "coherent", simulated=False)
+    metal = predicted_averaging(parse_scene("a", MUSCLE).scene, "coherent", simulated=False)
+    chosen = MUSCLE.replace("force_density", 'field = "gaussian"\nforce_density')
+    gaussian = predicted_averaging(parse_scene("a", chosen).scene, "coherent")
+    factors = [[item.factor for item in each] for each in (own, declared, gaussian)]
+    assert metal == gaussian
+    assert factors[0][-1] < factors[0][0]
+    assert factors[1][-1] < factors[0][-1]
+    assert factors[2] == [factors[2][0]] * 10
+    assert factors[2][0] < 0.9 < 0.95 < factors[0][-1]
+    assert "by the Gaussian of eq. (12) 0.890" in "".join(averaging_text(parse_scene("a", MUSCLE).scene))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (
+            "excitation_width_m = [0.17e-3,",
+            "excitation_width_m = [0.20e-3,",
+            ["a round force", "0.0002 m by 0.00017 m"],
+        ),
+        (
+            "[simulation.receiver]",
+            "[simulation.beams]\nwidth_ratio = [1.0, 1.0, 1.0]\n[simulation.receiver]",
+            ["width_ratio"],
+        ),
+    ],
+)
+def test_field_that_the_beams_do_not_allow_is_refused_with_a_remedy(tmp_path, old, new, words):
+    assert old in MUSCLE
+    with pytest.raises(SettingsError) as refused:
+        measure(prepare_text("a", MUSCLE.replace(old, new)), tmp_path / "a.h5")
+    for word in [*words, 'specimen.field = "gaussian"']:
+        assert word in str(refused.value)
+
+
+@pytest.mark.slow
+def test_twins_scatterers_are_tracked_as_predicted():
+    """The whole gate's phase over draws of scatterers that the medium's field moves by 5 nm, 200 Hz."""
+    specimen, draws, reach_m = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0), 800, 5e-9
+    pulse, gate_s = hann_pulse(9e6, 0.065), (np.arange(130) - 64.5) * 1e-8
+    across_m, along_m = np.linspace(0, 0.72e-3, 37), np.linspace(0, 2.6e-3, 27)
+    grid = field_transfer(specimen, FORCE_M, across_m, along_m, np.array([200.0]))[0]
+    grid = grid / grid[0, 0]
+    rng, tracked = np.random.default_rng(11), []
+    for _ in range(draws):
+        places = draw_field(Scatterers(), Beams(), rng)
+        rest_s = depth_delay_s(places, "two_way", 1540.0)
+        row = np.hypot(*places.offset_m[:, :2].T) / across_m[1]
+        column = np.abs(places.offset_m[:, 2]) / along_m[1]
+        i, j = row.astype(int), column.astype(int)
+        a, b = row - i, column - j
+        moved = (1 - a) * ((1 - b) * grid[i, j] + b * grid[i, j + 1])
+        moved += a * ((1 - b) * grid[i + 1, j] + b * grid[i + 1, j + 1])
+        delay_s = rest_s + 2 / 1540.0 * reach_m * np.stack([0 * rest_s, moved.real, moved.imag, 1 + 0 * rest_s])
+        spectrum = np.fft.rfft(running_sum(delay_s, places.tracking_weight, pulse, gate_s))
+        turn = np.angle(np.sum(np.conj(spectrum[1:]) * spectrum[0], axis=1))
+        # Against an even motion: which frequency the echo has is the estimator's affair.
+        tracked.append(complex(*turn[:2]) / turn[2])
+    medium = "[medium]\nshear_modulus_pa = 9e3\nshear_viscosity_pa_s = 2.0\n"
+    text = MUSCLE.split("[simulation]")[0].replace("[processing]", medium + "[processing]\nfrequencies_hz = [200.0]")
+    predicted = predicted_averaging(parse_scene("a", text).scene, "coherent")[0]
+    assert predicted is not None
+    size = np.abs(tracked)
+    error = predicted.speckle_relative / np.sqrt(draws)
+    # Three standard errors, and as much of the loss as the correction for few speckles, a fortieth, may itself be off.
+    assert size.mean() == pytest.approx(predicted.factor, abs=3 * error + 0.025 * (1 - predicted.factor))
+    assert np.angle(np.mean(tracked)) == pytest.approx(predicted.phase_rad, abs=3 * error)
+    # The spread's heavy tail, speckle's dark spots, makes it known to 2/sqrt(draws) at best: three of them.
+    assert size.std() == pytest.approx(predicted.speckle_relative, rel=6 / np.sqrt(draws) + 0.1)

@@ -1,0 +1,108 @@
+"""Closed forms against direct sums, limits and the figures found by Monte Carlo."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hpe_rig.prediction.bounds import harmonic_bound
+from hpe_rig.prediction.theory import (
+    GateWindow,
+    beam_averaging_factor,
+    difference_gain,
+    force_spectrum,
+    scatterer_density,
+    speckle_spread,
+)
+
+EXCITATION = (0.17e-3, 0.17e-3, 1.80e-3)
+TRACKING = (0.078e-3, 0.078e-3, 0.83e-3)
+PULSE_M = 1540 / 2 / (0.065 * 9e6)
+DENSITY = scatterer_density(TRACKING, 11)
+
+
+def test_force_spectrum_equals_the_fourier_sum_of_the_pulse_train() -> None:
+    time_s = (np.arange(100_000) + 0.5) / 100_000 / 100
+    force = 3.0 * (time_s < 100e-6)
+    harmonic = np.arange(-12, 13)
+    direct = [np.mean(force * np.exp(-2j * np.pi * n * 100 * time_s)) for n in harmonic]
+    # midpoint sums of 100000 intervals: relative error (pi n / 1e5)^2 / 6
+    np.testing.assert_allclose(force_spectrum(harmonic, 100.0, 100e-6, 3.0), direct, rtol=1e-7)
+
+
+def test_force_vanishes_at_multiples_of_the_inverse_burst_length() -> None:
+    zeros = np.abs(force_spectrum(np.array([100, 200]), 100.0, 100e-6))
+    assert (zeros < 1e-15).all()
+
+
+@pytest.mark.parametrize(("points", "gain"), [(5, 0.9355), (10, 0.9836), (20, 0.9959), (30, 0.9982)])
+def test_difference_gain_is_the_known_one(points: int, gain: float) -> None:
+    assert difference_gain(200.0, 200.0 * points) == pytest.approx(gain, abs=5e-5)
+
+
+@pytest.mark.parametrize(("coherent_sum", "expected"), [(False, 0.90559), (True, 0.82748)])
+def test_lateral_averaging_alone_is_the_closed_form(coherent_sum: bool, expected: float) -> None:
+    # an axially uniform motion leaves W^2 p / (W^2 p + 1) with W = 0.17 / 0.078
+    p_w2 = (1 if coherent_sum else 2) * (0.17 / 0.078) ** 2
+    factor = beam_averaging_factor((0.17e-3, 0.17e-3, 1e3), TRACKING, 1e-3, PULSE_M, coherent_sum)
+    assert factor == pytest.approx(p_w2 / (p_w2 + 1), rel=1e-9)
+    # the reference's figures are for W = 2.19
+    assert factor == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("window", "expected", "error"), [("none", 0.887, 0.0013), ("hann", 0.892, 0.0018)], ids=["whole", "hann"]
+)
+def test_beam_averaging_predicts_the_monte_carlo_means(window: GateWindow, expected: float, error: float) -> None:
+    factor = beam_averaging_factor(EXCITATION, TRACKING, 1e-3, PULSE_M, gate_window=window, scatterers_per_m3=DENSITY)
+    # error: standard error of the 2000 draws in model-notes 1
+    assert factor == pytest.approx(expected, abs=2 * error)
+
+
+@pytest.mark.parametrize(("filled_m", "expected"), [(5e-3, 0.751), (1e-3, 0.812)])
+def test_literal_reading_predicts_the_papers_bias(filled_m: float, expected: float) -> None:
+    factor = beam_averaging_factor(EXCITATION, TRACKING, filled_m, PULSE_M, True, scatterers_per_m3=DENSITY)
+    # standard error of 500 draws: 0.017 / sqrt(500) and 0.024 / sqrt(500), twice
+    assert factor == pytest.approx(expected, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("window", "expected"), [("none", 0.060 / 0.887), ("hann", 0.080 / 0.893)], ids=["whole", "hann"]
+)
+def test_speckle_spread_predicts_the_monte_carlo_spreads(window: GateWindow, expected: float) -> None:
+    spread = speckle_spread(EXCITATION, TRACKING, 1e-3, PULSE_M, np.random.default_rng(1), window)
+    # both are heavy-tailed: 2 / sqrt(4000) here and 2 / sqrt(2000) there give 5.5 %; three of these
+    assert spread == pytest.approx(expected, rel=0.165)
+
+
+def test_scatterer_density_is_11_in_the_half_amplitude_ellipsoid() -> None:
+    cell_m3 = 11 / DENSITY
+    assert cell_m3 == pytest.approx(0.0345e-9, rel=2e-3, abs=0)
+
+
+def test_a_gate_holding_many_speckles_spreads_less() -> None:
+    short, long = (
+        speckle_spread((0.17e-3, 0.17e-3, 1e3), (0.078e-3, 0.078e-3, 1e3), gate_m, 0.3e-3, np.random.default_rng(2))
+        for gate_m in (1e-3, 4e-3)
+    )
+    # four times the speckles, a little less for the pulse that overlaps the ends of the gate
+    assert long == pytest.approx(short / 2, rel=0.1)
+
+
+def test_bound_equals_the_inverse_fisher_information_of_a_sampled_echo() -> None:
+    fast_s, slow_s = np.arange(1000) / 100e6, np.arange(100) / 4000
+    per_metre = 4 * np.pi * 9e6 / 1540
+    echo = np.sin(2 * np.pi * 9e6 * fast_s)[None, :]
+    wave = np.stack([np.sin(2 * np.pi * 200 * slow_s), 1e-6 * np.cos(2 * np.pi * 200 * slow_s)])
+    # derivative of cos(w t - per_metre u), power 1/2, at small displacement; noise power 1/2 / 100
+    derivative = per_metre * (wave[:, :, None] * echo).reshape(2, -1)
+    covariance = np.linalg.inv(derivative @ derivative.T / (0.5 / 100))
+    amplitude_m, phase_rad = harmonic_bound(1e-6, 1000, 100, 100.0, 9e6, 1540.0)
+    assert amplitude_m == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-9, abs=0)
+    assert phase_rad == pytest.approx(np.sqrt(covariance[1, 1]), rel=1e-9, abs=0)
+
+
+def test_bound_gives_the_reference_figures_for_table_one() -> None:
+    amplitude_m, phase_rad = harmonic_bound(1e-6, 130, 100, 1e4, 9e6, 1540.0)
+    assert amplitude_m == pytest.approx(1.69e-9, rel=5e-3, abs=0)
+    assert np.degrees(phase_rad) == pytest.approx(0.097, abs=1e-3)

@@ -1,0 +1,214 @@
+"""The report: one file that needs nothing else, says what it shows, and shows what was measured."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from hpe_rig.acquire.run import measure, prepare, process
+from hpe_rig.report.page import render, strongest, write_report
+from hpe_rig.report.sweep import Curve, Sweep
+from hpe_rig.report.sweep_figures import sweep_pictures
+from hpe_rig.result.estimates import Result
+from hpe_rig.result.warnings import shot_warnings
+from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.store import StoreError
+
+VOID = {"meta", "br", "link", "img", "input", "hr"}
+SVG_ALONE = {"path", "use", "rect", "image", "stop", "circle", "line"}
+
+
+def measured(folder: Path, *edits: tuple[str, str], scene: str = "bovine-muscle") -> Path:
+    text = shipped_scenes()[scene]
+    for old, new in edits:
+        assert old in text, old
+        text = text.replace(old, new)
+    path = folder / f"{scene}.toml"
+    path.write_text(text, encoding="utf-8")
+    return measure(prepare(str(path)), folder / "run.h5")
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    hostile = ('title = "Bovine', 'title = "<script>alert(1)</script>{{ 7*7 }} Bovine')
+    return measured(tmp_path_factory.mktemp("report"), hostile, ("burst_count = 20", "burst_count = 10"))
+
+
+@pytest.fixture(scope="module")
+def page(run_file: Path) -> str:
+    return write_report(run_file).read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def result(run_file: Path) -> Result:
+    return process(run_file)
+
+
+class Outline(HTMLParser):
+    """Every element's attributes, and whether the tags are balanced."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, tag
+        assert self.open.pop() == tag
+
+
+def test_the_page_is_one_file_below_a_megabyte_that_asks_for_nothing(page: str) -> None:
+    assert len(page.encode()) < 1_000_000
+    named = set(re.findall(r"https?://[^\"'\s<>)]+", page))
+    # names of vocabularies, which nothing fetches
+    assert all(address.startswith(("http://www.w3.org/", "https://www.w3.org/")) for address in named), named
+    outline = Outline(page)
+    assert not {"script", "link", "iframe", "object", "embed", "form"} & {tag for tag, _ in outline.elements}
+    for tag, attributes in outline.elements:
+        for name in ("src", "href", "xlink:href"):
+            assert (attributes.get(name) or "#").startswith(("#", "data:")), (tag, attributes)
+    assert "default-src 'none'" in page
+
+
+def test_tags_are_balanced_and_no_two_elements_share_an_id(page: str) -> None:
+    outline = Outline(page)
+    assert not outline.open
+    counts = Counter(attributes["id"] for _, attributes in outline.elements if "id" in attributes)
+    assert [name for name, count in counts.items() if count > 1] == []
+    references = set(re.findall(r'url\(#([^)]+)\)|xlink:href="#([^"]+)"', page))
+    assert {left or right for left, right in references} <= set(counts)
+
+
+def test_every_picture_is_named_and_described_in_words_and_numbers(page: str) -> None:
+    pictures = re.findall(r"<svg\b.*?</svg>", page, flags=re.DOTALL)
+    assert len(pictures) == 10
+    for picture in pictures:
+        assert re.search(r'role="img" aria-labelledby="[\w-]+-t [\w-]+-d"', picture)
+        description = re.search(r"<desc [^>]*>(.*?)</desc>", picture, flags=re.DOTALL)
+        assert description is not None
+        assert re.search(r"\d", description.group(1))
+    assert re.search(r'<html lang="en">', page)
+    assert all('scope="' in head for head in re.findall(r"<th\b[^>]*>", page))
+
+
+def test_colours_of_text_stand_out_from_their_background(page: str) -> None:
+    def luminance(colour: str) -> float:
+        digits = colour[1:] if len(colour) == 7 else "".join(2 * digit for digit in colour[1:])
+        parts = [int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4)]
+        red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
+        return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+    named = dict(re.findall(r"--(\w+): (#[0-9a-f]{3,6});", page))
+    pairs = [(named[text], named["paper"]) for text in ("ink", "soft", "accent", "warn")]
+    pairs += [(named[text], named["tint"]) for text in ("ink", "soft", "warn")]
+    pairs += [("#4a2500", "#ffe9c7"), ("#003f2c", "#e3f4ec"), (named["warn"], "#fff3ec")]
+    for text, paper in pairs:
+        light, dark = sorted((luminance(text), luminance(paper)), reverse=True)
+        # WCAG 2.2, success criterion 1.4.3
+        assert (light + 0.05) / (dark + 0.05) >= 4.5, (text, paper)
+
+
+def test_simulated_is_said_first_and_in_large(page: str) -> None:
+    assert "<title>SIMULATED: " in page
+    body = page[page.index("<body>") :]
+    assert body.index("<strong>SIMULATED</strong>") < body.index("<h1>")
+    assert "MEASURED" not in body
+
+
+def test_the_table_holds_the_results_numbers(page: str, result: Result) -> None:
+    for estimate in result.shots[0].estimates:
+        row = re.search(rf'<tr><th scope="row">{estimate.frequency_hz:g}</th>(.*?)</tr>', page)
+        assert row is not None
+        cells = re.findall(r"<td>(.*?)</td>", row.group(1))
+        assert float(cells[0]) == pytest.approx(estimate.amplitude_m * 1e9, rel=1e-3)
+        assert float(cells[2]) == pytest.approx(estimate.phase_rad * 57.29577951308232, abs=0.006)
+    assert f"{strongest(result.shots[0]).frequency_hz:g} Hz</b>" in page
+
+
+def test_every_part_is_there(page: str) -> None:
+    for heading in (
+        "What was measured", "Amplitude and phase", "Displacement", "Echoes", "Timing", "What the fit leaves",
+        "Error and run time by stage", "What was left out", "Provenance",
+    ):  # fmt: skip
+        assert f">{heading}<" in page
+    assert "SHA-256" in page
+    for test in ("white residual", "no line left", "normal residual", "steady noise", "innovations"):
+        assert f'<th scope="row">{test}</th>' in page
+
+
+def test_a_title_that_is_markup_stays_text(page: str) -> None:
+    assert "<script" not in page
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;{{ 7*7 }}" in page
+
+
+def test_a_shot_that_does_not_exist_is_refused_with_those_that_do(run_file: Path) -> None:
+    with pytest.raises(StoreError, match=r"shot 9 has no result.*--shot 1"):
+        render(run_file, shot=9)
+
+
+def test_a_report_replaces_a_report_and_nothing_else(run_file: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "run.h5"
+    before = run_file.read_bytes()
+    copy.write_bytes(before)
+    with pytest.raises(StoreError, match=r"run\.h5 exists and is no HTML page"):
+        write_report(copy, output=copy)
+    assert copy.read_bytes() == before
+    page = tmp_path / "run.html"
+    page.write_text("<!DOCTYPE html>\nan earlier report", encoding="utf-8")
+    assert "SIMULATED" in write_report(copy).read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_below_a_megabyte(tmp_path: Path) -> None:
+    run_file = measured(
+        tmp_path,
+        ("burst_count = 20", "burst_count = 10\nforce_fraction = [0.25, 0.5, 1.0]"),
+    )
+    with h5py.File(run_file, "r+") as file:
+        file.attrs.modify("status", b"aborted")
+        file["records/recorded"][0, 350:] = 0
+    page = render(run_file)
+    Outline(page)
+    assert len(page.encode()) < 1_000_000
+    assert "the run is aborted" in page
+    assert re.search(r"shot 1: (?:49|50) of \d+ records are missing", page)
+    assert "Over force F / F_0" in page
+    slopes = re.findall(r'<tr><th scope="row">100</th><td>T_b = 100 us</td><td>([\d.]+)</td>', page)
+    last = process(run_file).shots[-1].estimates[0].amplitude_m * 1e9
+    # the twin's force is linear: the slope is the amplitude at full force
+    assert float(slopes[0]) == pytest.approx(last, rel=0.02)
+
+
+def test_warnings_alike_but_for_their_numbers_stand_once_with_their_shots(result: Result) -> None:
+    (shot,) = result.shots
+    texts = [f"not told from noise at {90 + n}, 100 Hz: take more" for n in range(20)]
+    shots = [replace(shot, shot=n, warnings=(text, "clipped") if n == 3 else (text,)) for n, text in enumerate(texts)]
+    assert shot_warnings(shots) == [
+        f"shot {', '.join(map(str, range(1, 13)))} ... (20 of 20 shots): such as in shot 1, {texts[0]}",
+        "shot 4: clipped",
+    ]
+    assert shot_warnings(shots[3:4]) == [texts[3], "clipped"]
+
+
+def test_phases_of_a_sweep_are_followed_from_the_strongest_point() -> None:
+    # A point drowned in noise, -179 degrees, and then 60 degrees: followed from the left all would stand at -300.
+    phase_rad, x = np.radians([-179.0, 60.0, 60.0]), np.arange(3.0)
+    curve = Curve(100.0, "", x, np.array([1e-9, 5e-8, 1e-7]), np.zeros(3), phase_rad, np.zeros(3), 1, None)
+    _, phase = sweep_pictures(Sweep("force F / F_0", (curve,)))
+    assert "between 60.00 and 181.00 degrees" in phase.alt

@@ -1,0 +1,52 @@
+"""Records find their pulses by the board's trigger times."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.interfaces import RecordBlock
+from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.plan.shots import Shot, make_plan
+from hpe_rig.scene.scene import parse_scene, shipped_scenes
+from hpe_rig.store.records import MISSING, assemble, place
+
+
+@pytest.fixture
+def shot() -> Shot:
+    return make_plan(parse_scene("table-1", shipped_scenes()["table-1"]).scene, read_bench().bench).shots[0]
+
+
+def block(shot: Shot, pulses: np.ndarray, start_s: float = 0.1) -> RecordBlock:
+    codes = np.repeat(pulses.astype(np.int16)[:, None], shot.capture.record_samples, axis=1)
+    return RecordBlock(0, codes, start_s + pulses / shot.tracking_train.rate_hz, 1e-4, 5e-5)
+
+
+def test_a_lost_trigger_leaves_its_pulse_missing_and_shifts_no_other(shot: Shot) -> None:
+    pulses = np.delete(np.arange(101), [7, 50, 51])
+    records = assemble([block(shot, pulses[:40]), block(shot, pulses[40:])], shot)
+    assert records.codes[pulses, 0].tolist() == pulses.tolist()
+    assert np.flatnonzero(~records.valid).tolist() == [7, 50, 51]
+    assert (records.codes[[7, 50, 51]] == MISSING).all()
+
+
+def test_a_trigger_between_the_pulses_is_no_pulse(shot: Shot) -> None:
+    period_s = 1 / shot.tracking_train.rate_hz
+    stray = RecordBlock(0, np.zeros((3, 512), np.int16), np.array([0.0, 0.4, 1.0]) * period_s, 1.0, 0.0)
+    assert place(stray, None, shot)[0].tolist() == [0, -1, 1]
+
+
+def test_a_shot_without_records_is_all_missing(shot: Shot) -> None:
+    assert not assemble([], shot).valid.any()
+
+
+@pytest.mark.parametrize("clock_error", [-100e-6, 50e-6, 100e-6])
+def test_a_board_whose_clock_is_off_loses_no_record(shot: Shot, clock_error: float) -> None:
+    long = replace(shot, capture=replace(shot.capture, record_count=20_000))
+    pulses = np.delete(np.arange(20_000), [5_000, 12_345])
+    latest, found = None, []
+    for part in np.array_split(pulses, 16):
+        time_s = part / shot.tracking_train.rate_hz * (1 + clock_error)
+        index, latest = place(RecordBlock(0, np.zeros((part.size, 1), np.int16), time_s, 1.0, 0.0), latest, long)
+        found += index.tolist()
+    assert found == pulses.tolist()

@@ -1,0 +1,275 @@
+"""The run file: what other programs read, what is refused before anything is written, what stays."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+from drivers.interfaces import RecordBlock
+from hpe_rig.acquire.run import Setup, measure, prepare, process
+from hpe_rig.result.html_repr import result_html
+from hpe_rig.result.rows import result_csv, result_frame
+from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.store import (
+    RunWriter,
+    StoreError,
+    WriteOptions,
+    free_path,
+    read_run,
+    read_snapshots,
+    result_path,
+    write_result,
+)
+from hpe_rig.store.format import versions
+from hpe_rig.store.layout import empty_run
+from hpe_rig.store.records import MISSING
+
+
+@pytest.fixture
+def setup(tmp_path: Path) -> Setup:
+    """Return a small measurement of two shots."""
+    text = shipped_scenes()["table-1"].replace("pulse_count = 101", "pulse_count = 48")
+    path = tmp_path / "small.toml"
+    path.write_text(text.replace("[acquisition]", "[acquisition]\nrepeats = 2\nrecord_samples = 256"), "utf-8")
+    return prepare(str(path))
+
+
+def block_of(setup: Setup, first: int, count: int, time_s: float | None = None) -> RecordBlock:
+    """Return records whose codes say which they are."""
+    shot = setup.plan.shots[0]
+    codes = np.repeat(np.arange(first, first + count, dtype=np.int16)[:, None], shot.capture.record_samples, axis=1)
+    start_s = np.nan if time_s is None else time_s
+    trigger_time_s = start_s + np.arange(first, first + count) / shot.tracking_train.rate_hz
+    scale = shot.capture.input_range_v / 8191.5
+    return RecordBlock(first, codes, trigger_time_s, scale, scale / 2)
+
+
+@contextmanager
+def nobody() -> Iterator[None]:
+    """Be a user without rights, where this is the superuser, who may write anywhere."""
+    before = os.geteuid()
+    if before == 0:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        os.seteuid(before)
+
+
+def written(setup: Setup, path: Path, *blocks: RecordBlock) -> Path:
+    """Write ``blocks`` as the first shot's."""
+    shot = setup.plan.shots[0]
+    with RunWriter(path, setup.scene, setup.bench, setup.plan) as writer:
+        for block in blocks:
+            writer.append(shot, block)
+        writer.finish(shot)
+    return path
+
+
+def test_blocks_of_any_size_land_in_their_pulses_places(setup: Setup, tmp_path: Path) -> None:
+    cuts = [0, 1, 7, 30, 48]
+    blocks = [block_of(setup, low, high - low, 0.5) for low, high in pairwise(cuts)]
+    records = read_run(written(setup, tmp_path / "run.h5", *blocks)).records[0]
+    np.testing.assert_array_equal(records.codes[:, 0], np.arange(48))
+    assert records.valid.all()
+
+
+def test_a_lost_record_stays_missing_and_shifts_no_other(setup: Setup, tmp_path: Path) -> None:
+    blocks = block_of(setup, 0, 5, 0.5), block_of(setup, 6, 42, 0.5)
+    records = read_run(written(setup, tmp_path / "run.h5", *blocks)).records[0]
+    assert np.flatnonzero(~records.valid).tolist() == [5]
+    assert (records.codes[5] == MISSING).all()
+    np.testing.assert_array_equal(records.codes[6:, 0], np.arange(6, 48))
+
+
+def test_records_without_trigger_times_count_from_the_first(setup: Setup, tmp_path: Path) -> None:
+    blocks = block_of(setup, 0, 16), block_of(setup, 16, 16)
+    records = read_run(written(setup, tmp_path / "run.h5", *blocks)).records[0]
+    assert records.valid.tolist() == [True] * 32 + [False] * 16
+    np.testing.assert_array_equal(records.codes[:32, 0], np.arange(32))
+
+
+def test_the_next_shot_leaves_the_last_one_as_it_is(setup: Setup, tmp_path: Path) -> None:
+    first, second = setup.plan.shots
+    with RunWriter(tmp_path / "run.h5", setup.scene, setup.bench, setup.plan) as writer:
+        writer.append(first, block_of(setup, 0, 20, 0.5))
+        writer.append(second, block_of(setup, 0, 48, 0.5))
+    stored = read_run(tmp_path / "run.h5")
+    assert [int(records.valid.sum()) for records in stored.records] == [20, 48]
+    assert not stored.shot_complete.any()
+
+
+def test_a_gate_is_read_alone(setup: Setup, tmp_path: Path) -> None:
+    stored = read_run(measure(setup, tmp_path / "run.h5"))
+    gate = slice(100, 130)
+    np.testing.assert_array_equal(stored.records.gated(1, gate).codes, stored.records[1].codes[:, gate])
+
+
+def test_a_block_in_other_volts_than_the_range_says_is_refused(setup: Setup, tmp_path: Path) -> None:
+    other = replace(block_of(setup, 0, 4, 0.5), volts_per_code=1e-3)
+    with pytest.raises(StoreError, match="V a code"):
+        written(setup, tmp_path / "run.h5", other)
+    assert read_run(tmp_path / "run.h5").status == "failed"
+
+
+def test_an_empty_run_is_the_same_bytes_every_time(setup: Setup) -> None:
+    images = [empty_run(setup.scene, setup.bench, setup.plan) for _ in range(2)]
+    assert images[0] == images[1]
+
+
+def test_overwriting_happens_only_when_told(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    path.write_bytes(b"precious")
+    with pytest.raises(StoreError, match="--overwrite"):
+        measure(setup, path)
+    assert path.read_bytes() == b"precious"
+    measure(setup, path, options=WriteOptions(overwrite=True))
+    assert read_run(path).status == "complete"
+    assert free_path("run", tmp_path).name == "run-2.h5"
+
+
+def test_a_missing_folder_is_a_message(setup: Setup, tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="cannot be created"):
+        measure(setup, tmp_path / "nowhere" / "run.h5")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a folder's mode means nothing there")
+def test_a_read_only_folder_is_a_message(setup: Setup) -> None:
+    # Beside the tests' own folder, which is closed to the user that a superuser turns into here, as packages may be.
+    versions()
+    with tempfile.TemporaryDirectory() as name:
+        Path(name).chmod(0o555)
+        with nobody(), pytest.raises(StoreError, match=r"cannot be created \(Permission denied\)"):
+            measure(setup, Path(name) / "run.h5")
+        Path(name).chmod(0o755)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="an open file keeps its folder there")
+def test_a_folder_that_vanishes_while_it_is_written_is_a_message(setup: Setup, tmp_path: Path) -> None:
+    folder = tmp_path / "share"
+    folder.mkdir()
+    writer = RunWriter(folder / "run.h5", setup.scene, setup.bench, setup.plan)
+    shutil.rmtree(folder)
+    with pytest.raises(StoreError, match="vanished"), writer:
+        writer.append(setup.plan.shots[0], block_of(setup, 0, 48, 0.5))
+
+
+def test_a_disk_too_small_for_the_run_is_refused_before_anything_is_written(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=40_000))
+    with pytest.raises(StoreError, match=r"the disk has 0.04 MB free"):
+        measure(setup, tmp_path / "run.h5")
+    assert not list(tmp_path.glob("*.h5"))
+
+
+def test_a_result_never_replaces_a_file_that_is_none(setup: Setup, tmp_path: Path) -> None:
+    path = measure(setup, tmp_path / "run.h5")
+    result = process(path)
+    process(path)
+    foreign = result_path(path, "coherent")
+    foreign.write_bytes(b"precious")
+    with pytest.raises(StoreError, match="left alone"):
+        write_result(foreign, result)
+    assert foreign.read_bytes() == b"precious"
+
+
+def test_compressed_records_are_the_same_records(setup: Setup, tmp_path: Path) -> None:
+    plain = measure(setup, tmp_path / "plain.h5")
+    packed = measure(setup, tmp_path / "packed.h5", options=WriteOptions(compress=True))
+    with h5py.File(packed) as file:
+        assert [item[0] for item in _filters(file["records/echo"])] == [32008]
+    for one, other in zip(read_run(plain).records, read_run(packed).records, strict=True):
+        np.testing.assert_array_equal(one.codes, other.codes)
+
+
+def _filters(dataset: h5py.Dataset) -> list[tuple[int, ...]]:
+    plist = dataset.id.get_create_plist()
+    return [plist.get_filter(index) for index in range(plist.get_nfilters())]
+
+
+@pytest.mark.external
+def test_h5dump_reads_a_run_and_a_result(setup: Setup, tmp_path: Path) -> None:
+    path = measure(setup, tmp_path / "run.h5")
+    process(path)
+    for file, name, word in ((path, "/records/shot_complete", "1, 1"), (result_path(path, "coherent"), "/json", "{")):
+        done = subprocess.run(["h5dump", "-d", name, file], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert word in done.stdout
+    header = subprocess.run(["h5dump", "-H", path], capture_output=True, text=True, check=True).stdout
+    assert 'DATASET "echo"' in header
+
+
+def test_every_object_is_of_a_type_and_format_that_hdf5_1_10_knows(setup: Setup, tmp_path: Path) -> None:
+    path = measure(setup, tmp_path / "run.h5")
+    process(path)
+    plain: list[str] = []
+
+    def look(name: str, item: h5py.HLObject) -> None:
+        if isinstance(item, h5py.Dataset):
+            # Classes: 0 integer, 1 float, 3 string; all of them old, none of them compound or nested.
+            plain.append(name)
+            assert item.id.get_type().get_class() in (0, 1, 3), name
+
+    for file_path in (path, result_path(path, "coherent")):
+        # The superblock's version is the format's: 3 came with HDF5 1.10, 4 with 2.0.
+        assert file_path.read_bytes()[8] <= 3
+        with h5py.File(file_path) as file:
+            file.visititems(look)
+    assert {"records/echo", "results/amplitude_m", "truth/displacement_m"} <= set(plain)
+
+
+def test_a_missing_record_is_nan_in_xarray(setup: Setup, tmp_path: Path) -> None:
+    path = written(setup, tmp_path / "run.h5", block_of(setup, 0, 5, 0.5), block_of(setup, 6, 42, 0.5))
+    with xr.open_dataset(path, group="records", engine="h5netcdf") as records:
+        echo = records["echo"].isel(shot=0)
+        assert np.flatnonzero(echo.isnull().all("sample")).tolist() == [5]
+        expected_v = (7 + 0.5) * setup.plan.shots[0].capture.input_range_v / 8191.5
+        assert float(echo.isel(pulse=7, sample=0)) == pytest.approx(expected_v, rel=1e-6)
+
+
+def test_a_table_goes_to_csv_and_to_pandas_with_every_digit(setup: Setup, tmp_path: Path) -> None:
+    result = process(measure(setup, tmp_path / "run.h5"))
+    read, frame = list(csv.DictReader(io.StringIO(result_csv(result)))), result_frame(result)
+    assert len(read) == len(frame) == 2
+    estimate = result.shots[1].estimates[0]
+    for row in (read[1], frame.iloc[1]):
+        assert float(row["amplitude_m"]) == estimate.amplitude_m
+        assert float(row["phase_uncertainty_rad"]) == estimate.phase_uncertainty_rad
+        assert int(row["shot"]) == 1
+    assert frame.attrs["simulated"] is True
+
+
+def test_a_notebook_shows_figure_table_and_that_it_was_simulated(setup: Setup, tmp_path: Path) -> None:
+    result = process(measure(setup, tmp_path / "run.h5"))
+    page = result._repr_html_()
+    assert "SIMULATED" in page
+    assert page.count("<svg") == 2
+    assert page.count('role="img" aria-label=') == 2
+    assert f"{result.shots[0].estimates[0].amplitude_m * 1e9:.4g}" in page
+    hostile = result_html(replace(result, title="<script>alert(1)</script>").as_dict())
+    assert "<script>" not in hostile
+
+
+def test_settings_are_kept_shot_by_shot(setup: Setup, tmp_path: Path) -> None:
+    path = measure(setup, tmp_path / "run.h5")
+    snapshots = read_snapshots(path)
+    assert [set(snapshot) for snapshot in snapshots] == [set(setup.plan.roles)] * 2
+    with h5py.File(path) as file:
+        assert json.loads(file["snapshot"].asstr()[1]) == snapshots[1]

@@ -1,0 +1,81 @@
+"""Noise drawn in the band, and states from spectra: exactly what the estimators make of noisy samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hpe_rig.processing import ESTIMATORS, Estimator, Options, estimate
+from hpe_rig.study import kernels as band
+from hpe_rig.study.kernels import Train, band_of, form_of, states
+
+TRAIN = Train(4000.0, 40, 0.0, 9e6, 1540.0, 100e6, 130, (200.0,), Options())
+OTHERS = [
+    Train(6000.0, 60, 1e-4, 9e6, 1540.0, 200e6, 519, (200.0, 400.0), Options()),
+    Train(2000.0, 50, 0.0, 5e6, 1500.0, 50e6, 66, (200.0,), Options(background_order=1)),
+]
+
+
+def _echoes(train: Train, draws: int) -> np.ndarray:
+    """Return echoes of five targets a draw that move by 1 um, (draw, pulse, sample)."""
+    rng = np.random.default_rng(5)
+    delay_s = rng.uniform(-0.3, 0.3, (draws, 5)) * train.samples / train.sample_rate_hz
+    moved_s = 2e-6 / train.sound_speed_m_per_s * np.sin(2 * np.pi * 200 * train.pulse_time_s + 0.3)
+    time_s = (np.arange(train.samples) - (train.samples - 1) / 2) / train.sample_rate_hz
+    age_s = time_s - delay_s[:, :, None, None] - moved_s[:, None]
+    pulse = np.exp(-((age_s * 0.15 * train.carrier_hz) ** 2)) * np.cos(2 * np.pi * train.carrier_hz * age_s)
+    return pulse.sum(axis=1)
+
+
+@pytest.mark.parametrize("train", [TRAIN, *OTHERS])
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_an_estimator_sees_of_white_noise_what_the_band_holds(train: Train, estimator: Estimator) -> None:
+    seen, echoes = band_of(train), _echoes(train, 1)
+    noise = np.random.default_rng(6).standard_normal((1, 2, train.pulses, train.samples))
+    numbers = noise @ seen.of_numbers["volts"].T
+    fit = estimate(train.gate(echoes[:, None] + 0.3 * noise), train.frequencies_hz, estimator, options=train.options)
+    form = form_of(estimator)
+    clean = echoes @ seen.of_volts[form] if form in seen.of_volts else echoes
+    found = states(train, estimator, clean, np.arange(train.pulses), np.array([0.3]), numbers @ seen.of_numbers[form])
+    # Rounding (7e-15 measured) and the band's cut at 1e-13, tenfold.
+    wanted = fit.state[..., : 2 * len(train.frequencies_hz)]
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("train", [TRAIN, *OTHERS])
+def test_the_band_is_far_smaller_than_the_gate_and_its_numbers_are_white(train: Train) -> None:
+    basis = band_of(train).of_numbers["volts"]
+    assert len(basis) < 0.95 * train.samples
+    np.testing.assert_allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-13)
+
+
+@pytest.mark.parametrize("train", [TRAIN, *OTHERS])
+def test_what_multiplies_the_random_numbers_does_not_hang_on_rounding(train: Train) -> None:
+    seen = band_of(train)
+    columns = np.hstack([seen.of_volts["plain"], seen.of_volts["peak"]])
+    rounded = columns * (1 + 1e-15 * np.random.default_rng(8).standard_normal(columns.shape))
+    basis = band._basis(rounded)
+    for form in ("plain", "peak"):
+        np.testing.assert_allclose(basis @ seen.of_volts[form], seen.of_numbers[form], rtol=0, atol=1e-13)
+
+
+def test_the_compiled_peak_search_is_that_of_the_paper_s_chain(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("numba")
+    seen, rng = band_of(TRAIN), np.random.default_rng(7)
+    clean = _echoes(TRAIN, 3) @ seen.of_volts["peak"]
+    noise = rng.standard_normal((3, 4, TRAIN.pulses, seen.numbers)) @ seen.of_numbers["peak"]
+    arguments = clean, rng.integers(0, TRAIN.pulses, TRAIN.pulses), np.array([0.0, 0.3, 3.0]), noise
+    fast = states(TRAIN, "cross_spectrum", *arguments)
+    monkeypatch.setattr(band, "compiled", lambda: False)
+    np.testing.assert_allclose(fast, states(TRAIN, "cross_spectrum", *arguments), rtol=0, atol=1e-16)
+
+
+def test_a_refused_realisation_is_no_number_and_the_others_are() -> None:
+    seen, echoes = band_of(TRAIN), _echoes(TRAIN, 2)
+    volts = echoes @ seen.of_volts["plain"]
+    volts[1] = 0.0
+    found = states(
+        TRAIN, "coherent", volts, np.arange(TRAIN.pulses), np.zeros(2), np.zeros((2, 1, TRAIN.pulses, volts.shape[-1]))
+    )
+    assert np.isfinite(found[0]).all()
+    assert np.isnan(found[1]).all()

@@ -1,0 +1,112 @@
+"""Error against run time of the echo engine."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.cli.app import app
+from hpe_rig.validation.accuracy.echo import CHOSEN, Measurement, as_text, measurements, share_chosen_well, write_figure
+from hpe_rig.validation.accuracy.work_precision import Point, write_points
+
+
+@pytest.fixture(scope="module")
+def rows() -> list[Measurement]:
+    return list(measurements((100, 400), (10, 30), (1e-2, 1e-8), longest_s=0.1))
+
+
+def test_every_evaluation_keeps_its_tolerance_and_the_exact_ones_rounding(rows: list[Measurement]) -> None:
+    assert {row.evaluation for row in rows} == {"direct", "running_sum", "interpolated", "series", CHOSEN}
+    for row in rows:
+        assert row.error <= (row.tolerance or 1e-12)
+        assert row.time_s > 0
+
+
+def test_the_engine_is_held_against_every_evaluation_of_its_scene_and_tolerance() -> None:
+    def row(evaluation: str, tolerance: float, time_s: float, echoes: int = 10) -> Measurement:
+        return Measurement(100, echoes, 130, evaluation, "series", tolerance, 3, 0.0, time_s, 0.0, 2)
+
+    rows = [
+        row("running_sum", 0.0, 1.0),
+        row("series", 1e-6, 0.4),
+        row("series", 1e-2, 0.1),
+        row(CHOSEN, 1e-6, 0.8),
+        row(CHOSEN, 1e-2, 0.3),
+        row("series", 1e-2, 1e-9, echoes=20),
+    ]
+    assert share_chosen_well(rows) == (1, 2)
+    assert share_chosen_well(rows, 3.1) == (2, 2)
+
+
+def test_table_reads_back_and_another_format_is_refused(rows: list[Measurement]) -> None:
+    assert json.loads(as_text(rows, ".json"))[0]["scatterers"] == 100
+    assert as_text(rows, ".csv").count("\n") == len(rows) + 1
+    with pytest.raises(ValueError, match=r"'\.xls' is no table format here"):
+        as_text(rows, ".xls")
+
+
+def test_figure_is_written(rows: list[Measurement], tmp_path: Path) -> None:
+    write_figure([row for row in rows if row.scatterers == 100], tmp_path / "work.svg")
+    assert "<svg" in (tmp_path / "work.svg").read_text(encoding="utf-8")
+
+
+def test_command_writes_the_table(tmp_path: Path) -> None:
+    path = tmp_path / "echo.csv"
+    done = CliRunner().invoke(
+        app,
+        ["accuracy", "echo", "--output", str(path), "--largest", "100", "--most-echoes", "10", "--longest-s", "0.1"],
+    )
+    assert done.exit_code == 0, done.output
+    assert path.read_text(encoding="utf-8").startswith("scatterers,echoes,samples,evaluation,method,tolerance")
+
+
+def test_every_wrong_option_is_named_before_anything_is_measured(tmp_path: Path) -> None:
+    wrong = ["--output", str(tmp_path / "a.xls"), "--figure", str(tmp_path / "no" / "b.svg"), "--largest", "5"]
+    done = CliRunner().invoke(app, ["accuracy", "echo", *wrong, "--most-echoes", "0", "--longest-s", "0"])
+    assert done.exit_code == 2
+    for option in ("--output", "--figure", "--largest", "--most-echoes", "--longest-s"):
+        assert option in done.output
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("part", ["specimen", "chain"])
+def test_wrong_file_names_of_specimen_and_chain_are_told_before_anything_is_measured(
+    tmp_path: Path, part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("time.perf_counter", lambda: pytest.fail("a measurement began"))
+    wrong = ["--output", str(tmp_path / "no" / "a.txt"), "--figure", str(tmp_path / "b.bmp")]
+    done = CliRunner().invoke(app, ["accuracy", part, *wrong])
+    assert done.exit_code == 2, done.output
+    for words in ("a.txt is no format", "no folder", "b.bmp is no format"):
+        assert words in done.output
+
+
+def test_points_until_an_interruption_are_written(tmp_path: Path) -> None:
+    def points() -> Iterator[Point]:
+        yield Point("case", "method", "setting", 1e-3, 0.5)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_points(points(), tmp_path / "a.csv", None, print)
+    assert (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()[1] == "case,method,setting,0.001,0.5"
+
+
+def test_what_was_measured_until_an_interruption_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The interruption comes where Ctrl-C would: while a later scene is measured."""
+    from hpe_rig.validation.accuracy import echo as accuracy_echo
+
+    whole = accuracy_echo._of_scene
+
+    def interrupted(count: int, *rest: Any) -> Iterator[Measurement]:
+        if count > 100:
+            raise KeyboardInterrupt
+        return whole(count, *rest)
+
+    monkeypatch.setattr(accuracy_echo, "_of_scene", interrupted)
+    path = tmp_path / "echo.json"
+    with pytest.raises(KeyboardInterrupt):
+        accuracy_echo.write_accuracy(path, None, 1000, 10, 0.1, print)
+    assert {row["scatterers"] for row in json.loads(path.read_text(encoding="utf-8"))} == {100}

@@ -1,0 +1,126 @@
+"""End to end and extreme cases: the truth is independent, the front is the front, every table reaches the report."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.cli.app import app
+from hpe_rig.validation.accuracy import end_to_end, report as accuracy_report
+from hpe_rig.validation.accuracy.end_to_end import EndToEnd, Way, pareto
+from hpe_rig.validation.accuracy.extremes import extremes
+from hpe_rig.validation.accuracy.report import end_to_end_part, lead
+from hpe_rig.validation.accuracy.work_precision import Point
+
+
+def test_the_truth_in_closed_form_is_the_fit_of_the_tabulated_displacement() -> None:
+    time_s = 50e-3 + np.arange(399) / 3990.0
+    angle = 2 * np.pi * 100.0 * np.outer(time_s, np.arange(1, 11))
+    model = np.column_stack([np.sin(angle), np.cos(angle), np.ones(len(time_s))])
+    fitted = np.linalg.lstsq(model, end_to_end.displacement(32, 24), rcond=None)[0]
+    # what is left of the start after 50 ms and of harmonics above 1 kHz
+    assert np.hypot(fitted[1], fitted[11]) == pytest.approx(end_to_end.true_amplitude_m(), rel=1e-4)
+
+
+def test_shipped_tolerance_and_nodes_cost_nothing_and_fewer_cost_what_they_say() -> None:
+    shipped = end_to_end.numerical_error(Way())
+    assert shipped < Way().tolerance
+    assert end_to_end.numerical_error(replace(Way(), nodes=6, degrees=6)) > 1e3 * shipped
+    assert shipped < end_to_end.numerical_error(replace(Way(), tolerance=1e-2)) < 1e-2
+
+
+def test_the_final_amplitude_is_true_within_its_own_error() -> None:
+    found = end_to_end.amplitudes(Way(), 64, 5) / end_to_end.true_amplitude_m()
+    # averaging factor in closed form to 0.5 %, and three standard errors of 64 realisations
+    assert found.mean() == pytest.approx(1.0, abs=0.005 + 3 * found.std(ddof=1) / 8)
+    assert found.std(ddof=1) == pytest.approx(0.07, abs=3 * 0.07 / math.sqrt(2 * 63))
+
+
+def test_the_front_is_what_nothing_beats_in_both() -> None:
+    rng = np.random.default_rng(3)
+    times, errors = rng.integers(0, 12, 60).tolist(), rng.integers(0, 12, 60).astype(float).tolist()
+    errors[7] = math.nan
+    front = pareto(times, errors)
+    for k, (time, error) in enumerate(zip(times, errors, strict=True)):
+        beaten = any(t <= time and e <= error and (t, e) != (time, error) for t, e in zip(times, errors, strict=True))
+        same = [(times[j], errors[j]) for j in front]
+        assert ((time, error) in same) == (not beaten and not math.isnan(error)), k
+    assert all(times[a] < times[b] and errors[a] > errors[b] for a, b in itertools.pairwise(front))
+
+
+def test_extreme_cases_stay_within_what_their_stage_promises() -> None:
+    medium = [
+        Point("elastic 7.25 kPa", "hyperbola, panels of log time", "32 nodes, 24 degrees", 2e-10, 0.01),
+        Point("elastic 7.25 kPa", "Fourier synthesis, padded", "1 s, 10 kHz", 3e-3, 0.5),
+        Point("elastic 7.25 kPa", "Fourier synthesis, padded", "0.25 s, 2 kHz", 6e-1, 0.02),
+        Point("bovine muscle", "hyperbola, panels of log time", "32 nodes, 24 degrees", 1e-12, 0.01),
+    ]
+    found = list(extremes(medium, longest_cycles=40.0))
+    assert [row.error for row in found if row.stage == "medium"] == [2e-10, 3e-3]
+    limits = {"echoes": 1e-6, "fit": 1e-6}
+    for row in found:
+        if row.stage in limits:
+            assert row.error <= limits[row.stage], row
+        if row.stage == "estimators":
+            # a gate shorter than its pulse: the echo's cut edges; the paper's chain windows it besides
+            assert row.error <= (2e-3 if row.method == "cross_spectrum" else 1e-3), row
+
+
+def two_ways() -> list[EndToEnd]:
+    own = {"tolerance": 1e-6, "degrees": 24, "gate_length_m": 1e-3, "bias": 0.0, "bias_uncertainty": 0.0, "cores": 1}
+    return [
+        EndToEnd(
+            **own, varied="nodes", estimator="coherent", nodes=nodes, realisations=count, numerical_error=1e-9,
+            standard_error=0.07 / count, error=0.07 / count, time_s=0.1 * count, shipped=nodes == 32, on_front=True,
+        )
+        for nodes in (32, 6)
+        for count in (1, 4)
+    ]  # fmt: skip
+
+
+def test_the_report_marks_the_shipped_default_and_the_front() -> None:
+    part = end_to_end_part(two_ways())
+    assert "shipped default" in part.pictures[0].svg
+    assert "Pareto front" in part.pictures[0].svg
+    assert re.search(r"7 % in 0.1 s from 1; 1.8 % in 0.4 s from 4\.", lead(part.tables[0])[1])
+
+
+def test_mistakes_of_the_command_line_are_told_at_once_before_anything_runs(tmp_path: Path) -> None:
+    done = CliRunner().invoke(
+        app, ["accuracy", "--output", str(tmp_path / "x.csv"), "--figure", "x.svg", "--largest", "5"]
+    )
+    assert done.exit_code == 2
+    assert all(word in done.output for word in ("3 mistakes", "--output", "--figure", "--largest"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_keeps_the_parts_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(accuracy_report, "end_to_end_rows", lambda realisations: two_ways())
+    monkeypatch.setattr(accuracy_report.accuracy_specimen, "points", interrupted)
+    done = CliRunner().invoke(app, ["accuracy", "--output", str(tmp_path / "a.html")])
+    assert done.exit_code == 130
+    assert "a.html holds the parts before specimen" in done.output
+    assert 'download="end-to-end.csv"' in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_accuracy_without_a_part_writes_one_report_of_all(tmp_path: Path) -> None:
+    path = tmp_path / "accuracy.html"
+    small = ["--largest", "100", "--most-echoes", "10", "--longest-s", "0.1", "--draws", "2"]
+    done = CliRunner().invoke(app, ["accuracy", "--output", str(path), *small])
+    assert done.exit_code == 0, done.output
+    page = path.read_text(encoding="utf-8")
+    names = ("end-to-end", "specimen", "extremes", "echo", "chain", "motion", "harmonic")
+    for name in names:
+        assert f'download="{name}.csv"' in page
+    assert page.count('role="img"') == len(names) - 1

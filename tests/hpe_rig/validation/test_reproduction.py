@@ -1,0 +1,140 @@
+"""Statements of the paper are judged by numbers and their errors: agreement, miss and silence each come out as such."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import dblquad
+
+from hpe_rig.study.definition import Definition, shipped_studies
+from hpe_rig.study.map_figures import lateral_average
+from hpe_rig.study.results import StudyResult
+from hpe_rig.validation.paper import claims as claim_judges, judging, reproduction
+from hpe_rig.validation.paper.judging import ABSENT, AGREES, DIFFERS, IN_PART, UNTOLD
+
+Values = Callable[[dict[str, float]], dict[str, float]]
+SNR_DB = [0.0, 20.0, 40.0]
+COLUMNS = [
+    f"{name}_{part}_{unit}" for name, unit in (("amplitude", "m"), ("phase", "rad")) for part in ("bias", "jitter")
+]
+
+
+def result(axes: dict[str, list[float]], values: Values, readings: tuple[str, ...] = ("physical",)) -> StudyResult:
+    """Return a study of prescribed values; what ``values`` leaves out is 0 with a standard error of 1 nm or mrad."""
+    definition = Definition.model_validate(
+        {
+            "title": "prescribed",
+            "scene": "table-1",
+            "readings": {name: ["cross_spectrum"] for name in readings},
+            "axes": [{"name": name, "keys": {f"key.{name}": list(places)}} for name, places in axes.items()],
+        }
+    )
+    rows = []
+    for reading in readings:
+        for place in itertools.product(*axes.values()):
+            at = dict(zip(axes, place, strict=True))
+            row: dict[str, Any] = {**at, "reading": reading, "estimator": "cross_spectrum", "frequency_hz": 200.0}
+            row |= {"amplitude_true_m": 1e-6, "phase_true_rad": 0.0, "draws": 500, "noise": 2}
+            for name in COLUMNS:
+                quantity, _, unit = name.rpartition("_")
+                row |= {name: 0.0, f"{quantity}_se_{unit}": 1e-9 if unit == "m" else 1e-3}
+            rows.append({**row, **values(at)})
+    return StudyResult("prescribed", definition, rows, ("0",))
+
+
+def curves(jitter_nm: Callable[[float, float], float]) -> StudyResult:
+    """Return two curves over SNR, parameter 0 and 1, whose displacement jitter is given with an error of 1 nm."""
+    return result(
+        {"P": [0.0, 1.0], "SNR": SNR_DB}, lambda at: {"amplitude_jitter_m": jitter_nm(at["P"], at["SNR"]) * 1e-9}
+    )
+
+
+@pytest.mark.parametrize(
+    ("jitter_nm", "verdict"),
+    [
+        (lambda p, snr: 100 - 20 * p, AGREES),
+        (lambda p, snr: 100 + 20 * p, DIFFERS),
+        (lambda p, snr: 100 - 2 * p, UNTOLD),
+        (lambda p, snr: 100 - 20 * p if snr < 30 else 100 + 20 * p, IN_PART),
+        (lambda p, snr: 100 - 20 * p if snr < 10 else 100 + 2 * p, AGREES),
+    ],
+)
+def test_a_trend_agrees_where_it_is_significant_and_nowhere_opposite(
+    jitter_nm: Callable[[float, float], float], verdict: str
+) -> None:
+    assert judging.trend("amplitude_jitter", falls=True)(curves(jitter_nm), "physical").verdict == verdict
+
+
+def test_no_effect_means_small_or_within_chance_at_every_snr() -> None:
+    judge = judging.flat("amplitude_jitter", 10.0)
+    assert judge(curves(lambda p, snr: 100 + 9 * p), "physical").verdict == AGREES
+    assert judge(curves(lambda p, snr: 100 + (30 if snr == 0 else 1) * p), "physical").verdict == IN_PART
+    assert judge(curves(lambda p, snr: 100 + 30 * p), "physical").verdict == DIFFERS
+
+
+def test_a_number_agrees_within_its_rounding_and_three_errors() -> None:
+    assert judging.number(0.8150, 0.001, 0.818, 0.0005).verdict == AGREES
+    assert judging.number(0.8150, 0.001, 0.819, 0.0005).verdict == DIFFERS
+    assert judging.below(4.9, 1.0, 5.0, "").verdict == AGREES
+    assert judging.below(7.0, 1.0, 5.0, "").verdict == UNTOLD
+    assert judging.below(9.0, 1.0, 5.0, "").verdict == DIFFERS
+    assert judging.with_error(0.81453, 0.00123) == "0.8145 ± 0.0012"
+
+
+def test_the_lateral_theory_is_the_mean_motion_under_the_squared_beam() -> None:
+    def integral(motion: float) -> float:
+        def weighted(y: float, x: float) -> float:
+            return float(np.exp(-(x**2) * (1 + motion / (2 * 2.19**2)) - y**2 * (1 + motion / (2 * 0.7**2))))
+
+        return float(dblquad(weighted, -8, 8, -8, 8)[0])
+
+    assert lateral_average(np.array(2.19), np.array(0.7)) == pytest.approx(integral(1.0) / integral(0.0), rel=1e-7)
+    assert lateral_average(np.array(2.19), np.array(2.19)) == pytest.approx(0.9056, abs=5e-5)
+
+
+def test_a_map_is_read_between_its_points_linearly_in_the_logarithms() -> None:
+    x = np.geomspace(0.1, 10, 11)
+    values = 2 * np.log(x)[None, :] + 3 * np.log(x)[:, None] + 1
+    assert judging.at_point(x, x, values, 2.19) == pytest.approx(5 * np.log(2.19) + 1, rel=1e-12)
+
+
+def test_differences_from_the_lateral_theory_are_told_by_w_z() -> None:
+    w = np.geomspace(0.1, 10, 11).tolist()
+
+    def values(at: dict[str, float]) -> dict[str, float]:
+        theory = float(lateral_average(np.array(at["W_x"]), np.array(at["W_y"])))
+        return {"amplitude_bias_m": (theory - 1 - 0.1 / at["W_z"] * (at["W_x"] > 5)) * 1e-6}
+
+    study = result({"W_z": [0.2, 0.4, 1.0], "W_x": w, "W_y": w}, values)
+    assert claim_judges.differences_fall(study, "physical").verdict == AGREES
+    first, last = (claim_judges.difference_at(k, said) for k, said in ((0, 0.3), (-1, 0.3)))
+    assert first(study, "physical").verdict == AGREES  # "up to and above"
+    assert last(study, "physical").verdict == DIFFERS
+    assert last(study, "physical").found == "at most 0.1000 ± 0.0010 at W_z = 1"
+
+
+def test_every_reading_is_judged_by_its_own_rows_and_what_was_not_run_says_so() -> None:
+    study = result(
+        {"SNR": SNR_DB}, lambda at: {"amplitude_bias_m": -185e-9, "amplitude_jitter_m": 34e-9}, ("physical",)
+    )
+    rows = {row["the paper"]: row for row in reproduction.rows({"fig-4": study})}
+    assert rows["error at high SNR 18.5 %"]["verdict, physical"] == AGREES
+    assert rows["error at high SNR 18.5 %"]["verdict, literal"] == ABSENT
+    assert rows["phase jitter decreases as N_c increases"]["verdict, physical"] == ABSENT
+    assert not any(row["why"] for row in rows.values() if row["verdict, physical"] == AGREES)
+
+
+def test_a_miss_is_shown_with_its_reason() -> None:
+    study = result({"SNR": SNR_DB}, lambda at: {"amplitude_bias_m": -110e-9, "amplitude_jitter_m": 80e-9})
+    row = reproduction.rows({"fig-4": study})[0]
+    assert row["verdict, physical"] == DIFFERS
+    assert row["physical"] == "11.00 ± 0.10 %"
+    assert row["why"].startswith("physical: scatterers at their own depths")
+
+
+def test_every_statement_asks_for_a_study_that_is_shipped() -> None:
+    assert {claim.study for claim in reproduction.CLAIMS} <= set(shipped_studies())

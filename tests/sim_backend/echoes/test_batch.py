@@ -1,0 +1,204 @@
+"""Batches: many draws, gates and parameter values in one call, against each alone; and their statistics."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim_backend.acoustics.acoustics import draw_echoes
+from sim_backend.echoes.cumulative_sum import running_sum
+from sim_backend.echoes.many_draws import DRAWS_AT_ONCE, batch, drawn_echoes
+from sim_backend.echoes.pulse import hann_pulse
+from sim_backend.echoes.series import Resting
+from sim_backend.echoes.thinned_draws import draw_thinned
+from sim_backend.settings.simulation import Scatterers, SimulationSettings
+
+SOUND_SPEED = 1540.0
+GATE_S = (np.arange(130) - 64.5) * 1e-8
+PULSE = hann_pulse(9.0e6, 0.065)
+CYCLE_M = 1e-6 * np.sin(2 * np.pi * np.arange(20) / 20)
+SETTINGS = SimulationSettings()
+
+
+def all_draws(count, seed=0, settings=SETTINGS, displacement_m=CYCLE_M, gate_s=GATE_S, **options):
+    rng = np.random.default_rng(seed)
+    return np.concatenate(list(drawn_echoes(settings, displacement_m, PULSE, gate_s, rng, count, **options)))
+
+
+def exact_row(scene, row, time_s=GATE_S):
+    own = scene.row == row
+    delay_s = scene.rest_s[own] + scene.amplitude_s[row] @ scene.shape[:, own]
+    return running_sum(delay_s, scene.weight[own], PULSE, time_s)
+
+
+def rms_error(ours, expected):
+    return np.sqrt(np.mean((ours - expected) ** 2) / np.mean(expected**2))
+
+
+def three_rows(amplitude_m=(1e-6, 3e-6, 0.0)):
+    field = draw_thinned(SETTINGS, (-2e-6, 2e-6), 1e-13, np.random.default_rng(1), 3)
+    amplitude_s = np.array(amplitude_m)[:, None] * CYCLE_M / 1e-6 * 2 / SOUND_SPEED
+    return Resting(field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s[:, :, None])
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("amplitude_m", [(1e-6, 3e-6, 0.0), (1e-6, 1e-4, 0.0)])
+def test_every_row_of_a_batch_is_its_own_exact_sum(compiled, amplitude_m):
+    scene = three_rows(amplitude_m)
+    ours = batch(scene, PULSE, GATE_S, 1e-8, compiled=compiled)
+    for row in range(3):
+        exact = exact_row(scene, row)
+        assert rms_error(ours[row], exact) < 1e-8
+
+
+def test_gates_longer_than_the_pulse_and_gates_shifted_by_row_are_exact_too():
+    scene, gate_s = three_rows(), (np.arange(400) - 200) * 1e-8
+    start_s = np.array([0.0, 3e-7, -2e-7])
+    moved = Resting(scene.row, scene.rest_s - start_s[scene.row], scene.weight, scene.shape, scene.amplitude_s)
+    ours = batch(moved, PULSE, gate_s, 1e-10)
+    for row in range(3):
+        exact = exact_row(scene, row, gate_s + start_s[row])
+        assert rms_error(ours[row], exact) < 1e-9
+
+
+def test_numba_is_imported_by_compiled_batches_alone():
+    """A scene of the twin and uncompiled draws leave it out: it takes longer to import than they to run."""
+    code = """
+import sys
+import numpy as np
+from sim_backend.acoustics.acoustics import draw_echoes
+from sim_backend.echoes.many_draws import drawn_echoes
+from sim_backend.echoes.pulse import hann_pulse
+from sim_backend.settings.simulation import SimulationSettings
+settings, pulse, gate_s = SimulationSettings(), hann_pulse(9.0e6, 0.065), np.arange(-20, 20) * 1e-8
+draw_echoes(settings, np.zeros(2), gate_s, np.random.default_rng(0))
+next(drawn_echoes(settings, np.zeros(2), pulse, gate_s, np.random.default_rng(0), 1, compiled=False))
+print("numba" in sys.modules)
+next(drawn_echoes(settings, np.zeros(2), pulse, gate_s, np.random.default_rng(0), 1))
+print("numba" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "True"]
+
+
+def test_float32_is_kept_to_where_its_rounding_allows():
+    scene = three_rows()
+    ours = batch(scene, PULSE, GATE_S, 1e-6, np.float32)
+    assert ours.dtype == np.float32
+    exact = exact_row(scene, 0)
+    assert rms_error(ours[0], exact) < 1e-6
+    with pytest.raises(ValueError, match="float32 rounds at 6e-8 and cannot keep a tolerance of 1e-08"):
+        batch(scene, PULSE, GATE_S, 1e-8, np.float32)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"weight": np.ones(5)}, r"weight is 5 long along its axis 'scatterer' and rest_s \d+"),
+        ({"shape": np.ones(5)}, r"shape has shape \(5,\): its axes must be \(shape, scatterer\)"),
+        ({"amplitude_s": np.full((3, 2, 1), np.nan)}, r"amplitude_s\[0, 0, 0\] is nan"),
+        ({"amplitude_s": np.zeros((2, 4, 1))}, "row must ascend from 0 to less than the 2 rows"),
+    ],
+)
+def test_rows_that_do_not_fit_are_refused_before_compiled_code_reads_beyond_them(wrong, says, compiled):
+    with pytest.raises(ValueError, match=says):
+        batch(replace(three_rows(), **wrong), PULSE, GATE_S, 1e-8, compiled=compiled)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_scatterers_of_no_weight_are_silent(compiled):
+    scene = three_rows()
+    assert not batch(replace(scene, weight=0 * scene.weight), PULSE, GATE_S, compiled=compiled).any()
+
+
+def test_scatterers_out_of_order_and_types_that_hold_no_echo_are_refused():
+    scene = three_rows()
+    turned = replace(scene, rest_s=scene.rest_s[::-1])
+    with pytest.raises(ValueError, match=r"numpy\.lexsort\(\(rest_s, row\)\)"):
+        batch(turned, PULSE, GATE_S)
+    with pytest.raises(ValueError, match="dtype int64 cannot hold echoes"):
+        batch(scene, PULSE, GATE_S, 1e-6, np.int64)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_times_in_single_precision_are_taken_at_their_value(compiled):
+    scene, single_s = three_rows(), GATE_S.astype(np.float32)
+    ours = batch(scene, PULSE, single_s, 1e-9, compiled=compiled)
+    assert np.array_equal(ours, batch(scene, PULSE, single_s.astype(np.float64), 1e-9, compiled=compiled))
+
+
+def test_same_seed_gives_the_same_draws_whatever_their_number_and_the_threads():
+    many = all_draws(2 * DRAWS_AT_ONCE + 5)
+    assert np.array_equal(many, all_draws(2 * DRAWS_AT_ONCE + 5))
+    assert np.array_equal(many[:20], all_draws(20))
+    assert np.array_equal(many, all_draws(2 * DRAWS_AT_ONCE + 5, threads=2))
+    assert np.abs(many - all_draws(2 * DRAWS_AT_ONCE + 5, seed=1)).max() > 0.1
+
+
+def test_each_draw_may_have_its_own_motion():
+    own_m = np.linspace(0.0, 2.0, 20)[:, None] * CYCLE_M
+    ours = all_draws(20, displacement_m=own_m)
+    assert np.array_equal(ours[0], np.repeat(ours[0][:1], 20, axis=0))
+    # The largest motion fixes what is drawn, so the last row keeps it; what is cut off, below the tolerance of 1e-6,
+    # depends on the other draws of its chunk.
+    same_m = np.vstack([np.tile(own_m[10], (19, 1)), own_m[-1:]])
+    assert rms_error(ours[10], all_draws(20, displacement_m=same_m)[10]) < 1e-6
+
+
+def test_thinned_draws_have_the_count_and_the_places_of_the_full_ones():
+    field = draw_thinned(SETTINGS, (-1e-6, 1.5e-6), 0.0, np.random.default_rng(2), 2000)
+    share = (1e-6 + 1.5e-6) * SOUND_SPEED / 2 / 5e-3
+    count = np.bincount(field.row, minlength=2000)
+    # Binomial of 1593: five standard errors of mean and variance over 2000 draws.
+    sd = np.sqrt(1593 * share * (1 - share))
+    assert count.mean() == pytest.approx(1593 * share, abs=5 * sd / np.sqrt(2000))
+    assert count.var() == pytest.approx(sd**2, rel=5 * np.sqrt(2 / 2000))
+    place = (field.delay_s + 1e-6) / 2.5e-6
+    assert ((place >= 0) & (place < 1)).all()
+    assert place.mean() == pytest.approx(0.5, abs=5 / np.sqrt(12 * len(place)))
+    assert np.square(place - 0.5).mean() == pytest.approx(1 / 12, abs=5 / np.sqrt(180 * len(place)))
+    assert (np.diff(field.delay_s)[np.diff(field.row) == 0] >= 0).all()
+
+
+@pytest.mark.parametrize(
+    "scatterers",
+    [
+        Scatterers(),
+        Scatterers(axial_delay="none"),
+        # Without delays reflectivity of zero mean tells by the power: it makes the sum incoherent.
+        Scatterers(axial_delay="none", reflectivity="normal"),
+        Scatterers(axial_delay="none", reflectivity="sign"),
+    ],
+)
+def test_thinned_echoes_have_the_mean_power_of_full_draws(scatterers):
+    settings, draws = SimulationSettings(scatterers=scatterers), 250
+    thinned = np.square(all_draws(draws, settings=settings, displacement_m=np.zeros(1))[:, 0]).mean(axis=1)
+    rng = np.random.default_rng(3)
+    full = np.square([draw_echoes(settings, np.zeros(1), GATE_S, rng)[0] for _ in range(draws)]).mean(axis=1)
+    error = np.sqrt((thinned.var() + full.var()) / draws)
+    assert thinned.mean() == pytest.approx(full.mean(), abs=4 * error)
+
+
+def test_a_thinned_draw_of_nothing_is_silent():
+    silent = SimulationSettings(scatterers=Scatterers(per_cell=0.0))
+    assert (all_draws(3, settings=silent) == 0.0).all()
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_reflectors_add_their_own_echo_to_every_draw(compiled):
+    """Echoes are linear: what a plane and a resting point add to a draw is what they make without scatterers."""
+    reflectors = [
+        {"kind": "plane", "position_m": (0.0, 0.0, 3e-4), "strength": 5.0},
+        {"position_m": (2e-5, 0.0, -1e-4), "strength": 20.0, "moves": False},
+    ]
+    settings = SimulationSettings.model_validate({"scatterers": {"reflectors": reflectors}})
+    alone = SimulationSettings.model_validate({"scatterers": {"reflectors": reflectors, "per_cell": 0.0}})
+    added = all_draws(18, settings=settings, tolerance=1e-12, compiled=compiled) - all_draws(18, tolerance=1e-12)
+    expected = draw_echoes(alone, CYCLE_M, GATE_S, np.random.default_rng(0), tolerance=0.0)
+    assert np.abs(expected).max() > 10
+    for draw in added:
+        # Three sums of 1e-12 each, of an echo of rms 10.
+        assert np.abs(draw - expected).max() < 1e-9
