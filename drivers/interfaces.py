@@ -1,6 +1,6 @@
-"""The abstract instruments of the bench, in the field's terms; SI units, the unit in every name.
+"""Interfaces of the bench's instruments: tasks in, records out; SI units, the unit in every name.
 
-Everything in ``hpe_rig`` outside ``hpe_rig.bench.opening`` knows the instruments through this file alone.
+In ``hpe_rig`` all but ``hpe_rig.bench`` and ``hpe_rig.plan.checks`` know the instruments by this file alone.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Setting = str | int | float | bool
+"""Value of one setting as an instrument states it."""
 
 
 class InstrumentError(Exception):
@@ -38,7 +39,7 @@ class Clock(Protocol):
     def sleep(self, duration_s: float) -> None: ...
 
 
-class Wire(Protocol):
+class Connection(Protocol):
     """One text connection to a SCPI instrument. Messages carry no terminator."""
 
     def write(self, message: str) -> None: ...
@@ -93,6 +94,18 @@ class Toneburst:
 
 
 @dataclass(frozen=True, slots=True)
+class ContinuousSine:
+    """A sine without beginning or end, whatever is triggered."""
+
+    frequency_hz: float
+    amplitude_vpp: float
+    load_ohm: float = 50.0
+
+
+GeneratorTask = TriggerPulse | PulseTrain | Toneburst | ContinuousSine
+
+
+@dataclass(frozen=True, slots=True)
 class Capture:
     """One record a trigger, ``record_count`` of them; sample 0 comes ``trigger_delay_samples`` after the trigger.
 
@@ -126,7 +139,8 @@ class MonitorRecords:
 class RecordBlock:
     """Consecutive records of one capture.
 
-    ``codes`` int16 (record, sample), zero-centred; volts = ``codes * volts_per_code + volts_offset``.
+    ``codes`` int16 (record, sample), zero-centred; volts = ``codes * volts_per_code + volts_offset``. ``code_limits``
+    are the lowest and the highest code of the digitizer: a sample at either is clipped.
     ``trigger_time_s`` float64 (record,), from the board's own counter, relative to its reset at arming; NaN where the
     way to capture states none. ``monitor`` holds the same records of the second input, where that is recorded.
     """
@@ -136,6 +150,7 @@ class RecordBlock:
     trigger_time_s: NDArray[np.float64]
     volts_per_code: float
     volts_offset: float
+    code_limits: tuple[int, int]
     monitor: MonitorRecords | None = None
 
 
@@ -169,7 +184,7 @@ class Instrument(Protocol):
 class MasterTrigger(Instrument, Protocol):
     """Starts everything: one pulse on software command."""
 
-    def configure(self, pulse: TriggerPulse) -> None: ...
+    def configure(self, task: TriggerPulse, /) -> None: ...
 
     def enable_output(self) -> None: ...
 
@@ -179,7 +194,7 @@ class MasterTrigger(Instrument, Protocol):
 class PulseGenerator(Instrument, Protocol):
     """A triggered train of TTL pulses."""
 
-    def configure(self, train: PulseTrain) -> None: ...
+    def configure(self, task: PulseTrain, /) -> None: ...
 
     def enable_output(self) -> None: ...
 
@@ -187,7 +202,7 @@ class PulseGenerator(Instrument, Protocol):
 class ToneburstGenerator(Instrument, Protocol):
     """A triggered sine burst."""
 
-    def configure(self, burst: Toneburst) -> None: ...
+    def configure(self, task: Toneburst, /) -> None: ...
 
     def enable_output(self) -> None: ...
 

@@ -14,11 +14,11 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from drivers.visa import VisaWire
+from drivers.visa import VisaConnection
 from hpe_rig.acquire import Progress, Step, measure, prepare
 from hpe_rig.bench import TRANSPORTS, read_bench
 from hpe_rig.scene import shipped_scenes
-from sim_backend.world import InstrumentWire
+from sim_backend.world import GeneratorConnection
 
 SWEEP = ("burst_length_s = 100e-6", "burst_length_s = [100e-6, 120e-6, 80e-6, 100e-6, 60e-6]")
 RS232_BYTES_PER_S = 5760.0
@@ -68,7 +68,7 @@ def measured(scene: Path, transport: str | None, folder: Path) -> Ledger:
     bench = folder / f"{transport}.toml"
     line = f'simulated = true\ntransport = "{transport}"' if transport else "simulated = true"
     bench.write_text(read_bench().text.replace("simulated = true", line), encoding="utf-8")
-    ledger, wire = Ledger(), VisaWire if transport else InstrumentWire
+    ledger, wire = Ledger(), VisaConnection if transport else GeneratorConnection
     before = {method: getattr(wire, method) for method in ("write", "read")}
     for method, what in (("write", "messages"), ("read", "round trips")):
         setattr(wire, method, counting(ledger, method, what)(before[method]))

@@ -1,4 +1,4 @@
-"""Trigger wiring: voltage steps, bursts and cables as arrays in integer picoseconds."""
+"""Wiring: the clock, and voltage steps, bursts and cables as arrays in integer picoseconds."""
 
 from __future__ import annotations
 
@@ -23,6 +23,25 @@ DRIVE_INPUT_OHM = 50.0
 def to_ps(time_s: float) -> int:
     """Return ``time_s`` in whole picoseconds."""
     return round(time_s * PS_PER_S)
+
+
+class SimulatedClock:
+    """Time of the simulated bench in whole picoseconds, moved only by what is done; sleeping takes no real time."""
+
+    def __init__(self) -> None:
+        self.now_ps = 0
+
+    def now_s(self) -> float:
+        """Return the time since the world began."""
+        return self.now_ps / PS_PER_S
+
+    def sleep(self, duration_s: float) -> None:
+        """Move on by ``duration_s``."""
+        self.now_ps += max(0, to_ps(duration_s))
+
+    def advance_to(self, time_ps: int) -> None:
+        """Move on to ``time_ps``; a time in the past changes nothing."""
+        self.now_ps = max(self.now_ps, time_ps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +85,7 @@ class Emission:
 
 
 @dataclass(frozen=True, slots=True)
-class Wire:
+class Cable:
     """A cable from an output ("master.output") to an input ("burst_train.trigger")."""
 
     source: str
@@ -133,9 +152,9 @@ def accepted(trigger_ps: Picoseconds, busy_ps: int, limit: int | None = None) ->
     return np.array(taken, np.intp)
 
 
-def wires_of(
+def cables_of(
     wiring: Sequence[tuple[str, str, float]], sources: Sequence[str], targets: Sequence[str]
-) -> tuple[Wire, ...]:
+) -> tuple[Cable, ...]:
     """Return the cables of ``wiring``; raise ``ValueError`` for an end that does not exist or a delay below 0."""
     for source, target, delay_s in wiring:
         if source not in sources:
@@ -146,15 +165,15 @@ def wires_of(
             raise ValueError(
                 f"wiring: {source} -> {target} has a delay of {delay_s} s; a cable cannot answer before it is asked"
             )
-    return tuple(Wire(source, target, to_ps(delay_s)) for source, target, delay_s in wiring)
+    return tuple(Cable(source, target, to_ps(delay_s)) for source, target, delay_s in wiring)
 
 
-def trigger_order(wires: Sequence[Wire], roles: Sequence[str]) -> tuple[str, ...]:
+def trigger_order(cables: Sequence[Cable], roles: Sequence[str]) -> tuple[str, ...]:
     """Return ``roles`` so that each comes after what triggers it; raise ``ValueError`` where the wiring has a loop."""
     graph: dict[str, set[str]] = {role: set() for role in roles}
-    for wire in wires:
-        if wire.target.endswith(".trigger"):
-            graph[_role(wire.target)].add(_role(wire.source))
+    for cable in cables:
+        if cable.target.endswith(".trigger"):
+            graph[_role(cable.target)].add(_role(cable.source))
     try:
         return tuple(TopologicalSorter(graph).static_order())
     except CycleError as error:
@@ -163,27 +182,27 @@ def trigger_order(wires: Sequence[Wire], roles: Sequence[str]) -> tuple[str, ...
         ) from None
 
 
-def propagate(wires: Sequence[Wire], respond: Mapping[str, Respond]) -> dict[str, Emission]:
+def propagate(cables: Sequence[Cable], respond: Mapping[str, Respond]) -> dict[str, Emission]:
     """Return what every role of ``respond`` puts out, evaluated along the wiring; an unwired input sees nothing."""
     emissions: dict[str, Emission] = {}
-    for role in trigger_order(wires, tuple(respond)):
+    for role in trigger_order(cables, tuple(respond)):
         arriving = [
-            _delayed(emissions[_role(wire.source)].steps, wire.delay_ps)
-            for wire in wires
-            if wire.target == f"{role}.trigger"
+            _delayed(emissions[_role(cable.source)].steps, cable.delay_ps)
+            for cable in cables
+            if cable.target == f"{role}.trigger"
         ]
         emissions[role] = respond[role](joined_steps(arriving))
     return emissions
 
 
-def driven(wires: Sequence[Wire], emissions: Mapping[str, Emission], roles: Sequence[str]) -> Bursts:
+def driven(cables: Sequence[Cable], emissions: Mapping[str, Emission], roles: Sequence[str]) -> Bursts:
     """Return the bursts of ``roles`` as they arrive at the transducer, in volts across its amplifier's input."""
     share = DRIVE_INPUT_OHM / (DRIVE_INPUT_OHM + SOURCE_OHM)
     arriving = []
-    for wire in wires:
-        if wire.target == "transducer.drive" and _role(wire.source) in roles:
-            bursts = emissions[_role(wire.source)].bursts
-            onset_ps, end_ps = bursts.onset_ps + wire.delay_ps, bursts.end_ps + wire.delay_ps
+    for cable in cables:
+        if cable.target == "transducer.drive" and _role(cable.source) in roles:
+            bursts = emissions[_role(cable.source)].bursts
+            onset_ps, end_ps = bursts.onset_ps + cable.delay_ps, bursts.end_ps + cable.delay_ps
             arriving.append(
                 replace(bursts, onset_ps=onset_ps, end_ps=end_ps, amplitude_vpp=bursts.amplitude_vpp * share)
             )

@@ -14,13 +14,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.clock import SimulatedClock
 from sim_backend.digitizer import (
     FAR_PS,
     AlazarLibrary,
     Board,
     BoardSettings,
-    Captured,
+    CaptureSnapshot,
     Taken,
     latencies_of,
     pulse_of_each_record,
@@ -35,13 +34,14 @@ from sim_backend.wiring import (
     Emission,
     Picoseconds,
     Respond,
+    SimulatedClock,
     Steps,
+    cables_of,
     crossings,
     driven,
     propagate,
     to_ps,
     trigger_order,
-    wires_of,
 )
 
 GENERATORS = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
@@ -69,11 +69,11 @@ class Evaluation:
     emissions: Mapping[str, Emission]
     tonebursts: Bursts
     pulses: Bursts
-    captured: Captured | None
+    captured: CaptureSnapshot | None
     until_ps: int
 
 
-class InstrumentWire:
+class GeneratorConnection:
     """The text connection to one generator; every message takes its time."""
 
     def __init__(
@@ -120,8 +120,8 @@ class World:
     ) -> None:
         instruments = settings.instruments
         self._settings = settings
-        self._wires = wires_of(wiring, SOURCES, TARGETS)
-        trigger_order(self._wires, (*GENERATORS, "digitizer"))
+        self._cables = cables_of(wiring, SOURCES, TARGETS)
+        trigger_order(self._cables, (*GENERATORS, "digitizer"))
         self._physics = acoustics
         self.clock = SimulatedClock()
         self._generators = {
@@ -135,14 +135,14 @@ class World:
         )
         self.board = Board(latencies, count=first_capture)
         self._evaluated: tuple[int, Evaluation] | None = None
-        self._recorded: tuple[Captured, NDArray[np.float64], int] | None = None
-        self._past: deque[Captured] = deque(maxlen=KEPT_CAPTURES - 1)
+        self._recorded: tuple[CaptureSnapshot, NDArray[np.float64], int] | None = None
+        self._past: deque[CaptureSnapshot] = deque(maxlen=KEPT_CAPTURES - 1)
 
-    def wire(self, role: str, over_serial: bool = False) -> InstrumentWire:
+    def connect(self, role: str, over_serial: bool = False) -> GeneratorConnection:
         """Return a text connection to the generator of ``role``; raise ``ValueError`` for a role that is none."""
         if role not in self._generators:
             raise ValueError(f"no generator {role!r} on the simulated bench; it has {', '.join(GENERATORS)}")
-        return InstrumentWire(
+        return GeneratorConnection(
             self._generators[role], self.clock, self._settings.instruments.message_time_s, over_serial
         )
 
@@ -194,7 +194,7 @@ class World:
             captured.tonebursts, time_ps, captured.origin_ps, index=captured.arming.index
         )
 
-    def _capture(self, index: int) -> Captured:
+    def _capture(self, index: int) -> CaptureSnapshot:
         captures = [*self._past, self._captured(self.clock.now_ps)] if self.board.armings else []
         if not -len(captures) <= index < len(captures):
             raise IndexError(f"capture {index} of {len(captures)}: arm the digitizer before asking for the truth")
@@ -267,23 +267,23 @@ class World:
         respond: dict[str, Respond] = {
             role: partial(generator.emission, until_ps=until_ps) for role, generator in self._generators.items()
         }
-        emissions = propagate(self._wires, {**respond, "digitizer": digitizer})
+        emissions = propagate(self._cables, {**respond, "digitizer": digitizer})
         excitation = [role for role in GENERATORS if role != PULSER]
-        tonebursts, pulses = driven(self._wires, emissions, excitation), driven(self._wires, emissions, [PULSER])
+        tonebursts, pulses = driven(self._cables, emissions, excitation), driven(self._cables, emissions, [PULSER])
         captured = self._capture_of(emissions, taken[-1], tonebursts, pulses) if taken else None
         return Evaluation(emissions, tonebursts, pulses, captured, until_ps)
 
     def _capture_of(
         self, emissions: Mapping[str, Emission], taken: Taken, tonebursts: Bursts, pulses: Bursts
-    ) -> Captured:
+    ) -> CaptureSnapshot:
         arming = self.board.armings[-1]
         edges_ps = crossings(emissions["master"].steps, TRIGGER_LEVEL_V, True, TRIGGER_INPUT_OHM)
         first_ps = taken.tick_ps[0] if taken.tick_ps.size else arming.start_ps
         before_ps = edges_ps[edges_ps <= first_ps]
         origin_ps = int(before_ps[-1]) if before_ps.size else arming.start_ps
-        return Captured(arming, taken, tonebursts, pulses, origin_ps)
+        return CaptureSnapshot(arming, taken, tonebursts, pulses, origin_ps)
 
-    def _captured(self, until_ps: int) -> Captured:
+    def _captured(self, until_ps: int) -> CaptureSnapshot:
         captured = self._evaluate(until_ps).captured
         if captured is None:
             raise ValueError("the digitizer was never armed: start a capture first")

@@ -1,4 +1,4 @@
-"""What a 33250A or a sibling cannot do, found before a setting is sent (limits: ``generator_models``)."""
+"""Limits of the 33250A and its siblings, checked before a setting is sent; the numbers of a model are in `models`."""
 
 from __future__ import annotations
 
@@ -6,61 +6,30 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from drivers.agilent.models import AGILENT_33250A, GeneratorModel
-from drivers.interfaces import InstrumentError, PulseTrain, Toneburst, TriggerPulse
+from drivers.agilent.models import AGILENT_33250A, GeneratorModel, Range
+from drivers.interfaces import ContinuousSine, GeneratorTask, InstrumentError, PulseTrain, Toneburst, TriggerPulse
 
 LOAD_OHM: Final = (1.0, 10_000.0)
 SOURCE_OHM: Final = 50.0
 OPEN_CIRCUIT_PEAK_V: Final = 10.0
 OPEN_CIRCUIT_LEAST_VPP: Final = 2e-3
-# A pulse's edges take 1.6 edge times off the period (reference 1.4).
+# A pulse's edges take 1.6 edge times off the period (docs/theory/instruments.md, 1.4).
 EDGE_SHARE: Final = 1.6
 
 
-def refuse(role: str, model: GeneratorModel, mistakes: Sequence[str]) -> None:
-    """Raise one ``InstrumentError`` with all of ``mistakes``; nothing when there are none."""
-    if mistakes:
+def mistakes(task: GeneratorTask, model: GeneratorModel = AGILENT_33250A, max_vpp: float = math.inf) -> list[str]:
+    """Return what ``model`` cannot do of ``task``, each with the value and the limits; empty where it can do it all.
+
+    ``max_vpp`` is the largest swing into the declared load that what hangs on the output bears.
+    """
+    return _beyond_model(task, model) + _beyond_wiring(task, max_vpp)
+
+
+def refuse(role: str, model: GeneratorModel, found: Sequence[str]) -> None:
+    """Raise one ``InstrumentError`` with all mistakes ``found``; nothing when there are none."""
+    if found:
         why = f"the {model.name} or what it is wired to cannot take this, and no setting was sent"
-        raise InstrumentError(role, "; ".join(mistakes), why, "change the value in the scene or bench file")
-
-
-def trigger_pulse_mistakes(pulse: TriggerPulse, model: GeneratorModel = AGILENT_33250A) -> list[str]:
-    """Return what ``model`` cannot do of ``pulse``."""
-    width = _outside("width_s", pulse.width_s, model.width_s[0], model.width_s[1] / 2)
-    return [*width, *_level(pulse.high_v, pulse.load_ohm)]
-
-
-def pulse_train_mistakes(train: PulseTrain, model: GeneratorModel = AGILENT_33250A) -> list[str]:
-    """Return what ``model`` cannot do of ``train``."""
-    rate = _outside("rate_hz", train.rate_hz, *model.pulse_rate_hz)
-    return [
-        *rate,
-        *([] if rate else _width(train.width_s, 1.0 / train.rate_hz, model)),
-        *_outside("count", train.count, *model.cycles),
-        *_outside("delay_s", train.delay_s, *model.delay_s),
-        *_level(train.high_v, train.load_ohm),
-    ]
-
-
-def toneburst_mistakes(burst: Toneburst, model: GeneratorModel = AGILENT_33250A) -> list[str]:
-    """Return what ``model`` cannot do of ``burst``."""
-    load = _load(burst.load_ohm)
-    lowest, highest = OPEN_CIRCUIT_LEAST_VPP, 2 * OPEN_CIRCUIT_PEAK_V
-    share = 1.0 if load else share_at_load(burst.load_ohm)
-    return [
-        *_outside("carrier_hz", burst.carrier_hz, *model.burst_carrier_hz, f" for counted bursts of a {model.name}"),
-        *_outside("cycles", burst.cycles, *model.cycles),
-        *_outside("delay_s", burst.delay_s, *model.delay_s),
-        *load,
-        *([] if load else _outside("amplitude_vpp", burst.amplitude_vpp, lowest * share, highest * share)),
-    ]
-
-
-def wiring_mistakes(name: str, swing_v: float, max_vpp: float) -> list[str]:
-    """Return whether a swing is more than the bench file allows at this output."""
-    if swing_v <= max_vpp:
-        return []
-    return [f"{name} = {swing_v:.10g} is above max_vpp = {max_vpp:.10g}, what the bench file allows at this output"]
+        raise InstrumentError(role, "; ".join(found), why, "change the value in the scene or bench file")
 
 
 def share_at_load(load_ohm: float) -> float:
@@ -68,27 +37,69 @@ def share_at_load(load_ohm: float) -> float:
     return 1.0 / (1.0 + SOURCE_OHM / load_ohm)
 
 
+def _beyond_model(task: GeneratorTask, model: GeneratorModel) -> list[str]:
+    match task:
+        case TriggerPulse():
+            widest_s = model.width_s[1] / 2
+            return [*_outside("width_s", task.width_s, (model.width_s[0], widest_s)), *_level(task)]
+        case PulseTrain():
+            return [*_pulse_timing(task, model), *_burst(task.count, "count", task.delay_s, model), *_level(task)]
+        case Toneburst():
+            where = f" for counted bursts of a {model.name}"
+            return [
+                *_outside("carrier_hz", task.carrier_hz, model.burst_carrier_hz, where),
+                *_burst(task.cycles, "cycles", task.delay_s, model),
+                *_amplitude(task),
+            ]
+        case ContinuousSine():
+            return [*_outside("frequency_hz", task.frequency_hz, model.sine_hz), *_amplitude(task)]
+
+
+def _beyond_wiring(task: GeneratorTask, max_vpp: float) -> list[str]:
+    if isinstance(task, TriggerPulse | PulseTrain):
+        name, swing_v = "high_v", task.high_v
+    else:
+        name, swing_v = "amplitude_vpp", task.amplitude_vpp
+    if swing_v <= max_vpp:
+        return []
+    return [f"{name} = {swing_v:.10g} is above max_vpp = {max_vpp:.10g}, what the bench file allows at this output"]
+
+
+def _pulse_timing(train: PulseTrain, model: GeneratorModel) -> list[str]:
+    rate = _outside("rate_hz", train.rate_hz, model.pulse_rate_hz)
+    return rate or _width(train.width_s, 1.0 / train.rate_hz, model)
+
+
 def _width(width_s: float, period_s: float, model: GeneratorModel) -> list[str]:
     # The gap between two pulses must hold both edges, and is itself no narrower than a pulse.
     gap_s = max(EDGE_SHARE * model.edge_s, model.width_s[0])
-    widest = min(model.width_s[1], period_s - gap_s)
-    return _outside("width_s", width_s, model.least_width_s(period_s), widest, f" at a period of {period_s:.6g} s")
+    limits_s = model.least_width_s(period_s), min(model.width_s[1], period_s - gap_s)
+    return _outside("width_s", width_s, limits_s, f" at a period of {period_s:.6g} s")
 
 
-def _level(high_v: float, load_ohm: float) -> list[str]:
-    load = _load(load_ohm)
+def _burst(count: int, name: str, delay_s: float, model: GeneratorModel) -> list[str]:
+    return [*_outside(name, count, model.cycles), *_outside("delay_s", delay_s, model.delay_s)]
+
+
+def _level(pulse: TriggerPulse | PulseTrain) -> list[str]:
+    where = f" into {pulse.load_ohm:g} ohm"
+    return _into_load("high_v", pulse.high_v, pulse.load_ohm, OPEN_CIRCUIT_PEAK_V, where)
+
+
+def _amplitude(sine: Toneburst | ContinuousSine) -> list[str]:
+    return _into_load("amplitude_vpp", sine.amplitude_vpp, sine.load_ohm, 2 * OPEN_CIRCUIT_PEAK_V)
+
+
+def _into_load(name: str, volts: float, load_ohm: float, open_circuit_v: float, where: str = "") -> list[str]:
+    load = [] if load_ohm == math.inf else _outside("load_ohm", load_ohm, LOAD_OHM, " (or inf)")
     if load:
         return load
     share = share_at_load(load_ohm)
-    where = f" into {load_ohm:g} ohm"
-    return _outside("high_v", high_v, OPEN_CIRCUIT_LEAST_VPP * share, OPEN_CIRCUIT_PEAK_V * share, where)
+    return _outside(name, volts, (OPEN_CIRCUIT_LEAST_VPP * share, open_circuit_v * share), where)
 
 
-def _load(load_ohm: float) -> list[str]:
-    return [] if load_ohm == math.inf else _outside("load_ohm", load_ohm, *LOAD_OHM, " (or inf)")
-
-
-def _outside(name: str, value: float, lowest: float, highest: float, where: str = "") -> list[str]:
+def _outside(name: str, value: float, limits: Range, where: str = "") -> list[str]:
+    lowest, highest = limits
     # Written so that a nan is outside as well.
     if lowest <= value <= highest:
         return []

@@ -1,8 +1,9 @@
-"""What tells the 33250A and its siblings apart, chosen by ``*IDN?``: limits, channel number, pulse headers.
+"""Models of the 33250A family, told apart by ``*IDN?``: limits, channel number, spelling of the pulse headers.
 
-Sources: 33250A from the instrument reference, 1.4. 33500 series: its manual's burst and pulse pages (count, 6 MHz
+Sources: 33250A from docs/theory/instruments.md, 1.4. 33500 series: its manual's burst and pulse pages (count, 6 MHz
 ceiling of counted sine bursts, least width). The 33600A shares that manual's commands, its ceiling is taken to be the
-same. Assumed, from memory of the data sheets: the siblings' pulse rates, edges, delays, and the 33220A's row.
+same. Assumed, from memory of the data sheets: the siblings' sine and pulse rates, edges, delays, and the 33220A's row;
+of a series with several frequency options the lowest.
 """
 
 from __future__ import annotations
@@ -19,12 +20,13 @@ CHANNEL_HEADERS: Final = {"OUTP:TRIG": "OUTP:TRIG", "OUTP": "OUTP1", "TRIG": "TR
 class GeneratorModel:
     """One instrument type.
 
-    ``burst_carrier_hz`` is of counted sine bursts; ``narrowest_s`` lists (period above which it holds, least width);
-    ``edge_s`` is the fastest pulse edge.
+    ``sine_hz`` is of a continuous sine, ``burst_carrier_hz`` of counted sine bursts; ``narrowest_s`` lists (period above
+    which it holds, least width); ``edge_s`` is the fastest pulse edge.
     """
 
     name: str
     pattern: str
+    sine_hz: Range
     pulse_rate_hz: Range
     burst_carrier_hz: Range
     cycles: tuple[int, int]
@@ -53,6 +55,7 @@ class GeneratorModel:
 AGILENT_33250A: Final = GeneratorModel(
     name="33250A",
     pattern=r"33250A",
+    sine_hz=(1e-6, 80e6),
     pulse_rate_hz=(500e-6, 50e6),
     # Above it the instrument does infinite bursts only, and those are never wanted here.
     burst_carrier_hz=(1e-6, 25e6),
@@ -68,6 +71,7 @@ MODELS: Final = (
     GeneratorModel(
         name="33220A",
         pattern=r"33220A",
+        sine_hz=(1e-6, 20e6),
         pulse_rate_hz=(500e-6, 5e6),
         burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 50_000),
@@ -80,6 +84,7 @@ MODELS: Final = (
     GeneratorModel(
         name="33500B",
         pattern=r"335\d\d[AB]",
+        sine_hz=(1e-6, 20e6),
         pulse_rate_hz=(1e-6, 20e6),
         burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 100_000_000),
@@ -92,6 +97,7 @@ MODELS: Final = (
     GeneratorModel(
         name="33600A",
         pattern=r"336\d\dA",
+        sine_hz=(1e-6, 80e6),
         pulse_rate_hz=(1e-6, 80e6),
         burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 100_000_000),

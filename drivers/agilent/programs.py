@@ -1,4 +1,8 @@
-"""The settings of a 33250A in groups, in the order of the trigger recipe; headers are the 33250A's (reference, 1.4)."""
+"""Programs of a 33250A: the registers of a task, in groups and in the order that avoids conflicts on the way.
+
+Headers are the 33250A's (docs/theory/instruments.md, 1.4; the order is 1.6's); a sibling's spelling is put in when they
+are sent.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ from typing import Final, Literal
 
 from drivers.agilent.models import GeneratorModel
 from drivers.agilent.read_back import Readable, Register, number, short_form, switch, whole_number
-from drivers.interfaces import PulseTrain, Toneburst, TriggerPulse
+from drivers.interfaces import ContinuousSine, GeneratorTask, PulseTrain, Toneburst, TriggerPulse
 
 RESET_WIDTH_S: Final = 100e-6
 RESET_PERIOD_S: Final = 1e-3
@@ -42,39 +46,28 @@ READABLE: Final = (
 )
 
 Group = tuple[str, tuple[Register, ...]]
+"""Registers that are sent and read back together, with a name for messages."""
+
+CONTINUOUS: Final[Group] = ("burst", (Register("burst_on", "BURS:STAT", False),))
+"""No burst: the output goes on by itself. Sent first, since a counted burst bounds the frequency."""
 
 
-def trigger_pulse(pulse: TriggerPulse, model: GeneratorModel) -> list[Group]:
-    """Return one pulse on ``*TRG``; it lasts one period, so the period only has to hold the pulse."""
-    period_s = max(RESET_PERIOD_S, 2 * pulse.width_s)
-    return [
-        load(pulse.load_ohm),
-        pulses(1.0 / period_s, pulse.width_s, model.edge_s),
-        levels(pulse.high_v),
-        trigger("BUS"),
-        burst(1, 0.0),
-    ]
-
-
-def pulse_train(train: PulseTrain, model: GeneratorModel) -> list[Group]:
-    """Return a train of pulses on an external trigger."""
-    return [
-        load(train.load_ohm),
-        pulses(train.rate_hz, train.width_s, model.edge_s),
-        levels(train.high_v),
-        trigger("EXT"),
-        burst(train.count, train.delay_s),
-    ]
-
-
-def toneburst(tone: Toneburst, model: GeneratorModel) -> list[Group]:
-    """Return a sine burst on an external trigger."""
-    return [
-        load(tone.load_ohm),
-        sine(tone.carrier_hz, tone.amplitude_vpp),
-        trigger("EXT"),
-        burst(tone.cycles, tone.delay_s),
-    ]
+def program(task: GeneratorTask, model: GeneratorModel) -> list[Group]:
+    """Return the registers that make ``model`` do ``task``; the output itself is not among them."""
+    match task:
+        case TriggerPulse():
+            # One burst of one period: the period only has to hold the pulse.
+            rate_hz = 1.0 / max(RESET_PERIOD_S, 2 * task.width_s)
+            shape = [pulses(rate_hz, task.width_s, model.edge_s), levels(task.high_v)]
+            return [load(task.load_ohm), *shape, trigger("BUS"), burst(1, 0.0)]
+        case PulseTrain():
+            shape = [pulses(task.rate_hz, task.width_s, model.edge_s), levels(task.high_v)]
+            return [load(task.load_ohm), *shape, trigger("EXT"), burst(task.count, task.delay_s)]
+        case Toneburst():
+            shape = [sine(task.carrier_hz, task.amplitude_vpp)]
+            return [load(task.load_ohm), *shape, trigger("EXT"), burst(task.cycles, task.delay_s)]
+        case ContinuousSine():
+            return [load(task.load_ohm), CONTINUOUS, sine(task.frequency_hz, task.amplitude_vpp)]
 
 
 def load(load_ohm: float) -> Group:

@@ -1,4 +1,4 @@
-"""What was programmed against what the instrument says it holds."""
+"""Registers as programmed, and their comparison with what the instrument says it holds."""
 
 from __future__ import annotations
 

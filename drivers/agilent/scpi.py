@@ -1,4 +1,4 @@
-"""One SCPI session: joined commands, queries, the error queue and read-back, with one place where errors surface."""
+"""SCPI session: joined commands, queries, the error queue and read-back, with one place where errors surface."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Final, final
 
 from drivers.agilent.read_back import Register, argument
-from drivers.interfaces import InstrumentError, Wire
+from drivers.interfaces import Connection, InstrumentError
 
 # A 33250A queues 20 errors; a few reads more, so that the final "no error" is seen as well.
 QUEUE_READS: Final = 25
@@ -55,16 +55,16 @@ class RefusedError(InstrumentError):
 
 @final
 class ScpiSession:
-    """Commands and answers over ``wire``; every failure is an ``InstrumentError`` that names ``role``.
+    """Commands and answers over ``connection``; every failure is an ``InstrumentError`` that names ``role``.
 
     A reply that did not come in time may still come late. The session therefore is dirty from each query until a reply
-    that fits it, and a dirty session first throws away what is on the wire and proves that answers fit questions again.
+    that fits it, and a dirty session first throws away what still arrives and proves that answers fit questions again.
     One thread at a time holds the session, from a setting to its read-back.
     """
 
-    def __init__(self, wire: Wire, role: str) -> None:
+    def __init__(self, connection: Connection, role: str) -> None:
         self.role = role
-        self._wire = wire
+        self._connection = connection
         self._lock = threading.RLock()
         self._dirty = False
         self._token = 0
@@ -127,8 +127,8 @@ class ScpiSession:
         return replies
 
     def close(self) -> None:
-        """Close the wire."""
-        self._wire.close()
+        """Close the connection."""
+        self._connection.close()
 
     def _query_joined(self, commands: Sequence[str]) -> list[str]:
         """Return the replies to ``commands``, asked in one message; only the last reply may hold a ``;``."""
@@ -176,13 +176,13 @@ class ScpiSession:
 
     def _send(self, message: str) -> None:
         try:
-            self._wire.write(message)
+            self._connection.write(message)
         except OSError as error:
             raise self._lost(f"could not send {message!r}", error) from error
 
     def _receive(self, command: str, patience: int = 1) -> str:
         try:
-            return self._wire.read().strip()
+            return self._connection.read().strip()
         except TimeoutError as error:
             if patience > 1:
                 return self._receive(command, patience - 1)
@@ -222,7 +222,7 @@ class ScpiSession:
     def _discard_late_replies(self) -> None:
         for _ in range(STALE_READS):
             try:
-                self._wire.read()
+                self._connection.read()
             except TimeoutError:
                 return
             except OSError as error:

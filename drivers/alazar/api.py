@@ -1,4 +1,4 @@
-"""The digitizer vendor's ATSApi: the functions used, their C signatures and their constants (reference section 2)."""
+"""ATSApi, the digitizer vendor's library: functions used, C signatures, constants (docs/theory/instruments.md, 2)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ Out = Any
 Handle = int
 Address = int
 
-ATS460_KIND: Final = 7
 STATUS_FAILED: Final = 0xFFFF_FFFF
 
 

@@ -1,16 +1,16 @@
-"""The AlazarTech ATS460 as the bench's digitizer: external trigger, AUX trigger output, echoes at channel A."""
+"""AlazarTech ATS460 as the bench's digitizer: external trigger, AUX trigger output, echoes at channel A."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
-from typing import Final, final
+from types import TracebackType
+from typing import Final, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.alazar.api import (
-    ATS460_KIND,
     AlazarLibrary,
     AuxMode,
     Capability,
@@ -27,9 +27,18 @@ from drivers.alazar.api import (
 )
 from drivers.alazar.board import AlazarBoard
 from drivers.alazar.dual_port import DualPortCapture
-from drivers.alazar.limits import RANGE_IDS, RATE_IDS, Mode, capture_mistakes, level_code, refuse
+from drivers.alazar.limits import Mode, level_code, mistakes, refuse
+from drivers.alazar.models import ATS460_BOARD
 from drivers.alazar.page_buffer import PageBuffer
-from drivers.alazar.samples import CODE_BITS, RawRecords, any_at_full_scale, codes, volts_offset, volts_per_code
+from drivers.alazar.samples import (
+    CODE_BITS,
+    CODE_LIMITS,
+    RawRecords,
+    any_at_full_scale,
+    codes,
+    volts_offset,
+    volts_per_code,
+)
 from drivers.alazar.single_port import SinglePortCapture
 from drivers.interfaces import Capture, Clock, Identity, InstrumentError, MonitorRecords, RecordBlock, Setting
 
@@ -42,7 +51,8 @@ ZERO_LEVEL_CODE: Final = 128
 class Ats460:
     """One board; which of its ways to capture is taken follows from its memory, unless ``mode`` says.
 
-    ``allocate`` makes the page-aligned memory that the board writes into.
+    ``allocate`` makes the page-aligned memory that the board writes into. At the end of a ``with`` statement the
+    capture is aborted, verified, and its memory freed.
     """
 
     def __init__(
@@ -55,13 +65,21 @@ class Ats460:
         allocate: Callable[[int], PageBuffer] = PageBuffer,
         mode: Mode | None = None,
     ) -> None:
-        self._board = AlazarBoard(library, role, system_id, board_id, ATS460_KIND)
+        self._board = AlazarBoard(library, role, system_id, board_id, ATS460_BOARD.kind)
         self._clock = clock
         self._allocate = allocate
         self._wanted_mode = mode
         self._capture: Capture | None = None
         self._mode: SinglePortCapture | DualPortCapture | None = None
         self._clipped = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.make_safe()
 
     @property
     def role(self) -> str:
@@ -79,7 +97,7 @@ class Ats460:
         """Program the board; raise ``InstrumentError`` for what it cannot do, all of it at once."""
         chosen = self._chosen_mode()
         fpga = self._board.capability(Capability.FPGA_VERSION)
-        refuse(self.role, capture_mistakes(capture, chosen, fpga))
+        refuse(self.role, ATS460_BOARD, mistakes(capture, ATS460_BOARD, chosen, fpga))
         self._disarm()
         self._capture = self._mode = None
         self._program(capture)
@@ -187,9 +205,10 @@ class Ats460:
     def _program(self, capture: Capture) -> None:
         board, lib = self._board, self._board.library
         level = level_code(capture.trigger_level_v)
-        board.call(lib.AlazarSetCaptureClock, int(ClockSource.INTERNAL), RATE_IDS[capture.sample_rate_hz], 0, 0)
+        rate_id = ATS460_BOARD.rate_ids[capture.sample_rate_hz]
+        board.call(lib.AlazarSetCaptureClock, int(ClockSource.INTERNAL), rate_id, 0, 0)
         for channel, range_v in _ranges_v(capture).items():
-            inputs = int(channel), int(Coupling.DC), RANGE_IDS[range_v], int(Impedance.OHM_50)
+            inputs = int(channel), int(Coupling.DC), ATS460_BOARD.range_ids[range_v], int(Impedance.OHM_50)
             board.call(lib.AlazarInputControl, *inputs)
             board.call(lib.AlazarSetBWLimit, int(channel), 0)
         external = (int(TriggerEngine.J), int(TriggerSource.EXTERNAL), int(TriggerSlope.POSITIVE), level)
@@ -220,6 +239,7 @@ class Ats460:
             self._trigger_time_s(capture, raw),
             volts_per_code(capture.input_range_v),
             volts_offset(capture.input_range_v),
+            CODE_LIMITS,
             _monitor(capture, values),
         )
 

@@ -1,4 +1,4 @@
-"""One board of the vendor's library, found by its ids; every call is checked."""
+"""Handle of one board of the vendor's library, found by its ids; every call is checked."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any, final
 
 from drivers.alazar.api import STATUS_FAILED, AlazarLibrary, BoardOption, Capability, Channel, Parameter, StatusBit
-from drivers.alazar.codes import FAILED, SUCCESS, UNSUPPORTED_FUNCTION, check
+from drivers.alazar.return_codes import FAILED, SUCCESS, UNSUPPORTED_FUNCTION, check
 from drivers.interfaces import InstrumentError
 
 VersionCall = Callable[..., int]

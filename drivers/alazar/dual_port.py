@@ -1,4 +1,9 @@
-"""Dual-port capture: AutoDMA, traditional or NPT; records leave the board while it captures."""
+"""Dual-port capture: AutoDMA, traditional or NPT; records leave the board while it captures.
+
+A ring of two to four buffers goes round: posted (the board's), filled by the board, waited for in the order of posting,
+copied, posted again. A record has nowhere to go when the ring is full and the board's own memory is too: the board
+then answers with an overflow.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +15,9 @@ import numpy as np
 
 from drivers.alazar.api import Adma, Channel, Parameter, TimestampReset
 from drivers.alazar.board import AlazarBoard
-from drivers.alazar.codes import WAIT_TIMEOUT
 from drivers.alazar.limits import pre_trigger_samples, records_per_buffer
 from drivers.alazar.page_buffer import PageBuffer
+from drivers.alazar.return_codes import WAIT_TIMEOUT
 from drivers.alazar.samples import RawRecords, buffer_bytes, unpacked
 from drivers.alazar.single_port import late
 from drivers.interfaces import Capture, Clock, InstrumentError
@@ -75,12 +80,15 @@ class DualPortCapture:
 
     def records(self, deadline_s: float) -> Iterator[RawRecords]:
         """Yield each buffer's records as it fills; raise ``DeadlineError`` when one is not full by the deadline."""
+        # The ring as it was armed: ``abort`` may empty ``_buffers`` while a reader stands between two blocks.
         ring, samples = tuple(self._buffers), self._capture.record_samples
         for index in range(self._buffer_count):
             buffer = ring[index % len(ring)]
             self._wait(buffer, index, deadline_s)
+            # A copy, since the next lines give the memory back to the board.
             filled = buffer.copy(np.dtype(np.uint8), buffer.size_bytes)
-            # Back to the board before anyone works on the copy, so that slow work costs no records.
+            # Posted before anyone works on the copy, so that slow work costs no records; the last buffers of a capture
+            # are not, since nothing would ever fill them.
             if index + len(ring) < self._buffer_count:
                 self._post(buffer)
             yield unpacked(filled, index * self.records_per_block, len(self._channels), samples, self._npt)
@@ -91,6 +99,7 @@ class DualPortCapture:
             try:
                 self._board.call(self._board.library.AlazarAbortAsyncRead)
             except BaseException:
+                # Not aborted, the board may write into the pages at any time: better lost than someone else's.
                 for buffer in self._buffers:
                     buffer.keep()
                 raise
@@ -125,6 +134,7 @@ class DualPortCapture:
             if buffer.freed:
                 why = "the bench was made safe in the meantime"
                 raise InstrumentError(board.role, "the capture was aborted", why, "start the shot again")
+            # In slices, so that Ctrl-C and a bench that is made safe meanwhile are noticed.
             remaining_ms = max(0, math.ceil((deadline_s - self._clock.now_s()) * 1e3))
             timeout_ms = min(WAIT_SLICE_MS, remaining_ms)
             wait = board.library.AlazarWaitAsyncBufferComplete

@@ -1,4 +1,4 @@
-"""Page-aligned memory that a board may write into, freed when told and not before."""
+"""Buffer of page-aligned memory that a board may write into, freed when told and not before."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""From the board's memory layout to codes, volts and trigger times (reference 2.5 and 2.6); pure functions."""
+"""Samples: from the board's memory layout to codes, volts and trigger times; pure functions.
+
+Layout and scale: docs/theory/instruments.md, 2.5 and 2.6.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,15 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-CODE_BITS: Final = 14
-PADDING_BITS: Final = 2
-ZERO_CODE: Final = 1 << (CODE_BITS - 1)
-LOWEST_CODE: Final = -ZERO_CODE
-HIGHEST_CODE: Final = ZERO_CODE - 1
-CENTRE_CODE: Final = 8191.5
+from drivers.alazar.models import ATS460_BOARD
+
+CODE_BITS: Final = ATS460_BOARD.code_bits
+# Codes stand in the upper bits of their words.
+PADDING_BITS: Final = 16 - CODE_BITS
+CODE_LIMITS: Final = ATS460_BOARD.code_limits
+LOWEST_CODE, HIGHEST_CODE = CODE_LIMITS
+# Zero volts lies between two codes, so that a range of +-R spans 2^bits - 1 steps.
+CENTRE_CODE: Final = (HIGHEST_CODE - LOWEST_CODE) / 2
 TIMESTAMP_HIGH_MASK: Final = 0xFF
 HEADER_BYTES: Final = 16
 
@@ -57,8 +63,8 @@ def timestamp_counts(headers: NDArray[np.uint32]) -> NDArray[np.int64]:
 
 
 def codes(words: NDArray[np.uint16]) -> NDArray[np.int16]:
-    """Return zero-centred codes, -8192 .. 8191, from left-justified words of any shape."""
-    return (words >> PADDING_BITS).astype(np.int16) - np.int16(ZERO_CODE)
+    """Return zero-centred codes, within ``CODE_LIMITS``, from left-justified words of any shape."""
+    return (words >> PADDING_BITS).astype(np.int16) + np.int16(LOWEST_CODE)
 
 
 def any_at_full_scale(values: NDArray[np.int16]) -> bool:

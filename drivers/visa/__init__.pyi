@@ -1,1 +1,1 @@
-from .wire import VisaInterface as VisaInterface, VisaWire as VisaWire
+from .connection import VisaConnection as VisaConnection, VisaInterface as VisaInterface

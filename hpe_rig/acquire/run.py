@@ -32,7 +32,7 @@ from hpe_rig.bench import (
     simulation_schema,
     uninterrupted,
 )
-from hpe_rig.plan import Finding, Plan, findings, make_plan, refuse_conflicts
+from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
 from hpe_rig.processing import true_harmonics_m
 from hpe_rig.result import Result, Stages
 from hpe_rig.scene import (
@@ -66,7 +66,7 @@ class Setup:
     scene: SceneText
     bench: BenchText
     plan: Plan
-    findings: tuple[Finding, ...]
+    findings: tuple[CheckResult, ...]
 
 
 def prepare(
@@ -93,11 +93,11 @@ def prepare_text(
     return Setup(scene, bench, plan, found)
 
 
-def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[Finding, ...]]:
+def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[CheckResult, ...]]:
     """Return the plan and what its checks found; raise ``SettingsError`` where numbers go out of all bounds."""
     try:
         plan = make_plan(scene, bench)
-        return plan, tuple(findings(scene, bench, plan))
+        return plan, tuple(check_plan(scene, bench, plan))
     except (ArithmeticError, ValueError, MemoryError) as error:
         what = f"its numbers lead to no plan ({error})"
         raise SettingsError("the scene", [Mistake("", what, "values as they occur on a bench")]) from error

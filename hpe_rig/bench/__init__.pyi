@@ -1,10 +1,12 @@
 from .bench_file import (
-    BOARD_MODELS as BOARD_MODELS,
     EXCITATION_ROLES as EXCITATION_ROLES,
     GENERATOR_ROLES as GENERATOR_ROLES,
     TRANSPORTS as TRANSPORTS,
     BenchFile as BenchFile,
     BenchText as BenchText,
+    Calibration as Calibration,
+    DriveCalibration as DriveCalibration,
+    OutputLimits as OutputLimits,
     parse_bench as parse_bench,
     read_bench as read_bench,
 )
@@ -21,4 +23,3 @@ from .opening import (
     twin_dose as twin_dose,
     twin_medium as twin_medium,
 )
-from .output_limits import Calibration as Calibration, DriveCalibration as DriveCalibration, Limits as Limits

@@ -1,4 +1,4 @@
-"""The bench file: which instruments, at which addresses, wired how, within which limits."""
+"""Bench file: which instruments, at which addresses, wired how, within which limits, with which calibration."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Literal, get_args
 
 from pydantic import Field
 
-from hpe_rig.bench.output_limits import Calibration, Limits
+from drivers.alazar import BoardModel, model_named
 from hpe_rig.scene import Mistake, NonNegative, Positive, Section, SettingsError, Title, mistakes_of, parse_toml
 
 GeneratorRole = Literal["master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"]
@@ -114,8 +113,13 @@ class DigitizerBoard(Section):
         """The way to capture."""
         return self.acquisition_mode or ("traditional" if self.dual_port_memory else "single_port")
 
+    @property
+    def board_model(self) -> BoardModel:
+        """What the model can do, as its driver says."""
+        return model_named(self.model)
 
-class Wire(Section):
+
+class Cable(Section):
     """One cable from an output to an input."""
 
     source: Outlet
@@ -126,16 +130,63 @@ class Wire(Section):
     """Propagation delay of the cable and of what stands in it."""
 
 
+class OutputLimits(Section):
+    """What the bench must never exceed."""
+
+    full_drive_vpp: Positive
+    """Toneburst amplitude at the generator that gives the force F_0."""
+    max_duty: Annotated[float, Field(gt=0, le=1, strict=True)]
+    """Largest f_r T_b."""
+    max_burst_length_s: Positive
+    """Longest toneburst."""
+    max_bursts: Annotated[int, Field(ge=1, strict=True)]
+    """Most tonebursts in a train."""
+    max_drive_vpp: Positive | None = None
+    """Largest amplitude of a generator that drives the transducer; absent: the instrument's own limit."""
+    max_mechanical_index: Positive = 1.9
+    """Largest derated mechanical index (FDA, track 3)."""
+    max_sppa_w_per_m2: Positive = 1.9e6
+    """Largest derated pulse-average intensity; within it the mechanical index may be exceeded (FDA, track 3)."""
+    max_spta_w_per_m2: Positive = 7.2e3
+    """Largest derated time-average intensity (FDA, track 3)."""
+
+
+class DriveCalibration(Section):
+    """What a hydrophone in water measured at the focus for one kind of drive."""
+
+    carrier_hz: Positive
+    """Carrier that was driven."""
+    amplitude_vpp: Positive
+    """Generator amplitude that was set."""
+    rarefaction_pa: Positive
+    """Peak rarefactional pressure, not derated."""
+    sppa_w_per_m2: Positive
+    """Pulse-average intensity, not derated."""
+
+
+class Calibration(Section):
+    """Acoustic output of transducer, amplifier and generator together, from which every plan's output is estimated."""
+
+    source: str
+    """Who measured what when, or that it is assumed."""
+    focus_depth_m: Positive
+    """Distance between transducer and focus; the way over which the output is derated."""
+    toneburst: DriveCalibration | None = None
+    """The toneburst that pushes."""
+    tracking_pulse: DriveCalibration | None = None
+    """The pulse that tracks."""
+
+
 class BenchFile(Section):
     """One bench."""
 
     title: Title
     """One line that says which bench this is."""
     simulated: Annotated[bool, Field(strict=True)]
-    """True for the twin; decides which wires are opened and is written into every file."""
+    """True for the twin; decides what the drivers stand on and is written into every file."""
     transport: Transport | None = None
     """How VISA reaches the simulated generators, by loopback; absent: they are called in process."""
-    limits: Limits
+    limits: OutputLimits
     """What the bench must never exceed."""
     calibration: Calibration | None = None
     """Acoustic output; absent: it is not estimated, and said so."""
@@ -143,12 +194,12 @@ class BenchFile(Section):
     """The generators by role."""
     digitizer: DigitizerBoard
     """The digitizer."""
-    wiring: tuple[Wire, ...]
+    wiring: tuple[Cable, ...]
     """The cables."""
 
     def path_delay_s(self, source: str, target: str) -> float:
         """Return the delay of the cable from ``source`` to ``target``; NaN where there is none."""
-        delays = [wire.delay_s for wire in self.wiring if (wire.source, wire.target) == (source, target)]
+        delays = [cable.delay_s for cable in self.wiring if (cable.source, cable.target) == (source, target)]
         return delays[0] if delays else math.nan
 
 
@@ -161,37 +212,13 @@ class BenchText:
     bench: BenchFile
 
 
-@dataclass(frozen=True, slots=True)
-class BoardModel:
-    """What a digitizer model accepts (instrument reference, section 2)."""
-
-    sample_rates_hz: tuple[float, ...]
-    input_ranges_v: tuple[float, ...]
-    record_multiple: int
-    record_minimum: int
-    max_trigger_delay_samples: int
-
-
-BOARD_MODELS = MappingProxyType(
-    {
-        "ATS460": BoardModel(
-            sample_rates_hz=(1e6, 2e6, 5e6, 10e6, 20e6, 50e6, 100e6, 125e6),
-            input_ranges_v=(0.02, 0.04, 0.05, 0.08, 0.1, 0.2, 0.4, 0.5, 0.8, 1.0, 2.0, 4.0),
-            record_multiple=16,
-            record_minimum=128,
-            max_trigger_delay_samples=9_999_999,
-        )
-    }
-)
-
-
 def parse_bench(name: str, text: str) -> BenchText:
     """Return the bench in ``text``; raise ``SettingsError`` with every mistake."""
     tables = parse_toml(text, f"bench {name}")
     mistakes = mistakes_of(BenchFile, tables)
     if not mistakes:
         bench = BenchFile.model_validate(tables)
-        mistakes = _missing_addresses(bench) + _missing_wires(bench) + _crossed_wires(bench)
+        mistakes = _missing_addresses(bench) + _missing_cables(bench) + _crossed_cables(bench)
     if mistakes:
         raise SettingsError(f"bench {name}", mistakes)
     return BenchText(name, text, bench)
@@ -228,7 +255,7 @@ def _missing_addresses(bench: BenchFile) -> list[Mistake]:
     ]
 
 
-def _missing_wires(bench: BenchFile) -> list[Mistake]:
+def _missing_cables(bench: BenchFile) -> list[Mistake]:
     needed = [
         ("master.output", "tracking_train.trigger"),
         ("tracking_train.output", "digitizer.trigger"),
@@ -249,11 +276,11 @@ def _missing_wires(bench: BenchFile) -> list[Mistake]:
     ]
 
 
-def _crossed_wires(bench: BenchFile) -> list[Mistake]:
+def _crossed_cables(bench: BenchFile) -> list[Mistake]:
     """Return the inputs with two sources; only the transducer takes a sum. With the needed cables no loop is left."""
     sources: dict[str, list[str]] = {}
-    for wire in bench.wiring:
-        sources.setdefault(wire.target, []).append(wire.source)
+    for cable in bench.wiring:
+        sources.setdefault(cable.target, []).append(cable.source)
     return [
         Mistake("wiring", f"{target} has {len(found)} sources, {' and '.join(found)}", "one cable an input")
         for target, found in sources.items()

@@ -1,4 +1,4 @@
-"""How one bench differs from another, or from itself at another time: settings read back and bench files, in words."""
+"""Comparison of two benches, or of one at two times: settings read back and bench files, in words."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ RELATIVE_TOLERANCE: Final = 1e-10
 ABSENT: Final = "not stated"
 NOT_OPENED: Final = "not opened"
 
-Settings = Mapping[str, Mapping[str, Setting]]
+BenchSettings = Mapping[str, Mapping[str, Setting]]
+"""Settings read back, by role."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +54,7 @@ class Difference:
         return f"{number} {self.unit}".strip()
 
 
-def settings_differences(before: Settings, after: Settings) -> list[Difference]:
+def settings_differences(before: BenchSettings, after: BenchSettings) -> list[Difference]:
     """Return what differs in the settings read back, role by role along the trigger's way."""
     found = []
     for role, name in ROLES.items():

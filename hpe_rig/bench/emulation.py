@@ -1,4 +1,4 @@
-"""A whole simulated bench offered to any VISA program on this machine, and the bench file that describes it."""
+"""Emulation of a whole bench for any VISA program on this machine, and the bench file that describes it."""
 
 from __future__ import annotations
 

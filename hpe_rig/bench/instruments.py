@@ -1,4 +1,4 @@
-"""The open instruments of a bench, and how each of them is made safe whatever happens to the others."""
+"""Open instruments of a bench, and how each of them is made safe whatever happens to the others."""
 
 from __future__ import annotations
 

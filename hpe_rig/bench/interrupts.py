@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM around an open bench: both unwind, and neither cuts short what makes the bench safe."""
+"""Interrupts, Ctrl-C and SIGTERM, around an open bench: both unwind, neither cuts short what makes the bench safe."""
 
 from __future__ import annotations
 

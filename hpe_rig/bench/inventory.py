@@ -1,4 +1,4 @@
-"""What stands on the bench: every instrument asked who it is and how it is set, nothing programmed, all left safe."""
+"""Inventory of a bench: every instrument identified and its settings read, nothing programmed, outputs left off."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from hpe_rig.bench.instruments import make_safe
 from hpe_rig.bench.opening import open_each, visa_addresses
 
 LATENCY_QUERIES: Final = 5
-OLD_FPGA, OLD_FPGA_RECORDS = 18, 1000
 
 Settings = Mapping[str, Setting]
 
@@ -58,7 +57,7 @@ class BenchReport:
 
 
 def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, self_test: bool = False) -> BenchReport:
-    """Return what stands on ``bench``; every instrument that answers is safe, verified, when this returns.
+    """Return what is on ``bench``; every instrument that answers is safe, verified, when this returns.
 
     ``self_test`` has every instrument that can test itself do so, once the outputs of all are off. Raises
     ``UnsafeBenchError`` where that cannot be proven.
@@ -147,6 +146,6 @@ def _digitizer_problems(board: DigitizerBoard, settings: Settings) -> Iterator[s
             name = key.removeprefix("memory_")
             yield f"the board reports {key} = {reported}. Try: digitizer.{name} = {str(reported).lower()}"
     version = str(settings.get("firmware", "")).removeprefix("FPGA ").partition(",")[0]
-    if version.isdecimal() and int(version) <= OLD_FPGA and board.max_records > OLD_FPGA_RECORDS:
-        what = f"FPGA version {version} holds {OLD_FPGA_RECORDS} single-port records"
-        yield f"{what}. Try: digitizer.max_records = {OLD_FPGA_RECORDS}"
+    if version.isdecimal() and board.max_records > (most := board.board_model.record_limit(int(version))):
+        what = f"FPGA version {version} holds {most} single-port records"
+        yield f"{what}. Try: digitizer.max_records = {most}"

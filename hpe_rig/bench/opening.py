@@ -1,6 +1,6 @@
-"""Open the instruments a scene needs, and nothing else; leave every output off and verified off on every exit.
+"""Opening of the instruments a scene needs, and no others; every output is off, and verified off, on every way out.
 
-The one place that chooses wires: the real drivers stand on VISA and the vendor's library, or on the twin.
+The one place that chooses what drivers stand on: VISA and the vendor's library, or the twin.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.interfaces import Clock, Instrument, InstrumentError, Wire as InstrumentWire
+from drivers.interfaces import Clock, Connection, Instrument, InstrumentError
 from hpe_rig.bench.bench_file import GENERATOR_ROLES, BenchFile
 from hpe_rig.bench.instruments import Bench, identify_each, make_safe, proven_off
 from hpe_rig.bench.interrupts import interruptible
@@ -152,16 +152,16 @@ def visa_addresses() -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """How the instruments of one bench are reached: a wire a generator, one library, one clock."""
+    """How the instruments of one bench are reached: a connection a generator, one library, one clock."""
 
-    wire: Callable[[str], InstrumentWire]
+    connect: Callable[[str], Connection]
     library: Callable[[], Any]
     clock: Clock
     world: World | None
 
     def instrument(self, role: str, bench: BenchFile) -> Any:
-        """Return the driver of ``role`` on its wire."""
-        from drivers.agilent import MasterTrigger33250A, PulseGenerator33250A, ToneburstGenerator33250A
+        """Return the driver of ``role`` on its connection."""
+        from drivers.agilent import Agilent33250A
         from drivers.alazar import Ats460
 
         if role == "digitizer":
@@ -171,9 +171,7 @@ class Reach:
         most_vpp = generator.max_vpp or math.inf
         if role in ("toneburst", "tracking_pulser"):
             most_vpp = min(most_vpp, bench.limits.max_drive_vpp or math.inf)
-            return ToneburstGenerator33250A(self.wire(role), role, generator.model, most_vpp)
-        pulses = MasterTrigger33250A if role == "master" else PulseGenerator33250A
-        return pulses(self.wire(role), role, generator.model, most_vpp)
+        return Agilent33250A(self.connect(role), role, generator.model, most_vpp)
 
 
 def declared(scene: Scene) -> dict[str, Any]:
@@ -187,10 +185,10 @@ def declared(scene: Scene) -> dict[str, Any]:
 def _reach_twin(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack) -> Reach:
     world = _world(simulation, bench, first_shot)
     if bench.transport is None:
-        return Reach(lambda role: cast(InstrumentWire, world.wire(role)), world.alazar_library, world.clock, world)
+        return Reach(lambda role: cast(Connection, world.connect(role)), world.alazar_library, world.clock, world)
     served = stack.enter_context(_emulator(world, bench, bench.transport)).served
-    wire = _visa_wires({role: (there.address, there.interface) for role, there in served.items()}, "@py", stack)
-    return Reach(wire, world.alazar_library, world.clock, world)
+    addresses = {role: (there.address, there.interface) for role, there in served.items()}
+    return Reach(_visa_connections(addresses, "@py", stack), world.alazar_library, world.clock, world)
 
 
 def _world(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0) -> World:
@@ -198,7 +196,7 @@ def _world(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0)
     from sim_backend.world import World
 
     settings = SimulationSettings.model_validate(simulation)
-    wiring = [(wire.source, wire.target, wire.delay_s) for wire in bench.wiring]
+    wiring = [(cable.source, cable.target, cable.delay_s) for cable in bench.wiring]
     models = {role: generator.model for role, generator in bench.generators.by_role.items()}
     return World(settings, wiring, first_capture=first_shot, models=models)
 
@@ -207,7 +205,7 @@ def _emulator(world: World, bench: BenchFile, transport: Transport) -> Emulator:
     from sim_backend.transports import Emulator
 
     try:
-        return Emulator(transport, world.wire, tuple(bench.generators.by_role))
+        return Emulator(transport, world.connect, tuple(bench.generators.by_role))
     except OSError as error:
         what = f"the generators cannot be served over {transport}"
         raise InstrumentError("simulated bench", what, str(error), "take another transport") from error
@@ -225,28 +223,28 @@ def open_emulator(
         yield {role: (there.address, there.interface) for role, there in emulator.served.items()}
 
 
-def _visa_wires(
+def _visa_connections(
     addresses: Mapping[str, tuple[str, str | None]], backend: str, stack: ExitStack
-) -> Callable[[str], InstrumentWire]:
-    """Return what opens the wire of a role; an adapter that several share is opened once."""
-    from drivers.visa import VisaInterface, VisaWire
+) -> Callable[[str], Connection]:
+    """Return what opens the connection of a role; an adapter that several share is opened once."""
+    from drivers.visa import VisaConnection, VisaInterface
 
     interfaces: dict[str, VisaInterface] = {}
 
-    def wire(role: str) -> InstrumentWire:
+    def connect(role: str) -> Connection:
         address, before = addresses[role]
         try:
             if before and before not in interfaces:
                 interfaces[before] = VisaInterface(before, backend=backend)
                 stack.callback(interfaces[before].close)
-            opened = VisaWire(address, backend=backend, interface=interfaces[before] if before else None)
+            opened = VisaConnection(address, backend=backend, interface=interfaces[before] if before else None)
         except ConnectionError as error:
             remedy = f"correct generators.{role}.address, or see what hpe-rig bench finds"
             raise InstrumentError(role, str(error), "the address, the cable or the power is wrong", remedy) from error
         stack.callback(opened.close)
         return opened
 
-    return wire
+    return connect
 
 
 def _reach_metal(bench: BenchFile, stack: ExitStack) -> Reach:
@@ -254,7 +252,7 @@ def _reach_metal(bench: BenchFile, stack: ExitStack) -> Reach:
 
     addresses = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
     return Reach(
-        _visa_wires(addresses, "", stack), lambda: load_library(name=bench.digitizer.library), WallClock(), None
+        _visa_connections(addresses, "", stack), lambda: load_library(name=bench.digitizer.library), WallClock(), None
     )
 
 

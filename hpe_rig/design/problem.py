@@ -18,7 +18,7 @@ from hpe_rig.acquire import Setup, planned
 from hpe_rig.bench import BenchFile, check_simulation
 from hpe_rig.design.model import Baseline, baseline, design_setting, predicted
 from hpe_rig.design.variables import Variable
-from hpe_rig.plan import AcousticOutput, Finding, Plan, highest_output
+from hpe_rig.plan import AcousticOutput, CheckResult, Plan, highest_output
 from hpe_rig.prediction import Expected, Setting
 from hpe_rig.scene import Mistake, Number, Path, Scene, SettingsError, mistakes_of, with_values
 
@@ -51,7 +51,7 @@ class Candidate:
     """One scene with what its plan and the model say of it; ``conflicts`` is what refuses it."""
 
     values: Values
-    conflicts: tuple[Finding, ...]
+    conflicts: tuple[CheckResult, ...]
     scene: Scene | None = None
     plan: Plan | None = None
     setting: Setting | None = None
@@ -160,9 +160,9 @@ class Problem:
         try:
             return replace(candidate, setting=design_setting(candidate.scene, candidate.plan, self.baseline))
         except ValueError as error:
-            conflict = Finding("estimate", "refused", str(error))
+            conflict = CheckResult("estimate", "refused", str(error))
             return replace(candidate, conflicts=(*candidate.conflicts, conflict))
 
 
-def _conflict(mistake: Mistake) -> Finding:
-    return Finding(mistake.path, "refused", mistake.what, mistake.remedy)
+def _conflict(mistake: Mistake) -> CheckResult:
+    return CheckResult(mistake.path, "refused", mistake.what, mistake.remedy)

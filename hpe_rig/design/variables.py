@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hpe_rig.bench import BOARD_MODELS, BenchFile
+from hpe_rig.bench import BenchFile
 from hpe_rig.prediction import LEAST_POINTS, pulse_length_m
 from hpe_rig.scene import Key, Mistake, Number, Scene, SettingsError, number_keys, resolve
 
@@ -147,7 +147,7 @@ def _inward(low: float, high: float) -> tuple[float, float]:
 
 def _steps(key: Key, scene: Scene, bench: BenchFile) -> tuple[float | None, tuple[float, ...]]:
     """Return step or choices of a number that bench or scene take in steps only."""
-    board = BOARD_MODELS[bench.digitizer.model]
+    board = bench.digitizer.board_model
     match str(key).partition("[")[0]:
         case "acquisition.sample_rate_hz":
             return None, board.sample_rates_hz
@@ -214,7 +214,7 @@ _BOUNDS: dict[str, Callable[[Scene, BenchFile, float], tuple[float, float]]] = {
         _record_m(scene, scene.acquisition.record_samples),
     ),
     "acquisition.record_samples": lambda scene, bench, _: (
-        BOARD_MODELS[bench.digitizer.model].record_minimum,
+        bench.digitizer.board_model.record_minimum,
         max(WIDE * scene.acquisition.record_samples, 1024),
     ),
     "acquisition.sample_rate_hz": lambda scene, _, __: (2 * scene.tracking.carrier_hz, math.inf),

@@ -17,7 +17,7 @@ from hpe_rig.acquire import Setup, ShotBlock, acquire
 from hpe_rig.bench import Bench, open_bench
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.state import State, image_state, level_state, rf_state
-from hpe_rig.plan import Plan, Shot, findings, make_plan, refuse_conflicts
+from hpe_rig.plan import Plan, Shot, check_plan, make_plan, refuse_conflicts
 from hpe_rig.report import EchoView, echo_view
 from hpe_rig.scene import Scene
 from hpe_rig.store import ShotRecords, assemble
@@ -43,7 +43,7 @@ def without_pushing(setup: Setup) -> Setup:
     single = scene.model_copy(update=parts)
     bench = setup.bench.bench
     plan = make_plan(single, bench)
-    found = tuple(item for item in findings(single, bench, plan) if item.check not in ABOUT_VIBRATION)
+    found = tuple(item for item in check_plan(single, bench, plan) if item.check not in ABOUT_VIBRATION)
     refuse_conflicts(found)
     return Setup(replace(setup.scene, scene=single), setup.bench, plan, found)
 

@@ -3,12 +3,12 @@ from .checks.acoustic_output import (
     drive_output as drive_output,
     highest_output as highest_output,
 )
-from .checks.conflicts import (
-    Finding as Finding,
+from .checks.check_result import (
+    CheckResult as CheckResult,
     PlanError as PlanError,
-    findings as findings,
     refuse_conflicts as refuse_conflicts,
 )
+from .checks.checklist import check_plan as check_plan
 from .interference import disturbed_pulses as disturbed_pulses
 from .shots import (
     SAFETY_MARGIN_S as SAFETY_MARGIN_S,

@@ -105,7 +105,7 @@ class Plan:
 
 
 def make_plan(scene: Scene, bench: BenchFile) -> Plan:
-    """Return the plan of ``scene`` on ``bench``; it may hold conflicts, which ``hpe_rig.plan.checks.conflicts`` finds.
+    """Return the plan of ``scene`` on ``bench``; it may hold conflicts, which ``hpe_rig.plan.checks`` finds.
 
     Raises ``SettingsError`` where the scene asks for more shots or pulses than anyone could wait for.
     """

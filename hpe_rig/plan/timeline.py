@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from hpe_rig.plan.checks.conflicts import Finding
+from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.interference import admissible_delays_s, forbidden_window_s
 from hpe_rig.plan.shots import Plan, Shot
 
 WIDTH = 96
 
 
-def plan_text(title: str, plan: Plan, found: Sequence[Finding]) -> str:
+def plan_text(title: str, plan: Plan, found: Sequence[CheckResult]) -> str:
     """Return the plan of a measurement as text: drawing, table, what is left out, checks."""
     shot = max(plan.shots, key=lambda item: item.timeline.burst_length_s)
     lines = [title, "", *_drawing(shot), "", *_table(plan, shot), "", "left out:"]

@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from hpe_rig.acquire import chosen_estimator, process
 from hpe_rig.bench import BenchFile, parse_bench
-from hpe_rig.plan import Finding, Plan, findings, make_plan
+from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan
 from hpe_rig.prediction import detection_text
 from hpe_rig.report import figures, provenance as report_provenance
 from hpe_rig.report.foreseen import foreseen
@@ -89,7 +89,7 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
     result = process(path, estimator, stages)
     shown = _shown(result, shot)
     plan = make_plan(scene, bench)
-    found = findings(scene, bench, plan)
+    found = check_plan(scene, bench, plan)
     with stages("draw"):
         pictures, checks, motion = _look(scene, plan, stored, shown)
         sweep = make_sweep(result.shots)
@@ -205,7 +205,7 @@ def _facts(scene: Scene, bench: BenchFile, plan: Plan, result: Result) -> list[t
     ]
 
 
-def _dose(scene: Scene, stored: StoredRun, found: Sequence[Finding]) -> list[tuple[str, str]]:
+def _dose(scene: Scene, stored: StoredRun, found: Sequence[CheckResult]) -> list[tuple[str, str]]:
     """Return the acoustic output by the bench file's calibration, the detection floor, and what the limits let move."""
     output = [("acoustic output", finding.text) for finding in found if finding.check == "acoustic output"]
     lines = [text.partition(": ") for text in detection_text(scene, stored.simulated)]

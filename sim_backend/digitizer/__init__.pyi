@@ -1,7 +1,7 @@
 from .board import Board as Board, BoardSettings as BoardSettings, Taken as Taken, latencies_of as latencies_of
 from .capture_snapshot import (
     FAR_PS as FAR_PS,
-    Captured as Captured,
+    CaptureSnapshot as CaptureSnapshot,
     pulse_of_each_record as pulse_of_each_record,
     same_inputs as same_inputs,
 )

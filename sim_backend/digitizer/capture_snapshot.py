@@ -13,7 +13,7 @@ FAR_PS = 1 << 60
 
 
 @dataclass(frozen=True, slots=True)
-class Captured:
+class CaptureSnapshot:
     """One arming with everything that its records depend on."""
 
     arming: Arming
@@ -30,7 +30,7 @@ class Captured:
         return Capture(index, self.origin_ps, first_ps, settings.sample_period_ps, settings.record_samples)
 
 
-def pulse_of_each_record(captured: Captured) -> Picoseconds:
+def pulse_of_each_record(captured: CaptureSnapshot) -> Picoseconds:
     """Return the onset of the pulse that each record's trigger fired, -1 where there is none: int64 (record,)."""
     tick_ps, onset_ps = captured.taken.tick_ps, captured.pulses.onset_ps
     first = np.searchsorted(onset_ps, tick_ps)
@@ -39,7 +39,7 @@ def pulse_of_each_record(captured: Captured) -> Picoseconds:
     return np.where(padded_ps[first] < following_ps, padded_ps[first], -1)
 
 
-def same_inputs(one: Captured, other: Captured) -> bool:
+def same_inputs(one: CaptureSnapshot, other: CaptureSnapshot) -> bool:
     """Return whether the records of two evaluations are the same."""
     if one is other:
         return True

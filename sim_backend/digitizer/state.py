@@ -8,13 +8,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.clock import SimulatedClock
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.auto_dma import BufferQueue, Transfer, clipped_channels, timestamps
 from sim_backend.digitizer.board import Arming, Board, BoardSettings, Taken, words
 from sim_backend.digitizer.codes import Code
 from sim_backend.digitizer.settings import Changes
 from sim_backend.settings import Instruments
+from sim_backend.wiring import SimulatedClock
 
 REGISTER_READ_PS = 1_000_000
 """Time that a status query takes (assumed); without it a program that polls without sleeping would wait for ever."""

@@ -14,11 +14,11 @@ from sim_backend.generator.scpi_text import ScpiError, boolean, keyword, number,
 
 Write = Callable[[Registers, tuple[str, ...]], Coerced]
 Read = Callable[[Registers, tuple[str, ...]], str]
-Limits = Callable[[Registers], tuple[float, float]]
+LimitsOf = Callable[[Registers], tuple[float, float]]
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class SettingCommand:
     """What one header does; None where the form without or with ``?`` does not exist."""
 
     write: Write | None
@@ -40,12 +40,12 @@ def _extreme(text: str, limits: tuple[float, float]) -> float | None:
 
 def _number(
     units: str,
-    limits: Limits,
+    limits: LimitsOf,
     get: Callable[[Registers], float],
     put: Callable[[Registers, float], Coerced],
     infinite: bool = False,
     convert: Callable[[Registers, float, str], float] = lambda state, value, unit: value,
-) -> Setting:
+) -> SettingCommand:
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         text = _one(arguments)
         value = _extreme(text, limits(state))
@@ -61,10 +61,10 @@ def _number(
             raise ScpiError(-224, "Illegal parameter value")
         return real_reply(value)
 
-    return Setting(write, read)
+    return SettingCommand(write, read)
 
 
-def _plain(units: str, low: float, high: float, field: str, quantity: str) -> Setting:
+def _plain(units: str, low: float, high: float, field: str, quantity: str) -> SettingCommand:
     def put(state: Registers, value: float) -> Coerced:
         value, errors = registers.clipped(value, low, high, quantity)
         return Coerced(replace(state, **{field: value}), errors)  # type: ignore[arg-type]
@@ -72,14 +72,14 @@ def _plain(units: str, low: float, high: float, field: str, quantity: str) -> Se
     return _number(units, lambda state: (low, high), lambda state: getattr(state, field), put)
 
 
-def _choice(words: str, get: Callable[[Registers], str], put: Callable[[Registers, str], Coerced]) -> Setting:
-    return Setting(
+def _choice(words: str, get: Callable[[Registers], str], put: Callable[[Registers, str], Coerced]) -> SettingCommand:
+    return SettingCommand(
         lambda state, arguments: put(state, keyword(_one(arguments), words.split())),
         lambda state, arguments: get(state),
     )
 
 
-def _word(words: str, field: str) -> Setting:
+def _word(words: str, field: str) -> SettingCommand:
     return _choice(
         words,
         lambda state: getattr(state, field),
@@ -87,24 +87,24 @@ def _word(words: str, field: str) -> Setting:
     )
 
 
-def _switch(get: Callable[[Registers], bool], put: Callable[[Registers, bool], Coerced]) -> Setting:
-    return Setting(
+def _switch(get: Callable[[Registers], bool], put: Callable[[Registers, bool], Coerced]) -> SettingCommand:
+    return SettingCommand(
         lambda state, arguments: put(state, boolean(_one(arguments))), lambda state, arguments: str(int(get(state)))
     )
 
 
-def _flag(field: str) -> Setting:
+def _flag(field: str) -> SettingCommand:
     return _switch(
         lambda state: getattr(state, field),
         lambda state, on: Coerced(replace(state, **{field: on})),  # type: ignore[arg-type]
     )
 
 
-def _mode(name: str) -> Setting:
+def _mode(name: str) -> SettingCommand:
     return _switch(lambda state: state.modulation == name, lambda state, on: timing.set_modulation(state, name, on))
 
 
-def _amplitude() -> Setting:
+def _amplitude() -> SettingCommand:
     def limits(state: Registers) -> tuple[float, float]:
         low, high = levels.amplitude_limits(state)
         return levels.in_unit(state, low), levels.in_unit(state, high)
@@ -119,12 +119,12 @@ def _amplitude() -> Setting:
     shown = _number(
         "", limits, lambda state: levels.in_unit(state, state.amplitude_v * load_share(state)), levels.set_amplitude
     )
-    return Setting(write, shown.read)
+    return SettingCommand(write, shown.read)
 
 
 def _level(
-    open_limits: Limits, get: Callable[[Registers], float], put: Callable[[Registers, float], Coerced]
-) -> Setting:
+    open_limits: LimitsOf, get: Callable[[Registers], float], put: Callable[[Registers, float], Coerced]
+) -> SettingCommand:
     def limits(state: Registers) -> tuple[float, float]:
         low, high = open_limits(state)
         return low * load_share(state), high * load_share(state)
@@ -176,7 +176,7 @@ def _put_delay(state: Registers, delay_s: float) -> Coerced:
     return timing.settle_burst(Coerced(replace(state, delay_s=delay_s), errors))
 
 
-def _phase() -> Setting:
+def _phase() -> SettingCommand:
     def limits(state: Registers) -> tuple[float, float]:
         return (-360.0, 360.0) if state.angle_unit == "DEG" else (-2 * math.pi, 2 * math.pi)
 
@@ -196,19 +196,19 @@ def _phase() -> Setting:
     return _number("DEG RAD", limits, get, put, convert=convert)
 
 
-def _text() -> Setting:
+def _text() -> SettingCommand:
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         return Coerced(replace(state, display_text=quoted(_one(arguments))))
 
-    return Setting(write, lambda state, arguments: f'"{state.display_text}"')
+    return SettingCommand(write, lambda state, arguments: f'"{state.display_text}"')
 
 
-def _range() -> Setting:
+def _range() -> SettingCommand:
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
         once = _one(arguments).upper() == "ONCE"
         return Coerced(replace(state, range_auto="0" if once else str(int(boolean(arguments[0])))))
 
-    return Setting(write, lambda state, arguments: state.range_auto)
+    return SettingCommand(write, lambda state, arguments: state.range_auto)
 
 
 def _clear_text(state: Registers, arguments: tuple[str, ...]) -> Coerced:
@@ -276,13 +276,13 @@ SETTINGS = {
     "UNIT:ANGLe": _word("DEGree RADian", "angle_unit"),
     "DISPlay[:WINDow][:STATe]": _flag("display"),
     "DISPlay[:WINDow]:TEXT[:DATA]": _text(),
-    "DISPlay[:WINDow]:TEXT:CLEar": Setting(_clear_text, None),
+    "DISPlay[:WINDow]:TEXT:CLEar": SettingCommand(_clear_text, None),
     "SYSTem:BEEPer:STATe": _flag("beeper"),
 }
 """Every setting of the twin's 33250A by header (reference, 1.4)."""
 
 
-def settings_of(model: Model) -> Mapping[str, Setting]:
+def settings_of(model: Model) -> Mapping[str, SettingCommand]:
     """Return the settings of ``model`` by header; the series spell those of the pulse differently."""
     pulse = "[SOURce:]PULSe:"
 

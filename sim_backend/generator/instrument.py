@@ -7,14 +7,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from sim_backend.clock import SimulatedClock
-from sim_backend.generator.commands import Setting, settings_of
+from sim_backend.generator.commands import SettingCommand, settings_of
 from sim_backend.generator.emission import is_endless, respond, shapes_output
 from sim_backend.generator.models import AGILENT_33250A, MODELS, Model
 from sim_backend.generator.registers import Registers
 from sim_backend.generator.scpi_text import Command, HeaderTable, ScpiError
 from sim_backend.generator.status import Status
-from sim_backend.wiring import Emission, Steps, to_ps
+from sim_backend.wiring import Emission, SimulatedClock, Steps, to_ps
 
 Form = TypeVar("Form")
 
@@ -130,7 +129,7 @@ class Generator33250A:
         if self._software_ps and self.registers.trigger_source == "BUS" and math.isfinite(length_s):
             self._clock.advance_to(self._software_ps[-1] + self._latency_ps + to_ps(length_s))
 
-    def _carry_out(self, command: Command[Setting | Action]) -> str | None:
+    def _carry_out(self, command: Command[SettingCommand | Action]) -> str | None:
         entry, arguments = command.entry, command.arguments
         if self._over_serial and self._local and not command.query and entry not in REMOTE:
             raise ScpiError(550, "Command not allowed in local")
@@ -214,6 +213,6 @@ ACTIONS: Mapping[str, Action] = {
 }
 
 REMOTE = (ACTIONS["SYSTem:REMote"], ACTIONS["SYSTem:RWLock"])
-TABLES: Mapping[str, HeaderTable[Setting | Action]] = {
+TABLES: Mapping[str, HeaderTable[SettingCommand | Action]] = {
     model.name: HeaderTable({**settings_of(model), **ACTIONS}, model.numbered) for model in MODELS.values()
 }

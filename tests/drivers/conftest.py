@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import pytest
 
-from drivers.interfaces import Wire
-from drivers.visa.wire import VisaInterface, VisaWire
-from sim_backend.clock import SimulatedClock
+from drivers.interfaces import Connection
+from drivers.visa.connection import VisaConnection, VisaInterface
 from sim_backend.generator.instrument import Generator33250A
 from sim_backend.transports.emulator import TRANSPORTS, Emulator
-from sim_backend.world import InstrumentWire
+from sim_backend.wiring import SimulatedClock
+from sim_backend.world import GeneratorConnection
 
 IDENTITY = "Agilent Technologies,33250A,0,2.04-1.01-2.00-03-2"
 
@@ -81,30 +81,30 @@ class Line:
 
     transport: str
     instrument: Generator33250A
-    wire: Wire
+    wire: Connection
 
 
 @contextmanager
-def reaching(transport: str, instrument: Generator33250A) -> Iterator[Wire]:
+def reaching(transport: str, instrument: Generator33250A) -> Iterator[Connection]:
     if transport == IN_PROCESS:
         yield instrument
         return
 
-    def seen(role: str, over_serial: bool) -> InstrumentWire:
-        return InstrumentWire(instrument, SimulatedClock(), 0.0, over_serial)
+    def seen(role: str, over_serial: bool) -> GeneratorConnection:
+        return GeneratorConnection(instrument, SimulatedClock(), 0.0, over_serial)
 
     with ExitStack() as stack:
         served = stack.enter_context(Emulator(transport, seen, ("instrument",))).served["instrument"]
         interface = VisaInterface(served.interface, TIMEOUT_S) if served.interface else None
         if interface:
             stack.callback(interface.close)
-        wire = VisaWire(served.address, TIMEOUT_S, "@py", interface)
+        wire = VisaConnection(served.address, TIMEOUT_S, "@py", interface)
         stack.callback(wire.close)
         yield wire
 
 
 @pytest.fixture
-def reach() -> Callable[[str, Generator33250A], AbstractContextManager[Wire]]:
+def reach() -> Callable[[str, Generator33250A], AbstractContextManager[Connection]]:
     return reaching
 
 

@@ -1,4 +1,4 @@
-"""Edges along wires, and instruments as functions from edges to edges, against plain loops."""
+"""Edges along cables, and instruments as functions from edges to edges, against plain loops."""
 
 import math
 from dataclasses import replace
@@ -14,6 +14,7 @@ from sim_backend.wiring import (
     Emission,
     Steps,
     accepted,
+    cables_of,
     crossings,
     driven,
     joined_steps,
@@ -21,7 +22,6 @@ from sim_backend.wiring import (
     no_steps,
     propagate,
     trigger_order,
-    wires_of,
 )
 
 LATENCY_PS = 100_000
@@ -112,7 +112,7 @@ def test_records_equal_a_plain_loop(trigger_ps, samples, delay, count, period_ps
 
 
 def test_a_cable_is_a_delay_and_no_cable_is_no_trigger():
-    wires = wires_of([("a.output", "b.trigger", 5e-9)], ["a.output"], ["b.trigger", "c.trigger"])
+    cables = cables_of([("a.output", "b.trigger", 5e-9)], ["a.output"], ["b.trigger", "c.trigger"])
     seen = {}
 
     def listener(role):
@@ -122,13 +122,15 @@ def test_a_cable_is_a_delay_and_no_cable_is_no_trigger():
 
         return respond_to
 
-    propagate(wires, {"c": listener("c"), "b": listener("b"), "a": lambda arriving: Emission(ttl([1000]), no_bursts())})
+    propagate(
+        cables, {"c": listener("c"), "b": listener("b"), "a": lambda arriving: Emission(ttl([1000]), no_bursts())}
+    )
     assert rises(seen["b"]) == [6000]
     assert seen["c"].time_ps.size == 0
 
 
 def test_two_cables_into_one_input_are_seen_in_order_of_time():
-    wires = wires_of(
+    cables = cables_of(
         [("a.output", "c.trigger", 9e-9), ("b.output", "c.trigger", 0.0)], ["a.output", "b.output"], ["c.trigger"]
     )
     respond_to = {
@@ -136,27 +138,27 @@ def test_two_cables_into_one_input_are_seen_in_order_of_time():
         "b": lambda arriving: Emission(ttl([5000]), no_bursts()),
         "c": lambda arriving: Emission(arriving, no_bursts()),
     }
-    assert rises(propagate(wires, respond_to)["c"].steps) == [5000, 9000]
+    assert rises(propagate(cables, respond_to)["c"].steps) == [5000, 9000]
 
 
 def test_a_loop_of_triggers_is_refused():
     ends = ["a.output", "b.output"], ["a.trigger", "b.trigger"]
-    wires = wires_of([("a.output", "b.trigger", 0.0), ("b.output", "a.trigger", 0.0)], *ends)
+    cables = cables_of([("a.output", "b.trigger", 0.0), ("b.output", "a.trigger", 0.0)], *ends)
     with pytest.raises(ValueError, match="loop"):
-        trigger_order(wires, ("a", "b"))
+        trigger_order(cables, ("a", "b"))
 
 
 @pytest.mark.parametrize(
-    ("wire", "reason"),
+    ("cable", "reason"),
     [
         (("x.output", "b.trigger", 0.0), "no output"),
         (("a.output", "x.trigger", 0.0), "no input"),
         (("a.output", "b.trigger", -1.0), "delay"),
     ],
 )
-def test_a_wire_that_cannot_exist_is_refused(wire, reason):
+def test_a_cable_that_cannot_exist_is_refused(cable, reason):
     with pytest.raises(ValueError, match=reason):
-        wires_of([wire], ["a.output"], ["b.trigger"])
+        cables_of([cable], ["a.output"], ["b.trigger"])
 
 
 @pytest.mark.parametrize(
@@ -229,6 +231,6 @@ def test_a_train_too_long_to_follow_is_refused():
 
 def test_drive_voltage_is_that_across_50_ohm():
     emission = respond([(0, sine())], [], ttl([0]), 0, FAR_PS)
-    wires = wires_of([("toneburst.output", "transducer.drive", 1e-9)], ["toneburst.output"], ["transducer.drive"])
-    arrived = driven(wires, {"toneburst": emission}, ["toneburst"])
+    cables = cables_of([("toneburst.output", "transducer.drive", 1e-9)], ["toneburst.output"], ["transducer.drive"])
+    arrived = driven(cables, {"toneburst": emission}, ["toneburst"])
     assert (arrived.onset_ps[0], arrived.amplitude_vpp[0]) == (1000, 1.0)

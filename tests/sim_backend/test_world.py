@@ -49,7 +49,7 @@ class Bench:
         self.library = self.world.alazar_library()
 
     def send(self, role, message):
-        wire = self.world.wire(role)
+        wire = self.world.connect(role)
         wire.write(message)
         wire.write("SYST:ERR?")
         assert wire.read() == '+0,"No error"'
@@ -89,7 +89,7 @@ class Bench:
 
     def fire(self):
         """Return the time of the master's edge."""
-        self.world.wire("master").write("*TRG")
+        self.world.connect("master").write("*TRG")
         return self.world.clock.now_ps + 100_000
 
 
@@ -309,7 +309,7 @@ def test_outputs_and_digitizer_tell_whether_they_are_safe():
 
 def test_a_message_takes_its_time_and_sleeping_takes_none_of_ours():
     world = World(SimulationSettings(), FIG_2, Counting())
-    world.wire("master").write("*CLS")
+    world.connect("master").write("*CLS")
     world.clock.sleep(3600.0)
     assert world.clock.now_s() == pytest.approx(3600.001, abs=1e-9)
 

@@ -82,7 +82,7 @@ def test_generators_test_themselves_where_that_is_asked_for_with_every_output_of
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     tested = []
-    wire = World.wire
+    wire = World.connect
 
     class Failing:
         def __init__(self, world: World, role: str) -> None:
@@ -101,7 +101,7 @@ def test_generators_test_themselves_where_that_is_asked_for_with_every_output_of
         def close(self) -> None:
             self.inner.close()
 
-    monkeypatch.setattr(World, "wire", lambda world, role: Failing(world, role))
+    monkeypatch.setattr(World, "connect", lambda world, role: Failing(world, role))
     assert [found.self_test for found in survey(read_bench().bench).found] == [None] * 6
     assert tested == []
     report = survey(read_bench().bench, self_test=True)
@@ -114,7 +114,7 @@ def test_generators_test_themselves_where_that_is_asked_for_with_every_output_of
 
 def test_an_output_found_on_is_reported_and_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
     worlds: list[World] = []
-    wire = World.wire
+    wire = World.connect
 
     def left_on(world: World, role: str):
         worlds.append(world)
@@ -123,7 +123,7 @@ def test_an_output_found_on_is_reported_and_switched_off(monkeypatch: pytest.Mon
             opened.write("OUTP 1")
         return opened
 
-    monkeypatch.setattr(World, "wire", left_on)
+    monkeypatch.setattr(World, "connect", left_on)
     report = survey(read_bench().bench)
     problems = {found.role: found.problems for found in report.found if found.problems}
     assert list(problems) == ["toneburst"]
@@ -133,7 +133,7 @@ def test_an_output_found_on_is_reported_and_switched_off(monkeypatch: pytest.Mon
 
 def test_an_instrument_whose_settings_cannot_be_read_is_one_row_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
     """It says who it is, and answers joined queries in part."""
-    wire = World.wire
+    wire = World.connect
 
     class Garbled:
         def __init__(self, inner) -> None:
@@ -144,7 +144,7 @@ def test_an_instrument_whose_settings_cannot_be_read_is_one_row_of_the_table(mon
             return reply.rpartition(";")[0] if reply.count(";") > 3 else reply
 
     monkeypatch.setattr(
-        World, "wire", lambda world, role: Garbled(wire(world, role)) if role == "toneburst" else wire(world, role)
+        World, "connect", lambda world, role: Garbled(wire(world, role)) if role == "toneburst" else wire(world, role)
     )
     report = survey(read_bench().bench)
     assert [found.role for found in report.found if found.identity is None] == ["toneburst"]

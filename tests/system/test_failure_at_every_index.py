@@ -137,7 +137,7 @@ class TappedLibrary:
 @pytest.fixture
 def tapped(monkeypatch: pytest.MonkeyPatch) -> Callable[[Tap], None]:
     """Return a function that puts a tap on every bench opened from then on."""
-    wire, library = World.wire, World.alazar_library
+    wire, library = World.connect, World.alazar_library
     records, make_buffer = Ats460.records, PageBuffer.__init__
 
     def put(tap: Tap) -> None:
@@ -154,7 +154,7 @@ def tapped(monkeypatch: pytest.MonkeyPatch) -> Callable[[Tap], None]:
             make_buffer(buffer, size_bytes)
             tap.buffers.append(buffer)
 
-        monkeypatch.setattr(World, "wire", tapped_wire)
+        monkeypatch.setattr(World, "connect", tapped_wire)
         monkeypatch.setattr(World, "alazar_library", lambda world: TappedLibrary(library(world), tap))
         monkeypatch.setattr(Ats460, "records", counted)
         monkeypatch.setattr(PageBuffer, "__init__", noted)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.agilent.generators import Agilent33250A
+from drivers.agilent.generator import Agilent33250A
 from hpe_rig.acquire import run as run_module, stop_request as live_stop
 from hpe_rig.acquire.resumption import prepare_rest, resume
 from hpe_rig.acquire.run import Setup, measure, process

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
-from drivers.agilent.generators import Agilent33250A, MasterTrigger33250A
+from drivers.agilent.generator import Agilent33250A
 from drivers.interfaces import DeadlineError, InstrumentError
 from hpe_rig.acquire.run import Setup, measure, process
 from hpe_rig.acquire.sequencer import acquire
@@ -58,9 +58,9 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
     train_s = shot.timeline.burst_onset_s[-1] + shot.timeline.burst_length_s
     fired_s: list[float] = []
     left_s: list[float] = []
-    fire = MasterTrigger33250A.fire
+    fire = Agilent33250A.fire
 
-    def noted_fire(master: MasterTrigger33250A) -> None:
+    def noted_fire(master: Agilent33250A) -> None:
         fired_s.append(worlds[0].clock.now_s())
         fire(master)
 
@@ -73,7 +73,7 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
         assert tonebursts.end_ps.max(initial=0) <= latest_ps
         assert tonebursts.onset_ps.size <= 20
 
-    wire = World.wire
+    wire = World.connect
 
     def watched_wire(world: World, role: str) -> Any:
         made = wire(world, role)
@@ -86,8 +86,8 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
         made.write = watched
         return made
 
-    monkeypatch.setattr(World, "wire", watched_wire)
-    monkeypatch.setattr(MasterTrigger33250A, "fire", noted_fire)
+    monkeypatch.setattr(World, "connect", watched_wire)
+    monkeypatch.setattr(Agilent33250A, "fire", noted_fire)
     measure(setup, tmp_path / "run.h5")
     assert len(fired_s) == 1
     print(f"killed at any of {len(left_s)} messages: the bench goes on for at most {max(left_s):.4f} s")
@@ -165,7 +165,7 @@ def test_a_lost_master_ends_the_shot_when_the_plan_says_so(
 ) -> None:
     setup = prepared("bovine-muscle-synchronous")
     fired_s: list[float] = []
-    monkeypatch.setattr(MasterTrigger33250A, "fire", lambda master: fired_s.append(worlds[0].clock.now_s()))
+    monkeypatch.setattr(Agilent33250A, "fire", lambda master: fired_s.append(worlds[0].clock.now_s()))
 
     def run() -> None:
         with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
@@ -220,7 +220,7 @@ def test_an_output_that_cannot_be_proven_off_is_named_even_when_ctrl_c_comes_mea
 def test_an_unreachable_output_has_its_own_exit_code(tmp_path: Path) -> None:
     script = """
 import sys
-from drivers.agilent.generators import Agilent33250A
+from drivers.agilent.generator import Agilent33250A
 off, calls = Agilent33250A.make_safe, []
 def deaf(generator):
     calls.append(generator.role)
@@ -243,7 +243,7 @@ def test_outputs_left_on_are_off_where_somebody_answers_and_nothing_is_claimed_o
     prepared: Prepare, monkeypatch: pytest.MonkeyPatch, worlds: list[World]
 ) -> None:
     """Of two roles another instrument answers; every output was left on by a program before."""
-    wire = World.wire
+    wire = World.connect
 
     class Stranger:
         def __init__(self, inner: Any) -> None:
@@ -261,7 +261,7 @@ def test_outputs_left_on_are_off_where_somebody_answers_and_nothing_is_claimed_o
         opened.write("OUTP 1")
         return Stranger(opened) if role in ("toneburst", "tracking_train") else opened
 
-    monkeypatch.setattr(World, "wire", left_on)
+    monkeypatch.setattr(World, "connect", left_on)
     setup = prepared("bovine-muscle-synchronous")
     with (
         pytest.raises(InstrumentError, match=r"toneburst: .*34401A") as caught,

@@ -69,7 +69,7 @@ def test_slower_trains_need_a_window():
 
 
 def test_every_rate_of_a_sweep_is_checked(prepared):
-    from hpe_rig.plan.checks.conflicts import PlanError
+    from hpe_rig.plan.checks.check_result import PlanError
 
     with pytest.raises(PlanError, match="12000"):
         prepared("muscle-pulse-rate", *SHORT[:4], ("3000.0, 4000.0]", "3000.0, 12000.0]"))

@@ -1,1 +1,15 @@
-"""hpe_rig/plan/checks"""
+"""Checks of a plan, one file a subject: a function from scene, bench and plan to results with level, text and remedy.
+
+    check_result      one result, and the error that refuses a plan
+    simulation        what the twin measures on
+    excitation        tonebursts against the bench's limits
+    output            tasks against what the generators can do
+    acoustic_output   estimated output at the focus against its limits
+    interference      tonebursts and their echoes against pulses and gates
+    timing            periods, record and depth
+    sampling          aliasing, window and resolution
+    digitizer         records against what the board can do
+    checklist         every check in order
+
+What instruments can do is asked of `drivers`, so that a plan that passes is one that they accept.
+"""

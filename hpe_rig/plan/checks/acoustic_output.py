@@ -12,8 +12,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from drivers.interfaces import Toneburst
-from hpe_rig.bench import BenchFile, Calibration, DriveCalibration, Limits
-from hpe_rig.plan.shots import Shot
+from hpe_rig.bench import BenchFile, Calibration, DriveCalibration, OutputLimits
+from hpe_rig.plan.checks.check_result import CheckResult, judged
+from hpe_rig.plan.shots import Plan, Shot
+from hpe_rig.scene import Scene
 
 DERATING_DB_PER_M_HZ: Final = 0.3 / (1e-2 * 1e6)
 # Of the calibrated carrier: a transducer's response hardly changes within it.
@@ -28,7 +30,7 @@ class AcousticOutput:
     sppa_w_per_m2: float
     spta_w_per_m2: float
 
-    def within(self, limits: Limits) -> bool:
+    def within(self, limits: OutputLimits) -> bool:
         """Return whether time average, and peak pressure or pulse average, are within the bench's limits."""
         peak = self.mechanical_index <= limits.max_mechanical_index or self.sppa_w_per_m2 <= limits.max_sppa_w_per_m2
         return peak and self.spta_w_per_m2 <= limits.max_spta_w_per_m2
@@ -90,6 +92,25 @@ def highest_output(bench: BenchFile, shots: Sequence[Shot]) -> AcousticOutput:
     return AcousticOutput(peak.mechanical_index, peak.sppa_w_per_m2, max(output.spta_w_per_m2 for output in outputs))
 
 
+def acoustic_output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield whether the estimated output stays below the limits, and what could not be estimated."""
+    unknown = dict.fromkeys(words for shot in plan.shots for words in uncalibrated(bench.calibration, shot))
+    if unknown:
+        text = f"not estimated in full: {'; '.join(unknown)}"
+        yield CheckResult(
+            "acoustic output", "warning", text, "a hydrophone measurement in [calibration] of the bench file"
+        )
+    if bench.calibration is None:
+        return
+    limits, output = bench.limits, highest_output(bench, plan.shots)
+    text = (
+        f"derated MI {output.mechanical_index:.3g} (limit {limits.max_mechanical_index:g}) or "
+        f"I_sppa {output.sppa_w_per_m2 / 1e4:.3g} W/cm2 (limit {limits.max_sppa_w_per_m2 / 1e4:g}), "
+        f"I_spta {output.spta_w_per_m2 / 10:.3g} mW/cm2 (limit {limits.max_spta_w_per_m2 / 10:g})"
+    )
+    yield judged("acoustic output", output.within(limits), text, _quieter(output, limits))
+
+
 def _drives(calibration: Calibration, shot: Shot) -> list[tuple[DriveCalibration | None, Toneburst, float]]:
     drives = [(calibration.tracking_pulse, shot.tracking_pulser, shot.tracking_train.rate_hz)]
     if shot.toneburst is not None and shot.burst_train is not None:
@@ -99,3 +120,12 @@ def _drives(calibration: Calibration, shot: Shot) -> list[tuple[DriveCalibration
 
 def _duty(burst: Toneburst, rate_hz: float) -> float:
     return burst.cycles / burst.carrier_hz * rate_hz
+
+
+def _quieter(output: AcousticOutput, limits: OutputLimits) -> str:
+    average = limits.max_spta_w_per_m2 / max(output.spta_w_per_m2, 1e-300)
+    index = limits.max_mechanical_index / max(output.mechanical_index, 1e-300)
+    peak = max(index, math.sqrt(limits.max_sppa_w_per_m2 / max(output.sppa_w_per_m2, 1e-300)))
+    share = min(peak, math.sqrt(average))
+    words = f"amplitudes of at most {100 * share:.3g} % (limits.full_drive_vpp, generators.tracking_pulser)"
+    return words + (f", or excitation.burst_length_s of {100 * average:.3g} %" if average < 1 <= peak else "")

@@ -1,4 +1,4 @@
-"""What a check of a plan finds, and the error that refuses the plan."""
+"""Result of one check of a plan, and the error that refuses the plan."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Level = Literal["passed", "warning", "refused"]
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class CheckResult:
     """What one check found; ``remedy`` is empty where it passed."""
 
     check: str
@@ -23,21 +23,31 @@ class Finding:
 
 
 class PlanError(Exception):
-    """A plan that must not run; ``findings`` holds every conflict."""
+    """A plan that must not run; ``conflicts`` holds the result of every check that refused it."""
 
-    def __init__(self, findings: Sequence[Finding]) -> None:
-        lines = "\n".join(f"  {finding}" for finding in findings)
-        super().__init__(f"the plan has {len(findings)} conflict{'s' if len(findings) != 1 else ''}\n{lines}")
-        self.findings = tuple(findings)
+    def __init__(self, conflicts: Sequence[CheckResult]) -> None:
+        lines = "\n".join(f"  {conflict}" for conflict in conflicts)
+        super().__init__(f"the plan has {len(conflicts)} conflict{'s' if len(conflicts) != 1 else ''}\n{lines}")
+        self.conflicts = tuple(conflicts)
 
 
-def refuse_conflicts(found: Sequence[Finding]) -> None:
-    """Raise ``PlanError`` with all conflicts, if there are any."""
-    refused = [finding for finding in found if finding.level == "refused"]
+def refuse_conflicts(results: Sequence[CheckResult]) -> None:
+    """Raise ``PlanError`` with all conflicts among ``results``, if there are any."""
+    refused = [result for result in results if result.level == "refused"]
     if refused:
         raise PlanError(refused)
 
 
-def judged(check: str, good: bool, text: str, remedy: str) -> Finding:
+def judged(check: str, good: bool, text: str, remedy: str) -> CheckResult:
     """Return that ``check`` passed where ``good``, else that it refuses the plan."""
-    return Finding(check, "passed", text) if good else Finding(check, "refused", text, remedy)
+    return CheckResult(check, "passed", text) if good else CheckResult(check, "refused", text, remedy)
+
+
+def in_us(time_s: float) -> str:
+    """Return a time as people read it in a message."""
+    return f"{time_s * 1e6:.4g} us"
+
+
+def is_whole(number: float) -> bool:
+    """Return whether ``number`` is whole but for rounding."""
+    return abs(number - round(number)) < 1e-6 * max(1.0, abs(number))

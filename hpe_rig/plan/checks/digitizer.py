@@ -1,4 +1,4 @@
-"""What a plan asks of the digitizer against what the board can do."""
+"""Checks of the digitizer: what its driver refuses, the gate in the record, memory."""
 
 from __future__ import annotations
 
@@ -6,63 +6,117 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-from drivers.alazar import capture_mistakes
-from hpe_rig.bench import BOARD_MODELS, BenchFile
-from hpe_rig.plan.checks.check_result import Finding, judged
-from hpe_rig.plan.shots import Plan
+from drivers.alazar import BoardModel, mistakes
+from drivers.interfaces import Capture
+from hpe_rig.bench import BenchFile
+from hpe_rig.plan.checks.check_result import CheckResult, judged
+from hpe_rig.plan.shots import Plan, reference_gate
+from hpe_rig.scene import Scene
 
 
-def capture_mode(bench: BenchFile, plan: Plan) -> Iterator[Finding]:
+def gate_in_record(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield whether gate and reference gate lie in the record, and the gate is not too short."""
+    shot = plan.shots[0]
+    gate, samples = shot.gate, shot.capture.record_samples
+    text = f"the gate takes samples {gate.start} to {gate.stop} of a record of {samples}"
+    needed = gate.stop if gate.start >= 0 else gate.stop - gate.start + 2 * 16
+    needed = 16 * math.ceil(needed / 16)
+    remedy = f"acquisition.record_samples = {max(128, needed)} or more, or a shorter acquisition.gate_length_m"
+    yield judged("gate in record", gate.start >= 0 and gate.stop <= samples, text, remedy)
+    still = reference_gate(scene, shot)
+    if still is not None:
+        text = f"the reference gate takes samples {still.start} to {still.stop} of a record of {samples}"
+        remedy = (
+            "processing.reference_gate_depth_m closer to acquisition.gate_depth_m, or more acquisition.record_samples"
+        )
+        yield judged("reference gate in record", still.start >= 0 and still.stop <= samples, text, remedy)
+    length = gate.stop - gate.start
+    text = f"the gate holds {length} samples"
+    yield judged("gate samples", length >= 8, text, "a longer acquisition.gate_length_m or a higher sample rate")
+
+
+def board(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield whether the board takes the records as they are asked for, and samples the carrier.
+
+    The driver is asked: what it would refuse is refused here, in its words where no check has its own.
+    """
+    capture, model, carrier_hz = plan.shots[0].capture, bench.digitizer.board_model, scene.tracking.carrier_hz
+    refused = mistakes(_plain(capture), model)
+    checks = _record_checks(capture, model)
+    for field, (check, text, remedy) in checks.items():
+        yield judged(check, all(mistake.field != field for mistake in refused), text, remedy)
+    for mistake in refused:
+        if mistake.field not in checks:
+            yield CheckResult("digitizer", "refused", mistake.text, f"{_KEYS[mistake.field]} within that")
+    nyquist_hz = capture.sample_rate_hz / 2
+    text = f"tracking.carrier_hz = {carrier_hz:g} Hz, half the sampling rate is {nyquist_hz:g} Hz"
+    yield judged("carrier", carrier_hz < nyquist_hz, text, f"acquisition.sample_rate_hz above {2 * carrier_hz:g} Hz")
+
+
+_KEYS = {"record_count": "tracking.pulse_count", "trigger_level_v": "digitizer.trigger_level_v"}
+
+
+def _record_checks(capture: Capture, model: BoardModel) -> dict[str, tuple[str, str, str]]:
+    """Return name, text and remedy of the checks that a field of ``Capture`` has of its own."""
+    rates = ", ".join(f"{rate / 1e6:g}" for rate in model.sample_rates_hz)
+    ranges = ", ".join(f"{volts:g}" for volts in model.input_ranges_v)
+    step, least = model.record_multiple, model.record_minimum
+    nearest = max(least, step * math.ceil(capture.record_samples / step))
+    return {
+        "sample_rate_hz": (
+            "sample rate",
+            f"acquisition.sample_rate_hz = {capture.sample_rate_hz:g} Hz on the {model.name}",
+            f"one of {rates} MHz",
+        ),
+        "input_range_v": (
+            "input range",
+            f"acquisition.input_range_v = {capture.input_range_v:g} V on the {model.name}",
+            f"one of {ranges} V",
+        ),
+        "record_samples": (
+            "record length",
+            f"acquisition.record_samples = {capture.record_samples}, the {model.name} takes multiples of {step} from "
+            f"{least}",
+            f"acquisition.record_samples = {nearest}",
+        ),
+        "trigger_delay_samples": (
+            "trigger delay",
+            f"trigger delay of {capture.trigger_delay_samples} samples, the board holds "
+            f"{model.max_trigger_delay_samples}",
+            "a gate nearer to the transducer",
+        ),
+    }
+
+
+def _plain(capture: Capture) -> Capture:
+    return replace(capture, monitor_range_v=None)
+
+
+def capture_mode(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
     """Yield whether the board can capture in the bench file's mode, with its second channel where it is recorded."""
     board, capture = bench.digitizer, plan.shots[0].capture
     channels = "channel A" if capture.channels == 1 else "channels A and B"
     text = f"digitizer.acquisition_mode = {board.mode}, {channels}"
     if board.mode != "single_port" and not board.dual_port_memory:
         remedy = 'acquisition_mode = "single_port", or dual_port_memory = true where the board has it'
-        yield Finding("capture mode", "refused", f"{text}: needs dual-port memory", remedy)
-    # What one channel in the plainest mode cannot do either is told by the other checks.
-    plain = set(capture_mistakes(replace(capture, monitor_range_v=None)))
-    mistakes = [mistake for mistake in capture_mistakes(capture, board.mode) if mistake not in plain]
+        yield CheckResult("capture mode", "refused", f"{text}: needs dual-port memory", remedy)
+    # What the board cannot do of one channel in the plainest mode is told by the check above.
+    plain = mistakes(_plain(capture), board.board_model)
+    refused = [mistake for mistake in mistakes(capture, board.board_model, board.mode) if mistake not in plain]
     remedy = "another digitizer.acquisition_mode, monitor_range_v or acquisition.record_samples"
-    for mistake in mistakes:
-        yield Finding("capture mode", "refused", f"{text}: {mistake}", remedy)
-    if not mistakes:
-        yield Finding("capture mode", "passed", text)
+    for mistake in refused:
+        yield CheckResult("capture mode", "refused", f"{text}: {mistake.text}", remedy)
+    if not refused:
+        yield CheckResult("capture mode", "passed", text)
 
 
-def board(bench: BenchFile, plan: Plan, carrier_hz: float) -> Iterator[Finding]:
-    """Yield whether the board takes the records as they are asked for, and samples the carrier."""
-    board, model, capture = bench.digitizer, BOARD_MODELS[bench.digitizer.model], plan.shots[0].capture
-    rates = ", ".join(f"{rate / 1e6:g}" for rate in model.sample_rates_hz)
-    text = f"acquisition.sample_rate_hz = {capture.sample_rate_hz:g} Hz on the {board.model}"
-    yield judged("sample rate", capture.sample_rate_hz in model.sample_rates_hz, text, f"one of {rates} MHz")
-    ranges = ", ".join(f"{volts:g}" for volts in model.input_ranges_v)
-    text = f"acquisition.input_range_v = {capture.input_range_v:g} V on the {board.model}"
-    yield judged("input range", capture.input_range_v in model.input_ranges_v, text, f"one of {ranges} V")
-    good = capture.record_samples >= model.record_minimum and capture.record_samples % model.record_multiple == 0
-    nearest = max(
-        model.record_minimum, model.record_multiple * math.ceil(capture.record_samples / model.record_multiple)
-    )
-    text = f"acquisition.record_samples = {capture.record_samples}, the {board.model} takes multiples of "
-    text += f"{model.record_multiple} from {model.record_minimum}"
-    yield judged("record length", good, text, f"acquisition.record_samples = {nearest}")
-    text = (
-        f"trigger delay of {capture.trigger_delay_samples} samples, the board holds {model.max_trigger_delay_samples}"
-    )
-    good = capture.trigger_delay_samples <= model.max_trigger_delay_samples
-    yield judged("trigger delay", good, text, "a gate nearer to the transducer")
-    nyquist_hz = capture.sample_rate_hz / 2
-    text = f"tracking.carrier_hz = {carrier_hz:g} Hz, half the sampling rate is {nyquist_hz:g} Hz"
-    yield judged("carrier", carrier_hz < nyquist_hz, text, f"acquisition.sample_rate_hz above {2 * carrier_hz:g} Hz")
-
-
-def memory(bench: BenchFile, plan: Plan) -> Iterator[Finding]:
+def memory(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
     """Yield whether the board's memory holds the records of a shot, where they cannot leave it before its end."""
     board, capture = bench.digitizer, plan.shots[0].capture
     if board.mode != "single_port":
-        yield Finding("memory", "passed", f"{capture.record_count} records stream through dual-port memory")
+        yield CheckResult("memory", "passed", f"{capture.record_count} records stream through dual-port memory")
         return
-    held = min(board.max_records, board.samples_per_channel // (capture.record_samples + 16))
+    held = min(board.max_records, board.board_model.most_records(board.samples_per_channel, capture.record_samples))
     text = f"{capture.record_count} records of {capture.record_samples} samples, the board holds {held}"
     remedy = f"tracking.pulse_count of at most {held}, or shorter acquisition.record_samples"
     yield judged("memory", capture.record_count <= held, text, remedy)

@@ -11,8 +11,8 @@ import pytest
 from drivers.agilent.read_back import Register
 from drivers.agilent.scpi import QUEUE_READS, RefusedError, ScpiSession, joined
 from drivers.interfaces import InstrumentError
-from sim_backend.clock import SimulatedClock
 from sim_backend.generator.instrument import Generator33250A
+from sim_backend.wiring import SimulatedClock
 
 RATE = Register("rate_hz", "FREQ", 100.0)
 COUNT = Register("count", "BURS:NCYC", 20)

@@ -8,13 +8,13 @@ import math
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from drivers.agilent.generators import MasterTrigger33250A, PulseGenerator33250A, ToneburstGenerator33250A
-from drivers.agilent.limits import pulse_train_mistakes, toneburst_mistakes
+from drivers.agilent.generator import Agilent33250A
+from drivers.agilent.limits import mistakes
 from drivers.agilent.models import MODELS, model_named
 from drivers.interfaces import InstrumentError, PulseTrain, Toneburst, TriggerPulse
-from sim_backend.clock import SimulatedClock
 from sim_backend.generator import models as models_33250a
 from sim_backend.generator.instrument import Generator33250A
+from sim_backend.wiring import SimulatedClock
 
 PULSE = TriggerPulse(width_s=10e-6, high_v=4.0, load_ohm=math.inf)
 TRAIN = PulseTrain(rate_hz=5e3, count=1000, delay_s=10e-3, width_s=10e-6, high_v=4.0, load_ohm=math.inf)
@@ -49,9 +49,9 @@ def test_the_second_field_of_the_identity_chooses_the_series(answer: str, name: 
 def test_every_role_is_programmed_and_read_back_on_every_model(name: str) -> None:
     instrument = twin(name)
     for role, program in (
-        (MasterTrigger33250A(instrument, "a", name), PULSE),
-        (PulseGenerator33250A(instrument, "b", name), TRAIN),
-        (ToneburstGenerator33250A(instrument, "c", name), BURST),
+        (Agilent33250A(instrument, "a", name), PULSE),
+        (Agilent33250A(instrument, "b", name), TRAIN),
+        (Agilent33250A(instrument, "c", name), BURST),
     ):
         role.configure(program)
         role.verify()
@@ -82,19 +82,19 @@ def test_trains_at_and_between_the_limits_of_every_model_read_back(model, rate, 
         high_v=4.0,
         load_ohm=math.inf,
     )
-    assert pulse_train_mistakes(train, model) == []
-    generator = PulseGenerator33250A(twin(model.name), "x")
+    assert mistakes(train, model) == []
+    generator = Agilent33250A(twin(model.name), "x")
     generator.configure(train)
     generator.verify()
 
 
 LIMITS = [
-    ("33220A", PulseGenerator33250A, dataclasses.replace(TRAIN, count=50_001), "count = 50001"),
-    ("33220A", PulseGenerator33250A, dataclasses.replace(TRAIN, width_s=10e-9), "width_s = 1e-08"),
-    ("33220A", ToneburstGenerator33250A, dataclasses.replace(BURST, carrier_hz=9e6), "counted bursts of a 33220A"),
-    ("33500B", ToneburstGenerator33250A, dataclasses.replace(BURST, carrier_hz=9e6), "counted bursts of a 33500B"),
-    ("33600A", ToneburstGenerator33250A, dataclasses.replace(BURST, carrier_hz=9e6), "counted bursts of a 33600A"),
-    ("33500B", PulseGenerator33250A, dataclasses.replace(TRAIN, delay_s=1001.0), "delay_s = 1001"),
+    ("33220A", Agilent33250A, dataclasses.replace(TRAIN, count=50_001), "count = 50001"),
+    ("33220A", Agilent33250A, dataclasses.replace(TRAIN, width_s=10e-9), "width_s = 1e-08"),
+    ("33220A", Agilent33250A, dataclasses.replace(BURST, carrier_hz=9e6), "counted bursts of a 33220A"),
+    ("33500B", Agilent33250A, dataclasses.replace(BURST, carrier_hz=9e6), "counted bursts of a 33500B"),
+    ("33600A", Agilent33250A, dataclasses.replace(BURST, carrier_hz=9e6), "counted bursts of a 33600A"),
+    ("33500B", Agilent33250A, dataclasses.replace(TRAIN, delay_s=1001.0), "delay_s = 1001"),
 ]
 
 
@@ -109,8 +109,8 @@ def test_a_siblings_own_limits_are_refused_before_a_setting_is_sent(name, role_t
 
 def test_a_sibling_counts_and_waits_for_longer_than_a_33250a_can() -> None:
     train = dataclasses.replace(TRAIN, count=2_000_000, delay_s=90.0)
-    assert len(pulse_train_mistakes(train)) == 2
-    PulseGenerator33250A(twin("33600A"), "x").configure(train)
+    assert len(mistakes(train)) == 2
+    Agilent33250A(twin("33600A"), "x").configure(train)
 
 
 @pytest.mark.parametrize("name", ["33220A", "33500B", "33600A"])
@@ -132,4 +132,4 @@ def test_only_a_two_channel_model_takes_a_channel_number_and_only_its_own() -> N
 
 
 def test_a_9_mhz_pulse_is_within_a_33250as_limits() -> None:
-    assert toneburst_mistakes(dataclasses.replace(BURST, carrier_hz=9e6, cycles=3)) == []
+    assert mistakes(dataclasses.replace(BURST, carrier_hz=9e6, cycles=3)) == []

@@ -1,4 +1,4 @@
-"""The vendor's interface as bound: sizes, argument counts, constants of the reference, return codes."""
+"""The vendor's interface as bound: sizes, argument counts, constants, return codes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.alazar.api import SIGNATURES, Adma, AlazarLibrary, Capability, Parameter, bind, load_library
-from drivers.alazar.codes import RETURN_CODES, SUCCESS, WAIT_TIMEOUT, check, code_name
+from drivers.alazar.return_codes import RETURN_CODES, SUCCESS, WAIT_TIMEOUT, check, code_name
 from drivers.interfaces import InstrumentError
 
 
@@ -42,11 +42,27 @@ def test_the_handle_comes_back_in_full_width() -> None:
     assert bind(fake_library(), "digitizer").AlazarGetBoardBySystemID.restype is ctypes.c_void_p
 
 
-@pytest.mark.parametrize("name", [n for n, (_, arguments) in SIGNATURES.items() if ctypes.c_void_p in arguments])
-def test_out_parameters_accept_what_the_driver_passes(name: str) -> None:
-    for kind in SIGNATURES[name][1]:
-        if hasattr(kind, "contents"):
-            kind.from_param(ctypes.byref(kind._type_()))
+# How wide the vendor's header declares each out-parameter; a wider one would overwrite its neighbours.
+OUT_BITS = {
+    "AlazarGetChannelInfo": [32, 8],
+    "AlazarGetSDKVersion": [8, 8, 8],
+    "AlazarGetDriverVersion": [8, 8, 8],
+    "AlazarQueryCapability": [32],
+    "AlazarGetParameter": [8 * ctypes.sizeof(ctypes.c_long)],
+    "AlazarGetMaxRecordsCapable": [32],
+    "AlazarGetTriggerTimestamp": [64],
+}
+
+
+@pytest.mark.parametrize("name", SIGNATURES)
+def test_out_parameters_are_as_wide_as_the_vendors_and_refuse_any_other_width(name: str) -> None:
+    outs = [kind for kind in SIGNATURES[name][1] if hasattr(kind, "contents")]
+    assert [8 * ctypes.sizeof(kind._type_) for kind in outs] == OUT_BITS.get(name, [])
+    for kind in outs:
+        assert kind.from_param(ctypes.byref(kind._type_())) is not None
+        other = ctypes.c_uint16()
+        with pytest.raises(TypeError):
+            kind.from_param(ctypes.byref(other))
 
 
 def test_functions_that_the_library_lacks_are_all_named() -> None:
@@ -66,7 +82,7 @@ def test_success_passes() -> None:
     check(512, "AlazarStartCapture", "digitizer")
 
 
-# Picked over the whole table of reference 2.8, so that one name too many or too few shifts one of them.
+# Picked over the whole table of docs/theory/instruments.md, 2.8, so that a name too many or too few shifts one.
 NAMED = {
     512: "ApiSuccess",
     513: "ApiFailed",

@@ -19,7 +19,7 @@ from hypothesis import given, settings, strategies as st
 
 from drivers.alazar.api import SIGNATURES, load_library
 from drivers.alazar.ats460 import Ats460
-from drivers.alazar.codes import RETURN_CODES, SUCCESS
+from drivers.alazar.return_codes import RETURN_CODES, SUCCESS
 from drivers.interfaces import Capture, DeadlineError, InstrumentError
 
 SOURCE = Path(__file__).parent / "compiled" / "ats_fake.c"

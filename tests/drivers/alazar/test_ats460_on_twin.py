@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from drivers.agilent.generators import MasterTrigger33250A, PulseGenerator33250A
+from drivers.agilent.generator import Agilent33250A
 from drivers.alazar.api import SIGNATURES
 from drivers.alazar.ats460 import Ats460
 from drivers.alazar.page_buffer import PageBuffer
@@ -97,8 +97,8 @@ class Rig:
         self.world = World(settings, WIRING, acoustics=ClosedForm(amplitude_v))
         self.library = Spy(self.world.alazar_library(), answers)
         self.memory = Memory()
-        self.master = MasterTrigger33250A(self.world.wire("master"), "master")
-        self.train = PulseGenerator33250A(self.world.wire("tracking_train"), "tracking_train")
+        self.master = Agilent33250A(self.world.connect("master"), "master")
+        self.train = Agilent33250A(self.world.connect("tracking_train"), "tracking_train")
         self.digitizer = Ats460(self.library, self.world.clock, allocate=self.memory)
 
     def fire(self, capture: Capture, pulses: int | None = None) -> None:

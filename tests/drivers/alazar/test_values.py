@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from drivers.alazar.limits import BUFFER_LIMIT_BYTES, capture_mistakes, level_code, records_per_buffer
+from drivers.alazar.limits import BUFFER_LIMIT_BYTES, level_code, mistakes, records_per_buffer
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.alazar.samples import codes, header_record_dtype, timestamp_counts, volts_offset, volts_per_code
 from drivers.interfaces import Capture
@@ -41,19 +41,19 @@ REFUSED = [
 
 @pytest.mark.parametrize(("change", "texts"), REFUSED)
 def test_what_the_board_cannot_do_is_named_with_both_numbers(change, texts) -> None:
-    mistakes = capture_mistakes(dataclasses.replace(CAPTURE, **change))
-    assert len(mistakes) == 1
-    assert all(text in mistakes[0] for text in texts)
+    (refusal,) = mistakes(dataclasses.replace(CAPTURE, **change))
+    assert refusal.field in change
+    assert all(text in refusal.text for text in texts)
 
 
 def test_all_mistakes_are_found_at_once() -> None:
     wrong = dataclasses.replace(CAPTURE, record_samples=100, sample_rate_hz=1.0, record_count=0, input_range_v=3.0)
-    assert len(capture_mistakes(wrong)) == 5
+    assert len(mistakes(wrong)) == 5
 
 
 @pytest.mark.parametrize("delay", [0, 8000, 1, -64, -1984])
 def test_delays_and_pre_triggers_the_board_can_do_are_accepted(delay: int) -> None:
-    assert capture_mistakes(dataclasses.replace(CAPTURE, trigger_delay_samples=delay)) == []
+    assert mistakes(dataclasses.replace(CAPTURE, trigger_delay_samples=delay)) == []
 
 
 @pytest.mark.parametrize(("level_v", "code"), [(0.0, 128), (1.0, 153), (1.5, 166), (2.0, 178), (5.0, 255)])
@@ -78,17 +78,17 @@ def test_a_buffer_takes_a_mebibyte_of_a_long_capture_and_one_record_of_a_prime_c
 
 def test_npt_records_have_their_own_alignment_and_no_pre_trigger() -> None:
     wrong = dataclasses.replace(CAPTURE, record_samples=2032, trigger_delay_samples=-64)
-    assert capture_mistakes(wrong) == []
-    alignment, before = capture_mistakes(wrong, "npt")
-    assert "2016 or 2048" in alignment
-    assert "64 pre-trigger samples" in before
+    assert mistakes(wrong) == []
+    alignment, before = mistakes(wrong, mode="npt")
+    assert "2016 or 2048" in alignment.text
+    assert "64 pre-trigger samples" in before.text
 
 
 def test_an_old_fpga_holds_a_thousand_single_port_records_and_any_number_of_autodma_records() -> None:
     many = dataclasses.replace(CAPTURE, record_count=1001)
-    assert "FPGA version 18" in capture_mistakes(many, "single_port", 18)[0]
-    assert capture_mistakes(many, "single_port", 19) == []
-    assert capture_mistakes(many, "traditional", 18) == []
+    assert "FPGA version 18" in mistakes(many, mode="single_port", fpga=18)[0].text
+    assert mistakes(many, mode="single_port", fpga=19) == []
+    assert mistakes(many, mode="traditional", fpga=18) == []
 
 
 @given(st.integers(0, 2**14 - 1))

@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterator
 import pytest
 import pyvisa_py.serial
 
-from drivers.agilent.generators import PulseGenerator33250A
+from drivers.agilent.generator import Agilent33250A
 from drivers.agilent.scpi import ScpiSession
 from drivers.interfaces import InstrumentError, PulseTrain
-from drivers.visa.wire import VisaInterface, VisaWire
-from sim_backend.clock import SimulatedClock
+from drivers.visa.connection import VisaConnection, VisaInterface
 from sim_backend.generator.instrument import Generator33250A
 from sim_backend.transports.emulator import TRANSPORTS, Emulator
-from sim_backend.world import InstrumentWire
+from sim_backend.wiring import SimulatedClock
+from sim_backend.world import GeneratorConnection
 
 TRAIN = PulseTrain(rate_hz=5e3, count=1000, delay_s=10e-3, width_s=10e-6, high_v=4.0, load_ohm=float("inf"))
 TIMEOUT_S = 0.2
@@ -29,7 +29,7 @@ class Unreliable:
 
     def __init__(self) -> None:
         self.generator = Generator33250A(SimulatedClock(), 100e-9)
-        self._wire = InstrumentWire(self.generator, SimulatedClock(), 0.0)
+        self._wire = GeneratorConnection(self.generator, SimulatedClock(), 0.0)
         self.query = ""
         self.mishap: Callable[[str], str] = str
         self._asked = False
@@ -59,7 +59,7 @@ class Bench:
         self.emulator = Emulator(transport, lambda role, serial: self.instrument, ("x",))
         served = self.emulator.served["x"]
         self.interface = VisaInterface(served.interface, TIMEOUT_S) if served.interface else None
-        self.wire = VisaWire(served.address, TIMEOUT_S, "@py", self.interface)
+        self.wire = VisaConnection(served.address, TIMEOUT_S, "@py", self.interface)
         self.session = ScpiSession(self.wire, "toneburst")
 
     def close(self) -> None:
@@ -84,7 +84,7 @@ def test_a_serial_line_is_a_tcp_socket_where_there_are_no_terminals() -> None:
     with pytest.raises(InstrumentError, match="no reply"):
         bench.session.query("VOLT?")
     assert {bench.session.query("FREQ?") for _ in range(5)} == {"+1.0000000000000E+03"}
-    generator = PulseGenerator33250A(bench.wire, "toneburst")
+    generator = Agilent33250A(bench.wire, "toneburst")
     generator.configure(TRAIN)
     generator.verify()
     bench.emulator.close()
@@ -129,7 +129,7 @@ def test_a_late_reply_is_never_the_answer_to_a_later_query(bench: Bench, delay_s
 
 @pytest.mark.parametrize("garbage", ["\x80\xff\xfe", "", "?", "+1.0E+02;+1.0E+02;0"])
 def test_garbage_instead_of_a_read_back_is_an_error_and_the_output_can_still_be_cut(bench: Bench, garbage: str) -> None:
-    generator = PulseGenerator33250A(bench.wire, "tracking_train")
+    generator = Agilent33250A(bench.wire, "tracking_train")
     bench.instrument.query, bench.instrument.mishap = "BURS:NCYC?", lambda reply: garbage
     with pytest.raises(InstrumentError, match="tracking_train"):
         generator.configure(TRAIN)
@@ -143,7 +143,7 @@ def test_garbage_instead_of_a_read_back_is_an_error_and_the_output_can_still_be_
 def test_half_a_reply_is_an_error_and_the_rest_of_it_no_answer(bench: Bench) -> None:
     bench.instrument.query = "BURS:NCYC?"
     bench.instrument.mishap = lambda reply: reply[: len(reply) // 2]
-    generator = PulseGenerator33250A(bench.wire, "tracking_train")
+    generator = Agilent33250A(bench.wire, "tracking_train")
     with pytest.raises(InstrumentError, match="tracking_train"):
         generator.configure(TRAIN)
     generator.configure(TRAIN)
@@ -157,12 +157,12 @@ def test_a_peer_that_closes_is_an_error_at_every_query_and_at_making_safe(bench:
         with pytest.raises(InstrumentError, match="toneburst"):
             bench.session.query("*IDN?")
     with pytest.raises(InstrumentError, match="toneburst"):
-        PulseGenerator33250A(bench.wire, "toneburst").make_safe()
+        Agilent33250A(bench.wire, "toneburst").make_safe()
 
 
 def test_a_peer_that_closes_while_a_reply_is_awaited_is_told_from_a_slow_one() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        wire = VisaWire(f"TCPIP0::127.0.0.1::{listener.getsockname()[1]}::SOCKET", TIMEOUT_S, "@py")
+        wire = VisaConnection(f"TCPIP0::127.0.0.1::{listener.getsockname()[1]}::SOCKET", TIMEOUT_S, "@py")
         peer, _ = listener.accept()
         wire.write("*IDN?")
         with pytest.raises(TimeoutError):
@@ -188,7 +188,7 @@ def test_a_refused_connection_is_an_error_that_names_the_address(address: str) -
     with socket.create_server(("127.0.0.1", 0)) as listener:
         here = address.format(port=listener.getsockname()[1])
     with pytest.raises(ConnectionError, match=re.escape(here)):
-        VisaWire(here, TIMEOUT_S, "@py")
+        VisaConnection(here, TIMEOUT_S, "@py")
 
 
 def test_a_refused_adapter_is_an_error_that_names_it() -> None:
@@ -203,4 +203,4 @@ def test_a_gateway_without_an_instrument_at_the_address_is_an_error() -> None:
     with Emulator("vxi11", lambda role, serial: instrument, ("x",)) as emulator:
         here = emulator.served["x"].address.replace("gpib0,10", "gpib0,29")
         with pytest.raises(ConnectionError, match="gpib0,29"):
-            VisaWire(here, TIMEOUT_S, "@py")
+            VisaConnection(here, TIMEOUT_S, "@py")

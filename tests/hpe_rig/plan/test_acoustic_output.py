@@ -10,14 +10,13 @@ from hypothesis import given, strategies as st
 
 from drivers.interfaces import InstrumentError
 from hpe_rig.acquire.run import prepare
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench.bench_file import DriveCalibration, OutputLimits, read_bench
 from hpe_rig.bench.opening import open_bench
-from hpe_rig.bench.output_limits import DriveCalibration, Limits
 from hpe_rig.plan.checks.acoustic_output import derating_db, drive_output
-from hpe_rig.plan.checks.conflicts import Finding, PlanError, refuse_conflicts
+from hpe_rig.plan.checks.check_result import CheckResult, PlanError, refuse_conflicts
 from hpe_rig.scene.scene import shipped_scenes
 
-LIMITS = Limits(full_drive_vpp=1.0, max_duty=0.05, max_burst_length_s=250e-6, max_bursts=200)
+LIMITS = OutputLimits(full_drive_vpp=1.0, max_duty=0.05, max_burst_length_s=250e-6, max_bursts=200)
 
 
 def drive(rarefaction_pa: float, sppa_w_per_m2: float = 1.0) -> DriveCalibration:
@@ -26,7 +25,7 @@ def drive(rarefaction_pa: float, sppa_w_per_m2: float = 1.0) -> DriveCalibration
     )
 
 
-def checked(tmp_path: Path, *edits: tuple[str, str]) -> tuple[Finding, ...]:
+def checked(tmp_path: Path, *edits: tuple[str, str]) -> tuple[CheckResult, ...]:
     text = read_bench().text
     for old, new in edits:
         assert old in text, old
@@ -36,7 +35,7 @@ def checked(tmp_path: Path, *edits: tuple[str, str]) -> tuple[Finding, ...]:
     return prepare("bovine-muscle", path, refuse=False).findings
 
 
-def of(check: str, found: tuple[Finding, ...]) -> list[Finding]:
+def of(check: str, found: tuple[CheckResult, ...]) -> list[CheckResult]:
     return [finding for finding in found if finding.check == check]
 
 

@@ -11,7 +11,8 @@ from hpe_rig.acquire.run import prepare_text
 from hpe_rig.acquire.sequencer import acquire
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.bench.opening import open_bench
-from hpe_rig.plan.checks.conflicts import PlanError, findings
+from hpe_rig.plan.checks.check_result import PlanError
+from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.shots import make_plan
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 
@@ -50,6 +51,6 @@ def test_a_swing_above_the_bench_files_bound_is_refused_with_the_plan(tmp_path: 
     path = tmp_path / "bench.toml"
     path.write_text(text.replace("[generators.toneburst]", "[generators.toneburst]\nmax_vpp = 0.5"), encoding="utf-8")
     scene, bench = parse_scene("muscle", MUSCLE).scene, read_bench(path).bench
-    found = findings(scene, bench, make_plan(scene, bench))
+    found = check_plan(scene, bench, make_plan(scene, bench))
     (refused,) = [finding for finding in found if finding.level == "refused"]
     assert "above max_vpp = 0.5" in refused.text

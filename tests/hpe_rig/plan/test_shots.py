@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from hpe_rig.bench.bench_file import read_bench
-from hpe_rig.plan.checks.conflicts import findings
+from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.interference import SETTLING_S, admissible_delays_s, disturbed_pulses, effective_rate_hz
 from hpe_rig.plan.shots import Shot, burst_path_s, make_plan, tracking_path_s
 from hpe_rig.scene.scene import Scene, parse_scene, shipped_scenes
@@ -96,7 +96,7 @@ def test_a_pulser_that_waits_for_the_trigger_delay_gets_none() -> None:
     bench = BENCH.model_copy(update={"digitizer": digitizer})
     plan = make_plan(MUSCLE, bench)
     assert plan.shots[0].capture.trigger_delay_samples == 0
-    refused = [item for item in findings(MUSCLE, bench, plan) if item.level == "refused"]
+    refused = [item for item in check_plan(MUSCLE, bench, plan) if item.level == "refused"]
     assert [item.check for item in refused] == ["gate in record"]
     assert "record_samples = 9168" in refused[0].remedy
 
@@ -136,7 +136,7 @@ def test_times_are_those_at_the_gate() -> None:
 @pytest.mark.parametrize("name", sorted(shipped_scenes()))
 def test_shipped_scenes_have_no_conflicts(name: str) -> None:
     scene = parse_scene(name, shipped_scenes()[name]).scene
-    levels = {item.check: item.level for item in findings(scene, BENCH, make_plan(scene, BENCH))}
+    levels = {item.check: item.level for item in check_plan(scene, BENCH, make_plan(scene, BENCH))}
     assert "refused" not in levels.values()
     assert [check for check, level in levels.items() if level == "warning"] in ([], ["folding"])
 
@@ -160,7 +160,7 @@ def test_the_effective_rate_counts_the_distinct_instants_of_a_burst_period(
 def test_harmonics_that_fold_are_warned_of_unless_the_pulses_shift_from_burst_to_burst() -> None:
     def folding(pulse_rate_hz: float) -> str:
         scene = muscle(130e-6, pulse_rate_hz)
-        return next(item.level for item in findings(scene, BENCH, make_plan(scene, BENCH)) if item.check == "folding")
+        return next(item.level for item in check_plan(scene, BENCH, make_plan(scene, BENCH)) if item.check == "folding")
 
     assert folding(4000.0) == "warning"
     assert folding(3990.0) == "passed"

@@ -6,7 +6,8 @@ import pytest
 
 from hpe_rig.bench.bench_file import parse_bench, read_bench
 from hpe_rig.bench.opening import check_simulation
-from hpe_rig.plan.checks.conflicts import PlanError, findings, refuse_conflicts
+from hpe_rig.plan.checks.check_result import PlanError, refuse_conflicts
+from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.shots import make_plan
 from hpe_rig.scene.scene import parse_scene, scene_text, shipped_scenes
 from hpe_rig.scene.validation import SettingsError
@@ -22,7 +23,7 @@ def message_of(text: str, section: str = "title", changes: dict[str, object] | N
         bench = bench.model_copy(update={section: getattr(bench, section).model_copy(update=changes)})
     try:
         scene = parse_scene("wrong", text, check_simulation).scene
-        refuse_conflicts(findings(scene, bench, make_plan(scene, bench)))
+        refuse_conflicts(check_plan(scene, bench, make_plan(scene, bench)))
     except (SettingsError, PlanError) as error:
         return str(error)
     pytest.fail("the wrong scene was accepted")

@@ -50,7 +50,7 @@ def loaded(world, pre=0, samples=SAMPLES, delay=100, count=RECORDS):
 
 
 def fire(world, pulses=RECORDS, rate_hz=5000):
-    train, master = world.wire("tracking_train"), world.wire("master")
+    train, master = world.connect("tracking_train"), world.connect("master")
     train.write(f"*RST;:OUTP:LOAD INF;:FUNC PULS;:FREQ {rate_hz};:PULS:WIDT 1E-5;:VOLT:HIGH 4;LOW 0")
     train.write(f"TRIG:SOUR EXT;:BURS:NCYC {pulses};STAT 1;:OUTP 1")
     master.write(

@@ -5,8 +5,8 @@ import math
 import pytest
 from hypothesis import given, strategies as st
 
-from sim_backend.clock import SimulatedClock
 from sim_backend.generator.instrument import Generator33250A
+from sim_backend.wiring import SimulatedClock
 
 NO_ERROR = '+0,"No error"'
 

@@ -30,7 +30,7 @@ def world() -> World:
 
 @contextmanager
 def served(world: World, transport: str) -> Iterator[Emulator]:
-    with Emulator(transport, world.wire, GENERATORS) as emulator:
+    with Emulator(transport, world.connect, GENERATORS) as emulator:
         yield emulator
 
 
@@ -187,7 +187,7 @@ def test_hislip_polls_the_status_on_its_second_connection(world: World) -> None:
         assert hislip_message(peer)[0] == 18
         peer.sendall(hislip(15, 0, struct.pack("!Q", 1 << 20)))
         assert hislip_message(peer)[0] == 16
-        world.wire("master").write("NONSENSE")
+        world.connect("master").write("NONSENSE")
         peer.sendall(hislip(21))
         assert hislip_message(peer)[:2] == (22, 4)
 

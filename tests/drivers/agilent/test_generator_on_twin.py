@@ -8,12 +8,12 @@ import math
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from drivers.agilent.generators import MasterTrigger33250A, PulseGenerator33250A, ToneburstGenerator33250A
-from drivers.agilent.limits import pulse_train_mistakes, share_at_load, toneburst_mistakes
+from drivers.agilent.generator import Agilent33250A
+from drivers.agilent.limits import mistakes, share_at_load
 from drivers.agilent.scpi import ScpiSession
 from drivers.interfaces import InstrumentError, PulseTrain, Toneburst, TriggerPulse
-from sim_backend.clock import SimulatedClock
 from sim_backend.generator.instrument import Generator33250A
+from sim_backend.wiring import SimulatedClock
 
 PULSE = TriggerPulse(width_s=10e-6, high_v=4.0, load_ohm=math.inf)
 TRAIN = PulseTrain(rate_hz=5e3, count=1000, delay_s=10e-3, width_s=10e-6, high_v=4.0, load_ohm=math.inf)
@@ -36,8 +36,8 @@ def test_every_train_that_the_limits_allow_reads_back_to_ten_digits(
     line, rate_hz: float, duty: float, count: int, delay_s: float, share: float, load_ohm: float
 ) -> None:
     train = PulseTrain(rate_hz, count, delay_s, duty / rate_hz, 10.0 * share * share_at_load(load_ohm), load_ohm)
-    assert pulse_train_mistakes(train) == []
-    generator = PulseGenerator33250A(line.wire, "burst_train")
+    assert mistakes(train) == []
+    generator = Agilent33250A(line.wire, "burst_train")
     generator.configure(train)
     generator.verify()
     read = generator.snapshot()
@@ -56,8 +56,8 @@ def test_every_toneburst_that_the_limits_allow_reads_back_to_ten_digits(
     line, carrier_hz: float, cycles: int, delay_s: float, share: float, load_ohm: float
 ) -> None:
     burst = Toneburst(carrier_hz, cycles, 20.0 * share * share_at_load(load_ohm), delay_s, load_ohm)
-    assert toneburst_mistakes(burst) == []
-    generator = ToneburstGenerator33250A(line.wire, "toneburst")
+    assert mistakes(burst) == []
+    generator = Agilent33250A(line.wire, "toneburst")
     generator.configure(burst)
     read = generator.snapshot()
     assert read["frequency_hz"] == pytest.approx(carrier_hz, rel=1e-10)
@@ -74,11 +74,11 @@ trains = st.builds(
 @few
 @given(st.lists(trains, min_size=2, max_size=4))
 def test_a_sweep_ends_in_the_state_that_its_last_step_alone_would_give(line, sweep: list[PulseTrain]) -> None:
-    swept = PulseGenerator33250A(line.wire, "burst_train")
+    swept = Agilent33250A(line.wire, "burst_train")
     for train in sweep:
         swept.configure(train)
         swept.verify()
-    alone = PulseGenerator33250A(twin(), "burst_train")
+    alone = Agilent33250A(twin(), "burst_train")
     alone.configure(sweep[-1])
     assert swept.snapshot() == alone.snapshot()
 
@@ -97,7 +97,7 @@ impossible = st.one_of(
 @given(impossible)
 def test_every_impossible_train_is_refused_with_the_output_off_and_the_setting_unsent(line, train: PulseTrain) -> None:
     before = line.instrument.registers
-    generator = PulseGenerator33250A(line.wire, "burst_train")
+    generator = Agilent33250A(line.wire, "burst_train")
     with pytest.raises(InstrumentError):
         generator.configure(train)
     assert line.instrument.registers == before
@@ -110,8 +110,8 @@ def test_every_impossible_train_is_refused_with_the_output_off_and_the_setting_u
 def test_every_impossible_train_that_slips_past_the_driver_is_caught_by_the_read_back(line, train: PulseTrain) -> None:
     """The driver's own limits are lifted, so that the instrument clips or substitutes."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("drivers.agilent.generators.pulse_train_mistakes", lambda train, model: [])
-        generator = PulseGenerator33250A(line.wire, "burst_train")
+        patch.setattr("drivers.agilent.generator.mistakes", lambda task, model, max_vpp: [])
+        generator = Agilent33250A(line.wire, "burst_train")
         with pytest.raises(InstrumentError):
             generator.configure(train)
         with pytest.raises(InstrumentError, match="before configure"):
@@ -121,13 +121,13 @@ def test_every_impossible_train_that_slips_past_the_driver_is_caught_by_the_read
 
 def test_one_instrument_can_play_one_role_after_the_other(line) -> None:
     for load_ohm in (50.0, math.inf):
-        PulseGenerator33250A(line.wire, "a").configure(dataclasses.replace(TRAIN, load_ohm=load_ohm))
-        ToneburstGenerator33250A(line.wire, "b").configure(BURST)
-        MasterTrigger33250A(line.wire, "c").configure(PULSE)
+        Agilent33250A(line.wire, "a").configure(dataclasses.replace(TRAIN, load_ohm=load_ohm))
+        Agilent33250A(line.wire, "b").configure(BURST)
+        Agilent33250A(line.wire, "c").configure(PULSE)
 
 
 def test_outputs_are_on_only_between_enable_and_make_safe(line) -> None:
-    generator = PulseGenerator33250A(line.wire, "burst_train")
+    generator = Agilent33250A(line.wire, "burst_train")
     generator.configure(TRAIN)
     assert generator.snapshot()["output_on"] is False
     generator.enable_output()
@@ -138,7 +138,7 @@ def test_outputs_are_on_only_between_enable_and_make_safe(line) -> None:
 
 def test_the_master_fires_on_the_twin_and_the_error_queue_stays_empty(line) -> None:
     line.instrument.forget_past()
-    master = MasterTrigger33250A(line.wire, "master")
+    master = Agilent33250A(line.wire, "master")
     master.configure(PULSE)
     master.enable_output()
     master.fire()
@@ -149,8 +149,8 @@ def test_the_master_fires_on_the_twin_and_the_error_queue_stays_empty(line) -> N
 
 def test_an_instrument_that_clips_the_amplitude_is_caught(line, monkeypatch: pytest.MonkeyPatch) -> None:
     """The driver's own limit is lifted, so that the command reaches the instrument."""
-    monkeypatch.setattr("drivers.agilent.generators.toneburst_mistakes", lambda burst, model: [])
-    generator = ToneburstGenerator33250A(line.wire, "toneburst")
+    monkeypatch.setattr("drivers.agilent.generator.mistakes", lambda task, model, max_vpp: [])
+    generator = Agilent33250A(line.wire, "toneburst")
     with pytest.raises(InstrumentError) as caught:
         generator.configure(dataclasses.replace(BURST, amplitude_vpp=12.0))
     text = str(caught.value)
@@ -159,9 +159,9 @@ def test_an_instrument_that_clips_the_amplitude_is_caught(line, monkeypatch: pyt
 
 
 def test_a_pulse_wider_than_its_period_is_caught(line, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.agilent.generators.pulse_train_mistakes", lambda train, model: [])
+    monkeypatch.setattr("drivers.agilent.generator.mistakes", lambda task, model, max_vpp: [])
     with pytest.raises(InstrumentError, match=r"-22[12]"):
-        PulseGenerator33250A(line.wire, "x").configure(dataclasses.replace(TRAIN, width_s=300e-6))
+        Agilent33250A(line.wire, "x").configure(dataclasses.replace(TRAIN, width_s=300e-6))
 
 
 # Held at their reset state, and still not to be found otherwise.
@@ -170,7 +170,7 @@ GUARDED = ["OUTP:POL INV", "BURS:PHAS 45", "TRIG:SLOP NEG", "TRIG:SOUR IMM", "BU
 
 @pytest.mark.parametrize("others", ["BURS:NCYC 3", "TRIG:DEL 0", "VOLT:HIGH 1", "BURS:STAT 0", *GUARDED, "*RST"])
 def test_what_another_program_changes_between_configure_and_verify_is_found(line, others: str) -> None:
-    generator = PulseGenerator33250A(line.wire, "burst_train")
+    generator = Agilent33250A(line.wire, "burst_train")
     generator.configure(TRAIN)
     line.instrument.write(others)
     with pytest.raises(InstrumentError, match="read back"):
@@ -181,7 +181,7 @@ def test_make_safe_works_on_an_instrument_left_in_any_state(line) -> None:
     line.instrument.write("OUTP 1;:FREQ 2E6")
     line.instrument.write("NONSENSE")
     line.instrument.write("FREQ?")
-    ToneburstGenerator33250A(line.wire, "toneburst").make_safe()
+    Agilent33250A(line.wire, "toneburst").make_safe()
     assert not line.instrument.registers.output
 
 
@@ -195,7 +195,7 @@ def test_an_unknown_query_times_out_and_the_session_goes_on_in_step(line) -> Non
 
 
 def test_an_instrument_put_in_local_mode_is_told_apart_and_still_made_safe(line) -> None:
-    generator = PulseGenerator33250A(line.wire, "burst_train")
+    generator = Agilent33250A(line.wire, "burst_train")
     generator.configure(TRAIN)
     generator.enable_output()
     line.instrument.press_local()
@@ -208,7 +208,7 @@ def test_an_instrument_put_in_local_mode_is_told_apart_and_still_made_safe(line)
 
 
 def test_a_self_test_is_made_with_the_output_off_and_what_was_programmed_counts_no_more(line) -> None:
-    generator = ToneburstGenerator33250A(line.wire, "toneburst")
+    generator = Agilent33250A(line.wire, "toneburst")
     generator.configure(BURST)
     generator.enable_output()
     assert generator.self_test()

@@ -13,12 +13,12 @@ from contextlib import contextmanager
 
 import pytest
 
-from drivers.agilent.generators import PulseGenerator33250A
+from drivers.agilent.generator import Agilent33250A
 from drivers.agilent.scpi import ScpiSession
 from drivers.interfaces import InstrumentError, PulseTrain
-from drivers.visa.wire import VisaWire
-from sim_backend.clock import SimulatedClock
+from drivers.visa.connection import VisaConnection
 from sim_backend.generator.instrument import Generator33250A
+from sim_backend.wiring import SimulatedClock
 
 TRAIN = PulseTrain(rate_hz=5e3, count=1000, delay_s=10e-3, width_s=10e-6, high_v=4.0, load_ohm=math.inf)
 TIMEOUT_S = 0.15
@@ -76,11 +76,11 @@ def with_shutdown(peer: socket.socket) -> None:
 
 
 @pytest.fixture
-def opened() -> Iterator[Callable[[str], VisaWire]]:
-    wires: list[VisaWire] = []
+def opened() -> Iterator[Callable[[str], VisaConnection]]:
+    wires: list[VisaConnection] = []
 
-    def open_wire(address: str) -> VisaWire:
-        wires.append(VisaWire(address, TIMEOUT_S, backend="@py"))
+    def open_wire(address: str) -> VisaConnection:
+        wires.append(VisaConnection(address, TIMEOUT_S, backend="@py"))
         return wires[-1]
 
     yield open_wire
@@ -98,9 +98,9 @@ def test_a_reply_arrives_without_its_line_end(scripted, opened) -> None:
 
 def test_the_simulated_generator_behind_a_socket_is_programmed_as_it_is_directly(opened) -> None:
     direct, remote = (Generator33250A(SimulatedClock(), 100e-9) for _ in range(2))
-    generators = [PulseGenerator33250A(direct, "burst_train")]
+    generators = [Agilent33250A(direct, "burst_train")]
     with served(remote) as address:
-        generators.append(PulseGenerator33250A(opened(address), "burst_train"))
+        generators.append(Agilent33250A(opened(address), "burst_train"))
         for generator in generators:
             generator.configure(TRAIN)
             generator.verify()
@@ -152,7 +152,7 @@ def test_a_closed_port_is_an_instrument_error_that_names_the_address(opened) -> 
 @pytest.mark.parametrize("address", ["NOSUCH::1::INSTR", "not an address", "ASRL/dev/no-such-tty::INSTR"])
 def test_an_address_that_cannot_be_opened_is_named(address: str) -> None:
     with pytest.raises(ConnectionError, match="cannot open"):
-        VisaWire(address, TIMEOUT_S, backend="@py")
+        VisaConnection(address, TIMEOUT_S, backend="@py")
 
 
 def test_a_connection_closed_by_the_instrument_is_an_error_not_a_reply(scripted, opened) -> None:
@@ -166,7 +166,7 @@ def test_a_connection_closed_by_the_instrument_is_an_error_not_a_reply(scripted,
 
 def test_without_a_vendor_library_the_free_one_is_taken(scripted) -> None:
     with served(scripted()) as address:
-        wire = VisaWire(address, TIMEOUT_S, backend="/no/such/libvisa.so")
+        wire = VisaConnection(address, TIMEOUT_S, backend="/no/such/libvisa.so")
         wire.write("*IDN?")
         assert "33250A" in wire.read()
         wire.close()
@@ -174,7 +174,7 @@ def test_without_a_vendor_library_the_free_one_is_taken(scripted) -> None:
 
 def test_closing_twice_is_no_error(scripted) -> None:
     with served(scripted()) as address:
-        wire = VisaWire(address, TIMEOUT_S, backend="@py")
+        wire = VisaConnection(address, TIMEOUT_S, backend="@py")
         wire.close()
         wire.close()
 
@@ -195,7 +195,7 @@ def test_a_serial_address_sets_the_instruments_line_and_takes_remote_control_fir
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
-    wire = VisaWire(f"ASRL{os.ttyname(theirs)}::INSTR", 1.0, backend="@py")
+    wire = VisaConnection(f"ASRL{os.ttyname(theirs)}::INSTR", 1.0, backend="@py")
     wire.write("*IDN?")
     assert "33250A" in wire.read()
     wire.close()

@@ -8,7 +8,8 @@ import re
 
 import pytest
 
-from drivers.agilent.generators import READABLE, MasterTrigger33250A, PulseGenerator33250A, ToneburstGenerator33250A
+from drivers.agilent.generator import Agilent33250A
+from drivers.agilent.programs import READABLE
 from drivers.interfaces import (
     Identity,
     InstrumentError,
@@ -23,7 +24,7 @@ from drivers.interfaces import (
 PULSE = TriggerPulse(width_s=10e-6, high_v=4.0, load_ohm=math.inf)
 TRAIN = PulseTrain(rate_hz=5e3, count=1000, delay_s=10e-3, width_s=10e-6, high_v=4.0, load_ohm=math.inf)
 BURST = Toneburst(carrier_hz=3.0e6, cycles=600, amplitude_vpp=0.5, delay_s=0.0, load_ohm=50.0)
-ROLES = [(MasterTrigger33250A, PULSE), (PulseGenerator33250A, TRAIN), (ToneburstGenerator33250A, BURST)]
+ROLES = [(Agilent33250A, PULSE), (Agilent33250A, TRAIN), (Agilent33250A, BURST)]
 
 
 def answer_everything(wire) -> None:
@@ -32,15 +33,15 @@ def answer_everything(wire) -> None:
 
 
 def test_the_roles_satisfy_their_interfaces(scripted) -> None:
-    master: MasterTrigger = MasterTrigger33250A(scripted(), "master")
-    pulses: PulseGenerator = PulseGenerator33250A(scripted(), "burst_train")
-    bursts: ToneburstGenerator = ToneburstGenerator33250A(scripted(), "toneburst")
+    master: MasterTrigger = Agilent33250A(scripted(), "master")
+    pulses: PulseGenerator = Agilent33250A(scripted(), "burst_train")
+    bursts: ToneburstGenerator = Agilent33250A(scripted(), "toneburst")
     assert [master.role, pulses.role, bursts.role] == ["master", "burst_train", "toneburst"]
 
 
 def test_the_tracking_train_is_programmed_as_the_reference_recipe_says(scripted) -> None:
     wire = scripted()
-    PulseGenerator33250A(wire, "tracking_train").configure(TRAIN)
+    Agilent33250A(wire, "tracking_train").configure(TRAIN)
     sent = {
         "OUTP:LOAD": "+9.9000000000000E+37",
         "VOLT:UNIT": "VPP",
@@ -63,7 +64,7 @@ def test_the_tracking_train_is_programmed_as_the_reference_recipe_says(scripted)
 
 def test_the_toneburst_is_a_counted_sine_burst_on_external_trigger(scripted) -> None:
     wire = scripted()
-    ToneburstGenerator33250A(wire, "toneburst").configure(BURST)
+    Agilent33250A(wire, "toneburst").configure(BURST)
     assert wire.held["FUNC"] == "SIN"
     assert float(wire.held["FREQ"]) == 3.0e6
     assert float(wire.held["VOLT"]) == 0.5
@@ -75,7 +76,7 @@ def test_the_toneburst_is_a_counted_sine_burst_on_external_trigger(scripted) -> 
 
 def test_the_master_fires_one_pulse_by_command(scripted) -> None:
     wire = scripted()
-    master = MasterTrigger33250A(wire, "master")
+    master = Agilent33250A(wire, "master")
     master.configure(PULSE)
     master.enable_output()
     assert wire.held["BURS:NCYC"] == "1"
@@ -119,7 +120,7 @@ def test_no_intermediate_state_has_a_pulse_wider_than_its_period(scripted, width
     """After a reset the width is 100 us and the period 1 ms (reference 1.3)."""
     wire = scripted()
     rate_hz = 0.9 / width_s if width_s < 100e-6 else 5e3
-    PulseGenerator33250A(wire, "x").configure(dataclasses.replace(TRAIN, rate_hz=rate_hz, width_s=width_s))
+    Agilent33250A(wire, "x").configure(dataclasses.replace(TRAIN, rate_hz=rate_hz, width_s=width_s))
     state = {"FREQ": 1e3, "PULS:WIDT": 100e-6}
     for command in wire.commands:
         header, _, value = command.partition(" ")
@@ -131,19 +132,19 @@ def test_no_intermediate_state_has_a_pulse_wider_than_its_period(scripted, width
 def test_another_model_is_refused_before_anything_is_sent_to_it(scripted) -> None:
     wire = scripted(replies={"*IDN": "HEWLETT-PACKARD,34401A,0,10-5-2"})
     with pytest.raises(InstrumentError, match="34401A"):
-        PulseGenerator33250A(wire, "burst_train").configure(TRAIN)
+        Agilent33250A(wire, "burst_train").configure(TRAIN)
     assert wire.messages == ["*IDN?"]
 
 
 def test_the_later_vendor_name_is_accepted(scripted) -> None:
     wire = scripted(replies={"*IDN": "Keysight Technologies,33250A,0,2.04-1.01-2.00-03-2"})
-    identity = MasterTrigger33250A(wire, "master").identify()
+    identity = Agilent33250A(wire, "master").identify()
     assert identity == Identity("Keysight Technologies", "33250A", "0", "2.04-1.01-2.00-03-2")
 
 
 def test_a_setting_changed_at_the_front_panel_is_found_by_verify(scripted) -> None:
     wire = scripted()
-    generator = PulseGenerator33250A(wire, "burst_train")
+    generator = Agilent33250A(wire, "burst_train")
     generator.configure(TRAIN)
     answer_everything(wire)
     generator.verify()
@@ -153,7 +154,7 @@ def test_a_setting_changed_at_the_front_panel_is_found_by_verify(scripted) -> No
 
 
 def test_a_failed_configure_leaves_the_role_unconfigured(scripted) -> None:
-    generator = PulseGenerator33250A(scripted(replies={"BURS:NCYC": "+1.0E+00"}), "burst_train")
+    generator = Agilent33250A(scripted(replies={"BURS:NCYC": "+1.0E+00"}), "burst_train")
     with pytest.raises(InstrumentError):
         generator.configure(TRAIN)
     with pytest.raises(InstrumentError, match="before configure"):
@@ -162,7 +163,7 @@ def test_a_failed_configure_leaves_the_role_unconfigured(scripted) -> None:
 
 def test_firing_with_the_output_off_is_refused(scripted) -> None:
     wire = scripted()
-    master = MasterTrigger33250A(wire, "master")
+    master = Agilent33250A(wire, "master")
     master.configure(PULSE)
     with pytest.raises(InstrumentError, match="output_on"):
         master.fire()
@@ -171,7 +172,7 @@ def test_firing_with_the_output_off_is_refused(scripted) -> None:
 
 def test_an_ignored_trigger_is_an_error(scripted) -> None:
     wire = scripted()
-    master = MasterTrigger33250A(wire, "master")
+    master = Agilent33250A(wire, "master")
     master.configure(PULSE)
     master.enable_output()
     send = wire.write
@@ -188,7 +189,7 @@ def test_an_ignored_trigger_is_an_error(scripted) -> None:
 
 def test_an_output_that_does_not_switch_on_is_an_error(scripted) -> None:
     wire = scripted()
-    generator = ToneburstGenerator33250A(wire, "toneburst")
+    generator = Agilent33250A(wire, "toneburst")
     generator.configure(BURST)
     wire.replies["OUTP"] = "0"
     with pytest.raises(InstrumentError, match=r"output_on .*programmed 1, read back 0"):
@@ -208,7 +209,7 @@ def test_make_safe_sends_the_switch_even_when_replies_are_lost_and_says_that_it_
     wire.held["OUTP"] = "1"
     wire.read = lambda: (_ for _ in ()).throw(TimeoutError("silence"))
     with pytest.raises(InstrumentError, match="no reply"):
-        ToneburstGenerator33250A(wire, "toneburst").make_safe()
+        Agilent33250A(wire, "toneburst").make_safe()
     assert wire.held["OUTP"] == "0"
 
 
@@ -217,7 +218,7 @@ def test_an_instrument_that_is_silent_in_local_mode_is_made_safe_at_the_second_a
     wire.held["OUTP"] = "1"
     obey = wire._obey
     wire._obey = lambda part: obey(part) if "SYST:REM" in wire.messages else None
-    generator = ToneburstGenerator33250A(wire, "toneburst")
+    generator = Agilent33250A(wire, "toneburst")
     with pytest.raises(InstrumentError, match="no reply"):
         generator.make_safe()
     assert wire.held["OUTP"] == "1"
@@ -241,25 +242,25 @@ def test_verify_returns_every_setting_in_few_messages_and_asks_for_nothing_twice
 
 def test_make_safe_raises_if_the_output_stays_on(scripted) -> None:
     with pytest.raises(InstrumentError, match="output_on"):
-        ToneburstGenerator33250A(scripted(replies={"OUTP": "1"}), "toneburst").make_safe()
+        Agilent33250A(scripted(replies={"OUTP": "1"}), "toneburst").make_safe()
 
 
 IMPOSSIBLE = [
-    (MasterTrigger33250A, dataclasses.replace(PULSE, high_v=11.0), ["high_v = 11", "10"]),
-    (MasterTrigger33250A, dataclasses.replace(PULSE, width_s=1e-9), ["width_s = 1e-09", "8e-09"]),
-    (PulseGenerator33250A, dataclasses.replace(TRAIN, rate_hz=60e6), ["rate_hz = 60000000", "50000000"]),
-    (PulseGenerator33250A, dataclasses.replace(TRAIN, count=0), ["count = 0", "1000000"]),
-    (PulseGenerator33250A, dataclasses.replace(TRAIN, count=1_000_001), ["count = 1000001", "1000000"]),
-    (PulseGenerator33250A, dataclasses.replace(TRAIN, delay_s=90.0), ["delay_s = 90", "85"]),
-    (PulseGenerator33250A, dataclasses.replace(TRAIN, delay_s=-1e-3), ["delay_s = -0.001", "0 .. 85"]),
-    (PulseGenerator33250A, dataclasses.replace(TRAIN, width_s=200e-6), ["width_s = 0.0002", "0.000199992"]),
-    (PulseGenerator33250A, dataclasses.replace(TRAIN, rate_hz=0.01, width_s=100e-9), ["width_s = 1e-07", "2e-07"]),
-    (PulseGenerator33250A, dataclasses.replace(TRAIN, load_ohm=50.0, high_v=5.5), ["high_v = 5.5", "5 into 50 ohm"]),
-    (PulseGenerator33250A, dataclasses.replace(TRAIN, rate_hz=math.nan), ["rate_hz = nan"]),
-    (ToneburstGenerator33250A, dataclasses.replace(BURST, carrier_hz=30e6), ["carrier_hz = 30000000", "25000000"]),
-    (ToneburstGenerator33250A, dataclasses.replace(BURST, amplitude_vpp=12.0), ["amplitude_vpp = 12", "10"]),
-    (ToneburstGenerator33250A, dataclasses.replace(BURST, load_ohm=0.5), ["load_ohm = 0.5", "10000"]),
-    (ToneburstGenerator33250A, dataclasses.replace(BURST, cycles=0, delay_s=99.0), ["cycles = 0", "delay_s = 99"]),
+    (Agilent33250A, dataclasses.replace(PULSE, high_v=11.0), ["high_v = 11", "10"]),
+    (Agilent33250A, dataclasses.replace(PULSE, width_s=1e-9), ["width_s = 1e-09", "8e-09"]),
+    (Agilent33250A, dataclasses.replace(TRAIN, rate_hz=60e6), ["rate_hz = 60000000", "50000000"]),
+    (Agilent33250A, dataclasses.replace(TRAIN, count=0), ["count = 0", "1000000"]),
+    (Agilent33250A, dataclasses.replace(TRAIN, count=1_000_001), ["count = 1000001", "1000000"]),
+    (Agilent33250A, dataclasses.replace(TRAIN, delay_s=90.0), ["delay_s = 90", "85"]),
+    (Agilent33250A, dataclasses.replace(TRAIN, delay_s=-1e-3), ["delay_s = -0.001", "0 .. 85"]),
+    (Agilent33250A, dataclasses.replace(TRAIN, width_s=200e-6), ["width_s = 0.0002", "0.000199992"]),
+    (Agilent33250A, dataclasses.replace(TRAIN, rate_hz=0.01, width_s=100e-9), ["width_s = 1e-07", "2e-07"]),
+    (Agilent33250A, dataclasses.replace(TRAIN, load_ohm=50.0, high_v=5.5), ["high_v = 5.5", "5 into 50 ohm"]),
+    (Agilent33250A, dataclasses.replace(TRAIN, rate_hz=math.nan), ["rate_hz = nan"]),
+    (Agilent33250A, dataclasses.replace(BURST, carrier_hz=30e6), ["carrier_hz = 30000000", "25000000"]),
+    (Agilent33250A, dataclasses.replace(BURST, amplitude_vpp=12.0), ["amplitude_vpp = 12", "10"]),
+    (Agilent33250A, dataclasses.replace(BURST, load_ohm=0.5), ["load_ohm = 0.5", "10000"]),
+    (Agilent33250A, dataclasses.replace(BURST, cycles=0, delay_s=99.0), ["cycles = 0", "delay_s = 99"]),
 ]
 
 
@@ -293,7 +294,7 @@ def test_more_than_the_wiring_bears_is_refused_before_a_setting_is_sent(scripted
 )
 def test_a_sweep_sends_only_what_changed_in_one_message_with_one_reply(scripted, changes, sent) -> None:
     wire = scripted()
-    generator = PulseGenerator33250A(wire, "tracking_train")
+    generator = Agilent33250A(wire, "tracking_train")
     generator.configure(TRAIN)
     wire.messages.clear()
     generator.configure(dataclasses.replace(TRAIN, **changes))
@@ -304,7 +305,7 @@ def test_a_sweep_sends_only_what_changed_in_one_message_with_one_reply(scripted,
 @pytest.mark.parametrize("changes", [{"load_ohm": 50.0}, {"rate_hz": 2e4, "width_s": 2e-6}])
 def test_settings_that_drag_others_along_are_programmed_from_the_reset_state(scripted, changes) -> None:
     wire = scripted()
-    generator = PulseGenerator33250A(wire, "tracking_train")
+    generator = Agilent33250A(wire, "tracking_train")
     generator.configure(TRAIN)
     wire.messages.clear()
     generator.configure(dataclasses.replace(TRAIN, **changes))
@@ -313,7 +314,7 @@ def test_settings_that_drag_others_along_are_programmed_from_the_reset_state(scr
 
 def test_after_a_failure_everything_is_programmed_again(scripted) -> None:
     wire = scripted()
-    generator = PulseGenerator33250A(wire, "tracking_train")
+    generator = Agilent33250A(wire, "tracking_train")
     generator.configure(TRAIN)
     wire.errors.append('-222,"Data out of range"')
     with pytest.raises(InstrumentError):
@@ -325,19 +326,19 @@ def test_after_a_failure_everything_is_programmed_again(scripted) -> None:
 
 def test_a_declared_model_that_does_not_answer_is_refused(scripted) -> None:
     with pytest.raises(InstrumentError, match="expected model 33500B"):
-        PulseGenerator33250A(scripted(), "burst_train", series="33500B").configure(TRAIN)
+        Agilent33250A(scripted(), "burst_train", series="33500B").configure(TRAIN)
 
 
 @pytest.mark.parametrize("reply", ["", "garbage", "33250A", "Agilent Technologies,33250A", "a,33251A,0,1"])
 def test_a_wrong_identity_is_refused(scripted, reply: str) -> None:
     wire = scripted(replies={"*IDN": reply})
     with pytest.raises(InstrumentError, match="expected model 33250A or"):
-        MasterTrigger33250A(wire, "master").identify()
+        Agilent33250A(wire, "master").identify()
 
 
 def test_a_reply_that_is_no_number_is_an_instrument_error_in_the_snapshot(scripted) -> None:
     wire = scripted()
-    generator = PulseGenerator33250A(wire, "burst_train")
+    generator = Agilent33250A(wire, "burst_train")
     generator.configure(TRAIN)
     wire.replies |= {item.header: "+1" for item in READABLE} | {"TRIG:DEL": "?!"}
     with pytest.raises(InstrumentError, match=r"TRIG:DEL\? was answered with '\?!', which is no delay_s"):
@@ -346,7 +347,7 @@ def test_a_reply_that_is_no_number_is_an_instrument_error_in_the_snapshot(script
 
 def test_high_impedance_doubles_the_largest_amplitude(scripted) -> None:
     burst = dataclasses.replace(BURST, amplitude_vpp=20.0, load_ohm=math.inf)
-    ToneburstGenerator33250A(scripted(), "toneburst").configure(burst)
+    Agilent33250A(scripted(), "toneburst").configure(burst)
 
 
 @pytest.mark.parametrize(("reply", "passed"), [("+0", True), ("0", True), ("+1", False)])
@@ -360,7 +361,7 @@ def test_a_self_test_is_awaited_and_the_output_is_off_before_and_after(scripted,
         return read()
 
     instrument.read = read_late
-    assert PulseGenerator33250A(instrument, "burst_train").self_test() is passed
+    assert Agilent33250A(instrument, "burst_train").self_test() is passed
     test = instrument.commands.index("*TST?")
     assert instrument.commands[0] == "OUTP 0"
     assert "OUTP 0" in instrument.commands[test:]
@@ -370,4 +371,4 @@ def test_a_self_test_is_awaited_and_the_output_is_off_before_and_after(scripted,
 def test_an_instrument_that_never_ends_its_self_test_is_an_error_that_names_it(scripted) -> None:
     instrument = scripted(replies={"OUTP": "0"})
     with pytest.raises(InstrumentError, match=r"burst_train: no reply to '\*TST\?'"):
-        PulseGenerator33250A(instrument, "burst_train").self_test()
+        Agilent33250A(instrument, "burst_train").self_test()

@@ -1,4 +1,4 @@
-"""A wire over VISA: GPIB, RS-232, raw TCP socket, HiSLIP, VXI-11 and Prologix, by a vendor's VISA or pyvisa-py."""
+"""Connection over VISA: GPIB, RS-232, raw TCP socket, HiSLIP, VXI-11 and Prologix, by a vendor's VISA or pyvisa-py."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class VisaInterface:
 
 
 @final
-class VisaWire:
+class VisaConnection:
     """One text connection; replies without line end.
 
     Raises ``ConnectionError`` when the connection cannot be opened or is lost, ``TimeoutError`` from ``read`` when

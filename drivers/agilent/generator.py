@@ -1,56 +1,72 @@
-"""The Agilent 33250A, its siblings, and the three generator roles: master trigger, pulse train, toneburst.
+"""The Agilent 33250A and its siblings as master trigger, pulse train, toneburst or continuous sine.
 
-Each group of settings is one message, after which the error queue is drained and the group read back. The order
-avoids passing through a state that the instrument would resolve by itself. APPLy is never sent: it switches the
-output on at once. Registers carry the 33250A's headers; a sibling's spelling is put in when they are sent.
+A task goes straight down: its registers (`programs`), spelled as the model wants them (`models`), sent and read back
+(`scpi`). Each group of settings is one message, after which the error queue is drained and the group read back. APPLy
+is never sent: it switches the output on at once.
 """
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
-from typing import Final, Never, final
+from types import TracebackType
+from typing import Final, Self, final
 
-from drivers.agilent import programs
-from drivers.agilent.limits import (
-    pulse_train_mistakes,
-    refuse,
-    toneburst_mistakes,
-    trigger_pulse_mistakes,
-    wiring_mistakes,
-)
-from drivers.agilent.models import AGILENT_33250A, MODELS, GeneratorModel, model_named
-from drivers.agilent.programs import READABLE, Group
+from drivers.agilent.limits import mistakes, refuse
+from drivers.agilent.models import AGILENT_33250A, MODELS, model_named
+from drivers.agilent.programs import READABLE, Group, changed, program
 from drivers.agilent.read_back import Readable, Register, whole_number
 from drivers.agilent.scpi import RefusedError, ScpiSession
-from drivers.interfaces import Identity, InstrumentError, PulseTrain, Setting, Toneburst, TriggerPulse, Wire
+from drivers.interfaces import Connection, ContinuousSine, GeneratorTask, Identity, InstrumentError, Setting
 
 OUTPUT_OFF: Final = Register("output_on", "OUTP", False)
 OUTPUT_ON: Final = Register("output_on", "OUTP", True)
 # The test takes some seconds (assumed: up to half a minute), a read gives up after two.
 SELF_TEST_PATIENCE: Final = 15
 
-Limits = Callable[[GeneratorModel], list[str]]
-Program = Callable[[GeneratorModel], Sequence[Group]]
-
 
 @final
 class Agilent33250A:
-    """The commands that all roles share; the state is the instrument's, here is only what was asked of it.
+    """One generator behind ``connection``; the state is the instrument's, here is only what was asked of it.
 
-    ``series`` is the name in ``generator_models`` that must answer; empty accepts every one of them.
+    ``role`` names it in messages. ``series`` is the model or series that must answer, one of ``MODELS``; empty accepts
+    every one of them. ``max_vpp`` is the largest swing into the declared load that what hangs on the output bears.
+    In a ``with`` statement it is identified first, and its output off, verified, and the connection closed at the end.
     """
 
-    def __init__(self, wire: Wire, role: str, series: str = "") -> None:
-        self.role = role
+    def __init__(
+        self, connection: Connection, role: str = "generator", series: str = "", max_vpp: float = math.inf
+    ) -> None:
+        self._role = role
         self._series = series
-        self._session = ScpiSession(wire, role)
+        self._max_vpp = max_vpp
+        self._session = ScpiSession(connection, role)
         self._model = AGILENT_33250A
         self._identity: Identity | None = None
         self._programmed: tuple[Register, ...] = ()
+
+    def __enter__(self) -> Self:
+        try:
+            self.identify()
+        except BaseException:
+            # Nothing is sent to a stranger, not even to switch it off.
+            self.close()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self.make_safe()
+        finally:
+            self.close()
+
+    @property
+    def role(self) -> str:
+        """The part this instrument plays on the bench."""
+        return self._role
 
     def identify(self) -> Identity:
         """Return who answers ``*IDN?``; raise ``InstrumentError`` if it is no 33250A or sibling, or the wrong one.
@@ -72,23 +88,28 @@ class Agilent33250A:
         self._identity = Identity(fields[0], fields[1], fields[2], ",".join(fields[3:]))
         return self._identity
 
-    def configure(self, program: Program, limits: Limits) -> None:
-        """Program with the output off: what changed since the last time, else everything from the reset state.
+    def configure(self, task: GeneratorTask, /) -> None:
+        """Program ``task`` with the output off: what changed since the last time, else everything from the reset state.
 
-        Raises ``InstrumentError`` for what ``limits`` lists, before a setting is sent, and at the first group that
-        fails.
+        Raises ``InstrumentError`` with all ``mistakes`` before a setting is sent, and at the first group of settings
+        that the instrument refuses or changes.
         """
         before, self._programmed = self._programmed, ()
         self._identified()
-        refuse(self.role, self._model, limits(self._model))
-        groups = program(self._model)
+        refuse(self.role, self._model, mistakes(task, self._model, self._max_vpp))
+        groups = program(task, self._model)
         registers = tuple(register for _, group in groups for register in group)
-        changed = programs.changed(before, registers)
-        if changed is None:
+        differing = changed(before, registers)
+        if differing is None:
             self._from_reset(groups)
         else:
-            self._session.program("changes", self._spelled((OUTPUT_OFF, *changed)))
+            self._session.program("changes", self._spelled((OUTPUT_OFF, *differing)))
         self._programmed = registers
+
+    def sine(self, frequency_hz: float, amplitude_vpp: float, load_ohm: float = 50.0) -> None:
+        """Put out a continuous sine about zero volts, verified; it goes on until ``make_safe``."""
+        self.configure(ContinuousSine(frequency_hz, amplitude_vpp, load_ohm))
+        self.enable_output()
 
     def verify(self) -> Mapping[str, Setting]:
         """Return the ``snapshot``; raise ``InstrumentError`` where it is not as programmed or an error is queued."""
@@ -188,97 +209,3 @@ class Agilent33250A:
         if not self._programmed:
             why = "nothing is programmed, or the last configure failed"
             raise InstrumentError(self.role, f"{action} came before configure", why, "call configure first")
-
-
-class GeneratorRole(ABC):
-    """What every role of the instrument can do; the roles differ in what they program.
-
-    ``max_vpp`` is the largest swing into the declared load that what hangs on the output may see.
-    """
-
-    def __init__(self, wire: Wire, role: str, series: str = "", max_vpp: float = math.inf) -> None:
-        self._generator = Agilent33250A(wire, role, series)
-        self._max_vpp = max_vpp
-
-    @abstractmethod
-    def configure(self, program: Never, /) -> None:
-        """Program what the role does; what that is, each role states by its own type."""
-
-    @property
-    def role(self) -> str:
-        """The part this instrument plays on the bench."""
-        return self._generator.role
-
-    def identify(self) -> Identity:
-        """See ``Agilent33250A.identify``."""
-        return self._generator.identify()
-
-    def verify(self) -> Mapping[str, Setting]:
-        """See ``Agilent33250A.verify``."""
-        return self._generator.verify()
-
-    def enable_output(self) -> None:
-        """See ``Agilent33250A.enable_output``."""
-        self._generator.enable_output()
-
-    def self_test(self) -> bool:
-        """See ``Agilent33250A.self_test``."""
-        return self._generator.self_test()
-
-    def snapshot(self) -> Mapping[str, Setting]:
-        """See ``Agilent33250A.snapshot``."""
-        return self._generator.snapshot()
-
-    def make_safe(self) -> None:
-        """See ``Agilent33250A.make_safe``."""
-        self._generator.make_safe()
-
-    def close(self) -> None:
-        """See ``Agilent33250A.close``."""
-        self._generator.close()
-
-
-@final
-class MasterTrigger33250A(GeneratorRole):
-    """One pulse a command."""
-
-    def configure(self, pulse: TriggerPulse) -> None:
-        """Program one pulse on ``*TRG``; raise ``InstrumentError`` for what the instrument cannot do or changed."""
-
-        def limits(model: GeneratorModel) -> list[str]:
-            return [*trigger_pulse_mistakes(pulse, model), *wiring_mistakes("high_v", pulse.high_v, self._max_vpp)]
-
-        self._generator.configure(partial(programs.trigger_pulse, pulse), limits)
-
-    def fire(self) -> None:
-        """Emit the pulse; see ``Agilent33250A.fire``."""
-        self._generator.fire()
-
-
-@final
-class PulseGenerator33250A(GeneratorRole):
-    """A finite train of TTL pulses after an external trigger."""
-
-    def configure(self, train: PulseTrain) -> None:
-        """Program the train; raise ``InstrumentError`` for what the instrument cannot do or changed."""
-
-        def limits(model: GeneratorModel) -> list[str]:
-            return [*pulse_train_mistakes(train, model), *wiring_mistakes("high_v", train.high_v, self._max_vpp)]
-
-        self._generator.configure(partial(programs.pulse_train, train), limits)
-
-
-@final
-class ToneburstGenerator33250A(GeneratorRole):
-    """A finite sine burst after an external trigger."""
-
-    def configure(self, burst: Toneburst) -> None:
-        """Program the burst; raise ``InstrumentError`` for what the instrument cannot do or changed."""
-
-        def limits(model: GeneratorModel) -> list[str]:
-            return [
-                *toneburst_mistakes(burst, model),
-                *wiring_mistakes("amplitude_vpp", burst.amplitude_vpp, self._max_vpp),
-            ]
-
-        self._generator.configure(partial(programs.toneburst, burst), limits)

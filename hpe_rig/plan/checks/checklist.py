@@ -1,0 +1,57 @@
+"""Checklist of a plan: every conflict before anything is opened, each with keys, both numbers and the remedy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Final
+
+from hpe_rig.bench import BenchFile
+from hpe_rig.plan.checks.acoustic_output import acoustic_output
+from hpe_rig.plan.checks.check_result import CheckResult
+from hpe_rig.plan.checks.digitizer import board, capture_mode, gate_in_record, memory
+from hpe_rig.plan.checks.excitation import excitation
+from hpe_rig.plan.checks.interference import interference
+from hpe_rig.plan.checks.output import drive, generators
+from hpe_rig.plan.checks.sampling import driven_harmonics, resolution, wanted_frequencies
+from hpe_rig.plan.checks.simulation import simulation
+from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
+from hpe_rig.plan.shots import Plan
+from hpe_rig.scene import Scene
+
+Check = Callable[[Scene, BenchFile, Plan], Iterator[CheckResult]]
+
+CHECKS: Final[tuple[Check, ...]] = (
+    simulation,
+    excitation,
+    generators,
+    drive,
+    acoustic_output,
+    interference,
+    tracking_train,
+    record_in_period,
+    depth,
+    wanted_frequencies,
+    driven_harmonics,
+    resolution,
+    gate_in_record,
+    board,
+    capture_mode,
+    memory,
+    periods,
+)
+"""Every check, in the order in which ``hpe-rig check`` prints them."""
+
+
+def check_plan(scene: Scene, bench: BenchFile, plan: Plan) -> list[CheckResult]:
+    """Return what every check found, passed ones included; of a sweep once each."""
+    parts = [(window, _at(rate, plan)) for rate in scene.rates for window in rate.windows]
+    return list(
+        dict.fromkeys(result for check in CHECKS for part in parts for result in check(part[0], bench, part[1]))
+    )
+
+
+def _at(scene: Scene, plan: Plan) -> Plan:
+    """Return the part of ``plan`` that has the scene's pulse rate."""
+    rate_hz = scene.tracking.pulse_rate_hz
+    return replace(plan, shots=tuple(shot for shot in plan.shots if shot.tracking_train.rate_hz == rate_hz))

@@ -1,0 +1,45 @@
+"""Check of interference: tonebursts and their echoes against pulses and gates, and the delays that avoid it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from hpe_rig.bench import BenchFile
+from hpe_rig.plan.checks.check_result import CheckResult, Level, in_us
+from hpe_rig.plan.interference import admissible_delays_s, disturbed_pulses, forbidden_window_s
+from hpe_rig.plan.shots import Plan, Shot
+from hpe_rig.scene import Scene
+
+
+def interference(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield, for every toneburst length, how many pulses or gates are disturbed."""
+    if scene.excitation is None or any(shot.toneburst is None for shot in plan.shots):
+        return
+    for shot in {shot.timeline.burst_length_s: shot for shot in plan.shots}.values():
+        count, burst = int(disturbed_pulses(shot).sum()), in_us(shot.timeline.burst_length_s)
+        if not count:
+            yield CheckResult("interference", "passed", f"no pulse or gate meets a {burst} toneburst or its echo")
+            continue
+        text = (
+            f"tracking.delay_s = {in_us(scene.tracking.delay_s)} lets tonebursts of "
+            f"excitation.burst_length_s = {burst} or their echoes disturb {count} of {shot.capture.record_count} pulses or gates"
+        )
+        if scene.tracking.disturbed == "skip":
+            yield CheckResult("interference", "passed", f"{text}; the estimate skips them")
+            continue
+        level: Level = "warning" if scene.tracking.disturbed == "keep" else "refused"
+        yield CheckResult("interference", level, text, _delay_remedy(shot))
+
+
+def _delay_remedy(shot: Shot) -> str:
+    period_s, (start_s, end_s) = 1 / shot.tracking_train.rate_hz, forbidden_window_s(shot)
+    intervals = admissible_delays_s(shot)
+    if intervals:
+        # Rounded inwards: every printed value is admissible.
+        inner_us = [(math.ceil(low * 1e7) / 10, math.floor(high * 1e7) / 10) for low, high in intervals]
+        words = " or ".join(f"{low:g} to {high:g} us" for low, high in inner_us)
+        return f"tracking.delay_s within {words} (plus any multiple of the pulse period, {in_us(period_s)})"
+    needed_hz = 1 / (end_s - start_s)
+    rate = f"a tracking.pulse_rate_hz that is a multiple of the burst rate and below {needed_hz:.4g} Hz"
+    return f'{rate} (no t_d is free at {shot.tracking_train.rate_hz:g} Hz), or tracking.disturbed = "skip"'
