@@ -20,8 +20,8 @@ CHANNEL_HEADERS: Final = {"OUTP:TRIG": "OUTP:TRIG", "OUTP": "OUTP1", "TRIG": "TR
 class GeneratorModel:
     """One instrument type.
 
-    ``sine_hz`` is of a continuous sine, ``burst_carrier_hz`` of counted sine bursts; ``narrowest_s`` lists (period above
-    which it holds, least width); ``edge_s`` is the fastest pulse edge.
+    ``sine_hz`` is of a continuous sine, ``burst_carrier_hz`` of counted sine bursts; ``narrowest_s`` lists (period
+    above which it holds, least width); ``edge_s`` is the fastest pulse edge.
     """
 
     name: str

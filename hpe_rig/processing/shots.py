@@ -23,7 +23,6 @@ from hpe_rig.result import Averaging, Estimate, ShotResult
 from hpe_rig.scene import Processing, Scene
 from hpe_rig.store import ShotRecords, StoredRun
 
-CODE_LIMITS = (-8192, 8191)
 LARGE_STEP = 0.8
 """Quarter wavelengths a pulse from which on the next period of the carrier is close."""
 LARGE_CONDITION = 10.0
@@ -83,7 +82,7 @@ def _estimate_shot(
     averaging: tuple[Averaging | None, ...],
 ) -> ShotResult:
     inside = slow_time_window(scene, shot)
-    full_scale = clipped_pulses(records.codes, CODE_LIMITS)
+    full_scale = clipped_pulses(records.codes, records.code_limits)
     echoes = shot_echoes(scene, shot, records, inside, full_scale)
     recorded = records.valid[inside]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, inside))
@@ -148,7 +147,7 @@ def shot_echoes(
     ``full_scale`` (pulse,), which records reach the digitizer's full scale, is found where not given.
     """
     if full_scale is None:
-        full_scale = clipped_pulses(records.codes, CODE_LIMITS)
+        full_scale = clipped_pulses(records.codes, records.code_limits)
     valid = (records.valid & ~skipped_pulses(scene, shot))[inside]
     codes = records.codes if inside.all() else records.codes[inside]
     sound = valid & ~full_scale[inside]

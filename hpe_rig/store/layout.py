@@ -37,8 +37,6 @@ from hpe_rig.store.records import MISSING
 
 LIBVER = ("v110", "v110")
 """Read by HDF5 1.10 and everything after it, and by nothing before: concurrent reading came with 1.10."""
-CENTRE_CODE = 8191.5
-"""Codes from zero volts to full scale of 14 bits, zero-centred: zero volts lies between two codes."""
 MOST_PLACED_BYTES = 64_000_000
 """Up to this size the quantities with a value a pulse get their place at once; beyond, as they are written."""
 
@@ -61,7 +59,7 @@ def empty_run(
     """Return the bytes of a run file without records; the same for the same arguments, bit for bit."""
     with h5py.File("empty", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         _write_header(file, scene, bench, plan, predecessor or Predecessor())
-        _create_records(file, plan, compress)
+        _create_records(file, plan, bench.bench.digitizer.board_model.code_limits, compress)
         times = file.create_group("run_time")
         times["run_time_s"] = np.full(len(STAGES), math.nan)
         name_axes(times, {"stage": np.array(STAGES, f"S{STAGE_BYTES}")}, {"run_time_s": "s"})
@@ -75,9 +73,11 @@ def empty_run(
     return image
 
 
-def volts_of_codes(input_range_v: float) -> tuple[float, float]:
-    """Return scale and offset from codes to volts of an input that spans plus and minus ``input_range_v``."""
-    return input_range_v / CENTRE_CODE, 0.5 * input_range_v / CENTRE_CODE
+def volts_of_codes(input_range_v: float, code_limits: tuple[int, int]) -> tuple[float, float]:
+    """Return scale and offset from codes to volts of an input whose range, plus and minus, takes all the codes."""
+    lowest, highest = code_limits
+    scale = 2 * input_range_v / (highest - lowest)
+    return scale, -(lowest + highest) / 2 * scale
 
 
 def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:
@@ -142,7 +142,9 @@ def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence
     group["frequency"].attrs["units"] = "Hz"
 
 
-def _create_codes(group: h5py.Group, name: str, input_range_v: float, plan: Plan, compress: bool) -> None:
+def _create_codes(
+    group: h5py.Group, name: str, input_range_v: float, code_limits: tuple[int, int], plan: Plan, compress: bool
+) -> None:
     capture = plan.shots[0].capture
     shape = (len(plan.shots), capture.record_count, capture.record_samples)
     pulses_a_chunk = max(1, min(shape[1], math.ceil(CHUNK_BYTES / (2 * shape[2]))))
@@ -152,8 +154,10 @@ def _create_codes(group: h5py.Group, name: str, input_range_v: float, plan: Plan
     # The first chunk brings the index of all of them into being.
     echo[0, :pulses_a_chunk] = MISSING
     # The CF names: readers that know them turn codes into volts and missing records into NaN by themselves.
-    scale, offset = volts_of_codes(input_range_v)
+    scale, offset = volts_of_codes(input_range_v, code_limits)
     echo.attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
+    lowest, highest = map(np.int16, code_limits)
+    echo.attrs.update({"valid_min": lowest, "valid_max": highest})
 
 
 def _filter() -> Mapping[str, Any]:
@@ -168,12 +172,12 @@ def _filter() -> Mapping[str, Any]:
     return filters
 
 
-def _create_records(file: h5py.File, plan: Plan, compress: bool) -> None:
+def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], compress: bool) -> None:
     shots, capture = plan.shots, plan.shots[0].capture
     group = file.create_group("records")
-    _create_codes(group, "echo", capture.input_range_v, plan, compress)
+    _create_codes(group, "echo", capture.input_range_v, code_limits, plan, compress)
     if capture.monitor_range_v is not None:
-        _create_codes(group, "monitor", capture.monitor_range_v, plan, compress)
+        _create_codes(group, "monitor", capture.monitor_range_v, code_limits, plan, compress)
     _create_rows(group, "recorded", plan, np.dtype("u1"), 0)
     _create_rows(group, "trigger_time_s", plan, np.dtype("<f8"), math.nan)
     _create_rows(group, "pulse_onset_s", plan, np.dtype("<f8"), math.nan)

@@ -22,6 +22,8 @@ from hpe_rig.store.validation import Trusted, UntrustedError, trusted
 
 Shape = tuple[int, int, int]
 STATUSES: Final = ("running", "complete", "aborted", "failed")
+CODE_LIMITS_UNSTATED: Final = (-8192, 8191)
+"""Lowest and highest code in files from before these were written: the 14 bits of the only digitizer then."""
 MOST_UNHELD_BYTES: Final = 256_000_000
 """How much memory a shot may take beyond what the file holds: places of records that never came."""
 MOST_SHOTS: Final = 1_000_000
@@ -70,7 +72,8 @@ class StoredRecords(Sequence[ShotRecords]):
             codes[~recorded] = MISSING
             trigger_time_s = _rows(trust, "records/trigger_time_s", self.shape)[shot]
             scale, offset = (trust.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset"))
-        return ShotRecords(codes, np.where(recorded, trigger_time_s, np.nan), scale, offset)
+            limits = _code_limits(trust, f"records/{name}")
+        return ShotRecords(codes, np.where(recorded, trigger_time_s, np.nan), scale, offset, limits)
 
     def chunks(self, shot: int, pulses: int, name: str = "echo") -> Iterator[tuple[int, NDArray[np.int16]]]:
         """Yield the codes of ``shot`` as (first pulse, codes) in steps of ``pulses``, opening the file once."""
@@ -163,10 +166,11 @@ class StoredRun:
             )
         with trusted(self.path) as trust:
             stored = tuple(trust.attribute(name, float, "records/echo") for name in ("scale_factor", "add_offset"))
-        if not np.allclose(stored, volts_of_codes(capture.input_range_v), rtol=1e-9, atol=0):
+            expected = volts_of_codes(capture.input_range_v, _code_limits(trust, "records/echo"))
+        if not np.allclose(stored, expected, rtol=1e-9, atol=0):
             raise StoreError(
                 f"{self.path} has {stored[0]:g} V a code, its scene's input range of {capture.input_range_v:g} V "
-                f"gives {volts_of_codes(capture.input_range_v)[0]:g}. It was changed. Try: an untouched copy."
+                f"gives {expected[0]:g}. It was changed. Try: an untouched copy."
             )
 
 
@@ -249,6 +253,16 @@ def _echo(trust: Trusted, shape: Shape, name: str = "echo") -> h5py.Dataset:
     if echo.chunks is None:
         raise UntrustedError(f"/records/{name} is in one piece")
     return echo
+
+
+def _code_limits(trust: Trusted, name: str) -> tuple[int, int]:
+    """Return the lowest and the highest code of the records at ``name``."""
+    if "valid_min" not in trust.file[name].attrs:
+        return CODE_LIMITS_UNSTATED
+    lowest, highest = (trust.attribute(key, int, name) for key in ("valid_min", "valid_max"))
+    if not MISSING < lowest < highest <= np.iinfo(np.int16).max:
+        raise UntrustedError(f"/{name} has codes from {lowest} to {highest}")
+    return lowest, highest
 
 
 def _rows(trust: Trusted, name: str, shape: Shape, dtype: str = "<f8") -> h5py.Dataset:

@@ -12,7 +12,7 @@ from drivers.interfaces import RecordBlock
 from hpe_rig.plan import Shot
 
 MISSING = np.int16(-32768)
-"""Code of a sample that was never recorded; no 14-bit code reaches it."""
+"""Code of a sample that was never recorded; below the code limits of every digitizer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,13 +20,15 @@ class ShotRecords:
     """The records of one shot on the plan's axes.
 
     ``codes`` int16 (pulse, sample), ``MISSING`` where nothing arrived; ``trigger_time_s`` float64 (pulse,), NaN there
-    and where the way to capture states no time.
+    and where the way to capture states no time. ``code_limits`` are the digitizer's lowest and highest code, at which a
+    sample is clipped.
     """
 
     codes: NDArray[np.int16]
     trigger_time_s: NDArray[np.float64]
     volts_per_code: float
     volts_offset: float
+    code_limits: tuple[int, int]
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -69,10 +71,10 @@ def assemble(blocks: Iterable[RecordBlock], shot: Shot) -> ShotRecords:
     """Return the records of ``blocks`` in the places of ``shot``'s pulses."""
     codes = np.full((shot.capture.record_count, shot.capture.record_samples), MISSING)
     trigger_time_s = np.full(shot.capture.record_count, np.nan)
-    scale, offset, latest = np.nan, np.nan, None
+    scale, offset, limits, latest = np.nan, np.nan, (0, 0), None
     for block in blocks:
-        scale, offset = block.volts_per_code, block.volts_offset
+        scale, offset, limits = block.volts_per_code, block.volts_offset, block.code_limits
         index, latest = place(block, latest, shot)
         codes[index[index >= 0]] = block.codes[index >= 0]
         trigger_time_s[index[index >= 0]] = block.trigger_time_s[index >= 0]
-    return ShotRecords(codes, trigger_time_s, scale, offset)
+    return ShotRecords(codes, trigger_time_s, scale, offset, limits)

@@ -67,7 +67,7 @@ class RunWriter:
         publish(image, path, options.overwrite)
         with self._writing():
             self._file = open_for_readers(path)
-        self._volts = volts_of_codes(plan.shots[0].capture.input_range_v)
+        self._volts = volts_of_codes(plan.shots[0].capture.input_range_v, bench.bench.digitizer.board_model.code_limits)
         # Held, since looking a dataset up takes longer than writing to it.
         self._rows = {name: self._file[f"records/{name}"] for name in ROWS}
         self._chunk = _Chunk(self._file["records/echo"])

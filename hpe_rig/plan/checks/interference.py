@@ -23,7 +23,8 @@ def interference(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckRe
             continue
         text = (
             f"tracking.delay_s = {in_us(scene.tracking.delay_s)} lets tonebursts of "
-            f"excitation.burst_length_s = {burst} or their echoes disturb {count} of {shot.capture.record_count} pulses or gates"
+            f"excitation.burst_length_s = {burst} or their echoes disturb {count} of {shot.capture.record_count} "
+            "pulses or gates"
         )
         if scene.tracking.disturbed == "skip":
             yield CheckResult("interference", "passed", f"{text}; the estimate skips them")

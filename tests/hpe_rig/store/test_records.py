@@ -11,6 +11,8 @@ from hpe_rig.plan.shots import Shot, make_plan
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 from hpe_rig.store.records import MISSING, assemble, place
 
+CODE_LIMITS = (-8192, 8191)
+
 
 @pytest.fixture
 def shot() -> Shot:
@@ -19,7 +21,7 @@ def shot() -> Shot:
 
 def block(shot: Shot, pulses: np.ndarray, start_s: float = 0.1) -> RecordBlock:
     codes = np.repeat(pulses.astype(np.int16)[:, None], shot.capture.record_samples, axis=1)
-    return RecordBlock(0, codes, start_s + pulses / shot.tracking_train.rate_hz, 1e-4, 5e-5)
+    return RecordBlock(0, codes, start_s + pulses / shot.tracking_train.rate_hz, 1e-4, 5e-5, CODE_LIMITS)
 
 
 def test_a_lost_trigger_leaves_its_pulse_missing_and_shifts_no_other(shot: Shot) -> None:
@@ -32,7 +34,7 @@ def test_a_lost_trigger_leaves_its_pulse_missing_and_shifts_no_other(shot: Shot)
 
 def test_a_trigger_between_the_pulses_is_no_pulse(shot: Shot) -> None:
     period_s = 1 / shot.tracking_train.rate_hz
-    stray = RecordBlock(0, np.zeros((3, 512), np.int16), np.array([0.0, 0.4, 1.0]) * period_s, 1.0, 0.0)
+    stray = RecordBlock(0, np.zeros((3, 512), np.int16), np.array([0.0, 0.4, 1.0]) * period_s, 1.0, 0.0, CODE_LIMITS)
     assert place(stray, None, shot)[0].tolist() == [0, -1, 1]
 
 
@@ -47,6 +49,8 @@ def test_a_board_whose_clock_is_off_loses_no_record(shot: Shot, clock_error: flo
     latest, found = None, []
     for part in np.array_split(pulses, 16):
         time_s = part / shot.tracking_train.rate_hz * (1 + clock_error)
-        index, latest = place(RecordBlock(0, np.zeros((part.size, 1), np.int16), time_s, 1.0, 0.0), latest, long)
+        index, latest = place(
+            RecordBlock(0, np.zeros((part.size, 1), np.int16), time_s, 1.0, 0.0, CODE_LIMITS), latest, long
+        )
         found += index.tolist()
     assert found == pulses.tolist()

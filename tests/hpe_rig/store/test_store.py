@@ -56,7 +56,7 @@ def block_of(setup: Setup, first: int, count: int, time_s: float | None = None) 
     start_s = np.nan if time_s is None else time_s
     trigger_time_s = start_s + np.arange(first, first + count) / shot.tracking_train.rate_hz
     scale = shot.capture.input_range_v / 8191.5
-    return RecordBlock(first, codes, trigger_time_s, scale, scale / 2)
+    return RecordBlock(first, codes, trigger_time_s, scale, scale / 2, (-8192, 8191))
 
 
 @contextmanager
