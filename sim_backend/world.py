@@ -1,4 +1,4 @@
-"""The simulated bench: programmed registers -> edges along the wiring -> bursts -> volts at the digitizer.
+"""World, the simulated bench as one: registers -> edges along the wiring -> bursts -> volts at the digitizer.
 
 Assumed: motion left over from before a capture is forgotten if every output was off when the capture was armed.
 """

@@ -93,6 +93,7 @@ class BufferQueue:
 
     def notice_overflow(self, records_complete: int) -> None:
         """Remember if more records are complete than posted buffers and the board's memory hold."""
+        # Records have a place in buffers handed back, in those posted, and in the board's memory.
         room = (self.delivered + len(self.posted)) * self.transfer.records_per_buffer + self.memory_records
         self.overflowed = self.overflowed or records_complete > room
 
@@ -110,6 +111,7 @@ class BufferQueue:
         count = self.transfer.records_per_buffer
         records = slice(self.delivered * count, (self.delivered + 1) * count)
         data = packed(self.transfer, arming, taken, volts, records, reset_ps)
+        # As DMA would: straight into the program's memory, which posting has checked to be large enough.
         ctypes.memmove(self.posted.popleft(), data, len(data))
         self.delivered += 1
 
@@ -118,6 +120,7 @@ def packed(
     transfer: Transfer, arming: Arming, taken: Taken, volts: NDArray[np.float64], records: slice, reset_ps: int
 ) -> bytes:
     """Return the bytes of consecutive records: R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ..."""
+    # One block a channel, uint8 (record, byte); the axis along which they are stacked makes the order.
     blocks = []
     for channel in transfer.channels:
         settings = arming.settings.inputs[channel]
@@ -132,7 +135,7 @@ def packed(
 def headers(
     arming: Arming, taken: Taken, volts: NDArray[np.float64], channel: int, records: slice, reset_ps: int
 ) -> NDArray[np.uint8]:
-    """Return record headers as uint8 (record, 16): four little-endian words (reference, 2.6).
+    """Return record headers as uint8 (record, 16): four little-endian words (docs/theory/instruments.md, 2.6).
 
     Assumed: records count from 0, resolution code 2 and format 0 for 14-bit unsigned, "this channel" on channel A only.
     """
@@ -143,6 +146,9 @@ def headers(
     rate_id = next(rate_id for rate_id, rate_hz in codes.SAMPLE_RATES_HZ.items() if rate_hz == settings.sample_rate_hz)
     channel_input = settings.inputs[channel]
     range_id = next(range_id for range_id, range_v in codes.INPUT_RANGES_V.items() if range_v == channel_input.range_v)
+    # Bit fields from the lowest bit up. Word 0: serial number 18, system 4, channel 1, board 4, resolution 3, format 2.
+    # Word 1: record 24, board type 8. Word 2: low part of the time stamp. Word 3: its high part 8, clock source 2,
+    # edge 1, rate 7, range 5, coupling 2, impedance 2, triggered by external, B, A, time-out 1 each, this channel 1.
     quad = np.empty((count.size, 4), np.int64)
     quad[:, 0] = (
         (codes.SERIAL_NUMBER & 0x3FFFF) | 1 << 18 | channel << 22 | 1 << 23 | 2 << 27 | int(settings.signed) << 30

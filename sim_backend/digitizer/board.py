@@ -1,4 +1,4 @@
-"""The ATS460 without its library: programmed settings and the voltage at its trigger input -> records and AUX edges.
+"""Board, the ATS460 without its library: settings and the voltage at its trigger input -> records and AUX edges.
 
 Assumed, no source found: the external trigger input has a high impedance; the board is ready for the next trigger as
 soon as a record (and then its pre-trigger part) is complete; the AUX trigger output is 5 V behind 50 ohm, rises at the

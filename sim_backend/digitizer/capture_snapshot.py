@@ -1,4 +1,4 @@
-"""One arming of the digitizer with everything that its records depend on."""
+"""Snapshot of a capture: one arming of the digitizer with everything that its records depend on."""
 
 from __future__ import annotations
 

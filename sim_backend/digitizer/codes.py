@@ -1,4 +1,4 @@
-"""Numbers of the ATSApi as the simulated ATS460 knows them (reference, 2.4 and 2.8).
+"""Codes of the ATSApi as the simulated ATS460 knows them (docs/theory/instruments.md, 2.4 and 2.8).
 
 Which code answers which misuse is documented for few cases only (513 for an input combination, 518/573 for a buffer out
 of turn, 579, 582); the others are the nearest code by name, assumed, and all stand in ``Code``.

@@ -1,4 +1,7 @@
-"""What each setting function changes on the board; None for values that it refuses (reference, 2.4 and 2.5)."""
+"""Settings of the board: what each function changes, None for values that it refuses.
+
+Source: docs/theory/instruments.md, 2.4 and 2.5.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simulated ATS460 as its library drives it: settings, captures, records, AutoDMA; plain numbers in and out."""
+"""State of a simulated ATS460 as its library drives it: settings, captures, records, AutoDMA; plain numbers."""
 
 from __future__ import annotations
 

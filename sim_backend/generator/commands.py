@@ -1,4 +1,4 @@
-"""The command table of a 33250A: header -> what it sets and what it answers, as functions of the registers."""
+"""Command table of a 33250A: header -> what it sets and what it answers, as functions of the registers."""
 
 from __future__ import annotations
 
@@ -279,7 +279,7 @@ SETTINGS = {
     "DISPlay[:WINDow]:TEXT:CLEar": SettingCommand(_clear_text, None),
     "SYSTem:BEEPer:STATe": _flag("beeper"),
 }
-"""Every setting of the twin's 33250A by header (reference, 1.4)."""
+"""Every setting of the twin's 33250A by header (docs/theory/instruments.md, 1.4)."""
 
 
 def settings_of(model: Model) -> Mapping[str, SettingCommand]:

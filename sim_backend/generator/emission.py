@@ -1,4 +1,4 @@
-"""What a 33250A puts out: programmed registers and trigger edges -> voltage steps or sine bursts.
+"""Emission of a 33250A: programmed registers and trigger edges -> voltage steps or sine bursts.
 
 Assumed, no source found: Trig In is a 10 kohm TTL input that switches at 2.0 V; a trigger is ignored from the one
 before it until that one's burst has ended; a change of any setting that shapes the output cuts a burst, running or

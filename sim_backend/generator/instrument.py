@@ -1,4 +1,4 @@
-"""The 33250A as a program sees it: SCPI messages in, replies and errors out, registers with their history."""
+"""Instrument, the 33250A as a program sees it: messages in, replies and errors out, registers with their history."""
 
 from __future__ import annotations
 

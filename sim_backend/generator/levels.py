@@ -1,4 +1,4 @@
-"""How a 33250A bends levels and the declared load: functions from registers to registers, in open-circuit volts."""
+"""Levels of a 33250A and its declared load: functions from registers to registers, in open-circuit volts."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""What tells the simulated 33250A and its siblings apart: identity, limits, spelling of the pulse headers, channels.
+"""Models of the simulated 33250A family: identity, limits, spelling of the pulse headers, channels.
 
-Provenance: 33250A from the instrument reference; a sibling's burst ceiling, cycles, burst period and pulse widths from
-its manual's burst and pulse pages, its frequency ranges and edge times from its data sheet as remembered (assumed).
+Provenance: 33250A from docs/theory/instruments.md, 1.4; a sibling's burst ceiling, cycles, burst period and pulse
+widths from its manual's burst and pulse pages, its frequency ranges and edge times from its data sheet as remembered
+(assumed).
 """
 
 from __future__ import annotations

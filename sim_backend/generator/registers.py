@@ -1,7 +1,8 @@
-"""What a 33250A holds, and how it bends a setting that does not fit: pure functions from registers to registers.
+"""Registers of a 33250A, and how a setting that does not fit is bent: pure functions from registers to registers.
 
-The instrument clips or substitutes and queues an error, it never refuses a number (reference, 1.6). Levels are kept as
-open-circuit voltages, so that a change of the declared load rescales what is displayed and nothing else.
+The instrument clips or substitutes and queues an error, it never refuses a number (docs/theory/instruments.md,
+1.6). Levels are kept as open-circuit voltages, so that a change of the declared load rescales what is displayed and
+nothing else.
 """
 
 from __future__ import annotations

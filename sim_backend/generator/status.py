@@ -1,4 +1,4 @@
-"""Error queue and status registers of a 33250A (reference, 1.5 and 1.6)."""
+"""Error queue and status registers of a 33250A (docs/theory/instruments.md, 1.5 and 1.6)."""
 
 from __future__ import annotations
 

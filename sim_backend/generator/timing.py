@@ -1,4 +1,4 @@
-"""How a 33250A bends function, frequency, pulse shape and burst so that they fit each other."""
+"""Timing of a 33250A: function, frequency, pulse shape and burst, bent so that they fit each other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The simulated generators behind real transports, on loopback alone; they share one world and one clock."""
+"""Emulator of the generators behind real transports, on loopback alone; they share one world and one clock."""
 
 from __future__ import annotations
 

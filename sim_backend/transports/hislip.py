@@ -1,4 +1,4 @@
-"""Instruments behind HiSLIP (IVI-6.1): a synchronous and an asynchronous connection, messages with numbers."""
+"""HiSLIP server (IVI-6.1): a synchronous and an asynchronous connection, messages with numbers."""
 
 from __future__ import annotations
 
@@ -79,6 +79,7 @@ class HislipServer:
         if first.kind == Kind.INITIALIZE:
             with self._lock:
                 session = next(self._sessions)
+            # The client opens a second connection for everything asynchronous; one instrument needs no pairing of them.
             send(peer, Message(Kind.INITIALIZE_RESPONSE, 0, VERSION_1_0 << 16 | session & 0xFFFF, b""))
             self._answer_synchronous(peer)
         elif first.kind == Kind.ASYNC_INITIALIZE:
@@ -95,6 +96,7 @@ class HislipServer:
                 case Kind.DATA:
                     begun += message.payload
                 case Kind.DATA_END:
+                    # The reply repeats the number of the message that asked, by which a client tells a late one.
                     whole, begun = begun + message.payload, b""
                     reply = self._port.answer(whole)
                     if reply:

@@ -1,4 +1,4 @@
-"""Instruments behind a byte stream where a line feed ends a message: raw TCP socket and RS-232."""
+"""Line servers, where a line feed ends a message: raw TCP socket and RS-232."""
 
 from __future__ import annotations
 
@@ -102,6 +102,7 @@ class SerialServer:
         import select
 
         lines = Lines()
+        # A read of the terminal cannot be interrupted from another thread: the pipe wakes the wait instead.
         while True:
             ready, _, _ = select.select([self._ours, self._wake], [], [])
             if self._wake in ready:

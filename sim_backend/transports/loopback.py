@@ -1,4 +1,4 @@
-"""What the transports share: an instrument that one message at a time reaches, and a listener on loopback alone."""
+"""Loopback: a port through which one message at a time reaches an instrument, and a listener on this machine alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Instruments behind a Prologix GPIB-Ethernet adapter: one TCP connection, ``++`` commands, escaped data."""
+"""Prologix GPIB-Ethernet adapter: one TCP connection, ``++`` commands, escaped data."""
 
 from __future__ import annotations
 
@@ -72,6 +72,7 @@ class PrologixAdapter:
 
 def unescaped_lines(data: bytes) -> tuple[list[bytes], bytes]:
     """Return the lines of ``data`` that an unescaped line feed or carriage return ends, and what is left over."""
+    # Byte by byte, since ESC takes its meaning from whatever follows, a line feed in the data of a message included.
     lines, start, index = [], 0, 0
     while index < len(data):
         if data[index] == ESCAPE:

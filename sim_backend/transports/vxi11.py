@@ -1,4 +1,4 @@
-"""Instruments behind a VXI-11 gateway: the core channel over ONC RPC (RFC 5531), one link a GPIB address."""
+"""VXI-11 gateway: the core channel over ONC RPC (RFC 5531), one link a GPIB address."""
 
 from __future__ import annotations
 
@@ -67,6 +67,7 @@ class Vxi11Gateway:
             _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, 0) + result)
 
     def _create(self, links: dict[int, Link], arguments: bytes) -> bytes:
+        # Before the device's name stand client id, lock flag and lock time-out, four bytes each.
         name, _ = _opaque(arguments, 12)
         prefix, _, gpib_address = name.decode("latin-1").partition(",")
         if prefix.lower() != "gpib0" or not gpib_address.isdigit() or int(gpib_address) not in self._ports:
@@ -102,6 +103,7 @@ def _on_link(links: dict[int, Link], procedure: int, arguments: bytes) -> bytes:
 
 
 def _write(link: Link, arguments: bytes) -> bytes:
+    # Link, time-out and lock time-out come first.
     (flags,) = struct.unpack_from("!i", arguments, 12)
     data, _ = _opaque(arguments, 16)
     link.incoming += data
@@ -134,6 +136,7 @@ def _call(record: bytes) -> tuple[int, int, int, bytes]:
     transaction, kind, rpc_version, program, _, procedure = struct.unpack_from("!6I", record)
     if (kind, rpc_version) != (0, 2):
         raise EOFError("not an RPC call")
+    # Two authenticators follow, a flavour and an opaque body each, which nobody here looks at.
     _, behind_credential = _opaque(record, 28)
     _, behind_verifier = _opaque(record, behind_credential + 4)
     return transaction, program, procedure, record[behind_verifier:]
@@ -150,6 +153,7 @@ def _xdr(data: bytes) -> bytes:
 
 
 def _record(peer: socket.socket) -> bytes:
+    # A record comes in fragments; the top bit of a fragment's length marks the last.
     record, last = b"", False
     while not last:
         (mark,) = struct.unpack("!I", receive_exactly(peer, 4))
