@@ -1,4 +1,4 @@
-"""Wires that play an instrument by a script, for what the twin does not do, and every real wire to the twin."""
+"""Connections that play an instrument by a script, for what the twin does not do, and every real transport to it."""
 
 from __future__ import annotations
 
@@ -70,18 +70,18 @@ def scripted() -> Callable[..., ScriptedInstrument]:
 
 
 IN_PROCESS = "in process"
-WIRES = [IN_PROCESS, *TRANSPORTS]
+REACHES = [IN_PROCESS, *TRANSPORTS]
 # Long enough for a busy machine, short enough to wait for.
 TIMEOUT_S = 0.4
 
 
 @dataclass(frozen=True)
 class Line:
-    """A simulated instrument and a wire that reaches it."""
+    """A simulated instrument and a connection that reaches it."""
 
     transport: str
     instrument: Generator33250A
-    wire: Connection
+    connection: Connection
 
 
 @contextmanager
@@ -98,9 +98,9 @@ def reaching(transport: str, instrument: Generator33250A) -> Iterator[Connection
         interface = VisaInterface(served.interface, TIMEOUT_S) if served.interface else None
         if interface:
             stack.callback(interface.close)
-        wire = VisaConnection(served.address, TIMEOUT_S, "@py", interface)
-        stack.callback(wire.close)
-        yield wire
+        connection = VisaConnection(served.address, TIMEOUT_S, "@py", interface)
+        stack.callback(connection.close)
+        yield connection
 
 
 @pytest.fixture
@@ -108,9 +108,9 @@ def reach() -> Callable[[str, Generator33250A], AbstractContextManager[Connectio
     return reaching
 
 
-@pytest.fixture(scope="module", params=WIRES)
+@pytest.fixture(scope="module", params=REACHES)
 def line(request: pytest.FixtureRequest) -> Iterator[Line]:
-    """Yield one simulated 33250A for the whole module, over one wire after the other."""
+    """Yield one simulated 33250A for the whole module, over one transport after the other."""
     instrument = Generator33250A(SimulatedClock(), 100e-9)
-    with reaching(request.param, instrument) as wire:
-        yield Line(request.param, instrument, wire)
+    with reaching(request.param, instrument) as connection:
+        yield Line(request.param, instrument, connection)

@@ -7,6 +7,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -15,8 +16,8 @@ import pytest
 import xarray as xr
 from typer.testing import CliRunner
 
-from drivers.agilent import generators as agilent_33250a
-from drivers.interfaces import PulseTrain
+from drivers.agilent.generator import Agilent33250A
+from drivers.interfaces import GeneratorTask, PulseTrain
 from hpe_rig.acquire.run import Setup, measure, prepare, process
 from hpe_rig.acquire.sequencer import Progress, ShotBlock, acquire
 from hpe_rig.bench.bench_file import read_bench
@@ -130,13 +131,13 @@ def test_force_components_vanish_at_multiples_of_the_inverse_burst_length(measur
 def test_a_driver_that_programs_half_the_bursts_is_caught_by_the_result(
     measured: Measure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = agilent_33250a.Agilent33250A.configure
+    whole = Agilent33250A.configure
 
-    def half(self: agilent_33250a.Agilent33250A, train: PulseTrain) -> None:
-        count = train.count // 2 if self.role == "burst_train" else train.count
-        whole(self, PulseTrain(train.rate_hz, count, train.delay_s, train.width_s, train.high_v, train.load_ohm))
+    def half(self: Agilent33250A, task: GeneratorTask) -> None:
+        wrong = self.role == "burst_train" and isinstance(task, PulseTrain)
+        whole(self, replace(task, count=task.count // 2) if wrong else task)
 
-    monkeypatch.setattr(agilent_33250a.Agilent33250A, "configure", half)
+    monkeypatch.setattr(Agilent33250A, "configure", half)
     (shot,) = measured("bovine-muscle-synchronous").shots
     assert any("tonebursts are missing" in warning for warning in shot.warnings)
 
@@ -162,13 +163,13 @@ def test_interference_that_is_forced_through_shows_in_the_echoes(prepared: Prepa
 def test_a_wrong_burst_rate_in_the_driver_shows_as_a_wrong_measurement(
     measured: Measure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = agilent_33250a.Agilent33250A.configure
+    whole = Agilent33250A.configure
 
-    def fast(self: agilent_33250a.Agilent33250A, train: PulseTrain) -> None:
-        rate_hz = 200.0 if self.role == "burst_train" else train.rate_hz
-        whole(self, PulseTrain(rate_hz, train.count, train.delay_s, train.width_s, train.high_v, train.load_ohm))
+    def fast(self: Agilent33250A, task: GeneratorTask) -> None:
+        wrong = self.role == "burst_train" and isinstance(task, PulseTrain)
+        whole(self, replace(task, rate_hz=200.0) if wrong else task)
 
-    monkeypatch.setattr(agilent_33250a.Agilent33250A, "configure", fast)
+    monkeypatch.setattr(Agilent33250A, "configure", fast)
     result = measured(
         "bovine-muscle-synchronous",
         ("burst_count = 20", "burst_count = 40"),

@@ -19,9 +19,10 @@ def gate_in_record(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Check
     shot = plan.shots[0]
     gate, samples = shot.gate, shot.capture.record_samples
     text = f"the gate takes samples {gate.start} to {gate.stop} of a record of {samples}"
-    needed = gate.stop if gate.start >= 0 else gate.stop - gate.start + 2 * 16
-    needed = 16 * math.ceil(needed / 16)
-    remedy = f"acquisition.record_samples = {max(128, needed)} or more, or a shorter acquisition.gate_length_m"
+    model = bench.digitizer.board_model
+    needed = gate.stop if gate.start >= 0 else gate.stop - gate.start + 2 * model.record_multiple
+    longer = _allowed_record_samples(needed, model)
+    remedy = f"acquisition.record_samples = {longer} or more, or a shorter acquisition.gate_length_m"
     yield judged("gate in record", gate.start >= 0 and gate.stop <= samples, text, remedy)
     still = reference_gate(scene, shot)
     if still is not None:
@@ -60,8 +61,6 @@ def _record_checks(capture: Capture, model: BoardModel) -> dict[str, tuple[str, 
     """Return name, text and remedy of the checks that a field of ``Capture`` has of its own."""
     rates = ", ".join(f"{rate / 1e6:g}" for rate in model.sample_rates_hz)
     ranges = ", ".join(f"{volts:g}" for volts in model.input_ranges_v)
-    step, least = model.record_multiple, model.record_minimum
-    nearest = max(least, step * math.ceil(capture.record_samples / step))
     return {
         "sample_rate_hz": (
             "sample rate",
@@ -75,9 +74,9 @@ def _record_checks(capture: Capture, model: BoardModel) -> dict[str, tuple[str, 
         ),
         "record_samples": (
             "record length",
-            f"acquisition.record_samples = {capture.record_samples}, the {model.name} takes multiples of {step} from "
-            f"{least}",
-            f"acquisition.record_samples = {nearest}",
+            f"acquisition.record_samples = {capture.record_samples}, the {model.name} takes multiples of "
+            f"{model.record_multiple} from {model.record_minimum}",
+            f"acquisition.record_samples = {_allowed_record_samples(capture.record_samples, model)}",
         ),
         "trigger_delay_samples": (
             "trigger delay",
@@ -86,6 +85,11 @@ def _record_checks(capture: Capture, model: BoardModel) -> dict[str, tuple[str, 
             "a gate nearer to the transducer",
         ),
     }
+
+
+def _allowed_record_samples(samples: int, model: BoardModel) -> int:
+    """Return the shortest record of at least ``samples`` that the board takes."""
+    return max(model.record_minimum, model.record_multiple * math.ceil(samples / model.record_multiple))
 
 
 def _plain(capture: Capture) -> Capture:

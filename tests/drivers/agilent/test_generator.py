@@ -27,9 +27,9 @@ BURST = Toneburst(carrier_hz=3.0e6, cycles=600, amplitude_vpp=0.5, delay_s=0.0, 
 ROLES = [(Agilent33250A, PULSE), (Agilent33250A, TRAIN), (Agilent33250A, BURST)]
 
 
-def answer_everything(wire) -> None:
+def answer_everything(connection) -> None:
     """Have the script answer as well what was not programmed."""
-    wire.replies |= {item.header: "0" for item in READABLE if item.header not in wire.held}
+    connection.replies |= {item.header: "0" for item in READABLE if item.header not in connection.held}
 
 
 def test_the_roles_satisfy_their_interfaces(scripted) -> None:
@@ -40,8 +40,8 @@ def test_the_roles_satisfy_their_interfaces(scripted) -> None:
 
 
 def test_the_tracking_train_is_programmed_as_the_reference_recipe_says(scripted) -> None:
-    wire = scripted()
-    Agilent33250A(wire, "tracking_train").configure(TRAIN)
+    connection = scripted()
+    Agilent33250A(connection, "tracking_train").configure(TRAIN)
     sent = {
         "OUTP:LOAD": "+9.9000000000000E+37",
         "VOLT:UNIT": "VPP",
@@ -59,38 +59,38 @@ def test_the_tracking_train_is_programmed_as_the_reference_recipe_says(scripted)
         "FREQ": "5.000000000000E+03",
         "OUTP": "0",
     }
-    assert sent.items() <= wire.held.items()
+    assert sent.items() <= connection.held.items()
 
 
 def test_the_toneburst_is_a_counted_sine_burst_on_external_trigger(scripted) -> None:
-    wire = scripted()
-    Agilent33250A(wire, "toneburst").configure(BURST)
-    assert wire.held["FUNC"] == "SIN"
-    assert float(wire.held["FREQ"]) == 3.0e6
-    assert float(wire.held["VOLT"]) == 0.5
-    assert float(wire.held["VOLT:OFFS"]) == 0.0
-    assert wire.held["BURS:NCYC"] == "600"
-    assert wire.held["TRIG:SOUR"] == "EXT"
-    assert float(wire.held["OUTP:LOAD"]) == 50.0
+    connection = scripted()
+    Agilent33250A(connection, "toneburst").configure(BURST)
+    assert connection.held["FUNC"] == "SIN"
+    assert float(connection.held["FREQ"]) == 3.0e6
+    assert float(connection.held["VOLT"]) == 0.5
+    assert float(connection.held["VOLT:OFFS"]) == 0.0
+    assert connection.held["BURS:NCYC"] == "600"
+    assert connection.held["TRIG:SOUR"] == "EXT"
+    assert float(connection.held["OUTP:LOAD"]) == 50.0
 
 
 def test_the_master_fires_one_pulse_by_command(scripted) -> None:
-    wire = scripted()
-    master = Agilent33250A(wire, "master")
+    connection = scripted()
+    master = Agilent33250A(connection, "master")
     master.configure(PULSE)
     master.enable_output()
-    assert wire.held["BURS:NCYC"] == "1"
-    assert wire.held["TRIG:SOUR"] == "BUS"
+    assert connection.held["BURS:NCYC"] == "1"
+    assert connection.held["TRIG:SOUR"] == "BUS"
     master.fire()
-    assert wire.commands.count("*TRG") == 1
-    assert wire.commands[-2:] == ["*TRG", "SYST:ERR?"]
+    assert connection.commands.count("*TRG") == 1
+    assert connection.commands[-2:] == ["*TRG", "SYST:ERR?"]
 
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
 def test_the_output_is_off_before_anything_is_programmed_and_stays_off(scripted, role_type, program) -> None:
-    wire = scripted()
-    role_type(wire, "x").configure(program)
-    changes = [command for command in wire.commands if "?" not in command]
+    connection = scripted()
+    role_type(connection, "x").configure(program)
+    changes = [command for command in connection.commands if "?" not in command]
     assert changes[0] == "OUTP 0"
     assert "OUTP 1" not in changes
     assert not any(command.upper().startswith("APPL") for command in changes)
@@ -98,31 +98,31 @@ def test_the_output_is_off_before_anything_is_programmed_and_stays_off(scripted,
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
 def test_bursts_are_never_gated_nor_endless_and_enabled_last(scripted, role_type, program) -> None:
-    wire = scripted()
-    role_type(wire, "x").configure(program)
-    changes = [command for command in wire.commands if "?" not in command]
+    connection = scripted()
+    role_type(connection, "x").configure(program)
+    changes = [command for command in connection.commands if "?" not in command]
     assert changes[-1] == "BURS:STAT 1"
     assert not any(re.search(r"GAT|NCYC INF", command) for command in changes)
 
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
 def test_every_changed_setting_is_read_back_with_the_error_queue(scripted, role_type, program) -> None:
-    wire = scripted()
-    role_type(wire, "x").configure(program)
-    for place, message in enumerate(wire.messages):
+    connection = scripted()
+    role_type(connection, "x").configure(program)
+    for place, message in enumerate(connection.messages):
         if "?" not in message and "*RST" not in message:
             headers = [part.lstrip(":").split()[0] for part in message.split(";")]
-            assert wire.messages[place + 1].split(";:") == [*(f"{header}?" for header in headers), "SYST:ERR?"]
+            assert connection.messages[place + 1].split(";:") == [*(f"{header}?" for header in headers), "SYST:ERR?"]
 
 
 @pytest.mark.parametrize("width_s", [1e-6, 100e-6, 150e-6])
 def test_no_intermediate_state_has_a_pulse_wider_than_its_period(scripted, width_s: float) -> None:
     """After a reset the width is 100 us and the period 1 ms (docs/theory/instruments.md, 1.3)."""
-    wire = scripted()
+    connection = scripted()
     rate_hz = 0.9 / width_s if width_s < 100e-6 else 5e3
-    Agilent33250A(wire, "x").configure(dataclasses.replace(TRAIN, rate_hz=rate_hz, width_s=width_s))
+    Agilent33250A(connection, "x").configure(dataclasses.replace(TRAIN, rate_hz=rate_hz, width_s=width_s))
     state = {"FREQ": 1e3, "PULS:WIDT": 100e-6}
-    for command in wire.commands:
+    for command in connection.commands:
         header, _, value = command.partition(" ")
         if header in state:
             state[header] = float(value)
@@ -130,25 +130,25 @@ def test_no_intermediate_state_has_a_pulse_wider_than_its_period(scripted, width
 
 
 def test_another_model_is_refused_before_anything_is_sent_to_it(scripted) -> None:
-    wire = scripted(replies={"*IDN": "HEWLETT-PACKARD,34401A,0,10-5-2"})
+    connection = scripted(replies={"*IDN": "HEWLETT-PACKARD,34401A,0,10-5-2"})
     with pytest.raises(InstrumentError, match="34401A"):
-        Agilent33250A(wire, "burst_train").configure(TRAIN)
-    assert wire.messages == ["*IDN?"]
+        Agilent33250A(connection, "burst_train").configure(TRAIN)
+    assert connection.messages == ["*IDN?"]
 
 
 def test_the_later_vendor_name_is_accepted(scripted) -> None:
-    wire = scripted(replies={"*IDN": "Keysight Technologies,33250A,0,2.04-1.01-2.00-03-2"})
-    identity = Agilent33250A(wire, "master").identify()
+    connection = scripted(replies={"*IDN": "Keysight Technologies,33250A,0,2.04-1.01-2.00-03-2"})
+    identity = Agilent33250A(connection, "master").identify()
     assert identity == Identity("Keysight Technologies", "33250A", "0", "2.04-1.01-2.00-03-2")
 
 
 def test_a_setting_changed_at_the_front_panel_is_found_by_verify(scripted) -> None:
-    wire = scripted()
-    generator = Agilent33250A(wire, "burst_train")
+    connection = scripted()
+    generator = Agilent33250A(connection, "burst_train")
     generator.configure(TRAIN)
-    answer_everything(wire)
+    answer_everything(connection)
     generator.verify()
-    wire.held["BURS:NCYC"] = "+5.0000000000000E+02"
+    connection.held["BURS:NCYC"] = "+5.0000000000000E+02"
     with pytest.raises(InstrumentError, match=r"cycles .*programmed 1000, read back \+5\.0000000000000E\+02"):
         generator.verify()
 
@@ -162,80 +162,80 @@ def test_a_failed_configure_leaves_the_role_unconfigured(scripted) -> None:
 
 
 def test_firing_with_the_output_off_is_refused(scripted) -> None:
-    wire = scripted()
-    master = Agilent33250A(wire, "master")
+    connection = scripted()
+    master = Agilent33250A(connection, "master")
     master.configure(PULSE)
     with pytest.raises(InstrumentError, match="output_on"):
         master.fire()
-    assert "*TRG" not in wire.commands
+    assert "*TRG" not in connection.commands
 
 
 def test_an_ignored_trigger_is_an_error(scripted) -> None:
-    wire = scripted()
-    master = Agilent33250A(wire, "master")
+    connection = scripted()
+    master = Agilent33250A(connection, "master")
     master.configure(PULSE)
     master.enable_output()
-    send = wire.write
+    send = connection.write
 
     def ignoring(message: str) -> None:
         send(message)
         if message == "*TRG":
-            wire.errors.append('-211,"Trigger ignored"')
+            connection.errors.append('-211,"Trigger ignored"')
 
-    wire.write = ignoring
+    connection.write = ignoring
     with pytest.raises(InstrumentError, match="-211 Trigger ignored"):
         master.fire()
 
 
 def test_an_output_that_does_not_switch_on_is_an_error(scripted) -> None:
-    wire = scripted()
-    generator = Agilent33250A(wire, "toneburst")
+    connection = scripted()
+    generator = Agilent33250A(connection, "toneburst")
     generator.configure(BURST)
-    wire.replies["OUTP"] = "0"
+    connection.replies["OUTP"] = "0"
     with pytest.raises(InstrumentError, match=r"output_on .*programmed 1, read back 0"):
         generator.enable_output()
 
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
 def test_make_safe_works_without_configure_and_with_old_errors_queued(scripted, role_type, program) -> None:
-    wire = scripted(errors=['-113,"Undefined header"'])
-    wire.held["OUTP"] = "1"
-    role_type(wire, "x").make_safe()
-    assert wire.held["OUTP"] == "0"
+    connection = scripted(errors=['-113,"Undefined header"'])
+    connection.held["OUTP"] = "1"
+    role_type(connection, "x").make_safe()
+    assert connection.held["OUTP"] == "0"
 
 
 def test_make_safe_sends_the_switch_even_when_replies_are_lost_and_says_that_it_is_not_proven(scripted) -> None:
-    wire = scripted()
-    wire.held["OUTP"] = "1"
-    wire.read = lambda: (_ for _ in ()).throw(TimeoutError("silence"))
+    connection = scripted()
+    connection.held["OUTP"] = "1"
+    connection.read = lambda: (_ for _ in ()).throw(TimeoutError("silence"))
     with pytest.raises(InstrumentError, match="no reply"):
-        Agilent33250A(wire, "toneburst").make_safe()
-    assert wire.held["OUTP"] == "0"
+        Agilent33250A(connection, "toneburst").make_safe()
+    assert connection.held["OUTP"] == "0"
 
 
 def test_an_instrument_that_is_silent_in_local_mode_is_made_safe_at_the_second_attempt(scripted) -> None:
-    wire = scripted()
-    wire.held["OUTP"] = "1"
-    obey = wire._obey
-    wire._obey = lambda part: obey(part) if "SYST:REM" in wire.messages else None
-    generator = Agilent33250A(wire, "toneburst")
+    connection = scripted()
+    connection.held["OUTP"] = "1"
+    obey = connection._obey
+    connection._obey = lambda part: obey(part) if "SYST:REM" in connection.messages else None
+    generator = Agilent33250A(connection, "toneburst")
     with pytest.raises(InstrumentError, match="no reply"):
         generator.make_safe()
-    assert wire.held["OUTP"] == "1"
+    assert connection.held["OUTP"] == "1"
     generator.make_safe()
-    assert wire.held["OUTP"] == "0"
+    assert connection.held["OUTP"] == "0"
 
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
 def test_verify_returns_every_setting_in_few_messages_and_asks_for_nothing_twice(scripted, role_type, program) -> None:
-    wire = scripted()
-    generator = role_type(wire, "x")
+    connection = scripted()
+    generator = role_type(connection, "x")
     generator.configure(program)
-    answer_everything(wire)
-    wire.messages.clear()
+    answer_everything(connection)
+    connection.messages.clear()
     read = generator.verify()
-    assert len(wire.messages) == 3
-    assert sorted(wire.commands) == sorted([*(f"{item.header}?" for item in READABLE), "SYST:ERR?"])
+    assert len(connection.messages) == 3
+    assert sorted(connection.commands) == sorted([*(f"{item.header}?" for item in READABLE), "SYST:ERR?"])
     assert read == generator.snapshot()
     assert read["burst_on"] is True
 
@@ -268,19 +268,19 @@ IMPOSSIBLE = [
 def test_what_the_instrument_cannot_do_is_refused_with_both_numbers_before_a_setting_is_sent(
     scripted, role_type, program, texts
 ) -> None:
-    wire = scripted()
+    connection = scripted()
     with pytest.raises(InstrumentError) as caught:
-        role_type(wire, "x").configure(program)
+        role_type(connection, "x").configure(program)
     assert all(text in str(caught.value) for text in texts)
-    assert wire.messages == ["*IDN?"]
+    assert connection.messages == ["*IDN?"]
 
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)
 def test_more_than_the_wiring_bears_is_refused_before_a_setting_is_sent(scripted, role_type, program) -> None:
-    wire = scripted()
+    connection = scripted()
     with pytest.raises(InstrumentError, match=r"is above max_vpp = 0\.1"):
-        role_type(wire, "x", max_vpp=0.1).configure(program)
-    assert wire.messages == ["*IDN?"]
+        role_type(connection, "x", max_vpp=0.1).configure(program)
+    assert connection.messages == ["*IDN?"]
 
 
 @pytest.mark.parametrize(
@@ -293,35 +293,35 @@ def test_more_than_the_wiring_bears_is_refused_before_a_setting_is_sent(scripted
     ],
 )
 def test_a_sweep_sends_only_what_changed_in_one_message_with_one_reply(scripted, changes, sent) -> None:
-    wire = scripted()
-    generator = Agilent33250A(wire, "tracking_train")
+    connection = scripted()
+    generator = Agilent33250A(connection, "tracking_train")
     generator.configure(TRAIN)
-    wire.messages.clear()
+    connection.messages.clear()
     generator.configure(dataclasses.replace(TRAIN, **changes))
-    assert wire.messages[0] == sent
-    assert len(wire.messages) == 2
+    assert connection.messages[0] == sent
+    assert len(connection.messages) == 2
 
 
 @pytest.mark.parametrize("changes", [{"load_ohm": 50.0}, {"rate_hz": 2e4, "width_s": 2e-6}])
 def test_settings_that_drag_others_along_are_programmed_from_the_reset_state(scripted, changes) -> None:
-    wire = scripted()
-    generator = Agilent33250A(wire, "tracking_train")
+    connection = scripted()
+    generator = Agilent33250A(connection, "tracking_train")
     generator.configure(TRAIN)
-    wire.messages.clear()
+    connection.messages.clear()
     generator.configure(dataclasses.replace(TRAIN, **changes))
-    assert "OUTP 0;*CLS;*RST" in wire.messages
+    assert "OUTP 0;*CLS;*RST" in connection.messages
 
 
 def test_after_a_failure_everything_is_programmed_again(scripted) -> None:
-    wire = scripted()
-    generator = Agilent33250A(wire, "tracking_train")
+    connection = scripted()
+    generator = Agilent33250A(connection, "tracking_train")
     generator.configure(TRAIN)
-    wire.errors.append('-222,"Data out of range"')
+    connection.errors.append('-222,"Data out of range"')
     with pytest.raises(InstrumentError):
         generator.configure(dataclasses.replace(TRAIN, delay_s=0.0))
-    wire.messages.clear()
+    connection.messages.clear()
     generator.configure(TRAIN)
-    assert "OUTP 0;*CLS;*RST" in wire.messages
+    assert "OUTP 0;*CLS;*RST" in connection.messages
 
 
 def test_a_declared_model_that_does_not_answer_is_refused(scripted) -> None:
@@ -331,16 +331,16 @@ def test_a_declared_model_that_does_not_answer_is_refused(scripted) -> None:
 
 @pytest.mark.parametrize("reply", ["", "garbage", "33250A", "Agilent Technologies,33250A", "a,33251A,0,1"])
 def test_a_wrong_identity_is_refused(scripted, reply: str) -> None:
-    wire = scripted(replies={"*IDN": reply})
+    connection = scripted(replies={"*IDN": reply})
     with pytest.raises(InstrumentError, match="expected model 33250A or"):
-        Agilent33250A(wire, "master").identify()
+        Agilent33250A(connection, "master").identify()
 
 
 def test_a_reply_that_is_no_number_is_an_instrument_error_in_the_snapshot(scripted) -> None:
-    wire = scripted()
-    generator = Agilent33250A(wire, "burst_train")
+    connection = scripted()
+    generator = Agilent33250A(connection, "burst_train")
     generator.configure(TRAIN)
-    wire.replies |= {item.header: "+1" for item in READABLE} | {"TRIG:DEL": "?!"}
+    connection.replies |= {item.header: "+1" for item in READABLE} | {"TRIG:DEL": "?!"}
     with pytest.raises(InstrumentError, match=r"TRIG:DEL\? was answered with '\?!', which is no delay_s"):
         generator.snapshot()
 

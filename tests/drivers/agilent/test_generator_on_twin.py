@@ -1,4 +1,4 @@
-"""The generator roles on the simulated 33250A over every wire: all settings survive, every coercion is found."""
+"""The generator roles on the simulated 33250A over every connection: all settings survive, every coercion is found."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BURST = Toneburst(carrier_hz=3.0e6, cycles=600, amplitude_vpp=0.5, delay_s=1e-3,
 loads_ohm = st.one_of(st.just(math.inf), st.floats(1.0, 10_000.0))
 delays_s = st.floats(0.0, 85.0)
 counts = st.integers(1, 1_000_000)
-# Each example takes some tens of messages; with six wires that is enough of them.
+# Each example takes some tens of messages; with six connections that is enough of them.
 few = settings(max_examples=25, deadline=None)
 
 
@@ -37,7 +37,7 @@ def test_every_train_that_the_limits_allow_reads_back_to_ten_digits(
 ) -> None:
     train = PulseTrain(rate_hz, count, delay_s, duty / rate_hz, 10.0 * share * share_at_load(load_ohm), load_ohm)
     assert mistakes(train) == []
-    generator = Agilent33250A(line.wire, "burst_train")
+    generator = Agilent33250A(line.connection, "burst_train")
     generator.configure(train)
     generator.verify()
     read = generator.snapshot()
@@ -57,7 +57,7 @@ def test_every_toneburst_that_the_limits_allow_reads_back_to_ten_digits(
 ) -> None:
     burst = Toneburst(carrier_hz, cycles, 20.0 * share * share_at_load(load_ohm), delay_s, load_ohm)
     assert mistakes(burst) == []
-    generator = Agilent33250A(line.wire, "toneburst")
+    generator = Agilent33250A(line.connection, "toneburst")
     generator.configure(burst)
     read = generator.snapshot()
     assert read["frequency_hz"] == pytest.approx(carrier_hz, rel=1e-10)
@@ -74,7 +74,7 @@ trains = st.builds(
 @few
 @given(st.lists(trains, min_size=2, max_size=4))
 def test_a_sweep_ends_in_the_state_that_its_last_step_alone_would_give(line, sweep: list[PulseTrain]) -> None:
-    swept = Agilent33250A(line.wire, "burst_train")
+    swept = Agilent33250A(line.connection, "burst_train")
     for train in sweep:
         swept.configure(train)
         swept.verify()
@@ -97,7 +97,7 @@ impossible = st.one_of(
 @given(impossible)
 def test_every_impossible_train_is_refused_with_the_output_off_and_the_setting_unsent(line, train: PulseTrain) -> None:
     before = line.instrument.registers
-    generator = Agilent33250A(line.wire, "burst_train")
+    generator = Agilent33250A(line.connection, "burst_train")
     with pytest.raises(InstrumentError):
         generator.configure(train)
     assert line.instrument.registers == before
@@ -111,7 +111,7 @@ def test_every_impossible_train_that_slips_past_the_driver_is_caught_by_the_read
     """The driver's own limits are lifted, so that the instrument clips or substitutes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("drivers.agilent.generator.mistakes", lambda task, model, max_vpp: [])
-        generator = Agilent33250A(line.wire, "burst_train")
+        generator = Agilent33250A(line.connection, "burst_train")
         with pytest.raises(InstrumentError):
             generator.configure(train)
         with pytest.raises(InstrumentError, match="before configure"):
@@ -121,13 +121,13 @@ def test_every_impossible_train_that_slips_past_the_driver_is_caught_by_the_read
 
 def test_one_instrument_can_play_one_role_after_the_other(line) -> None:
     for load_ohm in (50.0, math.inf):
-        Agilent33250A(line.wire, "a").configure(dataclasses.replace(TRAIN, load_ohm=load_ohm))
-        Agilent33250A(line.wire, "b").configure(BURST)
-        Agilent33250A(line.wire, "c").configure(PULSE)
+        Agilent33250A(line.connection, "a").configure(dataclasses.replace(TRAIN, load_ohm=load_ohm))
+        Agilent33250A(line.connection, "b").configure(BURST)
+        Agilent33250A(line.connection, "c").configure(PULSE)
 
 
 def test_outputs_are_on_only_between_enable_and_make_safe(line) -> None:
-    generator = Agilent33250A(line.wire, "burst_train")
+    generator = Agilent33250A(line.connection, "burst_train")
     generator.configure(TRAIN)
     assert generator.snapshot()["output_on"] is False
     generator.enable_output()
@@ -138,7 +138,7 @@ def test_outputs_are_on_only_between_enable_and_make_safe(line) -> None:
 
 def test_the_master_fires_on_the_twin_and_the_error_queue_stays_empty(line) -> None:
     line.instrument.forget_past()
-    master = Agilent33250A(line.wire, "master")
+    master = Agilent33250A(line.connection, "master")
     master.configure(PULSE)
     master.enable_output()
     master.fire()
@@ -150,7 +150,7 @@ def test_the_master_fires_on_the_twin_and_the_error_queue_stays_empty(line) -> N
 def test_an_instrument_that_clips_the_amplitude_is_caught(line, monkeypatch: pytest.MonkeyPatch) -> None:
     """The driver's own limit is lifted, so that the command reaches the instrument."""
     monkeypatch.setattr("drivers.agilent.generator.mistakes", lambda task, model, max_vpp: [])
-    generator = Agilent33250A(line.wire, "toneburst")
+    generator = Agilent33250A(line.connection, "toneburst")
     with pytest.raises(InstrumentError) as caught:
         generator.configure(dataclasses.replace(BURST, amplitude_vpp=12.0))
     text = str(caught.value)
@@ -161,7 +161,7 @@ def test_an_instrument_that_clips_the_amplitude_is_caught(line, monkeypatch: pyt
 def test_a_pulse_wider_than_its_period_is_caught(line, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.agilent.generator.mistakes", lambda task, model, max_vpp: [])
     with pytest.raises(InstrumentError, match=r"-22[12]"):
-        Agilent33250A(line.wire, "x").configure(dataclasses.replace(TRAIN, width_s=300e-6))
+        Agilent33250A(line.connection, "x").configure(dataclasses.replace(TRAIN, width_s=300e-6))
 
 
 # Held at their reset state, and still not to be found otherwise.
@@ -170,7 +170,7 @@ GUARDED = ["OUTP:POL INV", "BURS:PHAS 45", "TRIG:SLOP NEG", "TRIG:SOUR IMM", "BU
 
 @pytest.mark.parametrize("others", ["BURS:NCYC 3", "TRIG:DEL 0", "VOLT:HIGH 1", "BURS:STAT 0", *GUARDED, "*RST"])
 def test_what_another_program_changes_between_configure_and_verify_is_found(line, others: str) -> None:
-    generator = Agilent33250A(line.wire, "burst_train")
+    generator = Agilent33250A(line.connection, "burst_train")
     generator.configure(TRAIN)
     line.instrument.write(others)
     with pytest.raises(InstrumentError, match="read back"):
@@ -181,13 +181,13 @@ def test_make_safe_works_on_an_instrument_left_in_any_state(line) -> None:
     line.instrument.write("OUTP 1;:FREQ 2E6")
     line.instrument.write("NONSENSE")
     line.instrument.write("FREQ?")
-    Agilent33250A(line.wire, "toneburst").make_safe()
+    Agilent33250A(line.connection, "toneburst").make_safe()
     assert not line.instrument.registers.output
 
 
 def test_an_unknown_query_times_out_and_the_session_goes_on_in_step(line) -> None:
     line.instrument.write("*CLS;*RST")
-    session = ScpiSession(line.wire, "master")
+    session = ScpiSession(line.connection, "master")
     with pytest.raises(InstrumentError, match="no reply"):
         session.query("*OPT?")
     assert float(session.query("FREQ?")) == 1000.0
@@ -195,7 +195,7 @@ def test_an_unknown_query_times_out_and_the_session_goes_on_in_step(line) -> Non
 
 
 def test_an_instrument_put_in_local_mode_is_told_apart_and_still_made_safe(line) -> None:
-    generator = Agilent33250A(line.wire, "burst_train")
+    generator = Agilent33250A(line.connection, "burst_train")
     generator.configure(TRAIN)
     generator.enable_output()
     line.instrument.press_local()
@@ -208,7 +208,7 @@ def test_an_instrument_put_in_local_mode_is_told_apart_and_still_made_safe(line)
 
 
 def test_a_self_test_is_made_with_the_output_off_and_what_was_programmed_counts_no_more(line) -> None:
-    generator = Agilent33250A(line.wire, "toneburst")
+    generator = Agilent33250A(line.connection, "toneburst")
     generator.configure(BURST)
     generator.enable_output()
     assert generator.self_test()

@@ -18,7 +18,7 @@ RATE = Register("rate_hz", "FREQ", 100.0)
 COUNT = Register("count", "BURS:NCYC", 20)
 
 
-class LateWire:
+class LateConnection:
     """Answers each query with its own text; the reply to ``lost`` is ``stale`` and only comes after ``late`` reads.
 
     A connection keeps its order: what is asked later is answered behind the late reply.
@@ -57,9 +57,9 @@ def test_joined_commands_each_start_at_the_root_and_common_ones_stay_bare() -> N
 
 
 def test_a_group_goes_out_as_one_message_and_comes_back_with_the_error_queue_in_another(scripted) -> None:
-    wire = scripted()
-    ScpiSession(wire, "master").program("train", [RATE, COUNT])
-    assert wire.messages == ["FREQ 1.000000000000E+02;:BURS:NCYC 20", "FREQ?;:BURS:NCYC?;:SYST:ERR?"]
+    connection = scripted()
+    ScpiSession(connection, "master").program("train", [RATE, COUNT])
+    assert connection.messages == ["FREQ 1.000000000000E+02;:BURS:NCYC 20", "FREQ?;:BURS:NCYC?;:SYST:ERR?"]
 
 
 @pytest.mark.parametrize("place", range(3))
@@ -78,9 +78,9 @@ def test_an_error_at_each_position_of_a_group_is_an_error_that_names_it(place: i
 @pytest.mark.parametrize("place", range(4))
 def test_a_coercion_at_each_position_of_a_group_is_found(scripted, place: int) -> None:
     registers = [Register(f"key_{index}", f"HEAD:NUM{index}", 1.0) for index in range(4)]
-    wire = scripted(replies={f"HEAD:NUM{place}": "+2.0000000000000E+00"})
+    connection = scripted(replies={f"HEAD:NUM{place}": "+2.0000000000000E+00"})
     with pytest.raises(RefusedError, match=f"key_{place} "):
-        ScpiSession(wire, "master").program("group", registers)
+        ScpiSession(connection, "master").program("group", registers)
 
 
 def test_an_error_queue_that_overflowed_is_told_with_every_error_and_is_empty_afterwards() -> None:
@@ -94,11 +94,11 @@ def test_an_error_queue_that_overflowed_is_told_with_every_error_and_is_empty_af
 
 @pytest.mark.parametrize("reply", ["+1.0E+02", '+1.0E+02;+0,"No error"', "+1.0E+02;+20;", "\x00\xff;\x80;\x81", ";;"])
 def test_half_a_reply_and_garbage_are_errors_and_the_next_answer_fits_its_question(scripted, reply: str) -> None:
-    wire = scripted()
-    session = ScpiSession(wire, "master")
+    connection = scripted()
+    session = ScpiSession(connection, "master")
     session.write(RATE.command, COUNT.command)
-    read = wire.read
-    wire.read = lambda: (setattr(wire, "read", read), wire.outbox.clear(), reply)[-1]
+    read = connection.read
+    connection.read = lambda: (setattr(connection, "read", read), connection.outbox.clear(), reply)[-1]
     with pytest.raises(InstrumentError, match="master"):
         session.verify("train", [RATE, COUNT])
     session.verify("train", [RATE, COUNT])
@@ -106,18 +106,18 @@ def test_half_a_reply_and_garbage_are_errors_and_the_next_answer_fits_its_questi
 
 def test_a_reply_that_comes_in_two_lines_shifts_no_later_answer(scripted) -> None:
     """The second line reads like an empty error queue."""
-    wire = scripted()
-    session = ScpiSession(wire, "master")
+    connection = scripted()
+    session = ScpiSession(connection, "master")
     session.write(RATE.command, COUNT.command)
-    read = wire.read
+    read = connection.read
 
     def first_line() -> str:
-        wire.read = read
+        connection.read = read
         head, _, tail = read().rpartition(";")
-        wire.outbox.appendleft(tail)
+        connection.outbox.appendleft(tail)
         return head
 
-    wire.read = first_line
+    connection.read = first_line
     with pytest.raises(InstrumentError, match="3 queries had 2 replies"):
         session.verify("train", [RATE, COUNT])
     assert session.query("BURS:NCYC?") == "20"
@@ -168,32 +168,32 @@ def test_a_coerced_value_is_an_error_that_names_the_setting_and_both_values(scri
 
 
 def test_a_queued_error_is_an_error_even_if_every_value_reads_back(scripted) -> None:
-    wire = scripted(errors=['-221,"Settings conflict; a, b"', '-222,"Data out of range"'])
+    connection = scripted(errors=['-221,"Settings conflict; a, b"', '-222,"Data out of range"'])
     with pytest.raises(InstrumentError, match=r"-221 Settings conflict; a, b, -222 Data out of range"):
-        ScpiSession(wire, "master").program("train", [RATE])
-    assert not wire.errors
+        ScpiSession(connection, "master").program("train", [RATE])
+    assert not connection.errors
 
 
 def test_every_difference_of_a_group_is_in_one_error(scripted) -> None:
-    wire = scripted(replies={"FREQ": "+1.0E+00", "BURS:NCYC": "+1.0E+00"})
+    connection = scripted(replies={"FREQ": "+1.0E+00", "BURS:NCYC": "+1.0E+00"})
     with pytest.raises(InstrumentError) as caught:
-        ScpiSession(wire, "master").program("train", [RATE, COUNT])
+        ScpiSession(connection, "master").program("train", [RATE, COUNT])
     assert "rate_hz" in caught.value.what
     assert "count" in caught.value.what
 
 
 def test_an_error_queue_that_never_empties_ends_after_a_bounded_number_of_reads(scripted) -> None:
-    wire = scripted(replies={}, errors=['-100,"again"'] * 1000)
+    connection = scripted(replies={}, errors=['-100,"again"'] * 1000)
     with pytest.raises(InstrumentError, match="not empty"):
-        ScpiSession(wire, "master").drain_errors()
-    assert len(wire.messages) == QUEUE_READS
+        ScpiSession(connection, "master").drain_errors()
+    assert len(connection.messages) == QUEUE_READS
 
 
 def test_a_reply_that_is_no_error_entry_is_reported_with_its_text_and_shifts_no_later_answer(scripted) -> None:
-    wire = scripted()
-    session = ScpiSession(wire, "master")
+    connection = scripted()
+    session = ScpiSession(connection, "master")
     session.write("FREQ 7")
-    wire.outbox.append("hello")
+    connection.outbox.append("hello")
     with pytest.raises(InstrumentError, match="'hello'"):
         session.drain_errors()
     assert session.query("FREQ?") == "7"
@@ -209,7 +209,7 @@ def test_silence_is_an_instrument_error_caused_by_the_timeout(scripted) -> None:
 @pytest.mark.parametrize("stale", ["+1.0E+02", "+1", "+2", "+3", '+0,"No error"', "answer to FREQ?"])
 def test_a_late_reply_is_never_taken_for_a_later_one(late: int, stale: str) -> None:
     """``late`` covers arrival before, during and after the draining; ``stale`` includes the sync numbers themselves."""
-    session = ScpiSession(LateWire("VOLT?", late, stale), "toneburst")
+    session = ScpiSession(LateConnection("VOLT?", late, stale), "toneburst")
     with pytest.raises(InstrumentError):
         session.query("VOLT?")
     answered = 0
@@ -224,7 +224,7 @@ def test_a_late_reply_is_never_taken_for_a_later_one(late: int, stale: str) -> N
 
 
 def test_an_interrupt_while_waiting_does_not_leave_the_reply_for_the_next_query() -> None:
-    class InterruptedOnce(LateWire):
+    class InterruptedOnce(LateConnection):
         def read(self) -> str:
             if self.late:
                 self.late = 0
@@ -238,14 +238,14 @@ def test_an_interrupt_while_waiting_does_not_leave_the_reply_for_the_next_query(
 
 
 def test_a_session_that_cannot_be_brought_in_step_refuses_every_query_but_still_writes(scripted) -> None:
-    wire = scripted(replies={"*ESE": "+300"})
-    session = ScpiSession(wire, "master")
+    connection = scripted(replies={"*ESE": "+300"})
+    session = ScpiSession(connection, "master")
     for query in ("*OPT?", "OUTP?", "OUTP?"):
         with pytest.raises(InstrumentError):
             session.query(query)
-    assert "OUTP?" not in wire.commands
+    assert "OUTP?" not in connection.commands
     session.write("OUTP 0")
-    assert wire.held["OUTP"] == "0"
+    assert connection.held["OUTP"] == "0"
 
 
 @pytest.mark.parametrize("method", ["write", "read"])
@@ -253,8 +253,8 @@ def test_a_lost_connection_is_an_instrument_error_with_its_cause(scripted, metho
     def broken(*arguments: str) -> str:
         raise ConnectionResetError("peer left")
 
-    wire = scripted()
-    setattr(wire, method, broken)
+    connection = scripted()
+    setattr(connection, method, broken)
     with pytest.raises(InstrumentError, match="peer left") as caught:
-        ScpiSession(wire, "tracking_train").query("FREQ?")
+        ScpiSession(connection, "tracking_train").query("FREQ?")
     assert isinstance(caught.value.__cause__, ConnectionResetError)

@@ -1,4 +1,4 @@
-"""The VISA wire over a loopback socket or terminal that serves the simulated generator, or a script that misbehaves."""
+"""The VISA connection over a loopback socket or terminal that serves the simulated generator, or a script that misbehaves."""
 
 from __future__ import annotations
 
@@ -77,23 +77,23 @@ def with_shutdown(peer: socket.socket) -> None:
 
 @pytest.fixture
 def opened() -> Iterator[Callable[[str], VisaConnection]]:
-    wires: list[VisaConnection] = []
+    connections: list[VisaConnection] = []
 
-    def open_wire(address: str) -> VisaConnection:
-        wires.append(VisaConnection(address, TIMEOUT_S, backend="@py"))
-        return wires[-1]
+    def open_connection(address: str) -> VisaConnection:
+        connections.append(VisaConnection(address, TIMEOUT_S, backend="@py"))
+        return connections[-1]
 
-    yield open_wire
-    for wire in wires:
-        wire.close()
+    yield open_connection
+    for connection in connections:
+        connection.close()
 
 
 def test_a_reply_arrives_without_its_line_end(scripted, opened) -> None:
     with served(scripted()) as address:
-        wire = opened(address)
-        wire.write("*IDN?")
-        assert wire.read() == "Agilent Technologies,33250A,0,2.04-1.01-2.00-03-2"
-        wire.close()
+        connection = opened(address)
+        connection.write("*IDN?")
+        assert connection.read() == "Agilent Technologies,33250A,0,2.04-1.01-2.00-03-2"
+        connection.close()
 
 
 def test_the_simulated_generator_behind_a_socket_is_programmed_as_it_is_directly(opened) -> None:
@@ -115,14 +115,14 @@ def test_the_simulated_generator_behind_a_socket_is_programmed_as_it_is_directly
 
 def test_silence_is_a_timeout_after_the_time_that_was_set(scripted, opened) -> None:
     with served(scripted()) as address:
-        wire = opened(address)
-        wire.write("*OPT?")
+        connection = opened(address)
+        connection.write("*OPT?")
         started = time.monotonic()
         with pytest.raises(TimeoutError, match=r"within 0\.15 s"):
-            wire.read()
+            connection.read()
         # The upper bound only has to tell 0.15 s from the default of 2 s on a busy machine.
         assert TIMEOUT_S * 0.9 < time.monotonic() - started < 1.5
-        wire.close()
+        connection.close()
 
 
 @pytest.mark.parametrize("delay_s", [0.2, 0.45])
@@ -166,17 +166,17 @@ def test_a_connection_closed_by_the_instrument_is_an_error_not_a_reply(scripted,
 
 def test_without_a_vendor_library_the_free_one_is_taken(scripted) -> None:
     with served(scripted()) as address:
-        wire = VisaConnection(address, TIMEOUT_S, backend="/no/such/libvisa.so")
-        wire.write("*IDN?")
-        assert "33250A" in wire.read()
-        wire.close()
+        connection = VisaConnection(address, TIMEOUT_S, backend="/no/such/libvisa.so")
+        connection.write("*IDN?")
+        assert "33250A" in connection.read()
+        connection.close()
 
 
 def test_closing_twice_is_no_error(scripted) -> None:
     with served(scripted()) as address:
-        wire = VisaConnection(address, TIMEOUT_S, backend="@py")
-        wire.close()
-        wire.close()
+        connection = VisaConnection(address, TIMEOUT_S, backend="@py")
+        connection.close()
+        connection.close()
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
@@ -195,10 +195,10 @@ def test_a_serial_address_sets_the_instruments_line_and_takes_remote_control_fir
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
-    wire = VisaConnection(f"ASRL{os.ttyname(theirs)}::INSTR", 1.0, backend="@py")
-    wire.write("*IDN?")
-    assert "33250A" in wire.read()
-    wire.close()
+    connection = VisaConnection(f"ASRL{os.ttyname(theirs)}::INSTR", 1.0, backend="@py")
+    connection.write("*IDN?")
+    assert "33250A" in connection.read()
+    connection.close()
     thread.join(timeout=5)
     os.close(ours)
     os.close(theirs)

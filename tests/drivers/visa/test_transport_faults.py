@@ -1,4 +1,4 @@
-"""What goes wrong on a wire, over every transport: always an error that says so, never another query's answer."""
+"""What goes wrong on a connection, over every transport: always an error that says so, never another query's answer."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ class Unreliable:
 
     def __init__(self) -> None:
         self.generator = Generator33250A(SimulatedClock(), 100e-9)
-        self._wire = GeneratorConnection(self.generator, SimulatedClock(), 0.0)
+        self._connection = GeneratorConnection(self.generator, SimulatedClock(), 0.0)
         self.query = ""
         self.mishap: Callable[[str], str] = str
         self._asked = False
 
     def write(self, message: str) -> None:
         if message != "SYST:REM":
-            self._wire.write(message)
+            self._connection.write(message)
         self._asked = bool(self.query) and self.query in message
 
     def read(self) -> str:
-        reply = self._wire.read()
+        reply = self._connection.read()
         if not self._asked:
             return reply
         self.query, self._asked = "", False
         return self.mishap(reply)
 
     def serial_poll(self) -> int:
-        return self._wire.serial_poll()
+        return self._connection.serial_poll()
 
 
 class Bench:
@@ -59,8 +59,8 @@ class Bench:
         self.emulator = Emulator(transport, lambda role, serial: self.instrument, ("x",))
         served = self.emulator.served["x"]
         self.interface = VisaInterface(served.interface, TIMEOUT_S) if served.interface else None
-        self.wire = VisaConnection(served.address, TIMEOUT_S, "@py", self.interface)
-        self.session = ScpiSession(self.wire, "toneburst")
+        self.connection = VisaConnection(served.address, TIMEOUT_S, "@py", self.interface)
+        self.session = ScpiSession(self.connection, "toneburst")
 
     def close(self) -> None:
         self.session.close()
@@ -79,12 +79,12 @@ def as_on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("as_on_windows")
 def test_a_serial_line_is_a_tcp_socket_where_there_are_no_terminals() -> None:
     bench = Bench("serial")
-    assert bench.wire.address.startswith("ASRLsocket://127.0.0.1:")
+    assert bench.connection.address.startswith("ASRLsocket://127.0.0.1:")
     bench.instrument.query, bench.instrument.mishap = "VOLT?", late(0.3)
     with pytest.raises(InstrumentError, match="no reply"):
         bench.session.query("VOLT?")
     assert {bench.session.query("FREQ?") for _ in range(5)} == {"+1.0000000000000E+03"}
-    generator = Agilent33250A(bench.wire, "toneburst")
+    generator = Agilent33250A(bench.connection, "toneburst")
     generator.configure(TRAIN)
     generator.verify()
     bench.emulator.close()
@@ -129,7 +129,7 @@ def test_a_late_reply_is_never_the_answer_to_a_later_query(bench: Bench, delay_s
 
 @pytest.mark.parametrize("garbage", ["\x80\xff\xfe", "", "?", "+1.0E+02;+1.0E+02;0"])
 def test_garbage_instead_of_a_read_back_is_an_error_and_the_output_can_still_be_cut(bench: Bench, garbage: str) -> None:
-    generator = Agilent33250A(bench.wire, "tracking_train")
+    generator = Agilent33250A(bench.connection, "tracking_train")
     bench.instrument.query, bench.instrument.mishap = "BURS:NCYC?", lambda reply: garbage
     with pytest.raises(InstrumentError, match="tracking_train"):
         generator.configure(TRAIN)
@@ -143,7 +143,7 @@ def test_garbage_instead_of_a_read_back_is_an_error_and_the_output_can_still_be_
 def test_half_a_reply_is_an_error_and_the_rest_of_it_no_answer(bench: Bench) -> None:
     bench.instrument.query = "BURS:NCYC?"
     bench.instrument.mishap = lambda reply: reply[: len(reply) // 2]
-    generator = Agilent33250A(bench.wire, "tracking_train")
+    generator = Agilent33250A(bench.connection, "tracking_train")
     with pytest.raises(InstrumentError, match="tracking_train"):
         generator.configure(TRAIN)
     generator.configure(TRAIN)
@@ -157,23 +157,23 @@ def test_a_peer_that_closes_is_an_error_at_every_query_and_at_making_safe(bench:
         with pytest.raises(InstrumentError, match="toneburst"):
             bench.session.query("*IDN?")
     with pytest.raises(InstrumentError, match="toneburst"):
-        Agilent33250A(bench.wire, "toneburst").make_safe()
+        Agilent33250A(bench.connection, "toneburst").make_safe()
 
 
 def test_a_peer_that_closes_while_a_reply_is_awaited_is_told_from_a_slow_one() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        wire = VisaConnection(f"TCPIP0::127.0.0.1::{listener.getsockname()[1]}::SOCKET", TIMEOUT_S, "@py")
+        connection = VisaConnection(f"TCPIP0::127.0.0.1::{listener.getsockname()[1]}::SOCKET", TIMEOUT_S, "@py")
         peer, _ = listener.accept()
-        wire.write("*IDN?")
+        connection.write("*IDN?")
         with pytest.raises(TimeoutError):
-            wire.read()
+            connection.read()
         peer.recv(100)
         peer.close()
         with pytest.raises(ConnectionError, match="closed the connection"):
-            wire.read()
+            connection.read()
         with pytest.raises(ConnectionError, match="closed the connection"):
-            wire.write("*IDN?")
-        wire.close()
+            connection.write("*IDN?")
+        connection.close()
 
 
 REFUSED = {
