@@ -139,6 +139,21 @@ def test_the_driver_satisfies_its_interface(rig: Rig) -> None:
     assert digitizer.identify().model == "ATS460"
 
 
+def test_a_with_statement_ends_the_capture_and_frees_its_memory(rig: Rig) -> None:
+    with rig.digitizer as digitizer:
+        digitizer.configure(CAPTURE)
+        digitizer.arm()
+        assert rig.library.AlazarBusy(0x460)
+        assert (rig.memory.held > 0) == (digitizer.snapshot()["acquisition_mode"] != "single_port")
+    assert not rig.library.AlazarBusy(0x460)
+    assert rig.memory.held == 0
+
+
+def test_records_state_the_codes_of_the_board(rig: Rig) -> None:
+    rig.fire(CAPTURE)
+    assert {block.code_limits for block in rig.digitizer.records(rig.deadline_s())} == {(-8192, 8191)}
+
+
 def test_records_are_the_volts_at_the_input_within_half_a_code(rig: Rig) -> None:
     rig.fire(CAPTURE)
     expected = volts(CAPTURE.record_count, CAPTURE.record_samples)
