@@ -90,13 +90,6 @@ def panels_of(
     return Panels(np.einsum("dt,tpr->dpr", to_coefficients, samples, optimize=True))
 
 
-def step_of(transfer: Callable[[Complexes], Complexes], time_s: float) -> float:
-    """Return the response at one time > 0 of a single ``transfer`` without a table, for studies and tests."""
-    s, weight = _hyperbola(AXIS_CONTOUR)
-    begin_s = time_s / 2
-    return float((np.exp(2 * s) * weight @ transfer(s / begin_s)).real)
-
-
 def _hyperbola(contour: Contour) -> tuple[Complexes, Complexes]:
     """Return s and the weight of U(s), (node,), for times 1 to 4; the half above the real axis, counted twice."""
     step = contour.span / contour.nodes

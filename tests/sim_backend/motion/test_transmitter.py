@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sim_backend.motion.acoustic_dose import dose
-from sim_backend.motion.force import radiation_force
-from sim_backend.motion.transmitter import harmonic_v
+from sim_backend.motion.force import harmonic_v, radiation_force
 from sim_backend.settings.simulation import Specimen, Transmitter
 from sim_backend.wiring import Bursts
 
