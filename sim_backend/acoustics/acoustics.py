@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sim_backend.acoustics.overlap import burst_record_pairs, sample_span
 from sim_backend.echoes import (
     Pulse,
-    behind_the_way,
+    attenuated_to_focus,
     depth_delay_s,
     draw_field,
     echo_pulse,
@@ -101,7 +101,7 @@ class Acoustics:
         kinds = np.stack([tonebursts.carrier_hz, (tonebursts.end_ps - tonebursts.onset_ps) / PS_PER_S], axis=1)
         for kind in np.unique(kinds, axis=0):
             alike = (kinds == kind).all(axis=1)
-            shape = behind_the_way(self._settings, rectangular_burst(*kind.tolist()))
+            shape = attenuated_to_focus(self._settings, rectangular_burst(*kind.tolist()))
             motion_m = self._motion_sensed_m(tonebursts, tonebursts.onset_ps[alike], capture)
             weight = self._field.excitation_weight
             self._add_echoes(volts, capture, shape, weight, tonebursts.onset_ps[alike], strength_v[alike], motion_m)

@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.echoes.cumulative_sum import running_sum
-from sim_backend.echoes.delays import Motion
+from sim_backend.echoes.delays import EchoDelays
+from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import Pulse
 
 Floats = NDArray[np.float64]
@@ -83,7 +83,7 @@ def _edge_jumps(pulse: Pulse) -> tuple[float, ...]:
 
 
 def interpolated_within(
-    motion: Motion, weight: Floats, pulse: Pulse, sample_time_s: Floats, nodes: int, tolerance: float
+    motion: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, nodes: int, tolerance: float
 ) -> Floats | None:
     """Return the echoes of a motion of one shape by `interpolated`; None where it misses ``tolerance``.
 
@@ -117,7 +117,7 @@ def interpolated(
     low, high = float(amplitude_s.min()), float(amplitude_s.max())
     middle, half = (high + low) / 2, (high - low) / 2
     angle = (np.arange(nodes) + 0.5) * np.pi / nodes
-    motion = Motion(rest_s, shape[None], (middle + half * np.cos(angle))[:, None])
+    motion = EchoDelays(rest_s, shape[None], (middle + half * np.cos(angle))[:, None])
     parts = motion.parts(_PAIRS_AT_ONCE)
     at_nodes = np.concatenate([running_sum(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
     if half == 0.0:

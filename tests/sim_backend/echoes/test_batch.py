@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from sim_backend.acoustics.acoustics import draw_echoes
-from sim_backend.echoes.cumulative_sum import running_sum
+from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.many_draws import DRAWS_AT_ONCE, batch, drawn_echoes
 from sim_backend.echoes.pulse import hann_pulse
-from sim_backend.echoes.series import Resting
-from sim_backend.echoes.thinned_draws import draw_thinned
+from sim_backend.echoes.scatterers import draw_thinned
+from sim_backend.echoes.series import ScattererRows
 from sim_backend.settings.simulation import Scatterers, SimulationSettings
 
 SOUND_SPEED = 1540.0
@@ -40,7 +40,9 @@ def rms_error(ours, expected):
 def three_rows(amplitude_m=(1e-6, 3e-6, 0.0)):
     field = draw_thinned(SETTINGS, (-2e-6, 2e-6), 1e-13, np.random.default_rng(1), 3)
     amplitude_s = np.array(amplitude_m)[:, None] * CYCLE_M / 1e-6 * 2 / SOUND_SPEED
-    return Resting(field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s[:, :, None])
+    return ScattererRows(
+        field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s[:, :, None]
+    )
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -56,7 +58,7 @@ def test_every_row_of_a_batch_is_its_own_exact_sum(compiled, amplitude_m):
 def test_gates_longer_than_the_pulse_and_gates_shifted_by_row_are_exact_too():
     scene, gate_s = three_rows(), (np.arange(400) - 200) * 1e-8
     start_s = np.array([0.0, 3e-7, -2e-7])
-    moved = Resting(scene.row, scene.rest_s - start_s[scene.row], scene.weight, scene.shape, scene.amplitude_s)
+    moved = ScattererRows(scene.row, scene.rest_s - start_s[scene.row], scene.weight, scene.shape, scene.amplitude_s)
     ours = batch(moved, PULSE, gate_s, 1e-10)
     for row in range(3):
         exact = exact_row(scene, row, gate_s + start_s[row])

@@ -1,9 +1,11 @@
-"""Exact echoes in O(scatterers + samples): sums over the scatterers whose support holds a sample.
+"""Exact echoes: the double sum of eq. (10) as written, and the same in O(scatterers + samples) by running sums.
 
-``Re sum_m c_m exp(j w_m t) * [sum over the scatterers in whose support t lies of I_n exp(-j w_m tau_n)]``: a scatterer
-joins the inner sum where its support begins and leaves it where it ends. Nothing is ever subtracted: the gate is cut
-into blocks no longer than the pulse, in which a scatterer that enters does not leave, so the inner sum is one running
-sum of those that entered since the block began, and one backwards of those that were there and have yet to leave.
+    Re sum_m c_m exp(j w_m t) * [sum over the scatterers in whose support t lies of I_n exp(-j w_m tau_n)]
+
+A scatterer joins the inner sum where its support begins and leaves it where it ends. Nothing is ever subtracted, which
+would cost digits: the gate is cut into blocks no longer than the pulse, in which a scatterer that enters does not
+leave, so the inner sum is one running sum of those that entered since the block began, and one backwards of those that
+were there and have yet to leave. docs/theory/echoes.md, section 2.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.echoes.pulse import Pulse, phasors
+from sim_backend.echoes.pulse import Pulse, extended, phasors
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -20,8 +22,21 @@ Indices = NDArray[np.int64]
 _PAIRS_AT_ONCE = 1 << 17
 
 
+def direct_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> Floats:
+    """Return the sum over scatterers of weighted, delayed pulses, float64 (echo, sample), eq. (10).
+
+    ``delay_s`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s`` (sample,).
+    """
+    echoes_out = np.empty((len(delay_s), len(sample_time_s)))
+    for echo, tau in zip(echoes_out, delay_s, strict=True):
+        # The support is compared as every evaluation does, so that an edge on a sample falls on the same side.
+        inside = (sample_time_s[:, None] >= tau + pulse.start_s) & (sample_time_s[:, None] < tau + pulse.end_s)
+        echo[:] = np.where(inside, extended(pulse, sample_time_s[:, None] - tau), 0.0) @ weight
+    return echoes_out
+
+
 def running_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> Floats:
-    """Return the same as `direct`, exact to rounding; shapes as there, ``sample_time_s`` ascending."""
+    """Return the same as `direct_sum`, exact to rounding; shapes as there, ``sample_time_s`` ascending."""
     out = np.zeros((len(delay_s), len(sample_time_s)))
     stretches = blocks(sample_time_s, pulse)
     if min(delay_s.shape) == 0:
