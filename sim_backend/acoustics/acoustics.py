@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.acoustics.overlap import burst_record_pairs, sample_span
 from sim_backend.echoes import (
     Pulse,
     attenuated_to_focus,
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from sim_backend.motion import MediumMotion
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 FocusMotion = Callable[[Bursts, Picoseconds, int], Floats]
 
 # Children of the world's seed: what each is used for must never change, or old scenes give new data.
@@ -171,31 +171,25 @@ class Acoustics:
             np.add.at(volts[:, span], record, block)
 
 
-def draw_echoes(
-    settings: SimulationSettings,
-    displacement_m: Floats,
-    sample_time_s: Floats,
-    rng: np.random.Generator,
-    carrier_hz: float = 9.0e6,
-    tolerance: float = 1e-9,
-) -> Floats:
-    """Return noise-free echoes of one new draw of scatterers, float64 (echo, sample), at unit gain: for studies.
+def burst_record_pairs(start_ps: Picoseconds, end_ps: Picoseconds, capture: Capture) -> tuple[Indices, Indices]:
+    """Return burst and record index of every pair in which the interval (burst,) holds a sample's time, ends included.
 
-    ``displacement_m`` (echo,) at the focus; ``sample_time_s`` (sample,) ascending, 0 is the arrival of the resting
-    focus' echo, so a gate of length l around the focus is |t| <= l/c.
+    Records must begin in time order, as triggers do.
     """
-    field = draw_field(settings.scatterers, settings.beams, rng)
-    seen = noticeable(field.tracking_weight)
-    return echoes(
-        depth_delay_s(field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)[seen],
-        field.tracking_weight[seen],
-        field.motion_weight[seen],
-        displacement_m,
-        echo_pulse(settings, carrier_hz),
-        sample_time_s,
-        settings.sound_speed_m_per_s,
-        tolerance,
-    )
+    first_ps = capture.first_sample_ps
+    last_ps = first_ps + (capture.samples - 1) * capture.sample_period_ps
+    begin = np.searchsorted(last_ps, start_ps, side="left")
+    count = np.maximum(np.searchsorted(first_ps, end_ps, side="right") - begin, 0)
+    burst = np.repeat(np.arange(len(start_ps)), count)
+    position = np.arange(len(burst)) - np.repeat(np.cumsum(count) - count, count)
+    return burst, np.asarray(np.repeat(begin, count) + position)
+
+
+def sample_span(start_ps: int, end_ps: int, capture: Capture) -> slice:
+    """Return the samples of a record whose times after its first sample lie in the interval, ends included."""
+    first = max(0, -(-start_ps // capture.sample_period_ps))
+    last = min(capture.samples, end_ps // capture.sample_period_ps + 1)
+    return slice(first, max(first, last))
 
 
 def _stream(settings: SimulationSettings, *key: int) -> np.random.Generator:
