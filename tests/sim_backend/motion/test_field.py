@@ -1,4 +1,4 @@
-"""The field around the focus: against quadrature, the axis' closed form, and the theory notes' tracked displacement."""
+"""The field around the focus: against quadrature, the axis' closed form, and the tracked displacement of a column."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_field_off_the_axis_equals_the_double_integral_over_wave_vectors(lateral
 
 
 def test_tracked_over_peak_displacement_is_that_of_the_theory_notes():
-    """theory.md section 5: a column of 0.34 mm in 4 kPa gelatin, tracked by exp(-r^2 / T^2) with T = 0.155 mm."""
+    """docs/theory/medium.md, section 2: a column of 0.34 mm in 4 kPa gelatin, tracked by exp(-r^2 / T^2) with T = 0.155 mm."""
     specimen, tracking_m = Specimen(preset="gelatin_8"), 0.155e-3
     node, weight = np.polynomial.legendre.leggauss(24)
     lateral_m = 3.5 * tracking_m * (node + 1) / 2
