@@ -1,8 +1,8 @@
-"""Everything between the generators' outputs and the digitizer's input: bursts in, volts out.
+"""Acoustics of the twin, from the generators' outputs to the digitizer's input: bursts in, volts out.
 
     tonebursts -> force -> displacement at the focus -> scatterers -> echoes -> front end
 
-Each arrow is one file. A part the settings leave out is neither imported nor drawn nor summed.
+A part the settings leave out is neither imported nor drawn nor summed.
 """
 
 from __future__ import annotations
@@ -140,6 +140,7 @@ class Acoustics:
         seen = noticeable(weight)
         if not (strength_v.any() and seen.any()):
             return
+        # What can be seen, how it moves, and by how much that may shift its echo.
         delay_s = self._delay_s[seen]
         shapes = (self._field.motion_weight[None] if self._medium is None else self._medium.shape)[:, seen]
         reach_m = float(np.abs(motion_m).max(axis=0) @ np.abs(shapes).max(axis=1))
@@ -147,6 +148,8 @@ class Acoustics:
         arrival_s = 2 * self._travel_s
         early_ps = math.floor((arrival_s + delay_s.min() + shape.start_s - margin_s) * PS_PER_S)
         late_ps = math.ceil((arrival_s + delay_s.max() + shape.end_s + margin_s) * PS_PER_S)
+        # Pairs of burst and record whose echo falls into a sample; each is one echo of the engine, all on one grid of
+        # sample times: that of the first pair, from which the others are shifted by up to some ns.
         burst, record = burst_record_pairs(onset_ps + early_ps, onset_ps + late_ps, capture)
         if len(burst) == 0:
             return

@@ -1,4 +1,7 @@
-"""Which evaluation meets a tolerance at the least run time, and which scatterers it may leave out."""
+"""Choice of the evaluation that meets a tolerance at the least run time, and of the scatterers it may leave out.
+
+The run times are models fitted to measurements, docs/theory/echoes.md, section 7.
+"""
 
 from __future__ import annotations
 

@@ -85,6 +85,7 @@ def _synthesise(
     echoes_wanted = motion.echo_count
     if min(echoes_wanted, len(weight), len(sample_time_s)) == 0:
         return Synthesis(np.zeros((echoes_wanted, len(sample_time_s))), method or "running_sum", 0, 0)
+    # First those that can be heard in the gate, then of these those that can matter to the tolerance.
     near = in_reach(motion, weight, pulse, sample_time_s)
     limit = left_out_below(weight[near], pulse, sample_time_s, tolerance)
     strong = near[np.abs(weight[near]) > limit]
@@ -182,6 +183,7 @@ def echoes(
     """
     shape = np.atleast_2d(motion_weight)
     amplitude_s = displacement_m.reshape(len(displacement_m), len(shape)) * (2 / sound_speed_m_per_s)
+    # A pulse that comes late sees everything earlier: one more shape, of ones.
     if shift_s is not None and shift_s.any():
         shape = np.concatenate([shape, np.ones((1, shape.shape[1]))])
         amplitude_s = np.concatenate([amplitude_s, -shift_s[:, None]], axis=1)

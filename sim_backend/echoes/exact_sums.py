@@ -41,12 +41,14 @@ def running_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Fl
     stretches = blocks(sample_time_s, pulse)
     if min(delay_s.shape) == 0:
         return out
+    # In ascending delay those that can reach a block of samples lie next to each other.
     early_s, late_s = delay_s.min(axis=0), delay_s.max(axis=0)
     if len(stretches) > 1 and (early_s[1:] < early_s[:-1]).any():
         order = np.argsort(early_s, kind="stable")
         delay_s, weight, early_s, late_s = delay_s[:, order], weight[order], early_s[order], late_s[order]
     spread_s = float((late_s - early_s).max())
     for block in stretches:
+        # (frequency, sample), c_m exp(j w_m t): what turns the sums over scatterers into an echo.
         origin_s = local_origin_s(sample_time_s[block], pulse)
         time_s = sample_time_s[block] - origin_s
         rotation = phasors(pulse, time_s, 1) * np.array(pulse.amplitude)[:, None]
@@ -85,15 +87,18 @@ def local_origin_s(time_s: Floats, pulse: Pulse) -> float:
 def _block(
     tau: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats, rotation: NDArray[np.complex128]
 ) -> Floats:
+    """Return the echoes of one block, (echo, sample); ``tau`` (echo, scatterer), ``rotation`` (frequency, sample)."""
     echoes_in_block, samples = len(tau), len(sample_time_s)
     row = np.arange(echoes_in_block)[:, None]
     enter = np.searchsorted(sample_time_s, tau + pulse.start_s)
     leave = np.searchsorted(sample_time_s, tau + pulse.end_s)
+    # (echo, scatterer): whether its support holds a sample of this block.
     seen = (enter < leave) & (enter < samples) & (leave > 0)
     # Two rows an echo: those there from the first sample on, by the sample they leave at, backwards; those to come.
     cell = np.where(enter == 0, 2 * row * samples + samples - leave, (2 * row + 1) * samples + enter)[seen]
     weight_seen, tau_seen = np.broadcast_to(weight, tau.shape)[seen], tau[seen]
     total = np.zeros((echoes_in_block, samples))
+    # Frequency by frequency: phasors of the scatterers into their cells, running sums over the cells, turned by t.
     for turn, factor in zip(phasors(pulse, tau_seen, -1), rotation, strict=True):
         real, imag = (
             _alive(np.bincount(cell, weights=weight_seen * part, minlength=2 * echoes_in_block * samples), samples)
@@ -104,5 +109,6 @@ def _block(
 
 
 def _alive(cells: NDArray[np.floating | np.integer], samples: int) -> Floats:
+    """Return at every sample the sum over the scatterers alive there, (echo, sample), from both rows of cells."""
     summed = np.cumsum(cells.reshape(-1, 2, samples), axis=2)
     return np.asarray(summed[:, 0, ::-1] + summed[:, 1])

@@ -1,4 +1,7 @@
-"""Interpolation between echoes at Chebyshev nodes of the amplitude: every echo is a smooth function of one number."""
+"""Interpolation between echoes at Chebyshev nodes of the amplitude: every echo is a smooth function of one number.
+
+docs/theory/echoes.md, section 4.
+"""
 
 from __future__ import annotations
 
@@ -32,6 +35,7 @@ def node_count(pulse: Pulse, half_range_s: float, edge_share: float, tolerance: 
     """
     if half_range_s == 0:
         return 1
+    # Bessel coefficients of exp(j theta x) fall from the order theta on: no fewer nodes are worth a try.
     theta = 2 * np.pi * max(abs(frequency_hz) for frequency_hz in pulse.frequency_hz) * half_range_s
     edges = [jump * half_range_s**order * math.sqrt(edge_share) for order, jump in enumerate(_edge_jumps(pulse))]
     for nodes in range(max(2, math.ceil(theta)), MOST_NODES):
@@ -124,6 +128,7 @@ def interpolated(
         return np.repeat(at_nodes[:1], len(amplitude_s), axis=0)
     degree = np.arange(nodes)
     wanted = np.arccos(np.clip((amplitude_s - middle) / half, -1.0, 1.0))
+    # Values at the nodes -> Chebyshev coefficients -> values at the amplitudes wanted: two small matrices.
     to_coefficients = np.cos(np.outer(degree, angle)) * (2 / nodes)
     to_coefficients[0] /= 2
     return np.asarray((np.cos(np.outer(wanted, degree)) @ to_coefficients) @ at_nodes)

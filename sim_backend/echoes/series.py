@@ -1,4 +1,4 @@
-"""Echoes of proportional motion from sums over the resting scatterers: nearly free in the number of echoes.
+"""Series in the motion's amplitudes over sums of resting scatterers: nearly free in the number of echoes.
 
 With delays tau_n + sum_r b_kr g_rn (b the motion as a delay, g its shapes), an exponential of the pulse turns by
 
@@ -8,6 +8,7 @@ so every echo is a short combination, with coefficients b_k^a / a!, of the sums 
 tau_n)`` (sign aside) over scatterers at rest. That moves the exponentials but not the ends of the support; the few
 samples that an end crosses while its scatterer moves are corrected one by one with the pulse's Taylor series there.
 Both parts converge geometrically, whatever the pulse: no derivative has to be continuous at the ends.
+docs/theory/echoes.md, section 5.
 """
 
 from __future__ import annotations
@@ -69,6 +70,7 @@ def series(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance:
     tables = series_tables(scene, pulse, sample_time_s, tolerance)
     enter = sample_time_s.searchsorted(scene.rest_s + pulse.start_s)
     leave = sample_time_s.searchsorted(scene.rest_s + pulse.end_s)
+    # U_a(t), then every echo as a short combination of them, then the samples that a support's end crosses.
     sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
     rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
     out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.steps), sums)
@@ -193,6 +195,8 @@ def _rest_sums(
     out = np.zeros((len(scene.amplitude_s), tables.turn.shape[1], samples))
     for row, (first, last) in enumerate(itertools.pairwise(begin)):
         own_enter, own_leave = enter[first:last], leave[first:last]
+        # Scatterers before ``middle`` are there from the first sample on. At sample i those from gone[i] to middle are
+        # still there, and those from middle to come[i] have come.
         middle = int(own_enter.searchsorted(1))
         gone = own_leave.searchsorted(every, side="right")
         come = np.maximum(own_enter.searchsorted(every, side="right"), middle)
@@ -252,9 +256,11 @@ def _correct_crossings(
     if farthest_s == 0 or heaviest == 0:
         return
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
+    # How many samples one end can cross at most; an equal share of the budget for each.
     crossing = 1 + (2 * farthest_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
     each = budget / (2 * len(reach_s) * crossing)
     size, share = np.abs(scene.weight), reach_s / farthest_s
+    # Ends whose jump could exceed that share, at the start and at the end of the support, and the samples near them.
     bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
     matter = [np.flatnonzero(size * (share**order * largest) > each) for order, largest in bounds]
     who = np.concatenate(matter)
@@ -269,6 +275,7 @@ def _correct_crossings(
     at_once = max(1, _VALUES_AT_ONCE // (out.shape[1] * int(count.max(initial=1))))
     for begin in range(0, len(who), at_once):
         some = slice(begin, begin + at_once)
+        # (pair,): every such end with every sample within its reach.
         pair = np.repeat(np.arange(len(who[some])), count[some])
         sample = np.arange(len(pair)) + np.repeat(low[some] - np.cumsum(count[some]) + count[some], count[some])
         past_s = sample_time_s[sample] - edge_time_s[some][pair]
@@ -286,12 +293,15 @@ def _add_pairs(
         moved_s = scene.shape[:, who].T @ scene.amplitude_s[0].T
     else:
         moved_s = np.matmul(scene.amplitude_s[row], scene.shape[:, who].T[:, :, None])[:, :, 0]
+    # (pair, echo): time since the end passed the sample; the Taylor series there by Horner's rule.
     x = past_s[:, None] - moved_s
     value = np.repeat(taylor[:, -1:], x.shape[1], axis=1)
     for coefficient in taylor.T[-2::-1]:
         value *= x
         value += coefficient[:, None]
+    # +1 where the motion lets the scatterer in, -1 where it takes it out, 0 where nothing changes.
     value *= ((x >= 0) * 1.0 - was_past[:, None]) * scene.weight[who, None]
+    # Pairs of one row and sample are summed before they are added: fancy indexing adds each place only once.
     place = row * out.shape[2] + sample
     order = np.argsort(place, kind="stable")
     run = _runs(place[order])
