@@ -25,14 +25,14 @@ import numpy as np
 from echo_peers import CARRIER_HZ, DEPTH_M, GATE_S, PEER_SAYS, PULSE, C, found_peers
 
 from sim_backend.echoes import (
-    Motion,
-    Resting,
-    available,
+    EchoDelays,
+    ScattererRows,
     batch,
     depth_delay_s,
-    direct,
+    direct_sum,
     draw_field,
     drawn_echoes,
+    numba_installed,
     running_sum,
     synthesise,
 )
@@ -74,9 +74,9 @@ def masked_direct(delay_s: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 def contenders() -> tuple[dict[str, tuple[Callable[[], object], float]], list[str]]:
     """Return what runs, and how much of the 101 echoes one run makes; and who is missing."""
-    motion = Motion(REST_S, G[None], AMPLITUDE_S)
+    motion = EchoDelays(REST_S, G[None], AMPLITUDE_S)
     delay_s = motion.delay_s()
-    still = Resting(np.zeros(len(REST_S), dtype=np.int64), REST_S, WEIGHT, G[None], AMPLITUDE_S[None])
+    still = ScattererRows(np.zeros(len(REST_S), dtype=np.int64), REST_S, WEIGHT, G[None], AMPLITUDE_S[None])
     ten = delay_s[:10]
     runs: dict[str, tuple[Callable[[], object], float]] = {
         "NumPy direct, vectorised": (lambda: vectorised_direct(ten, WEIGHT), 10 / 101),
@@ -88,12 +88,12 @@ def contenders() -> tuple[dict[str, tuple[Callable[[], object], float]], list[st
             lambda tolerance=tolerance: synthesise(motion, WEIGHT, PULSE, GATE_S, tolerance),
             1.0,
         )
-        if available():
+        if numba_installed():
             runs[f"engine compiled, {tolerance:g}"] = (
                 lambda tolerance=tolerance: batch(still, PULSE, GATE_S, tolerance),
                 1.0,
             )
-    missing = [] if available() else ["numba (extra 'fast')"]
+    missing = [] if numba_installed() else ["numba (extra 'fast')"]
     x_m, z_m = FIELD.offset_m[:, 0], FIELD.offset_m[:, 2]
     for name, peer in PEERS.items():
         runs[name] = (lambda peer=peer: peer(x_m, z_m, WEIGHT), 1 / 101)
@@ -133,12 +133,12 @@ def accuracy_rows() -> dict[str, float]:
     """Return displacement error in nm: the engine, its positions in float32, and the peers."""
 
     def engine(moved_m: np.ndarray, tolerance: float) -> np.ndarray:
-        motion = Motion(np.zeros(1), np.ones((1, 1)), moved_m[:, None] * 2 / C)
+        motion = EchoDelays(np.zeros(1), np.ones((1, 1)), moved_m[:, None] * 2 / C)
         return synthesise(motion, np.ones(1), PULSE, GATE_S, tolerance).echo
 
     def single(moved_m: np.ndarray) -> np.ndarray:
         depth_m = (DEPTH_M + moved_m).astype(np.float32).astype(float) - float(np.float32(DEPTH_M))
-        return direct(2 / C * depth_m[:, None], np.ones(1), PULSE, GATE_S)
+        return direct_sum(2 / C * depth_m[:, None], np.ones(1), PULSE, GATE_S)
 
     rows = {
         f"engine, {tolerance:g}": displacement_error_m(lambda m, tolerance=tolerance: engine(m, tolerance)) * 1e9
@@ -158,7 +158,7 @@ def scaling() -> list[tuple[str, int, float]]:
         place = np.random.default_rng(1).uniform(-0.5, 0.5, (count, 3)) * np.array([1e-3, 1e-3, 5e-3])
         tau = np.sort(2 * place[:, 2] / C)
         motion, weight = (
-            Motion(tau, np.exp(-np.square(place[:, :1].T) / 5e-8), AMPLITUDE_S),
+            EchoDelays(tau, np.exp(-np.square(place[:, :1].T) / 5e-8), AMPLITUDE_S),
             np.exp(-np.square(place[:, 1]) / 1e-8),
         )
         rows.append(
@@ -166,7 +166,7 @@ def scaling() -> list[tuple[str, int, float]]:
         )
     for echoes in (10, 100, 1_000, 10_000):
         amplitude_s = 2e-6 / C * np.sin(np.arange(echoes))[:, None]
-        motion = Motion(REST_S, G[None], amplitude_s)
+        motion = EchoDelays(REST_S, G[None], amplitude_s)
         rows.append(("echoes", echoes, _median_s(lambda m=motion: synthesise(m, WEIGHT, PULSE, GATE_S, 1e-8), 5)))
     return rows
 
@@ -199,8 +199,8 @@ def main() -> None:
             taken[name] += [one / share for one in _times_s(run, repeats[name])]
     time_s = {name: statistics.median(values) for name, values in taken.items()}
     best_s = {name: min(values) for name, values in taken.items()}
-    exact = direct(REST_S + AMPLITUDE_S @ G[None], WEIGHT, PULSE, GATE_S)
-    ours = "engine compiled, 1e-08" if available() else "engine, 1e-08"
+    exact = direct_sum(REST_S + AMPLITUDE_S @ G[None], WEIGHT, PULSE, GATE_S)
+    ours = "engine compiled, 1e-08" if numba_installed() else "engine, 1e-08"
     base_s, base_best_s = (
         min(some["NumPy direct, vectorised"], some["NumPy direct, by products"]) for some in (time_s, best_s)
     )
@@ -235,7 +235,7 @@ def main() -> None:
     print("Ours computes neither apertures nor diffraction: the beams are the Gaussians of eq. (8) and (12).")
     draws = {
         f"{'compiled' if compiled else 'NumPy'}, {tolerance:g}": draw_time_s(1000, tolerance, compiled)
-        for compiled in ((True, False) if available() else (False,))
+        for compiled in ((True, False) if numba_installed() else (False,))
         for tolerance in (1e-6, 1e-8)
     }
     for name, value in draws.items():

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sim_backend.echoes import direct, hann_pulse
+from sim_backend.echoes import direct_sum, hann_pulse
 
 C, DEPTH_M, CARRIER_HZ, RATE_HZ = 1540.0, 70e-3, 9.0e6, 100.0e6
 GATE_S = (np.arange(130) - 64.5) / RATE_HZ
@@ -49,7 +49,7 @@ def _finufft() -> Peer:
     count = 512
     hz = np.fft.rfftfreq(count, 1 / RATE_HZ)
     place = (np.arange(count) - count // 2) / RATE_HZ
-    pulse = np.fft.rfft(np.fft.ifftshift(direct(np.zeros((1, 1)), np.ones(1), PULSE, place)[0]))
+    pulse = np.fft.rfft(np.fft.ifftshift(direct_sum(np.zeros((1, 1)), np.ones(1), PULSE, place)[0]))
     turned = pulse * np.exp(2j * np.pi * hz * GATE_S[0])
     plan = finufft.Plan(1, (count + 2,), eps=1e-9, isign=-1, nthreads=1)
 

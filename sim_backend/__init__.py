@@ -1,4 +1,22 @@
-"""The digital twin: programmed registers -> edges -> bursts -> force -> motion -> echoes -> codes.
+"""Digital twin: from programmed registers to digitizer codes, each equation of the paper in one room.
 
-It stands in at the wire: SCPI text for the generators, the ATSApi function table for the digitizer.
+    SCPI text, ATSApi calls -> registers                       transports/, generator/, digitizer/
+    registers -> edges -> bursts, integer picoseconds          world.py, clock.py, wiring.py
+    bursts -> volts at the digitizer's input                   acoustics/
+      f(t), F(f)        toneburst train, its force   (17) (18) motion/: force.py
+      A(k t_s)          prescribed motion            (1) (13)  motion/: prescribed.py
+      u at the focus    of a viscoelastic medium               motion/: specimen.py, inverse_laplace.py
+      u around it       Gaussian                     (12)      echoes/: scatterers.py
+                        or the medium's own field              motion/: field.py
+      t_k,n             delay of a scatterer's echo  (11)      echoes/: delays.py
+      I(x, y, z)        tracking beam                (8)       echoes/: scatterers.py
+      w(t) cos(w_f t)   echo pulse                   (9)       echoes/: pulse.py
+      r_k(t)            sum over scatterers          (7) (10)  echoes/: engine.py
+      n_k(t)            noise                        (16)      receiver/: front_end.py
+      receive chain, trigger jitter                  III.B     receiver/: chain.py, timing.py
+    volts -> codes, when the clock takes them                  digitizer/
+    what [simulation] may say                                  settings/
+
+It stands in at the wire: SCPI text for the generators, the ATSApi function table for the digitizer, and sees of a scene
+only what the drivers programmed. The theory beyond the paper is in docs/theory/medium.md and docs/theory/echoes.md.
 """

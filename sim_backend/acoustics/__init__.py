@@ -1,4 +1,10 @@
-"""sim_backend/acoustics"""
+"""Acoustics: bursts at the transducer in, volts at the digitizer's input out.
+
+    tonebursts -> force -> displacement -> scatterers -> echoes -> volts       acoustics.py
+    the same with trigger jitter, receive chain and sample clock around it     reception.py
+
+What ties motion, echoes and receiver together; a part that the settings leave out is neither loaded nor drawn.
+"""
 
 import lazy_loader
 

@@ -1,8 +1,8 @@
-"""Everything between the generators' outputs and the digitizer's input: bursts in, volts out.
+"""Acoustics of the twin, from the generators' outputs to the digitizer's input: bursts in, volts out.
 
     tonebursts -> force -> displacement at the focus -> scatterers -> echoes -> front end
 
-Each arrow is one file. A part the settings leave out is neither imported nor drawn nor summed.
+A part the settings leave out is neither imported nor drawn nor summed.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.acoustics.overlap import burst_record_pairs, sample_span
 from sim_backend.echoes import (
     Pulse,
-    behind_the_way,
+    attenuated_to_focus,
     depth_delay_s,
     draw_field,
     echo_pulse,
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from sim_backend.motion import MediumMotion
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 FocusMotion = Callable[[Bursts, Picoseconds, int], Floats]
 
 # Children of the world's seed: what each is used for must never change, or old scenes give new data.
@@ -101,7 +101,7 @@ class Acoustics:
         kinds = np.stack([tonebursts.carrier_hz, (tonebursts.end_ps - tonebursts.onset_ps) / PS_PER_S], axis=1)
         for kind in np.unique(kinds, axis=0):
             alike = (kinds == kind).all(axis=1)
-            shape = behind_the_way(self._settings, rectangular_burst(*kind.tolist()))
+            shape = attenuated_to_focus(self._settings, rectangular_burst(*kind.tolist()))
             motion_m = self._motion_sensed_m(tonebursts, tonebursts.onset_ps[alike], capture)
             weight = self._field.excitation_weight
             self._add_echoes(volts, capture, shape, weight, tonebursts.onset_ps[alike], strength_v[alike], motion_m)
@@ -140,6 +140,7 @@ class Acoustics:
         seen = noticeable(weight)
         if not (strength_v.any() and seen.any()):
             return
+        # What can be seen, how it moves, and by how much that may shift its echo.
         delay_s = self._delay_s[seen]
         shapes = (self._field.motion_weight[None] if self._medium is None else self._medium.shape)[:, seen]
         reach_m = float(np.abs(motion_m).max(axis=0) @ np.abs(shapes).max(axis=1))
@@ -147,6 +148,8 @@ class Acoustics:
         arrival_s = 2 * self._travel_s
         early_ps = math.floor((arrival_s + delay_s.min() + shape.start_s - margin_s) * PS_PER_S)
         late_ps = math.ceil((arrival_s + delay_s.max() + shape.end_s + margin_s) * PS_PER_S)
+        # Pairs of burst and record whose echo falls into a sample; each is one echo of the engine, all on one grid of
+        # sample times: that of the first pair, from which the others are shifted by up to some ns.
         burst, record = burst_record_pairs(onset_ps + early_ps, onset_ps + late_ps, capture)
         if len(burst) == 0:
             return
@@ -171,31 +174,25 @@ class Acoustics:
             np.add.at(volts[:, span], record, block)
 
 
-def draw_echoes(
-    settings: SimulationSettings,
-    displacement_m: Floats,
-    sample_time_s: Floats,
-    rng: np.random.Generator,
-    carrier_hz: float = 9.0e6,
-    tolerance: float = 1e-9,
-) -> Floats:
-    """Return noise-free echoes of one new draw of scatterers, float64 (echo, sample), at unit gain: for studies.
+def burst_record_pairs(start_ps: Picoseconds, end_ps: Picoseconds, capture: Capture) -> tuple[Indices, Indices]:
+    """Return burst and record index of every pair in which the interval (burst,) holds a sample's time, ends included.
 
-    ``displacement_m`` (echo,) at the focus; ``sample_time_s`` (sample,) ascending, 0 is the arrival of the resting
-    focus' echo, so a gate of length l around the focus is |t| <= l/c.
+    Records must begin in time order, as triggers do.
     """
-    field = draw_field(settings.scatterers, settings.beams, rng)
-    seen = noticeable(field.tracking_weight)
-    return echoes(
-        depth_delay_s(field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)[seen],
-        field.tracking_weight[seen],
-        field.motion_weight[seen],
-        displacement_m,
-        echo_pulse(settings, carrier_hz),
-        sample_time_s,
-        settings.sound_speed_m_per_s,
-        tolerance,
-    )
+    first_ps = capture.first_sample_ps
+    last_ps = first_ps + (capture.samples - 1) * capture.sample_period_ps
+    begin = np.searchsorted(last_ps, start_ps, side="left")
+    count = np.maximum(np.searchsorted(first_ps, end_ps, side="right") - begin, 0)
+    burst = np.repeat(np.arange(len(start_ps)), count)
+    position = np.arange(len(burst)) - np.repeat(np.cumsum(count) - count, count)
+    return burst, np.asarray(np.repeat(begin, count) + position)
+
+
+def sample_span(start_ps: int, end_ps: int, capture: Capture) -> slice:
+    """Return the samples of a record whose times after its first sample lie in the interval, ends included."""
+    first = max(0, -(-start_ps // capture.sample_period_ps))
+    last = min(capture.samples, end_ps // capture.sample_period_ps + 1)
+    return slice(first, max(first, last))
 
 
 def _stream(settings: SimulationSettings, *key: int) -> np.random.Generator:

@@ -1,4 +1,4 @@
-"""The twin's physics with imperfect triggers, a real receive chain and a real sample clock around it.
+"""Reception with trigger jitter, a real receive chain and an imperfect sample clock around an ideal physics.
 
     jittered bursts -> acoustics over a longer, finer record -> receive chain -> samples when the clock takes them
 
@@ -44,7 +44,7 @@ def with_reception(acoustics: Physics, settings: SimulationSettings) -> Physics:
 
 
 class Reception:
-    """Jitter, receive chain and sample clock around an ideal physics."""
+    """Trigger jitter, receive chain and sample clock around an ideal physics."""
 
     def __init__(self, acoustics: Physics, settings: SimulationSettings) -> None:
         self._acoustics = acoustics

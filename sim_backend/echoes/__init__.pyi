@@ -1,11 +1,17 @@
 from .choice import Method as Method, choices as choices
-from .cumulative_sum import running_sum as running_sum
-from .delays import Motion as Motion
-from .direct_sum import direct as direct
+from .delays import EchoDelays as EchoDelays
 from .engine import echoes as echoes, synthesise as synthesise
-from .many_draws import DRAWS_AT_ONCE as DRAWS_AT_ONCE, batch as batch, drawn_echoes as drawn_echoes
+from .exact_sums import direct_sum as direct_sum, running_sum as running_sum
+from .many_draws import (
+    DRAWS_AT_ONCE as DRAWS_AT_ONCE,
+    batch as batch,
+    drawn_echoes as drawn_echoes,
+    numba_installed as numba_installed,
+)
 from .pulse import (
     Pulse as Pulse,
+    attenuated_to_focus as attenuated_to_focus,
+    echo_pulse as echo_pulse,
     hann_pulse as hann_pulse,
     rectangular_burst as rectangular_burst,
     waveform as waveform,
@@ -13,10 +19,8 @@ from .pulse import (
 from .scatterers import (
     depth_delay_s as depth_delay_s,
     draw_field as draw_field,
+    draw_thinned as draw_thinned,
     field_at as field_at,
     noticeable as noticeable,
 )
-from .series import Resting as Resting
-from .series_fast import available as available
-from .thinned_draws import draw_thinned as draw_thinned
-from .tracking_pulse import behind_the_way as behind_the_way, echo_pulse as echo_pulse
+from .series import ScattererRows as ScattererRows

@@ -1,4 +1,7 @@
-"""Which evaluation meets a tolerance at the least run time, and which scatterers it may leave out."""
+"""Choice of the evaluation that meets a tolerance at the least run time, and of the scatterers it may leave out.
+
+The run times are models fitted to measurements, docs/theory/echoes.md, section 7.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.echoes.combined import FEWEST_ECHOES
-from sim_backend.echoes.delays import Delays, Motion
+from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.nodes import CHECKED, MOST_NODES, edge_share, node_count
 from sim_backend.echoes.pulse import Pulse
-from sim_backend.echoes.series import MOST_ANGLE_RAD, largest_angle
-from sim_backend.echoes.series_tables import terms_needed
+from sim_backend.echoes.series import MOST_ANGLE_RAD, largest_angle, terms_needed
 
 Floats = NDArray[np.float64]
-Method = Literal["direct", "running_sum", "combined", "interpolated", "series"]
+Method = Literal["running_sum", "combined", "interpolated", "series"]
 
 # Below this the series and the nodes promise what rounding does not let them keep.
 FINEST_TOLERANCE = 1e-14
@@ -43,7 +45,7 @@ class Choice:
 
 
 def choices(
-    motion: Motion | Delays,
+    motion: EchoDelays,
     weight: Floats,
     pulse: Pulse,
     sample_time_s: Floats,
@@ -51,7 +53,7 @@ def choices(
     method: Method | None,
 ) -> list[Choice]:
     """Return the evaluations that meet the tolerance, with their run times as measured, roughly, on one core."""
-    if method in ("direct", "running_sum"):
+    if method == "running_sum":
         return [Choice(method, 0.0)]
     if tolerance < FINEST_TOLERANCE:
         return [Choice("running_sum", 0.0)] if method is None else refuse(method, "of its tolerance")
@@ -66,11 +68,11 @@ def choices(
     if method is None:
         found.append(Choice("running_sum", 3e-4 * stretches + echoes_wanted * exact_s))
     # One shape is left to the series and the nodes, whose error does not rest on a sample of the echoes.
-    usual = isinstance(motion, Delays) or (len(motion.shape) > 1 and echoes_wanted * scatterers <= _MOST_PAIRS)
+    usual = len(motion.shape) > 1 and echoes_wanted * scatterers <= _MOST_PAIRS
     if method == "combined" or (method is None and usual and echoes_wanted >= FEWEST_ECHOES):
         found.append(Choice("combined", 0.4 * echoes_wanted * exact_s))
-    if isinstance(motion, Delays) or method == "combined":
-        return found or refuse(method, "the motion has no shapes")
+    if method == "combined":
+        return found
     spread_s = np.ptp(motion.amplitude_s, axis=0) / 2
     if method in (None, "interpolated") and len(motion.shape) == 1:
         largest_s = float(spread_s[0] * np.abs(motion.shape).max())
@@ -98,7 +100,7 @@ def refuse(method: Method | None, reason: str) -> list[Choice]:
     raise ValueError(f"method {method!r} cannot serve here because {reason}: leave the method out or take running_sum")
 
 
-def in_reach(motion: Motion | Delays, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> NDArray[np.int64]:
+def in_reach(motion: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> NDArray[np.int64]:
     """Return the scatterers whose echo can touch a sample."""
     early_s, late_s = motion.range_s()
     touches = (early_s + pulse.start_s <= sample_time_s[-1]) & (late_s + pulse.end_s >= sample_time_s[0])

@@ -1,8 +1,9 @@
-"""Most echoes as combinations of a few exact ones: any delays whose motion is small and has few degrees of freedom.
+"""Combinations of a few exact echoes that make all the others: for small motion of few freedoms, whatever its shapes.
 
 The phases ``exp(-j w tau_kn)`` of all echoes span few dimensions: as many as the motion has products of shapes above
 the tolerance. A pivoted Gram-Schmidt on the phases of a sample of scatterers finds the echoes that span them and the
 combinations that make the others of these. Whether that holds is checked on echoes that were held back.
+docs/theory/echoes.md, section 3.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.echoes.cumulative_sum import running_sum
+from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import Pulse
 
 Floats = NDArray[np.float64]
@@ -47,6 +48,7 @@ def combined(
 def _phases(delay_s: Floats, weight: Floats, pulse: Pulse) -> Floats:
     """Return columns (echo, column) that mix the real and imaginary phases of some scatterers at both band edges."""
     rng = np.random.default_rng(0)
+    # Scatterers spread over all weights, the heaviest included.
     heavy = np.argsort(np.abs(weight), kind="stable")[::-1]
     probe = heavy[np.unique(np.linspace(0, len(heavy) - 1, _PROBES).astype(np.int64))]
     moved_s = delay_s[:, probe] - delay_s[:, probe].mean(axis=0)
@@ -59,6 +61,7 @@ def _phases(delay_s: Floats, weight: Floats, pulse: Pulse) -> Floats:
 
 def _skeleton(rows: Floats, tolerance: float) -> tuple[Indices, Floats]:
     """Return some rows and the combination (row, some) that makes all rows of them, to ``tolerance`` of their rms."""
+    # What of each row the directions found so far do not span; in every turn the longest becomes the next direction.
     left = rows.copy()
     most = min(rows.shape[1] - 32, int(LARGEST_SHARE * len(rows)) + 1)
     enough = tolerance**2 * float(np.vdot(rows, rows)) / len(rows)
@@ -74,6 +77,7 @@ def _skeleton(rows: Floats, tolerance: float) -> tuple[Indices, Floats]:
         left -= share[:, None] * direction
         shares[:, len(chosen)] = share
         chosen.append(farthest)
+    # Along the directions the chosen rows are a square matrix and all rows a tall one: solve for the combination.
     some = np.array(chosen, dtype=np.int64)
     shares = shares[:, : len(chosen)]
     return some, np.linalg.solve(shares[some].T, shares.T).T

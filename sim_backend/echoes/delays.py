@@ -1,4 +1,4 @@
-"""How scatterers move, as delays of their echoes, and what makes no echo."""
+"""Delays of the echoes of moving scatterers, and the refusal of numbers that make no echo."""
 
 from __future__ import annotations
 
@@ -15,38 +15,11 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Delays:
-    """Any motion: the delay of every scatterer in every echo."""
+class EchoDelays:
+    """Delays of the echoes of scatterers that move in few spatial shapes: delay = rest + amplitude @ shape.
 
-    delay_s: Floats
-    """(echo, scatterer)"""
-
-    @property
-    def echo_count(self) -> int:
-        """How many echoes."""
-        return len(self.delay_s)
-
-    def range_s(self) -> tuple[Floats, Floats]:
-        """Return each scatterer's earliest and latest delay, (scatterer,)."""
-        return self.delay_s.min(axis=0), self.delay_s.max(axis=0)
-
-    def of(self, part: Indices) -> Delays:
-        """Return the same of some scatterers."""
-        return Delays(self.delay_s[:, part])
-
-    def parts(self, pairs_at_once: int) -> Iterator[Floats]:
-        """Yield the delays of some echoes at a time, (echo, scatterer), about ``pairs_at_once`` of them."""
-        at_once = max(1, pairs_at_once // max(1, self.delay_s.shape[1]))
-        for first in range(0, len(self.delay_s), at_once):
-            yield self.delay_s[first : first + at_once]
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """Motion of few spatial shapes: delay = rest + amplitude @ shape.
-
-    A standing motion has one shape; a travelling wave of one frequency two (in phase and in quadrature); sampling
-    jitter adds a shape of ones.
+    A standing motion has one shape; a travelling wave of one frequency two (in phase and in quadrature), a medium's own
+    field one a mode; pulses that come late add a shape of ones. As many shapes as scatterers stand for any motion.
     """
 
     rest_s: Floats
@@ -66,9 +39,9 @@ class Motion:
         reach_s = float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
         return self.rest_s - reach_s, self.rest_s + reach_s
 
-    def of(self, part: Indices) -> Motion:
+    def of(self, part: Indices) -> EchoDelays:
         """Return the same of some scatterers."""
-        return Motion(self.rest_s[part], self.shape[:, part], self.amplitude_s)
+        return EchoDelays(self.rest_s[part], self.shape[:, part], self.amplitude_s)
 
     def delay_s(self) -> Floats:
         """Return the delay of every scatterer in every echo, (echo, scatterer)."""
@@ -80,25 +53,22 @@ class Motion:
         for first in range(0, len(self.amplitude_s), at_once):
             yield self.rest_s + self.amplitude_s[first : first + at_once] @ self.shape
 
-    def about_middle(self) -> Motion:
+    def about_middle(self) -> EchoDelays:
         """Return the same motion about the middle of its range, where the series is shortest."""
         high, low = self.amplitude_s.max(axis=0), self.amplitude_s.min(axis=0)
         middle_s = (high + low) / 2
         # A small offset costs no term, moving every delay would.
         if (np.abs(middle_s) <= 0.05 * (high - low)).all():
             return self
-        return Motion(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s)
+        return EchoDelays(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s)
 
 
-def refuse_unusable(motion: Motion | Delays, weight: Floats, sample_time_s: Floats, tolerance: float) -> None:
+def refuse_unusable(motion: EchoDelays, weight: Floats, sample_time_s: Floats, tolerance: float) -> None:
     """Raise ValueError for what `refuse_numbers` and `refuse_misfits` say of a motion."""
-    if isinstance(motion, Delays):
-        named, axes = {"delay_s": motion.delay_s}, {"delay_s": "echo, scatterer"}
-    else:
-        named = {"rest_s": motion.rest_s, "shape": motion.shape, "amplitude_s": motion.amplitude_s}
-        axes = {"rest_s": "scatterer", "shape": "shape, scatterer", "amplitude_s": "echo, shape"}
-    refuse_misfits(named | {"weight": weight}, axes | {"weight": "scatterer"})
-    refuse_numbers(named | {"weight": weight}, sample_time_s, tolerance)
+    axes = {"rest_s": "scatterer", "shape": "shape, scatterer", "amplitude_s": "echo, shape"}
+    named = {name: getattr(motion, name) for name in axes} | {"weight": weight}
+    refuse_misfits(named, axes | {"weight": "scatterer"})
+    refuse_numbers(named, sample_time_s, tolerance)
 
 
 def refuse_misfits(named: dict[str, Floats], axes: dict[str, str]) -> None:
@@ -141,17 +111,3 @@ def refuse_aliasing(pulse: Pulse, sample_time_s: Floats) -> None:
             f"{highest_hz / 1e6:.4g} MHz, so echoes would alias: sample above {2 * highest_hz / 1e6:.4g} MHz or take a "
             "narrower pulse"
         )
-
-
-def harmonic_motion(
-    rest_s: Floats, field_m: NDArray[np.complex128], frequency_hz: Floats, time_s: Floats, sound_speed_m_per_s: float
-) -> Motion:
-    """Return the motion of a medium's own field: Re sum_f U_f(n) exp(j 2 pi f t_k), two shapes each.
-
-    ``field_m`` (frequency, scatterer) complex axial displacement, with whatever phase waves give it; ``time_s``
-    (echo,) when each pulse passes. Static parts are a frequency of 0.
-    """
-    angle = 2 * np.pi * np.multiply.outer(time_s, frequency_hz)
-    shape = np.concatenate([field_m.real, field_m.imag])
-    amplitude_s = np.concatenate([np.cos(angle), -np.sin(angle)], axis=1) * (2 / sound_speed_m_per_s)
-    return Motion(rest_s, shape, amplitude_s)

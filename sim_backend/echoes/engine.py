@@ -2,16 +2,14 @@
 
     r_k(t) = sum_n I_n p(t - tau_kn)
 
-| evaluation   | for                                               | error                        |
-|--------------|---------------------------------------------------|------------------------------|
-| direct       | the reference                                     | rounding                     |
-| running_sum  | any delays                                        | rounding                     |
-| combined     | any delays of small motion and few freedoms       | held back echoes, else exact |
-| interpolated | tau_kn = tau_n + b_k g_n, motion of many radians  | algebraic or geometric       |
-| series       | tau_kn = tau_n + sum_r b_kr g_rn, below 3 rad     | geometric, down to rounding  |
+| evaluation   | for                                               | error                        | file          |
+|--------------|---------------------------------------------------|------------------------------|---------------|
+| running_sum  | any delays                                        | rounding                     | exact_sums.py |
+| combined     | any delays of small motion and few freedoms       | held back echoes, else exact | combined.py   |
+| interpolated | tau_kn = tau_n + b_k g_n, motion of many radians  | algebraic or geometric       | nodes.py      |
+| series       | tau_kn = tau_n + sum_r b_kr g_rn, below 3 rad     | geometric, down to rounding  | series.py     |
 
-Each has a file of its own: ``echo_direct``, ``echo_running``, ``echo_combined``, ``echo_nodes``, ``echo_series``;
-``echo_choice`` chooses.
+``choice.py`` chooses; docs/theory/echoes.md says what each costs and where it is the cheapest.
 Delays and sample times share one origin. Put it near the echo (the focus), not at the pulse's onset 90 us earlier:
 then ``w t`` stays below some hundred radians and its rounding near 1e-14.
 """
@@ -27,12 +25,11 @@ from numpy.typing import NDArray
 
 from sim_backend.echoes.choice import LEFT_OUT_SHARE, Method, choices, in_reach, left_out_below
 from sim_backend.echoes.combined import combined
-from sim_backend.echoes.cumulative_sum import blocks, local_origin_s, running_sum
-from sim_backend.echoes.delays import Delays, Motion, refuse_aliasing, refuse_unusable
-from sim_backend.echoes.direct_sum import direct
+from sim_backend.echoes.delays import EchoDelays, refuse_aliasing, refuse_unusable
+from sim_backend.echoes.exact_sums import blocks, local_origin_s, running_sum
 from sim_backend.echoes.nodes import interpolated_within
 from sim_backend.echoes.pulse import Pulse
-from sim_backend.echoes.series import Resting, series
+from sim_backend.echoes.series import ScattererRows, series
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +52,7 @@ class Synthesis:
 
 
 def synthesise(
-    motion: Motion | Delays,
+    motion: EchoDelays,
     weight: Floats,
     pulse: Pulse,
     sample_time_s: Floats,
@@ -78,7 +75,7 @@ def synthesise(
 
 
 def _synthesise(
-    motion: Motion | Delays,
+    motion: EchoDelays,
     weight: Floats,
     pulse: Pulse,
     sample_time_s: Floats,
@@ -87,7 +84,8 @@ def _synthesise(
 ) -> Synthesis:
     echoes_wanted = motion.echo_count
     if min(echoes_wanted, len(weight), len(sample_time_s)) == 0:
-        return Synthesis(np.zeros((echoes_wanted, len(sample_time_s))), method or "direct", 0, 0)
+        return Synthesis(np.zeros((echoes_wanted, len(sample_time_s))), method or "running_sum", 0, 0)
+    # First those that can be heard in the gate, then of these those that can matter to the tolerance.
     near = in_reach(motion, weight, pulse, sample_time_s)
     limit = left_out_below(weight[near], pulse, sample_time_s, tolerance)
     strong = near[np.abs(weight[near]) > limit]
@@ -97,14 +95,14 @@ def _synthesise(
         left_out = float(np.abs(weight[near]).sum() - np.abs(weight[strong]).sum()) * float(
             np.abs(pulse.amplitude).sum()
         )
-        # The estimate of the rms was too high (scatterers that cancel): the bound does not hold, so take them all.
+        # The rms was estimated too high (scatterers that cancel each other): the bound does not hold, so take them all.
         if left_out > 2 * LEFT_OUT_SHARE * tolerance * rms:
             return _evaluate(motion, weight, near, pulse, sample_time_s, tolerance, method)
     return made
 
 
 def _evaluate(
-    motion: Motion | Delays,
+    motion: EchoDelays,
     weight: Floats,
     part: NDArray[np.int64],
     pulse: Pulse,
@@ -117,35 +115,31 @@ def _evaluate(
         weight = weight[part]
     if len(weight) == 0:
         echoes_wanted = motion.echo_count
-        return Synthesis(np.zeros((echoes_wanted, len(sample_time_s))), method or "direct", 0, 0)
+        return Synthesis(np.zeros((echoes_wanted, len(sample_time_s))), method or "running_sum", 0, 0)
     able = choices(motion, weight, pulse, sample_time_s, tolerance, method)
     choice = min(able, key=lambda one: one.cost_s)
-    if choice.method == "series" and isinstance(motion, Motion):
-        echo = _series_by_blocks(motion, weight, pulse, sample_time_s, tolerance)
-    elif choice.method == "interpolated" and isinstance(motion, Motion):
-        between = interpolated_within(motion, weight, pulse, sample_time_s, choice.terms, tolerance)
-        if between is None:
-            return _exact(motion, weight, pulse, sample_time_s, "running_sum")
-        echo = between
-    elif choice.method == "combined":
-        delay_s = motion.delay_s if isinstance(motion, Delays) else motion.delay_s()
-        made = combined(delay_s, weight, pulse, sample_time_s, tolerance)
-        if made is None:
-            return _exact(motion, weight, pulse, sample_time_s, "running_sum")
-        return Synthesis(made[0], "combined", made[1], len(weight))
-    else:
-        return _exact(motion, weight, pulse, sample_time_s, choice.method)
-    return Synthesis(echo, choice.method, choice.terms, len(weight))
-
-
-def _exact(motion: Motion | Delays, weight: Floats, pulse: Pulse, sample_time_s: Floats, method: Method) -> Synthesis:
-    exact = direct if method == "direct" else running_sum
+    echo: Floats | None = None
+    terms = choice.terms
+    match choice.method:
+        case "series":
+            echo = _series_by_blocks(motion, weight, pulse, sample_time_s, tolerance)
+        case "interpolated":
+            echo = interpolated_within(motion, weight, pulse, sample_time_s, terms, tolerance)
+        case "combined":
+            made = combined(motion.delay_s(), weight, pulse, sample_time_s, tolerance)
+            echo, terms = (None, 0) if made is None else made
+    if echo is not None:
+        return Synthesis(echo, choice.method, terms, len(weight))
+    # Chosen, or what another evaluation falls back on that found its own error too large.
     parts = motion.parts(_PAIRS_AT_ONCE)
-    echo = np.concatenate([exact(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
-    return Synthesis(echo, method, 0, len(weight))
+    exact = np.concatenate([running_sum(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
+    return Synthesis(exact, "running_sum", 0, len(weight))
 
 
-def _series_by_blocks(motion: Motion, weight: Floats, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Floats:
+def _series_by_blocks(
+    motion: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, tolerance: float
+) -> Floats:
+    """Return the echoes, block by block of samples: each with the scatterers that can reach it, its origin near it."""
     motion = motion.about_middle()
     if (motion.rest_s[1:] < motion.rest_s[:-1]).any():
         order = np.argsort(motion.rest_s, kind="stable")
@@ -162,7 +156,7 @@ def _series_by_blocks(motion: Motion, weight: Floats, pulse: Pulse, sample_time_
         # One beyond on each side: the sums above are rounded.
         near = slice(max(0, int(begin) - 1), int(end) + 1)
         row = np.zeros(len(motion.rest_s[near]), dtype=np.int64)
-        scene = Resting(
+        scene = ScattererRows(
             row, motion.rest_s[near] - origin_s, weight[near], motion.shape[:, near], motion.amplitude_s[None]
         )
         out.append(series(scene, pulse, time_s - origin_s, tolerance)[0])
@@ -189,7 +183,10 @@ def echoes(
     """
     shape = np.atleast_2d(motion_weight)
     amplitude_s = displacement_m.reshape(len(displacement_m), len(shape)) * (2 / sound_speed_m_per_s)
+    # A pulse that comes late sees everything earlier: one more shape, of ones.
     if shift_s is not None and shift_s.any():
         shape = np.concatenate([shape, np.ones((1, shape.shape[1]))])
         amplitude_s = np.concatenate([amplitude_s, -shift_s[:, None]], axis=1)
-    return _synthesise(Motion(depth_delay_s, shape, amplitude_s), weight, pulse, sample_time_s, tolerance, None).echo
+    return _synthesise(
+        EchoDelays(depth_delay_s, shape, amplitude_s), weight, pulse, sample_time_s, tolerance, None
+    ).echo

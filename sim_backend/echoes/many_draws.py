@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
@@ -9,13 +11,12 @@ from itertools import islice
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from sim_backend.echoes.cumulative_sum import blocks
-from sim_backend.echoes.delays import Motion, refuse_aliasing, refuse_misfits, refuse_numbers
+from sim_backend.echoes.delays import EchoDelays, refuse_aliasing, refuse_misfits, refuse_numbers
 from sim_backend.echoes.engine import DEFAULT_TOLERANCE, synthesise
-from sim_backend.echoes.pulse import Pulse
-from sim_backend.echoes.series import MOST_ANGLE_RAD, Resting, largest_angle, series
-from sim_backend.echoes.series_fast import series_fast, serves
-from sim_backend.echoes.thinned_draws import draw_thinned
+from sim_backend.echoes.exact_sums import blocks
+from sim_backend.echoes.pulse import Pulse, angular_rates
+from sim_backend.echoes.scatterers import draw_thinned
+from sim_backend.echoes.series import MOST_ANGLE_RAD, ScattererRows, largest_angle, series
 from sim_backend.settings import SimulationSettings
 
 Floats = NDArray[np.float64]
@@ -27,7 +28,7 @@ _COARSEST_FLOAT32_TOLERANCE = 3e-7
 
 
 def batch(
-    scene: Resting,
+    scene: ScattererRows,
     pulse: Pulse,
     sample_time_s: Floats,
     tolerance: float = DEFAULT_TOLERANCE,
@@ -55,16 +56,42 @@ def batch(
     if out.size == 0:
         return out
     if largest_angle(pulse, scene.shape, scene.amplitude_s) <= MOST_ANGLE_RAD:
-        for part in blocks(sample_time_s, pulse):
-            if compiled and serves(scene, pulse):
-                series_fast(scene, pulse, sample_time_s[part], tolerance, out[:, :, part])
-            else:
-                out[:, :, part] = series(scene, pulse, sample_time_s[part], tolerance)
+        _batch_of_series(scene, pulse, sample_time_s, tolerance, out, compiled and compilable(scene, pulse))
     else:
-        for row, own in enumerate(np.split(np.arange(len(scene.row)), np.searchsorted(scene.row, _rows_after(scene)))):
-            motion = Motion(scene.rest_s[own], scene.shape[:, own], scene.amplitude_s[row])
+        for row, own in enumerate(
+            np.split(np.arange(len(scene.row)), scene.row.searchsorted(np.arange(1, len(scene.amplitude_s))))
+        ):
+            motion = EchoDelays(scene.rest_s[own], scene.shape[:, own], scene.amplitude_s[row])
             out[row] = synthesise(motion, scene.weight[own], pulse, sample_time_s, tolerance).echo
     return out
+
+
+def _batch_of_series(
+    scene: ScattererRows,
+    pulse: Pulse,
+    sample_time_s: Floats,
+    tolerance: float,
+    out: NDArray[np.floating],
+    compiled: bool,
+) -> None:
+    for part in blocks(sample_time_s, pulse):
+        if compiled:
+            from sim_backend.echoes.series_numba import compiled_series
+
+            compiled_series(scene, pulse, sample_time_s[part], tolerance, out[:, :, part])
+        else:
+            out[:, :, part] = series(scene, pulse, sample_time_s[part], tolerance)
+
+
+@functools.cache
+def numba_installed() -> bool:
+    """Return whether Numba is installed; importing it is left to the first use."""
+    return importlib.util.find_spec("numba") is not None
+
+
+def compilable(scene: ScattererRows, pulse: Pulse) -> bool:
+    """Return whether the compiled loop covers the case: one shape, evenly spaced frequencies."""
+    return len(scene.shape) == 1 and numba_installed() and angular_rates(pulse)[1] is not None
 
 
 def drawn_echoes(
@@ -95,7 +122,9 @@ def drawn_echoes(
         field = draw_thinned(settings, reach_s, tolerance, stream, DRAWS_AT_ONCE)
         # A whole chunk always, so that the last one's draws do not depend on how many of them are wanted.
         row = np.minimum(np.arange(first, first + DRAWS_AT_ONCE), draws - 1)
-        scene = Resting(field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s[row])
+        scene = ScattererRows(
+            field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s[row]
+        )
         return batch(scene, pulse, sample_time_s, tolerance, dtype, compiled)[: draws - first]
 
     firsts = range(0, draws, DRAWS_AT_ONCE)
@@ -113,7 +142,7 @@ def drawn_echoes(
             yield done
 
 
-def _refuse_unusable(scene: Resting, sample_time_s: Floats, tolerance: float) -> None:
+def _refuse_unusable(scene: ScattererRows, sample_time_s: Floats, tolerance: float) -> None:
     axes = {
         "rest_s": "scatterer",
         "weight": "scatterer",
@@ -131,7 +160,3 @@ def _refuse_unusable(scene: Resting, sample_time_s: Floats, tolerance: float) ->
             f"row must ascend from 0 to less than the {rows} rows of amplitude_s and rest_s within each row: order the "
             "scatterers by numpy.lexsort((rest_s, row))"
         )
-
-
-def _rows_after(scene: Resting) -> NDArray[np.int64]:
-    return np.arange(1, len(scene.amplitude_s))

@@ -1,4 +1,7 @@
-"""Interpolation between echoes at Chebyshev nodes of the amplitude: every echo is a smooth function of one number."""
+"""Interpolation between echoes at Chebyshev nodes of the amplitude: every echo is a smooth function of one number.
+
+docs/theory/echoes.md, section 4.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.echoes.cumulative_sum import running_sum
-from sim_backend.echoes.delays import Motion
+from sim_backend.echoes.delays import EchoDelays
+from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import Pulse
 
 Floats = NDArray[np.float64]
@@ -32,6 +35,7 @@ def node_count(pulse: Pulse, half_range_s: float, edge_share: float, tolerance: 
     """
     if half_range_s == 0:
         return 1
+    # Bessel coefficients of exp(j theta x) fall from the order theta on: no fewer nodes are worth a try.
     theta = 2 * np.pi * max(abs(frequency_hz) for frequency_hz in pulse.frequency_hz) * half_range_s
     edges = [jump * half_range_s**order * math.sqrt(edge_share) for order, jump in enumerate(_edge_jumps(pulse))]
     for nodes in range(max(2, math.ceil(theta)), MOST_NODES):
@@ -83,7 +87,7 @@ def _edge_jumps(pulse: Pulse) -> tuple[float, ...]:
 
 
 def interpolated_within(
-    motion: Motion, weight: Floats, pulse: Pulse, sample_time_s: Floats, nodes: int, tolerance: float
+    motion: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, nodes: int, tolerance: float
 ) -> Floats | None:
     """Return the echoes of a motion of one shape by `interpolated`; None where it misses ``tolerance``.
 
@@ -117,13 +121,14 @@ def interpolated(
     low, high = float(amplitude_s.min()), float(amplitude_s.max())
     middle, half = (high + low) / 2, (high - low) / 2
     angle = (np.arange(nodes) + 0.5) * np.pi / nodes
-    motion = Motion(rest_s, shape[None], (middle + half * np.cos(angle))[:, None])
+    motion = EchoDelays(rest_s, shape[None], (middle + half * np.cos(angle))[:, None])
     parts = motion.parts(_PAIRS_AT_ONCE)
     at_nodes = np.concatenate([running_sum(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
     if half == 0.0:
         return np.repeat(at_nodes[:1], len(amplitude_s), axis=0)
     degree = np.arange(nodes)
     wanted = np.arccos(np.clip((amplitude_s - middle) / half, -1.0, 1.0))
+    # Values at the nodes -> Chebyshev coefficients -> values at the amplitudes wanted: two small matrices.
     to_coefficients = np.cos(np.outer(degree, angle)) * (2 / nodes)
     to_coefficients[0] /= 2
     return np.asarray((np.cos(np.outer(wanted, degree)) @ to_coefficients) @ at_nodes)

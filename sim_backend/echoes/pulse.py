@@ -16,12 +16,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backend.settings import SimulationSettings
+
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 # A -6 dB full width is this many standard deviations of a Gaussian amplitude spectrum.
 _WIDTH_OVER_SIGMA = 2 * math.sqrt(2 * math.log(2))
 _FINEST_TOLERANCE = 1e-13
+_BURST_CYCLES = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +35,38 @@ class Pulse:
     end_s: float
     frequency_hz: tuple[float, ...]
     amplitude: tuple[complex, ...]
+
+
+def echo_pulse(settings: SimulationSettings, carrier_hz: float) -> Pulse:
+    """Return the echo of one scatterer at the focus for a tracking pulse of ``carrier_hz``, eq. (9) or its like.
+
+    With attenuation its strength falls and, but for the Hann pulse's own support, its centre frequency with it, by
+    alpha L sigma_f^2 for a Gaussian spectrum of variance sigma_f^2 (alpha L in Np/Hz).
+    """
+    scatterers = settings.scatterers
+    pulse = _ideal_pulse(scatterers.pulse, carrier_hz, scatterers.bandwidth, scatterers.band_centre_hz)
+    if scatterers.measured_pulse is not None:
+        rate_hz, samples = scatterers.measured_pulse_rate_hz, scatterers.measured_pulse
+        pulse = sampled_pulse(np.array(samples), rate_hz, -(len(samples) - 1) / 2 / rate_hz)
+    return attenuated_to_focus(settings, pulse)
+
+
+def attenuated_to_focus(settings: SimulationSettings, pulse: Pulse) -> Pulse:
+    """Return ``pulse`` after the medium's loss on the way to the focus and back."""
+    scatterers = settings.scatterers
+    if scatterers.attenuation_db_per_cm_mhz == 0:
+        return pulse
+    way_cm = 2 * settings.beams.focus_depth_m * 100
+    return attenuated(pulse, scatterers.attenuation_db_per_cm_mhz * way_cm / 1e6)
+
+
+@functools.lru_cache(maxsize=64)
+def _ideal_pulse(kind: str, carrier_hz: float, bandwidth: float, band_centre_hz: float) -> Pulse:
+    if kind == "gaussian":
+        return gaussian_pulse(carrier_hz, bandwidth)
+    if kind == "burst":
+        return band_limited_burst(carrier_hz, _BURST_CYCLES, band_centre_hz, bandwidth)
+    return hann_pulse(carrier_hz, bandwidth)
 
 
 def hann_pulse(carrier_hz: float, bandwidth: float) -> Pulse:

@@ -1,4 +1,4 @@
-"""Echoes of proportional motion from sums over the resting scatterers: nearly free in the number of echoes.
+"""Series in the motion's amplitudes over sums of resting scatterers: nearly free in the number of echoes.
 
 With delays tau_n + sum_r b_kr g_rn (b the motion as a delay, g its shapes), an exponential of the pulse turns by
 
@@ -8,10 +8,12 @@ so every echo is a short combination, with coefficients b_k^a / a!, of the sums 
 tau_n)`` (sign aside) over scatterers at rest. That moves the exponentials but not the ends of the support; the few
 samples that an end crosses while its scatterer moves are corrected one by one with the pulse's Taylor series there.
 Both parts converge geometrically, whatever the pulse: no derivative has to be continuous at the ends.
+docs/theory/echoes.md, section 5.
 """
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from dataclasses import dataclass
@@ -20,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.echoes.pulse import Pulse, phasors
-from sim_backend.echoes.series_tables import Tables, tables_of, terms_needed
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -33,10 +34,12 @@ MOST_ANGLE_RAD = 3.0
 _VALUES_AT_ONCE = 1 << 18
 # Share of the tolerance for crossings left out or cut short.
 CROSSING_SHARE = 0.1
+# Share of the tolerance for the tail of the series.
+_TAIL_SHARE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class Resting:
+class ScattererRows:
     """Scatterers of one or more scenes (rows) and their motion, in ascending row and, within one, delay."""
 
     row: Indices
@@ -59,7 +62,7 @@ def largest_angle(pulse: Pulse, shape: Floats, amplitude_s: Floats) -> float:
     return 2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz) * reach_s
 
 
-def series(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Floats:
+def series(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Floats:
     """Return the echoes, float64 (row, echo, sample), to ``tolerance`` of their rms; samples within one pulse length.
 
     Raises ValueError where the motion turns the pulse by more than `MOST_ANGLE_RAD`.
@@ -67,6 +70,7 @@ def series(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float
     tables = series_tables(scene, pulse, sample_time_s, tolerance)
     enter = sample_time_s.searchsorted(scene.rest_s + pulse.start_s)
     leave = sample_time_s.searchsorted(scene.rest_s + pulse.end_s)
+    # U_a(t), then every echo as a short combination of them, then the samples that a support's end crosses.
     sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
     rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
     out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.steps), sums)
@@ -75,7 +79,7 @@ def series(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float
     return out
 
 
-def series_tables(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Tables:
+def series_tables(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Tables:
     """Return what pulse, gate and number of orders fix; raises ValueError where the motion is too large."""
     angle = largest_angle(pulse, scene.shape, scene.amplitude_s)
     if angle > MOST_ANGLE_RAD:
@@ -87,6 +91,87 @@ def series_tables(scene: Resting, pulse: Pulse, sample_time_s: Floats, tolerance
     return tables_of(pulse, sample_time_s.tobytes(), len(scene.shape), orders)
 
 
+def terms_needed(angle_rad: float, tolerance: float) -> int:
+    """Return how many orders keep the tail of exp(j angle) below ``tolerance``'s share."""
+    tail, order = 1.0, 0
+    while tail > _TAIL_SHARE * tolerance and order < 64:
+        order += 1
+        tail *= angle_rad / order
+    return max(1, order)
+
+
+def exponents(shapes: int, orders: int) -> list[tuple[int, ...]]:
+    """Return every exponent tuple of ``shapes`` numbers with a sum below ``orders``, in ascending sum."""
+    chosen = (itertools.combinations_with_replacement(range(shapes), degree) for degree in range(orders))
+    return [tuple(map(axes.count, range(shapes))) for axes in itertools.chain.from_iterable(chosen)]
+
+
+def steps(powers: list[tuple[int, ...]]) -> list[tuple[int, int, int]]:
+    """Return for every exponent tuple but the first which one it is a shape times, that shape, and its exponent."""
+    place = {power: index for index, power in enumerate(powers)}
+    found = []
+    for power in powers[1:]:
+        shape = next(axis for axis, count in enumerate(power) if count)
+        lower = tuple(count - (axis == shape) for axis, count in enumerate(power))
+        found.append((place[lower], shape, power[shape]))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Tables:
+    """What a pulse and a gate fix."""
+
+    steps: list[tuple[int, int, int]]
+    """How each monomial of the shapes but the first follows from an earlier one (`steps`)."""
+    scale: float
+    """Highest angular frequency of the pulse, rad/s, to which moments and coefficients are referred."""
+    turn: Complexes
+    """c_m (-j w_m / scale)^|a| exp(j w_m t), (frequency, exponent, sample)."""
+    jumps: tuple[list[float], list[float]]
+    """Start and end: sizes of the jumping derivatives over their factorials, referred to the carrier, (order,)."""
+    taylor: Floats
+    """Taylor coefficients of the exponentials about start and end, (end, order)."""
+
+
+@functools.lru_cache(maxsize=32)
+def tables_of(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> Tables:
+    """Return the tables; kept, because studies and records repeat few gates many times."""
+    sample_time_s = np.frombuffer(sample_time)
+    hz = np.array(pulse.frequency_hz)
+    powers = exponents(shapes, orders)
+    order = np.array([sum(power) for power in powers])
+    slope = np.array(pulse.amplitude)[:, None] * np.power((-1j * hz / np.abs(hz).max())[:, None], order)
+    rotation = slope[:, :, None] * phasors(pulse, sample_time_s, 1)[:, None]
+    carrier_hz = pulse.frequency_hz[int(np.argmax(np.abs(pulse.amplitude)))]
+    ends = (pulse.start_s, pulse.end_s)
+    jumps = [np.abs(_edge_derivatives(pulse, edge_s, carrier_hz, 20)).tolist() for edge_s in ends]
+    taylor = np.stack([_edge_derivatives(pulse, edge_s, 0.0, 40).real for edge_s in ends])
+    return Tables(
+        steps(powers),
+        float(2 * math.pi * np.abs(hz).max()),
+        rotation,
+        (jumps[0], jumps[1]),
+        taylor,
+    )
+
+
+def _edge_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> Complexes:
+    """Return derivative over factorial of the exponentials at an end, (order,), turned back by ``about_hz``."""
+    omega = 2 * np.pi * np.array(pulse.frequency_hz)
+    parts = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
+    rate = 1j * (omega - 2 * np.pi * about_hz)
+    out = np.empty(orders, dtype=np.complex128)
+    unit = float(np.abs(pulse.amplitude).sum())
+    for order in range(orders):
+        out[order] = parts.sum()
+        # What cancels exactly on paper (the Hann pulse and its slope are 0 at its ends) must not count as a jump.
+        if abs(out[order]) < 1e-12 * unit:
+            out[order] = 0.0
+        parts = parts * rate / (order + 1)
+        unit *= float(np.abs(rate).max()) / (order + 1)
+    return out
+
+
 def _coefficients(amplitude_rad: Floats, steps: list[tuple[int, int, int]]) -> Floats:
     """Return b^a / a!, (row, echo, exponent)."""
     out = np.empty((len(steps) + 1, *amplitude_rad.shape[:2]))
@@ -96,7 +181,9 @@ def _coefficients(amplitude_rad: Floats, steps: list[tuple[int, int, int]]) -> F
     return np.ascontiguousarray(np.moveaxis(out, 0, -1))
 
 
-def _rest_sums(scene: Resting, enter: Indices, leave: Indices, tables: Tables, pulse: Pulse, samples: int) -> Floats:
+def _rest_sums(
+    scene: ScattererRows, enter: Indices, leave: Indices, tables: Tables, pulse: Pulse, samples: int
+) -> Floats:
     """Return U_a, real (row, exponent, sample), of the scatterers whose support at rest holds a sample.
 
     In ascending delay those that entered since the first sample follow one another, and so do those that were there
@@ -108,6 +195,8 @@ def _rest_sums(scene: Resting, enter: Indices, leave: Indices, tables: Tables, p
     out = np.zeros((len(scene.amplitude_s), tables.turn.shape[1], samples))
     for row, (first, last) in enumerate(itertools.pairwise(begin)):
         own_enter, own_leave = enter[first:last], leave[first:last]
+        # Scatterers before ``middle`` are there from the first sample on. At sample i those from gone[i] to middle are
+        # still there, and those from middle to come[i] have come.
         middle = int(own_enter.searchsorted(1))
         gone = own_leave.searchsorted(every, side="right")
         come = np.maximum(own_enter.searchsorted(every, side="right"), middle)
@@ -138,7 +227,7 @@ def _runs(key: Indices) -> Indices:
     return np.flatnonzero(new)
 
 
-def _moments(scene: Resting, part: slice, steps: list[tuple[int, int, int]]) -> Floats:
+def _moments(scene: ScattererRows, part: slice, steps: list[tuple[int, int, int]]) -> Floats:
     """Return I_n g_n^a, (exponent, scatterer)."""
     shape, weight = scene.shape[:, part], scene.weight[part]
     out = np.empty((len(steps) + 1, len(weight)))
@@ -150,7 +239,7 @@ def _moments(scene: Resting, part: slice, steps: list[tuple[int, int, int]]) -> 
 
 def _correct_crossings(
     out: Floats,
-    scene: Resting,
+    scene: ScattererRows,
     index: tuple[Indices, Indices],
     tables: Tables,
     pulse: Pulse,
@@ -167,9 +256,11 @@ def _correct_crossings(
     if farthest_s == 0 or heaviest == 0:
         return
     duration_s = float(sample_time_s[-1] - sample_time_s[0])
+    # How many samples one end can cross at most; an equal share of the budget for each.
     crossing = 1 + (2 * farthest_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0)
     each = budget / (2 * len(reach_s) * crossing)
     size, share = np.abs(scene.weight), reach_s / farthest_s
+    # Ends whose jump could exceed that share, at the start and at the end of the support, and the samples near them.
     bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
     matter = [np.flatnonzero(size * (share**order * largest) > each) for order, largest in bounds]
     who = np.concatenate(matter)
@@ -184,6 +275,7 @@ def _correct_crossings(
     at_once = max(1, _VALUES_AT_ONCE // (out.shape[1] * int(count.max(initial=1))))
     for begin in range(0, len(who), at_once):
         some = slice(begin, begin + at_once)
+        # (pair,): every such end with every sample within its reach.
         pair = np.repeat(np.arange(len(who[some])), count[some])
         sample = np.arange(len(pair)) + np.repeat(low[some] - np.cumsum(count[some]) + count[some], count[some])
         past_s = sample_time_s[sample] - edge_time_s[some][pair]
@@ -193,7 +285,7 @@ def _correct_crossings(
 
 
 def _add_pairs(
-    out: Floats, scene: Resting, who: Indices, sample: Indices, past_s: Floats, was_past: Booleans, taylor: Floats
+    out: Floats, scene: ScattererRows, who: Indices, sample: Indices, past_s: Floats, was_past: Booleans, taylor: Floats
 ) -> None:
     """Add to ``out``, at ``sample`` (pair,), the part of the scatterers ``who`` whose end has moved over it."""
     row = scene.row[who]
@@ -201,12 +293,15 @@ def _add_pairs(
         moved_s = scene.shape[:, who].T @ scene.amplitude_s[0].T
     else:
         moved_s = np.matmul(scene.amplitude_s[row], scene.shape[:, who].T[:, :, None])[:, :, 0]
+    # (pair, echo): time since the end passed the sample; the Taylor series there by Horner's rule.
     x = past_s[:, None] - moved_s
     value = np.repeat(taylor[:, -1:], x.shape[1], axis=1)
     for coefficient in taylor.T[-2::-1]:
         value *= x
         value += coefficient[:, None]
+    # +1 where the motion lets the scatterer in, -1 where it takes it out, 0 where nothing changes.
     value *= ((x >= 0) * 1.0 - was_past[:, None]) * scene.weight[who, None]
+    # Pairs of one row and sample are summed before they are added: fancy indexing adds each place only once.
     place = row * out.shape[2] + sample
     order = np.argsort(place, kind="stable")
     run = _runs(place[order])

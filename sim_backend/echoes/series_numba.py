@@ -1,7 +1,9 @@
-"""The loops that Numba compiles; imported by `echo_series_fast` alone, and only where Numba is installed.
+"""Series of `sim_backend.echoes.series` as loops that Numba compiles, for studies; without Numba the NumPy form serves.
 
-Written out element by element and in pieces, each compiled for one kind of arguments: array expressions, inlining by
-hand and further layouts cost seconds of compilation each, and no run time is saved.
+The same sums, cut at the same tolerance, of one shape and evenly spaced frequencies. Imported only where a batch asks
+for it: importing Numba takes longer than most scenes. Written out element by element and in pieces, each compiled for
+one kind of arguments: array expressions, inlining by hand and further layouts cost seconds of compilation each, and no
+run time is saved. docs/theory/echoes.md, section 5.
 """
 
 from __future__ import annotations
@@ -13,11 +15,56 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backend.echoes.pulse import Pulse, angular_rates
+from sim_backend.echoes.series import (
+    CROSSING_SHARE,
+    ScattererRows,
+    enough_taylor,
+    largest_near,
+    largest_size,
+    series_tables,
+)
+
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Loop = TypeVar("Loop", bound=Callable[..., object])
 
 _compiled: Callable[[Loop], Loop] = numba.njit(nogil=True, cache=True, error_model="numpy")
+
+
+def compiled_series(
+    scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance: float, out: NDArray[np.floating]
+) -> None:
+    """Write the same as `sim_backend.echoes.series.series` to ``out`` (row, echo, sample), of any float type."""
+    tables = series_tables(scene, pulse, sample_time_s, tolerance)
+    shape, amplitude_s = scene.shape[0], scene.amplitude_s[:, :, 0]
+    farthest_s = largest_size(amplitude_s) * largest_size(shape)
+    duration_s = float(sample_time_s[-1] - sample_time_s[0])
+    crossing = 1 + (2 * farthest_s * (len(sample_time_s) - 1) / duration_s if duration_s > 0 else 0.0)
+    bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
+    omega, step = angular_rates(pulse)
+    # The loop is compiled for this one kind of array.
+    made = out if out.dtype == np.float64 and out.flags.c_contiguous else np.empty(out.shape)
+    parts = (scene.rest_s, scene.weight, shape, amplitude_s, sample_time_s)
+    rows(
+        scene.row.searchsorted(np.arange(len(amplitude_s) + 1)),
+        *(np.ascontiguousarray(part, dtype=np.float64) for part in parts),
+        np.array([pulse.start_s, pulse.end_s]),
+        omega[0],
+        step or 0.0,
+        tables.scale,
+        tables.turn,
+        np.array([order for order, _ in bounds]),
+        np.array([largest for _, largest in bounds]),
+        tables.taylor,
+        enough_taylor(tables.taylor, tables.scale * farthest_s, 1e-3 * tolerance).shape[1],
+        farthest_s,
+        crossing,
+        CROSSING_SHARE * tolerance,
+        made,
+    )
+    if made is not out:
+        out[:] = made
 
 
 @_compiled
@@ -51,11 +98,15 @@ def _add_scatterers(
     for n in range(first, last):
         if rest_s[n] + ends_s[0] > time_s[samples - 1] or rest_s[n] + ends_s[1] <= time_s[0]:
             continue
+        # First samples at or after both ends of its support at rest.
         enter = _place(time_s, rest_s[n] + ends_s[0], rate_hz)
         leave = _place(time_s, rest_s[n] + ends_s[1], rate_hz)
         if enter >= leave or enter >= samples or leave <= 0:
             continue
+        # Those there from the first sample on fill the lower half of the cells, by the sample they leave at; those to
+        # come the upper half, by the sample they enter at. Sums over either half then never subtract (`_sum_up`).
         cell = samples - leave if enter == 0 else samples + enter
+        # Phasor exp(-j w_m tau), frequency by frequency: the step between them is the same.
         c, s = np.cos(omega * rest_s[n]), -np.sin(omega * rest_s[n])
         turn_c, turn_s = np.cos(step * rest_s[n]), -np.sin(step * rest_s[n])
         for m in range(frequencies):
@@ -72,6 +123,7 @@ def _sum_up(cells: Floats, turn: Complexes, sums: Floats) -> float:
     """Sum ``cells`` from either end, turn them into ``sums`` (power, sample); return the power of the first."""
     frequencies, powers, samples = turn.shape
     flat = cells.reshape(2, samples, frequencies * powers * 2)
+    # Running sums over both halves: after them a cell holds everything that is alive at its sample.
     for half in range(2):
         for i in range(1, samples):
             for q in range(flat.shape[2]):
@@ -149,7 +201,7 @@ def rows(
     share: float,
     out: Floats,
 ) -> None:
-    """Write the echoes of every row to ``out`` (row, echo, sample); the arguments are those of `echo_series`."""
+    """Write the echoes of every row to ``out`` (row, echo, sample); the arguments are those of `compiled_series`."""
     frequencies, powers, samples = turn.shape
     rate_hz = (samples - 1) / (time_s[-1] - time_s[0]) if samples > 1 else 0.0
     sums = np.empty((powers, samples))
@@ -161,6 +213,7 @@ def rows(
         _combine(sums, amplitude_s[row] * scale, out[row])
         if farthest_s == 0.0:
             continue
+        # What is left: samples that an end of a moving support crosses, scatterer by scatterer, end by end.
         # rms * sqrt(samples) = sqrt(power), shared among the crossings that may happen.
         each = share * np.sqrt(power) / (2 * max(1, end - begin) * crossing)
         spread_s = 0.0
@@ -172,6 +225,7 @@ def rows(
                 edge_s = rest_s[n] + ends_s[edge]
                 if edge_s + reach_s < time_s[0] or edge_s - reach_s > time_s[samples - 1]:
                     continue
+                # The most this end can add: its jump of the lowest order, as small as its reach makes it.
                 bound = abs(weight[n]) * largest[edge]
                 for _ in range(jump_order[edge]):
                     bound *= reach_s / farthest_s

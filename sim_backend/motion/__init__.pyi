@@ -1,19 +1,19 @@
 from .acoustic_dose import Dose as Dose, dose as dose
-from .field_modes import MediumMotion as MediumMotion, medium_motion as medium_motion
+from .field import MediumMotion as MediumMotion, medium_motion as medium_motion
 from .force import (
     ForcePulses as ForcePulses,
+    harmonic_v as harmonic_v,
     radiation_force as radiation_force,
     transmit_response as transmit_response,
 )
 from .inverse_laplace import AXIS_CONTOUR as AXIS_CONTOUR, Contour as Contour, Panels as Panels, panels_of as panels_of
-from .moduli import shear_modulus as shear_modulus
 from .prescribed import motion_at as motion_at
 from .specimen import (
     StepResponse as StepResponse,
     frequency_response as frequency_response,
     memory_s as memory_s,
+    shear_modulus as shear_modulus,
     tabulate_step_response as tabulate_step_response,
     transfer as transfer,
     transient_displacement as transient_displacement,
 )
-from .transmitter import harmonic_v as harmonic_v

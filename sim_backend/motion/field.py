@@ -5,22 +5,32 @@
 The same medium and force as `sim_backend.motion.specimen`, off the axis, where the integral over wave numbers k has no
 closed form worth its price. It runs along a ray in the complex k plane instead: clear of the shear pole at every node
 of the hyperbola in the s plane, an elastic medium's included. The force is round: equal lateral widths.
+docs/theory/medium.md, section 5.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from sim_backend.motion.force import ForcePulses
+from sim_backend.motion.force import radiation_force
 from sim_backend.motion.inverse_laplace import FIELD_CONTOUR, Contour, Panels, panels_of
-from sim_backend.motion.moduli import shear_modulus
-from sim_backend.motion.specimen import StepResponse, Triple, force_volume, memory_s, polar_nodes, transients
-from sim_backend.settings import Specimen
-from sim_backend.wiring import Picoseconds
+from sim_backend.motion.specimen import (
+    StepResponse,
+    Triple,
+    force_volume,
+    memory_s,
+    polar_nodes,
+    shear_modulus,
+    transients,
+)
+from sim_backend.settings import SimulationSettings, Specimen, Transmitter
+from sim_backend.wiring import Bursts, Picoseconds
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -29,12 +39,14 @@ Complexes = NDArray[np.complex128]
 # it as exp(|k| r sin(ray)), which costs digits and nodes far from the axis: there both turn towards the real one.
 _RAY = 0.55
 _LARGEST_GROWTH_EXPONENT = 4.0
+# |k| up to the highest that matters, octave by octave: the uppermost five, whose waves turn fast, with more nodes.
 _OCTAVES = 21
 _NODES_AN_OCTAVE = 12
 _NODES_WHERE_WAVES_ARE_SHORT = 28
 _SHORT_OCTAVES = 5
+# exp(-32) = 1e-14: a share of the spectrum below that puts nothing into any point.
 _NEGLIGIBLE_EXPONENT = 32.0
-_DEAR_ARGUMENT = 100.0
+# Chebyshev degrees of the shapes; laterally more where the field reaches over many widths of the force.
 _LATERAL_DEGREES = 16
 _LATERAL_DEGREES_A_WIDTH = 3.8
 _AXIAL_DEGREES = 10
@@ -60,13 +72,13 @@ class FocusField:
                 f"focal plane lies outside the tabulated field of {reach[0] * 1e3:.3g} and {reach[1] * 1e3:.3g} mm. "
                 "Try: a field that reaches as far as the scatterers."
             )
-        rows = _chebyshev((lateral_m / reach[0]) ** 2, self.shape.shape[1])
-        columns = _chebyshev((axial_m / reach[1]) ** 2, self.shape.shape[2])
+        # Squared, from the axis or focal plane (0) to the reach (1), then led to the -1 to 1 of the polynomials.
+        places = [
+            np.clip(2 * (at / most) ** 2 - 1, -1.0, 1.0) for at, most in zip((lateral_m, axial_m), reach, strict=True)
+        ]
+        rows = chebvander(places[0], self.shape.shape[1] - 1)
+        columns = chebvander(places[1], self.shape.shape[2] - 1)
         return np.asarray(np.einsum("pl,mla,pa->pm", rows, self.shape, columns, optimize=True))
-
-    def amplitudes(self, force: ForcePulses, time_ps: Picoseconds) -> Floats:
-        """Return every mode's amplitude under all ``force`` pulses at ``time_ps`` (time,): (time, mode)."""
-        return transients(self.response, force, time_ps)
 
 
 def focus_field(
@@ -81,14 +93,48 @@ def focus_field(
     axial_m = axial_reach_m * np.sqrt(_nodes(_AXIAL_DEGREES))
     spectrum = _Spectrum(width_m, lateral_m, axial_m)
     panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
+    # A matrix of courses in time by points in space: its singular vectors are the modes, few of which are large.
     degrees, count, points = panels.coefficient.shape
     left, size, right = np.linalg.svd(panels.coefficient.reshape(-1, points), full_matrices=False)
     modes = max(1, int(np.count_nonzero(size > 0.1 * tolerance * size[0])))
     courses = (left[:, :modes] * size[:modes]).reshape(degrees, count, modes)
+    # From values at the grid's Chebyshev points to coefficients, along both axes.
     grid = right[:modes].reshape(modes, across, _AXIAL_DEGREES)
     shape = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(_AXIAL_DEGREES), optimize=True)
     response = StepResponse(memory_s(specimen, Panels(courses)), Panels(courses))
     return FocusField(lateral_reach_m, axial_reach_m, response, shape)
+
+
+@dataclass(frozen=True, slots=True)
+class MediumMotion:
+    """The field's modes at the scatterers, and what drives them."""
+
+    shape: Floats
+    """(mode, scatterer)"""
+    field: FocusField
+    specimen: Specimen
+    transmitter: Transmitter
+    travel_s: float
+
+    def amplitudes_m(self, tonebursts: Bursts, time_ps: Picoseconds) -> Floats:
+        """Return every mode's amplitude at ``time_ps`` (time,) under ``tonebursts``: (time, mode)."""
+        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter)
+        return transients(self.field.response, force, time_ps)
+
+
+def medium_motion(settings: SimulationSettings, offset_m: Floats, travel_s: float) -> MediumMotion:
+    """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus; needs ``settings.specimen``."""
+    specimen = settings.specimen or Specimen()
+    lateral_m, axial_m = np.hypot(offset_m[:, 0], offset_m[:, 1]), np.abs(offset_m[:, 2])
+    # At least the force's own widths, so that a single scatterer at the focus leaves a field to tabulate.
+    width_m = settings.beams.excitation_width_m
+    reach_m = [max(float(at.max(initial=0.0)), width) for at, width in ((lateral_m, width_m[0]), (axial_m, width_m[2]))]
+    field = _kept_field(specimen, width_m, *reach_m)
+    return MediumMotion(field.shapes(lateral_m, axial_m).T, field, specimen, settings.transmitter, travel_s)
+
+
+# Of the settings and the draw of scatterers alone: repeated measurements of one scene share it.
+_kept_field = lru_cache(maxsize=8)(focus_field)
 
 
 def field_transfer(
@@ -141,6 +187,8 @@ def _turned(contour: Contour, share: float) -> Contour:
 
 def _ray_spectrum(width_m: Triple, lateral_m: Floats, axial_m: Floats, ray: float) -> tuple[Complexes, Complexes]:
     """Return the squares of the wave numbers, (k,), and their weighted share in every point, (k, point)."""
+    from scipy.special import jv
+
     m, a, share = polar_nodes(width_m[0] ** 2, width_m[2] ** 2)
     turn, finer = np.exp(1j * ray), _RAY / ray
     reach_m = lateral_m.max() * np.sqrt(1 - m**2) + np.abs(axial_m).max() * m
@@ -157,8 +205,10 @@ def _ray_spectrum(width_m: Triple, lateral_m: Floats, axial_m: Floats, ray: floa
         seen = fall - high * reach_m * math.sin(ray) < _NEGLIGIBLE_EXPONENT
         sine, cosine = np.sqrt(1 - m[seen] ** 2)[:, None], m[seen][:, None]
         spread = np.exp(-np.outer(k**2, a[seen])) * share[seen]
-        across = _bessel_j0(k[:, None, None] * sine * lateral_m)
+        # (k, direction, lateral) and (k, direction, axial): the wave across the axis and along it.
+        across = jv(0, k[:, None, None] * sine * lateral_m)
         along = np.cos(k[:, None, None] * cosine * axial_m)
+        # Summed over directions: what these wave numbers put into every point, (k, lateral, axial).
         block = np.einsum("km,kml,kma->kla", spread, across, along, optimize=True)
         k2.append(k**2)
         into.append(block.reshape(len(k), -1) * (turn * (high - low) / 2 * weight)[:, None])
@@ -171,37 +221,13 @@ def _highest(a: Floats, distance_m: Floats, ray: float) -> Floats:
     return np.asarray((growth + np.sqrt(growth**2 + 4 * _NEGLIGIBLE_EXPONENT * fall)) / (2 * fall))
 
 
-def _bessel_j0(w: Complexes) -> Complexes:
-    """Return J0 in NumPy alone: its series where |w| is small, else the mean of cos(w cos(angle)).
-
-    The mean is exact once four times the angles pass |w|. Far out that is dear, and scipy worth its import.
-    """
-    largest = float(np.abs(w).max())
-    if largest < 0.5:
-        x = w * w / 4
-        return np.asarray(1 - x * (1 - x / 4 * (1 - x / 9)))
-    if largest > _DEAR_ARGUMENT:
-        from scipy.special import jv
-
-        return np.asarray(jv(0, w))
-    angles = 8 + math.ceil(0.3 * largest)
-    angle = (np.arange(angles) + 0.5) * np.pi / (2 * angles)
-    total = np.zeros_like(w)
-    for cosine in np.cos(angle):
-        total += np.cos(w * cosine)
-    return total / angles
-
-
 def _nodes(count: int) -> Floats:
+    """Return Chebyshev's points of 0 to 1, (count,)."""
     return np.asarray((np.cos((np.arange(count) + 0.5) * np.pi / count) + 1) / 2)
 
 
-def _chebyshev(place: Floats, count: int) -> Floats:
-    angle = np.arccos(np.clip(2 * place - 1, -1.0, 1.0))
-    return np.asarray(np.cos(angle[:, None] * np.arange(count)))
-
-
 def _to_series(count: int) -> Floats:
+    """Return the matrix from values at `_nodes` to Chebyshev coefficients, (degree, node)."""
     series = np.cos(np.outer(np.arange(count), (np.arange(count) + 0.5) * np.pi / count)) * (2 / count)
     series[0] /= 2
     return np.asarray(series)

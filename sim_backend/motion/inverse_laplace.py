@@ -1,10 +1,11 @@
-"""From a transfer function U(s) to its response to a step at any time: sums along a hyperbola, panels of log time.
+"""Inverse Laplace transform of a transfer function: its step response at any time, tabulated in panels of log time.
 
     S(t) = 1/(2 pi j) * integral of exp(s t) U(s)/s ds,    s(x) = (m/t0) (1 + sin(j x - alpha))
 
 One hyperbola serves t0 to 4 t0. U must be analytic to the right of it: off the negative real axis and, where it grows
 (an elastic medium's does like exp(s^2)), not nearer to that axis than 45 degrees: that sets alpha. The error falls
-geometrically with the nodes; 32 give 3e-13 (Weideman and Trefethen, Math. Comp. 76, 2007, for the method).
+geometrically with the nodes; 32 give 3e-13 (Weideman and Trefethen, Math. Comp. 76, 2007, for the method;
+docs/theory/medium.md, section 4).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
+# Each panel ends at four times its begin: as far as one hyperbola serves.
 _RATIO = 4.0
 _DEGREES = 24
 _FIRST_S = 1e-12
@@ -65,6 +67,7 @@ class Panels:
         time_s = np.asarray(time_s, dtype=np.float64)
         late_s = np.clip(time_s, _FIRST_S, self.end_s)
         last = self.coefficient.shape[1] - 1
+        # Which panel, and where in it from -1 to 1; rounding at a panel's end is harmless, its series goes on.
         panel = np.clip(np.log(late_s / _FIRST_S) / np.log(_RATIO), 0, last).astype(np.int64)
         x = 2 * (late_s / (_FIRST_S * _RATIO**panel) - 1) / (_RATIO - 1) - 1
         value = _clenshaw(self.coefficient, panel, x[..., None])
@@ -79,8 +82,10 @@ def panels_of(
     count = int(np.ceil(np.log(_LAST_S / _FIRST_S) / np.log(_RATIO)))
     begin_s = _FIRST_S * _RATIO ** np.arange(count)
     s, weight = _hyperbola(contour)
+    # (panel, node, response): every panel's hyperbola is the same one, scaled by its begin.
     value = transfer((s / begin_s[:, None]).ravel()).reshape(count, contour.nodes, -1)
     angle = (np.arange(degrees) + 0.5) * np.pi / degrees
+    # Chebyshev points of a panel, in units of its begin: 1 to 4.
     place = 1 + (_RATIO - 1) * (np.cos(angle) + 1) / 2
     # (time, node) is the same for every panel: time is counted in units of its begin.
     to_time = np.exp(np.outer(place, s)) * weight
@@ -88,13 +93,6 @@ def panels_of(
     to_coefficients = np.cos(np.outer(np.arange(degrees), angle)) * (2 / degrees)
     to_coefficients[0] /= 2
     return Panels(np.einsum("dt,tpr->dpr", to_coefficients, samples, optimize=True))
-
-
-def step_of(transfer: Callable[[Complexes], Complexes], time_s: float) -> float:
-    """Return the response at one time > 0 of a single ``transfer`` without a table, for studies and tests."""
-    s, weight = _hyperbola(AXIS_CONTOUR)
-    begin_s = time_s / 2
-    return float((np.exp(2 * s) * weight @ transfer(s / begin_s)).real)
 
 
 def _hyperbola(contour: Contour) -> tuple[Complexes, Complexes]:
@@ -106,6 +104,10 @@ def _hyperbola(contour: Contour) -> tuple[Complexes, Complexes]:
 
 
 def _clenshaw(coefficient: Floats, panel: NDArray[np.int64], x: Floats) -> Floats:
+    """Return each panel's Chebyshev series at ``x`` by Clenshaw's recurrence, (*panel, response).
+
+    Row by row: numpy's chebval would gather (degree, time, response) at once.
+    """
     one = np.zeros_like(x)
     two = np.zeros_like(x)
     for row in coefficient[:0:-1]:

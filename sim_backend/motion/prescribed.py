@@ -13,17 +13,11 @@ from sim_backend.wiring import PS_PER_S, Picoseconds
 Floats = NDArray[np.float64]
 
 
-def prescribed_motion(components: Sequence[MotionComponent], time_s: Floats) -> Floats:
-    """Return the sum of sinusoids D sin(2 pi f t + phi) at ``time_s`` (time,) after the master trigger, m."""
-    displacement_m = np.zeros(time_s.shape)
-    for component in components:
-        phase_rad = 2 * np.pi * component.frequency_hz * time_s + component.phase_rad
-        displacement_m += component.amplitude_m * np.sin(phase_rad)
-    return displacement_m
-
-
 def motion_at(components: Sequence[MotionComponent], time_ps: Picoseconds) -> Floats:
-    """Return the same at integer picoseconds (time,) after the master trigger, right to 1e-12 rad after 1e5 s."""
+    """Return the sum of sinusoids D sin(2 pi f t + phi), m, at ``time_ps`` (time,) after the master trigger.
+
+    The phase is right to 1e-12 rad after 1e5 s.
+    """
     displacement_m = np.zeros(time_ps.shape)
     for component in components:
         phase_rad = 2 * np.pi * turns(component.frequency_hz, time_ps) + component.phase_rad

@@ -1,10 +1,11 @@
 """Displacement at the focus of an incompressible viscoelastic medium under a Gaussian body force.
 
-Body force ``f0 exp(-x^2/2sx^2 - y^2/2sy^2 - z^2/2sz^2)`` along z in a medium of density rho and modulus mu(s), s = j w
-(`sim_backend.motion.moduli`). Only the divergence-free part of the force moves such a medium: the share 1 - m^2 of a
-plane wave whose direction has cosine m with z. The integral over wave numbers is a closed form at every complex
-s, which leaves one smooth quadrature over directions (`transfer`). On s = j w that is the frequency response; summed along a
-hyperbola in the left half plane it is the response to a step, at any time, without period, padding or time step.
+    drive -> body force f0 exp(-x^2/2sx^2 - y^2/2sy^2 - z^2/2sz^2) along z -> displacement u at its centre
+
+The medium has density rho and complex shear modulus mu(s), s = j w. The integral over wave numbers is a closed form at
+every complex s, which leaves one smooth quadrature over directions (`transfer`). On s = j w that is the frequency
+response; summed along a hyperbola in the left half plane (`sim_backend.motion.inverse_laplace`) it is the response to a
+step, at any time, without period, padding or time step. Derived in docs/theory/medium.md, sections 1 to 4.
 """
 
 from __future__ import annotations
@@ -15,10 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.motion.faddeeva import lag
 from sim_backend.motion.force import ForcePulses
 from sim_backend.motion.inverse_laplace import Panels, panels_of
-from sim_backend.motion.moduli import creeps_for_ever, shear_modulus
 from sim_backend.settings import Specimen
 from sim_backend.wiring import PS_PER_S, Picoseconds
 
@@ -27,14 +26,46 @@ Complexes = NDArray[np.complex128]
 Triple = tuple[float, float, float]
 
 _DIRECTION_NODES = 64
+# Relative to the static displacement: below this a response has ended.
 _FORGOTTEN = 1e-11
+# |z| from which the continued fraction, so many terms deep, is as exact as the difference it replaces (8e-13).
+_FAR, _FAR_TERMS = 6.0, 16
+
+
+def shear_modulus(specimen: Specimen, s_per_s: Complexes) -> Complexes:
+    """Return the modulus mu(s) in Pa, shape of ``s_per_s``; analytic off the negative real axis, so also in time.
+
+    Voigt ``mu1 + s mu2``; Maxwell ``s mu1 mu2 / (mu1 + s mu2)``; Zener ``mu1`` beside a Maxwell branch of
+    ``branch_modulus_pa`` and ``mu2``; power law ``mu1 (s / 2 pi f_r)^p``. docs/theory/medium.md, section 1.
+    """
+    mu1, mu2 = specimen.shear_modulus_pa, specimen.shear_viscosity_pa_s
+    match specimen.medium:
+        case "voigt":
+            return mu1 + s_per_s * mu2
+        case "maxwell":
+            return _branch(mu1, mu2, s_per_s)
+        case "zener":
+            return mu1 + _branch(specimen.branch_modulus_pa, mu2, s_per_s)
+        case "power_law":
+            relative = s_per_s / (2 * np.pi * specimen.reference_frequency_hz)
+            return np.asarray(mu1 * relative**specimen.power)
+
+
+def _branch(modulus_pa: float, viscosity_pa_s: float, s_per_s: Complexes) -> Complexes:
+    # Divided through by the modulus: neither a stiff spring nor a fast s overflows.
+    return np.asarray(s_per_s * viscosity_pa_s / (1 + s_per_s * (viscosity_pa_s / modulus_pa)))
+
+
+def creeps_for_ever(specimen: Specimen) -> bool:
+    """Return whether a constant force moves the medium without end: it has no static displacement."""
+    return specimen.medium == "maxwell" or (specimen.medium == "power_law" and specimen.power > 0)
 
 
 def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: Floats) -> Complexes:
     """Return displacement at the focus over body force there, m per N/m^3, complex (frequency,), time factor exp(+jwt).
 
-    ``width_m`` the sigmas of the force, ``frequency_hz`` (frequency,) >= 0. Model notes, section 3. Raises
-    ``ValueError`` at 0 Hz for a medium that creeps for ever.
+    ``width_m`` the sigmas of the force, ``frequency_hz`` (frequency,) >= 0. Raises ``ValueError`` at 0 Hz for a medium
+    that creeps for ever. docs/theory/medium.md, section 2.
     """
     frequency_hz = np.asarray(frequency_hz, dtype=np.float64)
     if creeps_for_ever(specimen) and not frequency_hz.all():
@@ -54,8 +85,34 @@ def transfer(specimen: Specimen, width_m: Triple, s_per_s: Complexes) -> Complex
     modulus = shear_modulus(specimen, s_per_s)
     a, share = _directions(width_m)
     q = 1j * s_per_s * np.sqrt(specimen.density_kg_per_m3 / modulus)
-    moved = lag(q[:, None] * np.sqrt(a)) @ (np.sqrt(np.pi / a) / 2 * share)
+    # (frequency, direction) @ (direction,): what each direction adds when at rest, times its share of inertia.
+    moved = inertia_factor(q[:, None] * np.sqrt(a)) @ (np.sqrt(np.pi / a) / 2 * share)
     return np.asarray(force_volume(width_m) / modulus * moved)
+
+
+def inertia_factor(z: Complexes) -> Complexes:
+    """Return ``1 + j sqrt(pi) z w(z)``, any shape, to 1e-12 for Im z >= 0; w is the Faddeeva function.
+
+    What remains of a Gaussian source's static response once inertia counts: 1 at rest, -1/(2 z^2) far out. There the
+    two terms cancel, so Laplace's continued fraction takes over, which never forms the difference; Im z < 0 by
+    w(z) = 2 exp(-z^2) - w(-z), which overflows where the function does. docs/theory/medium.md, section 3.
+    """
+    # Here, so that what needs no specimen does not load it; every run has loaded it by then for scipy.fft.
+    from scipy.special import wofz
+
+    z = np.asarray(z, dtype=np.complex128)
+    far = np.abs(z) >= _FAR
+    out = np.empty_like(z)
+    out[~far] = 1 + 1j * np.sqrt(np.pi) * z[~far] * wofz(z[~far])
+    distant = z[far]
+    rest = np.zeros_like(distant)
+    # From the innermost term out; the fraction is even in z, so one sign serves both half planes.
+    for term in range(_FAR_TERMS, 0, -1):
+        rest = term / 2 / (distant - rest)
+    out[far] = -rest / (distant - rest)
+    below = far & (z.imag < 0)
+    out[below] += 2j * np.sqrt(np.pi) * z[below] * np.exp(-(z[below] ** 2))
+    return out
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +143,6 @@ def memory_s(specimen: Specimen, panels: Panels) -> float:
     return float(panels.begins_s[min(int(np.flatnonzero(moving)[-1]) + 1, len(moving) - 2)])
 
 
-def step_response(specimen: Specimen, width_m: Triple, time_s: Floats) -> Floats:
-    """Return the displacement at ``time_s`` (time,) > 0 after a unit force was switched on, m per N/m^3: no table."""
-    from sim_backend.motion.inverse_laplace import step_of
-
-    return np.array([step_of(lambda s: transfer(specimen, width_m, s), time) for time in time_s.tolist()])
-
-
 def transient_displacement(response: StepResponse, force: ForcePulses, time_ps: Picoseconds) -> Floats:
     """Return the displacement at the focus at ``time_ps`` (time,) under all ``force`` pulses, m; 0 before any."""
     return transients(response, force, time_ps)[:, 0]
@@ -110,6 +160,7 @@ def transients(response: StepResponse, force: ForcePulses, time_ps: Picoseconds)
     moved = np.zeros((len(time_ps), response.panels.coefficient.shape[2]))
     first = np.searchsorted(ascending_ps, force.onset_ps)
     last = np.searchsorted(ascending_ps, force.end_ps + memory_ps, side="right")
+    # Each pulse is added to the slice of times that lie between its onset and the end of its memory.
     for index, strength in enumerate(force.force_density_n_per_m3):
         felt = slice(first[index], last[index])
         up_s = (ascending_ps[felt] - force.onset_ps[index]) / PS_PER_S
@@ -139,7 +190,9 @@ def _directions(width_m: Triple) -> tuple[Floats, Floats]:
 def polar_nodes(lateral: float, axial: float) -> tuple[Floats, Floats, Floats]:
     """Return cosine m, half the squared width ``a`` and share of the directions of one azimuth, (direction,) each.
 
-    ``lateral`` and ``axial`` are the squared widths. Nodes in the variable that makes the width smooth.
+    ``lateral`` and ``axial`` are the squared widths. The share is that of the
+    divergence-free force, 1 - m^2, with the quadrature's weight. Gauss-Legendre nodes in the variable that makes the
+    width a smooth function: asinh for a force longer than wide, asin for a disc (docs/theory/medium.md, section 2).
     """
     node, weight = np.polynomial.legendre.leggauss(_DIRECTION_NODES)
     node, weight = (node + 1) / 2, weight / 2

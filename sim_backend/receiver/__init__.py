@@ -1,4 +1,11 @@
-"""sim_backend/receiver"""
+"""Receiver: from the sum over scatterers to volts at the digitizer's input.
+
+    echo gain, noise, toneburst leak              eq. (16)             front_end.py, always
+    trigger jitter, sample clock                                       timing.py
+    notch, T/R switch, noise, band-pass, log      paper, Sec. III.B    chain.py, of elements.py
+
+The last two only where the scene asks for them.
+"""
 
 import lazy_loader
 

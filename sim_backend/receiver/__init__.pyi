@@ -1,4 +1,5 @@
 from .chain import TRAIL as TRAIL, fast_length as fast_length, lead_s as lead_s, receive as receive
+from .elements import switch_gain as switch_gain
 from .front_end import (
     echo_gain_v as echo_gain_v,
     leak_per_vpp_v as leak_per_vpp_v,
@@ -7,6 +8,9 @@ from .front_end import (
     pulse_strength as pulse_strength,
     toneburst_echo_strength as toneburst_echo_strength,
 )
-from .sampling import STENCIL as STENCIL, sampled_late as sampled_late, samples_late as samples_late
-from .switch import switch_gain as switch_gain
-from .trigger_jitter import jittered as jittered
+from .timing import (
+    STENCIL as STENCIL,
+    jittered as jittered,
+    sampled_late as sampled_late,
+    samples_late as samples_late,
+)

@@ -1,4 +1,4 @@
-"""From the transducer's terminals to the digitizer, element by element; what the scene leaves out costs nothing.
+"""Receive chain from the transducer's terminals to the digitizer; an element that the scene leaves out costs nothing.
 
     notch -> T/R switch -> (preamplifier noise) -> band-pass -> logarithmic amplifier -> band-pass
 
@@ -12,8 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.receiver.filters import band_pass, notch, ringing_s, sampled
-from sim_backend.receiver.log_amplifier import compressed
+from sim_backend.receiver.elements import band_pass, compressed, notch, ringing_s, sampled
 from sim_backend.settings import BandFilter, ReceiveChain
 
 Floats = NDArray[np.float64]
@@ -31,8 +30,10 @@ def lead_s(chain: ReceiveChain) -> float:
 
 def fast_length(samples: int) -> int:
     """Return the smallest number from ``samples`` on with no prime factor above 5: what a Fourier transform likes."""
-    odd: list[int] = [3**threes * 5**fives for threes in range(8) for fives in range(6)]
-    return min(factor << max(0, math.ceil(math.log2(samples / factor))) for factor in odd)
+    # Every run has scipy.fft loaded for its estimator; an ideal chain never comes here.
+    from scipy.fft import next_fast_len
+
+    return int(next_fast_len(samples, real=True))
 
 
 def receive(
@@ -65,6 +66,7 @@ def _receive(
     switch: Floats | None,
     rng: np.random.Generator | None,
 ) -> Floats:
+    # Filters are gathered as one response (frequency,) and applied only where something that is no filter follows.
     pending: Complexes | None = None
     if chain.notch is not None:
         pending = sampled(notch(chain.notch, frequency_hz), 1.0)

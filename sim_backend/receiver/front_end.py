@@ -1,4 +1,4 @@
-"""From the sum over scatterers to volts at the digitizer: gain, noise, toneburst leak.
+"""Ideal front end, from the sum over scatterers to volts at the digitizer: gain, noise, toneburst leak.
 
 The band of the receive chain is not modelled here: an echo keeps its strength whatever its carrier.
 """

@@ -1,4 +1,7 @@
-"""sim_backend/settings"""
+"""Settings of the twin: what ``[simulation]`` may say, and the specimens and receive chains it may name.
+
+simulation.py (the tables), presets.py (specimens and chains by name, with the source of every value).
+"""
 
 import lazy_loader
 

@@ -1,8 +1,10 @@
-from .chain import BandFilter as BandFilter, LogAmplifier as LogAmplifier, ReceiveChain as ReceiveChain
 from .simulation import (
+    BandFilter as BandFilter,
     Beams as Beams,
     Instruments as Instruments,
+    LogAmplifier as LogAmplifier,
     MotionComponent as MotionComponent,
+    ReceiveChain as ReceiveChain,
     Receiver as Receiver,
     Reflector as Reflector,
     Scatterers as Scatterers,

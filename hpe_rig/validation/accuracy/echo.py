@@ -22,7 +22,7 @@ from hpe_rig.validation.accuracy.work_precision import file_mistakes
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from sim_backend.echoes import Method, Motion, Pulse
+    from sim_backend.echoes import EchoDelays, Method, Pulse
 
 Floats = NDArray[np.float64]
 
@@ -39,6 +39,8 @@ _CHECKED_ECHOES = 6
 _DIRECT_PAIR_S, _EXACT_PAIR_S = 6e-6, 2.5e-7
 CHOSEN = "engine"
 """Among the evaluations: whichever the engine takes where it is only told the tolerance."""
+REFERENCE = "direct"
+"""Among the evaluations: the double sum as written, which the engine never takes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,30 +85,31 @@ def measurements(
 def _of_scene(
     count: int, echoes: int, tolerances: tuple[float, ...], longest_s: float, seed: int
 ) -> Iterator[Measurement]:
-    from sim_backend.echoes import choices, synthesise
+    from sim_backend.echoes import choices, direct_sum, synthesise
 
-    motion, weight, pulse, gate_s = _scene(count, echoes, seed)
+    delays, weight, pulse, gate_s = _scene(count, echoes, seed)
     checked = np.unique(np.linspace(0, echoes - 1, _CHECKED_ECHOES).astype(int))
-    exact = _reference(motion, weight, pulse, gate_s, checked)
+    exact = _reference(delays, weight, pulse, gate_s, checked)
+    most_s, cores = min(0.3, longest_s / 10), os.cpu_count() or 1
+
+    def row(name: str, method: str, tolerance: float, terms: int, echo: Floats, time_s: float) -> Measurement:
+        error = float(np.sqrt(np.mean(np.square(echo[checked] - exact)) / np.mean(np.square(exact))))
+        moved_m = float(error * _SOUND_SPEED_M_PER_S / (4 * np.pi * 9.0e6))
+        return Measurement(count, echoes, _SAMPLES, name, method, tolerance, terms, error, time_s, moved_m, cores)
 
     def measured(method: Method | None, tolerance: float) -> Measurement:
-        made = synthesise(motion, weight, pulse, gate_s, tolerance, method)
-        error = float(np.sqrt(np.mean(np.square(made.echo[checked] - exact)) / np.mean(np.square(exact))))
-        time_s = median_s(
-            lambda: synthesise(motion, weight, pulse, gate_s, tolerance, method), min(0.3, longest_s / 10)
-        )
-        moved_m = float(error * _SOUND_SPEED_M_PER_S / (4 * np.pi * 9.0e6))
-        name, cores = method or CHOSEN, os.cpu_count() or 1
-        return Measurement(
-            count, echoes, _SAMPLES, name, made.method, tolerance, made.terms, error, time_s, moved_m, cores
-        )
+        made = synthesise(delays, weight, pulse, gate_s, tolerance, method)
+        time_s = median_s(lambda: synthesise(delays, weight, pulse, gate_s, tolerance, method), most_s)
+        return row(method or CHOSEN, made.method, tolerance, made.terms, made.echo, time_s)
 
     if count * echoes * _DIRECT_PAIR_S <= longest_s:
-        yield measured("direct", 0.0)
+        delay_s = delays.delay_s()
+        time_s = median_s(lambda: direct_sum(delay_s, weight, pulse, gate_s), most_s)
+        yield row(REFERENCE, REFERENCE, 0.0, 0, direct_sum(delay_s, weight, pulse, gate_s), time_s)
     if count * echoes * _EXACT_PAIR_S <= longest_s:
         yield measured("running_sum", 0.0)
     for tolerance in tolerances:
-        able = choices(motion, weight, pulse, gate_s, tolerance, None)
+        able = choices(delays, weight, pulse, gate_s, tolerance, None)
         for choice in able:
             if choice.method != "running_sum" and choice.cost_s <= longest_s:
                 yield measured(choice.method, tolerance)
@@ -129,17 +132,17 @@ def share_chosen_well(rows: list[Measurement], factor: float = 2.0) -> tuple[int
     return well, len(chosen)
 
 
-def _reference(motion: Motion, weight: Floats, pulse: Pulse, gate_s: Floats, checked: NDArray[np.intp]) -> Floats:
+def _reference(delays: EchoDelays, weight: Floats, pulse: Pulse, gate_s: Floats, checked: NDArray[np.intp]) -> Floats:
     """Return the direct sum, or where that is too long the exact running sum, which equals it to 1e-13."""
-    from sim_backend.echoes import direct, running_sum
+    from sim_backend.echoes import direct_sum, running_sum
 
-    delay_s = motion.rest_s + motion.amplitude_s[checked] @ motion.shape
-    exact = direct if len(weight) <= 10_000 else running_sum
+    delay_s = delays.rest_s + delays.amplitude_s[checked] @ delays.shape
+    exact = direct_sum if len(weight) <= 10_000 else running_sum
     return exact(delay_s, weight, pulse, gate_s)
 
 
-def _scene(count: int, echoes: int, seed: int) -> tuple[Motion, Floats, Pulse, Floats]:
-    from sim_backend.echoes import Motion, depth_delay_s, field_at, hann_pulse
+def _scene(count: int, echoes: int, seed: int) -> tuple[EchoDelays, Floats, Pulse, Floats]:
+    from sim_backend.echoes import EchoDelays, depth_delay_s, field_at, hann_pulse
     from sim_backend.settings import Beams, Scatterers
 
     scatterers = Scatterers()
@@ -149,8 +152,8 @@ def _scene(count: int, echoes: int, seed: int) -> tuple[Motion, Floats, Pulse, F
     gate_s = np.asarray((np.arange(_SAMPLES) - (_SAMPLES - 1) / 2) * _SAMPLE_PERIOD_S, dtype=np.float64)
     rest_s = depth_delay_s(field, scatterers.axial_delay, _SOUND_SPEED_M_PER_S)
     amplitude_s = displacement_m[:, None] * (2 / _SOUND_SPEED_M_PER_S)
-    motion = Motion(rest_s, field.motion_weight[None], amplitude_s)
-    return motion, field.tracking_weight, hann_pulse(9.0e6, scatterers.bandwidth), gate_s
+    delays = EchoDelays(rest_s, field.motion_weight[None], amplitude_s)
+    return delays, field.tracking_weight, hann_pulse(9.0e6, scatterers.bandwidth), gate_s
 
 
 def median_s(run: Callable[[], object], most_s: float) -> float:

@@ -237,14 +237,14 @@ def _averaging(way: Way) -> float:
 
 
 def _of_same_draws(way: Way, tolerance: float, moved_m: Floats, seed: int) -> Floats:
-    from sim_backend.echoes import Resting, batch, draw_thinned, hann_pulse
+    from sim_backend.echoes import ScattererRows, batch, draw_thinned, hann_pulse
 
     settings, gate_s = scene(), _gate_s(way)
     pulse = hann_pulse(CARRIER_HZ, settings.scatterers.bandwidth)
     reach_s = (float(gate_s[0]) - 2 * pulse.end_s, float(gate_s[-1]) + 2 * pulse.end_s)
     field = draw_thinned(settings, reach_s, EXACT_TOLERANCE, np.random.default_rng(seed), SAME_DRAWS)
     amplitude_s = np.broadcast_to(moved_m[:, None] * (2 / settings.sound_speed_m_per_s), (SAME_DRAWS, len(moved_m), 1))
-    resting = Resting(field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s)
+    resting = ScattererRows(field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s)
     return _estimated(way, np.asarray(batch(resting, pulse, gate_s, tolerance), dtype=np.float64))
 
 

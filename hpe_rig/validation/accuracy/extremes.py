@@ -109,7 +109,7 @@ def _echo(
     sample_rate_hz: float = SAMPLE_RATE_HZ,
     cancelling: bool = False,
 ) -> Extreme:
-    from sim_backend.echoes import Motion as Moving, hann_pulse, synthesise
+    from sim_backend.echoes import EchoDelays, hann_pulse, synthesise
 
     rng = np.random.default_rng(0)
     width_m = np.array([0.078e-3, 0.078e-3, 0.83e-3])
@@ -120,12 +120,12 @@ def _echo(
     if cancelling:
         place_m[1::2], shape[1::2], weight[1::2] = place_m[::2], shape[::2], -weight[::2] * (1 - 1e-4)
     moved_s = 2 / SOUND_SPEED * amplitude_m * np.sin(2 * np.pi * np.arange(pulses) / 20 + 0.1)
-    motion = Moving(place_m[:, 2] * (2 / SOUND_SPEED), shape[None], moved_s[:, None])
+    motion = EchoDelays(place_m[:, 2] * (2 / SOUND_SPEED), shape[None], moved_s[:, None])
     pulse = hann_pulse(CARRIER_HZ, bandwidth)
     gate_s: Floats = (np.arange(round(1.3e-6 * sample_rate_hz), dtype=np.float64) + 0.5) / sample_rate_hz - 0.65e-6
     made, time_s = _timed(lambda: synthesise(motion, weight, pulse, gate_s).echo)
     checked = np.unique(np.linspace(0, pulses - 1, 6).astype(int))
-    few = Moving(motion.rest_s, motion.shape, motion.amplitude_s[checked])
+    few = EchoDelays(motion.rest_s, motion.shape, motion.amplitude_s[checked])
     exact = synthesise(few, weight, pulse, gate_s, method="direct" if scatterers <= 10_000 else "running_sum").echo
     error = float(np.sqrt(np.mean((made[checked] - exact) ** 2) / np.mean(exact**2)))
     return Extreme("echoes", case, reason, "shipped: tolerance 1e-6", error, "rms error / rms echo", time_s)

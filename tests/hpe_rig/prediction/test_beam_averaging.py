@@ -8,7 +8,7 @@ from hpe_rig.prediction.beam_averaging import depth_spread, gaussian_averaging, 
 from hpe_rig.prediction.forecast import averaging_text, predicted_averaging
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 from hpe_rig.scene.validation import SettingsError
-from sim_backend.echoes.cumulative_sum import running_sum
+from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.motion.field import field_transfer

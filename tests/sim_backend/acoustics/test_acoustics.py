@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from sim_backend.acoustics.acoustics import Acoustics, draw_echoes
-from sim_backend.echoes.pulse import hann_pulse, rectangular_burst, waveform
+from sim_backend.acoustics.acoustics import Acoustics
+from sim_backend.echoes.engine import echoes
+from sim_backend.echoes.pulse import echo_pulse, hann_pulse, rectangular_burst, waveform
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.receiver.front_end import echo_gain_v
 from sim_backend.settings.simulation import MotionComponent, Receiver, Scatterers, SimulationSettings, Specimen
@@ -233,10 +234,18 @@ def test_tonebursts_touch_only_the_records_they_overlap():
     assert touched.any(axis=1).tolist() == [False, False, False, True, False, False]
 
 
-def test_draw_echoes_is_the_plain_sum_with_time_counted_from_the_focus_echo():
+def one_draw(settings, displacement_m, gate_s, rng, tolerance=1e-9):
+    """Echoes of one draw of scatterers, (echo, sample), 0 the arrival of the resting focus' echo."""
+    field, speed = draw_field(settings.scatterers, settings.beams, rng), settings.sound_speed_m_per_s
+    delay_s = depth_delay_s(field, settings.scatterers.axial_delay, speed)
+    weight, moves, pulse = field.tracking_weight, field.motion_weight, echo_pulse(settings, 9.0e6)
+    return echoes(delay_s, weight, moves, displacement_m, pulse, gate_s, speed, tolerance)
+
+
+def test_echoes_of_a_draw_are_the_plain_sum_with_time_counted_from_the_focus_echo():
     settings, gate_s = SimulationSettings(), (np.arange(130) - 64.5) * 1e-8
     displacement_m = 1e-6 * np.sin(np.arange(40) * 0.3)
-    ours = draw_echoes(settings, displacement_m, gate_s, np.random.default_rng(9))
+    ours = one_draw(settings, displacement_m, gate_s, np.random.default_rng(9))
     field = draw_field(settings.scatterers, settings.beams, np.random.default_rng(9))
     tau = depth_delay_s(field, "two_way", 1540.0)
     for echo, moved_m in zip(ours, displacement_m, strict=True):
@@ -251,7 +260,7 @@ def tracked_over_peak(axial_delay, volume_m, seed):
     settings = SimulationSettings.model_validate({"scatterers": {"axial_delay": axial_delay, "volume_m": volume_m}})
     gate_s = (np.arange(130) - 64.5) * 1e-8
     motion = np.sin(2 * np.pi * np.arange(100) / 20)
-    echo = draw_echoes(settings, 1e-6 * motion, gate_s, np.random.default_rng(seed))
+    echo = one_draw(settings, 1e-6 * motion, gate_s, np.random.default_rng(seed))
     frequency_hz = np.fft.rfftfreq(1024, 1e-8)
     band = (frequency_hz > 5e6) & (frequency_hz < 13e6)
     spectrum = np.fft.rfft(echo, 1024)[:, band]
@@ -270,7 +279,7 @@ def tracked_over_peak(axial_delay, volume_m, seed):
         ("none", (1e-3, 1e-3, 1e-3), 0.813, 0.024),
     ],
 )
-def test_tracked_over_peak_displacement_is_that_of_the_model_notes(axial_delay, volume_m, mean, spread):
+def test_tracked_over_peak_displacement_is_that_of_the_theory(axial_delay, volume_m, mean, spread):
     ratios = [tracked_over_peak(axial_delay, volume_m, seed) for seed in range(200)]
-    # Four standard errors of 200 draws, and the notes' own last digit.
+    # Four standard errors of 200 draws, and the last digit of docs/theory/echoes.md, section 1.
     assert np.mean(ratios) == pytest.approx(mean, abs=4 * spread / np.sqrt(200) + 5e-4)

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from sim_backend.echoes.cumulative_sum import running_sum
-from sim_backend.echoes.delays import Motion
-from sim_backend.echoes.direct_sum import direct
+from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.engine import echoes, synthesise
+from sim_backend.echoes.exact_sums import direct_sum, running_sum
 from sim_backend.echoes.many_draws import drawn_echoes
 from sim_backend.echoes.nodes import MOST_NODES, edge_share, interpolated, interpolated_within, node_count
 from sim_backend.echoes.pulse import Pulse, attenuated, hann_pulse, rectangular_burst, waveform
@@ -60,7 +59,7 @@ def test_running_sum_equals_direct_sum(pulse, axial_delay):
     delay_s = delays(tau, motion_weight, 1e-6 * CYCLE[:10])
     gate_s = GATE_S if axial_delay == "two_way" else np.arange(-100, 101) * 1e-8 + 3e-10
     # Rounding: phases below 300 rad, eps 2e-16 each, some 1000 terms added at random.
-    assert peak_error(running_sum(delay_s, weight, pulse, gate_s), direct(delay_s, weight, pulse, gate_s)) < 1e-12
+    assert peak_error(running_sum(delay_s, weight, pulse, gate_s), direct_sum(delay_s, weight, pulse, gate_s)) < 1e-12
 
 
 @settings(max_examples=60, deadline=None)
@@ -75,7 +74,7 @@ def test_running_sum_equals_direct_sum_for_any_few_scatterers(scatterers, bandwi
     pulse = hann_pulse(9.0e6, bandwidth)
     ours = running_sum(tau[None], weight, pulse, time_s)
     # Absolute, against the strongest echo these scatterers can make.
-    assert np.abs(ours - direct(tau[None], weight, pulse, time_s)).max() <= 1e-12 * max(weight.sum(), 1e-300)
+    assert np.abs(ours - direct_sum(tau[None], weight, pulse, time_s)).max() <= 1e-12 * max(weight.sum(), 1e-300)
 
 
 def test_running_sum_over_many_echoes_equals_each_alone():
@@ -154,7 +153,7 @@ def test_pulses_whose_ends_step_by_attenuation_meet_the_tolerance(bandwidth):
     """126 dB at the carrier, and steps at the ends: what counts is their size against the weakened pulse's."""
     pulse = attenuated(hann_pulse(9.0e6, bandwidth), 14e-6)
     tau, weight, g = (part[::5] for part in scene(3))
-    motion = Motion(tau, g[None], 2e-5 / SOUND_SPEED * np.sin(2 * np.pi * np.arange(200)[:, None] / 20.3))
+    motion = EchoDelays(tau, g[None], 2e-5 / SOUND_SPEED * np.sin(2 * np.pi * np.arange(200)[:, None] / 20.3))
     exact = running_sum(motion.delay_s(), weight, pulse, GATE_S)
     for tolerance in (1e-2, 1e-4, 1e-6):
         assert rms_error(synthesise(motion, weight, pulse, GATE_S, tolerance).echo, exact) < tolerance
@@ -168,7 +167,7 @@ def test_a_weaker_pulse_needs_as_many_nodes():
 
 def test_interpolation_that_misses_the_tolerance_is_noticed():
     tau, weight, g = scene(0)
-    motion, pulse = Motion(tau, g[None], 2e-6 / SOUND_SPEED * CYCLE[:, None]), hann_pulse(9.0e6, 0.065)
+    motion, pulse = EchoDelays(tau, g[None], 2e-6 / SOUND_SPEED * CYCLE[:, None]), hann_pulse(9.0e6, 0.065)
     assert interpolated_within(motion, weight, pulse, GATE_S, 4, 1e-9) is None
     made = interpolated_within(motion, weight, pulse, GATE_S, 8, 1e-6)
     assert made is not None
@@ -191,7 +190,7 @@ def test_shift_moves_the_sample_times_of_each_echo():
         # The two differ in the order in which shift and motion are rounded.
         assert peak_error(ours[echo], exact[echo]) < 1e-12
         delay_s = delays(tau, motion_weight, displacement_m[echo : echo + 1])
-        assert peak_error(ours[echo], direct(delay_s, weight, pulse, GATE_S + shift_s[echo])[0]) < 1e-12
+        assert peak_error(ours[echo], direct_sum(delay_s, weight, pulse, GATE_S + shift_s[echo])[0]) < 1e-12
 
 
 def test_echoes_without_scatterers_or_echoes_are_empty_sums():
@@ -210,7 +209,7 @@ def test_a_pulse_may_be_any_sum_of_exponentials():
     pulse = Pulse(-2e-7, 3e-7, (5.0e6, 9.0e6), (0.3 + 0.1j, -0.2j))
     tau, weight, _ = scene(6)
     ours = running_sum(tau[None], weight, pulse, GATE_S)
-    assert peak_error(ours, direct(tau[None], weight, pulse, GATE_S)) < 1e-12
+    assert peak_error(ours, direct_sum(tau[None], weight, pulse, GATE_S)) < 1e-12
 
 
 def test_mean_echo_power_is_density_times_the_integral_of_squared_weight_and_pulse():

@@ -6,10 +6,9 @@ import mpmath
 import numpy as np
 import pytest
 
-from sim_backend.echoes.cumulative_sum import running_sum
-from sim_backend.echoes.delays import Delays, Motion
-from sim_backend.echoes.direct_sum import direct
+from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.engine import synthesise
+from sim_backend.echoes.exact_sums import direct_sum, running_sum
 from sim_backend.echoes.pulse import Pulse, gaussian_pulse, hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field, field_at
 from sim_backend.settings.simulation import Beams, Scatterers
@@ -27,7 +26,12 @@ def scene(seed=0, beams=None):
 
 
 def moving(tau, g, amplitude_m, cycle=CYCLE):
-    return Motion(tau, g[None], 2 / SOUND_SPEED * amplitude_m * cycle[:, None])
+    return EchoDelays(tau, g[None], 2 / SOUND_SPEED * amplitude_m * cycle[:, None])
+
+
+def resting(tau):
+    """Two echoes of scatterers that stand still."""
+    return EchoDelays(tau, np.ones((1, len(tau))), np.zeros((2, 1)))
 
 
 def rms_error(ours, expected):
@@ -66,7 +70,7 @@ def direct_at(delay_s, weight, time_s):
     out = np.empty((len(delay_s), len(time_s)))
     for place, at_s in enumerate(time_s):
         near = (delay_s.min(axis=0) <= at_s - HANN.start_s + 1e-9) & (delay_s.max(axis=0) >= at_s - HANN.end_s - 1e-9)
-        out[:, place] = direct(delay_s[:, near], weight[near], HANN, time_s[[place]])[:, 0]
+        out[:, place] = direct_sum(delay_s[:, near], weight[near], HANN, time_s[[place]])[:, 0]
     return out
 
 
@@ -76,7 +80,7 @@ def test_every_bandwidth_from_a_thousandth_to_two(make, bandwidth):
     tau, weight, g = (part[::4] for part in scene(2))
     pulse, motion = make(9.0e6, bandwidth), moving(tau, g, 1e-6, CYCLE[:3])
     gate_s = GATE_S if bandwidth < 1 else np.arange(-100, 100) * 2e-9
-    exact = direct(motion.delay_s(), weight, pulse, gate_s)
+    exact = direct_sum(motion.delay_s(), weight, pulse, gate_s)
     # Phases reach 2 pi 9 MHz * 55 us = 3000 rad at the narrowest: eps times that.
     assert rms_error(running_sum(motion.delay_s(), weight, pulse, gate_s), exact) < 1e-12
     assert rms_error(synthesise(motion, weight, pulse, gate_s, 1e-9).echo, exact) < 1e-9
@@ -86,7 +90,7 @@ def test_no_scatterers_are_silent_and_one_is_the_pulse_to_30_digits():
     nothing = synthesise(moving(np.zeros(0), np.zeros(0), 1e-6), np.zeros(0), HANN, GATE_S)
     assert nothing.echo.shape == (21, 130)
     assert not nothing.echo.any()
-    one = synthesise(Delays(np.array([[3.3e-8]])), np.ones(1), HANN, GATE_S)
+    one = synthesise(resting(np.array([3.3e-8])), np.ones(1), HANN, GATE_S)
     expected = [hann_to_30_digits(time_s, mpmath.mpf(3.3e-8)) for time_s in GATE_S]
     assert np.abs(one.echo[0] - expected).max() < 1e-13
 
@@ -98,7 +102,7 @@ def test_a_million_scatterers_by_series_running_sum_and_direct_sum():
     exact = running_sum(motion.delay_s(), weight, HANN, GATE_S)
     assert rms_error(synthesise(motion, weight, HANN, GATE_S, 1e-13, "series").echo, exact) < 1e-12
     some = GATE_S[[0, 64]]
-    plain = direct(motion.delay_s()[:1], weight, HANN, some)
+    plain = direct_sum(motion.delay_s()[:1], weight, HANN, some)
     assert np.abs(exact[0, [0, 64]] - plain).max() < 1e-12 * np.sqrt(np.mean(exact**2))
 
 
@@ -106,14 +110,20 @@ def test_all_scatterers_at_one_point_are_one_of_their_summed_weight():
     weight = np.random.default_rng(5).random(1000)
     motion = moving(np.full(1000, 1.2e-7), np.full(1000, 0.8), 1e-6)
     ours = synthesise(motion, weight, HANN, GATE_S, 1e-12)
-    one = direct(motion.delay_s()[:, :1], weight[:1] / weight[0] * weight.sum(), HANN, GATE_S)
+    one = direct_sum(motion.delay_s()[:, :1], weight[:1] / weight[0] * weight.sum(), HANN, GATE_S)
     assert rms_error(ours.echo, one) < 1e-12
 
 
-@pytest.mark.parametrize("method", ["direct", "running_sum", "series"])
+def test_the_direct_sum_gives_a_support_end_on_a_sample_to_the_start_too():
+    time_s = np.arange(-8, 120) * 2.0**-27
+    echo = direct_sum(time_s[[[8]]], np.ones(1), Pulse(0.0, 2.0**-21, (9.0e6,), (1.0,)), time_s)[0]
+    assert (np.flatnonzero(echo)[0], np.flatnonzero(echo)[-1]) == (8, 71)
+
+
+@pytest.mark.parametrize("method", ["running_sum", "series"])
 def test_a_support_end_exactly_on_a_sample_belongs_to_the_start_and_not_to_the_end(method):
     time_s = np.arange(-8, 120) * 2.0**-27
-    motion = Motion(np.array([time_s[8], time_s[20]]), np.ones((1, 2)), np.zeros((2, 1)))
+    motion = EchoDelays(np.array([time_s[8], time_s[20]]), np.ones((1, 2)), np.zeros((2, 1)))
     pulse = Pulse(0.0, 2.0**-21, (9.0e6,), (1.0,))
     echo = synthesise(motion, np.array([1.0, 0.0]), pulse, time_s, 1e-9, method).echo[0]
     assert (echo[:8] == 0.0).all()
@@ -125,7 +135,7 @@ def test_a_support_end_exactly_on_a_sample_belongs_to_the_start_and_not_to_the_e
 def test_a_support_end_that_moves_onto_a_sample_steps_there():
     step_s = 2.0**-27
     time_s = np.arange(100) * step_s
-    motion = Motion(
+    motion = EchoDelays(
         np.array([10.5 * step_s]), np.ones((1, 1)), np.array([[-0.5], [-0.5 - 2e-9], [0.0], [0.5]]) * step_s
     )
     echo = synthesise(motion, np.ones(1), STEP, time_s, 1e-12, "series").echo
@@ -201,7 +211,7 @@ def test_gate_centimetres_from_the_focus_is_right_until_the_weights_of_eq_8_unde
     tau, gate_s = depth_delay_s(field, "two_way", SOUND_SPEED), GATE_S + 2 * depth_m / SOUND_SPEED
     motion = moving(tau, np.ones(300), 1e-6)
     made = synthesise(motion, field.tracking_weight, HANN, gate_s, 1e-8).echo
-    exact = direct(motion.delay_s(), field.tracking_weight, HANN, gate_s)
+    exact = direct_sum(motion.delay_s(), field.tracking_weight, HANN, gate_s)
     # Scaled up, or the squares of the comparison underflow themselves.
     scale = np.abs(exact).max()
     assert (scale == 0.0) == (bound == 0.0)
@@ -227,11 +237,11 @@ def test_sample_rate_below_nyquist_is_refused_with_both_rates(bandwidth):
     highest = 9.0 * (1 + bandwidth)
     slow_s = np.arange(20) / (1.9e6 * highest)
     with pytest.raises(ValueError, match=f"highest frequency of {highest:.4g} MHz, so echoes would alias"):
-        synthesise(Delays(np.zeros((1, 1))), np.ones(1), hann_pulse(9.0e6, bandwidth), slow_s)
+        synthesise(resting(np.zeros(1)), np.ones(1), hann_pulse(9.0e6, bandwidth), slow_s)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("name", ["rest_s", "weight", "shape", "amplitude_s", "sample_time_s", "delay_s", "tolerance"])
+@pytest.mark.parametrize("name", ["rest_s", "weight", "shape", "amplitude_s", "sample_time_s", "tolerance"])
 def test_numbers_that_are_not_finite_are_refused_by_name(name, bad):
     value = {
         "rest_s": np.zeros(3),
@@ -239,14 +249,13 @@ def test_numbers_that_are_not_finite_are_refused_by_name(name, bad):
         "shape": np.ones((1, 3)),
         "amplitude_s": np.zeros((2, 1)),
         "sample_time_s": np.arange(4) * 1e-8,
-        "delay_s": np.zeros((2, 3)),
         "tolerance": np.array([1e-6]),
     }
     value[name].flat[0] = bad
-    motion = Motion(value["rest_s"], value["shape"], value["amplitude_s"])
+    motion = EchoDelays(value["rest_s"], value["shape"], value["amplitude_s"])
     with pytest.raises(ValueError, match=rf"^{name}\[0(, 0)?\] is {bad}"):
         synthesise(
-            Delays(value["delay_s"]) if name == "delay_s" else motion,
+            motion,
             value["weight"],
             HANN,
             value["sample_time_s"],
@@ -255,17 +264,15 @@ def test_numbers_that_are_not_finite_are_refused_by_name(name, bad):
 
 
 def test_arrays_that_do_not_fit_are_refused_by_name_and_axis():
-    motion = Motion(np.zeros(3), np.ones((1, 3)), np.zeros((2, 1)))
+    motion = EchoDelays(np.zeros(3), np.ones((1, 3)), np.zeros((2, 1)))
     with pytest.raises(ValueError, match="weight is 2 long along its axis 'scatterer' and rest_s 3"):
         synthesise(motion, np.ones(2), HANN, GATE_S)
     with pytest.raises(ValueError, match=r"amplitude_s has shape \(2,\): its axes must be \(echo, shape\)"):
         synthesise(replace(motion, amplitude_s=np.zeros(2)), np.ones(3), HANN, GATE_S)
-    with pytest.raises(ValueError, match=r"delay_s has shape \(3,\): its axes must be \(echo, scatterer\)"):
-        synthesise(Delays(np.zeros(3)), np.ones(3), HANN, GATE_S)
 
 
 def test_times_that_do_not_ascend_negative_tolerance_and_unknown_method_are_refused():
-    delays = Delays(np.zeros((1, 1)))
+    delays = resting(np.zeros(1))
     with pytest.raises(ValueError, match="sample_time_s must ascend"):
         synthesise(delays, np.ones(1), HANN, np.array([0.0, 1e-8, 1e-8]))
     with pytest.raises(ValueError, match=r"tolerance is -1\.0: take 0"):
@@ -295,5 +302,5 @@ def test_scatterers_left_out_of_a_nearly_cancelling_scene_are_taken_back(strengt
     tau = np.concatenate([[1e-7, 1e-7], np.sort(rng.uniform(1e-7, 1e-6, 500))])
     weight = np.concatenate([[1.0, -1.0 + 1e-9], 2e-16 * rng.standard_normal(500)])
     pulse = replace(HANN, amplitude=tuple(strength * amplitude for amplitude in HANN.amplitude))
-    made = synthesise(Delays(np.tile(tau, (2, 1))), weight, pulse, GATE_S, 1e-6)
+    made = synthesise(resting(tau), weight, pulse, GATE_S, 1e-6)
     assert made.scatterers == 502

@@ -7,15 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from sim_backend.echoes.cumulative_sum import blocks, running_sum
-from sim_backend.echoes.delays import Delays, Motion, harmonic_motion
+from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.engine import synthesise
-from sim_backend.echoes.many_draws import batch
+from sim_backend.echoes.exact_sums import blocks, running_sum
+from sim_backend.echoes.many_draws import batch, compilable
 from sim_backend.echoes.pulse import gaussian_pulse, hann_pulse, rectangular_burst
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
-from sim_backend.echoes.series import MOST_ANGLE_RAD, Resting, series
-from sim_backend.echoes.series_fast import serves
-from sim_backend.echoes.series_tables import exponents, terms_needed
+from sim_backend.echoes.series import MOST_ANGLE_RAD, ScattererRows, exponents, series, terms_needed
 from sim_backend.settings.simulation import Beams, Scatterers
 
 SOUND_SPEED = 1540.0
@@ -37,7 +35,7 @@ def rms_error(ours, expected):
 def test_series_meets_the_tolerance_whatever_the_pulse_does_at_its_ends(pulse):
     for seed, amplitude_m in enumerate([1e-15, 1e-8, 1e-7, 1e-6, 1e-5]):
         tau, weight, g = scene(seed)
-        motion = Motion(tau, g[None], 2 / SOUND_SPEED * amplitude_m * CYCLE[:, None])
+        motion = EchoDelays(tau, g[None], 2 / SOUND_SPEED * amplitude_m * CYCLE[:, None])
         exact = running_sum(motion.delay_s(), weight, pulse, GATE_S)
         for tolerance in (1e-3, 1e-6, 1e-10, 1e-13):
             assert rms_error(synthesise(motion, weight, pulse, GATE_S, tolerance, "series").echo, exact) < tolerance
@@ -45,10 +43,10 @@ def test_series_meets_the_tolerance_whatever_the_pulse_does_at_its_ends(pulse):
 
 def test_series_is_asked_for_and_too_large_a_motion_is_refused_with_both_numbers():
     tau, weight, g = scene()
-    motion = Motion(tau, g[None], 2 / SOUND_SPEED * 1e-3 * CYCLE[:, None])
+    motion = EchoDelays(tau, g[None], 2 / SOUND_SPEED * 1e-3 * CYCLE[:, None])
     with pytest.raises(ValueError, match=r"'series' cannot serve here because .*too large"):
         synthesise(motion, weight, PULSES[0], GATE_S, 1e-6, "series")
-    still = Resting(np.zeros(len(tau), dtype=np.int64), tau, weight, g[None], motion.amplitude_s[None])
+    still = ScattererRows(np.zeros(len(tau), dtype=np.int64), tau, weight, g[None], motion.amplitude_s[None])
     with pytest.raises(ValueError, match=f"rad, the series holds up to {MOST_ANGLE_RAD} rad"):
         series(still, PULSES[0], GATE_S, 1e-6)
 
@@ -63,7 +61,7 @@ def test_series_is_asked_for_and_too_large_a_motion_is_refused_with_both_numbers
 def test_series_equals_the_exact_sum_for_any_few_scatterers(scatterers, bandwidth, reach_s, samples):
     tau, weight, g = (np.array(column) for column in zip(*sorted(scatterers), strict=True))
     time_s, pulse = (np.arange(samples) - 7) * 1e-8, hann_pulse(9.0e6, bandwidth)
-    motion = Motion(tau, g[None], reach_s * CYCLE[:20, None])
+    motion = EchoDelays(tau, g[None], reach_s * CYCLE[:20, None])
     ours = synthesise(motion, weight, pulse, time_s, 1e-13, "series").echo
     exact = running_sum(motion.delay_s(), weight, pulse, time_s)
     # Absolute, against the strongest echo these scatterers can make: 1e-13 asked, 3 rad of series cost a digit.
@@ -75,21 +73,21 @@ def test_travelling_wave_of_one_frequency_is_two_shapes_and_needs_no_exact_sum()
     # A shear wave along x is a phase per scatterer; here along depth, 3 mm long.
     field_m = 1e-6 * g * np.exp(-2j * np.pi * tau * SOUND_SPEED / 2 / 3e-3)
     time_s = np.arange(60) / 4000.0
-    motion = harmonic_motion(tau, field_m[None], np.array([200.0]), time_s, SOUND_SPEED)
+    angle = 2 * np.pi * 200.0 * time_s
+    amplitude_s = 2 / SOUND_SPEED * np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+    motion = EchoDelays(tau, np.stack([field_m.real, field_m.imag]), amplitude_s)
     displacement_m = (field_m * np.exp(2j * np.pi * 200.0 * time_s)[:, None]).real
     assert motion.delay_s() == pytest.approx(tau + 2 * displacement_m / SOUND_SPEED, abs=1e-20)
     made = synthesise(motion, weight, PULSES[0], GATE_S, 1e-8)
     assert made.method == "series"
-    exact = synthesise(Delays(motion.delay_s()), weight, PULSES[0], GATE_S)
-    assert exact.method == "running_sum"
-    assert rms_error(made.echo, exact.echo) < 1e-6
+    assert rms_error(made.echo, running_sum(motion.delay_s(), weight, PULSES[0], GATE_S)) < 1e-8
 
 
 def test_an_offset_of_the_motion_costs_no_terms():
     tau, weight, g = scene(4)
     shifted_s = 2 / SOUND_SPEED * (1e-4 + 1e-6 * CYCLE[:, None])
-    made = synthesise(Motion(tau, g[None], shifted_s), weight, PULSES[0], GATE_S, 1e-9)
-    centred = synthesise(Motion(tau, g[None], shifted_s - shifted_s.mean()), weight, PULSES[0], GATE_S, 1e-9)
+    made = synthesise(EchoDelays(tau, g[None], shifted_s), weight, PULSES[0], GATE_S, 1e-9)
+    centred = synthesise(EchoDelays(tau, g[None], shifted_s - shifted_s.mean()), weight, PULSES[0], GATE_S, 1e-9)
     assert (made.method, made.terms) == ("series", centred.terms)
     exact = running_sum(tau + shifted_s @ g[None], weight, PULSES[0], GATE_S)
     assert rms_error(made.echo, exact) < 1e-9
@@ -99,8 +97,10 @@ def test_scatterers_in_any_order_give_the_same_echoes():
     tau, weight, g = scene(5)
     shuffled = np.random.default_rng(0).permutation(len(tau))
     amplitude_s = 2e-6 / SOUND_SPEED * CYCLE[:, None]
-    sorted_echo = synthesise(Motion(tau, g[None], amplitude_s), weight, PULSES[0], GATE_S, 1e-13).echo
-    ours = synthesise(Motion(tau[shuffled], g[None, shuffled], amplitude_s), weight[shuffled], PULSES[0], GATE_S, 1e-13)
+    sorted_echo = synthesise(EchoDelays(tau, g[None], amplitude_s), weight, PULSES[0], GATE_S, 1e-13).echo
+    ours = synthesise(
+        EchoDelays(tau[shuffled], g[None, shuffled], amplitude_s), weight[shuffled], PULSES[0], GATE_S, 1e-13
+    )
     # The order of summation differs: rounding alone.
     assert rms_error(ours.echo, sorted_echo) < 1e-13
 
@@ -130,13 +130,13 @@ def test_motion_of_many_shapes_meets_the_tolerance_by_whatever_is_cheapest(shape
     tau, weight, g = scene(6)
     rng = np.random.default_rng(6)
     shape = g * rng.standard_normal((shapes, len(g))) / np.sqrt(shapes)
-    motion = Motion(tau, shape, 2e-7 / SOUND_SPEED * rng.standard_normal((30, shapes)))
+    motion = EchoDelays(tau, shape, 2e-7 / SOUND_SPEED * rng.standard_normal((30, shapes)))
     exact = running_sum(motion.delay_s(), weight, PULSES[0], GATE_S)
     for tolerance in (1e-3, 1e-10):
         assert rms_error(synthesise(motion, weight, PULSES[0], GATE_S, tolerance).echo, exact) < tolerance
     with pytest.raises(ValueError, match="too many shapes"):
         synthesise(
-            Motion(tau, np.repeat(shape, 10, axis=0), np.repeat(motion.amplitude_s, 10, axis=1)),
+            EchoDelays(tau, np.repeat(shape, 10, axis=0), np.repeat(motion.amplitude_s, 10, axis=1)),
             weight,
             PULSES[0],
             GATE_S,
@@ -150,7 +150,7 @@ def test_samples_that_many_ends_cross_are_corrected_in_bounded_memory():
     rng = np.random.default_rng(7)
     tau, weight, g = np.sort(rng.uniform(-1.5e-6, 1.5e-6, 5000)), rng.standard_normal(5000), rng.random(5000)
     time_s = (np.arange(2600) - 1300) / 2e9
-    motion = Motion(tau, g[None], 6e-5 / SOUND_SPEED * np.array([[-1.0], [1.0]]))
+    motion = EchoDelays(tau, g[None], 6e-5 / SOUND_SPEED * np.array([[-1.0], [1.0]]))
     tracemalloc.start()
     made = synthesise(motion, weight, PULSES[0], time_s, 1e-8, "series")
     most = tracemalloc.get_traced_memory()[1]
@@ -174,8 +174,8 @@ def test_compiled_series_equals_the_numpy_form(pulse, tolerance):
     row = np.repeat(np.arange(3), [len(one[0]) for one in rows])
     tau, weight, g = (np.concatenate(column) for column in zip(*rows, strict=True))
     amplitude_s = 2e-6 / SOUND_SPEED * np.stack([CYCLE, 0.3 * CYCLE, 0 * CYCLE])[:, :, None]
-    still = Resting(row, tau, weight, g[None], amplitude_s)
-    assert serves(still, pulse)
+    still = ScattererRows(row, tau, weight, g[None], amplitude_s)
+    assert compilable(still, pulse)
     compiled = batch(still, pulse, GATE_S, tolerance)
     plain = batch(still, pulse, GATE_S, tolerance, compiled=False)
     assert rms_error(compiled, plain) < tolerance

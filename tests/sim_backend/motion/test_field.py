@@ -1,4 +1,4 @@
-"""The field around the focus: against quadrature, the axis' closed form, and the theory notes' tracked displacement."""
+"""The field around the focus: against quadrature, the axis' closed form, and the tracked displacement of a column."""
 
 import numpy as np
 import pytest
@@ -8,10 +8,9 @@ from scipy.special import j0
 from sim_backend.acoustics.acoustics import Acoustics
 from sim_backend.echoes.pulse import hann_pulse, waveform
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
-from sim_backend.motion.field import field_transfer, focus_field
-from sim_backend.motion.field_modes import medium_motion
+from sim_backend.motion.field import field_transfer, focus_field, medium_motion
 from sim_backend.motion.force import ForcePulses
-from sim_backend.motion.specimen import frequency_response, tabulate_step_response, transient_displacement
+from sim_backend.motion.specimen import frequency_response, tabulate_step_response, transient_displacement, transients
 from sim_backend.receiver.front_end import echo_gain_v
 from sim_backend.settings.simulation import Receiver, SimulationSettings, Specimen
 from sim_backend.wiring import Bursts, Capture
@@ -67,7 +66,7 @@ def test_field_off_the_axis_equals_the_double_integral_over_wave_vectors(lateral
 
 
 def test_tracked_over_peak_displacement_is_that_of_the_theory_notes():
-    """theory.md section 5: a column of 0.34 mm in 4 kPa gelatin, tracked by exp(-r^2 / T^2) with T = 0.155 mm."""
+    """docs/theory/medium.md, section 2: a column of 0.34 mm in 4 kPa gelatin, tracked by exp(-r^2 / T^2) with T = 0.155 mm."""
     specimen, tracking_m = Specimen(preset="gelatin_8"), 0.155e-3
     node, weight = np.polynomial.legendre.leggauss(24)
     lateral_m = 3.5 * tracking_m * (node + 1) / 2
@@ -99,7 +98,7 @@ def test_modes_on_the_axis_follow_the_exact_transient(gelatin):
     onset_ps = np.arange(4) * 10_000_000_000
     force = ForcePulses(onset_ps, onset_ps + 100_000_000, np.full(4, 4e6))
     time_ps = np.arange(-1_000_000_000, 45_000_000_000, 133_000_000)
-    ours = gelatin.amplitudes(force, time_ps) @ gelatin.shapes(np.zeros(1), np.zeros(1))[0]
+    ours = transients(gelatin.response, force, time_ps) @ gelatin.shapes(np.zeros(1), np.zeros(1))[0]
     expected = transient_displacement(tabulate_step_response(Specimen(), WIDTH_M), force, time_ps)
     static_m = 4e6 * frequency_response(Specimen(), WIDTH_M, np.zeros(1))[0].real
     # The tolerance that the field promises, of the static displacement.
@@ -111,7 +110,9 @@ def test_motion_arrives_later_the_farther_out(gelatin):
     """A shear wave at 2.7 m/s crosses 0.6 mm in 0.22 ms; so near its source it is not yet that late."""
     force = ForcePulses(np.array([0]), np.array([100_000_000]), np.array([4e6]))
     time_ps = np.arange(0, 3_000_000_000, 10_000_000)
-    course = gelatin.amplitudes(force, time_ps) @ gelatin.shapes(np.array([0.0, 0.3e-3, 0.6e-3]), np.zeros(3)).T
+    course = (
+        transients(gelatin.response, force, time_ps) @ gelatin.shapes(np.array([0.0, 0.3e-3, 0.6e-3]), np.zeros(3)).T
+    )
     peak_ps = time_ps[np.argmax(course, axis=0)]
     assert (np.diff(peak_ps) > 0).all()
     assert peak_ps[2] - peak_ps[0] < 0.22e9
@@ -125,7 +126,9 @@ def test_a_field_that_reaches_far_holds_what_a_near_one_does(gelatin, reach_m, t
     place_m, depth_m = np.array([0.0, 0.1e-3, 0.35e-3, 0.7e-3]), np.array([0.0, 2.0e-3, 0.5e-3, 0.0])
     force = ForcePulses(np.array([0]), np.array([100_000_000]), np.array([4e6]))
     time_ps = np.arange(0, 10_000_000_000, 50_000_000)
-    near, wide = (each.amplitudes(force, time_ps) @ each.shapes(place_m, depth_m).T for each in (gelatin, far))
+    near, wide = (
+        transients(each.response, force, time_ps) @ each.shapes(place_m, depth_m).T for each in (gelatin, far)
+    )
     # Each promises 1e-5 of the static displacement.
     static_m = 4e6 * frequency_response(Specimen(), WIDTH_M, np.zeros(1))[0].real
     assert np.abs(wide - near).max() < tolerance * static_m

@@ -1,4 +1,4 @@
-"""The Voigt medium: table of the model notes, brute-force integrals, and the transient against Fourier series."""
+"""The Voigt medium: table of docs/theory/medium.md, brute-force integrals, and the transient against Fourier series."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from scipy.integrate import quad
 from sim_backend.motion.force import ForcePulses
 from sim_backend.motion.specimen import (
     frequency_response,
-    step_response,
     tabulate_step_response,
     transient_displacement,
 )
@@ -169,7 +168,7 @@ def test_step_response_ends_at_the_static_displacement_within_the_memory(viscosi
 
 
 @pytest.mark.parametrize(("modulus_pa", "viscosity_pa_s"), [(7.25e3, 0.0), (7.25e3, 1.0), (1e3, 3.0), (3e4, 10.0)])
-def test_table_interpolates_the_step_response(modulus_pa, viscosity_pa_s):
+def test_table_interpolates_the_step_response(step_response, modulus_pa, viscosity_pa_s):
     specimen = Specimen(shear_modulus_pa=modulus_pa, shear_viscosity_pa_s=viscosity_pa_s)
     response = tabulate_step_response(specimen, WIDTH_M)
     time_s = response.memory_s * np.random.default_rng(2).uniform(0, 1, 150) ** 2
@@ -180,7 +179,7 @@ def test_table_interpolates_the_step_response(modulus_pa, viscosity_pa_s):
     assert np.abs(response.at(time_s) - exact).max() < 1e-8 * peak
 
 
-def test_medium_accelerates_at_first_like_a_free_mass():
+def test_medium_accelerates_at_first_like_a_free_mass(step_response):
     """At first nothing but inertia acts: u = q f t^2 / 2 rho, q the divergence-free share of the force."""
     specimen = Specimen(shear_viscosity_pa_s=0.0)
     time_s = np.array([1e-6])

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sim_backend.motion.acoustic_dose import dose
-from sim_backend.motion.force import radiation_force
-from sim_backend.motion.transmitter import harmonic_v
+from sim_backend.motion.force import harmonic_v, radiation_force
 from sim_backend.settings.simulation import Specimen, Transmitter
 from sim_backend.wiring import Bursts
 
@@ -55,7 +54,7 @@ def test_saturation_leaves_the_reference_force_and_lifts_what_is_below_it():
 
 
 def test_displacement_at_the_limit_is_that_of_the_theory_notes():
-    """theory.md section 4: 1 % duty, 4 kPa, column of 0.34 mm: 72 W/cm^2, 16.1 kN/m^3, 18.7 nm at 200 Hz."""
+    """docs/theory/medium.md, section 6: 1 % duty, 4 kPa, column of 0.34 mm: 72 W/cm^2, 16.1 kN/m^3, 18.7 nm at 200 Hz."""
     column_m = (0.34e-3, 0.34e-3, 1.0)
     what = dose(Specimen(preset="gelatin_8"), column_m, 100.0, 100e-6, np.array([200.0]), 1540.0)
     assert what.limit_w_per_m2 == pytest.approx(72e4)

@@ -7,13 +7,16 @@ from scipy import signal
 
 from sim_backend.acoustics.reception import third_harmonics, widened, with_reception
 from sim_backend.receiver.chain import TRAIL, fast_length, lead_s, receive
-from sim_backend.receiver.filters import band_pass, notch, ringing_s, sampled
-from sim_backend.receiver.log_amplifier import compressed
-from sim_backend.receiver.sampling import sampled_late
-from sim_backend.receiver.switch import switch_gain
-from sim_backend.receiver.trigger_jitter import jittered
-from sim_backend.settings.chain import BandFilter, LogAmplifier, ReceiveChain
-from sim_backend.settings.simulation import Instruments, SimulationSettings, Transmitter
+from sim_backend.receiver.elements import band_pass, compressed, notch, ringing_s, sampled, switch_gain
+from sim_backend.receiver.timing import jittered, sampled_late
+from sim_backend.settings.simulation import (
+    BandFilter,
+    Instruments,
+    LogAmplifier,
+    ReceiveChain,
+    SimulationSettings,
+    Transmitter,
+)
 from sim_backend.wiring import Bursts, Capture, no_bursts
 
 PERIOD_S = 10e-9

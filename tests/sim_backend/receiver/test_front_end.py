@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_backend.echoes.cumulative_sum import running_sum
+from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.receiver.front_end import (

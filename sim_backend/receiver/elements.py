@@ -1,4 +1,8 @@
-"""Analogue band-pass and notch filters by their frequency response, and how long they ring."""
+"""Elements of the receive chain: band-pass, notch, T/R switch, logarithmic amplifier.
+
+The filters are Butterworth prototypes by their frequency response at the records' own Fourier frequencies, factor by
+factor: scipy.signal's polynomials lose digits at order 5, and loading it takes longer than a run.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +12,14 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.settings import BandFilter
+from sim_backend.settings import BandFilter, LogAmplifier
+from sim_backend.wiring import PS_PER_S, Bursts, Capture, to_ps
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+
+# After this many recovery times the switch passes all but 2e-9.
+_OPEN = 20.0
 
 
 def band_pass(band: BandFilter, frequency_hz: Floats) -> Complexes:
@@ -65,3 +73,45 @@ def _low_pass(above: Complexes, below: Complexes, order: int) -> Complexes:
     for pole in _poles(order):
         response *= below / (above - pole * below)
     return response
+
+
+def switch_gain(sent: Bursts, capture: Capture, recovery_s: float) -> Floats | None:
+    """Return what the switch passes, float64 (record, sample) from 0 to 1, or None where it passes everything.
+
+    Shut from a burst's onset to its end, then ``1 - exp(-t / recovery)``. ``sent`` is by time and does not overlap
+    itself: of bursts at once the one that began last counts.
+    """
+    open_ps = sent.end_ps + to_ps(_OPEN * recovery_s)
+    length_ps = capture.samples * capture.sample_period_ps
+    # The last burst that began before each record's end, and whether the switch is still affected by it then.
+    begin = np.searchsorted(sent.onset_ps, capture.first_sample_ps + length_ps, side="left") - 1
+    met = begin >= 0
+    met[met] &= open_ps[begin[met]] > capture.first_sample_ps[met]
+    if not met.any():
+        return None
+    gain = np.ones((len(capture.first_sample_ps), capture.samples))
+    offset_ps = np.arange(capture.samples) * capture.sample_period_ps
+    for record in np.flatnonzero(met):
+        gain[record] = _share_passed(sent, int(capture.first_sample_ps[record]) + offset_ps, recovery_s)
+    return gain
+
+
+def _share_passed(sent: Bursts, time_ps: NDArray[np.int64], recovery_s: float) -> Floats:
+    last = np.searchsorted(sent.onset_ps, time_ps, side="right") - 1
+    since_s = np.where(last >= 0, time_ps - sent.end_ps[np.maximum(last, 0)], 1 << 60) / PS_PER_S
+    if recovery_s == 0:
+        return np.where(since_s >= 0, 1.0, 0.0)
+    return np.asarray(-np.expm1(-np.clip(since_s / recovery_s, 0.0, 700.0)))
+
+
+def compressed(volts: Floats, amplifier: LogAmplifier) -> Floats:
+    """Return the output ``slope asinh(v / 2 knee) / ln 10`` of the input ``volts``, any shape, limited to saturation.
+
+    Odd and smooth, so that it keeps the sign of the carrier and, after a band-pass, its phase.
+    """
+    out = volts / (2 * amplifier.knee_v)
+    np.arcsinh(out, out=out)
+    out *= amplifier.slope_v_per_decade / np.log(10)
+    if amplifier.saturation_v is not None:
+        np.clip(out, -amplifier.saturation_v, amplifier.saturation_v, out=out)
+    return out

@@ -1,9 +1,11 @@
-"""Exact echoes in O(scatterers + samples): sums over the scatterers whose support holds a sample.
+"""Exact echoes: the double sum of eq. (10) as written, and the same in O(scatterers + samples) by running sums.
 
-``Re sum_m c_m exp(j w_m t) * [sum over the scatterers in whose support t lies of I_n exp(-j w_m tau_n)]``: a scatterer
-joins the inner sum where its support begins and leaves it where it ends. Nothing is ever subtracted: the gate is cut
-into blocks no longer than the pulse, in which a scatterer that enters does not leave, so the inner sum is one running
-sum of those that entered since the block began, and one backwards of those that were there and have yet to leave.
+    Re sum_m c_m exp(j w_m t) * [sum over the scatterers in whose support t lies of I_n exp(-j w_m tau_n)]
+
+A scatterer joins the inner sum where its support begins and leaves it where it ends. Nothing is ever subtracted, which
+would cost digits: the gate is cut into blocks no longer than the pulse, in which a scatterer that enters does not
+leave, so the inner sum is one running sum of those that entered since the block began, and one backwards of those that
+were there and have yet to leave. docs/theory/echoes.md, section 2.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.echoes.pulse import Pulse, phasors
+from sim_backend.echoes.pulse import Pulse, extended, phasors
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -20,18 +22,33 @@ Indices = NDArray[np.int64]
 _PAIRS_AT_ONCE = 1 << 17
 
 
+def direct_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> Floats:
+    """Return the sum over scatterers of weighted, delayed pulses, float64 (echo, sample), eq. (10).
+
+    ``delay_s`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s`` (sample,).
+    """
+    echoes_out = np.empty((len(delay_s), len(sample_time_s)))
+    for echo, tau in zip(echoes_out, delay_s, strict=True):
+        # The support is compared as every evaluation does, so that an edge on a sample falls on the same side.
+        inside = (sample_time_s[:, None] >= tau + pulse.start_s) & (sample_time_s[:, None] < tau + pulse.end_s)
+        echo[:] = np.where(inside, extended(pulse, sample_time_s[:, None] - tau), 0.0) @ weight
+    return echoes_out
+
+
 def running_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> Floats:
-    """Return the same as `direct`, exact to rounding; shapes as there, ``sample_time_s`` ascending."""
+    """Return the same as `direct_sum`, exact to rounding; shapes as there, ``sample_time_s`` ascending."""
     out = np.zeros((len(delay_s), len(sample_time_s)))
     stretches = blocks(sample_time_s, pulse)
     if min(delay_s.shape) == 0:
         return out
+    # In ascending delay those that can reach a block of samples lie next to each other.
     early_s, late_s = delay_s.min(axis=0), delay_s.max(axis=0)
     if len(stretches) > 1 and (early_s[1:] < early_s[:-1]).any():
         order = np.argsort(early_s, kind="stable")
         delay_s, weight, early_s, late_s = delay_s[:, order], weight[order], early_s[order], late_s[order]
     spread_s = float((late_s - early_s).max())
     for block in stretches:
+        # (frequency, sample), c_m exp(j w_m t): what turns the sums over scatterers into an echo.
         origin_s = local_origin_s(sample_time_s[block], pulse)
         time_s = sample_time_s[block] - origin_s
         rotation = phasors(pulse, time_s, 1) * np.array(pulse.amplitude)[:, None]
@@ -70,15 +87,18 @@ def local_origin_s(time_s: Floats, pulse: Pulse) -> float:
 def _block(
     tau: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats, rotation: NDArray[np.complex128]
 ) -> Floats:
+    """Return the echoes of one block, (echo, sample); ``tau`` (echo, scatterer), ``rotation`` (frequency, sample)."""
     echoes_in_block, samples = len(tau), len(sample_time_s)
     row = np.arange(echoes_in_block)[:, None]
     enter = np.searchsorted(sample_time_s, tau + pulse.start_s)
     leave = np.searchsorted(sample_time_s, tau + pulse.end_s)
+    # (echo, scatterer): whether its support holds a sample of this block.
     seen = (enter < leave) & (enter < samples) & (leave > 0)
     # Two rows an echo: those there from the first sample on, by the sample they leave at, backwards; those to come.
     cell = np.where(enter == 0, 2 * row * samples + samples - leave, (2 * row + 1) * samples + enter)[seen]
     weight_seen, tau_seen = np.broadcast_to(weight, tau.shape)[seen], tau[seen]
     total = np.zeros((echoes_in_block, samples))
+    # Frequency by frequency: phasors of the scatterers into their cells, running sums over the cells, turned by t.
     for turn, factor in zip(phasors(pulse, tau_seen, -1), rotation, strict=True):
         real, imag = (
             _alive(np.bincount(cell, weights=weight_seen * part, minlength=2 * echoes_in_block * samples), samples)
@@ -89,5 +109,6 @@ def _block(
 
 
 def _alive(cells: NDArray[np.floating | np.integer], samples: int) -> Floats:
+    """Return at every sample the sum over the scatterers alive there, (echo, sample), from both rows of cells."""
     summed = np.cumsum(cells.reshape(-1, 2, samples), axis=2)
     return np.asarray(summed[:, 0, ::-1] + summed[:, 1])

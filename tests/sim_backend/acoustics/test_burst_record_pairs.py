@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given, strategies as st
 
-from sim_backend.acoustics.overlap import burst_record_pairs, sample_span
+from sim_backend.acoustics.acoustics import burst_record_pairs, sample_span
 from sim_backend.wiring import Capture
 
 
