@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft
 
-from hpe_rig.processing import hann
+from hpe_rig.processing import Window, hann
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Triple = tuple[float, float, float]
-GateWindow = Literal["none", "hann"]
 
 DEPTHS = 256
 INSTANTS = 96
@@ -43,7 +40,7 @@ def beam_averaging_factor(
     gate_length_m: float,
     pulse_length_m: float,
     coherent_sum: bool = False,
-    gate_window: GateWindow = "none",
+    gate_window: Window = "none",
     scatterers_per_m3: float = np.inf,
 ) -> float:
     """Return the expected tracked over peak displacement for coaxial Gaussian beams with a common focus mid-gate.
@@ -74,7 +71,7 @@ def beam_averaging_factor(
 
 
 def gate_energy(
-    tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, gate_window: GateWindow = "none"
+    tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, gate_window: Window = "none"
 ) -> tuple[FloatArray, FloatArray]:
     """Return depths about the gate's middle, m, and the energy that each puts into the (windowed) gate, (depth,)."""
     depth = _midpoints(gate_length_m + pulse_length_m, DEPTHS)
@@ -93,7 +90,7 @@ def speckle_spread(
     gate_length_m: float,
     pulse_length_m: float,
     generator: np.random.Generator,
-    gate_window: GateWindow = "none",
+    gate_window: Window = "none",
     draws: int = 4000,
 ) -> float:
     """Return the spread over speckle draws of the tracked displacement, relative to its mean, by a small Monte Carlo.
@@ -136,7 +133,7 @@ def _axial_motion(depth: FloatArray, excitation_width_m: Triple) -> FloatArray:
 
 
 def _gate_echoes(
-    depth: FloatArray, tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, window: GateWindow
+    depth: FloatArray, tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, window: Window
 ) -> FloatArray:
     """Return the envelope (instant, depth) in the windowed gate of a scatterer on the axis at each depth."""
     envelope = _pulse(_midpoints(gate_length_m, INSTANTS)[:, None] - depth, pulse_length_m)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpe_rig.bench import BenchFile
+from hpe_rig.bench import BenchFile, declares_twin, twin_of
 from hpe_rig.plan.checks.check_result import Finding, Level, PlanError, judged, refuse_conflicts
 from hpe_rig.plan.checks.digitizer import board, capture_mode, memory
 from hpe_rig.plan.checks.output import acoustic_output, drive, generators
@@ -264,7 +264,7 @@ def _tracking_train(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Find
 def _simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     if not bench.simulated:
         return
-    if scene.simulation is None:
+    if not declares_twin(scene):
         yield Finding(
             "simulation",
             "refused",
@@ -272,9 +272,9 @@ def _simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]
             "a [simulation] section",
         )
         return
-    speed, assumed = scene.simulation.get("sound_speed_m_per_s"), scene.acquisition.sound_speed_m_per_s
-    if isinstance(speed, int | float) and speed != assumed:
-        text = f"simulation.sound_speed_m_per_s = {speed:g} m/s, "
+    twin, assumed = twin_of(scene), scene.acquisition.sound_speed_m_per_s
+    if twin is not None and twin.sound_speed_m_per_s != assumed:
+        text = f"simulation.sound_speed_m_per_s = {twin.sound_speed_m_per_s:g} m/s, "
         text += f"the gate assumes acquisition.sound_speed_m_per_s = {assumed:g} m/s"
         yield Finding("sound speed", "warning", text, "equal values, unless the mismatch is what is studied")
 

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from hpe_rig.acquire.run import measure, prepare_text
-from hpe_rig.prediction.beam_averaging import depth_spread, gaussian_averaging, medium_motion, width_scale
-from hpe_rig.prediction.forecast import averaging_text, predicted_averaging
+from hpe_rig.prediction.beam_averaging import (
+    depth_spread,
+    gaussian_averaging,
+    medium_motion,
+    predicted_averaging,
+    width_scale,
+)
+from hpe_rig.prediction.text import averaging_text
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 from hpe_rig.scene.validation import SettingsError
 from sim_backend.echoes.cumulative_sum import running_sum

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from hpe_rig.acquire.run import prepare, prepare_text
-from hpe_rig.bench.opening import twin_dose
-from hpe_rig.prediction.detection import calibration_text, detection_floor, detection_text
+from hpe_rig.bench.twin import twin_dose
+from hpe_rig.prediction.detection import detection_floor
+from hpe_rig.prediction.text import calibration_text, detection_text
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 
 SCENES = shipped_scenes()
@@ -28,9 +29,11 @@ def test_noise_of_the_default_conditions_is_that_of_the_theory_notes():
 def test_jitter_of_a_nanosecond_is_that_of_the_model_notes():
     """model-notes.md section 5: 0.77 um a pulse; over 400 pulses with a Hann window about 65 nm."""
     hann = scene("muscle-force", ("[processing]", '[processing]\nestimator = "cross_spectrum"'))
-    assert detection_floor(hann).jitter_m == pytest.approx(65e-9, rel=0.03)
-    assert detection_floor(scene("muscle-force")).jitter_m == pytest.approx(0.77e-6 * np.sqrt(2 / 400), rel=1e-9)
-    assert detection_floor(scene("muscle-force"), simulated=False).jitter_m == 0.0
+    assert detection_floor(hann).trigger_jitter_m == pytest.approx(65e-9, rel=0.03)
+    assert detection_floor(scene("muscle-force")).trigger_jitter_m == pytest.approx(
+        0.77e-6 * np.sqrt(2 / 400), rel=1e-9
+    )
+    assert detection_floor(scene("muscle-force"), simulated=False).trigger_jitter_m == 0.0
 
 
 def test_floor_is_what_noise_exceeds_once_in_twenty():

@@ -7,13 +7,13 @@ import pytest
 
 from hpe_rig.prediction.bounds import harmonic_bound
 from hpe_rig.prediction.theory import (
-    GateWindow,
     beam_averaging_factor,
     difference_gain,
     force_spectrum,
     scatterer_density,
     speckle_spread,
 )
+from hpe_rig.processing import Window
 
 EXCITATION = (0.17e-3, 0.17e-3, 1.80e-3)
 TRACKING = (0.078e-3, 0.078e-3, 0.83e-3)
@@ -53,7 +53,7 @@ def test_lateral_averaging_alone_is_the_closed_form(coherent_sum: bool, expected
 @pytest.mark.parametrize(
     ("window", "expected", "error"), [("none", 0.887, 0.0013), ("hann", 0.892, 0.0018)], ids=["whole", "hann"]
 )
-def test_beam_averaging_predicts_the_monte_carlo_means(window: GateWindow, expected: float, error: float) -> None:
+def test_beam_averaging_predicts_the_monte_carlo_means(window: Window, expected: float, error: float) -> None:
     factor = beam_averaging_factor(EXCITATION, TRACKING, 1e-3, PULSE_M, gate_window=window, scatterers_per_m3=DENSITY)
     # error: standard error of the 2000 draws in model-notes 1
     assert factor == pytest.approx(expected, abs=2 * error)
@@ -69,7 +69,7 @@ def test_literal_reading_predicts_the_papers_bias(filled_m: float, expected: flo
 @pytest.mark.parametrize(
     ("window", "expected"), [("none", 0.060 / 0.887), ("hann", 0.080 / 0.893)], ids=["whole", "hann"]
 )
-def test_speckle_spread_predicts_the_monte_carlo_spreads(window: GateWindow, expected: float) -> None:
+def test_speckle_spread_predicts_the_monte_carlo_spreads(window: Window, expected: float) -> None:
     spread = speckle_spread(EXCITATION, TRACKING, 1e-3, PULSE_M, np.random.default_rng(1), window)
     # both are heavy-tailed: 2 / sqrt(4000) here and 2 / sqrt(2000) there give 5.5 %; three of these
     assert spread == pytest.approx(expected, rel=0.165)
