@@ -223,8 +223,8 @@ def _fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
         )
     if fit.condition > LARGE_CONDITION:
         yield (
-            f"the pulses hardly tell the frequencies, or these and the background, apart (condition "
-            f"{fit.condition:.3g}, 1 is best): the uncertainties say so; watch them for longer"
+            f"the pulses barely resolve the frequencies, or these and the background (condition "
+            f"{fit.condition:.3g}, 1 is best): the uncertainties include it; use a longer window"
         )
     lost = fit.amplitude_m < DETECTED * np.sqrt(fit.covariance[:, 0, 0])
     if lost.any():
