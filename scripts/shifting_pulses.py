@@ -1,4 +1,4 @@
-"""Print how much harmonics that fold change the wanted ones, delay by delay, as ``hpe-rig check`` does for one.
+"""Print how much aliased harmonics change the wanted ones, delay by delay, as ``hpe-rig check`` does for one.
 
 Usage: python scripts/shifting_pulses.py [SCENE [DELAY_US ...]]
 """
@@ -23,7 +23,7 @@ def main(scene: str = "bovine-muscle", *delays_us: str) -> None:
         setup = prepare_text(name, "\n".join(lines))
         ratio = fitted_over_true(setup.scene.scene, setup.plan.shots[0])
         if ratio is None:
-            sys.exit(f"{name}: folding is known where tonebursts push a known medium, at multiples of their rate alone")
+            sys.exit(f"{name}: aliasing is known only where tonebursts push a known medium, at multiples of their rate")
         amplitude, phase = np.abs(np.abs(ratio) - 1).max() * 100, np.degrees(np.abs(np.angle(ratio)).max())
         print(f"{delay_s * 1e6:10.1f}  {amplitude:13.2f}  {phase:15.2f}")
 

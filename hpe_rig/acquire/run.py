@@ -23,8 +23,8 @@ from hpe_rig.bench import (
     Bench,
     BenchFile,
     BenchText,
+    check_declared,
     check_simulation,
-    declared,
     interruptible,
     open_bench,
     parse_bench,
@@ -85,7 +85,7 @@ def prepare_text(
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check)
         # What the scene declares of beams and sound speed may contradict its [simulation].
-        if check and scene.scene.simulation and (mistakes := check(declared(scene.scene))):
+        if check and (mistakes := check_declared(scene.scene)):
             raise SettingsError(f"scene {name}", mistakes)
         plan, found = planned(scene.scene, bench.bench)
         if refuse:

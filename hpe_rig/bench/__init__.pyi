@@ -15,11 +15,15 @@ from .emulation import emulate as emulate
 from .instruments import Bench as Bench, UnsafeBenchError as UnsafeBenchError
 from .interrupts import Terminated as Terminated, interruptible as interruptible, uninterrupted as uninterrupted
 from .inventory import BenchReport as BenchReport, Found as Found, Settings as Settings, survey as survey
-from .opening import (
+from .opening import open_bench as open_bench
+from .output_limits import Calibration as Calibration, DriveCalibration as DriveCalibration, Limits as Limits
+from .twin import (
+    TwinDeclaration as TwinDeclaration,
+    check_declared as check_declared,
     check_simulation as check_simulation,
-    declared as declared,
-    open_bench as open_bench,
+    declares_twin as declares_twin,
     simulation_schema as simulation_schema,
     twin_dose as twin_dose,
-    twin_medium as twin_medium,
+    twin_of as twin_of,
+    twin_settings as twin_settings,
 )

@@ -12,17 +12,14 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers.interfaces import Clock, Connection, Instrument, InstrumentError
 from hpe_rig.bench.bench_file import GENERATOR_ROLES, BenchFile
 from hpe_rig.bench.instruments import Bench, identify_each, make_safe, proven_off
 from hpe_rig.bench.interrupts import interruptible
-from hpe_rig.scene import Mistake, Scene, mistakes_of
+from hpe_rig.bench.twin import twin_tables
+from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
-    from sim_backend.motion import Dose
     from sim_backend.transports import Emulator, Transport
     from sim_backend.world import World
 
@@ -37,52 +34,6 @@ class WallClock:
         time.sleep(duration_s)
 
 
-def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
-    """Return the mistakes of a ``[simulation]`` section, by the twin's own rules."""
-    from sim_backend.settings import SimulationSettings
-
-    return mistakes_of(SimulationSettings, tables, ("simulation",))
-
-
-def twin_medium(scene: Scene, frequency_hz: NDArray[np.float64]) -> tuple[NDArray[np.complex128], float] | None:
-    """Return the simulated specimen's complex shear modulus (frequency,), Pa, and density, kg/m^3.
-
-    None where the scene's twin has no specimen, or moves it by the Gaussian of eq. (12).
-    """
-    if "specimen" not in (scene.simulation or {}):
-        return None
-    from sim_backend.motion import shear_modulus
-    from sim_backend.settings import SimulationSettings
-
-    specimen = SimulationSettings.model_validate(declared(scene)).specimen
-    if specimen is None or specimen.field == "gaussian":
-        return None
-    s_per_s = np.asarray(2j * np.pi * frequency_hz, np.complex128)
-    return np.asarray(shear_modulus(specimen, s_per_s)), specimen.density_kg_per_m3
-
-
-def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.float64]) -> Dose | None:
-    """Return the simulated specimen's dose and what it could move at ``frequency_hz``; None where there is none."""
-    if "specimen" not in (scene.simulation or {}) or scene.excitation is None:
-        return None
-    from sim_backend.motion import dose
-    from sim_backend.settings import SimulationSettings
-
-    settings = SimulationSettings.model_validate(declared(scene))
-    if settings.specimen is None:
-        return None
-    train = scene.excitation.burst_rate_hz, burst_length_s
-    width_m, speed = settings.beams.excitation_width_m, settings.sound_speed_m_per_s
-    return dose(settings.specimen, width_m, *train, frequency_hz, speed, scene.excitation.carrier_hz)
-
-
-def simulation_schema() -> dict[str, Any]:
-    """Return the JSON schema of the ``[simulation]`` section."""
-    from sim_backend.settings import SimulationSettings
-
-    return SimulationSettings.model_json_schema()
-
-
 @contextmanager
 def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot: int = 0) -> Iterator[Bench]:
     """Yield the bench with the instruments of ``roles`` open; make it safe, verified, on every way out.
@@ -91,7 +42,7 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
     """
     with interruptible(), ExitStack() as stack:
         reached = (
-            _reach_twin(declared(scene), bench, first_shot, stack) if bench.simulated else _reach_metal(bench, stack)
+            _reach_twin(twin_tables(scene), bench, first_shot, stack) if bench.simulated else _reach_metal(bench, stack)
         )
         opened = _assemble(bench, roles, reached)
         for instrument in opened.instruments:
@@ -174,14 +125,6 @@ class Reach:
         return Agilent33250A(self.connect(role), role, generator.model, most_vpp)
 
 
-def declared(scene: Scene) -> dict[str, Any]:
-    """Return what a scene declares of the specimen, as the twin's settings."""
-    simulation = scene.simulation or {}
-    beams = {} if scene.beams is None else scene.beams.model_dump(exclude={"pulse_length_m"})
-    declared = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
-    return declared | simulation | {"beams": beams | simulation.get("beams", {})}
-
-
 def _reach_twin(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack) -> Reach:
     world = _world(simulation, bench, first_shot)
     if bench.transport is None:
@@ -219,7 +162,7 @@ def open_emulator(
 
     They listen on loopback alone, share one world and one clock, and are gone on the way out.
     """
-    with interruptible(), _emulator(_world(declared(scene), bench), bench, transport) as emulator:
+    with interruptible(), _emulator(_world(twin_tables(scene), bench), bench, transport) as emulator:
         yield {role: (there.address, there.interface) for role, there in emulator.served.items()}
 
 

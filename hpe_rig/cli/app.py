@@ -180,21 +180,21 @@ def check(
     from hpe_rig.acquire import prepare
     from hpe_rig.plan import plan_text
     from hpe_rig.prediction import (
+        aliasing_text,
         averaging_text,
         calibration_text,
         detection_text,
         fit_gain,
-        folding_text,
-        length_m,
         prediction_text,
     )
+    from hpe_rig.scene import length_m
 
     setup = prepare(scene, bench, Stages(), refuse=False)
     target_m = None if target is None else length_m(target, "--target")
     typer.echo(plan_text(setup.scene.scene.title, setup.plan, setup.findings))
     scene_text, simulated = setup.scene.scene, setup.bench.bench.simulated
     foreseen = [*detection_text(scene_text, simulated, setup.plan.shots[0])]
-    foreseen += folding_text(scene_text, setup.plan.shots[0], simulated)
+    foreseen += aliasing_text(scene_text, setup.plan.shots[0], simulated)
     foreseen += [*calibration_text(scene_text, setup.bench.bench), *averaging_text(scene_text, simulated)]
     gain = fit_gain(scene_text, setup.plan.shots[0])
     typer.echo("\n" + "\n".join([*foreseen, *prediction_text(scene_text, target_m, gain)]))

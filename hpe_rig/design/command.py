@@ -14,8 +14,7 @@ from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Li
 from hpe_rig.design.search import Design, design
 from hpe_rig.design.simulation_check import Measured, Simulated, simulate
 from hpe_rig.design.variables import variables
-from hpe_rig.prediction import length_m
-from hpe_rig.scene import Mistake, SettingsError, edited_text, parse_toml
+from hpe_rig.scene import Mistake, SettingsError, edited_text, length_m, parse_toml
 
 MODEL_JITTER, MODEL_BIAS, ERRORS = 0.15, 0.02, 3.0
 """How well the model is to hold: share of a jitter, share of the amplitude for a bias, standard errors on top."""
@@ -149,7 +148,7 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
         simulated = simulate(scene, plan, setting, problem.baseline, draws, seed)
     rows = {
         "amplitude": _nm(setting.amplitude_m),
-        "pulses they are worth": f"{setting.pulses}",
+        "effective number of pulses": f"{setting.pulses}",
         "SNR in the gate": f"{10 * math.log10(setting.snr):.1f} dB",
         "bias, predicted": _nm(expected.bias_m),
         "bias, simulated": _both(simulated, "bias_m", 1e9, "nm"),

@@ -5,28 +5,26 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from hpe_rig.plan import Plan, Shot, slow_time_window
+from hpe_rig.bench import twin_of, twin_settings
+from hpe_rig.plan import Plan, Shot
 from hpe_rig.prediction import (
     LATERAL,
+    Conditions,
     Expected,
     Scattering,
-    Setting,
     Speckle,
+    conditions_of,
     draw_scattering,
     expected,
     expected_snr_db,
     force_spectrum,
-    setting_of,
 )
-from hpe_rig.processing import EchoGate, band_grid, design as slow_time_design, driven_frequencies_hz, skipped_pulses
+from hpe_rig.processing import EchoGate, band_grid, shot_model, spec_of
 from hpe_rig.scene import Mistake, Scene, SettingsError
-
-if TYPE_CHECKING:
-    from sim_backend.settings import SimulationSettings
 
 CELLS = 256
 """Cells of depth in which scatterers are summed: 23 um for the paper's beam, a tenth of a three-cycle pulse."""
@@ -35,7 +33,7 @@ WIDTH_STEP = 0.05
 """Step of the grid of widths, in logarithms: interpolated on it, a displacement is off by 1e-4 of the peak."""
 _BEAMS = ("excitation_width_m", "tracking_width_m", "scatterers_per_m3")
 # What scatterers do not depend on, at one value, so that their draws are kept.
-_UNSEEN: dict[str, Any] = {field.name: 1 for field in fields(Setting) if field.name not in _BEAMS}
+_UNSEEN: dict[str, Any] = {field.name: 1 for field in fields(Conditions) if field.name not in _BEAMS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,15 +65,15 @@ def baseline(scene: Scene) -> Baseline:
     return Baseline(gate_m, scene.tracking.cycles, _drive(scene))
 
 
-def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Setting:
+def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Conditions:
     """Return what bias and jitter of the scene's first shot and first frequency depend on.
 
-    Beyond ``setting_of``: noise is fixed, so the SNR follows the echo's strength and its depth profile in the gate; the
-    amplitude follows the force; pulses count for what they are worth. Raises ``ValueError`` where they cannot tell the
-    frequencies, or the gate is too short for the estimators' band.
+    Beyond ``conditions_of``: noise is fixed, so the SNR follows the echo's strength and its depth profile in the gate;
+    the amplitude follows the force; pulses count by their effective number. Raises ``ValueError`` where they cannot
+    tell the frequencies, or the gate is too short for the estimators' band.
     """
     _require_band(plan.shots[0], scene)
-    setting = setting_of(scene)
+    setting = conditions_of(scene)
     assert setting is not None  # noqa: S101 (baseline has refused such a scene)
     profile = [echo_power(setting, gate_m) for gate_m in (setting.gate_length_m, start.gate_length_m)]
     snr = setting.snr * echo_strength(scene, start) * profile[0] / profile[1]
@@ -83,24 +81,16 @@ def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Setting:
     driven = _drive(scene)
     if driven > 0 and start.drive > 0:
         amplitude_m = driven if _simulates_specimen(scene) else amplitude_m * driven / start.drive
-    return replace(setting, pulses=worth_pulses(scene, plan), snr=snr, amplitude_m=max(amplitude_m, 1e-15))
+    return replace(setting, pulses=effective_pulses(scene, plan), snr=snr, amplitude_m=max(amplitude_m, 1e-15))
 
 
-def worth_pulses(scene: Scene, plan: Plan) -> int:
+def effective_pulses(scene: Scene, plan: Plan) -> int:
     """Return how many pulses, evenly spread over whole cycles, would tell the first frequency as well as those used.
 
     Skipped pulses, and frequencies and background that are fitted along and hard to tell apart, cost as many. Raises
     ``ValueError`` where the pulses cannot tell the frequencies.
     """
-    shot = plan.shots[0]
-    inside = slow_time_window(scene, shot)
-    model = slow_time_design(
-        shot.timeline.sensing_s[inside] - shot.timeline.reference_s,
-        ~skipped_pulses(scene, shot)[inside],
-        np.array(scene.wanted_frequencies_hz),
-        background_order=scene.processing.background_order,
-        also_hz=() if scene.processing.estimator == "cross_spectrum" else driven_frequencies_hz(scene),
-    )
+    _, model = shot_model(scene, plan.shots[0], spec_of(scene.processing.estimator).fits_all_at_once)
     variance = np.sum(model.root[:2] ** 2, axis=1)
     return max(1, round(2 / float(variance.mean())))
 
@@ -123,7 +113,7 @@ def echo_strength(scene: Scene, start: Baseline) -> float:
     return float((scene.tracking.cycles / start.cycles) ** (2 if declared else 1))
 
 
-def echo_power(setting: Setting, gate_length_m: float) -> float:
+def echo_power(setting: Conditions, gate_length_m: float) -> float:
     """Return the mean echo power in a gate around the focus, relative to that at the focus."""
     pulse_m = setting.pulse_length_m
     places = (np.arange(POINTS) + 0.5) / POINTS - 0.5
@@ -133,7 +123,7 @@ def echo_power(setting: Setting, gate_length_m: float) -> float:
     return float((blur * weight).sum() / (POINTS * blur.sum()))
 
 
-def predicted(setting: Setting, estimator: str, draws: int, seed: int = 0) -> Expected:
+def predicted(setting: Conditions, estimator: str, draws: int, seed: int = 0) -> Expected:
     """Return bias and jitter from ``draws`` draws of scatterers, the same for every gate and pulse."""
     # A medium's field widens with gate and frequency: between two widths of a grid the displacement is interpolated.
     grid = math.log(setting.excitation_width_m[0]) / WIDTH_STEP
@@ -148,22 +138,10 @@ def predicted(setting: Setting, estimator: str, draws: int, seed: int = 0) -> Ex
     return expected(setting, estimator, speckle, np.random.default_rng([seed, 1]))
 
 
-def _beams(setting: Setting, logarithm: float) -> Setting:
+def _beams(setting: Conditions, logarithm: float) -> Conditions:
     """Return what draws of scatterers depend on, the displacement's widths scaled by exp(``logarithm``)."""
     x, y, z = (float(f"{width * math.exp(logarithm):.6g}") for width in setting.excitation_width_m)
     return replace(setting, **_UNSEEN, excitation_width_m=(x, y, z))
-
-
-def twin_settings(scene: Scene) -> SimulationSettings:
-    """Return the twin's settings for what ``scene`` declares of sound speed, beams and ``[simulation]``."""
-    from sim_backend.settings import SimulationSettings
-
-    declared: dict[str, Any] = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
-    declared |= scene.simulation or {}
-    if scene.beams is not None:
-        beams = scene.beams.model_dump(exclude={"pulse_length_m"})
-        declared["beams"] = beams | declared.get("beams", {})
-    return SimulationSettings.model_validate(declared)
 
 
 def _drive(scene: Scene) -> float:
@@ -181,28 +159,28 @@ def _drive(scene: Scene) -> float:
 
 def _response(scene: Scene, frequency_hz: float) -> float:
     """Return the displacement at full force, m, of the simulated specimen; 1 where there is none."""
-    if "specimen" not in (scene.simulation or {}):
+    twin = twin_of(scene)
+    if twin is None or twin.settings.specimen is None:
         return 1.0
     from sim_backend.motion import frequency_response
 
-    settings = twin_settings(scene)
-    assert settings.specimen is not None  # noqa: S101
-    width_m = settings.beams.excitation_width_m
-    moved = frequency_response(settings.specimen, width_m, np.array([frequency_hz]))
-    return float(abs(moved[0]) * settings.specimen.force_density_n_per_m3)
+    specimen, beams = twin.settings.specimen, twin.settings.beams
+    moved = frequency_response(specimen, beams.excitation_width_m, np.array([frequency_hz]))
+    return float(abs(moved[0]) * specimen.force_density_n_per_m3)
 
 
 @functools.lru_cache(maxsize=16)
-def _speckle(beams: Setting, gate_length_m: float, pulse_length_m: float, draws: int, seed: int) -> Speckle:
+def _speckle(beams: Conditions, gate_length_m: float, pulse_length_m: float, draws: int, seed: int) -> Speckle:
     return _scattering(beams, draws, seed).speckle(gate_length_m, pulse_length_m)
 
 
 @functools.lru_cache(maxsize=16)
-def _scattering(beams: Setting, draws: int, seed: int) -> Scattering:
+def _scattering(beams: Conditions, draws: int, seed: int) -> Scattering:
     """Return draws as deep as the tracking beam sees: whatever gate, the scatterers are the same."""
     deep_m = 2 * LATERAL * beams.tracking_width_m[2]
     return draw_scattering(beams, np.random.default_rng([seed, 0]), draws, deep_m, CELLS)
 
 
 def _simulates_specimen(scene: Scene) -> bool:
-    return scene.processing.expected_amplitude_m is None and "specimen" in (scene.simulation or {})
+    twin = twin_of(scene)
+    return scene.processing.expected_amplitude_m is None and twin is not None and twin.has_specimen

@@ -19,7 +19,7 @@ from hpe_rig.bench import BenchFile, check_simulation
 from hpe_rig.design.model import Baseline, baseline, design_setting, predicted
 from hpe_rig.design.variables import Variable
 from hpe_rig.plan import AcousticOutput, CheckResult, Plan, highest_output
-from hpe_rig.prediction import Expected, Setting
+from hpe_rig.prediction import Conditions, Expected
 from hpe_rig.scene import Mistake, Number, Path, Scene, SettingsError, mistakes_of, with_values
 
 Goal = Literal["jitter", "phase-jitter", "bias", "time"]
@@ -54,7 +54,7 @@ class Candidate:
     conflicts: tuple[CheckResult, ...]
     scene: Scene | None = None
     plan: Plan | None = None
-    setting: Setting | None = None
+    setting: Conditions | None = None
 
     @cached_property
     def expected(self) -> Expected:

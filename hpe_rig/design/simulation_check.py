@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.design.model import Baseline, echo_power, twin_settings
-from hpe_rig.plan import Plan, slow_time_window
-from hpe_rig.prediction import Setting
-from hpe_rig.processing import EchoGate, driven_frequencies_hz, estimate, options_of, skipped_pulses
+from hpe_rig.bench import twin_settings
+from hpe_rig.design.model import Baseline, echo_power
+from hpe_rig.plan import Plan, driven_frequencies_hz, select
+from hpe_rig.prediction import Conditions
+from hpe_rig.processing import EchoGate, estimate, options_of
 from hpe_rig.scene import Scene
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class Simulated:
     phase_jitter_rad: Measured
 
 
-def simulate(scene: Scene, plan: Plan, setting: Setting, start: Baseline, draws: int, seed: int) -> Simulated | None:
+def simulate(scene: Scene, plan: Plan, setting: Conditions, start: Baseline, draws: int, seed: int) -> Simulated | None:
     """Return what ``draws`` draws make of the first shot of ``scene``; None where 16 of them do not fit the memory.
 
     Moved at the first frequency alone, at a phase of its own in each draw. Beams, pulse length, amplitude and SNR are
@@ -88,17 +89,17 @@ class _Train:
         return DRAWS_AT_ONCE * self.time_s.size * self.sample_s.size
 
 
-def _train(scene: Scene, plan: Plan, setting: Setting, start: Baseline) -> _Train:
+def _train(scene: Scene, plan: Plan, setting: Conditions, start: Baseline) -> _Train:
     shot = plan.shots[0]
-    inside = slow_time_window(scene, shot)
+    chosen = select(scene, shot)
     gate_m = start.gate_length_m
     reference = round(2 * gate_m / setting.sound_speed_m_per_s * setting.sample_rate_hz)
     counts = shot.gate.stop - shot.gate.start, max(reference, 1)
     most = max(counts)
     gate, still = (slice((most - count) // 2, (most - count) // 2 + count) for count in counts)
     return _Train(
-        shot.timeline.sensing_s[inside] - shot.timeline.reference_s,
-        ~skipped_pulses(scene, shot)[inside],
+        chosen.time_s,
+        chosen.used,
         (np.arange(most) - (most - 1) / 2) / setting.sample_rate_hz,
         gate,
         still,
@@ -106,7 +107,7 @@ def _train(scene: Scene, plan: Plan, setting: Setting, start: Baseline) -> _Trai
     )
 
 
-def _errors(scene: Scene, setting: Setting, train: _Train, draws: int, seed: int) -> Iterator[Floats]:
+def _errors(scene: Scene, setting: Conditions, train: _Train, draws: int, seed: int) -> Iterator[Floats]:
     """Yield the errors of amplitude, m, and phase, rad, of 16 draws at a time: (draw, 2)."""
     from sim_backend.echoes import drawn_echoes, hann_pulse
 
@@ -138,7 +139,7 @@ def _errors(scene: Scene, setting: Setting, train: _Train, draws: int, seed: int
         first += len(echoes)
 
 
-def _twin(scene: Scene, setting: Setting) -> SimulationSettings:
+def _twin(scene: Scene, setting: Conditions) -> SimulationSettings:
     settings = twin_settings(scene)
     widths = {"excitation_width_m": setting.excitation_width_m, "tracking_width_m": setting.tracking_width_m}
     beams = settings.beams.model_copy(update={**widths, "width_ratio": None})

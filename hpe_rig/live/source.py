@@ -12,7 +12,7 @@ from hpe_rig.acquire import request_stop, stop_path
 from hpe_rig.bench import parse_bench
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
 from hpe_rig.plan import Plan, make_plan
-from hpe_rig.processing import HarmonicFit, driven_frequencies_hz, estimate, options_of, shot_echoes
+from hpe_rig.processing import HarmonicFit, estimate, options_of, shot_echoes
 from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
 from hpe_rig.result import Estimate
 from hpe_rig.scene import Scene, parse_scene
@@ -117,9 +117,9 @@ class RunSource:
         }
         try:
             gated = gate_alone(records, shot.gate)
-            arrived = shot_echoes(scene, shot, gated, shown_pulses(scene, shot))
-            wanted = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
-            fit = estimate(arrived, wanted, "coherent", driven_frequencies_hz(scene), options_of(scene.processing))
+            shown = shown_pulses(scene, shot)
+            arrived = shot_echoes(scene, shot, gated, shown)
+            fit = estimate(arrived, shown.wanted_hz, "coherent", shown.driven_hz, options_of(scene.processing))
             estimates = _estimates(fit)
             state["motion"] = motion_state(motion_view(scene, shot, gated, estimates))
         except ValueError as error:

@@ -1,6 +1,6 @@
 """Shear wave speed from the phase at several lateral positions, and the Voigt moduli that explain its dispersion.
 
-c_s(w) = w |dr / dphi|,    mu* = mu1 + j w mu2,    c_s = w / Re(w sqrt(rho / mu*))
+c_s(w) = w |dr / dphi|,    mu* = mu1 + j w mu2,    c_s = w / Re(w sqrt(rho / mu*)); docs/theory/estimation.md.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def shear_speed(
 def speed_of_runs(runs: Sequence[Sequence[Estimate]], position_m: Sequence[float]) -> ShearSpeed:
     """Return the speed from several runs, one a place: each the estimates of a shot, phases from the same edge.
 
-    Frequencies that a run does not tell from noise carry their large uncertainty along. Raises ``ValueError`` for runs
+    Frequencies that are not significant in a run carry their large uncertainty along. Raises ``ValueError`` for runs
     of different frequencies and as ``shear_speed``.
     """
     frequencies = [[each.frequency_hz for each in run] for run in runs]

@@ -1,4 +1,14 @@
-"""hpe_rig/plan"""
+"""Plan of a measurement: the scene turned into shots, every edge in absolute time; a function of scene and bench file.
+
+    what the scene does without                              omitted.py
+    shots, their trains, gates and records                   shots.py
+    when a toneburst disturbs a tracking pulse               interference.py
+    which pulses and frequencies a fit uses                  selection.py
+    what speaks against it, one file a subject               checks/
+    the whole in words and as a drawing                      timeline.py
+
+Others use ``make_plan``, ``findings`` and ``refuse_conflicts``, and ``select`` for the pulses and frequencies of a fit.
+"""
 
 import lazy_loader
 

@@ -10,6 +10,12 @@ from .checks.check_result import (
 )
 from .checks.checklist import check_plan as check_plan
 from .interference import disturbed_pulses as disturbed_pulses
+from .selection import (
+    Selection as Selection,
+    driven_frequencies_hz as driven_frequencies_hz,
+    select as select,
+    window_pulse_count as window_pulse_count,
+)
 from .shots import (
     SAFETY_MARGIN_S as SAFETY_MARGIN_S,
     Plan as Plan,
@@ -17,6 +23,5 @@ from .shots import (
     make_plan as make_plan,
     pulse_count as pulse_count,
     reference_gate as reference_gate,
-    slow_time_window as slow_time_window,
 )
 from .timeline import plan_text as plan_text

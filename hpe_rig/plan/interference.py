@@ -1,4 +1,4 @@
-"""When tonebursts and their echoes disturb tracking pulses and gates, and which t_d they do not."""
+"""Interference of tonebursts and their echoes with tracking pulses and gates, and the delays t_d without any."""
 
 from __future__ import annotations
 

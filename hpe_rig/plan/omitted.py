@@ -1,12 +1,11 @@
-"""What a scene does not need, and why: it costs nothing, and ``hpe-rig check`` says so."""
+"""Omissions: what a scene does not need, and why; it costs nothing, and ``hpe-rig check`` says so."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
-from hpe_rig.bench import BenchFile
+from hpe_rig.bench import BenchFile, TwinDeclaration, declares_twin, twin_of
 from hpe_rig.scene import Scene
 
 
@@ -25,26 +24,21 @@ def left_out(scene: Scene, bench: BenchFile) -> list[LeftOut]:
         out.append(LeftOut("generators burst_train and toneburst", "the scene has no [excitation]"))
     if scene.beams is None:
         out.append(LeftOut("predicted beam averaging", "the scene has no [beams]"))
-    if not bench.simulated:
-        out.append(
-            LeftOut("the twin", "the bench is real" + (", [simulation] is not read" if scene.simulation else ""))
-        )
-        return out
-    simulation = scene.simulation or {}
-    out += _simulation_left_out(simulation)
-    if "specimen" not in simulation:
-        motion = "the motion is prescribed" if "motion" in simulation else "nothing moves"
-        out.append(LeftOut("specimen response", f"{motion}: the scene has no [simulation.specimen]"))
-    return out
+    if bench.simulated:
+        return [*out, *_left_out_of_twin(twin_of(scene))]
+    unread = ", [simulation] is not read" if declares_twin(scene) else ""
+    return [*out, LeftOut("the twin", "the bench is real" + unread)]
 
 
-def _simulation_left_out(simulation: Mapping[str, Any]) -> Iterator[LeftOut]:
-    chain = simulation.get("receive_chain")
-    if chain is None:
+def _left_out_of_twin(twin: TwinDeclaration | None) -> Iterator[LeftOut]:
+    chain = twin is not None and twin.has_receive_chain
+    if not chain:
         yield LeftOut("receive chain", "the scene has no [simulation.receive_chain]: filters and switch are ideal")
-    noise = "receiver.snr_db" if chain is None else "receive_chain.noise_v_per_sqrt_hz"
-    # A preset of the chain brings its noise along.
-    if noise.split(".")[1] not in simulation.get(noise.split(".")[0], {}) and "preset" not in (chain or {}):
+    if twin is None or not twin.has_noise:
+        noise = "receive_chain.noise_v_per_sqrt_hz" if chain else "receiver.snr_db"
         yield LeftOut("receiver noise", f"simulation.{noise} is absent")
-    if not simulation.get("instruments", {}).get("trigger_jitter_s"):
+    if twin is None or not twin.trigger_jitter_s:
         yield LeftOut("trigger jitter", "simulation.instruments.trigger_jitter_s is absent or 0")
+    if twin is None or not twin.has_specimen:
+        motion = "the motion is prescribed" if twin is not None and twin.prescribes_motion else "nothing moves"
+        yield LeftOut("specimen response", f"{motion}: the scene has no [simulation.specimen]")

@@ -1,4 +1,4 @@
-"""Scene -> shots with every edge in absolute time; a function of scene and bench file alone."""
+"""Shots of a scene with every edge in absolute time; a function of scene and bench file alone."""
 
 from __future__ import annotations
 
@@ -130,16 +130,6 @@ def _joined(plans: list[Plan]) -> Plan:
     """Return one plan of the shots of all; what is left out is the same in each."""
     shots = tuple(replace(shot, index=index) for index, shot in enumerate(s for plan in plans for s in plan.shots))
     return Plan(plans[0].roles, shots, max(plan.shot_period_s for plan in plans), plans[0].left_out)
-
-
-def slow_time_window(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
-    """Return which pulses lie in the processing window, shape (pulse,)."""
-    processing = scene.processing
-    after_first_s = shot.timeline.pulse_onset_s - shot.timeline.pulse_onset_s[0]
-    end_s = math.inf if processing.window_length_s is None else processing.window_start_s + processing.window_length_s
-    half_s = 0.5 / shot.tracking_train.rate_hz
-    inside: NDArray[np.bool_] = (after_first_s > processing.window_start_s - half_s) & (after_first_s < end_s - half_s)
-    return inside
 
 
 def pulse_count(scene: Scene) -> int:

@@ -1,4 +1,4 @@
-"""The plan in words and as a small drawing, for ``hpe-rig check``."""
+"""Timeline of a plan, in words and as a small drawing, for ``hpe-rig check``."""
 
 from __future__ import annotations
 

@@ -1,16 +1,14 @@
-"""What harmonics of the bursts that the fit cannot tell apart do to those that are wanted, before a measurement."""
+"""Aliasing: what harmonics of the bursts that the fit cannot resolve do to the wanted ones, before a measurement."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.plan import Shot
-from hpe_rig.prediction.forecast import motion_of_medium
+from hpe_rig.prediction.beam_averaging import motion_of_medium
 from hpe_rig.prediction.theory import force_spectrum
-from hpe_rig.processing import design_of, harmonic_columns
+from hpe_rig.processing import harmonic_columns, shot_model
 from hpe_rig.scene import Scene
 
 LOBES = 10
@@ -36,7 +34,7 @@ def fitted_over_true(scene: Scene, shot: Shot, simulated: bool = True) -> NDArra
     # the sinusoid A sin(w t + phase) has the coefficient A exp(j phase) = j times that of exp(j w t)
     true = 1j * motion[0] * force_spectrum(harmonic, rate_hz, length_s)
     try:
-        time_s, model = design_of(scene, shot)
+        time_s, model = shot_model(scene, shot)
     except ValueError:
         # a plan with conflicts may have no fit at all
         return None
@@ -44,14 +42,3 @@ def fitted_over_true(scene: Scene, shot: Shot, simulated: bool = True) -> NDArra
     state = model.solve(harmonic_columns(time_s, frequency_hz) @ parts)[0]
     fitted = state[: 2 * wanted_hz.size].reshape(-1, 2) @ np.array([1, 1j])
     return np.asarray(fitted / true[place - 1])
-
-
-def folding_text(scene: Scene, shot: Shot, simulated: bool = True) -> Iterator[str]:
-    """Yield by how much the wanted harmonics are off at most; for ``hpe-rig check``."""
-    ratio = fitted_over_true(scene, shot, simulated)
-    if ratio is not None:
-        amplitude, phase = np.abs(np.abs(ratio) - 1).max(), np.degrees(np.abs(np.angle(ratio)).max())
-        yield (
-            f"folding in this medium: harmonics not told apart change the wanted ones by at most "
-            f"{100 * amplitude:.2g} % and {phase:.2g} deg (least squares, no noise; stated by no uncertainty)"
-        )

@@ -1,4 +1,4 @@
-"""Tracked over peak displacement where the medium's own field moves the scatterers, and the Gaussian that is its like.
+"""Beam averaging: tracked over peak displacement, in the medium's own field and for the Gaussian motion of eq. (12).
 
 A wave of the medium is broader than the force that makes it, so less of its peak is lost over the tracking beam than of
 the Gaussian of eq. (12), and what is tracked lags.
@@ -12,7 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import wofz
 
-from hpe_rig.prediction.theory import GateWindow, gate_energy
+from hpe_rig.bench import twin_of
+from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, speckle_spread
+from hpe_rig.processing import Window, spec_of
+from hpe_rig.result import Averaging
+from hpe_rig.scene import Scene
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -21,6 +25,70 @@ Triple = tuple[float, float, float]
 DIRECTIONS = 96
 SCALES = (0.05, 1e3)
 """Between which a Gaussian's widths are scaled; the upper end tracks the peak to 1e-7."""
+
+
+def predicted_averaging(scene: Scene, estimator: str, simulated: bool = True) -> tuple[Averaging | None, ...]:
+    """Return the averaging over the tracking beam at every wanted frequency; None without beams.
+
+    The motion's shape is the field of the medium, ``scene.medium``'s or the twin's own; without either, eq. (12).
+    """
+    frequency_hz = np.array(scene.wanted_frequencies_hz)
+    if scene.beams is None:
+        return (None,) * frequency_hz.size
+    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
+    window = spec_of(estimator).gate_window
+    # A fixed seed: a prediction is a function of the scene alone.
+    spread = speckle_spread(*widths, *gate, np.random.default_rng(0), gate_window=window)
+    gaussian = beam_averaging_factor(*widths, *gate, gate_window=window)
+    motion = motion_of_medium(scene, frequency_hz, window, simulated)
+    if motion is None:
+        return (Averaging(gaussian, 0.0, spread),) * frequency_hz.size
+    depth_m, ratio = depth_spread(widths[1], *gate, window), motion[0] / motion[1]
+    # To first order in how far the motion changes over the beam, all that speckle does is in proportion to the loss.
+    lost = (1 - np.abs(ratio)) / (1 - gaussian_averaging(*widths, depth_m))
+    return tuple(
+        Averaging(1 - share * (1 - gaussian), lag, share * spread)
+        for share, lag in zip(lost.tolist(), np.angle(ratio).tolist(), strict=True)
+    )
+
+
+def motion_of_medium(
+    scene: Scene, frequency_hz: FloatArray, window: Window = "none", simulated: bool = True
+) -> tuple[ComplexArray, ComplexArray] | None:
+    """Return ``medium_motion`` of the scene's medium; None where none is known."""
+    if scene.beams is None:
+        return None
+    known: tuple[ComplexArray, float] | None = None
+    if scene.medium is not None:
+        loss_pa = 2 * np.pi * frequency_hz * scene.medium.shear_viscosity_pa_s
+        known = np.asarray(scene.medium.shear_modulus_pa + 1j * loss_pa), scene.medium.density_kg_per_m3
+    elif simulated and (twin := twin_of(scene)) is not None:
+        known = twin.medium(frequency_hz)
+    if known is None:
+        return None
+    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), window)
+    return medium_motion(*known, frequency_hz, *widths, depth_m)
+
+
+def motion_width_m(scene: Scene, frequency_hz: float) -> Triple:
+    """Return the sigmas of the Gaussian motion that is tracked like the scene's."""
+    assert scene.beams is not None  # noqa: S101 (as its caller knows)
+    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    motion = motion_of_medium(scene, np.array([frequency_hz]))
+    if motion is None:
+        return widths[0]
+    depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), "none")
+    x, y, z = widths[0]
+    scale = width_scale(float(abs(motion[0][0] / motion[1][0])), *widths, depth_m)
+    return x * scale, y * scale, z * scale
+
+
+def pulse_length_m(scene: Scene) -> float:
+    """Return the axial length of the tracking pulse as received: as declared, or that of its cycles."""
+    declared_m = None if scene.beams is None else scene.beams.pulse_length_m
+    return declared_m or scene.tracking.cycles / scene.tracking.carrier_hz * scene.acquisition.sound_speed_m_per_s / 2
 
 
 def medium_motion(
@@ -67,7 +135,7 @@ def _displacement(shear_k2: ComplexArray, lateral: float, axial: float) -> Compl
     return np.asarray(waves @ (weight * 2 * (1 - m**2)))
 
 
-def depth_spread(tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, window: GateWindow) -> float:
+def depth_spread(tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, window: Window) -> float:
     """Return the standard deviation of depth in the (windowed) gate, m, weighted by the energy of the echoes."""
     depth_m, energy = gate_energy(tracking_width_m, gate_length_m, pulse_length_m, window)
     return float(np.sqrt(energy @ depth_m**2 / energy.sum()))

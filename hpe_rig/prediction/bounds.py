@@ -1,11 +1,13 @@
-"""Cramer-Rao bounds: delay between speckle signals, amplitude and phase of a harmonic; correlation of moved echoes."""
+"""Cramer-Rao bounds on amplitude and phase of a harmonic: narrow-band, and from a scene's own echoes.
+
+Derivations: docs/theory/prediction.md, "Bounds".
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.special import roots_jacobi
 
 FloatArray = NDArray[np.float64]
 
@@ -48,37 +50,3 @@ def echo_bound(
     information = np.sum(slope**2, axis=-1) / np.square(noise_v)
     centred = columns - columns.mean(axis=0)
     return np.asarray(np.linalg.inv(centred.T @ centred) / information[..., None, None])
-
-
-def speckle_delay_bound(
-    centre_hz: float, window_s: float, fractional_bandwidth: float, correlation: float, amplitude_snr: float
-) -> float:
-    """Return the bound, s, on the standard deviation of the delay between two partially correlated speckle signals.
-
-    Flat band, ``amplitude_snr`` an rms ratio in that band; holds where bandwidth times window is well above 1. Source:
-    Walker and Trahey (1995).
-    """
-    band = fractional_bandwidth**3 + 12 * fractional_bandwidth
-    surplus = (1 + 1 / amplitude_snr**2) ** 2 / correlation**2 - 1
-    return float(np.sqrt(3 / (2 * centre_hz**3 * np.pi**2 * window_s * band) * surplus))
-
-
-def echo_correlation(
-    displacement_m: FloatArray | float,
-    width_ratio: float,
-    carrier_hz: float,
-    sound_speed_m_per_s: float,
-    power: int = 2,
-) -> NDArray[np.complex128]:
-    """Return the complex correlation of an echo with itself at rest, at the carrier, shapes of ``displacement_m``.
-
-    Circular Gaussian beams, ``width_ratio`` W = E/T across, no axial variation; its magnitude is the correlation at
-    the best lag, its phase that of the tracked motion. ``power`` 2: speckle, 1: echoes in phase. Source: mean of
-    exp(j theta u/u0) under the weight I^power, Kummer's M(a, a + 1, j theta) with a = power W^2.
-    """
-    theta = 4 * np.pi * carrier_hz / sound_speed_m_per_s * np.asarray(displacement_m, dtype=np.float64)
-    shape = power * width_ratio**2
-    # Gauss-Jacobi takes the weight s^(a - 1) exactly; scipy's hyp1f1 is wrong in the fourth digit at theta = 73
-    nodes, weights = roots_jacobi(40 + int(np.abs(theta).max(initial=0.0)), 0.0, shape - 1)
-    turns = np.exp(0.5j * np.multiply.outer(theta, 1 + nodes))
-    return np.asarray(turns @ (weights / weights.sum()))

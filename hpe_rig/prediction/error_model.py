@@ -1,4 +1,4 @@
-"""Bias and jitter of amplitude and phase, predicted: what beams, gate, pulse, noise and estimator make of a motion.
+"""Error model: bias and jitter of amplitude and phase that beams, gate, pulse, noise and estimator make of a motion.
 
 Echoes stand as complex envelopes in the gate: draws of speckle, with and without the displacement as weight, blurred
 by the pulse (no carrier, no pulses in slow time). Their ratios give bias and speckle jitter; noise enters through the
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ive
 
-from hpe_rig.processing import hann
+from hpe_rig.processing import EstimatorSpec, hann, spec_of
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -29,10 +29,10 @@ LATERAL = 3.5
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class Conditions:
     """What bias and jitter depend on; SI units, widths as sigmas, ``snr`` a power ratio in the gate.
 
-    ``trigger_jitter_s``, between a pulse and the sampling clock, moves a whole echo: it is told from noise by no gate.
+    ``trigger_jitter_s``, between a pulse and the sampling clock, moves a whole echo, so that no gate reduces it.
     ``fit_gain``: noise of the fitted quadrature over that of a sinusoid fitted alone to all pulses.
     """
 
@@ -93,17 +93,17 @@ class Speckle:
     moved: ComplexArray
 
 
-def expected(setting: Setting, estimator: str, speckle: Speckle, generator: np.random.Generator) -> Expected:
-    """Return bias and jitter of ``estimator`` for speckle drawn by ``draw_speckle`` with the same setting."""
-    if estimator == "cross_spectrum":
-        ratio, pulse, walk = _peak_statistics(setting, speckle, generator)
-        deviation = _windowed_deviation(setting, pulse + setting.jitter_variance, walk)
+def expected(conditions: Conditions, estimator: str, speckle: Speckle, generator: np.random.Generator) -> Expected:
+    """Return bias and jitter of ``estimator`` for speckle drawn by ``draw_speckle`` under the same conditions."""
+    spec = spec_of(estimator)
+    if spec.reads_peak:
+        ratio, pulse, walk = _peak_statistics(conditions, speckle, generator)
     else:
-        ratio, share = _whole_gate(setting, speckle, estimator == "kasai")
-        pulse = 1 / (setting.gate_samples * setting.snr * share)
-        walk = _walk(setting, pulse) if estimator in ("kasai", "loupas") else 0.0
-        deviation = setting.fit_gain * _fitted_deviation(setting, pulse + setting.jitter_variance, walk)
-    return _with_noise(setting, estimator, ratio, deviation)
+        ratio, share = _whole_gate(conditions, speckle, spec.by_carrier)
+        pulse = spec.gate_noise / (conditions.gate_samples * conditions.snr * share)
+        walk = _walk(conditions, pulse) if spec.steps_add_up else 0.0
+    deviation = _quadrature_deviation(conditions, spec, pulse + conditions.jitter_variance, walk)
+    return _with_noise(conditions, estimator, ratio, deviation)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,26 +122,26 @@ class Scattering:
         return Speckle(self.echo @ blur, self.moved @ blur)
 
 
-def draw_speckle(setting: Setting, generator: np.random.Generator, draws: int = 1000) -> Speckle:
-    """Return envelopes of ``draws`` independent speckles: scatterers of the setting's density, placed at random."""
-    deep_m = setting.gate_length_m + setting.pulse_length_m
-    cells = int(np.clip(4 * np.ceil(deep_m / setting.pulse_length_m), 48, 192))
-    scattering = draw_scattering(setting, generator, draws, deep_m, cells)
-    return scattering.speckle(setting.gate_length_m, setting.pulse_length_m)
+def draw_speckle(conditions: Conditions, generator: np.random.Generator, draws: int = 1000) -> Speckle:
+    """Return envelopes of ``draws`` independent speckles: scatterers of the conditions's density, placed at random."""
+    deep_m = conditions.gate_length_m + conditions.pulse_length_m
+    cells = int(np.clip(4 * np.ceil(deep_m / conditions.pulse_length_m), 48, 192))
+    scattering = draw_scattering(conditions, generator, draws, deep_m, cells)
+    return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
 
 
 def draw_scattering(
-    setting: Setting, generator: np.random.Generator, draws: int, deep_m: float, cells: int
+    conditions: Conditions, generator: np.random.Generator, draws: int, deep_m: float, cells: int
 ) -> Scattering:
-    """Return ``draws`` draws of the setting's scatterers in ``cells`` cells within ``deep_m`` around the focus.
+    """Return ``draws`` draws of the conditions's scatterers in ``cells`` cells within ``deep_m`` around the focus.
 
     Beams and density alone count: the same draws serve any gate and pulse that stay within.
     """
-    lateral_m = [2 * LATERAL * width for width in setting.tracking_width_m[:2]]
-    count = generator.poisson(setting.scatterers_per_m3 * np.prod(lateral_m) * deep_m, draws)
+    lateral_m = [2 * LATERAL * width for width in conditions.tracking_width_m[:2]]
+    count = generator.poisson(conditions.scatterers_per_m3 * np.prod(lateral_m) * deep_m, draws)
     owner = np.repeat(np.arange(draws), count)
     place = (generator.random((3, owner.size)) - 0.5) * np.array([*lateral_m, deep_m])[:, None]
-    echo = _gaussian(place, setting.tracking_width_m) * np.exp(2j * np.pi * generator.random(owner.size))
+    echo = _gaussian(place, conditions.tracking_width_m) * np.exp(2j * np.pi * generator.random(owner.size))
     cell = np.minimum(((place[2] / deep_m + 0.5) * cells).astype(np.int64), cells - 1)
 
     def summed(values: ComplexArray) -> ComplexArray:
@@ -149,7 +149,7 @@ def draw_scattering(
         parts = [np.bincount(flat, part, draws * cells) for part in (values.real, values.imag)]
         return np.asarray((parts[0] + 1j * parts[1]).reshape(draws, cells))
 
-    moved = echo * _gaussian(place, setting.excitation_width_m)
+    moved = echo * _gaussian(place, conditions.excitation_width_m)
     return Scattering(summed(echo), summed(moved), ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m)
 
 
@@ -157,16 +157,16 @@ def _gaussian(place: FloatArray, width_m: Triple) -> FloatArray:
     return np.asarray(np.exp(-0.5 * np.square(place / np.array(width_m)[:, None]).sum(axis=0)))
 
 
-def _whole_gate(setting: Setting, speckle: Speckle, by_carrier: bool) -> tuple[FloatArray, float]:
+def _whole_gate(conditions: Conditions, speckle: Speckle, by_carrier: bool) -> tuple[FloatArray, float]:
     """Return tracked over peak displacement (draw,) of the phase of the whole gate, and the energy's share in the band.
 
     A moved echo a(t - 2u/c) exp(j w (t - 2u/c)) turns by its derivative against the echo at rest; that over the band's
     mean frequency, or ``by_carrier`` over the carrier, is what is tracked.
     """
-    seconds = 2 * setting.gate_length_m / setting.sound_speed_m_per_s / INSTANTS
-    carrier = 2 * np.pi * setting.carrier_hz
+    seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
+    carrier = 2 * np.pi * conditions.carrier_hz
     slope = np.gradient(speckle.moved, seconds, axis=-1) + 1j * carrier * speckle.moved
-    inside = _band_bins(setting, INSTANTS)
+    inside = _band_bins(conditions, INSTANTS)
     resting, turning = (np.fft.fft(each, axis=-1)[:, inside] for each in (speckle.resting, slope))
     energy = np.abs(resting) ** 2
     angular = carrier + 2 * np.pi * np.fft.fftfreq(INSTANTS, seconds)[inside]
@@ -175,39 +175,46 @@ def _whole_gate(setting: Setting, speckle: Speckle, by_carrier: bool) -> tuple[F
     return np.asarray(np.sum(np.conj(resting) * turning, axis=-1).imag / divisor), float(share)
 
 
-def _walk(setting: Setting, pulse: float) -> float:
+def _walk(conditions: Conditions, pulse: float) -> float:
     """Return the phase variance of a step's own noise for one correlation over the whole band.
 
     With M independent bins of in-band SNR s a pulse has 1/(2 M s) and a step 1/(2 M s^2) of its own.
     """
-    bins = BAND_OF_CARRIER * setting.carrier_hz * 2 * setting.gate_length_m / setting.sound_speed_m_per_s
+    bins = BAND_OF_CARRIER * conditions.carrier_hz * 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s
     return 2 * bins * pulse**2
 
 
-def _windowed_deviation(setting: Setting, pulse: float, walk: float) -> float:
-    """Return the standard deviation, m, of a quadrature after a Hann window over steps: N sum w^2/(sum w)^2 is 1.5."""
-    half_step = np.sin(np.pi * setting.frequency_hz / setting.pulse_rate_hz)
+def _quadrature_deviation(conditions: Conditions, spec: EstimatorSpec, pulse: float, walk: float) -> float:
+    """Return the standard deviation, m, of a quadrature from the phase variances of a pulse and of a step's own."""
+    if spec.fits_all_at_once:
+        return conditions.fit_gain * _fitted_deviation(conditions, pulse, walk)
+    return _windowed_deviation(conditions, pulse, walk, spec.slow_time_noise)
+
+
+def _windowed_deviation(conditions: Conditions, pulse: float, walk: float, window_noise: float) -> float:
+    """Return the standard deviation, m, of a quadrature after a window over steps, N sum w^2 / (sum w)^2 its noise."""
+    half_step = np.sin(np.pi * conditions.frequency_hz / conditions.pulse_rate_hz)
     level = pulse + walk / (4 * half_step**2)
-    return float(setting.metres_per_radian * np.sqrt(2 * 1.5 * level / setting.pulses))
+    return float(conditions.metres_per_radian * np.sqrt(2 * window_noise * level / conditions.pulses))
 
 
-def _fitted_deviation(setting: Setting, pulse: float, walk: float) -> float:
+def _fitted_deviation(conditions: Conditions, pulse: float, walk: float) -> float:
     """Return the standard deviation, m, of a quadrature fitted to the pulses with a constant, by least squares.
 
     A random walk is strongest at its slowest, and a fit without window lets that into the quadratures.
     """
     if walk == 0:
-        return float(setting.metres_per_radian * np.sqrt(2 * pulse / setting.pulses))
-    angle = 2 * np.pi * setting.frequency_hz / setting.pulse_rate_hz * np.arange(setting.pulses)
+        return float(conditions.metres_per_radian * np.sqrt(2 * pulse / conditions.pulses))
+    angle = 2 * np.pi * conditions.frequency_hz / conditions.pulse_rate_hz * np.arange(conditions.pulses)
     rows = np.linalg.pinv(np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1))[:2]
     over_steps = np.cumsum(rows[:, :0:-1], axis=1)
     level = pulse * np.sum(rows**2) / 2 + walk * np.sum(over_steps**2) / 2
-    return float(setting.metres_per_radian * np.sqrt(level))
+    return float(conditions.metres_per_radian * np.sqrt(level))
 
 
-def _with_noise(setting: Setting, estimator: str, ratio: FloatArray, deviation: float) -> Expected:
+def _with_noise(conditions: Conditions, estimator: str, ratio: FloatArray, deviation: float) -> Expected:
     """Return what noise makes of amplitudes ``ratio`` (draw,): a Rice distribution about each."""
-    amplitude = np.abs(ratio) * setting.amplitude_m
+    amplitude = np.abs(ratio) * conditions.amplitude_m
     mean = _rice_mean(amplitude, deviation)
     spread = np.maximum(amplitude**2 + 2 * deviation**2 - mean**2, 0.0)
     phase = np.minimum(deviation / np.maximum(amplitude, np.finfo(np.float64).tiny), PHASE_LIMIT)
@@ -215,7 +222,7 @@ def _with_noise(setting: Setting, estimator: str, ratio: FloatArray, deviation: 
     phase = np.minimum(phase, np.quantile(phase, 0.99))
     return Expected(
         estimator,
-        float(mean.mean() - setting.amplitude_m),
+        float(mean.mean() - conditions.amplitude_m),
         float(np.sqrt(spread.mean())),
         float(mean.std()),
         0.0,
@@ -233,7 +240,7 @@ def _rice_mean(amplitude: FloatArray, deviation: float) -> FloatArray:
 
 
 def _peak_statistics(
-    setting: Setting, speckle: Speckle, generator: np.random.Generator
+    conditions: Conditions, speckle: Speckle, generator: np.random.Generator
 ) -> tuple[FloatArray, float, float]:
     """Return ratio (draw,), pulse variance and a step's own variance of the phase at the cross-spectrum's peak.
 
@@ -246,10 +253,10 @@ def _peak_statistics(
     bins = PADDING * INSTANTS
     power = np.mean(np.abs(speckle.resting) ** 2, axis=-1, keepdims=True)[:, None]
     # noise of the real signal's band, seen through the gate: its share in INSTANTS samples of the envelope
-    scale = np.sqrt(power * INSTANTS / (setting.gate_samples * setting.snr))
+    scale = np.sqrt(power * INSTANTS / (conditions.gate_samples * conditions.snr))
     shape = (len(speckle.resting), 3, INSTANTS)
     noise = scale * (generator.standard_normal(shape) + 1j * generator.standard_normal(shape))
-    inside = _band_bins(setting, bins)
+    inside = _band_bins(conditions, bins)
     clean, moved = (np.fft.fft(each * window, bins)[:, inside] for each in (speckle.resting, speckle.moved))
     noisy = clean[:, None] + np.fft.fft(noise * window, bins)[..., inside]
     level = np.abs(noisy) ** 2
@@ -260,8 +267,8 @@ def _peak_statistics(
     phases = [_phase_step(clean, noisy[:, k], first) for k in range(3)]
     own = max(_own_variance(*steps) - _own_variance(phases[1] - phases[0], phases[2] - phases[1]), 0.0)
     # a step of the motion read at one peak or the other
-    half_step = np.sin(np.pi * setting.frequency_hz / setting.pulse_rate_hz)
-    step_power = 2 * np.square(setting.amplitude_m / setting.metres_per_radian * half_step)
+    half_step = np.sin(np.pi * conditions.frequency_hz / conditions.pulse_rate_hz)
+    step_power = 2 * np.square(conditions.amplitude_m / conditions.metres_per_radian * half_step)
     own += float(np.mean((ratios[0] - ratios[1]) ** 2)) / 2 * step_power
     return (ratios[0] + ratios[1]) / 2, pulse, own
 
@@ -270,10 +277,10 @@ def _own_variance(first: FloatArray, second: FloatArray) -> float:
     return float(np.mean((first**2 + second**2) / 2 + 2 * first * second))
 
 
-def _band_bins(setting: Setting, bins: int) -> FloatArray:
+def _band_bins(conditions: Conditions, bins: int) -> FloatArray:
     """Return which bins of the envelope's spectrum lie in the searched band."""
-    seconds = 2 * setting.gate_length_m / setting.sound_speed_m_per_s / INSTANTS
-    return np.asarray(np.abs(np.fft.fftfreq(bins, seconds)) <= setting.carrier_hz * BAND_OF_CARRIER / 2)
+    seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
+    return np.asarray(np.abs(np.fft.fftfreq(bins, seconds)) <= conditions.carrier_hz * BAND_OF_CARRIER / 2)
 
 
 def _taken(values: ComplexArray, place: NDArray[np.int64]) -> ComplexArray:

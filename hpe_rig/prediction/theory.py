@@ -1,19 +1,19 @@
-"""Closed forms and quadratures: radiation force spectrum, difference gain, beam averaging, speckle."""
+"""Closed forms and quadratures: spectrum of the radiation force, beam averaging of a Gaussian motion, speckle.
+
+Derivations and what supports them: docs/theory/prediction.md.
+"""
 
 from __future__ import annotations
-
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import fft
 
-from hpe_rig.processing import hann
+from hpe_rig.processing import Window, hann
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Triple = tuple[float, float, float]
-GateWindow = Literal["none", "hann"]
 
 DEPTHS = 256
 INSTANTS = 96
@@ -32,18 +32,12 @@ def force_spectrum(
     return np.asarray(amplitude * duty * np.sinc(n * duty) * np.exp(-1j * np.pi * n * duty))
 
 
-def difference_gain(frequency_hz: FloatArray | float, pulse_rate_hz: float) -> FloatArray:
-    """Return the gain sinc(f / f_prf) of velocity taken as a difference of consecutive displacements."""
-    return np.asarray(np.sinc(np.asarray(frequency_hz) / pulse_rate_hz))
-
-
 def beam_averaging_factor(
     excitation_width_m: Triple,
     tracking_width_m: Triple,
     gate_length_m: float,
     pulse_length_m: float,
-    coherent_sum: bool = False,
-    gate_window: GateWindow = "none",
+    gate_window: Window = "none",
     scatterers_per_m3: float = np.inf,
 ) -> float:
     """Return the expected tracked over peak displacement for coaxial Gaussian beams with a common focus mid-gate.
@@ -51,22 +45,16 @@ def beam_averaging_factor(
     Widths are the sigmas E and T of eqs. (12) and (8). Speckle weights each scatterer by its echo's energy in the
     (windowed) gate: I^2 laterally, factors 1/sqrt(1 + T^2 / (2 E^2)), axially a quadrature with a Hann pulse whose full
     length is ``pulse_length_m``, c/2 times its duration. Two corrections of leading order follow, each below 1 %: the
-    gate holds few independent speckles, and few scatterers where ``scatterers_per_m3`` is finite. ``coherent_sum``: all
-    echoes start at once (eq. (11) read literally), weights are I, ``gate_length_m`` is the depth that scatterers
-    fill, and the pulse has no effect.
+    gate holds few independent speckles, and few scatterers where ``scatterers_per_m3`` is finite.
     """
     beams = excitation_width_m, tracking_width_m
-    if coherent_sum:
-        depth = _midpoints(gate_length_m, DEPTHS)
-        weight = np.exp(-(depth**2) / (2 * tracking_width_m[2] ** 2))
-        return _ratio_of_sums(beams, depth, weight, 1, scatterers_per_m3, 1.0)
     depth = _midpoints(gate_length_m + pulse_length_m, DEPTHS)
     echo = _gate_echoes(depth, tracking_width_m, gate_length_m, pulse_length_m, gate_window)
     overlap = (echo.T @ echo) ** 2
     energy = np.sum(echo**2, axis=0)
     speckles = energy.sum() ** 2 / overlap.sum()
     # one speckle: exactly half the correction of a ratio of sums; many: all of it
-    mean = _ratio_of_sums(beams, depth, energy, 2, scatterers_per_m3, 1 - 1 / (2 * speckles))
+    mean = _ratio_of_sums(beams, depth, energy, scatterers_per_m3, 1 - 1 / (2 * speckles))
     lateral = _lateral_moment(*beams, 2, 1)
     moved = lateral * _axial_motion(depth, excitation_width_m)
     expected = energy @ moved / energy.sum()
@@ -74,7 +62,7 @@ def beam_averaging_factor(
 
 
 def gate_energy(
-    tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, gate_window: GateWindow = "none"
+    tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, gate_window: Window = "none"
 ) -> tuple[FloatArray, FloatArray]:
     """Return depths about the gate's middle, m, and the energy that each puts into the (windowed) gate, (depth,)."""
     depth = _midpoints(gate_length_m + pulse_length_m, DEPTHS)
@@ -93,7 +81,7 @@ def speckle_spread(
     gate_length_m: float,
     pulse_length_m: float,
     generator: np.random.Generator,
-    gate_window: GateWindow = "none",
+    gate_window: Window = "none",
     draws: int = 4000,
 ) -> float:
     """Return the spread over speckle draws of the tracked displacement, relative to its mean, by a small Monte Carlo.
@@ -136,7 +124,7 @@ def _axial_motion(depth: FloatArray, excitation_width_m: Triple) -> FloatArray:
 
 
 def _gate_echoes(
-    depth: FloatArray, tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, window: GateWindow
+    depth: FloatArray, tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, window: Window
 ) -> FloatArray:
     """Return the envelope (instant, depth) in the windowed gate of a scatterer on the axis at each depth."""
     envelope = _pulse(_midpoints(gate_length_m, INSTANTS)[:, None] - depth, pulse_length_m)
@@ -145,17 +133,17 @@ def _gate_echoes(
 
 
 def _ratio_of_sums(
-    beams: tuple[Triple, Triple], depth: FloatArray, weight: FloatArray, power: int, density: float, share: float
+    beams: tuple[Triple, Triple], depth: FloatArray, weight: FloatArray, density: float, share: float
 ) -> float:
-    """Return E[sum w u / sum w] over random scatterers with w = weight(z) I^power across, u = 1 at the focus.
+    """Return E[sum w u / sum w] over random scatterers with w = weight(z) I^2 across, u = 1 at the focus.
 
     ``share`` scales the correction for the finite number of scatterers, -sum w^2 (u - mean) / (sum w)^2.
     """
     moved = _axial_motion(depth, beams[0])
-    mean = _lateral_moment(*beams, power, 1) * (weight @ moved) / weight.sum()
-    squared = _lateral_moment(*beams, 2 * power, 1) * (weight**2 @ moved) / np.sum(weight**2)
-    # areas of I^power and I^(2 power) across the beam: their ratio is the area that the scatterers share
-    area = 4 * np.pi * beams[1][0] * beams[1][1] / power
+    mean = _lateral_moment(*beams, 2, 1) * (weight @ moved) / weight.sum()
+    squared = _lateral_moment(*beams, 4, 1) * (weight**2 @ moved) / np.sum(weight**2)
+    # areas of I^2 and I^4 across the beam: their ratio is the area that the scatterers share
+    area = 4 * np.pi * beams[1][0] * beams[1][1] / 2
     number = density * area * weight.sum() ** 2 / np.sum(weight**2) * (depth[1] - depth[0])
     return float(mean - share * (squared - mean) / number)
 

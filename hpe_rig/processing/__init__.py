@@ -1,22 +1,26 @@
-"""From gated echoes to displacement amplitude and phase: pure functions, leading axes are independent realisations.
+"""Estimation of displacement amplitude and phase from gated echoes: pure functions, leading axes are realisations.
 
-    codes -> volts -> gate                                             conditioning.py, echoes.py
-    pulses that are unlike the others are flagged                      flags.py
-    the motion of echoes that stand still is taken off                 reference.py
-    a gate that follows large motion                                   following.py
-    D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background(t)           eq. (1), model.py
+    codes -> volts, gate; pulses unlike the others are flagged              conditioning.py, echoes.py
+    a gate that follows large motion                                        gate_tracking.py
+    D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background(t)       eq. (1)  model.py
 
-    coherent           u_k = -c arg<mean of others, r_k> / (4 pi f_mean)       motion.py
-    kasai, loupas      u_k = sum of -c arg<r_n, r_n+1> / (4 pi f)              motion.py
-    cross_correlation  u_k = c/2 argmax_tau <mean of others(t - tau), r_k>     correlation.py
-                       A_i, phi_i, background at once: least squares           harmonic.py, or kalman.py
-    joint              A_i, phi_i that make all echoes one echo, delayed       joint.py
+    coherent           u_k = -c arg<mean of others, r_k> / (4 pi f_mean)    motion.py
+    kasai, loupas      u_k = sum of -c arg<r_n, r_n+1> / (4 pi f)           motion.py
+    cross_correlation  u_k = c/2 argmax_tau <mean of others(t - tau), r_k>  correlation.py
+                       A_i, phi_i, background at once: least squares        harmonic.py, or kalman_filter.py
+    joint              A_i, phi_i that make all echoes one echo, delayed    maximum_likelihood.py
 
-    cross_spectrum     v_n = -c dtheta_n(f_c) / (4 pi f_c T_prf)  eqs. (5) (6) motion.py
-                       D_n = v_n / w_i -> band-pass -> Hann -> Kalman, x 2     velocity_chain.py
-                       then off with sinc(f_i / f_prf), T_prf / 2, 90 degrees
+    cross_spectrum     v_n = -c dtheta_n(f_c) / (4 pi f_c T_prf)            motion.py, eqs. (5) (6)
+                       D_n = v_n / w_i -> band-pass -> Hann -> Kalman, x 2  velocity_chain.py, velocity_noise.py
+                       then off with sinc(f_i / f_prf), T_prf / 2, 90 deg
 
-Positive displacement is away from the transducer.
+    what distinguishes them, one row each                                   estimators.py
+    a stored run, shot by shot, with its warnings                           shots.py, stationarity.py
+    the same from the twin's motion, at every instant                       ground_truth.py
+
+Positive displacement is away from the transducer. Others use ``estimate`` on echoes (``EchoGate``), ``estimate_run`` on
+a stored run, and ask ``spec_of(name)`` for an estimator's properties, never for its name. Theory:
+docs/theory/estimation.md.
 """
 
 import lazy_loader

@@ -1,21 +1,25 @@
-from .conditioning import codes_to_volts as codes_to_volts, hann as hann
+from .conditioning import codes_to_volts as codes_to_volts, hann as hann, unlike_pulses as unlike_pulses
 from .correlation import cross_correlation as cross_correlation
 from .echoes import (
     EchoGate as EchoGate,
     Motion as Motion,
     Velocity as Velocity,
     band_grid as band_grid,
+    relative_to as relative_to,
     velocity_between_pulses as velocity_between_pulses,
 )
 from .estimators import (
     ESTIMATORS as ESTIMATORS,
+    WINDOW_NOISE as WINDOW_NOISE,
     Estimator as Estimator,
+    EstimatorSpec as EstimatorSpec,
     Options as Options,
+    Window as Window,
     estimate as estimate,
     fit_motion as fit_motion,
     motion_of as motion_of,
+    spec_of as spec_of,
 )
-from .flags import unlike_pulses as unlike_pulses
 from .gate_tracking import added as added, follow as follow
 from .ground_truth import true_harmonics_m as true_harmonics_m
 from .harmonic import HarmonicFit as HarmonicFit, Innovations as Innovations, least_squares as least_squares
@@ -30,14 +34,11 @@ from .motion import (
     loupas as loupas,
     peak_phase as peak_phase,
 )
-from .reference import relative_to as relative_to
 from .shots import (
-    design_of as design_of,
-    driven_frequencies_hz as driven_frequencies_hz,
     estimate_run as estimate_run,
     options_of as options_of,
     shot_echoes as shot_echoes,
-    skipped_pulses as skipped_pulses,
+    shot_model as shot_model,
 )
 from .stationarity import Drift as Drift, drift_between_halves as drift_between_halves
 from .velocity_chain import Steps as Steps, velocity_to_harmonics as velocity_to_harmonics

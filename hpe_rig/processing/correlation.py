@@ -1,4 +1,4 @@
-"""Echoes to motion by time delay: the lag at which an echo correlates best with the mean echo, between samples."""
+"""Cross-correlation of each echo with the mean of the others: motion from the lag of its peak, between samples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gated echoes in, displacement out: the values that every motion estimator shares, and their spectra in the band."""
+"""Gated echoes, displacement and velocity: the values that every motion estimator shares, and spectra in the band."""
 
 from __future__ import annotations
 
@@ -104,6 +104,26 @@ def velocity_between_pulses(motion: Motion) -> Velocity:
         interval_s,
         np.diff(motion.displacement_m, axis=-1) / interval_s,
         motion.valid[:-1] & motion.valid[1:],
+    )
+
+
+def relative_to(motion: Motion, reference: Motion) -> Motion:
+    """Return ``motion`` less that of a ``reference`` that stands still, at the pulses valid in both; variances add.
+
+    Both come from the same records: a pulse fired late, or a clock read late, delays every echo of a record alike, so
+    that the trigger jitter that both share cancels.
+    Raises ``ValueError`` where their pulses differ.
+    """
+    if not np.array_equal(motion.time_s, reference.time_s):
+        raise ValueError("motion and reference stand at different times: estimate both from the same records")
+    walks = [each.walk for each in (motion, reference) if each.walk is not None]
+    return Motion(
+        motion.time_s,
+        motion.displacement_m - reference.displacement_m,
+        motion.variance_m2 + reference.variance_m2,
+        motion.valid & reference.valid,
+        motion.largest_step,
+        np.asarray(sum(walks) / 2) if walks else None,
     )
 
 

@@ -1,31 +1,27 @@
-"""Echoes to amplitude and phase by name: one row an estimator."""
+"""Estimators of amplitude and phase from echoes: one ``EstimatorSpec`` a row, nobody else asks for names."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args
 
 from hpe_rig.processing.correlation import cross_correlation
-from hpe_rig.processing.echoes import EchoGate, FloatArray, Motion, velocity_between_pulses
+from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, velocity_between_pulses
 from hpe_rig.processing.harmonic import HarmonicFit, least_squares
 from hpe_rig.processing.kalman_filter import kalman
 from hpe_rig.processing.maximum_likelihood import joint
-from hpe_rig.processing.motion import coherent, cross_spectrum, kasai, loupas
+from hpe_rig.processing.motion import coherent, coherent_phase, cross_spectrum, kasai, loupas
 from hpe_rig.processing.velocity_chain import velocity_to_harmonics
+from hpe_rig.scene import Estimator as Estimator
 
-Estimator = Literal["coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum"]
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
 Harmonic = Literal["least_squares", "kalman"]
+Window = Literal["none", "hann"]
+Frequencies = FloatArray | Sequence[float]
 
-MOTION: dict[Estimator, Callable[[EchoGate], Motion]] = {
-    "coherent": coherent,
-    "cross_correlation": cross_correlation,
-    "kasai": kasai,
-    "loupas": loupas,
-    "cross_spectrum": cross_spectrum,
-}
-"""The estimators of displacement; ``joint`` has no displacements between echoes and result."""
+WINDOW_NOISE: dict[Window, float] = {"none": 1.0, "hann": 1.5}
+"""N sum w^2 / (sum w)^2: by how much a window raises the variance of what is estimated through it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +30,7 @@ class Options:
 
     ``background_order``: polynomial fitted along (0 constant, 1 velocity, 2 acceleration, more: drift);
     ``process_noise``: variance of a harmonic state's change per pulse over that of the noise, for "kalman" alone.
-    The paper's chain, ``cross_spectrum``, has its own Kalman filter and band-pass and takes neither.
+    The paper's chain has its own Kalman filter and band-pass and takes neither.
     """
 
     background_order: int = 0
@@ -45,11 +41,117 @@ class Options:
 PLAIN = Options()
 
 
+class FitEchoes(Protocol):
+    """Amplitude and phase straight from echoes, as ``maximum_likelihood.joint``."""
+
+    def __call__(
+        self, echoes: EchoGate, frequencies_hz: Frequencies, *, also_hz: Frequencies, background_order: int
+    ) -> HarmonicFit: ...
+
+
+class FitMotion(Protocol):
+    """Amplitude and phase of a displacement per pulse."""
+
+    def __call__(
+        self, motion: Motion, frequencies_hz: Frequencies, also_hz: Frequencies, options: Options
+    ) -> HarmonicFit: ...
+
+
+def fit_displacement(
+    motion: Motion, frequencies_hz: Frequencies, also_hz: Frequencies, options: Options
+) -> HarmonicFit:
+    """Return amplitude and phase by least squares or the Kalman filter, as ``options`` say."""
+    order = options.background_order
+    if options.harmonic == "kalman":
+        noise = options.process_noise
+        return kalman(motion, frequencies_hz, also_hz=also_hz, background_order=order, process_noise=noise)
+    return least_squares(motion, frequencies_hz, also_hz=also_hz, background_order=order)
+
+
+def fit_velocity(motion: Motion, frequencies_hz: Frequencies, also_hz: Frequencies, options: Options) -> HarmonicFit:
+    """Return amplitude and phase by the paper's chain over velocities, which takes no ``options``."""
+    return velocity_to_harmonics(velocity_between_pulses(motion), frequencies_hz, also_hz=also_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorSpec:
+    """Everything that distinguishes one estimator from another.
+
+    How it computes:
+    ``motion``: echoes to displacement per pulse; None where there is none between echoes and result, then
+    ``fit_echoes`` does it all. ``fit_motion``: displacement to amplitude and phase. ``band_phase``: phase and its mean
+    frequency from spectra in the band, where the estimator has that form: a faster way for many realisations.
+
+    What its noise is made of:
+    ``gate_window`` and ``slow_time_window``: tapers over the samples of the gate and over the pulses. ``reads_peak``:
+    the phase is that of the cross-spectrum's largest bin, which noise can move, not that of the whole band.
+    ``by_carrier``: phase is divided by the carrier, not by the echo's mean frequency. ``steps_add_up``: displacement is
+    a sum of steps between pulses whose own noise stays in every later one.
+
+    ``label``: what figures and tables call it; ``published``: the paper's own, which they show first.
+    """
+
+    name: str
+    label: str
+    motion: Callable[[EchoGate], Motion] | None = None
+    fit_echoes: FitEchoes | None = None
+    fit_motion: FitMotion = fit_displacement
+    band_phase: Callable[[ComplexArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]] | None = None
+    gate_window: Window = "none"
+    slow_time_window: Window = "none"
+    reads_peak: bool = False
+    by_carrier: bool = False
+    steps_add_up: bool = False
+    published: bool = False
+
+    @property
+    def gate_noise(self) -> float:
+        """By how much the taper over the gate raises a pulse's variance."""
+        return WINDOW_NOISE[self.gate_window]
+
+    @property
+    def slow_time_noise(self) -> float:
+        """By how much the taper over the pulses raises a quadrature's variance."""
+        return WINDOW_NOISE[self.slow_time_window]
+
+    @property
+    def fits_all_at_once(self) -> bool:
+        """Whether all frequencies are fitted at once, so that telling them apart costs noise; else one by one."""
+        return self.slow_time_window == "none"
+
+
+_SPECS = (
+    EstimatorSpec("coherent", "coherent", coherent, band_phase=coherent_phase),
+    EstimatorSpec("joint", "joint", fit_echoes=joint),
+    EstimatorSpec("cross_correlation", "cross_correlation", cross_correlation),
+    EstimatorSpec("kasai", "kasai", kasai, by_carrier=True, steps_add_up=True),
+    EstimatorSpec("loupas", "loupas", loupas, steps_add_up=True),
+    EstimatorSpec(
+        "cross_spectrum",
+        "the paper's chain",
+        cross_spectrum,
+        fit_motion=fit_velocity,
+        gate_window="hann",
+        slow_time_window="hann",
+        reads_peak=True,
+        published=True,
+    ),
+)
+_BY_NAME = {each.name: each for each in _SPECS}
+
+
+def spec_of(estimator: str) -> EstimatorSpec:
+    """Return the estimator of that name; raise ``ValueError`` where there is none."""
+    if estimator not in _BY_NAME:
+        raise ValueError(f"estimator {estimator!r} does not exist: try one of {', '.join(_BY_NAME)}")
+    return _BY_NAME[estimator]
+
+
 def estimate(
     echoes: EchoGate,
-    frequencies_hz: FloatArray | Sequence[float],
-    estimator: Estimator = "coherent",
-    also_hz: FloatArray | Sequence[float] = (),
+    frequencies_hz: Frequencies,
+    estimator: str = "coherent",
+    also_hz: Frequencies = (),
     options: Options = PLAIN,
 ) -> HarmonicFit:
     """Return amplitude and phase of the motion at every frequency, from all valid pulses.
@@ -57,32 +159,27 @@ def estimate(
     ``also_hz`` are frequencies that the motion has as well and that are not wanted: they are fitted along. Raises
     ``ValueError`` for an unknown estimator, and when echoes or pulses cannot carry the estimate.
     """
-    if estimator not in ESTIMATORS:
-        raise ValueError(f"estimator {estimator!r} does not exist: try one of {', '.join(ESTIMATORS)}")
-    if estimator == "joint":
-        return joint(echoes, frequencies_hz, also_hz=also_hz, background_order=options.background_order)
+    spec = spec_of(estimator)
+    if spec.fit_echoes is not None:
+        return spec.fit_echoes(echoes, frequencies_hz, also_hz=also_hz, background_order=options.background_order)
     return fit_motion(motion_of(echoes, estimator), frequencies_hz, estimator, also_hz, options)
 
 
-def motion_of(echoes: EchoGate, estimator: Estimator) -> Motion:
-    """Return the displacement of every pulse; raise ``ValueError`` for "joint", which has none, and bad echoes."""
-    if estimator not in MOTION:
-        raise ValueError(f"{estimator} gives no displacement per pulse: try one of {', '.join(MOTION)}")
-    return MOTION[estimator](echoes)
+def motion_of(echoes: EchoGate, estimator: str) -> Motion:
+    """Return the displacement of every pulse; raise ``ValueError`` for bad echoes and estimators that have none."""
+    spec = spec_of(estimator)
+    if spec.motion is None:
+        having = ", ".join(each.name for each in _SPECS if each.motion is not None)
+        raise ValueError(f"{estimator} gives no displacement per pulse: try one of {having}")
+    return spec.motion(echoes)
 
 
 def fit_motion(
     motion: Motion,
-    frequencies_hz: FloatArray | Sequence[float],
-    estimator: Estimator = "coherent",
-    also_hz: FloatArray | Sequence[float] = (),
+    frequencies_hz: Frequencies,
+    estimator: str = "coherent",
+    also_hz: Frequencies = (),
     options: Options = PLAIN,
 ) -> HarmonicFit:
     """Return amplitude and phase of a motion by the way that belongs to its estimator."""
-    if estimator == "cross_spectrum":
-        return velocity_to_harmonics(velocity_between_pulses(motion), frequencies_hz, also_hz=also_hz)
-    order = options.background_order
-    if options.harmonic == "kalman":
-        noise = options.process_noise
-        return kalman(motion, frequencies_hz, also_hz=also_hz, background_order=order, process_noise=noise)
-    return least_squares(motion, frequencies_hz, also_hz=also_hz, background_order=order)
+    return spec_of(estimator).fit_motion(motion, frequencies_hz, also_hz, options)

@@ -1,4 +1,4 @@
-"""A gate that follows the echoes through motion as long as itself: large background motion."""
+"""Gate tracking: a gate that follows the echoes through background motion as long as itself."""
 
 from __future__ import annotations
 

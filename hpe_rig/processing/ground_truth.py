@@ -1,7 +1,7 @@
-"""The true amplitude and phase at the focus, from the twin's motion at every instant and not only at the pulses.
+"""Ground truth: amplitude and phase at the focus, from the twin's motion at every instant and not only at the pulses.
 
 Tonebursts are short, so they move the specimen at frequencies far above half the pulse rate too. Sampled at the pulses,
-these fold onto the wanted ones, in the truth as in the measurement, and no comparison would show it.
+these alias onto the wanted ones, in the truth as in the measurement, and no comparison would show it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.plan import Shot, slow_time_window
+from hpe_rig.plan import Shot, select
 from hpe_rig.scene import Scene
 
 INSTANTS_A_PULSE = 16
@@ -27,10 +27,11 @@ def true_harmonics_m(
     over the window where nothing pushes; ``motion_m`` gives the displacement at times after the master trigger's edge.
     Phases as in the result: sine, from ``Timeline.reference_s``.
     """
+    # They bring scipy along: the measurement, which imports this file, does without until its first shot is done.
     from hpe_rig.processing.echoes import Motion
     from hpe_rig.processing.harmonic import least_squares
 
-    sensing_s = shot.timeline.sensing_s[slow_time_window(scene, shot)]
+    sensing_s = shot.timeline.sensing_s[select(scene, shot).window]
     time_s = sensing_s[0] + _instants_s(scene, float(sensing_s[-1] - sensing_s[0]))
     motion = Motion(
         time_s - shot.timeline.reference_s, motion_m(time_s), np.zeros(time_s.size), np.ones(time_s.size, bool)

@@ -1,4 +1,4 @@
-"""Displacement to amplitude and phase: D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background, eq. (1).
+"""Harmonic fit of a displacement: D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background, eq. (1).
 
 The state of a frequency is (A cos phi, A sin phi), so the model is linear; all frequencies and the background are
 estimated at once.
@@ -20,7 +20,7 @@ PHASE_VARIANCE_LIMIT = np.pi**2 / 3
 
 @dataclass(frozen=True, slots=True)
 class Innovations:
-    """What a filter did not foresee: a test of its model.
+    """Innovations of a filter: what it did not foresee, a test of its model.
 
     ``normalised`` (..., pulse): innovations over their own standard deviation, NaN where no pulse; ``nis`` (...): their
     mean square with the noise that the echoes themselves state (NaN where they state none), 1 when that is true;

@@ -1,6 +1,9 @@
-"""Displacement to amplitude and phase by a square-root Kalman filter with harmonic and background states.
+"""Kalman filter, in square-root form, with harmonic and background states: displacement to amplitude and phase.
 
 x = (in-phase, quadrature of each frequency, background polynomial), constant but for process noise; y_k = h_k x + n_k.
+Two forms of one filter: without process noise information adds up and many pulses are taken at a time
+(``filter_constant``); with it the states move between pulses, one pulse at a time (``filter_changing``). Both in units
+of the measurement noise, docs/theory/estimation.md.
 """
 
 from __future__ import annotations
@@ -98,6 +101,7 @@ def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovati
             parts.append(_first_innovations(block, seen, prior))
         elif innovations:
             parts.append((_innovations if sure else _block_innovations)(factor, transformed, block, seen))
+        # Information adds up: with F'F = sum h h', the stack of F and the new rows has the new F as its R.
         q, factor = np.linalg.qr(np.vstack([factor, block]))
         transformed = q.T @ np.vstack([transformed, seen])
     root = np.linalg.inv(factor)
@@ -116,12 +120,15 @@ def filter_changing(matrix: FloatArray, data: FloatArray, drive: Sequence[FloatA
     prior to noise.
     """
     states = matrix.shape[1]
+    # the covariance is root @ root.T: a square of something real stays positive whatever is rounded off
     root = np.sqrt(prior) * np.eye(states)
     state = np.zeros((*data.shape[:-1], states))
     found = np.empty(data.shape)
     for k, row in enumerate(matrix):
+        # Time update. P + G G' has the root [root, G]; QR makes it square again.
         if k and drive:
             root = np.linalg.qr(np.vstack([root.T, *[each[k].T for each in drive]]))[1].T
+        # Measurement update in Potter's form: S <- S - K a' / (1 + 1/sqrt(alpha)), a = S' h, alpha = 1 + a'a.
         seen = root.T @ row
         innovation_variance = 1.0 + seen @ seen
         gain = root @ seen / innovation_variance
@@ -154,6 +161,8 @@ def _innovations(factor: FloatArray, transformed: FloatArray, matrix: FloatArray
     size = max(BLOCK, states)
     if pulses <= size:
         return _block_innovations(factor, transformed, matrix, values)
+    # Every block starts from the information of all before it: cumulative sums give that for all blocks at once, and
+    # the factorisations run as one batch. Only where the factor is well conditioned, for products square that.
     whole = pulses // size * size
     blocks, seen = matrix[:whole].reshape(-1, size, states), values[:whole].reshape(-1, size, values.shape[1])
     across = np.swapaxes(blocks, -1, -2)

@@ -1,9 +1,10 @@
-"""All pulses at once: maximum likelihood of amplitudes and phases from the echoes, without displacements between.
+"""Maximum likelihood of amplitudes and phases from all echoes at once, without displacements between.
 
 S_k(f) = R(f) exp(-j 4 pi f u_k / c) + noise,    u_k = h_k x,
 
 with the resting echo R(f) unknown. For given x the best R is the mean of the aligned spectra; what remains is a
 least-squares problem for x, solved by Gauss-Newton steps, each a least-squares fit to one small displacement a pulse.
+Derivation: docs/theory/estimation.md.
 """
 
 from __future__ import annotations
@@ -70,9 +71,11 @@ def _most_likely(
     except ValueError:
         # single echoes drown in noise; all of them together may not
         moved = np.zeros((*spectrum.shape[:-2], matrix.shape[1]))
+    # Noise can lead the seed astray; no motion at all is the other start, and each train takes the likelier one.
     likely = [_likelihood(turned(spectrum, x @ matrix.T * seconds, band_hz)) for x in (moved, 0 * moved)]
     state = np.where((likely[0] >= likely[1])[..., None], moved, 0.0)
     for _ in range(STEPS):
+        # One Gauss-Newton step: undo the motion found so far, see what little each echo still moves, fit that.
         rest = _residual(turned(spectrum, state @ matrix.T * seconds, band_hz), band_hz, seconds)
         change = rest @ solver.T
         state = state + change
@@ -89,6 +92,7 @@ def _likelihood(aligned: ComplexArray) -> FloatArray:
 
 def _residual(aligned: ComplexArray, band_hz: FloatArray, seconds: float) -> FloatArray:
     """Return the displacement (..., pulse) by which each echo still departs from their mean."""
+    # To first order an echo off by u is mean(f) (1 - j per_metre u): u follows from the projection on that slope.
     per_metre = 2 * np.pi * band_hz * seconds
     mean = aligned.mean(axis=-2)
     slope = -((aligned @ (np.conj(mean) * per_metre)[..., :, None])[..., 0]).imag

@@ -1,4 +1,4 @@
-"""Stored records -> estimates of every shot, with the truth beside them where the twin knows it."""
+"""Estimates of every stored shot, with the ground truth beside them where the twin knows it."""
 
 from __future__ import annotations
 
@@ -8,16 +8,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.plan import Plan, Shot, disturbed_pulses, reference_gate, slow_time_window
-from hpe_rig.processing.conditioning import centred_volts
-from hpe_rig.processing.echoes import EchoGate, Motion
-from hpe_rig.processing.estimators import Estimator, Options, fit_motion, motion_of
-from hpe_rig.processing.flags import clipped_pulses, unlike_pulses
+from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
+from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlike_pulses
+from hpe_rig.processing.echoes import EchoGate, Motion, relative_to
+from hpe_rig.processing.estimators import EstimatorSpec, Options, estimate, fit_motion, spec_of
 from hpe_rig.processing.harmonic import HarmonicFit
-from hpe_rig.processing.maximum_likelihood import joint
 from hpe_rig.processing.model import Design, design
 from hpe_rig.processing.motion import coherent
-from hpe_rig.processing.reference import relative_to
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.result import Averaging, Estimate, ShotResult
 from hpe_rig.scene import Processing, Scene
@@ -28,30 +25,28 @@ LARGE_STEP = 0.8
 LARGE_CONDITION = 10.0
 DETECTED = 3.0
 """Amplitude over its uncertainty below which a harmonic may be noise: it exceeds that by chance in 1 % of cases."""
-HIGHEST_DRIVEN_HZ = 2e4
-"""A specimen follows no further: at 20 kHz a shear wave is far shorter than the beam is wide."""
 
 
 def estimate_run(
-    scene: Scene, plan: Plan, stored: StoredRun, estimator: Estimator, averaging: tuple[Averaging | None, ...]
+    scene: Scene, plan: Plan, stored: StoredRun, estimator: str, averaging: tuple[Averaging | None, ...]
 ) -> tuple[ShotResult, ...]:
     """Return the estimates of every shot that has records, with the ``averaging`` at each wanted frequency beside them.
 
     Raises ``ValueError`` where they cannot be made.
     """
-    results = []
+    spec, results = spec_of(estimator), []
     for shot in plan.shots:
         # Of a long record only the gate comes into memory.
         records = stored.records.gated(shot.index, shot.gate)
         if not records.valid.any():
             continue
-        truth_m = None
+        true_m = None
         if stored.true_displacement_m is not None:
-            truth_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
+            true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
         reference = reference_gate(scene, shot)
         still = None if reference is None else stored.records.gated(shot.index, reference)
         for window in scene.windows:
-            results.append(_estimate_shot(window, shot, records, still, truth_m, estimator, averaging))
+            results.append(_estimate_shot(window, shot, records, still, true_m, spec, averaging))
     return tuple(results)
 
 
@@ -60,44 +55,29 @@ def options_of(processing: Processing) -> Options:
     return Options(processing.background_order, processing.harmonic, processing.process_noise)
 
 
-def driven_frequencies_hz(scene: Scene) -> NDArray[np.float64]:
-    """Return every frequency up to 1/T_b that the tonebursts drive, wanted or not, shape (frequency,).
-
-    Fitted along they are no noise, as far as the pulses can tell them apart; empty where nothing pushes.
-    """
-    if scene.excitation is None:
-        return np.zeros(0)
-    rate_hz = scene.excitation.burst_rate_hz
-    count = math.floor(min(HIGHEST_DRIVEN_HZ, 1 / min(scene.excitation.burst_length_s)) / rate_hz)
-    return rate_hz * np.arange(1.0, count + 1)
-
-
 def _estimate_shot(
     scene: Scene,
     shot: Shot,
     records: ShotRecords,
     still: ShotRecords | None,
-    truth_m: NDArray[np.float64] | None,
-    estimator: Estimator,
+    true_m: NDArray[np.float64] | None,
+    spec: EstimatorSpec,
     averaging: tuple[Averaging | None, ...],
 ) -> ShotResult:
-    inside = slow_time_window(scene, shot)
+    chosen = select(scene, shot)
     full_scale = clipped_pulses(records.codes, records.code_limits)
-    echoes = shot_echoes(scene, shot, records, inside, full_scale)
-    recorded = records.valid[inside]
-    reference = None if still is None else coherent(shot_echoes(scene, shot, still, inside))
-    frequencies_hz = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
-    also_hz = driven_frequencies_hz(scene)
+    echoes = shot_echoes(scene, shot, records, chosen, full_scale)
+    recorded = records.valid[chosen.window]
+    reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
     options = options_of(scene.processing)
-    motion = None if estimator == "joint" else motion_of(echoes, estimator)
-    fit, largest_step = _fit(echoes, motion, reference, frequencies_hz, estimator, also_hz, options)
-    skipped = skipped_pulses(scene, shot)[inside]
-    clipped = int((full_scale[inside] & recorded & ~skipped).sum())
+    motion = None if spec.motion is None else spec.motion(echoes)
+    fit, largest_step = _fit(echoes, motion, reference, chosen, spec, options)
+    clipped = int((full_scale[chosen.window] & recorded & chosen.used).sum())
     drift = None
     if reference is None:
         # It tells of the bench, not of the estimator: the one with the least noise looks.
-        steady = motion if motion is not None and estimator == "coherent" else coherent(echoes)
-        drift = _drift(steady, frequencies_hz, also_hz, options)
+        steady = motion if motion is not None and spec.motion is coherent else coherent(echoes)
+        drift = _drift(steady, chosen, options)
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -108,9 +88,9 @@ def _estimate_shot(
         residual_m=float(fit.residual_rms_m),
         pulse_rate_hz=shot.tracking_train.rate_hz,
         window_length_s=scene.processing.window_length_s,
-        estimates=tuple(_estimate(fit, truth_m, index, averaging[index]) for index in range(frequencies_hz.size)),
+        estimates=tuple(_estimate(fit, true_m, index, averaging[index]) for index in range(chosen.wanted_hz.size)),
         warnings=(
-            *_record_warnings(recorded, recorded & ~skipped & ~echoes.valid, clipped),
+            *_record_warnings(recorded, recorded & chosen.used & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
             *_setting_warnings(scene, echoes.pulse_time_s, reference),
             *_drift_warnings(fit, drift),
@@ -118,43 +98,44 @@ def _estimate_shot(
     )
 
 
-def skipped_pulses(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
-    """Return which pulses the scene leaves out because a toneburst disturbs them, shape (pulse,)."""
-    disturbed = disturbed_pulses(shot)
-    return disturbed if scene.tracking.disturbed == "skip" else np.zeros_like(disturbed)
+def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[NDArray[np.float64], Design]:
+    """Return the times (pulse,) of the pulses that the fit of ``shot`` uses, and the model fitted to them.
 
-
-def design_of(scene: Scene, shot: Shot) -> tuple[NDArray[np.float64], Design]:
-    """Return the times of the pulses used, from the timeline's reference (pulse,), and the model fitted to them.
-
-    As planned, none missing; ``ValueError`` where the pulses do not tell the wanted frequencies apart.
+    As planned, no record missing; without the other driven frequencies where an estimator does not fit them along.
+    Raises ``ValueError`` where the pulses do not tell the wanted frequencies apart.
     """
-    inside = slow_time_window(scene, shot)
-    time_s, used = shot.timeline.sensing_s[inside] - shot.timeline.reference_s, ~skipped_pulses(scene, shot)[inside]
-    wanted_hz = np.array(scene.wanted_frequencies_hz)
-    return time_s[used], design(time_s, used, wanted_hz, also_hz=driven_frequencies_hz(scene))
+    chosen = select(scene, shot)
+    model = design(
+        chosen.time_s,
+        chosen.used,
+        chosen.wanted_hz,
+        background_order=scene.processing.background_order,
+        also_hz=chosen.driven_hz if with_driven else (),
+    )
+    return chosen.time_s[chosen.used], model
 
 
 def shot_echoes(
     scene: Scene,
     shot: Shot,
     records: ShotRecords,
-    inside: NDArray[np.bool_],
+    chosen: Selection,
     full_scale: NDArray[np.bool_] | None = None,
 ) -> EchoGate:
-    """Return the gated echoes of the pulses ``inside`` (pulse,) the window, without those the scene leaves out.
+    """Return the gated echoes of the ``chosen`` pulses.
 
-    ``full_scale`` (pulse,), which records reach the digitizer's full scale, is found where not given.
+    ``full_scale`` (pulse of the shot,), which records reach the digitizer's full scale, is found where not given.
     """
     if full_scale is None:
         full_scale = clipped_pulses(records.codes, records.code_limits)
-    valid = (records.valid & ~skipped_pulses(scene, shot))[inside]
-    codes = records.codes if inside.all() else records.codes[inside]
-    sound = valid & ~full_scale[inside]
+    window = chosen.window
+    valid = records.valid[window] & chosen.used
+    codes = records.codes if window.all() else records.codes[window]
+    sound = valid & ~full_scale[window]
     echoes = EchoGate(
         volts=centred_volts(codes, records.volts_per_code, sound),
         sample_rate_hz=shot.capture.sample_rate_hz,
-        pulse_time_s=shot.timeline.sensing_s[inside] - shot.timeline.reference_s,
+        pulse_time_s=chosen.time_s,
         carrier_hz=scene.tracking.carrier_hz,
         sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
         valid=valid,
@@ -168,29 +149,29 @@ def _fit(
     echoes: EchoGate,
     motion: Motion | None,
     reference: Motion | None,
-    frequencies_hz: NDArray[np.float64],
-    estimator: Estimator,
-    also_hz: NDArray[np.float64],
+    chosen: Selection,
+    spec: EstimatorSpec,
     options: Options,
 ) -> tuple[HarmonicFit, float]:
     """Return the fit and the largest step between pulses in quarter wavelengths, 0 where it has no meaning."""
+    frequencies = chosen.wanted_hz, spec.name, chosen.driven_hz
     if motion is None:
         if reference is not None:
-            raise ValueError("joint has no displacements to subtract processing.reference_gate_depth_m's from")
-        return joint(echoes, frequencies_hz, also_hz=also_hz, background_order=options.background_order), 0.0
+            raise ValueError(f"{spec.name} has no displacements to subtract processing.reference_gate_depth_m's from")
+        return estimate(echoes, *frequencies, options), 0.0
     if reference is not None:
         motion = relative_to(motion, reference)
-    return fit_motion(motion, frequencies_hz, estimator, also_hz, options), float(motion.largest_step)
+    return fit_motion(motion, *frequencies, options), float(motion.largest_step)
 
 
 def _estimate(
     fit: HarmonicFit,
-    truth_m: NDArray[np.float64] | None,
+    true_m: NDArray[np.float64] | None,
     index: int,
     averaging: Averaging | None,
 ) -> Estimate:
-    known = truth_m is not None and bool(np.isfinite(truth_m[index]).all())
-    in_phase_m, quadrature_m = truth_m[index] if truth_m is not None and known else (0.0, 0.0)
+    known = true_m is not None and bool(np.isfinite(true_m[index]).all())
+    in_phase_m, quadrature_m = true_m[index] if true_m is not None and known else (0.0, 0.0)
     return Estimate(
         frequency_hz=float(fit.frequency_hz[index]),
         amplitude_m=float(fit.amplitude_m[index]),
@@ -204,12 +185,10 @@ def _estimate(
     )
 
 
-def _drift(
-    motion: Motion, frequencies_hz: NDArray[np.float64], also_hz: NDArray[np.float64], options: Options
-) -> Drift | None:
+def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
     order = options.background_order
     try:
-        return drift_between_halves(motion, frequencies_hz, also_hz=also_hz, background_order=order)
+        return drift_between_halves(motion, chosen.wanted_hz, also_hz=chosen.driven_hz, background_order=order)
     except ValueError:
         # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
         return None
@@ -243,14 +222,14 @@ def _fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
         )
     if fit.condition > LARGE_CONDITION:
         yield (
-            f"the pulses hardly tell the frequencies, or these and the background, apart (condition "
-            f"{fit.condition:.3g}, 1 is best): the uncertainties say so; watch them for longer"
+            f"the pulses barely resolve the frequencies, or these and the background (condition "
+            f"{fit.condition:.3g}, 1 is best): the uncertainties include it; use a longer window"
         )
     lost = fit.amplitude_m < DETECTED * np.sqrt(fit.covariance[:, 0, 0])
     if lost.any():
         yield (
-            f"not told from noise at {', '.join(f'{f:g}' for f in fit.frequency_hz[lost])} Hz: the amplitude is below "
-            f"{DETECTED:g} times its uncertainty, its phase means nothing; take more cycles, pulses or drive"
+            f"not significant at {', '.join(f'{f:g}' for f in fit.frequency_hz[lost])} Hz: the amplitude is below "
+            f"{DETECTED:g} u; ignore its phase, or take more cycles, pulses or drive"
         )
     found = fit.innovations
     if found is not None and abs(float(found.nis) - 1) > max(found.nis_tolerance, 0.5):

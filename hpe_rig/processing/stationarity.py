@@ -1,4 +1,4 @@
-"""Whether the amplitude stayed what it was, from the first half of the pulses to the second."""
+"""Stationarity of the motion: whether the amplitude changes from the first half of the pulses to the second."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The paper's slow-time chain: velocity -> D = v/w -> band-pass -> Hann -> Kalman filter -> times 2, per frequency.
+"""Slow-time chain of the paper: velocity -> D = v/w -> band-pass -> Hann -> Kalman filter -> times 2, per frequency.
 
 Every step is linear in the velocities, so the same chain applied to a unit sinusoid gives the factor by which it
 scales amplitude and turns phase. For whole cycles that factor is the Hann window's mean, 1/2, and dividing by it is the
-paper's "times 2"; for any other length it is still exact.
+paper's "times 2"; for any other length it is still exact. docs/theory/estimation.md.
 """
 
 from __future__ import annotations
@@ -97,6 +97,7 @@ def _one_frequency(
             return series
         return band_pass(series, 1 / interval_s, f - half_width_hz, f + half_width_hz)
 
+    # What the chain makes of a unit sinusoid, 2 by 2; its inverse undoes gain, delay and the Hann window's mean.
     columns = harmonic_columns(velocity.time_s, np.array([f]))
     solver = np.linalg.pinv(columns[valid])
     response = solver @ (passed(columns.T) * window)[:, valid].T

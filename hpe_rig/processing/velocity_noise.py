@@ -1,4 +1,7 @@
-"""The noise of velocities: what the residual says about the noise of pulses and of intervals."""
+"""Noise of velocities: what the residual says about the noise of pulses and of intervals.
+
+The spectrum of displacement steps is pulse noise (2 sin(pi f T_prf))^2 + interval noise; docs/theory/estimation.md.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +27,8 @@ def velocity_noise(
     the next interval; it is looked for in the spectrum of the residual from ``model`` outside ``frequency_hz``
     (Whittle likelihood) and 0 unless it stands out.
     """
+    # Pulse noise alone: the residual of white noise, differenced, is smaller by what the fit has taken up of it. Its
+    # expected energy is the trace over the columns' complement, from the orthonormal columns q.
     q = model.matrix @ model.root
     residual = np.zeros(velocity.velocity_m_per_s.shape)
     residual[..., velocity.valid] = model.solve(velocity.velocity_m_per_s[..., velocity.valid])[1]
@@ -65,6 +70,7 @@ def _residual_spectrum(
 
 def _most_likely(power: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return pulse variance and interval-to-pulse ratio (...) by profile likelihood over ``RATIOS``."""
+    # For a given ratio the best level has a closed form, the mean of power over shape: one dimension is left to search.
     shapes = shape + RATIOS[:, None]
     level = np.maximum((power @ (1 / shapes).T) / shape.size, np.finfo(np.float64).tiny)
     likelihood = -np.log(shapes).sum(axis=1) - shape.size * np.log(level)

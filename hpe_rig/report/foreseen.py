@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from hpe_rig.prediction import predict, setting_of
+from hpe_rig.prediction import conditions_of, predict
 from hpe_rig.result import Estimate, ShotResult
 from hpe_rig.scene import Estimator, Scene
 
@@ -38,8 +38,8 @@ def _each(scene: Scene, shot: ShotResult, estimator: Estimator) -> Iterator[Fore
             continue
         # The prediction is for a scene's first frequency, at the amplitude that it expects.
         asked = {"frequencies_hz": (item.frequency_hz,), "expected_amplitude_m": item.amplitude_m}
-        setting = setting_of(scene.model_copy(update={"processing": scene.processing.model_copy(update=asked)}))
-        if setting is None:
+        conditions = conditions_of(scene.model_copy(update={"processing": scene.processing.model_copy(update=asked)}))
+        if conditions is None:
             return
-        (found,) = predict(replace(setting, pulses=shot.pulses_used), (estimator,), DRAWS).expected
+        (found,) = predict(replace(conditions, pulses=shot.pulses_used), (estimator,), DRAWS).expected
         yield Foreseen(item, found.bias_m, found.noise_jitter_m, found.speckle_jitter_m, found.phase_jitter_rad)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.plan import Shot, slow_time_window
-from hpe_rig.processing import codes_to_volts, coherent, design, driven_frequencies_hz, shot_echoes
+from hpe_rig.plan import Selection, Shot, select
+from hpe_rig.processing import codes_to_volts, coherent, design, shot_echoes
 from hpe_rig.result import Estimate
 from hpe_rig.scene import Scene
 from hpe_rig.store import ShotRecords
@@ -111,10 +111,11 @@ def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequenc
     ``gated`` holds of each record the gate. The displacement is that of the estimator "coherent", whichever one
     ``estimates`` come from.
     """
-    motion = coherent(shot_echoes(scene, shot, gated, shown_pulses(scene, shot)))
+    shown = shown_pulses(scene, shot)
+    motion = coherent(shot_echoes(scene, shot, gated, shown))
     kept = motion.valid
     frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
-    also_hz = driven_frequencies_hz(scene)
+    also_hz = shown.driven_hz
     order = scene.processing.background_order
     matrix = design(motion.time_s, kept, frequency_hz, background_order=order, also_hz=also_hz).matrix
     wanted, rest = np.split(matrix, [2 * frequency_hz.size], axis=1)
@@ -132,10 +133,9 @@ def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequenc
     )
 
 
-def shown_pulses(scene: Scene, shot: Shot) -> NDArray[np.bool_]:
-    """Return which pulses are looked at: those in the processing window, at most ``MOST_PULSES``, shape (pulse,)."""
-    inside = slow_time_window(scene, shot)
-    return inside & (np.cumsum(inside) <= MOST_PULSES)
+def shown_pulses(scene: Scene, shot: Shot) -> Selection:
+    """Return the pulses that are looked at: of those in the processing window at most ``MOST_PULSES``."""
+    return select(scene, shot, MOST_PULSES)
 
 
 def gate_alone(records: ShotRecords, gate: slice, first_sample: int = 0) -> ShotRecords:

@@ -24,6 +24,7 @@ from .validation import (
     Mistake as Mistake,
     Path as Path,
     SettingsError as SettingsError,
+    length_m as length_m,
     mistakes_of as mistakes_of,
     parse_toml as parse_toml,
 )

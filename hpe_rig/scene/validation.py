@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import math
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -156,3 +158,22 @@ def _models_in(annotation: Any) -> Any:
         yield annotation
     for inner in getattr(annotation, "__args__", ()):
         yield from _models_in(inner)
+
+
+LARGEST_M = 1e-3
+"""A larger uncertainty is a forgotten unit."""
+_UNITS_M = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "m": 1.0}
+
+
+def length_m(text: str, key: str) -> float:
+    """Return a length up to 1 mm, such as "20nm" or "2e-8"; raise ``SettingsError`` naming ``key`` for others."""
+    match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(nm|um|mm|m)?\s*", text)
+    try:
+        value = float(match[1]) * _UNITS_M[match[2] or "m"] if match else math.nan
+    except ValueError:
+        value = math.nan
+    if not 0 < value <= LARGEST_M:
+        raise SettingsError(
+            "command line", [Mistake(key, f"{text!r} is no length up to 1 mm", "a number with unit, such as 20nm")]
+        )
+    return value

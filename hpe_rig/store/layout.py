@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.bench import BenchText
+from hpe_rig.bench import BenchText, twin_settings
 from hpe_rig.plan import Plan
 from hpe_rig.scene import SceneText
 from hpe_rig.store.format import (
@@ -93,7 +93,6 @@ def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapp
 
 
 def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Plan, predecessor: Predecessor) -> None:
-    simulation = scene.scene.simulation or {}
     attributes = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -101,7 +100,7 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
         "scene_name": scene.name,
         "bench_name": bench.name,
         "simulated": bench.bench.simulated,
-        "seed": simulation.get("seed", 1) if bench.bench.simulated else -1,
+        "seed": twin_settings(scene.scene).seed if bench.bench.simulated else -1,
         "predecessor": predecessor.name,
         "predecessor_shots": predecessor.shots,
     }

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpe_rig.bench import check_simulation
+from hpe_rig.bench import check_simulation, twin_of
 from hpe_rig.processing import Estimator, Options
 from hpe_rig.scene import Mistake, Scene, SettingsError, mistakes_of, parse_toml, scene_text, shipped_scenes
 from hpe_rig.study.definition import Definition, Reading
@@ -247,7 +247,7 @@ def _literal(scene: Scene, twin: SimulationSettings) -> SimulationSettings:
 def _train(scene: Scene) -> Train:
     acquisition, processing = scene.acquisition, scene.processing
     two_way_s = 2 * acquisition.gate_length_m / acquisition.sound_speed_m_per_s
-    parts = (scene.simulation or {}).get("motion", ())
+    twin = twin_of(scene)
     return Train(
         pulse_rate_hz=scene.tracking.pulse_rate_hz,
         pulses=scene.tracking.pulse_count or 0,
@@ -256,7 +256,7 @@ def _train(scene: Scene) -> Train:
         sound_speed_m_per_s=acquisition.sound_speed_m_per_s,
         sample_rate_hz=acquisition.sample_rate_hz,
         samples=round(two_way_s * acquisition.sample_rate_hz),
-        frequencies_hz=processing.frequencies_hz or tuple(float(part["frequency_hz"]) for part in parts),
+        frequencies_hz=processing.frequencies_hz or tuple(hz for hz, _ in (twin.prescribed if twin else ())),
         options=Options(processing.background_order, processing.harmonic, processing.process_noise),
     )
 

@@ -25,12 +25,12 @@ from hpe_rig.processing import (
     Motion,
     Options,
     band_grid,
-    coherent_phase,
     estimate,
     fit_motion,
     hann,
     motion_of,
     peak_phase,
+    spec_of,
 )
 
 Floats = NDArray[np.float64]
@@ -73,7 +73,8 @@ Form = Literal["peak", "plain", "volts"]
 
 def form_of(estimator: Estimator) -> Form:
     """Return the form in which an estimator takes a gate."""
-    return "peak" if estimator == "cross_spectrum" else "plain" if estimator == "coherent" else "volts"
+    spec = spec_of(estimator)
+    return "peak" if spec.reads_peak else "plain" if spec.band_phase is not None else "volts"
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +147,7 @@ def states(train: Train, estimator: Estimator, clean: Floats, which: Places, lev
     ``clean`` (draw, echo, ...) and ``noise`` (draw, noise, pulse, ...) in the form of the estimator, ``which`` (pulse,)
     the echo of every pulse, ``level`` (draw,) of the noise.
     """
-    if estimator == "cross_spectrum":
+    if spec_of(estimator).reads_peak:
         return _peaks_states(train, clean, which, level, noise)
     noisy = clean[:, None, which] + level[:, None, None, None] * noise
     try:
@@ -157,11 +158,12 @@ def states(train: Train, estimator: Estimator, clean: Floats, which: Places, lev
 
 
 def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
-    if estimator == "joint":
+    spec = spec_of(estimator)
+    if spec.motion is None:
         fit = estimate(train.gate(noisy), train.frequencies_hz, estimator, options=train.options)
         return fit.state[..., : 2 * len(train.frequencies_hz)]
-    if estimator == "coherent":
-        phase, _, mean_hz = coherent_phase(_complex(noisy), band_of(train).grid_hz["plain"])
+    if spec.band_phase is not None:
+        phase, _, mean_hz = spec.band_phase(_complex(noisy), band_of(train).grid_hz["plain"])
         return np.asarray((phase * _metres(train) / mean_hz[..., None]) @ functional(train, estimator))
     return np.asarray(motion_of(train.gate(noisy), estimator).displacement_m @ functional(train, estimator))
 
@@ -212,4 +214,4 @@ def refuse_unusable(train: Train, estimators: Sequence[Estimator]) -> None:
     """Raise ``ValueError`` where the train cannot carry an estimate, before anything is drawn."""
     band_of(train)
     for estimator in estimators:
-        functional(train, estimator if estimator != "joint" else "coherent")
+        functional(train, estimator if spec_of(estimator).motion is not None else "coherent")

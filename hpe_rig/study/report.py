@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from hpe_rig.processing import spec_of
 from hpe_rig.report import STYLE, Picture, inline, label_decades, picture
 from hpe_rig.store import versions
 from hpe_rig.study.curve_figures import COLOURS, MARKS, NM, curve_alt, curve_figure
@@ -161,6 +162,6 @@ def _first_of_each(result: StudyResult) -> list[View]:
     """Return one view a reading: of the paper's chain, else of the first estimator."""
     found: dict[str, View] = {}
     for one in views(result):
-        if one.reading not in found or one.estimator == "cross_spectrum":
+        if one.reading not in found or spec_of(one.estimator).published:
             found[one.reading] = one
     return list(found.values())

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.processing import spec_of
 from hpe_rig.study.definition import Axis
 from hpe_rig.study.results import StudyResult
 
@@ -38,8 +39,7 @@ class View:
     def title(self) -> str:
         """What a reader calls it."""
         reading = "physical" if self.reading == "physical" else "eq. (11) read literally"
-        chain = "the paper's chain" if self.estimator == "cross_spectrum" else self.estimator
-        return f"{reading}, {chain}"
+        return f"{reading}, {spec_of(self.estimator).label}"
 
 
 @dataclass(frozen=True, slots=True)

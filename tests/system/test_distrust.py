@@ -17,7 +17,7 @@ import pytest
 from hpe_rig.acquire.resumption import prepare_rest
 from hpe_rig.acquire.run import Setup, measure, planned, process
 from hpe_rig.bench.bench_file import parse_bench, read_bench
-from hpe_rig.bench.opening import check_simulation
+from hpe_rig.bench.twin import check_simulation
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.plan.timeline import plan_text
 from hpe_rig.report.page import render

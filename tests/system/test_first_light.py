@@ -23,7 +23,7 @@ from hpe_rig.acquire.sequencer import Progress, ShotBlock, acquire
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.cli.app import app
-from hpe_rig.prediction.forecast import predicted_averaging
+from hpe_rig.prediction.beam_averaging import predicted_averaging
 from hpe_rig.prediction.theory import force_spectrum
 from hpe_rig.result.estimates import Result
 from hpe_rig.store import StoreError, read_run, result_path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hpe_rig.bench import BenchFile
+from hpe_rig.bench import BenchFile, declares_twin, twin_of
 from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
@@ -14,7 +14,7 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     """Yield whether the twin has a specimen, and its sound speed is the one assumed."""
     if not bench.simulated:
         return
-    if scene.simulation is None:
+    if not declares_twin(scene):
         yield CheckResult(
             "simulation",
             "refused",
@@ -22,8 +22,8 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
             "a [simulation] section",
         )
         return
-    speed, assumed = scene.simulation.get("sound_speed_m_per_s"), scene.acquisition.sound_speed_m_per_s
-    if isinstance(speed, int | float) and speed != assumed:
-        text = f"simulation.sound_speed_m_per_s = {speed:g} m/s, "
+    twin, assumed = twin_of(scene), scene.acquisition.sound_speed_m_per_s
+    if twin is not None and twin.sound_speed_m_per_s != assumed:
+        text = f"simulation.sound_speed_m_per_s = {twin.sound_speed_m_per_s:g} m/s, "
         text += f"the gate assumes acquisition.sound_speed_m_per_s = {assumed:g} m/s"
         yield CheckResult("sound speed", "warning", text, "equal values, unless the mismatch is what is studied")

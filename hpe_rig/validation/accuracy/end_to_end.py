@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.prediction import beam_averaging_factor, force_spectrum, scatterer_density
-from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate
+from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, spec_of
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
@@ -231,7 +231,7 @@ def _averaging(way: Way) -> float:
         beams.tracking_width_m,
         way.gate_length_m,
         settings.sound_speed_m_per_s / 2 / (scatterers.bandwidth * CARRIER_HZ),
-        gate_window="hann" if way.estimator == "cross_spectrum" else "none",
+        gate_window=spec_of(way.estimator).gate_window,
         scatterers_per_m3=scatterer_density(beams.tracking_width_m, scatterers.per_cell),
     )
 

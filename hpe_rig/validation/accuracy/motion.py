@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.prediction import Expected, Setting, draw_speckle, echo_bound, expected, scatterer_density
+from hpe_rig.prediction import Conditions, Expected, draw_speckle, echo_bound, expected, scatterer_density
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, harmonic_columns
 
 Floats = NDArray[np.float64]
@@ -105,7 +105,7 @@ def case_rows(
     noisy = clean + noise_v * np.random.default_rng([seed, 1]).standard_normal(clean.shape)
     columns = harmonic_columns(case.pulse_time_s, np.array([case.frequency_hz]))
     bound = echo_bound(clean[:, 0], case.sample_rate_hz, noise_v[:, 0, 0], columns, case.sound_speed_m_per_s)
-    setting = setting_of(case)
+    setting = conditions_of(case)
     speckle = draw_speckle(setting, np.random.default_rng([seed, 2]))
     for name in estimators:
         model = expected(setting, name, speckle, np.random.default_rng([seed, 3]))
@@ -126,10 +126,10 @@ def twin_echoes(case: Case, draws: int, generator: np.random.Generator) -> Float
     return np.concatenate(list(drawn_echoes(settings, moved, pulse, case.gate_s, generator, draws, 1e-7)))
 
 
-def setting_of(case: Case) -> Setting:
+def conditions_of(case: Case) -> Conditions:
     """Return the case in the words of the analytic model."""
     tracking = (0.078e-3, 0.078e-3, 0.83e-3)
-    return Setting(
+    return Conditions(
         excitation_width_m=(0.17e-3, 0.17e-3, 1.80e-3),
         tracking_width_m=tracking,
         gate_length_m=case.gate_length_m,

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hpe_rig.acquire import measure, prepare_text, process
-from hpe_rig.plan import slow_time_window
-from hpe_rig.processing import Motion, driven_frequencies_hz, least_squares
+from hpe_rig.plan import select
+from hpe_rig.processing import Motion, least_squares
 from hpe_rig.report import STYLE
 from hpe_rig.result import Result, ShotResult
 from hpe_rig.scene import shipped_scenes
@@ -95,10 +95,10 @@ def result_and_sampled_truth(scene: str, text: str | None = None) -> tuple[Resul
         result = process(run_file)
     scene_, sampled_m = setup.scene.scene, []
     for shot, row_m in zip(setup.plan.shots, true_m, strict=True):
-        inside = slow_time_window(scene_, shot)
-        time_s = shot.timeline.sensing_s[inside]
-        motion = Motion(time_s, row_m[inside], np.zeros(time_s.size), np.ones(time_s.size, bool))
-        fit = least_squares(motion, list(scene_.wanted_frequencies_hz), also_hz=driven_frequencies_hz(scene_))
+        chosen = select(scene_, shot)
+        time_s = shot.timeline.sensing_s[chosen.window]
+        motion = Motion(time_s, row_m[chosen.window], np.zeros(time_s.size), np.ones(time_s.size, bool))
+        fit = least_squares(motion, chosen.wanted_hz, also_hz=chosen.driven_hz)
         sampled_m.append(fit.amplitude_m)
     return result, np.array(sampled_m)
 

@@ -242,7 +242,7 @@ def dose() -> Experiment:
     figure, (panel,) = panels(1)
     for name, text in shipped_scenes().items():
         scene = parse_scene(name, text).scene
-        if scene.excitation is None or "specimen" not in (scene.simulation or {}):
+        if scene.excitation is None:
             continue
         length_s, hz = max(scene.excitation.burst_length_s), np.array(scene.wanted_frequencies_hz[:2])
         found, floor = twin_dose(scene, length_s, hz), detection_floor(scene)

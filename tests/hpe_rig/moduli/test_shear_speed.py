@@ -29,7 +29,7 @@ def test_voigt_speeds_are_the_references(elasticity_pa: float, speeds: tuple[flo
 
 def test_two_places_give_the_references_uncertainty() -> None:
     phase = np.array([[0.0], [-2 * np.pi * 200 * 4e-3 / 2.0]])
-    # the phase falls by 2.5 rad in 4 mm; 1 degree each: 0.020 m/s (theory.md 5)
+    # the phase falls by 2.5 rad in 4 mm; 1 degree each: 0.020 m/s
     found = shear_speed([0.0, 4e-3], [200.0], phase, np.full((2, 1), np.radians(1.0)))
     assert found.speed_m_per_s[0] == pytest.approx(2.0, rel=1e-12)
     assert found.uncertainty_m_per_s[0] == pytest.approx(0.020, rel=0.03)

@@ -1,19 +1,20 @@
-"""What ``check`` says of harmonics that fold, against the twin's own motion."""
+"""What ``check`` says of aliased harmonics, against the twin's own motion."""
 
 import h5py
 import numpy as np
 import pytest
 
 from hpe_rig.acquire.run import measure, prepare, prepare_text
-from hpe_rig.prediction.aliasing import fitted_over_true, folding_text
+from hpe_rig.prediction.aliasing import fitted_over_true
+from hpe_rig.prediction.text import aliasing_text
 from hpe_rig.scene.scene import scene_text
 from hpe_rig.store.layout import TRUE_HARMONICS
 
 
-def test_folding_of_synchronous_pulses_is_that_of_the_twins_motion(tmp_path):
-    """40 instants a burst period: the discrete transform of one period holds what has folded.
+def test_aliasing_of_synchronous_pulses_is_that_of_the_twins_motion(tmp_path):
+    """40 instants a burst period: the discrete transform of one period holds what is aliased.
 
-    The twin's motion is that of the peak. Of harmonics that fold, less than a tenth of the wanted ones, the beam tracks
+    The twin's motion is that of the peak. Of aliased harmonics, less than a tenth of the wanted ones, the beam tracks
     up to a tenth less of the peak than of the wanted ones: 0.01.
     """
     setup = prepare("bovine-muscle-synchronous")
@@ -23,9 +24,9 @@ def test_folding_of_synchronous_pulses_is_that_of_the_twins_motion(tmp_path):
         in_phase_m, quadrature_m = (file[f"true_harmonics/{part}"][0] for part in TRUE_HARMONICS)
     period_m, time_s = motion_m[-40:], shot.timeline.sensing_s[-40:] - shot.timeline.reference_s
     angle = 2 * np.pi * np.outer(setup.scene.scene.wanted_frequencies_hz, time_s)
-    folded = (np.sin(angle) + 1j * np.cos(angle)) @ period_m / 20
+    aliased = (np.sin(angle) + 1j * np.cos(angle)) @ period_m / 20
     ratio = fitted_over_true(setup.scene.scene, shot)
-    np.testing.assert_allclose(ratio, folded / (in_phase_m + 1j * quadrature_m), atol=0.01)
+    np.testing.assert_allclose(ratio, aliased / (in_phase_m + 1j * quadrature_m), atol=0.01)
     assert np.abs(ratio - 1).max() > 0.1
 
 
@@ -35,7 +36,7 @@ def test_check_tells_what_a_delay_of_shifting_pulses_costs():
     own = prepare(name)
     worse, good = (np.abs(fitted_over_true(s.scene.scene, s.plan.shots[0]) - 1).max() for s in (later, own))
     assert good < 0.01 < 0.05 < worse
-    (line,) = folding_text(own.scene.scene, own.plan.shots[0])
+    (line,) = aliasing_text(own.scene.scene, own.plan.shots[0])
     ratio = fitted_over_true(own.scene.scene, own.plan.shots[0])
     largest = 100 * np.abs(np.abs(ratio) - 1).max(), np.degrees(np.abs(np.angle(ratio)).max())
     assert "at most {:.2g} % and {:.2g} deg".format(*largest) in line
@@ -45,4 +46,4 @@ def test_check_tells_what_a_delay_of_shifting_pulses_costs():
 def test_nothing_is_said_where_no_medium_or_no_push_is_known(simulated):
     name = "bovine-muscle" if not simulated else "table-1"
     setup = prepare(name)
-    assert not list(folding_text(setup.scene.scene, setup.plan.shots[0], simulated))
+    assert not list(aliasing_text(setup.scene.scene, setup.plan.shots[0], simulated))

@@ -1,11 +1,17 @@
-"""Averaging over the tracking beam in the medium's own field: theory notes, quadrature, the twin's own scatterers."""
+"""Averaging over the tracking beam in the medium's own field: closed forms, quadrature, the twin's own scatterers."""
 
 import numpy as np
 import pytest
 
 from hpe_rig.acquire.run import measure, prepare_text
-from hpe_rig.prediction.beam_averaging import depth_spread, gaussian_averaging, medium_motion, width_scale
-from hpe_rig.prediction.forecast import averaging_text, predicted_averaging
+from hpe_rig.prediction.beam_averaging import (
+    depth_spread,
+    gaussian_averaging,
+    medium_motion,
+    predicted_averaging,
+    width_scale,
+)
+from hpe_rig.prediction.text import averaging_text
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 from hpe_rig.scene.validation import SettingsError
 from sim_backend.echoes.exact_sums import running_sum
@@ -26,7 +32,7 @@ def voigt(modulus_pa, viscosity_pa_s, frequency_hz=FREQUENCY_HZ):
 
 
 def test_tracked_over_peak_displacement_is_that_of_the_theory_notes():
-    """theory.md section 5: an endless column of 0.34 mm in 4 kPa gelatin, T = 0.155 mm; half a unit of its digits."""
+    """An endless column of 0.34 mm in 4 kPa gelatin, T = 0.155 mm; half a unit of its digits."""
     column_m, tracking_m = (0.34e-3, 0.34e-3, 0.5), (0.155e-3, 0.155e-3, 1.0)
     tracked, peak = medium_motion(voigt(4e3, 1.0), 1000.0, FREQUENCY_HZ, column_m, tracking_m, 0.0)
     ratio = tracked / peak

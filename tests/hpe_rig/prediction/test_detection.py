@@ -1,11 +1,12 @@
-"""The detection floor and the dose, against the notes' figures."""
+"""The detection floor and the dose, against the figures of docs/theory/prediction.md."""
 
 import numpy as np
 import pytest
 
 from hpe_rig.acquire.run import prepare, prepare_text
-from hpe_rig.bench.opening import twin_dose
-from hpe_rig.prediction.detection import calibration_text, detection_floor, detection_text
+from hpe_rig.bench.twin import twin_dose
+from hpe_rig.prediction.detection import detection_floor
+from hpe_rig.prediction.text import calibration_text, detection_text
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 
 SCENES = shipped_scenes()
@@ -20,17 +21,19 @@ def scene(name, *edits):
     return parse_scene(name, text).scene
 
 
-def test_noise_of_the_default_conditions_is_that_of_the_theory_notes():
-    """theory.md section 3: 100 pulses at 40 dB, 1.69 nm; half a unit of its last digit, and 0.4 % of gate samples."""
+def test_noise_of_the_default_conditions_is_that_of_the_theory_page():
+    """100 pulses at 40 dB, 1.69 nm; half a unit of its last digit, and 0.4 % of gate samples."""
     assert detection_floor(scene("table-1")).noise_m == pytest.approx(1.69e-9, abs=0.012e-9)
 
 
-def test_jitter_of_a_nanosecond_is_that_of_the_model_notes():
-    """model-notes.md section 5: 0.77 um a pulse; over 400 pulses with a Hann window about 65 nm."""
+def test_trigger_jitter_of_a_nanosecond_is_that_of_the_theory_page():
+    """0.77 um a pulse; over 400 pulses with a Hann window about 65 nm."""
     hann = scene("muscle-force", ("[processing]", '[processing]\nestimator = "cross_spectrum"'))
-    assert detection_floor(hann).jitter_m == pytest.approx(65e-9, rel=0.03)
-    assert detection_floor(scene("muscle-force")).jitter_m == pytest.approx(0.77e-6 * np.sqrt(2 / 400), rel=1e-9)
-    assert detection_floor(scene("muscle-force"), simulated=False).jitter_m == 0.0
+    assert detection_floor(hann).trigger_jitter_m == pytest.approx(65e-9, rel=0.03)
+    assert detection_floor(scene("muscle-force")).trigger_jitter_m == pytest.approx(
+        0.77e-6 * np.sqrt(2 / 400), rel=1e-9
+    )
+    assert detection_floor(scene("muscle-force"), simulated=False).trigger_jitter_m == 0.0
 
 
 def test_floor_is_what_noise_exceeds_once_in_twenty():
@@ -71,7 +74,7 @@ def test_pulses_that_shift_pay_for_the_harmonics_that_are_fitted_along():
 def test_a_calibration_that_is_not_of_the_twins_force_is_told_with_both_intensities() -> None:
     setup = prepare("bovine-muscle")
     (line,) = calibration_text(setup.scene.scene, setup.bench.bench)
-    # Theory notes, section 4: 17.27 Np/m at 3 MHz; 5.2 W/cm2 in water, derated by 6.3 dB.
+    # 17.27 Np/m at 3 MHz; 5.2 W/cm2 in water, derated by 6.3 dB.
     stands_for = 5e6 * 1540 / (2 * 17.27)
     ratio = stands_for / (5.2e4 * 10**-0.63)
     assert f"{stands_for * 1e-4:.3g} W/cm2, {ratio:.3g} times" in line

@@ -8,29 +8,31 @@ import numpy as np
 import pytest
 
 from hpe_rig.prediction.bounds import harmonic_bound
-from hpe_rig.prediction.error_model import Setting, draw_speckle, expected
-from hpe_rig.prediction.forecast import length_m, predict, prediction_text, remedies, setting_of
+from hpe_rig.prediction.error_model import Conditions, draw_speckle, expected
+from hpe_rig.prediction.forecast import conditions_of, predict, remedies
+from hpe_rig.prediction.text import prediction_text
 from hpe_rig.processing import Estimator
 from hpe_rig.scene.scene import parse_scene, scene_text
-from hpe_rig.scene.validation import SettingsError
-from hpe_rig.validation.accuracy.motion import PARAMETERS, Case, case_rows, setting_of as setting_of_case
+from hpe_rig.validation.accuracy.motion import PARAMETERS, Case, case_rows, conditions_of as conditions_of_case
 
 
 @pytest.fixture(scope="module")
-def table_one() -> Setting:
-    return setting_of_case(Case())
+def table_one() -> Conditions:
+    return conditions_of_case(Case())
 
 
 @pytest.mark.parametrize("snr_db", [10.0, 40.0])
-def test_noise_jitter_of_the_best_estimators_is_the_bound(table_one: Setting, snr_db: float) -> None:
-    setting = replace(table_one, snr=10 ** (snr_db / 10))
-    bound_m, _ = harmonic_bound(1e-6, 130, 100, setting.snr, 9e6, 1540.0)
-    found = expected(setting, "joint", draw_speckle(setting, np.random.default_rng(1), 400), np.random.default_rng(2))
+def test_noise_jitter_of_the_best_estimators_is_the_bound(table_one: Conditions, snr_db: float) -> None:
+    conditions = replace(table_one, snr=10 ** (snr_db / 10))
+    bound_m, _ = harmonic_bound(1e-6, 130, 100, conditions.snr, 9e6, 1540.0)
+    found = expected(
+        conditions, "joint", draw_speckle(conditions, np.random.default_rng(1), 400), np.random.default_rng(2)
+    )
     # the gate's ends put 1.5 % of the energy outside the band, 0.8 % of jitter; 1 mm is 129.87 samples, 0.05 %
     assert found.noise_jitter_m == pytest.approx(1.008 * bound_m, rel=3e-3, abs=0)
 
 
-def test_more_scatterers_cannot_tell_the_drawn_envelopes_from_the_closed_form(table_one: Setting) -> None:
+def test_more_scatterers_cannot_tell_the_drawn_envelopes_from_the_closed_form(table_one: Conditions) -> None:
     from hpe_rig.prediction.theory import beam_averaging_factor
 
     found = predict(table_one, ("coherent",), draws=3000).expected[0]
@@ -66,7 +68,7 @@ def test_bias_and_jitter_of_figures_5_to_11_are_predicted(name: str, value: floa
     _compare(replace(Case(snr_db=20), **{name: value}), estimator, 1000, 0.02, 0.15 + 2 / np.sqrt(1000))
 
 
-def test_remedies_reach_the_target_each_alone(table_one: Setting) -> None:
+def test_remedies_reach_the_target_each_alone(table_one: Conditions) -> None:
     wanted_m = 5e-9
     remedy = remedies(predict(table_one, ("coherent",), 200), wanted_m, 70e-3)
     cases = (
@@ -74,14 +76,14 @@ def test_remedies_reach_the_target_each_alone(table_one: Setting) -> None:
         replace(table_one, snr=10 ** (remedy.snr_db / 10)),
         replace(table_one, pulses=round(remedy.pulse_rate_hz * 0.025), pulse_rate_hz=remedy.pulse_rate_hz),
     )
-    for setting in cases:
-        found = predict(setting, ("coherent",), 200).expected[0]
+    for conditions in cases:
+        found = predict(conditions, ("coherent",), 200).expected[0]
         # pulses are whole
         assert found.noise_jitter_m == pytest.approx(wanted_m, rel=2e-3, abs=0)
 
 
 @pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
-def test_trigger_jitter_adds_to_the_noise_and_no_snr_takes_it_away(table_one: Setting, estimator: Estimator) -> None:
+def test_trigger_jitter_adds_to_the_noise_and_no_snr_takes_it_away(table_one: Conditions, estimator: Estimator) -> None:
     jitter_s, wanted_m = 0.1e-9, 8e-9
     quiet, shaken = (predict(replace(table_one, trigger_jitter_s=each), (estimator,), 200) for each in (0.0, jitter_s))
     # c/2 of it a pulse, 2/N in a quadrature, half as much again behind a Hann window
@@ -90,7 +92,7 @@ def test_trigger_jitter_adds_to_the_noise_and_no_snr_takes_it_away(table_one: Se
     assert shaken.expected[0].noise_jitter_m == pytest.approx(noise_m, rel=1e-3, abs=0)
     assert remedies(shaken, wanted_m, 70e-3, estimator).snr_db == np.inf
     loud = remedies(shaken, 20e-9, 70e-3, estimator)
-    found = predict(replace(shaken.setting, snr=10 ** (loud.snr_db / 10)), (estimator,), 200).expected[0]
+    found = predict(replace(shaken.conditions, snr=10 ** (loud.snr_db / 10)), (estimator,), 200).expected[0]
     # where noise moves the cross-spectrum's peak its variance is not quite in proportion
     assert found.noise_jitter_m == pytest.approx(20e-9, rel=0.01 if estimator == "coherent" else 0.15)
 
@@ -113,10 +115,10 @@ def test_harmonics_fitted_along_over_skipped_pulses_cost_what_the_fit_says() -> 
     assert gains["bovine-muscle-synchronous"] == pytest.approx(1.0, abs=1e-3)
     # a tenth of the period is never seen: high harmonics stand in for what happens there
     assert gains["bovine-muscle"] > 5
-    setting = setting_of(parse_scene(*scene_text("bovine-muscle")).scene)
-    assert setting is not None
+    conditions = conditions_of(parse_scene(*scene_text("bovine-muscle")).scene)
+    assert conditions is not None
     alone, along = (
-        predict(replace(setting, fit_gain=gain), ("coherent",), 200).expected[0]
+        predict(replace(conditions, fit_gain=gain), ("coherent",), 200).expected[0]
         for gain in (1.0, gains["bovine-muscle"])
     )
     assert along.noise_jitter_m == pytest.approx(gains["bovine-muscle"] * alone.noise_jitter_m, rel=0.02)
@@ -125,16 +127,5 @@ def test_harmonics_fitted_along_over_skipped_pulses_cost_what_the_fit_says() -> 
 def test_without_beams_or_snr_the_prediction_says_what_it_needs() -> None:
     scene = parse_scene(*scene_text("table-1")).scene
     bare = scene.model_copy(update={"beams": None})
-    assert setting_of(bare) is None
+    assert conditions_of(bare) is None
     assert "needs [beams]" in "\n".join(prediction_text(bare))
-
-
-@pytest.mark.parametrize(("text", "metres"), [("20nm", 20e-9), (" 1.5 um", 1.5e-6), ("2e-8", 2e-8), ("0.001mm", 1e-6)])
-def test_lengths_are_read_with_their_unit(text: str, metres: float) -> None:
-    assert length_m(text, "--target") == pytest.approx(metres, rel=1e-12, abs=0)
-
-
-@pytest.mark.parametrize("text", ["20", "", "nm", "20 feet", "-3nm", "0", "1e400"])
-def test_what_is_no_length_is_refused_by_name(text: str) -> None:
-    with pytest.raises(SettingsError, match="--target"):
-        length_m(text, "--target")

@@ -130,7 +130,7 @@ def test_clipping_to_a_third_costs_less_than_speckle(table_one: TableOne, speckl
         estimate(table_one.gate(volts), [200.0]).amplitude_m[0]
         for volts in (speckle_draws[1], np.clip(speckle_draws[1], -top, top))
     )
-    # the phase of zero crossings survives; speckle alone spreads by 6 % (model-notes 4)
+    # the phase of zero crossings survives; speckle alone spreads by 6 %
     assert clipped == pytest.approx(whole, rel=0.06)
 
 

@@ -28,7 +28,7 @@ def _motion(amplitude_m: float) -> Motion:
 def test_a_harmonic_below_three_uncertainties_is_named_and_no_other() -> None:
     found = list(_fit_warnings(least_squares(_motion(1e-7), [200.0, 300.0]), 0.1))
     assert len(found) == 1
-    assert "not told from noise at 300 Hz" in found[0]
+    assert "not significant at 300 Hz" in found[0]
     assert not list(_fit_warnings(least_squares(_motion(1e-7), [200.0]), 0.1))
     # noise of 10 nm over 400 pulses: 0.7 nm, so 3.5 nm is five times that
     assert not list(_fit_warnings(least_squares(_motion(3.5e-9), [200.0]), 0.1))

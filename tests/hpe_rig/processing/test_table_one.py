@@ -88,7 +88,7 @@ def test_cross_spectrum_jitter_is_half_again_the_bound_and_reaches_that_of_the_n
     # Hann gate 1.22 and Hann slow time 1.23 (theory 2 and 3); the median of 30 jitters, each known to 1/sqrt(38) =
     # 16 % and differing by draw as much again, is known to 1.25 x 0.22 / sqrt(30) = 5 %; three of these
     assert np.median(jitter_m) / bound_m == pytest.approx(1.22 * 1.23, rel=0.15)
-    # model-notes 4 had one draw whose peak is less sure
+    # the figure came from one draw whose peak is less sure
     assert jitter_m.min() < 36.3e-9 < jitter_m.max()
 
 

@@ -197,7 +197,7 @@ def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_be
 
 def test_warnings_alike_but_for_their_numbers_stand_once_with_their_shots(result: Result) -> None:
     (shot,) = result.shots
-    texts = [f"not told from noise at {90 + n}, 100 Hz: take more" for n in range(20)]
+    texts = [f"not significant at {90 + n}, 100 Hz: take more" for n in range(20)]
     shots = [replace(shot, shot=n, warnings=(text, "clipped") if n == 3 else (text,)) for n, text in enumerate(texts)]
     assert shot_warnings(shots) == [
         f"shot {', '.join(map(str, range(1, 13)))} ... (20 of 20 shots): such as in shot 1, {texts[0]}",

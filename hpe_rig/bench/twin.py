@@ -1,0 +1,160 @@
+"""Twin declaration: what a scene says of its simulation, as one typed value; only here the raw table is read.
+
+Where ``[simulation]`` is silent about sound speed and beams, the scene's own [acquisition] and [beams] hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.scene import Mistake, Scene, mistakes_of
+
+if TYPE_CHECKING:
+    from sim_backend.motion import Dose
+    from sim_backend.settings import SimulationSettings
+
+
+@dataclass(frozen=True, slots=True)
+class TwinDeclaration:
+    """What a scene's twin simulates, validated, defaults and presets filled in.
+
+    ``settings`` holds everything, for those who build a twin; the rest of the application asks the properties.
+    """
+
+    settings: SimulationSettings
+
+    @property
+    def seed(self) -> int:
+        """Seed of every random number."""
+        return self.settings.seed
+
+    @property
+    def sound_speed_m_per_s(self) -> float:
+        """Longitudinal sound speed."""
+        return self.settings.sound_speed_m_per_s
+
+    @property
+    def scatterers_per_cell(self) -> float:
+        """Scatterers per resolution cell."""
+        return self.settings.scatterers.per_cell
+
+    @property
+    def snr_db(self) -> float | None:
+        """Echo power over noise power in the reference gate; None where it is not stated as a ratio."""
+        return self.settings.receiver.snr_db
+
+    @property
+    def reference_gate_m(self) -> float:
+        """Length of the gate around the focus in which ``snr_db`` holds."""
+        return self.settings.receiver.reference_gate_m
+
+    @property
+    def has_receive_chain(self) -> bool:
+        """Whether filters, switch and amplifiers between transducer and digitizer are simulated."""
+        return self.settings.receive_chain is not None
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether receiver noise is drawn: by its SNR, or by the density at the chain's input."""
+        chain = self.settings.receive_chain
+        return self.snr_db is not None if chain is None else chain.noise_v_per_sqrt_hz is not None
+
+    @property
+    def trigger_jitter_s(self) -> float:
+        """Trigger jitter between the sampling clock and a tracking pulse, root mean square."""
+        return self.settings.instruments.trigger_jitter_s
+
+    @property
+    def has_specimen(self) -> bool:
+        """Whether a medium is moved by the tonebursts."""
+        return self.settings.specimen is not None
+
+    @property
+    def prescribes_motion(self) -> bool:
+        """Whether the motion is given instead."""
+        return self.settings.motion is not None
+
+    @property
+    def prescribed(self) -> tuple[tuple[float, float], ...]:
+        """Frequency, Hz, and amplitude, m, of every prescribed sinusoid."""
+        return tuple((each.frequency_hz, each.amplitude_m) for each in self.settings.motion or ())
+
+    def medium(self, frequency_hz: NDArray[np.float64]) -> tuple[NDArray[np.complex128], float] | None:
+        """Return the specimen's complex shear modulus (frequency,), Pa, and density, kg/m^3.
+
+        None without specimen, and where it moves by the Gaussian of eq. (12) instead of the medium's own field.
+        """
+        from sim_backend.motion import shear_modulus
+
+        specimen = self.settings.specimen
+        if specimen is None or specimen.field == "gaussian":
+            return None
+        s_per_s = np.asarray(2j * np.pi * frequency_hz, np.complex128)
+        return np.asarray(shear_modulus(specimen, s_per_s)), specimen.density_kg_per_m3
+
+
+def twin_of(scene: Scene) -> TwinDeclaration | None:
+    """Return what ``scene`` declares of its twin; None where it declares none, or (on a real bench) an invalid one."""
+    if not declares_twin(scene):
+        return None
+    try:
+        return TwinDeclaration(twin_settings(scene))
+    except ValueError:
+        # On a simulated bench every mistake was told when the scene was read; a real one does not read the section.
+        return None
+
+
+def declares_twin(scene: Scene) -> bool:
+    """Return whether the scene has a ``[simulation]`` section, valid or not."""
+    return scene.simulation is not None
+
+
+def twin_settings(scene: Scene) -> SimulationSettings:
+    """Return the twin's settings, its defaults where ``scene`` is silent; raise ``ValueError`` for an invalid twin."""
+    from sim_backend.settings import SimulationSettings
+
+    return SimulationSettings.model_validate(twin_tables(scene))
+
+
+def twin_tables(scene: Scene) -> dict[str, Any]:
+    """Return the tables of the twin's settings that a scene declares."""
+    simulation = scene.simulation or {}
+    beams = {} if scene.beams is None else scene.beams.model_dump(exclude={"pulse_length_m"})
+    declared = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
+    return declared | simulation | {"beams": beams | simulation.get("beams", {})}
+
+
+def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.float64]) -> Dose | None:
+    """Return the simulated specimen's dose and what it could move at ``frequency_hz``; None where there is none."""
+    from sim_backend.motion import dose
+
+    twin = twin_of(scene)
+    if twin is None or twin.settings.specimen is None or scene.excitation is None:
+        return None
+    train = scene.excitation.burst_rate_hz, burst_length_s
+    width_m, speed = twin.settings.beams.excitation_width_m, twin.sound_speed_m_per_s
+    return dose(twin.settings.specimen, width_m, *train, frequency_hz, speed, scene.excitation.carrier_hz)
+
+
+def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
+    """Return the mistakes of a ``[simulation]`` section, by the twin's own rules."""
+    from sim_backend.settings import SimulationSettings
+
+    return mistakes_of(SimulationSettings, tables, ("simulation",))
+
+
+def check_declared(scene: Scene) -> list[Mistake]:
+    """Return the mistakes of ``[simulation]`` together with what the scene declares of beams and sound speed."""
+    return check_simulation(twin_tables(scene)) if declares_twin(scene) else []
+
+
+def simulation_schema() -> dict[str, Any]:
+    """Return the JSON schema of the ``[simulation]`` section."""
+    from sim_backend.settings import SimulationSettings
+
+    return SimulationSettings.model_json_schema()

@@ -1,0 +1,153 @@
+"""Text of a forecast: the lines that ``hpe-rig check`` and the report print."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from hpe_rig.bench import BenchFile, twin_dose
+from hpe_rig.plan import Shot, drive_output
+from hpe_rig.prediction.aliasing import fitted_over_true
+from hpe_rig.prediction.beam_averaging import predicted_averaging, pulse_length_m
+from hpe_rig.prediction.detection import FALSE_ALARMS, detection_floor
+from hpe_rig.prediction.forecast import Prediction, Remedy, conditions_of, predict, remedies
+from hpe_rig.prediction.theory import beam_averaging_factor
+from hpe_rig.processing import spec_of
+from hpe_rig.scene import Scene
+
+LISTED = 4
+AGREEING = 2.0
+"""Intensities further apart than this factor are not of one transducer: attenuation over the way is known no better."""
+
+
+def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = None) -> Iterator[str]:
+    """Yield the detection floor and, where the medium is known, what moves at the FDA's track-3 limit.
+
+    One line a burst length; for ``hpe-rig check`` and the report.
+    """
+    floor = detection_floor(scene, simulated, shot)
+    if floor.quadrature_m == 0:
+        yield "detection floor: none, neither noise nor trigger jitter is known"
+    else:
+        yield (
+            f"detection floor: {floor.detected_m * 1e9:.3g} nm ({100 * FALSE_ALARMS:g} % false alarms), from noise "
+            f"({floor.noise_m * 1e9:.3g} nm in each quadrature) and trigger jitter "
+            f"({floor.trigger_jitter_m * 1e9:.3g} nm)"
+        )
+    if scene.excitation is None:
+        return
+    frequency_hz = np.array(scene.wanted_frequencies_hz[:LISTED])
+    for length_s in scene.excitation.burst_length_s:
+        found = twin_dose(scene, length_s, frequency_hz) if simulated else None
+        if found is None:
+            continue
+        moved = zip(frequency_hz.tolist(), found.displacement_limit_m.tolist(), strict=True)
+        yield (
+            f"dose: at the limit of FDA track 3 ({found.limit_w_per_m2 * 1e-4:.4g} W/cm2 while a toneburst of "
+            f"{length_s * 1e6:g} us is on, {found.force_limit_n_per_m3 * 1e-3:.3g} kN/m3) the focus moves "
+            + ", ".join(f"{limit_m * 1e9:.3g} nm at {hz:g} Hz" for hz, limit_m in moved)
+            + f"; the twin's force at {found.reference_drive_vpp:g} Vpp is "
+            f"{found.intensity_w_per_m2 / found.limit_w_per_m2:.3g} times that"
+        )
+
+
+def calibration_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
+    """Yield how the bench file's calibration contradicts the twin's force, where their intensities are far apart.
+
+    Body force 2 a I / c, as in the twin; the calibration derated as for the limits.
+    """
+    drive = None if bench.calibration is None else bench.calibration.toneburst
+    if not bench.simulated or bench.calibration is None or drive is None or scene.excitation is None:
+        return
+    found = twin_dose(scene, scene.excitation.burst_length_s[0], np.zeros(1))
+    if found is None:
+        return
+    depth_m, drive_vpp = bench.calibration.focus_depth_m, found.reference_drive_vpp
+    stated_w_per_m2 = drive_output(drive, depth_m, drive_vpp, 1.0).sppa_w_per_m2
+    ratio = found.intensity_w_per_m2 / stated_w_per_m2
+    if not 1 / AGREEING < ratio < AGREEING:
+        yield (
+            f"calibration: [calibration] of the bench file states {stated_w_per_m2 * 1e-4:.3g} W/cm2 at {drive_vpp:g} "
+            f"Vpp, the twin's force stands for {found.intensity_w_per_m2 * 1e-4:.3g} W/cm2, {ratio:.3g} times that: "
+            "the acoustic output by this calibration is not the output that moves the twin"
+        )
+
+
+def aliasing_text(scene: Scene, shot: Shot, simulated: bool = True) -> Iterator[str]:
+    """Yield by how much aliased harmonics change the wanted ones at most."""
+    ratio = fitted_over_true(scene, shot, simulated)
+    if ratio is not None:
+        amplitude, phase = np.abs(np.abs(ratio) - 1).max(), np.degrees(np.abs(np.angle(ratio)).max())
+        yield (
+            f"aliasing in this medium: unresolved harmonics change the wanted ones by at most "
+            f"{100 * amplitude:.2g} % and {phase:.2g} deg (least squares, no noise; not part of the uncertainties)"
+        )
+
+
+def averaging_text(scene: Scene, simulated: bool = True) -> Iterator[str]:
+    """Yield how much of the peak is tracked, by the medium's field and by the Gaussian of eq. (12)."""
+    each = [item for item in predicted_averaging(scene, scene.processing.estimator, simulated) if item is not None]
+    if not each or scene.beams is None:
+        return
+    gaussian = beam_averaging_factor(
+        scene.beams.excitation_width_m,
+        scene.beams.tracking_width_m,
+        scene.acquisition.gate_length_m,
+        pulse_length_m(scene),
+        gate_window=spec_of(scene.processing.estimator).gate_window,
+    )
+    if all(item.factor == gaussian for item in each):
+        yield f"beam averaging: {gaussian:.3f} of the peak is tracked, the motion being the Gaussian of eq. (12)"
+        return
+    span = " to ".join(f"{each[at].factor:.3f} ({math.degrees(each[at].phase_rad):.1f} deg)" for at in (0, -1))
+    yield (
+        f"beam averaging: {span} of the peak is tracked from the lowest frequency to the highest in the medium's own "
+        f"field; by the Gaussian of eq. (12) {gaussian:.3f}, {(gaussian / each[0].factor - 1) * 100:+.1f} %"
+    )
+
+
+def prediction_text(scene: Scene, target_m: float | None = None, fit_gain: float = 1.0) -> Iterator[str]:
+    """Yield the lines that ``hpe-rig check`` prints: the table, and what reaches ``target_m``.
+
+    ``fit_gain``: what skipped pulses and harmonics fitted along cost (`hpe_rig.prediction.detection.fit_gain`).
+    """
+    conditions = conditions_of(scene)
+    if conditions is None:
+        yield "prediction: left out, it needs [beams], a frequency and processing.expected_snr_db"
+        return
+    prediction = predict(replace(conditions, fit_gain=fit_gain))
+    jitter = f"{conditions.trigger_jitter_s * 1e9:g} ns trigger jitter, " if conditions.trigger_jitter_s else ""
+    yield (
+        f"prediction at {conditions.frequency_hz:g} Hz for {conditions.amplitude_m * 1e9:g} nm, "
+        f"{10 * math.log10(conditions.snr):g} dB SNR, {jitter}{conditions.pulses} pulses (standard deviations):"
+    )
+    yield f"  {'estimator':18}{'bias':>10}{'noise':>10}{'speckle':>10}{'phase':>10}"
+    for each in prediction.expected:
+        figures = (each.bias_m * 1e9, each.noise_jitter_m * 1e9, each.speckle_jitter_m * 1e9)
+        words = "".join(f"{value:>+7.3g} nm" if k == 0 else f"{value:>7.3g} nm" for k, value in enumerate(figures))
+        yield f"  {each.estimator:18}{words}{math.degrees(each.phase_jitter_rad):>6.2g} deg"
+    if target_m is not None:
+        chosen = scene.processing.estimator
+        yield _target_line(
+            remedies(prediction, target_m, scene.acquisition.gate_depth_m, chosen), prediction, target_m, chosen
+        )
+
+
+def _target_line(remedy: Remedy, prediction: Prediction, target_m: float, estimator: str) -> str:
+    found = next(each for each in prediction.expected if each.estimator == estimator)
+    head = f"target {target_m * 1e9:g} nm with {estimator}: "
+    if found.noise_jitter_m <= target_m:
+        head += f"reached, noise is {found.noise_jitter_m * 1e9:.3g} nm; the least is "
+    else:
+        head += f"not reached, noise is {found.noise_jitter_m * 1e9:.3g} nm; it takes "
+    snr = {math.inf: "no SNR, trigger jitter alone is more", -math.inf: "any SNR, trigger jitter alone is less"}.get(
+        remedy.snr_db, f"SNR = {remedy.snr_db:.3g} dB"
+    )
+    beyond = " (beyond c/2z)" if remedy.pulse_rate_hz > remedy.reachable_rate_hz else ""
+    return (
+        f"{head}N_c = {remedy.cycles:.3g} cycles, or f_prf = {remedy.pulse_rate_hz:.4g} Hz{beyond}, "
+        f"or {snr}; speckle, {found.speckle_jitter_m * 1e9:.3g} nm, remains: only other places reduce it"
+    )

@@ -1,0 +1,34 @@
+"""The rows that describe the estimators, against what these do."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from hpe_rig.processing import ESTIMATORS, WINDOW_NOISE, hann, spec_of
+from hpe_rig.scene.scene import Estimator
+
+
+def test_every_estimator_a_scene_may_name_has_a_row() -> None:
+    assert tuple(get_args(Estimator)) == ESTIMATORS
+    assert [spec_of(name).name for name in ESTIMATORS] == list(ESTIMATORS)
+    with pytest.raises(ValueError, match="'best' does not exist"):
+        spec_of("best")
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_an_estimator_takes_echoes_or_displacements_and_not_both(name: str) -> None:
+    spec = spec_of(name)
+    assert (spec.motion is None) == (spec.fit_echoes is not None)
+
+
+def test_noise_of_a_window_is_that_of_its_samples() -> None:
+    window = hann(1000)
+    assert WINDOW_NOISE["hann"] == pytest.approx(1000 * np.sum(window**2) / window.sum() ** 2, rel=1e-12)
+    assert WINDOW_NOISE["none"] == 1.0
+
+
+def test_one_estimator_is_the_papers_own() -> None:
+    assert [name for name in ESTIMATORS if spec_of(name).published] == ["cross_spectrum"]
