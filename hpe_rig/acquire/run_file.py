@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.acquire.run import planned
 from hpe_rig.bench import BenchFile, parse_bench
-from hpe_rig.plan import Finding, Plan, reference_gate
+from hpe_rig.plan import Finding, Plan, reference_gate, slow_time_window
 from hpe_rig.result import Estimate, Result, ShotResult, Stages
 from hpe_rig.scene import (
     DEFAULT_SPECIMEN,
@@ -61,8 +61,9 @@ class Run:
         """Return the displacement of every tracking pulse of ``shot``, counted from 0, up to a constant; (pulse,), m.
 
         By the scene's estimator, "coherent" where that is "joint", which has none; positive away from the transducer,
-        sensed at ``plan.shots[shot].timeline.sensing_s``. NaN where the record is missing or the pulse is omitted.
-        Raises ``IndexError`` for a shot that is none, ``ValueError`` where the echoes carry no displacement.
+        sensed at ``plan.shots[shot].timeline.sensing_s``; of the whole train, whatever the processing window. NaN where
+        the record is missing or the pulse is omitted. Raises ``IndexError`` for a shot that is none, ``ValueError``
+        where the echoes carry no displacement.
         """
         from hpe_rig.processing import coherent, motion_of, relative_to
 
@@ -106,12 +107,15 @@ class Run:
         return path
 
     def _echoes(self, shot: int, gate: slice | None = None) -> EchoGate:
-        """Return the echoes of every pulse of ``shot`` in volts, (pulse, sample), those to be omitted marked."""
+        """Return the echoes of every pulse of ``shot``, (pulse, sample), also outside the processing window."""
         from hpe_rig.processing import shot_echoes
 
+        whole_train = {"window_start_s": 0.0, "window_length_s": None}
+        processing = self.scene.processing.model_copy(update=whole_train)
+        whole = self.scene.model_copy(update={"processing": processing})
         planned_shot = self.plan.shots[shot]
         records = self.records.gated(shot, gate or planned_shot.gate)
-        return shot_echoes(self.scene, planned_shot, records, np.ones(records.valid.size, np.bool_))
+        return shot_echoes(whole, planned_shot, records, slow_time_window(whole, planned_shot))
 
     def refreshed(self) -> Run:
         """Return the run as its file stands by now, for one that is still being written."""
@@ -129,8 +133,8 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     if not isinstance(path, str | os.PathLike):
         raise TypeError(f"a run is taken as the path of a run file, not as {type(path).__name__}")
     stored = read_run(Path(path))
-    scene = parse_scene(stored.scene_name, stored.scene_toml).scene
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench
+    scene = parse_scene(stored.scene_name, stored.scene_toml).scene
     if bench.simulated:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)
@@ -151,10 +155,12 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
 
 def chosen_estimator(name: str | None, scene: Scene | None = None) -> Estimator:
     """Return the estimator of that name, or the scene's; raise ``SettingsError`` for a name that is none."""
-    asked = {"estimator": name} if name or scene is None else {"estimator": scene.processing.estimator}
+    if name is None and scene is not None:
+        return scene.processing.estimator
+    asked = {"estimator": name}
     mistakes = mistakes_of(Processing, asked, ("processing",))
     if mistakes:
-        raise SettingsError("command line", mistakes)
+        raise SettingsError("estimator", mistakes)
     return Processing.model_validate(asked).estimator
 
 
