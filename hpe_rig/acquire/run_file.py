@@ -22,7 +22,6 @@ from hpe_rig.scene import (
     Processing,
     Scene,
     SettingsError,
-    has_default_specimen,
     mistakes_of,
     parse_scene,
     with_default_specimen,
@@ -38,7 +37,7 @@ class Run:
     """A stored run; its records are read when they are asked for, so that a long one takes no memory.
 
     ``findings``: what the checks of its plan found; ``stored``: what the file held when it was opened, scene and bench
-    file verbatim among it.
+    file verbatim among it; ``simulated_specimen``: the name of the default one, None where none was needed.
 
     >>> run = open_run("bovine-muscle.h5")
     >>> run.scene.tracking.pulse_rate_hz, run.records[0].codes.shape
@@ -51,6 +50,7 @@ class Run:
     plan: Plan
     findings: tuple[Finding, ...]
     stored: StoredRun
+    simulated_specimen: str | None = None
 
     @property
     def records(self) -> StoredRecords:
@@ -97,7 +97,7 @@ class Run:
             omitted=tuple((item.what, item.why) for item in self.plan.left_out),
             versions=versions(),
             run_time_s=stages.run_time_s,
-            simulated_specimen=DEFAULT_SPECIMEN if self.stored.simulated and has_default_specimen(self.scene) else None,
+            simulated_specimen=self.simulated_specimen,
         )
 
     def save(self, result: Result) -> Path:
@@ -135,11 +135,12 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     stored = read_run(Path(path))
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench
     scene = parse_scene(stored.scene_name, stored.scene_toml).scene
-    if bench.simulated:
+    specimen = DEFAULT_SPECIMEN if bench.simulated and scene.simulation is None else None
+    if specimen is not None:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)
     stored.refuse_unlike(plan)
-    return Run(stored.path, scene, bench, plan, found, stored)
+    return Run(stored.path, scene, bench, plan, found, stored, specimen)
 
 
 def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:
