@@ -1,4 +1,4 @@
-"""Scene -> result: the only file that knows every stage."""
+"""Scene -> run file: the measurement as planned, acquired and recorded."""
 
 from __future__ import annotations
 
@@ -27,41 +27,29 @@ from hpe_rig.bench import (
     check_simulation,
     interruptible,
     open_bench,
-    parse_bench,
     read_bench,
     simulation_schema,
     uninterrupted,
 )
 from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
 from hpe_rig.processing import true_harmonics_m
-from hpe_rig.result import Result, Stages
+from hpe_rig.result import Stages
 from hpe_rig.scene import (
-    Estimator,
     Mistake,
-    Processing,
     Scene,
+    SceneSource,
     SceneText,
     SettingsError,
-    mistakes_of,
     parse_scene,
     scene_text,
+    with_default_specimen,
 )
-from hpe_rig.store import (
-    RunWriter,
-    StoredRun,
-    StoreError,
-    WriteOptions,
-    free_path,
-    read_run,
-    result_path,
-    versions,
-    write_result,
-)
+from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """A measurement ready to run."""
+    """A measurement ready to run: scene and bench file with their texts, the plan and what its checks found."""
 
     scene: SceneText
     bench: BenchText
@@ -70,10 +58,14 @@ class Setup:
 
 
 def prepare(
-    scene_name: str, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
+    scene: SceneSource, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
 ) -> Setup:
-    """Return the planned measurement; raise ``SettingsError`` or, unless told otherwise, ``PlanError``."""
-    return prepare_text(*scene_text(scene_name), bench_path, stages, refuse)
+    """Return the planned measurement of ``scene`` on the bench file ``bench_path``, None: the simulated bench.
+
+    Raises ``SettingsError`` with every mistake, ``PlanError`` with every conflict unless ``refuse`` is off, and
+    ``TypeError`` for what is no scene.
+    """
+    return prepare_text(*scene_text(scene), bench_path, stages, refuse)
 
 
 def prepare_text(
@@ -84,6 +76,9 @@ def prepare_text(
         bench = read_bench(bench_path)
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check)
+        if bench.bench.simulated:
+            # Filled in here and in open_run alone: everything behind a plan meets a described specimen.
+            scene = replace(scene, scene=with_default_specimen(scene.scene))
         # What the scene declares of beams and sound speed may contradict its [simulation].
         if check and (mistakes := check_declared(scene.scene)):
             raise SettingsError(f"scene {name}", mistakes)
@@ -103,7 +98,7 @@ def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[CheckResult, ..
         raise SettingsError("the scene", [Mistake("", what, "values as they occur on a bench")]) from error
 
 
-def measure(
+def record_run(
     setup: Setup,
     path: Path | None = None,
     observer: Observer = unobserved,
@@ -123,7 +118,7 @@ def measure(
     rest = replace(setup.plan, shots=setup.plan.shots[first:])
     with interruptible(), ExitStack() as stack:
         with uninterrupted():
-            # Between the file's appearance and its guard nothing may come.
+            # A signal between the file's appearance and the guard that closes it would leave it "running" for ever.
             writer = stack.enter_context(RunWriter(path, setup.scene, setup.bench, setup.plan, options))
         if earlier is not None:
             with taken("take over"):
@@ -140,12 +135,12 @@ def measure(
 
 
 def _timed(observer: Observer, stages: Stages) -> Observer:
-    """Return ``observer`` such that the innermost stage changes its name with every step of the sequencer."""
+    """Return ``observer`` such that the time of every step of the sequencer is charged to a stage of its name."""
 
     def observe(progress: Progress) -> None:
         observer(progress)
         if progress.step is not Step.SAFE:
-            # Told when every output is off already.
+            # This step is announced once the outputs are off: its time is part of the step before.
             stages.rename(progress.step.value)
 
     return observe
@@ -153,7 +148,7 @@ def _timed(observer: Observer, stages: Stages) -> Observer:
 
 @contextmanager
 def _noting(note: str) -> Iterator[None]:
-    """Add ``note`` to whatever ends the block."""
+    """Add ``note`` to the exception that ends the block."""
     try:
         yield
     except BaseException as error:
@@ -162,6 +157,7 @@ def _noting(note: str) -> Iterator[None]:
 
 
 def _record(event: Event, scene: Scene, bench: Bench, writer: RunWriter, stages: Stages) -> None:
+    """Write what ``event`` brings; a shot counts as complete only once everything of it is in the file."""
     with stages("store"):
         match event:
             case ShotReady(shot, settings):
@@ -177,76 +173,6 @@ def _record(event: Event, scene: Scene, bench: Bench, writer: RunWriter, stages:
                     writer.truth(shot, pulses_m)
                     writer.true_harmonics(shot, harmonics_m)
                 writer.finish(shot)
-
-
-def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:
-    """Return the result of the run in ``path`` and write it beside the run file."""
-    from hpe_rig.prediction import predicted_averaging
-    from hpe_rig.processing import estimate_run
-
-    stages = stages or Stages()
-    with stages("read"):
-        stored = read_run(path)
-        stages.come_after(stored.run_time_s)
-        scene = parse_scene(stored.scene_name, stored.scene_toml).scene
-        bench = parse_bench(stored.bench_name, stored.bench_toml).bench
-        plan, found = planned(scene, bench)
-        stored.refuse_unlike(plan)
-    chosen = chosen_estimator(estimator, scene)
-    with stages("process"):
-        try:
-            averaging = predicted_averaging(scene, chosen, stored.simulated)
-            shots = estimate_run(scene, plan, stored, chosen, averaging)
-        except ValueError as error:
-            raise StoreError(
-                f"{path} cannot be estimated ({error}). Try: another estimator, or more records."
-            ) from error
-    if not shots:
-        raise StoreError(
-            f"{path} holds no records, the run is {stored.status}: it ended before the first came. "
-            f"Try: hpe-rig resume {path}."
-        )
-    warnings = tuple(str(finding) for finding in found if finding.level != "passed")
-    warnings += tuple(
-        f"shot {shot + 1}: the digitizer's input left its range of {scene.acquisition.input_range_v:g} V, in the gate "
-        "or outside it: raise acquisition.input_range_v"
-        for shot in stored.clipped
-        # The board cannot say which record it was; where some are skipped the gate's own codes decide.
-        if scene.tracking.disturbed != "skip"
-    )
-    if stored.status != "complete":
-        warnings += (f"the run is {stored.status}: not every record was acquired",)
-    result = Result(
-        title=scene.title,
-        run_file=path.name,
-        simulated=stored.simulated,
-        status=stored.status,
-        estimator=chosen,
-        phase_reference=phase_reference(scene),
-        shots=shots,
-        warnings=warnings,
-        left_out=tuple((item.what, item.why) for item in plan.left_out),
-        versions=versions(),
-        run_time_s=stages.run_time_s,
-    )
-    with stages("write result"):
-        write_result(result_path(path, chosen), result)
-    return result
-
-
-def chosen_estimator(name: str | None, scene: Scene) -> Estimator:
-    """Return the estimator of that name, or the scene's; raise ``SettingsError`` for a name that is none."""
-    asked = {"estimator": name or scene.processing.estimator}
-    mistakes = mistakes_of(Processing, asked, ("processing",))
-    if mistakes:
-        raise SettingsError("command line", mistakes)
-    return Processing.model_validate(asked).estimator
-
-
-def phase_reference(scene: Scene) -> str:
-    """Return in words what phase zero means; the way from transducer to gate is accounted for."""
-    start = "the first toneburst's arrival at the gate" if scene.excitation else "the master trigger's edge"
-    return f"of sin(2 pi f t + phase), the motion at the gate, with t from {start}"
 
 
 def json_schema(of: str) -> dict[str, Any]:

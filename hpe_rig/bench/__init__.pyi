@@ -16,7 +16,6 @@ from .instruments import Bench as Bench, UnsafeBenchError as UnsafeBenchError
 from .interrupts import Terminated as Terminated, interruptible as interruptible, uninterrupted as uninterrupted
 from .inventory import BenchReport as BenchReport, Found as Found, Settings as Settings, survey as survey
 from .opening import open_bench as open_bench
-from .output_limits import Calibration as Calibration, DriveCalibration as DriveCalibration, Limits as Limits
 from .twin import (
     TwinDeclaration as TwinDeclaration,
     check_declared as check_declared,

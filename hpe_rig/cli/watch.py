@@ -1,4 +1,4 @@
-"""What may look on while a run goes on: a request to stop, a log, a live page; none costs anything unless asked for."""
+"""Observers of a run: a request to stop, a log, a live page; none costs anything unless asked for."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.interfaces import RecordBlock
 from hpe_rig.acquire.run import Setup, prepare
-from hpe_rig.processing.flags import clipped_pulses
+from hpe_rig.processing.conditioning import clipped_pulses
 from hpe_rig.store.format import StoreError
 from hpe_rig.store.layout import empty_run, volts_of_codes
 from hpe_rig.store.reader import read_run
