@@ -20,10 +20,8 @@ from hpe_rig.design.search import Design, design
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.design.variables import variables
 from hpe_rig.prediction.bounds import harmonic_bound
-from hpe_rig.scene.editing import edited_text
-from hpe_rig.scene.keys import Key, number_keys, resolve
 from hpe_rig.scene.scene import scene_text
-from hpe_rig.scene.validation import Mistake, SettingsError
+from hpe_rig.scene.validation import SettingsError
 
 # Everything moves alike and by little: hardly any speckle jitter, and the noise is the Cramer-Rao bound's.
 NO_SPECKLE = scene_text("table-1")[1].replace("[0.17e-3, 0.17e-3, 1.80e-3]", "[1.0, 1.0, 1.0]")
@@ -225,36 +223,6 @@ def test_what_the_model_lacks_is_named_at_once() -> None:
     with pytest.raises(SettingsError) as caught:
         _problem(setup, "pulse_count", "jitter")
     assert [mistake.path for mistake in caught.value.mistakes] == ["beams", "processing.expected_snr_db"]
-
-
-def test_short_names_are_found_where_they_are_unambiguous() -> None:
-    keys = number_keys(tomllib.loads(scene_text("bovine-muscle")[1]))
-    found = resolve("pulse_rate_hz", keys)
-    assert isinstance(found, Key)
-    assert str(found) == "tracking.pulse_rate_hz"
-    twice, many = resolve("carrier_hz", keys), resolve("tracking_width_m", keys)
-    assert isinstance(twice, Mistake)
-    assert twice.remedy == "one of excitation.carrier_hz, tracking.carrier_hz"
-    assert isinstance(many, Mistake)
-    assert "tracking_width_m[2]" in many.remedy
-    assert isinstance(resolve("beams.tracking_width_m[2]", keys), Key)
-
-
-def test_a_scenes_text_keeps_its_comments() -> None:
-    text = scene_text("muscle-force")[1]
-    values = {
-        ("processing", "window_start_s"): 0.06,
-        ("tracking", "pulse_count"): 77,
-        ("beams", "tracking_width_m", 1): 9e-5,
-        ("simulation", "scatterers", "per_cell"): 12.0,
-    }
-    new = edited_text(text, values)
-    assert "window_start_s = 0.06     # leave out the start-up transient" in new
-    unchanged = set(text.splitlines()) - set(new.splitlines())
-    assert len(unchanged) == 2
-    assert tomllib.loads(new)["simulation"]["scatterers"]["per_cell"] == 12.0
-    with pytest.raises(SettingsError, match="line of its own"):
-        edited_text("tracking = { pulse_rate_hz = 1.0 }", {("tracking", "pulse_rate_hz"): 2.0})
 
 
 @pytest.mark.parametrize("gate_m", [1e-3, 3e-3])
