@@ -1,4 +1,6 @@
 from .estimates import Averaging as Averaging, Estimate as Estimate, Result as Result, ShotResult as ShotResult
+from .palette import PALETTE as PALETTE
 from .rows import result_csv as result_csv
 from .stages import Stages as Stages
+from .tables import csv_text as csv_text, mappings as mappings, rich_table as rich_table, text_table as text_table
 from .warnings import shot_warnings as shot_warnings

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from typing import Any
 
+from hpe_rig.result.palette import PALETTE
+
 WIDTH, HEIGHT, MARGIN = 420, 150, 48
 MOST_SHOTS = 6
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-"""Okabe and Ito's palette, told apart by the colour-blind."""
 COLUMNS = (
     ("frequency_hz", "f / Hz", 1.0, "g"),
     ("amplitude_m", "amplitude / nm", 1e9, ".4g"),
@@ -75,7 +75,7 @@ def _panel(shots: Sequence[Row], name: str, title: str, factor: float) -> str:
     marks = [
         f'<path d="M{x(f):.1f} {y(value - bar):.1f}V{y(value + bar):.1f}" stroke="{colour}"/>'
         f'<circle cx="{x(f):.1f}" cy="{y(value):.1f}" r="3" fill="{colour}"/>'
-        for line, colour in zip(drawn, COLOURS, strict=False)
+        for line, colour in zip(drawn, PALETTE, strict=False)
         for f, value, bar in line
     ]
     axes = f'<path d="M{MARGIN} 10V{HEIGHT - 30}M{MARGIN} {y(0):.1f}H{WIDTH - 10}" stroke="#444"/>'

@@ -12,7 +12,7 @@ from typing import Any
 from hpe_rig.report import Picture, inline
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import versions
-from hpe_rig.study import Part, Table, cell, render, table, write
+from hpe_rig.study import PageTable, Part, cell, render, table, write_whole
 from hpe_rig.validation.accuracy import (
     chain as accuracy_chain,
     echo as accuracy_echo,
@@ -68,7 +68,7 @@ def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell:
         told = ", ".join(f"{part} {value:.0f}" for part, value in seconds.items())
         # After every part, so that an interruption costs that part alone.
         facts = {**versions(), "seconds by part": told}
-        write(path, render("Error against run time", lead(parts[0].tables[0]), parts, facts))
+        write_whole(path, render("Error against run time", lead(parts[0].tables[0]), parts, facts))
         tell(f"{name}: {seconds[name]:.1f} s, in {path}")
     tell(f"{path}: open it in any browser")
 
@@ -88,7 +88,7 @@ def refuse(path: Path, figure: Path | None, effort: Effort) -> None:
         raise SettingsError("command line", mistakes)
 
 
-def lead(end_to_end: Table) -> list[str]:
+def lead(end_to_end: PageTable) -> list[str]:
     """Return what matters most: how far the shipped default is from the front."""
     shipped = [row for row in end_to_end.rows if row["shipped"]]
     each = (f"{row['error'] * 100:.2g} % in {row['time_s']:.2g} s from {row['realisations']}" for row in shipped)
