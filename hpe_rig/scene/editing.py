@@ -43,9 +43,11 @@ def _set(place: Any, path: Path, value: Number) -> None:
 
 def _append(section: Table, key: str, value: Number) -> None:
     """Add a key after the others: what stands below them, such as a comment on the next section, stays below."""
-    body, below = section.value.body, []
-    while body and isinstance(body[-1][1], Comment | Whitespace):
-        below.append(body.pop()[1])
+    body = section.value.body
+    below: list[Comment | Whitespace] = []
+    while body and isinstance(item := body[-1][1], Comment | Whitespace):
+        below.append(item)
+        body.pop()
     section.add(key, value)
-    for item in reversed(below):
-        section.add(item)
+    for comment in reversed(below):
+        section.add(comment)
