@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from hpe_rig.acquire.run import Setup, prepare, prepare_text
 from hpe_rig.cli.app import app
 from hpe_rig.design.command import Request, write_design
-from hpe_rig.design.model import predicted, worth_pulses
+from hpe_rig.design.model import predicted, effective_pulses
 from hpe_rig.design.problem import Goal, Limits, Problem
 from hpe_rig.design.search import Design, design
 from hpe_rig.design.simulation_check import simulate
@@ -265,9 +265,9 @@ def test_pulses_are_worth_what_the_fit_makes_of_them() -> None:
         update={"processing": scene.processing.model_copy(update={"frequencies_hz": tuple(frequencies_hz)})}
     )
     variance = np.linalg.inv(matrix.T @ matrix).diagonal()[[0, 10]]
-    assert worth_pulses(own, plan) == round(2 / variance.mean())
+    assert effective_pulses(own, plan) == round(2 / variance.mean())
     # a gap after every toneburst leaves a hundred harmonics hard to tell apart
-    assert worth_pulses(scene, setup.plan) < 0.1 * time_s.size
+    assert effective_pulses(scene, setup.plan) < 0.1 * time_s.size
 
 
 def test_the_command_writes_a_scene_that_check_passes(tmp_path: Path) -> None:
