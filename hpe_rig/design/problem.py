@@ -39,7 +39,7 @@ Values = Mapping[Path, Number]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class Constraints:
     """What no candidate may exceed."""
 
     longest_s: float
@@ -77,9 +77,9 @@ class Problem:
     """Candidates of one starting scene and how good they are; a cost is computed once."""
 
     def __init__(
-        self, setup: Setup, tables: Mapping[str, Any], space: Sequence[Variable], goal: Goal, limits: Limits
+        self, setup: Setup, tables: Mapping[str, Any], space: Sequence[Variable], goal: Goal, constraints: Constraints
     ) -> None:
-        self.bench, self.space, self.goal, self.limits = setup.bench.bench, tuple(space), goal, limits
+        self.bench, self.space, self.goal, self.constraints = setup.bench.bench, tuple(space), goal, constraints
         self._tables = tables
         self.baseline: Baseline = baseline(setup.scene.scene)
         self._accepted = {found.check for found in setup.findings if found.level == "warning"}
@@ -112,9 +112,9 @@ class Problem:
     def excess(self, candidate: Candidate) -> dict[str, float]:
         """Return by which factor a candidate is beyond each limit that it does not keep."""
         assert candidate.plan is not None  # noqa: S101
-        found = {"time": candidate.plan.duration_s / self.limits.longest_s}
-        if self.limits.target_m is not None and self.goal != "jitter":
-            found["target"] = candidate.expected.jitter_m / self.limits.target_m
+        found = {"time": candidate.plan.duration_s / self.constraints.longest_s}
+        if self.constraints.target_m is not None and self.goal != "jitter":
+            found["target"] = candidate.expected.jitter_m / self.constraints.target_m
         return {name: ratio for name, ratio in found.items() if ratio > 1 + 1e-9}
 
     def measure(self, candidate: Candidate) -> float:

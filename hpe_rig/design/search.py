@@ -1,4 +1,4 @@
-"""The best scene within limits: differential evolution over some of its numbers, then a pattern search."""
+"""Search for the best scene within limits: differential evolution over some of its numbers, then a pattern search."""
 
 from __future__ import annotations
 
@@ -134,11 +134,12 @@ def _why_none(problem: Problem, closest: Candidate) -> Iterator[Mistake]:
     assert closest.plan is not None  # noqa: S101
     excess, found = problem.excess(closest), closest.expected
     if "time" in excess:
-        what = f"the closest scene takes {closest.plan.duration_s:.4g} s, {problem.limits.longest_s:.4g} s are allowed"
+        allowed_s = problem.constraints.longest_s
+        what = f"the closest scene takes {closest.plan.duration_s:.4g} s, {allowed_s:.4g} s are allowed"
         yield Mistake("--longest-s", what, "more time, or a key in --over that shortens the scene")
-    if "target" in excess and problem.limits.target_m is not None:
+    if "target" in excess and problem.constraints.target_m is not None:
         what = (
             f"the jitter comes down to {found.jitter_m * 1e9:.3g} nm (noise {found.noise_jitter_m * 1e9:.3g}, speckle "
-            f"{found.speckle_jitter_m * 1e9:.3g}), {problem.limits.target_m * 1e9:.3g} nm are wanted"
+            f"{found.speckle_jitter_m * 1e9:.3g}), {problem.constraints.target_m * 1e9:.3g} nm are wanted"
         )
         yield Mistake("--target", what, "a larger target, more keys in --over, or more time with --longest-s")

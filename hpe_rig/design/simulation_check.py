@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -15,6 +14,7 @@ from hpe_rig.plan import Plan, slow_time_window
 from hpe_rig.prediction import Setting
 from hpe_rig.processing import EchoGate, driven_frequencies_hz, estimate, options_of, skipped_pulses
 from hpe_rig.scene import Scene
+from hpe_rig.study import Errors, errors
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
@@ -27,21 +27,11 @@ MOST_VALUES = 1 << 27
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
-    """A mean or a standard deviation over draws, and its standard error."""
-
-    value: float
-    error: float
-
-
-@dataclass(frozen=True, slots=True)
 class Simulated:
     """Bias and jitter, eq. (14) and (15), of one scene; a draw is new scatterers and new noise."""
 
-    draws: int
-    bias_m: Measured
-    jitter_m: Measured
-    phase_jitter_rad: Measured
+    amplitude_m: Errors
+    phase_rad: Errors
 
 
 def simulate(scene: Scene, plan: Plan, setting: Setting, start: Baseline, draws: int, seed: int) -> Simulated | None:
@@ -54,22 +44,8 @@ def simulate(scene: Scene, plan: Plan, setting: Setting, start: Baseline, draws:
     train = _train(scene, plan, setting, start)
     if train.values > MOST_VALUES:
         return None
-    errors = np.concatenate(list(_errors(scene, setting, train, draws, seed)))
-    amplitude_m, phase_rad = errors.T
-    return Simulated(
-        draws,
-        Measured(float(amplitude_m.mean()), float(amplitude_m.std(ddof=1)) / math.sqrt(draws)),
-        deviation(amplitude_m),
-        deviation(phase_rad),
-    )
-
-
-def deviation(values: Floats) -> Measured:
-    """Return the standard deviation of ``values`` and its standard error, from their fourth moment."""
-    centred = values - values.mean()
-    variance, fourth = float(np.mean(centred**2)), float(np.mean(centred**4))
-    spread = math.sqrt(max(fourth - variance**2, 0.0) / values.size)
-    return Measured(math.sqrt(variance), spread / (2 * math.sqrt(variance)) if variance > 0 else 0.0)
+    amplitude_m, phase_rad = np.concatenate(list(_deviations(scene, setting, train, draws, seed))).T
+    return Simulated(errors(amplitude_m[:, None]), errors(phase_rad[:, None]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +82,8 @@ def _train(scene: Scene, plan: Plan, setting: Setting, start: Baseline) -> _Trai
     )
 
 
-def _errors(scene: Scene, setting: Setting, train: _Train, draws: int, seed: int) -> Iterator[Floats]:
-    """Yield the errors of amplitude, m, and phase, rad, of 16 draws at a time: (draw, 2)."""
+def _deviations(scene: Scene, setting: Setting, train: _Train, draws: int, seed: int) -> Iterator[Floats]:
+    """Yield the deviations of amplitude, m, and phase, rad, of 16 draws at a time: (draw, 2)."""
     from sim_backend.echoes import drawn_echoes, hann_pulse
 
     echo_rng, noise_rng, phase_rng = (np.random.default_rng([seed, stream]) for stream in range(3))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 import difflib
+import re
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -25,6 +26,11 @@ class Key:
 
     def __str__(self) -> str:
         return dotted(self.path)
+
+
+def path_of(key: str) -> Path:
+    """Return the path of a key such as ``simulation.motion[0].amplitude_m``, as `dotted` writes it."""
+    return tuple(int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", key))
 
 
 def number_keys(tables: Mapping[str, Any]) -> list[Key]:
@@ -56,11 +62,20 @@ def with_values(tables: Mapping[str, Any], values: Mapping[Path, Number]) -> dic
     """Return a copy of the scene's tables with ``values``; sections that are absent are made."""
     changed: dict[str, Any] = copy.deepcopy(dict(tables))
     for path, value in values.items():
-        place: Any = changed
-        for part in path[:-1]:
-            place = place.setdefault(part, {}) if isinstance(place, dict) else place[part]
-        place[path[-1]] = value
+        container_at(changed, path[:-1])[path[-1]] = value
     return changed
+
+
+def container_at(tables: Any, path: Path, section: Callable[[], Any] = dict) -> Any:
+    """Return the section or list at ``path``; ``section`` makes sections that are absent.
+
+    Raises ``LookupError`` or ``TypeError`` where there is no such place, such as beyond the end of a list.
+    """
+    for part in path:
+        if isinstance(part, str) and part not in tables:
+            tables[part] = section()
+        tables = tables[part]
+    return tables
 
 
 def _of_section(section: Section, given: Any, prefix: Path) -> Iterator[Key]:

@@ -5,3 +5,4 @@ from .report import write_study_report as write_study_report
 from .results import SUMMARY as SUMMARY, StudyResult as StudyResult, write_whole as write_whole
 from .run import Watch as Watch, run_study as run_study
 from .series import Curve as Curve, curves as curves, maps as maps, view as view
+from .statistics import Errors as Errors, errors as errors

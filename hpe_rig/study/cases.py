@@ -1,4 +1,4 @@
-"""From a definition to its cases: every point of the axes and reading as a checked scene with its random numbers."""
+"""Cases of a study: every point of its axes and reading as a checked scene with its random numbers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import copy
 import hashlib
 import itertools
 import json
-import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,7 +14,17 @@ from typing import TYPE_CHECKING, Any
 
 from hpe_rig.bench import check_simulation
 from hpe_rig.processing import Estimator, Options
-from hpe_rig.scene import Mistake, Scene, SettingsError, mistakes_of, parse_toml, scene_text, shipped_scenes
+from hpe_rig.scene import (
+    Mistake,
+    Scene,
+    SettingsError,
+    container_at,
+    mistakes_of,
+    parse_toml,
+    path_of,
+    scene_text,
+    shipped_scenes,
+)
 from hpe_rig.study.definition import Definition, Reading
 from hpe_rig.study.kernels import Train, refuse_unusable
 
@@ -189,15 +198,10 @@ def _tables_at(grid: _Grid, place: tuple[int, ...]) -> Tables:
 
 def _put(tables: Tables, key: str, value: Any) -> None:
     """Write ``value`` where ``key``, such as ``simulation.motion[0].amplitude_m``, points to."""
-    parts: list[str | int] = [int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", key)]
-    here: Any = tables
+    *sections, last = path_of(key)
     try:
-        for part in parts[:-1]:
-            here = here.setdefault(part, {}) if isinstance(part, str) else here[part]
-        if isinstance(parts[-1], int):
-            here[parts[-1]]
-        here[parts[-1]] = value
-    except (LookupError, TypeError, AttributeError):
+        container_at(tables, tuple(sections))[last] = value
+    except (LookupError, TypeError):
         mistake = Mistake(key, "the base scene has no such entry", "a key of the scene, [0] for the first of a list")
         raise SettingsError("study", [mistake]) from None
 

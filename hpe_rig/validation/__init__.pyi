@@ -12,8 +12,8 @@ from .accuracy.report import (
     write_accuracy_report as write_accuracy_report,
 )
 from .paper.experiments import write_page as write_page
-from .paper.force import figure_15 as figure_15
 from .paper.muscle import (
+    figure_15 as figure_15,
     figure_18 as figure_18,
     figure_19 as figure_19,
     figures_16_17 as figures_16_17,

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from hpe_rig.acquire.run import Setup, prepare, prepare_text
 from hpe_rig.cli.app import app
 from hpe_rig.design.command import Request, write_design
-from hpe_rig.design.model import predicted, effective_pulses
-from hpe_rig.design.problem import Goal, Limits, Problem
+from hpe_rig.design.model import effective_pulses, predicted
+from hpe_rig.design.problem import Constraints, Goal, Problem
 from hpe_rig.design.search import Design, design
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.design.variables import variables
@@ -58,7 +58,7 @@ def _problem(
     longest_s = longest_s or setup.plan.duration_s
     tables = tomllib.loads(setup.scene.text)
     space = variables(tables, setup.scene.scene, setup.bench.bench, longest_s, over.split(","), bounds)
-    return Problem(setup, tables, space, goal, Limits(longest_s, target_m))
+    return Problem(setup, tables, space, goal, Constraints(longest_s, target_m))
 
 
 def _best(found: Design) -> dict[str, float]:
@@ -237,8 +237,8 @@ def test_noise_of_a_longer_gate_is_predicted_from_the_echo_left_in_it(gate_m: fl
     found = simulate(start.scene, start.plan, start.setting, problem.baseline, draws, 3)
     assert found is not None
     # the model's 15 %, and three standard errors of a standard deviation
-    assert found.jitter_m.value == pytest.approx(start.predict(50, 0).jitter_m, rel=0.15 + 3 / math.sqrt(2 * draws))
-    assert found.jitter_m.error == pytest.approx(found.jitter_m.value / math.sqrt(2 * draws), rel=0.5)
+    assert found.amplitude_m.jitter == pytest.approx(start.predict(50, 0).jitter_m, rel=0.15 + 3 / math.sqrt(2 * draws))
+    assert found.amplitude_m.jitter_se == pytest.approx(found.amplitude_m.jitter / math.sqrt(2 * draws), rel=0.5)
 
 
 def test_few_draws_predict_the_papers_chain_like_many_at_a_high_pulse_rate() -> None:
