@@ -1,4 +1,4 @@
-"""The commands of ``hpe-rig`` that study scenes and estimators instead of measuring."""
+"""Commands of ``hpe-rig`` that study scenes and estimators instead of measuring."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``hpe-rig study``: workers, progress and the closing table around `run_study`."""
+"""Command ``hpe-rig study``: workers, progress and the closing table around `run_study`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``hpe-rig design``: from the command line's words to the search, the table before and after, and the new scene."""
+"""Command ``hpe-rig design``: from its options to the search, the table before and after, and the new scene."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Candidates of a design: scenes that differ in some numbers, planned, checked as ``hpe-rig check`` does, and judged.
+"""Problem of a design: candidate scenes that differ in some numbers, planned, checked as by ``hpe-rig check``, judged.
 
 What a bench or the physics refuse is no candidate, nor what brings a warning that the starting scene does not have.
 """

@@ -24,7 +24,6 @@ from hpe_rig.report.foreseen import foreseen
 from hpe_rig.report.residual_tests import ResidualTest, residual_tests
 from hpe_rig.report.svg import Picture
 from hpe_rig.report.sweep import Sweep, make_sweep
-from hpe_rig.report.sweep_figures import sweep_pictures
 from hpe_rig.report.views import MotionView, echo_view, gate_alone, motion_view
 from hpe_rig.result import Estimate, Result, ShotResult, Stages, shot_warnings
 from hpe_rig.scene import Scene, parse_scene
@@ -93,7 +92,7 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
     with stages("draw"):
         pictures, checks, motion = _look(scene, plan, stored, shown)
         sweep = make_sweep(result.shots)
-        swept = sweep_pictures(sweep) if sweep else ()
+        swept = figures.sweep_pictures(sweep) if sweep else ()
     return _page(
         result=result,
         shown=shown,

@@ -1,4 +1,4 @@
-"""One panel as SVG text, ready to stand in a page: styled, named for readers who do not see it, ids its own."""
+"""Panels as SVG text, ready to stand in a page: styled, named for readers who do not see them, ids their own."""
 
 from __future__ import annotations
 

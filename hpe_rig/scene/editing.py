@@ -1,4 +1,4 @@
-"""A scene's own text with some of its numbers changed: comments, order and spacing stay."""
+"""Scene text with some of its numbers changed: comments, order and spacing stay."""
 
 from __future__ import annotations
 

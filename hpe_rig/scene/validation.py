@@ -1,4 +1,4 @@
-"""Every mistake of a settings file at once: path, value, bound and a suggestion for a misspelt key."""
+"""Mistakes of a settings file, all at once: path, value, bound and a suggestion for a misspelt key."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A study as its file says: a base scene, what is varied, how many realisations, which estimators."""
+"""Definition of a study as its file gives it: base scene, what is varied, number of realisations, estimators."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A batch of cases to their bias and jitter: draws and noise shared where they are the same, a block at a time.
+"""Engine of a study, from cases to bias and jitter: equal draws and noise are shared, a block of draws at a time.
 
     draws of scatterers (stream, block) -> echoes                            once for equal echoes
     noise (stream, block) -> numbers in the band                             once a batch
@@ -66,6 +66,7 @@ def run_batch(cases: Sequence[Case]) -> list[Record]:
     from sim_backend.echoes import DRAWS_AT_ONCE
 
     running = [_Running(case) for case in cases]
+    # In blocks, so that memory does not grow with the draws and a case that is precise enough stops early.
     for first in range(0, cases[0].scatterers, DRAWS_AT_ONCE):
         active = [one for one in running if not one.finished]
         if not active:
@@ -81,11 +82,13 @@ def run_batch(cases: Sequence[Case]) -> list[Record]:
 def _run_block(active: list[_Running], block: int, draws: slice) -> None:
     """Fill in the states of every case for ``draws``."""
     since = time.process_time()
+    # Cases that differ in the noise's level alone, or in the estimators, have the same echoes: they are made once.
     echoes = []
     for _, group in itertools.groupby(sorted(active, key=_echoes_key), _echoes_key):
         own = list(group)
         echoes.append(_echoes(own, block, draws.stop - draws.start))
         since = _charge(own, since)
+    # All cases of a batch have the same noise but for its level: drawn once, at unit level, in parts that fit the cache.
     case = active[0].case
     numbers = spectral_kernels(case.train).numbers
     rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_NOISE, block)))
@@ -110,6 +113,7 @@ def _echoes(cases: list[_Running], block: int, draws: int) -> _Echoes:
     # Pulses that meet the same displacement, but for rounding, get the same echo.
     largest_m = float(np.abs(displacement_m).max(initial=0.0)) or 1.0
     _, first, which = np.unique(np.round(displacement_m / largest_m, 12), return_index=True, return_inverse=True)
+    # The gate's samples in time after the echo of the resting focus.
     middle = (train.samples - 1) / 2
     gate_s: Floats = np.asarray((np.arange(train.samples) - middle) / train.sample_rate_hz + case.gate_offset_s)
     rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_DRAWS, block)))
@@ -136,6 +140,7 @@ def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dic
     """Write the states of every case of these echoes at ``place`` (draw, noise); return the time it is."""
     train = made.cases[0].case.train
     volts = made.volts[some]
+    # Mean echo power of each draw over the train, in the gate: noise is set draw by draw, as the paper's SNR is.
     power = np.square(volts).mean(axis=2)[:, made.which].mean(axis=1)
     clean = {form: volts @ columns for form, columns in spectral_kernels(train).of_volts.items() if form in noise}
     clean["volts"] = volts

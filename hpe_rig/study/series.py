@@ -1,4 +1,4 @@
-"""A study's rows as curves and maps: which axis runs along, which ones tell curves or maps apart, and in what unit."""
+"""Series of a study's rows, curves and maps: which axis runs along, which ones tell them apart, and in what unit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Claims of the paper, judged: those that are more than a trend over SNR: its numbers, its maps, its remarks."""
+"""Claims of the paper that are more than a trend over SNR: its numbers, its maps, its remarks."""
 
 from __future__ import annotations
 

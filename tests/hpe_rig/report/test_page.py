@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from hpe_rig.acquire.run import measure, prepare, process
+from hpe_rig.report.figures import sweep_pictures
 from hpe_rig.report.page import render, strongest, write_report
 from hpe_rig.report.sweep import Curve, Sweep
-from hpe_rig.report.sweep_figures import sweep_pictures
 from hpe_rig.result.estimates import Result
 from hpe_rig.result.warnings import shot_warnings
 from hpe_rig.scene.scene import shipped_scenes
