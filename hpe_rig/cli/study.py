@@ -12,7 +12,7 @@ from typing import Any
 
 from hpe_rig.bench import interruptible
 from hpe_rig.result import text_table
-from hpe_rig.study import SUMMARY, StudyResult, Watch, cluster, processes, run_study
+from hpe_rig.study import SUMMARY, OnProgress, StudyResult, cluster, processes, run_study
 
 
 def study_command(
@@ -54,7 +54,7 @@ def table(results: list[StudyResult], output: Path) -> str:
 
 
 @contextmanager
-def _progress(name: str) -> Iterator[Watch]:
+def _progress(name: str) -> Iterator[OnProgress]:
     if not sys.stderr.isatty():
         yield lambda done, total: None
         return

@@ -11,7 +11,7 @@ from typing import TypeVar
 from hpe_rig.acquire import prepare
 from hpe_rig.design.model import baseline
 from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Constraints, Problem
-from hpe_rig.design.search import Design, design
+from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import Simulated, simulate
 from hpe_rig.design.variables import variables
 from hpe_rig.prediction import length_m
@@ -49,7 +49,7 @@ def write_design(request: Request, tell: Callable[[str], None], announce: Callab
     """Search, tell the table, write the new scene; raise ``SettingsError`` with all mistakes before the search."""
     problem, text = _problem(request)
     announce(f"searching {', '.join(str(variable.key) for variable in problem.space)}")
-    found = design(problem, request.seed)
+    found = find_design(problem, request.seed)
     if request.draws > 0:
         announce(f"simulating {request.draws} draws of scatterers and noise")
     tell("\n".join(design_lines(found, request.draws, request.seed)))
@@ -108,7 +108,7 @@ def _wrong_words(request: Request) -> Iterator[Mistake]:
         yield Mistake("--output", f"{request.output} exists and is never overwritten", "another name")
 
 
-def design_lines(found: Design, draws: int = 0, seed: int = 0) -> Iterator[str]:
+def design_lines(found: DesignResult, draws: int = 0, seed: int = 0) -> Iterator[str]:
     """Yield the table of a design: what changed, what is predicted, what ``draws`` draws simulate, time and dose."""
     problem, pair = found.problem, (found.problem.judged(found.start), found.best)
     constraints, scene, plan = problem.constraints, found.best.scene, found.best.plan

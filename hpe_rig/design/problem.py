@@ -20,7 +20,7 @@ from hpe_rig.design.model import Baseline, baseline, design_setting, predicted
 from hpe_rig.design.variables import Variable
 from hpe_rig.plan import AcousticOutput, Finding, Plan, highest_output
 from hpe_rig.prediction import Expected, Setting
-from hpe_rig.scene import Mistake, Number, Path, Scene, SettingsError, mistakes_of, with_values
+from hpe_rig.scene import KeyPath, Mistake, Number, Scene, SettingsError, mistakes_of, with_values
 
 Goal = Literal["jitter", "phase-jitter", "bias", "time"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
@@ -35,7 +35,7 @@ SIDE_WEIGHT = 1e-6
 OUTSIDE = 100.0
 """Cost beyond which a candidate keeps a limit not; logarithms of jitters and times stay far below."""
 
-Values = Mapping[Path, Number]
+Values = Mapping[KeyPath, Number]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class Problem:
         self.baseline: Baseline = baseline(setup.scene.scene)
         self._accepted = {found.check for found in setup.findings if found.level == "warning"}
         self._twin = any(variable.key.path[0] == "simulation" for variable in space)
-        self._cost: dict[tuple[tuple[Path, Number], ...], float] = {}
+        self._cost: dict[tuple[tuple[KeyPath, Number], ...], float] = {}
         self.start = self.candidate({})
 
     @property

@@ -20,7 +20,7 @@ OTHERWISE = "other bounds with --bound, or more keys in --over"
 
 
 @dataclass(frozen=True)
-class Design:
+class DesignResult:
     """The scene at the start and the best one, what holds the latter back, and how many were tried."""
 
     problem: Problem
@@ -29,7 +29,7 @@ class Design:
     held: tuple[str, ...]
 
 
-def design(problem: Problem, seed: int = 0, generations: int = GENERATIONS) -> Design:
+def find_design(problem: Problem, seed: int = 0, generations: int = GENERATIONS) -> DesignResult:
     """Return the best scene of ``problem`` after at most so many generations; the same seed gives the same.
 
     Raises ``SettingsError`` where no candidate keeps all limits, with what refuses the one that comes closest.
@@ -37,7 +37,7 @@ def design(problem: Problem, seed: int = 0, generations: int = GENERATIONS) -> D
     best = _without_the_needless(problem, _pattern_search(problem, _evolution(problem, seed, generations)))
     if problem.cost(best.values) >= OUTSIDE:
         raise SettingsError("design", list(_why_none(problem, best)))
-    return Design(problem, problem.start, best, tuple(_held(problem, best)))
+    return DesignResult(problem, problem.start, best, tuple(_held(problem, best)))
 
 
 def _place(problem: Problem, candidate: Candidate) -> NDArray[np.float64]:

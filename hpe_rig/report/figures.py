@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hpe_rig.plan import Shot
 from hpe_rig.report.residual_tests import periodogram
 from hpe_rig.report.svg import BLUE, GREEN, GREY, ORANGE, SKY, Picture, legend, legend_above, mark, panel, picture, thin
-from hpe_rig.report.sweep import Curve, Sweep
+from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.report.views import EchoView, MotionView, grey_limit_v
 from hpe_rig.result import Estimate
 
@@ -250,7 +250,7 @@ def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: 
     return picture(figure, key, title, alt)
 
 
-def _sweep_amplitude(label: str, curves: Sequence[Curve]) -> Picture:
+def _sweep_amplitude(label: str, curves: Sequence[SweepCurve]) -> Picture:
     figure, axes = panel()
     parts = []
     for place, curve in enumerate(curves):
@@ -273,7 +273,7 @@ def _sweep_amplitude(label: str, curves: Sequence[Curve]) -> Picture:
     return picture(figure, f"sweep-amplitude-{f:g}", f"Amplitude at {f:g} Hz over {label}", alt)
 
 
-def _sweep_phase(label: str, curves: Sequence[Curve]) -> Picture:
+def _sweep_phase(label: str, curves: Sequence[SweepCurve]) -> Picture:
     figure, axes = panel()
     for place, curve in enumerate(curves):
         marker, colour = mark(place)
@@ -290,7 +290,7 @@ def _sweep_phase(label: str, curves: Sequence[Curve]) -> Picture:
     return picture(figure, f"sweep-phase-{f:g}", f"Phase at {f:g} Hz over {label}", alt)
 
 
-def _continuous(curve: Curve) -> FloatArray:
+def _continuous(curve: SweepCurve) -> FloatArray:
     """Return the phase (point,) without jumps of a turn, followed from the strongest point to both sides.
 
     From there since a point that drowns in noise may be off by any angle, and whatever follows it with it.

@@ -27,7 +27,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class SweepCurve:
     """One frequency's amplitude and phase over what was varied, repeats averaged.
 
     ``x``, means and standard deviations over repeats (point,), deviations NaN where a point has one repeat only;
@@ -50,7 +50,7 @@ class Sweep:
     """The curves of a run; ``label`` names the axis with its unit."""
 
     label: str
-    curves: tuple[Curve, ...]
+    curves: tuple[SweepCurve, ...]
 
 
 def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
@@ -109,14 +109,14 @@ def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], g
     return Sweep(label, tuple(curves))
 
 
-def _curve(index: int, group: str, shots: Sequence[ShotResult], x: FloatArray) -> Curve:
+def _curve(index: int, group: str, shots: Sequence[ShotResult], x: FloatArray) -> SweepCurve:
     amplitude = np.array([shot.estimates[index].amplitude_m for shot in shots])
     phase = np.array([shot.estimates[index].phase_rad for shot in shots])
     values = np.unique(x)
     each = [x == value for value in values]
     amplitudes = [_spread(amplitude[here]) for here in each]
     phases = [_circular(phase[here]) for here in each]
-    return Curve(
+    return SweepCurve(
         frequency_hz=shots[0].estimates[index].frequency_hz,
         group=group,
         x=values,

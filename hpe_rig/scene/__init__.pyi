@@ -23,8 +23,8 @@ from .scene import (
     shipped_scenes as shipped_scenes,
 )
 from .validation import (
+    KeyPath as KeyPath,
     Mistake as Mistake,
-    Path as Path,
     SettingsError as SettingsError,
     mistakes_of as mistakes_of,
     parse_toml as parse_toml,

@@ -8,10 +8,10 @@ import tomlkit
 from tomlkit.items import Comment, Table, Whitespace
 
 from hpe_rig.scene.keys import Number, container_at
-from hpe_rig.scene.validation import Mistake, Path, SettingsError, dotted
+from hpe_rig.scene.validation import KeyPath, Mistake, SettingsError, dotted
 
 
-def edited_text(text: str, values: Mapping[Path, Number]) -> str:
+def edited_text(text: str, values: Mapping[KeyPath, Number]) -> str:
     """Return the TOML ``text`` with ``values``; a key that is absent follows its section's others.
 
     Raises ``SettingsError`` naming every value that the text has no place for, such as an entry beyond a list's end.

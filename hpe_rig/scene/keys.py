@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from hpe_rig.scene.scene import Scene, Section
-from hpe_rig.scene.validation import Mistake, Path, dotted
+from hpe_rig.scene.validation import KeyPath, Mistake, dotted
 
 Number = int | float
 
@@ -20,7 +20,7 @@ Number = int | float
 class Key:
     """One number of a scene: its path, its value (None: absent and without a default), whether it must be whole."""
 
-    path: Path
+    path: KeyPath
     value: Number | None
     whole: bool
 
@@ -28,7 +28,7 @@ class Key:
         return dotted(self.path)
 
 
-def path_of(key: str) -> Path:
+def path_of(key: str) -> KeyPath:
     """Return the path of a key such as ``simulation.motion[0].amplitude_m``, as `dotted` writes it."""
     return tuple(int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", key))
 
@@ -58,7 +58,7 @@ def resolve(name: str, keys: Sequence[Key]) -> Key | Mistake:
     return Mistake(name, "no number of the scene has that name", remedy)
 
 
-def with_values(tables: Mapping[str, Any], values: Mapping[Path, Number]) -> dict[str, Any]:
+def with_values(tables: Mapping[str, Any], values: Mapping[KeyPath, Number]) -> dict[str, Any]:
     """Return a copy of the scene's tables with ``values``; sections that are absent are made."""
     changed: dict[str, Any] = copy.deepcopy(dict(tables))
     for path, value in values.items():
@@ -66,7 +66,7 @@ def with_values(tables: Mapping[str, Any], values: Mapping[Path, Number]) -> dic
     return changed
 
 
-def container_at(tables: Any, path: Path, section: Callable[[], Any] = dict) -> Any:
+def container_at(tables: Any, path: KeyPath, section: Callable[[], Any] = dict) -> Any:
     """Return the section or list at ``path``; ``section`` makes sections that are absent.
 
     Raises ``LookupError`` or ``TypeError`` where there is no such place, such as beyond the end of a list.
@@ -78,7 +78,7 @@ def container_at(tables: Any, path: Path, section: Callable[[], Any] = dict) -> 
     return tables
 
 
-def _of_section(section: Section, given: Any, prefix: Path) -> Iterator[Key]:
+def _of_section(section: Section, given: Any, prefix: KeyPath) -> Iterator[Key]:
     for name, field in type(section).model_fields.items():
         value, path = getattr(section, name), (*prefix, name)
         if isinstance(value, Section):
@@ -92,7 +92,7 @@ def _of_section(section: Section, given: Any, prefix: Path) -> Iterator[Key]:
                 yield Key(path, alone, kinds == {int})
 
 
-def _of_tables(value: Any, path: Path) -> Iterator[Key]:
+def _of_tables(value: Any, path: KeyPath) -> Iterator[Key]:
     if isinstance(value, Mapping):
         for name, inner in value.items():
             yield from _of_tables(inner, (*path, name))

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.study.cases import Case
 from hpe_rig.study.kernels import Form, form_of, spectral_kernels, states
-from hpe_rig.study.results import Record
+from hpe_rig.study.results import CaseRecord
 from hpe_rig.study.statistics import errors, phase_errors
 
 Floats = NDArray[np.float64]
@@ -61,7 +61,7 @@ class _Echoes:
     which: NDArray[np.intp]
 
 
-def run_batch(cases: Sequence[Case]) -> list[Record]:
+def run_batch(cases: Sequence[Case]) -> list[CaseRecord]:
     """Return one record a case, in their order; the cases must have the same ``noise_key``."""
     from sim_backend.echoes import DRAWS_AT_ONCE
 
@@ -88,7 +88,7 @@ def _run_block(active: list[_Running], block: int, draws: slice) -> None:
         own = list(group)
         echoes.append(_echoes(own, block, draws.stop - draws.start))
         since = _charge(own, since)
-    # All cases of a batch have the same noise but for its level: drawn once, at unit level, in parts that fit the cache.
+    # All cases of a batch have the same noise but for its level: drawn once, at unit level, in parts that fit a cache.
     case = active[0].case
     numbers = spectral_kernels(case.train).numbers
     rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_NOISE, block)))
@@ -174,7 +174,7 @@ def _precise_enough(one: _Running, wanted_m: float) -> bool:
     return all(row["amplitude_bias_se_m"] <= wanted_m for row in rows)
 
 
-def _record(one: _Running) -> Record:
+def _record(one: _Running) -> CaseRecord:
     return {
         "case": one.case.key,
         "estimates": _rows(one),
@@ -191,7 +191,7 @@ def _version() -> str:
     return metadata.version("hpe-rig")
 
 
-def _rows(one: _Running) -> list[Record]:
+def _rows(one: _Running) -> list[CaseRecord]:
     """Return bias and jitter of amplitude and phase, a row an estimator and frequency."""
     rows = []
     for name, every in one.states.items():
@@ -199,7 +199,7 @@ def _rows(one: _Running) -> list[Record]:
         for index, hz in enumerate(one.case.train.frequencies_hz):
             amplitude_m, phase_rad = _true(one.case, hz)
             in_phase, quadrature = found[..., 2 * index], found[..., 2 * index + 1]
-            row: Record = {"estimator": name, "frequency_hz": hz, "amplitude_true_m": amplitude_m}
+            row: CaseRecord = {"estimator": name, "frequency_hz": hz, "amplitude_true_m": amplitude_m}
             row |= errors(np.hypot(in_phase, quadrature) - amplitude_m).named("amplitude", "m")
             row["phase_true_rad"] = phase_rad
             row |= phase_errors(np.arctan2(quadrature, in_phase), phase_rad).named("phase", "rad")

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from hpe_rig.report import Picture
 from hpe_rig.result import csv_text, mappings
 
-Row = Mapping[str, Any]
+TableRow = Mapping[str, Any]
 
 MOST_ROWS = 120
 """Rows of a table that the page shows; its CSV has all."""
@@ -34,7 +34,7 @@ class PageTable:
 
     key: str
     caption: str
-    rows: Sequence[Row]
+    rows: Sequence[TableRow]
     folded: bool = True
     beside: str | None = None
 

@@ -13,7 +13,7 @@ from hpe_rig.store import atomic_file
 from hpe_rig.study.cases import GridPoint
 from hpe_rig.study.definition import Definition
 
-Record = dict[str, Any]
+CaseRecord = dict[str, Any]
 """One finished case: ``estimates``, a row an estimator and frequency, and what else `FIELDS` names."""
 
 FIELDS = frozenset({"case", "estimates", "draws", "noise", "seconds", "peak_memory_bytes", "version"})
@@ -27,7 +27,7 @@ class CaseStore:
 
     folder: Path
 
-    def read(self, key: str) -> Record | None:
+    def read(self, key: str) -> CaseRecord | None:
         """Return the record of a finished case; None where it is absent or its file is damaged."""
         try:
             record = json.loads(self._path(key).read_text(encoding="utf-8"))
@@ -36,7 +36,7 @@ class CaseStore:
         whole = isinstance(record, dict) and record.keys() >= FIELDS and record["case"] == key
         return record if whole else None
 
-    def write(self, record: Record) -> None:
+    def write(self, record: CaseRecord) -> None:
         """Write a record whole or not at all; raises ``SettingsError`` where the folder cannot be written."""
         write_whole(self._path(record["case"]), json.dumps(record))
 
@@ -76,7 +76,9 @@ class StudyResult:
         return float(max(row["peak_memory_bytes"] for row in self.rows) / 2**20)
 
 
-def result_of(name: str, definition: Definition, points: list[GridPoint], records: dict[str, Record]) -> StudyResult:
+def result_of(
+    name: str, definition: Definition, points: list[GridPoint], records: dict[str, CaseRecord]
+) -> StudyResult:
     """Return the study's rows, in the order of its points."""
     rows = []
     for point in points:

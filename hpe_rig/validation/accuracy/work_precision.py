@@ -19,7 +19,7 @@ from hpe_rig.scene import Mistake, SettingsError
 
 Floats = NDArray[np.float64]
 Row = TypeVar("Row")
-Key = TypeVar("Key", bound=Hashable)
+Group = TypeVar("Group", bound=Hashable)
 
 PANELS_A_ROW = 4
 LEAST_ERROR = 1e-17
@@ -56,9 +56,9 @@ def measured(
     return Point(case, method, setting, error, float(np.median(times_s)))
 
 
-def grouped(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Row]]:
+def grouped(rows: Iterable[Row], key: Callable[[Row], Group]) -> dict[Group, list[Row]]:
     """Return the rows by ``key``, groups and rows in the order of the rows."""
-    found: dict[Key, list[Row]] = {}
+    found: dict[Group, list[Row]] = {}
     for row in rows:
         found.setdefault(key(row), []).append(row)
     return found
