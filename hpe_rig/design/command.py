@@ -1,4 +1,4 @@
-"""``hpe-rig design``: from the command line's words to the search, the table before and after, and the new scene."""
+"""Command ``hpe-rig design``: from its options to the search, the table before and after, and the new scene."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from typing import TypeVar
 
 from hpe_rig.acquire import prepare
 from hpe_rig.design.model import baseline
-from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Limits, Problem
-from hpe_rig.design.search import Design, design
-from hpe_rig.design.simulation_check import Measured, Simulated, simulate
+from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Constraints, Problem
+from hpe_rig.design.search import DesignResult, find_design
+from hpe_rig.design.simulation_check import Simulated, simulate
 from hpe_rig.design.variables import variables
+from hpe_rig.result import text_table
 from hpe_rig.scene import Mistake, SettingsError, edited_text, length_m, parse_toml
+from hpe_rig.study import Errors
 
 MODEL_JITTER, MODEL_BIAS, ERRORS = 0.15, 0.02, 3.0
 """How well the model is to hold: share of a jitter, share of the amplitude for a bias, standard errors on top."""
@@ -46,7 +48,7 @@ def write_design(request: Request, tell: Callable[[str], None], announce: Callab
     """Search, tell the table, write the new scene; raise ``SettingsError`` with all mistakes before the search."""
     problem, text = _problem(request)
     announce(f"searching {', '.join(str(variable.key) for variable in problem.space)}")
-    found = design(problem, request.seed)
+    found = find_design(problem, request.seed)
     if request.draws > 0:
         announce(f"simulating {request.draws} draws of scatterers and noise")
     tell("\n".join(design_lines(found, request.draws, request.seed)))
@@ -87,7 +89,7 @@ def _problem(request: Request) -> tuple[Problem, str]:
     if mistakes or space is None:
         raise SettingsError("design", mistakes)
     goal = next(goal for goal in GOALS if goal == request.minimise)
-    return Problem(setup, tables, space, goal, Limits(longest_s, target_m)), text
+    return Problem(setup, tables, space, goal, Constraints(longest_s, target_m)), text
 
 
 def _wrong_words(request: Request) -> Iterator[Mistake]:
@@ -105,36 +107,32 @@ def _wrong_words(request: Request) -> Iterator[Mistake]:
         yield Mistake("--output", f"{request.output} exists and is never overwritten", "another name")
 
 
-def design_lines(found: Design, draws: int = 0, seed: int = 0) -> Iterator[str]:
+def design_lines(found: DesignResult, draws: int = 0, seed: int = 0) -> Iterator[str]:
     """Yield the table of a design: what changed, what is predicted, what ``draws`` draws simulate, time and dose."""
     problem, pair = found.problem, (found.problem.judged(found.start), found.best)
-    limits, scene, plan = problem.limits, found.best.scene, found.best.plan
+    constraints, scene, plan = problem.constraints, found.best.scene, found.best.plan
     assert scene is not None  # noqa: S101
     assert plan is not None  # noqa: S101
     shots = "" if len(plan.shots) == 1 else f" in shot 1 of {len(plan.shots)}"
-    target = "" if limits.target_m is None else f", target {limits.target_m * 1e9:g} nm"
+    target = "" if constraints.target_m is None else f", target {constraints.target_m * 1e9:g} nm"
     yield (
         f"{problem.goal}{shots} of {scene.wanted_frequencies_hz[0]:g} Hz with {scene.processing.estimator}, at most "
-        f"{limits.longest_s:.4g} s{target}; {problem.tried} scenes tried"
+        f"{constraints.longest_s:.4g} s{target}; {problem.tried} scenes tried"
     )
     if not found.best.values:
         yield "no scene within the limits is better than the one at hand"
-    yield f"{'':34}{'before':>22}{'after':>22}"
+    rows = []
     for variable in problem.space:
         values = [candidate.values.get(variable.key.path, variable.key.value) for candidate in pair]
-        yield _row(str(variable.key), *("absent" if value is None else f"{value:.6g}" for value in values))
+        rows.append((str(variable.key), *("absent" if value is None else f"{value:.6g}" for value in values)))
     after = _column(problem, found.best, draws, seed)
     columns = [_column(problem, pair[0], draws, seed) if found.best.values else after, after]
-    for name in columns[1]:
-        yield _row(name, *(column.get(name, "-") for column in columns))
+    rows += [(name, *(column.get(name, "-") for column in columns)) for name in after]
+    yield text_table(("", "before", "after"), rows)
     for reason in found.held:
         yield f"held back: {reason}"
     if found.start.conflicts:
         yield f"before, check refuses it: {', '.join(dict.fromkeys(item.check for item in found.start.conflicts))}"
-
-
-def _row(name: str, before: str, after: str) -> str:
-    return f"{name:34}{before:>22}{after:>22}"
 
 
 def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> dict[str, str]:
@@ -146,19 +144,20 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
     simulated: Simulated | None = None
     if draws and not candidate.conflicts:
         simulated = simulate(scene, plan, setting, problem.baseline, draws, seed)
+    amplitude, phase = (simulated.amplitude_m, simulated.phase_rad) if simulated else (None, None)
     rows = {
         "amplitude": _nm(setting.amplitude_m),
         "effective number of pulses": f"{setting.pulses}",
         "SNR in the gate": f"{10 * math.log10(setting.snr):.1f} dB",
         "bias, predicted": _nm(expected.bias_m),
-        "bias, simulated": _both(simulated, "bias_m", 1e9, "nm"),
+        "bias, simulated": _simulated(amplitude, "bias", 1e9, "nm"),
         "jitter, predicted": _nm(expected.jitter_m),
-        "jitter, simulated": _both(simulated, "jitter_m", 1e9, "nm"),
+        "jitter, simulated": _simulated(amplitude, "jitter", 1e9, "nm"),
         "  of it noise": _nm(expected.noise_jitter_m),
         "  of it speckle": _nm(expected.speckle_jitter_m),
         "jitter over amplitude": f"{100 * expected.jitter_m / setting.amplitude_m:.3g} %",
         "phase jitter, predicted": f"{math.degrees(expected.phase_jitter_rad):.3g} deg",
-        "phase jitter, simulated": _both(simulated, "phase_jitter_rad", math.degrees(1), "deg"),
+        "phase jitter, simulated": _simulated(phase, "jitter", math.degrees(1), "deg"),
         "model": _agreement(candidate, simulated),
         "time": f"{plan.duration_s:.4g} s",
         "derated MI": "not calibrated" if output is None else f"{output.mechanical_index:.3g}",
@@ -171,11 +170,11 @@ def _nm(value_m: float) -> str:
     return f"{value_m * 1e9:.4g} nm"
 
 
-def _both(simulated: Simulated | None, name: str, scale: float, unit: str) -> str:
-    if simulated is None:
+def _simulated(found: Errors | None, name: str, scale: float, unit: str) -> str:
+    """Return ``name`` of what was simulated with its standard error in words; a dash where nothing was."""
+    if found is None:
         return "-"
-    found: Measured = getattr(simulated, name)
-    return f"{found.value * scale:.3g} +- {found.error * scale:.2g} {unit}"
+    return f"{getattr(found, name) * scale:.3g} +- {getattr(found, f'{name}_se') * scale:.2g} {unit}"
 
 
 def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
@@ -183,15 +182,13 @@ def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
     if simulated is None or candidate.setting is None:
         return "not simulated"
     expected = candidate.predict(FINAL_DRAWS, FINAL_SEED)
+    amplitude, phase = simulated.amplitude_m, simulated.phase_rad
     jitters = (
-        (expected.jitter_m, simulated.jitter_m),
-        (expected.phase_jitter_rad, simulated.phase_jitter_rad),
+        (expected.jitter_m, amplitude.jitter, amplitude.jitter_se),
+        (expected.phase_jitter_rad, phase.jitter, phase.jitter_se),
     )
-    if any(mc.error > UNSURE * mc.value for _, mc in jitters):
+    if any(se > UNSURE * jitter for _, jitter, se in jitters):
         return "unsure: more draws"
-    good = all(
-        abs(model - found.value) <= MODEL_JITTER * found.value + ERRORS * found.error for model, found in jitters
-    )
-    bias, amplitude_m = simulated.bias_m, candidate.setting.amplitude_m
-    good &= abs(expected.bias_m - bias.value) <= MODEL_BIAS * amplitude_m + ERRORS * bias.error
-    return "holds" if good else "is off: simulated"
+    good = all(abs(model - jitter) <= MODEL_JITTER * jitter + ERRORS * se for model, jitter, se in jitters)
+    allowed_m = MODEL_BIAS * candidate.setting.amplitude_m + ERRORS * amplitude.bias_se
+    return "holds" if good and abs(expected.bias_m - amplitude.bias) <= allowed_m else "is off: simulated"

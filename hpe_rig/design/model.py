@@ -1,4 +1,4 @@
-"""What a scene of a design will achieve: bias, jitter, time and dose, all relative to the scene it starts from."""
+"""Model of what a scene will achieve: bias, jitter, time and dose, relative to the scene that a design starts from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Candidates of a design: scenes that differ in some numbers, planned, checked as ``hpe-rig check`` does, and judged.
+"""Problem of a design: candidate scenes that differ in some numbers, planned, checked as by ``hpe-rig check``, judged.
 
 What a bench or the physics refuse is no candidate, nor what brings a warning that the starting scene does not have.
 """
@@ -21,9 +21,9 @@ from hpe_rig.design.variables import Variable
 from hpe_rig.plan import AcousticOutput, CheckResult, Plan, highest_output
 from hpe_rig.prediction import Conditions, Expected
 from hpe_rig.scene import (
+    KeyPath,
     Mistake,
     Number,
-    Path,
     Scene,
     SettingsError,
     mistakes_of,
@@ -44,11 +44,11 @@ SIDE_WEIGHT = 1e-6
 OUTSIDE = 100.0
 """Cost beyond which a candidate keeps a limit not; logarithms of jitters and times stay far below."""
 
-Values = Mapping[Path, Number]
+Values = Mapping[KeyPath, Number]
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
+class Constraints:
     """What no candidate may exceed."""
 
     longest_s: float
@@ -86,14 +86,14 @@ class Problem:
     """Candidates of one starting scene and how good they are; a cost is computed once."""
 
     def __init__(
-        self, setup: Setup, tables: Mapping[str, Any], space: Sequence[Variable], goal: Goal, limits: Limits
+        self, setup: Setup, tables: Mapping[str, Any], space: Sequence[Variable], goal: Goal, constraints: Constraints
     ) -> None:
-        self.bench, self.space, self.goal, self.limits = setup.bench.bench, tuple(space), goal, limits
+        self.bench, self.space, self.goal, self.constraints = setup.bench.bench, tuple(space), goal, constraints
         self._tables = tables
         self.baseline: Baseline = baseline(setup.scene.scene)
         self._accepted = {found.check for found in setup.findings if found.level == "warning"}
         self._twin = any(variable.key.path[0] == "simulation" for variable in space)
-        self._cost: dict[tuple[tuple[Path, Number], ...], float] = {}
+        self._cost: dict[tuple[tuple[KeyPath, Number], ...], float] = {}
         self.start = self.candidate({})
 
     @property
@@ -121,9 +121,9 @@ class Problem:
     def excess(self, candidate: Candidate) -> dict[str, float]:
         """Return by which factor a candidate is beyond each limit that it does not keep."""
         assert candidate.plan is not None  # noqa: S101
-        found = {"time": candidate.plan.duration_s / self.limits.longest_s}
-        if self.limits.target_m is not None and self.goal != "jitter":
-            found["target"] = candidate.expected.jitter_m / self.limits.target_m
+        found = {"time": candidate.plan.duration_s / self.constraints.longest_s}
+        if self.constraints.target_m is not None and self.goal != "jitter":
+            found["target"] = candidate.expected.jitter_m / self.constraints.target_m
         return {name: ratio for name, ratio in found.items() if ratio > 1 + 1e-9}
 
     def measure(self, candidate: Candidate) -> float:

@@ -1,4 +1,4 @@
-"""The best scene within limits: differential evolution over some of its numbers, then a pattern search."""
+"""Search for the best scene within limits: differential evolution over some of its numbers, then a pattern search."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OTHERWISE = "other bounds with --bound, or more keys in --over"
 
 
 @dataclass(frozen=True)
-class Design:
+class DesignResult:
     """The scene at the start and the best one, what holds the latter back, and how many were tried."""
 
     problem: Problem
@@ -29,7 +29,7 @@ class Design:
     held: tuple[str, ...]
 
 
-def design(problem: Problem, seed: int = 0, generations: int = GENERATIONS) -> Design:
+def find_design(problem: Problem, seed: int = 0, generations: int = GENERATIONS) -> DesignResult:
     """Return the best scene of ``problem`` after at most so many generations; the same seed gives the same.
 
     Raises ``SettingsError`` where no candidate keeps all limits, with what refuses the one that comes closest.
@@ -37,7 +37,7 @@ def design(problem: Problem, seed: int = 0, generations: int = GENERATIONS) -> D
     best = _without_the_needless(problem, _pattern_search(problem, _evolution(problem, seed, generations)))
     if problem.cost(best.values) >= OUTSIDE:
         raise SettingsError("design", list(_why_none(problem, best)))
-    return Design(problem, problem.start, best, tuple(_held(problem, best)))
+    return DesignResult(problem, problem.start, best, tuple(_held(problem, best)))
 
 
 def _place(problem: Problem, candidate: Candidate) -> NDArray[np.float64]:
@@ -134,11 +134,12 @@ def _why_none(problem: Problem, closest: Candidate) -> Iterator[Mistake]:
     assert closest.plan is not None  # noqa: S101
     excess, found = problem.excess(closest), closest.expected
     if "time" in excess:
-        what = f"the closest scene takes {closest.plan.duration_s:.4g} s, {problem.limits.longest_s:.4g} s are allowed"
+        allowed_s = problem.constraints.longest_s
+        what = f"the closest scene takes {closest.plan.duration_s:.4g} s, {allowed_s:.4g} s are allowed"
         yield Mistake("--longest-s", what, "more time, or a key in --over that shortens the scene")
-    if "target" in excess and problem.limits.target_m is not None:
+    if "target" in excess and problem.constraints.target_m is not None:
         what = (
             f"the jitter comes down to {found.jitter_m * 1e9:.3g} nm (noise {found.noise_jitter_m * 1e9:.3g}, speckle "
-            f"{found.speckle_jitter_m * 1e9:.3g}), {problem.limits.target_m * 1e9:.3g} nm are wanted"
+            f"{found.speckle_jitter_m * 1e9:.3g}), {problem.constraints.target_m * 1e9:.3g} nm are wanted"
         )
         yield Mistake("--target", what, "a larger target, more keys in --over, or more time with --longest-s")

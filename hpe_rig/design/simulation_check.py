@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,6 +15,7 @@ from hpe_rig.plan import Plan, driven_frequencies_hz, select
 from hpe_rig.prediction import Conditions
 from hpe_rig.processing import EchoGate, estimate, options_of
 from hpe_rig.scene import Scene
+from hpe_rig.study import Errors, errors
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
@@ -28,21 +28,11 @@ MOST_VALUES = 1 << 27
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
-    """A mean or a standard deviation over draws, and its standard error."""
-
-    value: float
-    error: float
-
-
-@dataclass(frozen=True, slots=True)
 class Simulated:
     """Bias and jitter, eq. (14) and (15), of one scene; a draw is new scatterers and new noise."""
 
-    draws: int
-    bias_m: Measured
-    jitter_m: Measured
-    phase_jitter_rad: Measured
+    amplitude_m: Errors
+    phase_rad: Errors
 
 
 def simulate(scene: Scene, plan: Plan, setting: Conditions, start: Baseline, draws: int, seed: int) -> Simulated | None:
@@ -55,22 +45,8 @@ def simulate(scene: Scene, plan: Plan, setting: Conditions, start: Baseline, dra
     train = _train(scene, plan, setting, start)
     if train.values > MOST_VALUES:
         return None
-    errors = np.concatenate(list(_errors(scene, setting, train, draws, seed)))
-    amplitude_m, phase_rad = errors.T
-    return Simulated(
-        draws,
-        Measured(float(amplitude_m.mean()), float(amplitude_m.std(ddof=1)) / math.sqrt(draws)),
-        deviation(amplitude_m),
-        deviation(phase_rad),
-    )
-
-
-def deviation(values: Floats) -> Measured:
-    """Return the standard deviation of ``values`` and its standard error, from their fourth moment."""
-    centred = values - values.mean()
-    variance, fourth = float(np.mean(centred**2)), float(np.mean(centred**4))
-    spread = math.sqrt(max(fourth - variance**2, 0.0) / values.size)
-    return Measured(math.sqrt(variance), spread / (2 * math.sqrt(variance)) if variance > 0 else 0.0)
+    amplitude_m, phase_rad = np.concatenate(list(_deviations(scene, setting, train, draws, seed))).T
+    return Simulated(errors(amplitude_m[:, None]), errors(phase_rad[:, None]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +83,8 @@ def _train(scene: Scene, plan: Plan, setting: Conditions, start: Baseline) -> _T
     )
 
 
-def _errors(scene: Scene, setting: Conditions, train: _Train, draws: int, seed: int) -> Iterator[Floats]:
-    """Yield the errors of amplitude, m, and phase, rad, of 16 draws at a time: (draw, 2)."""
+def _deviations(scene: Scene, setting: Conditions, train: _Train, draws: int, seed: int) -> Iterator[Floats]:
+    """Yield the deviations of amplitude, m, and phase, rad, of 16 draws at a time: (draw, 2)."""
     from sim_backend.echoes import drawn_echoes, hann_pulse
 
     echo_rng, noise_rng, phase_rng = (np.random.default_rng([seed, stream]) for stream in range(3))

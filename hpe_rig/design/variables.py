@@ -1,4 +1,4 @@
-"""The numbers of a scene that a design may change: between which bounds, in which steps."""
+"""Variables of a design, the numbers of a scene that it may change: between which bounds, in which steps."""
 
 from __future__ import annotations
 

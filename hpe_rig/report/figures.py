@@ -1,4 +1,4 @@
-"""Pictures of one shot for the report: one panel each, so that a page sets them side by side or below each other.
+"""Pictures of the report, of one shot and of many: one panel each, so that a page sets them in any number of columns.
 
 Every picture has a title and an alternative text that says in words and numbers what is to be seen. Colours are from
 the Okabe-Ito set, safe for colour-blind readers, and never the only thing that tells two curves apart.
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from hpe_rig.plan import Shot
 from hpe_rig.report.residual_tests import periodogram
-from hpe_rig.report.svg import BLUE, GREEN, GREY, ORANGE, SKY, Picture, legend, legend_above, panel, picture, thin
+from hpe_rig.report.svg import BLUE, GREEN, GREY, ORANGE, SKY, Picture, legend, legend_above, mark, panel, picture, thin
+from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.report.views import EchoView, MotionView, grey_limit_v
 from hpe_rig.result import Estimate
 
@@ -192,6 +193,16 @@ def residual(view: MotionView) -> tuple[Picture, ...]:
     return over_time, picture(figure, "residual-spectrum", "Residual over frequency", alt)
 
 
+def sweep_pictures(sweep: Sweep, most: int = 2) -> tuple[Picture, ...]:
+    """Return amplitude and phase over what was varied, for the first ``most`` frequencies."""
+    frequencies = list(dict.fromkeys(curve.frequency_hz for curve in sweep.curves))[:most]
+    pictures = []
+    for frequency_hz in frequencies:
+        curves = [curve for curve in sweep.curves if curve.frequency_hz == frequency_hz]
+        pictures += [_sweep_amplitude(sweep.label, curves), _sweep_phase(sweep.label, curves)]
+    return tuple(pictures)
+
+
 def _band(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, label: str) -> None:
     """Shade between ``low`` and ``high``; a single point gets a bar."""
     if x.size > 1:
@@ -237,3 +248,53 @@ def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: 
         f"its pulse, inside its record."
     )
     return picture(figure, key, title, alt)
+
+
+def _sweep_amplitude(label: str, curves: Sequence[SweepCurve]) -> Picture:
+    figure, axes = panel()
+    parts = []
+    for place, curve in enumerate(curves):
+        marker, colour = mark(place)
+        spread = np.nan_to_num(curve.amplitude_sd_m) * 1e9
+        axes.errorbar(
+            curve.x, curve.amplitude_m * 1e9, spread, fmt=marker, ms=4, capsize=2, color=colour,
+            label=curve.group or "mean, sd",
+        )  # fmt: skip
+        if curve.line is not None and not label.startswith("repeat"):
+            ends = np.array([curve.x.min(), curve.x.max()])
+            axes.plot(ends, (curve.line.intercept + curve.line.slope * ends) * 1e9, color=colour, lw=0.9)
+            parts.append(
+                f"{curve.group or 'line'}: slope {curve.line.slope * 1e9:.4g} nm, R2 {curve.line.r_squared:.4f}"
+            )
+    axes.set(xlabel=label, ylabel="amplitude (nm)", ylim=(0, None))
+    legend(axes, "best")
+    f = curves[0].frequency_hz
+    alt = f"Amplitude at {f:g} Hz over {label}, mean and standard deviation of the repeats. {'; '.join(parts)}."
+    return picture(figure, f"sweep-amplitude-{f:g}", f"Amplitude at {f:g} Hz over {label}", alt)
+
+
+def _sweep_phase(label: str, curves: Sequence[SweepCurve]) -> Picture:
+    figure, axes = panel()
+    for place, curve in enumerate(curves):
+        marker, colour = mark(place)
+        spread = np.degrees(np.nan_to_num(curve.phase_sd_rad))
+        axes.errorbar(
+            curve.x, np.degrees(_continuous(curve)), spread, fmt=marker, ms=4, capsize=2, color=colour,
+            label=curve.group or "mean, sd",
+        )  # fmt: skip
+    axes.set(xlabel=label, ylabel="phase (degrees)")
+    legend(axes, "best")
+    f = curves[0].frequency_hz
+    low, high = (np.degrees([edge(_continuous(curve)) for curve in curves]) for edge in (np.min, np.max))
+    alt = f"Phase at {f:g} Hz over {label}: between {low.min():.2f} and {high.max():.2f} degrees."
+    return picture(figure, f"sweep-phase-{f:g}", f"Phase at {f:g} Hz over {label}", alt)
+
+
+def _continuous(curve: SweepCurve) -> FloatArray:
+    """Return the phase (point,) without jumps of a turn, followed from the strongest point to both sides.
+
+    From there since a point that drowns in noise may be off by any angle, and whatever follows it with it.
+    """
+    strongest = int(np.argmax(curve.amplitude_m))
+    before = np.unwrap(curve.phase_rad[strongest::-1])[::-1]
+    return np.concatenate([before[:-1], np.unwrap(curve.phase_rad[strongest:])])

@@ -6,12 +6,11 @@ import math
 from typing import TYPE_CHECKING
 
 from hpe_rig.result.estimates import Result
+from hpe_rig.result.palette import PALETTE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-"""Okabe and Ito's palette, told apart by the colour-blind; as many shots are drawn."""
 PANELS = (
     ("amplitude_m", "amplitude_uncertainty_m", "amplitude / nm", 1e9),
     ("phase_rad", "phase_uncertainty_rad", "phase / deg", 180 / math.pi),
@@ -25,7 +24,7 @@ def result_figure(result: Result) -> Figure:
     figure = Figure(figsize=(6.0, 5.0), layout="constrained")
     figure.suptitle(f"SIMULATED: {result.title}" if result.simulated else result.title, wrap=True, fontsize="medium")
     for panel, (value, uncertainty, label, factor) in zip(figure.subplots(2, sharex=True), PANELS, strict=True):
-        for shot, colour in zip(result.shots, COLOURS, strict=False):
+        for shot, colour in zip(result.shots, PALETTE, strict=False):
             panel.errorbar(
                 [item.frequency_hz for item in shot.estimates],
                 [getattr(item, value) * factor for item in shot.estimates],

@@ -2,7 +2,9 @@ from .editing import edited_text as edited_text
 from .keys import (
     Key as Key,
     Number as Number,
+    container_at as container_at,
     number_keys as number_keys,
+    path_of as path_of,
     resolve as resolve,
     with_values as with_values,
 )
@@ -26,8 +28,8 @@ from .scene import (
     with_default_specimen as with_default_specimen,
 )
 from .validation import (
+    KeyPath as KeyPath,
     Mistake as Mistake,
-    Path as Path,
     SettingsError as SettingsError,
     length_m as length_m,
     mistakes_of as mistakes_of,

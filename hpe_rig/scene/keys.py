@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import copy
 import difflib
+import re
 import types
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from hpe_rig.scene.scene import Scene, Section
-from hpe_rig.scene.validation import Mistake, Path, dotted
+from hpe_rig.scene.validation import KeyPath, Mistake, dotted
 
 Number = int | float
 
@@ -19,12 +20,17 @@ Number = int | float
 class Key:
     """One number of a scene: its path, its value (None: absent and without a default), whether it must be whole."""
 
-    path: Path
+    path: KeyPath
     value: Number | None
     whole: bool
 
     def __str__(self) -> str:
         return dotted(self.path)
+
+
+def path_of(key: str) -> KeyPath:
+    """Return the path of a key such as ``simulation.motion[0].amplitude_m``, as `dotted` writes it."""
+    return tuple(int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", key))
 
 
 def number_keys(tables: Mapping[str, Any]) -> list[Key]:
@@ -52,18 +58,27 @@ def resolve(name: str, keys: Sequence[Key]) -> Key | Mistake:
     return Mistake(name, "no number of the scene has that name", remedy)
 
 
-def with_values(tables: Mapping[str, Any], values: Mapping[Path, Number]) -> dict[str, Any]:
+def with_values(tables: Mapping[str, Any], values: Mapping[KeyPath, Number]) -> dict[str, Any]:
     """Return a copy of the scene's tables with ``values``; sections that are absent are made."""
     changed: dict[str, Any] = copy.deepcopy(dict(tables))
     for path, value in values.items():
-        place: Any = changed
-        for part in path[:-1]:
-            place = place.setdefault(part, {}) if isinstance(place, dict) else place[part]
-        place[path[-1]] = value
+        container_at(changed, path[:-1])[path[-1]] = value
     return changed
 
 
-def _of_section(section: Section, given: Any, prefix: Path) -> Iterator[Key]:
+def container_at(tables: Any, path: KeyPath, section: Callable[[], Any] = dict) -> Any:
+    """Return the section or list at ``path``; ``section`` makes sections that are absent.
+
+    Raises ``LookupError`` or ``TypeError`` where there is no such place, such as beyond the end of a list.
+    """
+    for part in path:
+        if isinstance(part, str) and part not in tables:
+            tables[part] = section()
+        tables = tables[part]
+    return tables
+
+
+def _of_section(section: Section, given: Any, prefix: KeyPath) -> Iterator[Key]:
     for name, field in type(section).model_fields.items():
         value, path = getattr(section, name), (*prefix, name)
         if isinstance(value, Section):
@@ -77,7 +92,7 @@ def _of_section(section: Section, given: Any, prefix: Path) -> Iterator[Key]:
                 yield Key(path, alone, kinds == {int})
 
 
-def _of_tables(value: Any, path: Path) -> Iterator[Key]:
+def _of_tables(value: Any, path: KeyPath) -> Iterator[Key]:
     if isinstance(value, Mapping):
         for name, inner in value.items():
             yield from _of_tables(inner, (*path, name))

@@ -1,4 +1,4 @@
-"""Every mistake of a settings file at once: path, value, bound and a suggestion for a misspelt key."""
+"""Mistakes of a settings file, all at once: path, value, bound and a suggestion for a misspelt key."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 Model = TypeVar("Model", bound=BaseModel)
-Path = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         raise SettingsError(source, [Mistake("", f"not valid TOML: {error}", "correct that line")]) from None
 
 
-def mistakes_of(model: type[BaseModel], tables: Mapping[str, Any], prefix: Path = ()) -> list[Mistake]:
+def mistakes_of(model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPath = ()) -> list[Mistake]:
     """Return all mistakes of ``tables`` as settings of ``model``; empty where there are none."""
     try:
         model.model_validate(tables)
@@ -63,7 +63,7 @@ def _follows(entry: dict[str, Any]) -> bool:
     return bool(entry["type"] == "too_short" and len(entry["input"]) >= context["min_length"])
 
 
-def dotted(path: Path) -> str:
+def dotted(path: KeyPath) -> str:
     """Return a TOML path in the form ``excitation.burst_length_s[2]``."""
     text = ""
     for part in path:
@@ -71,7 +71,7 @@ def dotted(path: Path) -> str:
     return text
 
 
-def _mistake(entry: dict[str, Any], model: type[BaseModel], tables: Mapping[str, Any], prefix: Path) -> Mistake:
+def _mistake(entry: dict[str, Any], model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPath) -> Mistake:
     path = _written(entry["loc"], tables)
     if path and path[-1] == 0 and not isinstance(_value_at(tables, path[:-1]), list | tuple):
         path = path[:-1]
@@ -96,7 +96,7 @@ _KINDS = {
 }
 
 
-def _words(entry: dict[str, Any], path: Path, keys: Sequence[str], tables: Mapping[str, Any]) -> tuple[str, str]:
+def _words(entry: dict[str, Any], path: KeyPath, keys: Sequence[str], tables: Mapping[str, Any]) -> tuple[str, str]:
     kind, value, context = entry["type"], entry["input"], entry.get("ctx", {})
     if kind == "missing" and path and isinstance(path[-1], int):
         return "this entry of the list is absent", "give every entry; none is optional"
@@ -124,7 +124,7 @@ def _words(entry: dict[str, Any], path: Path, keys: Sequence[str], tables: Mappi
     return what, remedy or "what hpe-rig schema says of this key"
 
 
-def _written(path: Path, tables: Any) -> Path:
+def _written(path: KeyPath, tables: Any) -> KeyPath:
     """Return ``path`` without the validator's own names, such as those of alternatives: what is in the file."""
     *parts, last = path or (None,)
     written: list[str | int] = []
@@ -139,13 +139,13 @@ def _written(path: Path, tables: Any) -> Path:
     return (*written, *([] if last in (None, "[key]") else [last]))
 
 
-def _value_at(tables: Any, path: Path) -> Any:
+def _value_at(tables: Any, path: KeyPath) -> Any:
     for part in path:
         tables = tables[part] if isinstance(tables, Mapping) and part in tables else None
     return tables
 
 
-def _keys_at(model: type[BaseModel], path: Path) -> list[str]:
+def _keys_at(model: type[BaseModel], path: KeyPath) -> list[str]:
     """Return the keys of the section at ``path``, following sub-models through options, lists and tuples."""
     for part in path:
         if isinstance(part, str) and part in model.model_fields:

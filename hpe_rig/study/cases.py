@@ -1,4 +1,4 @@
-"""From a definition to its cases: every point of the axes and reading as a checked scene with its random numbers."""
+"""Cases of a study: every point of its axes and reading as a checked scene with its random numbers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import copy
 import hashlib
 import itertools
 import json
-import re
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,7 +14,17 @@ from typing import TYPE_CHECKING, Any
 
 from hpe_rig.bench import check_simulation, twin_of
 from hpe_rig.processing import Estimator, Options
-from hpe_rig.scene import Mistake, Scene, SettingsError, mistakes_of, parse_toml, scene_text, shipped_scenes
+from hpe_rig.scene import (
+    Mistake,
+    Scene,
+    SettingsError,
+    container_at,
+    mistakes_of,
+    parse_toml,
+    path_of,
+    scene_text,
+    shipped_scenes,
+)
 from hpe_rig.study.definition import Definition, Reading
 from hpe_rig.study.kernels import Train, refuse_unusable
 
@@ -72,7 +81,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class GridPoint:
     """Where a case stands in a study: the shown value of every axis, and the reading of eq. (11)."""
 
     coordinates: dict[str, Any]
@@ -100,13 +109,13 @@ class _Grid:
         return tuple(0 if axis.name in self.definition.common else n for axis, n in zip(axes, place, strict=True))
 
 
-def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[Point]:
+def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[GridPoint]:
     """Return every point of a study; raise ``SettingsError`` with all mistakes of all its scenes, each once."""
     columns, shown = [axis.columns() for axis in definition.axes], [axis.values() for axis in definition.axes]
     grid = _Grid(_base_tables(definition.scene, folder), definition, columns, shown)
     unfit = itertools.chain(_useless_keys(definition), _doubled_keys(definition))
     found: dict[str, Mistake] = {str(mistake): mistake for mistake in unfit}
-    out: list[Point] = []
+    out: list[GridPoint] = []
     streams: dict[str, int] = {}
     for reading in definition.readings:
         for place in grid.places:
@@ -116,7 +125,7 @@ def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[
                 found |= {str(mistake): mistake for mistake in error.mistakes}
                 continue
             values = zip(definition.axes, shown, place, strict=True)
-            out.append(Point({axis.name: each[n] for axis, each, n in values}, reading, case))
+            out.append(GridPoint({axis.name: each[n] for axis, each, n in values}, reading, case))
     if found:
         raise SettingsError(f"study {name}", list(found.values()))
     return out
@@ -189,15 +198,10 @@ def _tables_at(grid: _Grid, place: tuple[int, ...]) -> Tables:
 
 def _put(tables: Tables, key: str, value: Any) -> None:
     """Write ``value`` where ``key``, such as ``simulation.motion[0].amplitude_m``, points to."""
-    parts: list[str | int] = [int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", key)]
-    here: Any = tables
+    *sections, last = path_of(key)
     try:
-        for part in parts[:-1]:
-            here = here.setdefault(part, {}) if isinstance(part, str) else here[part]
-        if isinstance(parts[-1], int):
-            here[parts[-1]]
-        here[parts[-1]] = value
-    except (LookupError, TypeError, AttributeError):
+        container_at(tables, tuple(sections))[last] = value
+    except (LookupError, TypeError):
         mistake = Mistake(key, "the base scene has no such entry", "a key of the scene, [0] for the first of a list")
         raise SettingsError("study", [mistake]) from None
 

@@ -1,4 +1,4 @@
-"""A study as its file says: a base scene, what is varied, how many realisations, which estimators."""
+"""Definition of a study as its file gives it: base scene, what is varied, number of realisations, estimators."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COLUMNS = ("reading", "estimator", "frequency_hz", "refused", "draws", "noise", 
 """Columns of every result, beside those of amplitude and phase: no axis has their names."""
 
 
-class Range(Section):
+class AxisRange(Section):
     """Evenly or logarithmically spaced values, both ends included."""
 
     start: Finite
@@ -33,7 +33,7 @@ class Range(Section):
     """Equal differences or equal ratios."""
 
     @model_validator(mode="after")
-    def _ratios_need_one_sign(self) -> Range:
+    def _ratios_need_one_sign(self) -> AxisRange:
         if self.spacing == "log" and not self.start * self.stop > 0:
             raise ValueError("equal ratios never pass zero: give start and stop one sign, or spacing = 'linear'")
         return self
@@ -45,10 +45,10 @@ class Range(Section):
 
 
 def _kind(values: Any) -> str:
-    return "range" if isinstance(values, Mapping | Range) else "list"
+    return "range" if isinstance(values, Mapping | AxisRange) else "list"
 
 
-Values = Annotated[Annotated[list[Any], Tag("list")] | Annotated[Range, Tag("range")], Discriminator(_kind)]
+AxisValues = Annotated[Annotated[list[Any], Tag("list")] | Annotated[AxisRange, Tag("range")], Discriminator(_kind)]
 """A mistake in a range is not also one of a list."""
 
 
@@ -59,10 +59,10 @@ class Axis(Section):
     """Name of the axis: its column in the table."""
     unit: str = ""
     """Unit of the values shown."""
-    keys: Annotated[dict[str, Values], Field(min_length=1)]
+    keys: Annotated[dict[str, AxisValues], Field(min_length=1)]
     """Scene keys, such as "tracking.pulse_rate_hz" or "simulation.motion[0].amplitude_m", each with its values."""
     shown: list[Finite | str] | None = None
-    """Values that tables and figures show; absent: those of the first key."""
+    """AxisValues that tables and figures show; absent: those of the first key."""
 
     @model_validator(mode="after")
     def _as_many_values_everywhere(self) -> Axis:
@@ -76,7 +76,7 @@ class Axis(Section):
 
     def columns(self) -> dict[str, list[Any]]:
         """Return the values of every key."""
-        return {key: values.values() if isinstance(values, Range) else values for key, values in self.keys.items()}
+        return {key: values.values() if isinstance(values, AxisRange) else values for key, values in self.keys.items()}
 
     def values(self) -> list[Any]:
         """Return what is shown of every point along the axis."""

@@ -1,4 +1,4 @@
-"""A batch of cases to their bias and jitter: draws and noise shared where they are the same, a block at a time.
+"""Engine of a study, from cases to bias and jitter: equal draws and noise are shared, a block of draws at a time.
 
     draws of scatterers (stream, block) -> echoes                            once for equal echoes
     noise (stream, block) -> numbers in the band                             once a batch
@@ -12,22 +12,21 @@ from __future__ import annotations
 
 import functools
 import itertools
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.study.cases import Case
-from hpe_rig.study.kernels import Form, band_of, form_of, states
-from hpe_rig.study.memory import peak_memory_bytes
+from hpe_rig.study.kernels import Form, form_of, spectral_kernels, states
+from hpe_rig.study.results import CaseRecord
 from hpe_rig.study.statistics import errors, phase_errors
 
 Floats = NDArray[np.float64]
-Record = dict[str, Any]
 
 TOLERANCE = 1e-7
 """Of the echoes, rms over rms: 1 pm of motion."""
@@ -62,11 +61,12 @@ class _Echoes:
     which: NDArray[np.intp]
 
 
-def run_batch(cases: Sequence[Case]) -> list[Record]:
+def run_batch(cases: Sequence[Case]) -> list[CaseRecord]:
     """Return one record a case, in their order; the cases must have the same ``noise_key``."""
     from sim_backend.echoes import DRAWS_AT_ONCE
 
     running = [_Running(case) for case in cases]
+    # In blocks, so that memory does not grow with the draws and a case that is precise enough stops early.
     for first in range(0, cases[0].scatterers, DRAWS_AT_ONCE):
         active = [one for one in running if not one.finished]
         if not active:
@@ -82,13 +82,15 @@ def run_batch(cases: Sequence[Case]) -> list[Record]:
 def _run_block(active: list[_Running], block: int, draws: slice) -> None:
     """Fill in the states of every case for ``draws``."""
     since = time.process_time()
+    # Cases that differ in the noise's level alone, or in the estimators, have the same echoes: they are made once.
     echoes = []
     for _, group in itertools.groupby(sorted(active, key=_echoes_key), _echoes_key):
         own = list(group)
         echoes.append(_echoes(own, block, draws.stop - draws.start))
         since = _charge(own, since)
+    # All cases of a batch have the same noise but for its level: drawn once, at unit level, in parts that fit a cache.
     case = active[0].case
-    numbers = band_of(case.train).numbers
+    numbers = spectral_kernels(case.train).numbers
     rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_NOISE, block)))
     for some, repeats in _parts(case, draws.stop - draws.start):
         shape = (some.stop - some.start, repeats.stop - repeats.start, case.train.pulses, numbers)
@@ -111,6 +113,7 @@ def _echoes(cases: list[_Running], block: int, draws: int) -> _Echoes:
     # Pulses that meet the same displacement, but for rounding, get the same echo.
     largest_m = float(np.abs(displacement_m).max(initial=0.0)) or 1.0
     _, first, which = np.unique(np.round(displacement_m / largest_m, 12), return_index=True, return_inverse=True)
+    # The gate's samples in time after the echo of the resting focus.
     middle = (train.samples - 1) / 2
     gate_s: Floats = np.asarray((np.arange(train.samples) - middle) / train.sample_rate_hz + case.gate_offset_s)
     rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_DRAWS, block)))
@@ -121,7 +124,7 @@ def _echoes(cases: list[_Running], block: int, draws: int) -> _Echoes:
 
 def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
     """Yield draws and noise realisations that are done together: few, and by the case's own numbers alone."""
-    at_once = max(1, _NOISE_VALUES // (case.train.pulses * len(band_of(case.train).grid_hz["peak"])))
+    at_once = max(1, _NOISE_VALUES // (case.train.pulses * len(spectral_kernels(case.train).grid_hz["peak"])))
     for draw in range(0, draws, step := max(1, at_once // case.noise)):
         for first in range(0, case.noise, at_once):
             yield slice(draw, min(draw + step, draws)), slice(first, min(first + at_once, case.noise))
@@ -130,15 +133,16 @@ def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
 def _in_forms(active: list[_Running], numbers: Floats) -> dict[Form, Floats]:
     """Return unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes."""
     wanted = {form_of(name) for one in active for name in one.case.estimators}
-    return {form: numbers @ band_of(active[0].case.train).of_numbers[form] for form in wanted}
+    return {form: numbers @ spectral_kernels(active[0].case.train).of_numbers[form] for form in wanted}
 
 
 def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[Form, Floats], since: float) -> float:
     """Write the states of every case of these echoes at ``place`` (draw, noise); return the time it is."""
     train = made.cases[0].case.train
     volts = made.volts[some]
+    # Mean echo power of each draw over the train, in the gate: noise is set draw by draw, as the paper's SNR is.
     power = np.square(volts).mean(axis=2)[:, made.which].mean(axis=1)
-    clean = {form: volts @ columns for form, columns in band_of(train).of_volts.items() if form in noise}
+    clean = {form: volts @ columns for form, columns in spectral_kernels(train).of_volts.items() if form in noise}
     clean["volts"] = volts
     since = _charge(made.cases, since)
     for one in made.cases:
@@ -170,7 +174,7 @@ def _precise_enough(one: _Running, wanted_m: float) -> bool:
     return all(row["amplitude_bias_se_m"] <= wanted_m for row in rows)
 
 
-def _record(one: _Running) -> Record:
+def _record(one: _Running) -> CaseRecord:
     return {
         "case": one.case.key,
         "estimates": _rows(one),
@@ -187,7 +191,7 @@ def _version() -> str:
     return metadata.version("hpe-rig")
 
 
-def _rows(one: _Running) -> list[Record]:
+def _rows(one: _Running) -> list[CaseRecord]:
     """Return bias and jitter of amplitude and phase, a row an estimator and frequency."""
     rows = []
     for name, every in one.states.items():
@@ -195,7 +199,7 @@ def _rows(one: _Running) -> list[Record]:
         for index, hz in enumerate(one.case.train.frequencies_hz):
             amplitude_m, phase_rad = _true(one.case, hz)
             in_phase, quadrature = found[..., 2 * index], found[..., 2 * index + 1]
-            row: Record = {"estimator": name, "frequency_hz": hz, "amplitude_true_m": amplitude_m}
+            row: CaseRecord = {"estimator": name, "frequency_hz": hz, "amplitude_true_m": amplitude_m}
             row |= errors(np.hypot(in_phase, quadrature) - amplitude_m).named("amplitude", "m")
             row["phase_true_rad"] = phase_rad
             row |= phase_errors(np.arctan2(quadrature, in_phase), phase_rad).named("phase", "rad")
@@ -209,3 +213,24 @@ def _true(case: Case, hz: float) -> tuple[float, float]:
     parts = [part for part in case.twin.motion or () if part.frequency_hz == hz]
     phasor = sum(part.amplitude_m * np.exp(1j * part.phase_rad) for part in parts)
     return float(np.abs(phasor)), float(np.angle(phasor))
+
+
+def peak_memory_bytes() -> int:
+    """Return the largest resident size of this process so far."""
+    if sys.platform == "win32":
+        import ctypes
+        from ctypes import wintypes
+
+        class Counters(ctypes.Structure):
+            _fields_ = [("size", wintypes.DWORD), ("faults", wintypes.DWORD), ("peak", ctypes.c_size_t)] + [
+                (f"other_{n}", ctypes.c_size_t) for n in range(7)
+            ]
+
+        counters = Counters(size=ctypes.sizeof(Counters))
+        this = wintypes.HANDLE(-1)
+        ctypes.windll.kernel32.K32GetProcessMemoryInfo(this, ctypes.byref(counters), counters.size)
+        return int(counters.peak)
+    import resource
+
+    # Kibibytes on Linux, bytes on macOS.
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -1,4 +1,4 @@
-"""Work on any executor of `concurrent.futures`: a few pieces ahead, a lost worker's piece done again."""
+"""Executors of `concurrent.futures`: a few batches ahead, and the batch of a lost worker computed again."""
 
 from __future__ import annotations
 

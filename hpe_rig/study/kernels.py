@@ -1,9 +1,13 @@
-"""From echoes and noise to amplitude and phase, for many realisations: what a train of pulses and a gate fix.
+"""Kernels that turn echoes and noise into amplitude and phase, for many realisations of one train of pulses.
 
-Every estimator here looks at a gate through its spectrum in the transmitted band alone, that is through some fifty
-numbers (`basis`) of its hundred or more samples. White noise in the samples is white noise in those numbers, so it is
-drawn there: exactly the same statistics for fewer random numbers. And the way from displacements to amplitude and
-phase is linear (least squares, or the paper's band-pass, Hann window and Kalman filter), so it is one matrix.
+Every estimator sees a gate only through its spectrum in the transmitted band, that is through the projections of its
+hundred or more samples onto some fifty orthonormal vectors (`_basis`). White noise in the samples is white noise in
+these projections, so it is drawn there: the same statistics exactly, from fewer random numbers. The way from
+displacements to amplitude and phase is linear (least squares, or the paper's band-pass, Hann window and Kalman filter),
+so it is one matrix (`functional`).
+
+    samples --of_volts--> spectrum <--of_numbers-- projections      (per form: peak, plain, volts)
+    spectrum of echoes + level * spectrum of noise -> phase -> displacement --functional--> A cos(phi), A sin(phi)
 """
 
 from __future__ import annotations
@@ -78,8 +82,8 @@ def form_of(estimator: Estimator) -> Form:
 
 
 @dataclass(frozen=True, slots=True)
-class Band:
-    """What a train fixes of the spectra; `band_of` makes it."""
+class SpectralKernels:
+    """What a train fixes of the spectra; `spectral_kernels` makes it."""
 
     numbers: int
     """How many numbers say all that any estimator sees of a gate."""
@@ -91,25 +95,27 @@ class Band:
     """The same from the numbers, (number, 2 * bin), and of "volts" (number, sample), orthonormal rows."""
 
 
-def band_of(train: Train) -> Band:
+def spectral_kernels(train: Train) -> SpectralKernels:
     """Return what the estimators see of a gate; raises ``ValueError`` for a gate too short for the band."""
-    return _band(train.carrier_hz, train.sample_rate_hz, train.samples)
+    return _spectral_kernels(train.carrier_hz, train.sample_rate_hz, train.samples)
 
 
 @functools.lru_cache(maxsize=16)
-def _band(carrier_hz: float, sample_rate_hz: float, samples: int) -> Band:
+def _spectral_kernels(carrier_hz: float, sample_rate_hz: float, samples: int) -> SpectralKernels:
     # The grids are those of one pulse, whenever it is fired and whatever the sound speed.
     one = EchoGate(np.zeros((1, samples)), sample_rate_hz, np.zeros(1), carrier_hz, 1.0, np.ones(1, dtype=bool))
     grid_hz: dict[Form, Floats] = {
         "peak": band_grid(one, 1 << (PADDING * samples - 1).bit_length()),
         "plain": band_grid(one, samples),
     }
+    # The Fourier transform on each grid as a real matrix: cosines make the real parts, minus sines the imaginary ones.
     angle = {form: 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, hz) for form, hz in grid_hz.items()}
     of_volts = {form: np.hstack([np.cos(turn), -np.sin(turn)]) for form, turn in angle.items()}
     of_volts["peak"] *= hann(samples)[:, None]
+    # One basis for both spectra, so that noise drawn once serves every estimator of a batch.
     basis = _basis(np.hstack([of_volts["plain"], of_volts["peak"]]))
     of_numbers: dict[Form, Floats] = {form: basis @ columns for form, columns in of_volts.items()}
-    return Band(len(basis), grid_hz, of_volts, of_numbers | {"volts": basis})
+    return SpectralKernels(len(basis), grid_hz, of_volts, of_numbers | {"volts": basis})
 
 
 def _basis(columns: Floats) -> Floats:
@@ -122,12 +128,14 @@ def _basis(columns: Floats) -> Floats:
     orthonormal, triangle, _ = qr(columns * slope, mode="economic", pivoting=True)
     pivot = np.diagonal(triangle)
     kept = np.abs(pivot) > NEGLIGIBLE * np.abs(pivot[0])
+    # A decomposition leaves the sign of each row open: that of its pivot settles it.
     return np.ascontiguousarray((orthonormal[:, kept] * np.sign(pivot[kept])).T)
 
 
 @functools.lru_cache(maxsize=64)
 def functional(train: Train, estimator: Estimator) -> Floats:
     """Return the matrix (pulse, 2 * frequency) from displacements to A cos(phi), A sin(phi), interleaved."""
+    # A linear map's matrix is what it makes of the unit vectors: a fit of many trains, each moved at one pulse alone.
     unit = np.eye(train.pulses)
     motion = Motion(train.pulse_time_s, unit, np.ones_like(unit), np.ones(train.pulses, dtype=bool))
     fit = fit_motion(motion, train.frequencies_hz, estimator, options=train.options)
@@ -137,6 +145,7 @@ def functional(train: Train, estimator: Estimator) -> Floats:
 @functools.lru_cache(maxsize=64)
 def step_functional(train: Train) -> Floats:
     """Return the matrix (step, 2 * frequency) of the paper's chain from displacement steps between pulses."""
+    # A step before pulse k moves all pulses from k on: it weighs as much as their weights together.
     onwards = np.cumsum(functional(train, "cross_spectrum")[::-1], axis=0)[::-1]
     return np.ascontiguousarray(onwards[1:])
 
@@ -150,6 +159,7 @@ def states(train: Train, estimator: Estimator, clean: Floats, which: Places, lev
     if spec_of(estimator).reads_peak:
         return _peaks_states(train, clean, which, level, noise)
     noisy = clean[:, None, which] + level[:, None, None, None] * noise
+    # An estimator refuses a whole array for one of its realisations; then each is tried alone, which is slow but rare.
     try:
         return _states(train, estimator, noisy)
     except ValueError:
@@ -163,7 +173,7 @@ def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
         fit = estimate(train.gate(noisy), train.frequencies_hz, estimator, options=train.options)
         return fit.state[..., : 2 * len(train.frequencies_hz)]
     if spec.band_phase is not None:
-        phase, _, mean_hz = spec.band_phase(_complex(noisy), band_of(train).grid_hz["plain"])
+        phase, _, mean_hz = spec.band_phase(_complex(noisy), spectral_kernels(train).grid_hz["plain"])
         return np.asarray((phase * _metres(train) / mean_hz[..., None]) @ functional(train, estimator))
     return np.asarray(motion_of(train.gate(noisy), estimator).displacement_m @ functional(train, estimator))
 
@@ -176,11 +186,12 @@ def _states_or_nan(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
 
 
 def _peaks_states(train: Train, clean: Floats, which: Places, level: Floats, noise: Floats) -> Floats:
-    grid_hz = band_of(train).grid_hz["peak"]
+    grid_hz = spectral_kernels(train).grid_hz["peak"]
+    # In one pass over the pulses where Numba is there: the noisy spectra of all of them need not exist at once.
     if compiled():
         shape = (*noise.shape[:2], train.pulses - 1)
         step, peak = np.empty(shape), np.empty(shape, dtype=np.intp)
-        _loop()(clean, which, level, noise, step, peak)
+        _peak_steps()(clean, which, level, noise, step, peak)
         peak_hz = grid_hz[peak]
     else:
         step, peak_hz = peak_phase(_complex(clean[:, None, which] + level[:, None, None, None] * noise), grid_hz)
@@ -205,13 +216,13 @@ def compiled() -> bool:
 
 
 @functools.cache
-def _loop() -> Callable[..., None]:
-    loop: Callable[..., None] = importlib.import_module("hpe_rig.study.cross_spectrum_numba").peak_steps
-    return loop
+def _peak_steps() -> Callable[..., None]:
+    peak_steps: Callable[..., None] = importlib.import_module("hpe_rig.study.cross_spectrum_numba").peak_steps
+    return peak_steps
 
 
 def refuse_unusable(train: Train, estimators: Sequence[Estimator]) -> None:
     """Raise ``ValueError`` where the train cannot carry an estimate, before anything is drawn."""
-    band_of(train)
+    spectral_kernels(train)
     for estimator in estimators:
         functional(train, estimator if spec_of(estimator).motion is not None else "coherent")

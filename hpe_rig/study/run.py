@@ -1,4 +1,4 @@
-"""A study from its name to its results: expand, leave out what is finished, compute the rest, write."""
+"""Run of a study from its name to its results: expand, leave out what is finished, compute the rest, write."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.study.case_store import CaseStore, Record
-from hpe_rig.study.cases import Case, Point, points_of
+from hpe_rig.study.cases import Case, GridPoint, points_of
 from hpe_rig.study.definition import Definition, read_studies
 from hpe_rig.study.engine import run_batch
 from hpe_rig.study.executor import OpenPool, completed, processes
-from hpe_rig.study.results import StudyResult, result_of, write_study
+from hpe_rig.study.results import CaseRecord, CaseStore, StudyResult, result_of, write_study
 
 MOST_CASES = 24
 """Cases of a batch: enough to share draws and noise, few enough that a lost worker costs little."""
 
-Watch = Callable[[int, int], None]
+OnProgress = Callable[[int, int], None]
 """Told the realisations done and to do."""
 
 
@@ -30,7 +29,7 @@ def run_study(
     open_pool: OpenPool | None = None,
     ahead: int = 0,
     replaced: Mapping[str, Any] | None = None,
-    watch: Watch = lambda done, total: None,
+    watch: OnProgress = lambda done, total: None,
 ) -> list[StudyResult]:
     """Run a study or a collection, write it below ``output`` and return its results.
 
@@ -59,10 +58,10 @@ def run_study(
 def _compute(
     cases: Sequence[Case],
     store: CaseStore,
-    records: dict[str, Record],
+    records: dict[str, CaseRecord],
     open_pool: OpenPool,
     ahead: int,
-    watch: Watch,
+    watch: OnProgress,
 ) -> None:
     size = {case.key: case.scatterers * case.noise for case in cases}
     done, total = 0, sum(size.values())
@@ -88,7 +87,7 @@ def batches(cases: Sequence[Case]) -> list[list[Case]]:
 
 
 def _written(
-    name: str, definition: Definition, points: list[Point], records: Mapping[str, Record], output: Path
+    name: str, definition: Definition, points: list[GridPoint], records: Mapping[str, CaseRecord], output: Path
 ) -> StudyResult:
     result = result_of(name, definition, points, {point.case.key: records[point.case.key] for point in points})
     write_study(result, output / name)

@@ -1,4 +1,4 @@
-"""A study's rows as curves and maps: which axis runs along, which ones tell curves or maps apart, and in what unit."""
+"""Series of a study's rows, curves and maps: which axis runs along, which ones tell them apart, and in what unit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hpe_rig.study.definition import Axis
 from hpe_rig.study.results import StudyResult
 
 Floats = NDArray[np.float64]
-Row = dict[str, Any]
+StudyRow = dict[str, Any]
 
 LEAST_OF_A_MAP = 5
 """Values of an axis from which two axes make a map."""
@@ -28,7 +28,7 @@ class View:
     reading: str
     estimator: str
     frequency_hz: float
-    rows: tuple[Row, ...]
+    rows: tuple[StudyRow, ...]
 
     @property
     def key(self) -> str:
@@ -48,7 +48,7 @@ class Curve:
 
     label: str
     x: Floats
-    rows: tuple[Row, ...]
+    rows: tuple[StudyRow, ...]
 
     def values(self, column: str) -> Floats:
         """Return a column, (point,)."""
@@ -57,7 +57,7 @@ class Curve:
 
 def views(result: StudyResult) -> list[View]:
     """Return every reading, estimator and frequency, in the order of the rows."""
-    found: dict[tuple[str, str, float], list[Row]] = {}
+    found: dict[tuple[str, str, float], list[StudyRow]] = {}
     for row in result.rows:
         found.setdefault((row["reading"], row["estimator"], row["frequency_hz"]), []).append(row)
     return [View(*key, tuple(rows)) for key, rows in found.items()]

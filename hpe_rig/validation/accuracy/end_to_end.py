@@ -1,4 +1,4 @@
-"""Error of the final amplitude against seconds: from tonebursts through medium, echoes and noise to one number.
+"""End-to-end error of the final amplitude against seconds: tonebursts, medium, echoes, noise, one number.
 
 Scene: bovine muscle, 15 tonebursts at 100 Hz, pulses at 3990 Hz, the last 100 ms used, noise 40 dB below the echo. The
 final amplitude is the mean over realisations (new scatterers, new noise) of the estimate at 200 Hz over the beams'
@@ -13,13 +13,17 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hpe_rig.prediction import beam_averaging_factor, force_spectrum, scatterer_density
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, spec_of
+from hpe_rig.report import MARKS, label_decades, mark
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
@@ -115,11 +119,13 @@ def amplitudes(way: Way, realisations: int, seed: int) -> Floats:
     from sim_backend.echoes import drawn_echoes, hann_pulse
 
     settings = scene()
+    # The medium moves alike in every realisation: what differs is where its scatterers lie, and the noise.
     moved_m = displacement(way.nodes, way.degrees)
     pulse = hann_pulse(CARRIER_HZ, settings.scatterers.bandwidth)
     scatterers, noise = (np.random.default_rng([seed, stream]) for stream in (0, 1))
     found = []
     for clean in drawn_echoes(settings, moved_m, pulse, _gate_s(way), scatterers, realisations, way.tolerance):
+        # Rms of the noise of each realisation, `SNR_DB` below its own echoes.
         noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 10 ** (SNR_DB / 10))
         found.append(_estimated(way, clean + noise_v * noise.standard_normal(clean.shape)))
     return np.concatenate(found)
@@ -127,6 +133,7 @@ def amplitudes(way: Way, realisations: int, seed: int) -> Floats:
 
 def numerical_error(way: Way, seed: int = 0) -> float:
     """Return how far tolerance and nodes move noise-free amplitudes of the same scatterers, relative, rms."""
+    # The same scatterers and no noise on both sides: what is left between them is the numerical error alone.
     rough = _of_same_draws(way, way.tolerance, displacement(way.nodes, way.degrees), seed)
     fine = _of_same_draws(way, EXACT_TOLERANCE, displacement(72, 48), seed)
     return float(np.sqrt(np.mean((rough / fine - 1) ** 2)))
@@ -140,6 +147,7 @@ def true_amplitude_m() -> float:
     assert settings.specimen is not None  # noqa: S101
     width_m, frequency_hz = settings.beams.excitation_width_m, np.array([FREQUENCY_HZ])
     response = frequency_response(settings.specimen, width_m, frequency_hz)[0]
+    # Complex Fourier coefficient of the force's line at 200 Hz; its conjugate has the other half of the amplitude.
     force = force_spectrum(round(FREQUENCY_HZ / BURST_RATE_HZ), BURST_RATE_HZ, BURST_LENGTH_S, FORCE_N_PER_M3)
     return float(2 * np.abs(force * response))
 
@@ -178,6 +186,7 @@ def displacement(nodes: int, degrees: int) -> Floats:
 
 
 def _of_way(varied: str, way: Way, realisations: Sequence[int], seed: int) -> Iterator[EndToEnd]:
+    # Once unmeasured: what is compiled, imported or kept is so by the first run.
     found = amplitudes(way, realisations[0], seed)
     times_s = []
     for count in realisations:
@@ -187,6 +196,7 @@ def _of_way(varied: str, way: Way, realisations: Sequence[int], seed: int) -> It
             found = amplitudes(way, count, seed)
             taken_s.append(time.process_time() - start_s)
         times_s.append(min(taken_s))
+    # The last and largest number of realisations tells bias and spread; the smaller ones differ in time and by root n.
     truth_m = true_amplitude_m()
     bias, deviation = float(found.mean() / truth_m - 1), float(found.std(ddof=1) / truth_m)
     numerical = numerical_error(way)
@@ -218,6 +228,7 @@ def _estimated(way: Way, volts: Floats) -> Floats:
     valid = np.ones(len(time_s), dtype=bool)
     settings = scene()
     gate = EchoGate(volts, SAMPLE_RATE_HZ, time_s, CARRIER_HZ, settings.sound_speed_m_per_s, valid)
+    # The tonebursts drive every multiple of their rate: the first ten are fitted together.
     also_hz = [n * BURST_RATE_HZ for n in range(1, 11) if n * BURST_RATE_HZ != FREQUENCY_HZ]
     fit = estimate(gate, [FREQUENCY_HZ], way.estimator, also_hz)
     return np.asarray(fit.amplitude_m[:, 0] / _averaging(way))
@@ -241,6 +252,7 @@ def _of_same_draws(way: Way, tolerance: float, moved_m: Floats, seed: int) -> Fl
 
     settings, gate_s = scene(), _gate_s(way)
     pulse = hann_pulse(CARRIER_HZ, settings.scatterers.bandwidth)
+    # Scatterers whose echoes cannot reach the gate, at any tolerance compared here, are not drawn at all.
     reach_s = (float(gate_s[0]) - 2 * pulse.end_s, float(gate_s[-1]) + 2 * pulse.end_s)
     field = draw_thinned(settings, reach_s, EXACT_TOLERANCE, np.random.default_rng(seed), SAME_DRAWS)
     amplitude_s = np.broadcast_to(moved_m[:, None] * (2 / settings.sound_speed_m_per_s), (SAME_DRAWS, len(moved_m), 1))
@@ -256,3 +268,70 @@ def _pulse_s() -> Floats:
 def _gate_s(way: Way) -> Floats:
     samples = round(2 * way.gate_length_m / scene().sound_speed_m_per_s * SAMPLE_RATE_HZ)
     return np.asarray((np.arange(samples) - (samples - 1) / 2) / SAMPLE_RATE_HZ)
+
+
+def draw_end_to_end(rows: Sequence[EndToEnd], path: Path) -> None:
+    """Draw error over run time of every way, and the numerical part of it over tolerance and nodes."""
+    figure = Figure(figsize=(11, 4.8))
+    whole, numerical = figure.subplots(1, 2, width_ratios=[3, 2])
+    figure.subplots_adjust(left=0.065, right=0.99, bottom=0.11, top=0.93, wspace=0.18)
+    _whole(whole, rows)
+    _numerical(numerical, rows)
+    for axes in (whole, numerical):
+        axes.set(xscale="log", yscale="log")
+        label_decades(axes.xaxis)
+        axes.grid(alpha=0.3)
+    figure.savefig(path)
+
+
+def _whole(axes: Axes, rows: Sequence[EndToEnd]) -> None:
+    for place, name in enumerate(dict.fromkeys(row.estimator for row in rows)):
+        own = [row for row in rows if row.estimator == name]
+        marker, colour = mark(place)
+        size = [14 * (row.gate_length_m / 0.5e-3) for row in own]
+        axes.scatter(
+            [row.time_s for row in own], [row.error for row in own], size,
+            marker=marker, color=colour, alpha=0.7, label=name, linewidths=0.8,
+        )  # fmt: skip
+    front = sorted((row.time_s, row.error) for row in rows if row.on_front)
+    axes.step(*zip(*front, strict=True), where="post", color="k", lw=1.2, label="Pareto front")
+    _star(axes, [(row.time_s, row.error) for row in rows if row.shipped])
+    for row in rows:
+        if row.shipped:
+            count = f"{row.realisations} realisation{'s' if row.realisations > 1 else ''}"
+            axes.annotate(count, (row.time_s, row.error), (6, 8), textcoords="offset points", fontsize=7)
+    axes.set(
+        xlabel="processor time, scene to amplitude (s)",
+        ylabel="rms error / true amplitude",
+        title="Final amplitude; larger marks: longer gates",
+    )
+    axes.legend(fontsize=7, ncols=2)
+
+
+def _numerical(axes: Axes, rows: Sequence[EndToEnd]) -> None:
+    """Draw what tolerance and nodes alone do, over the run time of the most realisations."""
+    most = max(row.realisations for row in rows)
+    shipped = [row for row in rows if row.shipped and row.realisations == most]
+    for name, marker, colour in (("tolerance", *MARKS[0]), ("nodes", *MARKS[1])):
+        own = [row for row in rows if row.varied == name and row.realisations == most]
+        times_s, errors = [row.time_s for row in own], [row.numerical_error for row in own]
+        axes.plot(times_s, errors, marker, ms=6, color=colour, label=f"{name} varied")
+        for row in own:
+            text = f"{row.tolerance:.0e}" if name == "tolerance" else f"{row.nodes}"
+            axes.annotate(text, (row.time_s, row.numerical_error), (6, -3), textcoords="offset points", fontsize=7)
+    _star(axes, [(row.time_s, row.numerical_error) for row in shipped])
+    for row in shipped:
+        axes.axhline(row.standard_error, color="0.5", lw=0.8, ls="--", label=f"standard error of {most}")
+    axes.margins(x=0.12)
+    axes.set(
+        xlabel=f"processor time of {most} realisations (s)",
+        ylabel="rms numerical error / amplitude",
+        title="Of which tolerance and nodes",
+    )
+    axes.legend(fontsize=7)
+
+
+def _star(axes: Axes, points: Sequence[tuple[float, float]]) -> None:
+    if points:
+        times_s, errors = zip(*points, strict=True)
+        axes.plot(times_s, errors, "*", label="shipped default", ms=15, mfc="none", mec="k", mew=1.3, zorder=5)

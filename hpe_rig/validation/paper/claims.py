@@ -1,4 +1,4 @@
-"""Judges of the paper's statements that are more than a trend over SNR: its numbers, its maps, its remarks."""
+"""Claims of the paper that are more than a trend over SNR: its numbers, its maps, its remarks."""
 
 from __future__ import annotations
 
@@ -8,100 +8,114 @@ import math
 import numpy as np
 
 from hpe_rig.study import OURS, StudyResult, lateral_average
-from hpe_rig.validation.paper import judging
-from hpe_rig.validation.paper.judging import AGREES, DIFFERS, IN_PART, Finding, Judge
+from hpe_rig.validation.paper.judgement import (
+    AGREES,
+    DIFFERS,
+    IN_PART,
+    QUANTITIES,
+    SIGNIFICANT,
+    UNITS,
+    UNTOLD,
+    Judge,
+    Judgement,
+    at_point,
+    below,
+    ends,
+    map_of,
+    number,
+)
 
 NM, DEGREES = 1e9, 180 / math.pi
 
 
-def error_percent(result: StudyResult, reading: str) -> Finding:
+def error_percent(result: StudyResult, reading: str) -> Judgement:
     """Judge the error at the highest SNR, 18.5 %."""
-    curve = judging.ends(result, reading)[0]
+    curve = ends(result, reading)[0]
     share = 100 / curve.values("amplitude_true_m")[-1]
-    return judging.number(
+    return number(
         -curve.values("amplitude_bias_m")[-1] * share, curve.values("amplitude_bias_se_m")[-1] * share, 18.5, 0.05, " %"
     )
 
 
-def spread_percent(result: StudyResult, reading: str) -> Finding:
+def spread_percent(result: StudyResult, reading: str) -> Judgement:
     """Judge the error's standard deviation at the highest SNR, 3.4 %."""
-    curve = judging.ends(result, reading)[0]
+    curve = ends(result, reading)[0]
     share = 100 / curve.values("amplitude_true_m")[-1]
     jitter, se = curve.values("amplitude_jitter_m")[-1], curve.values("amplitude_jitter_se_m")[-1]
-    return judging.number(jitter * share, se * share, 3.4, 0.05, " %")
+    return number(jitter * share, se * share, 3.4, 0.05, " %")
 
 
-def tracked(result: StudyResult, reading: str) -> Finding:
+def tracked(result: StudyResult, reading: str) -> Judgement:
     """Judge tracked over peak displacement at the highest SNR, 0.815."""
-    curve = judging.ends(result, reading)[0]
+    curve = ends(result, reading)[0]
     truth = curve.values("amplitude_true_m")[-1]
     bias, se = curve.values("amplitude_bias_m")[-1] / truth, curve.values("amplitude_bias_se_m")[-1] / truth
-    return judging.number(1 + bias, se, 0.815, 0.0005)
+    return number(1 + bias, se, 0.815, 0.0005)
 
 
-def lateral_theory(result: StudyResult, reading: str) -> Finding:
+def lateral_theory(result: StudyResult, reading: str) -> Judgement:
     """Judge the 92 % of the lateral theory, which no draw enters."""
     theory = float(lateral_average(np.array(OURS), np.array(OURS)))
     power = 0.92 / (1 - 0.92) / OURS**2
-    return Finding(f"{theory:.4f} in closed form; 0.92 takes weights I^{power:.2f} in place of I^2", DIFFERS)
+    return Judgement(f"{theory:.4f} in closed form; 0.92 takes weights I^{power:.2f} in place of I^2", DIFFERS)
 
 
-def levels_out(result: StudyResult, reading: str) -> Finding:
+def levels_out(result: StudyResult, reading: str) -> Judgement:
     """Judge whether the mean is constant over the three highest SNRs."""
-    curve = judging.ends(result, reading)[0]
+    curve = ends(result, reading)[0]
     bias, se = curve.values("amplitude_bias_m") * NM, curve.values("amplitude_bias_se_m") * NM
     change = float(np.ptp(bias[-3:]))
     words = f"mean within {change:.2g} nm from {curve.x[-3]:g} to {curve.x[-1]:g} dB, s.e. {se[-1]:.2g} nm"
-    return Finding(words, AGREES if change < 3 * se[-1] else DIFFERS)
+    return Judgement(words, AGREES if change < 3 * se[-1] else DIFFERS)
 
 
-def no_phase_bias(result: StudyResult, reading: str) -> Finding:
+def no_phase_bias(result: StudyResult, reading: str) -> Judgement:
     """Judge whether the phase has a bias at any SNR."""
-    curve = judging.ends(result, reading)[0]
+    curve = ends(result, reading)[0]
     bias, se = curve.values("phase_bias_rad"), curve.values("phase_bias_se_rad")
     worst = int(np.argmax(np.abs(bias / se)))
     size = f"{abs(bias[worst] / se[worst]):.1f} s.e., {abs(bias[worst]) * DEGREES:.2g} deg"
     words = f"at most {size} at {curve.x[worst]:g} dB"
-    return Finding(words, AGREES if abs(bias[worst]) < 3 * se[worst] else DIFFERS)
+    return Judgement(words, AGREES if abs(bias[worst]) < 3 * se[worst] else DIFFERS)
 
 
-def falls_by_20_db(result: StudyResult, reading: str) -> Finding:
+def falls_by_20_db(result: StudyResult, reading: str) -> Judgement:
     """Judge whether the displacement jitter has fallen at 20 dB."""
-    curve = judging.ends(result, reading)[0]
+    curve = ends(result, reading)[0]
     jitter, se = curve.values("amplitude_jitter_m") * NM, curve.values("amplitude_jitter_se_m") * NM
     at = int(np.argmin(np.abs(curve.x - 20)))
     words = f"displacement jitter {jitter[0]:.3g}, {jitter[at]:.3g}, {jitter[-1]:.3g} nm at 0, 20, {curve.x[-1]:g} dB"
-    return Finding(words, AGREES if jitter[0] - jitter[at] > 3 * math.hypot(se[0], se[at]) else DIFFERS)
+    return Judgement(words, AGREES if jitter[0] - jitter[at] > 3 * math.hypot(se[0], se[at]) else DIFFERS)
 
 
-def hundred(result: StudyResult, reading: str) -> Finding:
+def hundred(result: StudyResult, reading: str) -> Judgement:
     """Judge what 100 realisations know of the mean at 20 dB."""
-    curve = judging.ends(result, reading)[0]
+    curve = ends(result, reading)[0]
     at = int(np.argmin(np.abs(curve.x - 20)))
     row, se = curve.rows[at], curve.values("amplitude_bias_se_m")[at] * NM
     realisations = row["draws"] * row["noise"]
     of_hundred = se * math.sqrt(realisations / 100)
     words = f"mean at 20 dB to {se:.2g} nm from {realisations}, {of_hundred:.2g} nm from 100"
-    return Finding(words, AGREES if of_hundred < 0.02 * row["amplitude_true_m"] * NM else DIFFERS)
+    return Judgement(words, AGREES if of_hundred < 0.02 * row["amplitude_true_m"] * NM else DIFFERS)
 
 
-def map_ratio(result: StudyResult, reading: str) -> Finding:
+def map_ratio(result: StudyResult, reading: str) -> Judgement:
     """Judge the normalised displacement at W_x = W_y = 2.19, 0.82."""
-    _, x, y, table = judging.map_of(result, reading)[-1]
+    _, x, y, table = map_of(result, reading)[-1]
     truth = table["amplitude_true_m"]
-    value = judging.at_point(x, y, 1 + table["amplitude_bias_m"] / truth, OURS)
-    return judging.number(value, judging.at_point(x, y, table["amplitude_bias_se_m"] / truth, OURS), 0.82, 0.005)
+    value = at_point(x, y, 1 + table["amplitude_bias_m"] / truth, OURS)
+    return number(value, at_point(x, y, table["amplitude_bias_se_m"] / truth, OURS), 0.82, 0.005)
 
 
 def phase_limit(quantity: str) -> Judge:
     """Return the judge of 5 degrees as the most where both W exceed 0.5."""
 
-    def judge(result: StudyResult, reading: str) -> Finding:
-        _, x, y, table = judging.map_of(result, reading)[-1]
+    def judge(result: StudyResult, reading: str) -> Judgement:
+        _, x, y, table = map_of(result, reading)[-1]
         wide = (x[None, :] > 0.5) & (y[:, None] > 0.5)
         value = np.abs(table[f"{quantity}_rad"])[wide] * DEGREES
         place = int(np.argmax(value))
-        return judging.below(value[place], table[f"{quantity}_se_rad"][wide][place] * DEGREES, 5.0, " deg")
+        return below(value[place], table[f"{quantity}_se_rad"][wide][place] * DEGREES, 5.0, " deg")
 
     return judge
 
@@ -109,19 +123,19 @@ def phase_limit(quantity: str) -> Judge:
 def map_trend(quantity: str, falls: bool) -> Judge:
     """Return the judge of a trend along W_x = W_y: from first to last, and whether it first goes the other way."""
 
-    def judge(result: StudyResult, reading: str) -> Finding:
-        _, x, _, table = judging.map_of(result, reading)[-1]
-        unit, scale, name = judging.UNITS[quantity.split("_")[0]]
+    def judge(result: StudyResult, reading: str) -> Judgement:
+        _, x, _, table = map_of(result, reading)[-1]
+        unit, scale, name = UNITS[quantity.split("_")[0]]
         value = np.abs(np.diagonal(table[f"{quantity}_{unit}"])) * scale
         se = np.diagonal(table[f"{quantity}_se_{unit}"]) * scale
         whole = (value[-1] - value[0]) / math.hypot(se[0], se[-1]) * (-1 if falls else 1)
         top = int(np.argmax(value if falls else -value))
-        back = abs(value[top] - value[0]) / max(math.hypot(se[0], se[top]), 1e-300) > judging.SIGNIFICANT and top > 0
-        words = f"{judging.QUANTITIES[quantity]} {value[0]:.3g} to {value[-1]:.3g} {name} along W_x = W_y"
+        back = abs(value[top] - value[0]) / max(math.hypot(se[0], se[top]), 1e-300) > SIGNIFICANT and top > 0
+        words = f"{QUANTITIES[quantity]} {value[0]:.3g} to {value[-1]:.3g} {name} along W_x = W_y"
         if back:
             words += f", but first to {value[top]:.3g} at W = {x[top]:.2g}"
-        verdict = DIFFERS if whole < -judging.SIGNIFICANT else judging.UNTOLD if whole < judging.SIGNIFICANT else AGREES
-        return Finding(words, IN_PART if back and verdict == AGREES else verdict)
+        verdict = DIFFERS if whole < -SIGNIFICANT else UNTOLD if whole < SIGNIFICANT else AGREES
+        return Judgement(words, IN_PART if back and verdict == AGREES else verdict)
 
     return judge
 
@@ -129,7 +143,7 @@ def map_trend(quantity: str, falls: bool) -> Judge:
 def _differences(result: StudyResult, reading: str) -> list[tuple[float, float, float]]:
     """Return W_z, the largest difference from the lateral theory and its standard error, by W_z."""
     out = []
-    for w_z, x, y, table in judging.map_of(result, reading):
+    for w_z, x, y, table in map_of(result, reading):
         truth = table["amplitude_true_m"]
         gap = np.abs(lateral_average(x[None, :], y[:, None]) - 1 - table["amplitude_bias_m"] / truth)
         place = np.unravel_index(int(np.argmax(gap)), gap.shape)
@@ -140,41 +154,40 @@ def _differences(result: StudyResult, reading: str) -> list[tuple[float, float, 
 def difference_at(which: int, said: float) -> Judge:
     """Return the judge of the largest difference from the lateral theory at one W_z, in ascending order."""
 
-    def judge(result: StudyResult, reading: str) -> Finding:
+    def judge(result: StudyResult, reading: str) -> Judgement:
         w_z, gap, se = _differences(result, reading)[which]
         # "Up to and greater than" and "as high as" are read off a figure: half a step of 0.05.
-        finding = judging.number(gap, se, said, 0.025)
+        finding = number(gap, se, said, 0.025)
         if which == 0 and gap > said:
-            finding = Finding(finding.found, AGREES)
-        return Finding(f"at most {finding.found} at W_z = {w_z:g}", finding.verdict)
+            finding = Judgement(finding.found, AGREES)
+        return Judgement(f"at most {finding.found} at W_z = {w_z:g}", finding.verdict)
 
     return judge
 
 
-def differences_fall(result: StudyResult, reading: str) -> Finding:
+def differences_fall(result: StudyResult, reading: str) -> Judgement:
     """Judge whether the largest difference falls from the least to the largest W_z, and rises nowhere between."""
     found = _differences(result, reading)
-    rises = any(b - a > judging.SIGNIFICANT * math.hypot(s, t) for (_, a, s), (_, b, t) in itertools.pairwise(found))
-    whole = found[0][1] - found[-1][1] > judging.SIGNIFICANT * math.hypot(found[0][2], found[-1][2])
+    rises = any(b - a > SIGNIFICANT * math.hypot(s, t) for (_, a, s), (_, b, t) in itertools.pairwise(found))
+    whole = found[0][1] - found[-1][1] > SIGNIFICANT * math.hypot(found[0][2], found[-1][2])
     words = "largest " + ", ".join(f"{gap:.2f} at {w_z:g}" for w_z, gap, _ in found)
-    return Finding(words, (IN_PART if rises else AGREES) if whole else DIFFERS)
+    return Judgement(words, (IN_PART if rises else AGREES) if whole else DIFFERS)
 
 
-def wider_axially(result: StudyResult, reading: str) -> Finding:
+def wider_axially(result: StudyResult, reading: str) -> Judgement:
     """Judge whether wider axial beams change the mean by less than its deviation."""
-    curve = judging.ends(result, reading)[0]
+    curve = ends(result, reading)[0]
     ratio = 1 + curve.values("amplitude_bias_m") / curve.values("amplitude_true_m")
     jitter = curve.values("amplitude_jitter_m") / curve.values("amplitude_true_m")
     each = ", ".join(f"{r:.3f} ± {j:.3f} at {x:g}" for x, r, j in zip(curve.x, ratio, jitter, strict=True))
-    return Finding(each, AGREES if float(np.ptp(ratio)) < float(jitter[0]) else DIFFERS)
+    return Judgement(each, AGREES if float(np.ptp(ratio)) < float(jitter[0]) else DIFFERS)
 
 
-def phase_over_w_z(result: StudyResult, reading: str) -> Finding:
+def phase_over_w_z(result: StudyResult, reading: str) -> Judgement:
     """Judge the phase jitter at W_x = W_y = 2.19 from W_z = 0.5 on."""
     found = [
-        (w_z, judging.at_point(x, y, table["phase_jitter_rad"], OURS) * DEGREES)
-        for w_z, x, y, table in judging.map_of(result, reading)
+        (w_z, at_point(x, y, table["phase_jitter_rad"], OURS) * DEGREES) for w_z, x, y, table in map_of(result, reading)
     ]
     kept = [value for w_z, value in found if w_z >= 0.5]
     words = "phase jitter " + ", ".join(f"{value:.2g} deg at {w_z:g}" for w_z, value in found)
-    return Finding(words, AGREES if max(kept) - min(kept) < 1.0 else DIFFERS)
+    return Judgement(words, AGREES if max(kept) - min(kept) < 1.0 else DIFFERS)

@@ -1,4 +1,4 @@
-"""The paper's experiments on the twin, each a figure and a table beside what the paper says, with a verdict."""
+"""Experiments of the paper on the twin, each a figure and a table beside what the paper says, with a verdict."""
 
 from __future__ import annotations
 

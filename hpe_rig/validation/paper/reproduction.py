@@ -1,4 +1,4 @@
-"""The page ``reproduction``: each number and stated trend of the paper against what comes out, in both readings."""
+"""Reproduction of the paper: each number and stated trend of the paper against what comes out, in both readings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hpe_rig.validation.paper.claims import (
     tracked,
     wider_axially,
 )
-from hpe_rig.validation.paper.judging import ABSENT, AGREES, Judge, flat, judged, slight, trend
+from hpe_rig.validation.paper.judgement import ABSENT, AGREES, Judge, flat, judged, slight, trend
 
 READINGS = ("physical", "literal")
 

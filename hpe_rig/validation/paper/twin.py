@@ -1,4 +1,4 @@
-"""Fig. 1 and 14, the interference of toneburst and gate, and the dose: the twin's own physics."""
+"""Figures 1 and 14, the interference of toneburst and gate, and the dose: the twin's own physics."""
 
 from __future__ import annotations
 

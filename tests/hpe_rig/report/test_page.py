@@ -14,9 +14,9 @@ import pytest
 
 from hpe_rig.acquire.run import prepare, record_run
 from hpe_rig.acquire.run_file import process
+from hpe_rig.report.figures import sweep_pictures
 from hpe_rig.report.page import render, strongest, write_report
-from hpe_rig.report.sweep import Curve, Sweep
-from hpe_rig.report.sweep_figures import sweep_pictures
+from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.result.estimates import Result, shot_warnings
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import StoreError
@@ -209,6 +209,6 @@ def test_warnings_alike_but_for_their_numbers_stand_once_with_their_shots(result
 def test_phases_of_a_sweep_are_followed_from_the_strongest_point() -> None:
     # A point drowned in noise, -179 degrees, and then 60 degrees: followed from the left all would stand at -300.
     phase_rad, x = np.radians([-179.0, 60.0, 60.0]), np.arange(3.0)
-    curve = Curve(100.0, "", x, np.array([1e-9, 5e-8, 1e-7]), np.zeros(3), phase_rad, np.zeros(3), 1, None)
+    curve = SweepCurve(100.0, "", x, np.array([1e-9, 5e-8, 1e-7]), np.zeros(3), phase_rad, np.zeros(3), 1, None)
     _, phase = sweep_pictures(Sweep("force F / F_0", (curve,)))
     assert "between 60.00 and 181.00 degrees" in phase.alt

@@ -9,8 +9,8 @@ import pytest
 
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.scene.validation import SettingsError
-from hpe_rig.study.cases import Point, points_of
-from hpe_rig.study.definition import Definition, Range, read_studies, shipped_studies
+from hpe_rig.study.cases import GridPoint, points_of
+from hpe_rig.study.definition import AxisRange, Definition, read_studies, shipped_studies
 
 SIZES = {"fig-4": 1, "fig-5": 5, "fig-6": 5, "fig-7": 6, "fig-8": 5, "fig-9": 3, "fig-10": 3, "fig-11": 4}
 
@@ -25,7 +25,7 @@ keys = { "simulation.receiver.snr_db" = [10.0, 20.0] }
 """
 
 
-def _points(text: str, tmp_path: Path, **replaced: object) -> list[Point]:
+def _points(text: str, tmp_path: Path, **replaced: object) -> list[GridPoint]:
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
     ((name, (definition, folder)),) = read_studies(str(tmp_path / "own.toml"), replaced).items()
     return points_of(name, definition, folder)
@@ -223,4 +223,4 @@ def test_shipped_studies_are_listed_in_the_order_of_their_figures() -> None:
     figures = [name for name in shipped_studies() if name.startswith("fig-")]
     assert figures == [f"fig-{n}" for n in range(4, 14)]
     assert Definition.model_fields["scatterers"].default * Definition.model_fields["noise"].default == 1000
-    assert Range(start=1, stop=100, count=3, spacing="log").values() == [1.0, 10.0, 100.0]
+    assert AxisRange(start=1, stop=100, count=3, spacing="log").values() == [1.0, 10.0, 100.0]

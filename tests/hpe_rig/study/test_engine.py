@@ -13,7 +13,7 @@ import pytest
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.study.cases import Case, points_of
 from hpe_rig.study.definition import Definition
-from hpe_rig.study.engine import Record, _echoes, _Running, run_batch
+from hpe_rig.study.engine import CaseRecord, _echoes, _Running, run_batch
 from hpe_rig.study.run import batches
 from sim_backend.settings.simulation import Reflector
 
@@ -37,12 +37,12 @@ def cases_of(**changed: Any) -> list[Case]:
     return [point.case for point in points_of("own", definition(**changed))]
 
 
-def numbers(record: Record) -> Record:
+def numbers(record: CaseRecord) -> CaseRecord:
     """Return what of a record must not hang on when and where it was computed."""
     return {key: value for key, value in record.items() if key not in OF_THE_RUN}
 
 
-def estimate(record: Record, estimator: str) -> dict[str, float]:
+def estimate(record: CaseRecord, estimator: str) -> dict[str, float]:
     return next(row for row in record["estimates"] if row["estimator"] == estimator)
 
 

@@ -13,8 +13,8 @@ from scipy.integrate import dblquad
 from hpe_rig.study.definition import Definition, shipped_studies
 from hpe_rig.study.map_figures import lateral_average
 from hpe_rig.study.results import StudyResult
-from hpe_rig.validation.paper import claims as claim_judges, judging, reproduction
-from hpe_rig.validation.paper.judging import ABSENT, AGREES, DIFFERS, IN_PART, UNTOLD
+from hpe_rig.validation.paper import claims as claim_judges, judgement, reproduction
+from hpe_rig.validation.paper.judgement import ABSENT, AGREES, DIFFERS, IN_PART, UNTOLD
 
 Values = Callable[[dict[str, float]], dict[str, float]]
 SNR_DB = [0.0, 20.0, 40.0]
@@ -66,23 +66,23 @@ def curves(jitter_nm: Callable[[float, float], float]) -> StudyResult:
 def test_a_trend_agrees_where_it_is_significant_and_nowhere_opposite(
     jitter_nm: Callable[[float, float], float], verdict: str
 ) -> None:
-    assert judging.trend("amplitude_jitter", falls=True)(curves(jitter_nm), "physical").verdict == verdict
+    assert judgement.trend("amplitude_jitter", falls=True)(curves(jitter_nm), "physical").verdict == verdict
 
 
 def test_no_effect_means_small_or_within_chance_at_every_snr() -> None:
-    judge = judging.flat("amplitude_jitter", 10.0)
+    judge = judgement.flat("amplitude_jitter", 10.0)
     assert judge(curves(lambda p, snr: 100 + 9 * p), "physical").verdict == AGREES
     assert judge(curves(lambda p, snr: 100 + (30 if snr == 0 else 1) * p), "physical").verdict == IN_PART
     assert judge(curves(lambda p, snr: 100 + 30 * p), "physical").verdict == DIFFERS
 
 
 def test_a_number_agrees_within_its_rounding_and_three_errors() -> None:
-    assert judging.number(0.8150, 0.001, 0.818, 0.0005).verdict == AGREES
-    assert judging.number(0.8150, 0.001, 0.819, 0.0005).verdict == DIFFERS
-    assert judging.below(4.9, 1.0, 5.0, "").verdict == AGREES
-    assert judging.below(7.0, 1.0, 5.0, "").verdict == UNTOLD
-    assert judging.below(9.0, 1.0, 5.0, "").verdict == DIFFERS
-    assert judging.with_error(0.81453, 0.00123) == "0.8145 ± 0.0012"
+    assert judgement.number(0.8150, 0.001, 0.818, 0.0005).verdict == AGREES
+    assert judgement.number(0.8150, 0.001, 0.819, 0.0005).verdict == DIFFERS
+    assert judgement.below(4.9, 1.0, 5.0, "").verdict == AGREES
+    assert judgement.below(7.0, 1.0, 5.0, "").verdict == UNTOLD
+    assert judgement.below(9.0, 1.0, 5.0, "").verdict == DIFFERS
+    assert judgement.with_error(0.81453, 0.00123) == "0.8145 ± 0.0012"
 
 
 def test_the_lateral_theory_is_the_mean_motion_under_the_squared_beam() -> None:
@@ -99,7 +99,7 @@ def test_the_lateral_theory_is_the_mean_motion_under_the_squared_beam() -> None:
 def test_a_map_is_read_between_its_points_linearly_in_the_logarithms() -> None:
     x = np.geomspace(0.1, 10, 11)
     values = 2 * np.log(x)[None, :] + 3 * np.log(x)[:, None] + 1
-    assert judging.at_point(x, x, values, 2.19) == pytest.approx(5 * np.log(2.19) + 1, rel=1e-12)
+    assert judgement.at_point(x, x, values, 2.19) == pytest.approx(5 * np.log(2.19) + 1, rel=1e-12)
 
 
 def test_differences_from_the_lateral_theory_are_told_by_w_z() -> None:

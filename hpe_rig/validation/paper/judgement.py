@@ -1,4 +1,4 @@
-"""How a statement of the paper is judged: by a study's own numbers and their Monte Carlo errors, in one reading."""
+"""Judgement of a statement of the paper by a study's own numbers and their Monte Carlo errors, in one reading."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hpe_rig.study import Curve, StudyResult, curves, maps, view
 
 Floats = NDArray[np.float64]
-Table = dict[str, Floats]
+Columns = dict[str, Floats]
 
 SIGNIFICANT = 3.0
 """Standard errors: of 200 comparisons of nothing with nothing, one in two such pages shows one by chance."""
@@ -28,35 +28,35 @@ QUANTITIES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class Judgement:
     """What came out, in words, and the verdict on what was said."""
 
     found: str
     verdict: str
 
 
-Judge = Callable[[StudyResult, str], Finding]
+Judge = Callable[[StudyResult, str], Judgement]
 """From a study and a reading of eq. (11)."""
 
 
-def judged(results: Mapping[str, StudyResult], study: str, reading: str, judge: Judge) -> Finding:
+def judged(results: Mapping[str, StudyResult], study: str, reading: str, judge: Judge) -> Judgement:
     """Return the finding, or that the study was not run in this reading."""
     result = results.get(study)
     if result is None or view(result, reading) is None:
-        return Finding(f"needs hpe-rig study {study}", ABSENT)
+        return Judgement(f"needs hpe-rig study {study}", ABSENT)
     return judge(result, reading)
 
 
-def number(value: float, se: float, said: float, rounding: float, unit: str = "") -> Finding:
+def number(value: float, se: float, said: float, rounding: float, unit: str = "") -> Judgement:
     """Judge a number: it agrees within how it was rounded and three standard errors."""
     agrees = abs(value - said) <= rounding + SIGNIFICANT * se
-    return Finding(f"{with_error(value, se)}{unit}", AGREES if agrees else DIFFERS)
+    return Judgement(f"{with_error(value, se)}{unit}", AGREES if agrees else DIFFERS)
 
 
-def below(largest: float, se: float, limit: float, unit: str) -> Finding:
+def below(largest: float, se: float, limit: float, unit: str) -> Judgement:
     """Judge an upper limit for the largest value found; what chance alone may lift above it tells nothing."""
     verdict = AGREES if largest < limit else UNTOLD if largest - SIGNIFICANT * se < limit else DIFFERS
-    return Finding(f"at most {with_error(largest, se)}{unit}", verdict)
+    return Judgement(f"at most {with_error(largest, se)}{unit}", verdict)
 
 
 def with_error(value: float, se: float) -> str:
@@ -82,7 +82,7 @@ def trend(quantity: str, falls: bool) -> Judge:
     parameter make the standard errors upper bounds.
     """
 
-    def judge(result: StudyResult, reading: str) -> Finding:
+    def judge(result: StudyResult, reading: str) -> Judgement:
         first, last = ends(result, reading)
         (a, a_se), (b, b_se) = _sizes(first, quantity), _sizes(last, quantity)
         z = (b - a) / np.maximum(np.hypot(a_se, b_se), 1e-300) * (-1 if falls else 1)
@@ -94,8 +94,8 @@ def trend(quantity: str, falls: bool) -> Judge:
         if wrong.any():
             words += f", {'rises' if falls else 'falls'} at {_places(first.x, wrong)}"
         if not right.any():
-            return Finding(words, DIFFERS if wrong.any() else UNTOLD)
-        return Finding(words, IN_PART if wrong.any() else AGREES)
+            return Judgement(words, DIFFERS if wrong.any() else UNTOLD)
+        return Judgement(words, IN_PART if wrong.any() else AGREES)
 
     return judge
 
@@ -103,7 +103,7 @@ def trend(quantity: str, falls: bool) -> Judge:
 def flat(quantity: str, small: float, from_db: float = -math.inf) -> Judge:
     """Return the judge of "no effect": less than ``small`` (nm or degrees), or not significant, at every SNR."""
 
-    def judge(result: StudyResult, reading: str) -> Finding:
+    def judge(result: StudyResult, reading: str) -> Judgement:
         first, last = ends(result, reading)
         (a, a_se), (b, b_se) = _sizes(first, quantity), _sizes(last, quantity)
         kept = first.x >= from_db
@@ -115,7 +115,7 @@ def flat(quantity: str, small: float, from_db: float = -math.inf) -> Judge:
         words += f", at {first.x[kept][place]:g} dB"
         if effect.any():
             words += f"; significantly at {_places(first.x[kept], effect)}"
-        return Finding(words, DIFFERS if effect.all() else IN_PART if effect.any() else AGREES)
+        return Judgement(words, DIFFERS if effect.all() else IN_PART if effect.any() else AGREES)
 
     return judge
 
@@ -123,7 +123,7 @@ def flat(quantity: str, small: float, from_db: float = -math.inf) -> Judge:
 def slight(quantity: str, share: float, from_db: float = SHOWN_DB) -> Judge:
     """Return the judge of a small change: less than ``share`` of the value at the SNRs from ``from_db``."""
 
-    def judge(result: StudyResult, reading: str) -> Finding:
+    def judge(result: StudyResult, reading: str) -> Judgement:
         first, last = ends(result, reading)
         (a, a_se), (b, b_se) = _sizes(first, quantity), _sizes(last, quantity)
         kept = first.x >= from_db
@@ -132,12 +132,12 @@ def slight(quantity: str, share: float, from_db: float = SHOWN_DB) -> Judge:
         words = (
             f"{QUANTITIES[quantity]} {ratio[place] * 100:+.0f} ± {se[place] * 100:.1g} % at {first.x[kept][place]:g} dB"
         )
-        return Finding(words, AGREES if abs(ratio[place]) < share else DIFFERS)
+        return Judgement(words, AGREES if abs(ratio[place]) < share else DIFFERS)
 
     return judge
 
 
-def map_of(result: StudyResult, reading: str) -> list[tuple[float, Floats, Floats, Table]]:
+def map_of(result: StudyResult, reading: str) -> list[tuple[float, Floats, Floats, Columns]]:
     """Return W_z, W_x, W_y and the columns (y, x) of every map of the paper's chain."""
     one = view(result, reading)
     assert one is not None  # noqa: S101
