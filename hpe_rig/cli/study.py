@@ -1,4 +1,4 @@
-"""``hpe-rig study``: workers, progress and the closing table around `run_study`."""
+"""Command ``study``: workers, progress bar and closing table around ``run_study``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def study_command(
     show: Callable[[str], None],
     report: bool = False,
 ) -> None:
-    """Run the study ``name``, show its progress and what it took; write its report where wanted."""
+    """Run the study ``name``, print what it computed and how long it took, and write its report if asked."""
     count = workers or os.cpu_count() or 1
     open_pool = functools.partial(cluster, scheduler, count) if scheduler else functools.partial(processes, count)
     ahead = 64 if scheduler else 2 * count + 2
@@ -41,7 +41,7 @@ def study_command(
 
 
 def table(results: list[StudyResult], output: Path) -> Iterator[str]:
-    """Yield what every study computed, how precisely and in what time."""
+    """Yield a header and, for each study, its cases, realisations, processor time, memory and summary file."""
     yield f"{'study':10} {'cases':>6} {'realisations':>13} {'processor time':>15} {'peak memory':>12}  results"
     for result in results:
         cases = len({row["case"] for row in result.rows})

@@ -1,4 +1,4 @@
-"""A result as a table for people: nm, degrees, Hz."""
+"""Result as a table on the terminal: nm, degrees, Hz."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ LEAST_S = 0.005
 
 
 def print_result(result: Result) -> None:
-    """Print every shot's table, warnings, what was left out and the run time by stage."""
-    # A pipe has no width of its own; the table is not to be squeezed into the 80 columns taken for it.
+    """Print the table of each shot, the warnings, what was left out, and the run time by stage."""
+    # A pipe has no width; rich would assume 80 columns and squeeze the table into them.
     console = Console(soft_wrap=True, highlight=False, markup=False, width=max(TABLE_WIDTH, Console().width))
     source = "SIMULATED" if result.simulated else "measured"
     console.print(f"\n{result.title}", style="bold")

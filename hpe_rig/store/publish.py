@@ -40,9 +40,7 @@ def publish(image: bytes, path: Path, overwrite: bool) -> None:
         else:
             _rename_to_new(draft, path)
     except FileExistsError:
-        raise StoreError(
-            f"{path} exists and is never overwritten unless told. Try: another --output, or --overwrite."
-        ) from None
+        raise StoreError(f"{path} already exists. Try: another --output, or --overwrite.") from None
     except OSError as error:
         raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder with --output.") from None
     finally:
