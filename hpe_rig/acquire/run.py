@@ -174,7 +174,7 @@ def _record(event: Event, scene: Scene, bench: Bench, writer: RunWriter, stages:
                     with stages("truth"):
                         pulses_m = bench.world.true_displacement_m()
                         harmonics_m = true_harmonics_m(scene, shot, bench.world.true_motion_m)
-                    writer.truth(shot, pulses_m)
+                    writer.ground_truth(shot, pulses_m)
                     writer.true_harmonics(shot, harmonics_m)
                 writer.finish(shot)
 

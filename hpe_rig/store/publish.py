@@ -1,4 +1,4 @@
-"""A run file comes into being: where there is room, as a whole or not at all, open to readers from the first moment."""
+"""Creation of a run file: only where it fits, whole or not at all, open to readers from its first moment."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ def refuse_small_disk(path: Path, needed: int) -> None:
     try:
         free = shutil.disk_usage(path.parent).free
     except OSError:
-        # Whatever is wrong with the folder shows, with its own words, when the file is created.
+        # Whatever is wrong with the folder is reported when the file is created.
         return
     if free < needed:
         raise StoreError(
-            f"{path}: the run takes {needed / 1e6:.6g} MB, the disk has {free / 1e6:.6g} MB free. "
+            f"{path}: the run needs {needed / 1e6:.6g} MB, the disk has {free / 1e6:.6g} MB free. "
             "Try: another folder with --output, --compress, or fewer repeats."
         )
 
 
 def publish(image: bytes, path: Path, overwrite: bool) -> None:
-    """Let ``path`` appear as a whole file or not at all."""
+    """Create ``path`` with the bytes ``image``, whole or not at all; raise ``StoreError`` where it cannot be."""
     draft = path.parent / f".{path.name}.{os.getpid()}.draft"
     try:
         with draft.open("xb") as file:
@@ -65,7 +65,7 @@ def _rename_to_new(draft: Path, path: Path) -> None:
 
 
 def open_for_readers(path: Path) -> h5py.File:
-    """Open in single-writer-multiple-reader mode from the first moment: a file killed later can still be opened."""
+    """Open ``path`` in HDF5's single-writer-multiple-reader mode, so that it stays readable if its writer is killed."""
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
     return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE, access))

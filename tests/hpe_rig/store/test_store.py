@@ -122,7 +122,7 @@ def test_a_gate_is_read_alone(setup: Setup, tmp_path: Path) -> None:
 
 def test_a_block_in_other_volts_than_the_range_says_is_refused(setup: Setup, tmp_path: Path) -> None:
     other = replace(block_of(setup, 0, 4, 0.5), volts_per_code=1e-3)
-    with pytest.raises(StoreError, match="V a code"):
+    with pytest.raises(StoreError, match="V per code"):
         written(setup, tmp_path / "run.h5", other)
     assert read_run(tmp_path / "run.h5").status == "failed"
 
