@@ -99,7 +99,8 @@ def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[Finding, ...]]:
         plan = make_plan(scene, bench)
         return plan, tuple(findings(scene, bench, plan))
     except (ArithmeticError, ValueError, MemoryError) as error:
-        what = f"its numbers lead to no plan ({error})"
+        why = "more memory than is available" if isinstance(error, MemoryError) else error
+        what = f"its numbers lead to no plan ({why})"
         raise SettingsError("the scene", [Mistake("", what, "values as they occur on a bench")]) from error
 
 

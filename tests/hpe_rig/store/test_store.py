@@ -185,7 +185,7 @@ def test_a_result_never_replaces_a_file_that_is_none(setup: Setup, tmp_path: Pat
     process(path)
     foreign = result_path(path, "coherent")
     foreign.write_bytes(b"precious")
-    with pytest.raises(StoreError, match="left alone"):
+    with pytest.raises(StoreError, match="not replaced"):
         write_result(foreign, result)
     assert foreign.read_bytes() == b"precious"
 
