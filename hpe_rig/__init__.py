@@ -1,17 +1,33 @@
-"""Control and acquisition for a harmonic pulsed excitation ultrasound bench; this is the map.
+"""Control and acquisition for a harmonic pulsed excitation (HPE) ultrasound bench and its twin.
 
-scene.toml -> plan -> bench -> sequencer -> records -> processing -> result
-scene.py      plan.py  bench.py  sequencer.py  store.py   estimation.py  result.py        all of it: run.py
+>>> import hpe_rig as hpe
+>>> scene = hpe.load_scene("bovine-muscle").with_({"tracking.pulse_rate_hz": 3890.0})
+>>> print(hpe.check(scene))
+>>> run = hpe.measure(scene, path="muscle.h5")            # on the twin; bench="my-bench.toml" on a real one
+>>> run.displacement_m(0)                                # of every tracking pulse, m; run.records[0].codes: echoes
+>>> run.estimate("coherent").to_frame()                  # amplitude and phase; .figure(); both in a notebook
+>>> hpe.open_run("muscle.h5").estimate("kasai")
+>>> hpe.estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
+>>> hpe.run_study("fig-7", "results")
+
+A scene is a name, a path or a ``Scene`` wherever one is taken. The map:
+
+scene.toml -> plan -> bench -> sequencer -> records -> processing -> result -> report
+scene/        plan/   bench/   acquire/     store/     processing/   result/   report/
 
 what                                        equation of the paper          where
-burst train, spectrum of its force          (17), (18)                     theory.py, sim_backend/motion/force.py
+burst train, spectrum of its force          (17), (18)                     prediction/theory.py, sim_backend/motion
 displacement D(t), velocity                 (1), (2)                       processing/harmonic.py
-echo of a scatterer, its delay              (3), (7) to (13)               sim_backend/echoes/engine.py
+echo of a scatterer, its delay              (3), (7) to (13)               sim_backend/echoes
 cross-spectrum, velocity from its phase     (5), (6)                       processing/motion.py
-amplitude and phase from displacement       Kalman filter, least squares   processing/harmonic.py
-noise at a signal-to-noise ratio            (16)                           sim_backend/receiver/front_end.py
+amplitude and phase from displacement       Kalman filter, least squares   processing/harmonic.py, kalman_filter.py
+noise at a signal-to-noise ratio            (16)                           sim_backend/receiver
 
 T_b  burst_length_s     f_r  burst_rate_hz     f_prf  pulse_rate_hz     t_d  tracking.delay_s
 l_g  gate_length_m      F_s  sample_rate_hz    f_v    frequencies_hz    T_s  processing.window_length_s
 E, T excitation_width_m, tracking_width_m      D_0, phi_s  amplitude_m, phase_rad
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

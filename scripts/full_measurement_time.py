@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from hpe_rig.acquire import measure, prepare_text, process
+from hpe_rig.acquire import prepare_text, process, record_run
 from hpe_rig.result import Stages
 from hpe_rig.scene import shipped_scenes
 
@@ -38,7 +38,7 @@ def seconds(text: str) -> tuple[float, dict[str, float]]:
     stages, start_s = Stages(), time.process_time()
     with TemporaryDirectory() as folder:
         setup = prepare_text("timed", text, stages=stages)
-        process(measure(setup, Path(folder) / "run.h5", stages=stages), stages=stages)
+        process(record_run(setup, Path(folder) / "run.h5", stages=stages), stages=stages)
     return time.process_time() - start_s, stages.run_time_s
 
 

@@ -1,20 +1,18 @@
-"""Measure a scene from Python, as ``hpe-rig run`` does: SCENE [BENCH.toml]."""
+"""Measurement of a scene from Python, as ``hpe-rig run`` does it: SCENE [BENCH.toml]."""
 
 import sys
-from pathlib import Path
 
-from hpe_rig.acquire import measure, prepare, process
-from hpe_rig.cli import print_result
+import hpe_rig as hpe
 
 
 def main(scene: str = "table-1", bench: str | None = None) -> None:
-    """Plan, acquire, estimate and print; an exception or Ctrl-C leaves every output off."""
-    setup = prepare(scene, Path(bench) if bench else None)
-    run_file = measure(setup)
-    result = process(run_file)
-    print_result(result)
-    strongest = max(result.shots[0].estimates, key=lambda estimate: estimate.amplitude_m)
-    print(f"strongest: {strongest.amplitude_m * 1e9:.0f} nm at {strongest.frequency_hz:g} Hz, in {run_file}")
+    """Measure, estimate and print; an exception or Ctrl-C leaves every output off."""
+    run = hpe.measure(scene, bench)
+    result = run.estimate()
+    print(f"{result.title}: {run.path}")
+    for item in result.shots[0].estimates:
+        amplitude_nm, u_nm = item.amplitude_m * 1e9, item.amplitude_uncertainty_m * 1e9
+        print(f"{item.frequency_hz:g} Hz: {amplitude_nm:.4g} nm, u = {u_nm:.2g} nm, phase {item.phase_rad:.4f} rad")
 
 
 if __name__ == "__main__":

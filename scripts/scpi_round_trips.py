@@ -15,7 +15,7 @@ from statistics import median
 from typing import Any
 
 from drivers.visa import VisaWire
-from hpe_rig.acquire import Progress, Step, measure, prepare
+from hpe_rig.acquire import Progress, Step, prepare, record_run
 from hpe_rig.bench import TRANSPORTS, read_bench
 from hpe_rig.scene import shipped_scenes
 from sim_backend.world import InstrumentWire
@@ -73,7 +73,7 @@ def measured(scene: Path, transport: str | None, folder: Path) -> Ledger:
     for method, what in (("write", "messages"), ("read", "round trips")):
         setattr(wire, method, counting(ledger, method, what)(before[method]))
     try:
-        measure(prepare(str(scene), bench), folder / f"{transport}.h5", ledger.observe)
+        record_run(prepare(str(scene), bench), folder / f"{transport}.h5", ledger.observe)
     finally:
         for method, original in before.items():
             setattr(wire, method, original)

@@ -33,10 +33,10 @@ from hpe_rig.acquire import (
     ShotBlock,
     Step,
     acquire,
-    measure,
     prepare_rest,
     prepare_text,
     process,
+    record_run,
     resume,
 )
 from hpe_rig.bench import open_bench
@@ -92,7 +92,7 @@ def stream(folder: Path, gigabytes: float) -> None:
                 f"{time.monotonic() - start_s:8.1f} s  {(shot + 1) * SHOT_BYTES / 1e9:7.2f} GB  {seen_mb[-1]:6.1f} MB"
             )
 
-    measure(setup, path, observe)
+    record_run(setup, path, observe)
     took_s, size = time.monotonic() - start_s, path.stat().st_size
     print(f"{size / 1e9:.2f} GB in {took_s:.0f} s, resident memory at most {max(seen_mb):.0f} MB")
     path.unlink()
@@ -145,7 +145,7 @@ def full(sizes: int) -> None:
     setup = edited("bovine-muscle-synchronous", *SWEEP)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        whole_path = measure(setup, folder / "whole.h5")
+        whole_path = record_run(setup, folder / "whole.h5")
         whole, expected = read_run(whole_path), table(whole_path)
         refused, kept, records = 0, 0, 0
         for size in np.random.default_rng(3).uniform(0.01, 0.99, sizes) * whole_path.stat().st_size:
@@ -175,7 +175,7 @@ def on_small_disk(setup: Setup, folder: Path, size: int) -> Path | None:
     try:
         # Somebody else fills the disk while the run goes on: the check for room before it sees enough.
         with unchecked_room():
-            measure(setup, disk / "run.h5")
+            record_run(setup, disk / "run.h5")
     except StoreError as error:
         complaint = str(error)
     try:

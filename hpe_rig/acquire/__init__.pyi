@@ -1,13 +1,25 @@
+from .api import (
+    CheckedScene as CheckedScene,
+    check as check,
+    estimate as estimate,
+    measure as measure,
+    open_bench as open_bench,
+)
 from .log import log_path as log_path, logged as logged
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import (
     Setup as Setup,
-    chosen_estimator as chosen_estimator,
     json_schema as json_schema,
-    measure as measure,
     planned as planned,
     prepare as prepare,
     prepare_text as prepare_text,
+    record_run as record_run,
+)
+from .run_file import (
+    Run as Run,
+    chosen_estimator as chosen_estimator,
+    estimates_of as estimates_of,
+    open_run as open_run,
     process as process,
 )
 from .sequencer import (

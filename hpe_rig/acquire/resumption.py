@@ -1,4 +1,4 @@
-"""Go on with a run that stopped: a new file takes over its complete shots and measures the others."""
+"""Resumption of a stopped run: a new file takes over its complete shots and measures the others."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from hpe_rig.acquire.run import Setup, measure, prepare_text
+from hpe_rig.acquire.run import Setup, prepare_text, record_run
+from hpe_rig.acquire.run_file import Run, open_run
 from hpe_rig.acquire.sequencer import Observer, unobserved
-from hpe_rig.bench import parse_bench
 from hpe_rig.result import Stages
-from hpe_rig.scene import parse_scene, scene_text
-from hpe_rig.store import Predecessor, StoredRun, StoreError, WriteOptions, free_path, read_run
+from hpe_rig.scene import SceneSource, scene_text
+from hpe_rig.store import Predecessor, StoreError, WriteOptions, free_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,24 +20,23 @@ class Rest:
     """What is left of a run: the measurement, the run that stopped, and how many of its shots are complete."""
 
     setup: Setup
-    earlier: StoredRun
+    earlier: Run
     complete: int
 
 
 def prepare_rest(
-    path: Path, scene_name: str | None = None, bench_path: Path | None = None, stages: Stages | None = None
+    path: Path, scene: SceneSource | None = None, bench_path: Path | None = None, stages: Stages | None = None
 ) -> Rest:
     """Return what is left of the run in ``path``.
 
     The bench is the caller's, never the file's: a run file decides neither which instruments are addressed nor their
     limits. Raises ``StoreError`` where scene or bench differ from the run's or nothing is left, else as ``prepare``.
     """
-    earlier = read_run(path)
-    name, text = (earlier.scene_name, earlier.scene_toml) if scene_name is None else scene_text(scene_name)
-    setup = prepare_text(name, text, bench_path, stages)
-    _refuse_other(earlier, setup, path)
-    earlier.refuse_unlike(setup.plan)
-    unfinished = np.flatnonzero(~earlier.shot_complete)
+    earlier = open_run(path)
+    own = earlier.stored.scene_name, earlier.stored.scene_toml
+    setup = prepare_text(*(own if scene is None else scene_text(scene)), bench_path, stages)
+    _refuse_other(earlier, setup)
+    unfinished = np.flatnonzero(~earlier.stored.shot_complete)
     if not unfinished.size:
         raise StoreError(f"{path} has all of its {len(setup.plan.shots)} shots. Try: hpe-rig process {path}.")
     return Rest(setup, earlier, int(unfinished[0]))
@@ -50,22 +49,22 @@ def resume(
     stages: Stages | None = None,
     compress: bool = False,
 ) -> Path:
-    """Take over what is complete, measure what is not, into a new run file, and return its path; as ``measure``."""
+    """Take over what is complete, measure what is not, into a new run file, and return its path; as ``record_run``."""
     old = rest.earlier.path
     path = path or free_path(old.stem, old.parent)
     options = WriteOptions(compress=compress, predecessor=Predecessor(old.name, rest.complete))
-    return measure(rest.setup, path, observer, stages, options, rest.earlier)
+    return record_run(rest.setup, path, observer, stages, options, rest.earlier.stored)
 
 
-def _refuse_other(earlier: StoredRun, setup: Setup, path: Path) -> None:
+def _refuse_other(earlier: Run, setup: Setup) -> None:
     """Raise ``StoreError`` where scene or bench are not those of the run, comments and order apart."""
-    if parse_scene(earlier.scene_name, earlier.scene_toml).scene != setup.scene.scene:
+    if earlier.scene != setup.scene.scene:
         raise StoreError(
-            f"{path} was measured with another scene than {setup.scene.name} is now. "
+            f"{earlier.path} was measured with another scene than {setup.scene.name} is now. "
             "Try: resume without a scene, which takes the run's own, or measure anew."
         )
-    if parse_bench(earlier.bench_name, earlier.bench_toml).bench != setup.bench.bench:
+    if earlier.bench != setup.bench.bench:
         raise StoreError(
-            f"{path} was measured on bench {earlier.bench_name}, which is not what bench {setup.bench.name} says now. "
-            "Try: --bench with the bench file of that run, or measure anew."
+            f"{earlier.path} was measured on bench {earlier.stored.bench_name}, which is not what bench "
+            f"{setup.bench.name} says now. Try: --bench with the bench file of that run, or measure anew."
         )

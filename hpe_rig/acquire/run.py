@@ -1,4 +1,4 @@
-"""Scene -> result: the only file that knows every stage."""
+"""Scene -> run file: the measurement as planned, acquired and recorded."""
 
 from __future__ import annotations
 
@@ -27,36 +27,24 @@ from hpe_rig.bench import (
     declared,
     interruptible,
     open_bench,
-    parse_bench,
     read_bench,
     simulation_schema,
     uninterrupted,
 )
 from hpe_rig.plan import Finding, Plan, findings, make_plan, refuse_conflicts
 from hpe_rig.processing import true_harmonics_m
-from hpe_rig.result import Result, Stages
+from hpe_rig.result import Stages
 from hpe_rig.scene import (
-    Estimator,
     Mistake,
-    Processing,
     Scene,
+    SceneSource,
     SceneText,
     SettingsError,
-    mistakes_of,
     parse_scene,
     scene_text,
+    with_default_specimen,
 )
-from hpe_rig.store import (
-    RunWriter,
-    StoredRun,
-    StoreError,
-    WriteOptions,
-    free_path,
-    read_run,
-    result_path,
-    versions,
-    write_result,
-)
+from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +58,10 @@ class Setup:
 
 
 def prepare(
-    scene_name: str, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
+    scene: SceneSource, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
 ) -> Setup:
     """Return the planned measurement; raise ``SettingsError`` or, unless told otherwise, ``PlanError``."""
-    return prepare_text(*scene_text(scene_name), bench_path, stages, refuse)
+    return prepare_text(*scene_text(scene), bench_path, stages, refuse)
 
 
 def prepare_text(
@@ -84,6 +72,8 @@ def prepare_text(
         bench = read_bench(bench_path)
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check)
+        if bench.bench.simulated:
+            scene = replace(scene, scene=with_default_specimen(scene.scene))
         # What the scene declares of beams and sound speed may contradict its [simulation].
         if check and scene.scene.simulation and (mistakes := check(declared(scene.scene))):
             raise SettingsError(f"scene {name}", mistakes)
@@ -104,7 +94,7 @@ def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[Finding, ...]]:
         raise SettingsError("the scene", [Mistake("", what, "values as they occur on a bench")]) from error
 
 
-def measure(
+def record_run(
     setup: Setup,
     path: Path | None = None,
     observer: Observer = unobserved,
@@ -178,76 +168,6 @@ def _record(event: Event, scene: Scene, bench: Bench, writer: RunWriter, stages:
                     writer.ground_truth(shot, pulses_m)
                     writer.true_harmonics(shot, harmonics_m)
                 writer.finish(shot)
-
-
-def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:
-    """Return the result of the run in ``path`` and write it beside the run file."""
-    from hpe_rig.prediction import predicted_averaging
-    from hpe_rig.processing import estimate_run
-
-    stages = stages or Stages()
-    with stages("read"):
-        stored = read_run(path)
-        stages.come_after(stored.run_time_s)
-        scene = parse_scene(stored.scene_name, stored.scene_toml).scene
-        bench = parse_bench(stored.bench_name, stored.bench_toml).bench
-        plan, found = planned(scene, bench)
-        stored.refuse_unlike(plan)
-    chosen = chosen_estimator(estimator, scene)
-    with stages("process"):
-        try:
-            averaging = predicted_averaging(scene, chosen, stored.simulated)
-            shots = estimate_run(scene, plan, stored, chosen, averaging)
-        except ValueError as error:
-            raise StoreError(
-                f"{path} cannot be estimated ({error}). Try: another estimator, or more records."
-            ) from error
-    if not shots:
-        raise StoreError(
-            f"{path} holds no records, the run is {stored.status}: it ended before the first came. "
-            f"Try: hpe-rig resume {path}."
-        )
-    warnings = tuple(str(finding) for finding in found if finding.level != "passed")
-    warnings += tuple(
-        f"shot {shot + 1}: the digitizer's input left its range of {scene.acquisition.input_range_v:g} V, in the gate "
-        "or outside it: raise acquisition.input_range_v"
-        for shot in stored.clipped
-        # The board cannot say which record it was; where some are skipped the gate's own codes decide.
-        if scene.tracking.disturbed != "skip"
-    )
-    if stored.status != "complete":
-        warnings += (f"the run is {stored.status}: not every record was acquired",)
-    result = Result(
-        title=scene.title,
-        run_file=path.name,
-        simulated=stored.simulated,
-        status=stored.status,
-        estimator=chosen,
-        phase_reference=phase_reference(scene),
-        shots=shots,
-        warnings=warnings,
-        left_out=tuple((item.what, item.why) for item in plan.left_out),
-        versions=versions(),
-        run_time_s=stages.run_time_s,
-    )
-    with stages("write result"):
-        write_result(result_path(path, chosen), result)
-    return result
-
-
-def chosen_estimator(name: str | None, scene: Scene) -> Estimator:
-    """Return the estimator of that name, or the scene's; raise ``SettingsError`` for a name that is none."""
-    asked = {"estimator": name or scene.processing.estimator}
-    mistakes = mistakes_of(Processing, asked, ("processing",))
-    if mistakes:
-        raise SettingsError("command line", mistakes)
-    return Processing.model_validate(asked).estimator
-
-
-def phase_reference(scene: Scene) -> str:
-    """Return in words what phase zero means; the way from transducer to gate is accounted for."""
-    start = "the first toneburst's arrival at the gate" if scene.excitation else "the master trigger's edge"
-    return f"of sin(2 pi f t + phase), the motion at the gate, with t from {start}"
 
 
 def json_schema(of: str) -> dict[str, Any]:

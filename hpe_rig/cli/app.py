@@ -71,7 +71,7 @@ def run(
     """Measure a scene, from the plan to the printed result."""
     stages = Stages()
     with stages("load"):
-        from hpe_rig.acquire import chosen_estimator, measure, prepare, process
+        from hpe_rig.acquire import chosen_estimator, prepare, process, record_run
         from hpe_rig.cli.watch import watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
         from hpe_rig.store import WriteOptions, free_path
@@ -81,7 +81,7 @@ def run(
     path = output or free_path(setup.scene.name, Path())
     with watched(setup, path, live, verbose, announce) as watching:
         with progress(setup, quiet=json or csv) as observer:
-            measure(setup, path, watching(observer), stages, WriteOptions(compress, overwrite))
+            record_run(setup, path, watching(observer), stages, WriteOptions(compress, overwrite))
         show(process(path, estimator, stages), json, csv)
 
 
@@ -187,28 +187,11 @@ def check(
     ] = None,
 ) -> None:
     """Print timeline, conflicts and expected errors of a scene. No instrument is opened."""
-    from hpe_rig.acquire import prepare
-    from hpe_rig.plan import plan_text
-    from hpe_rig.prediction import (
-        averaging_text,
-        calibration_text,
-        detection_text,
-        fit_gain,
-        folding_text,
-        length_m,
-        prediction_text,
-    )
+    from hpe_rig.acquire import check as check_scene
 
-    setup = prepare(scene, bench, Stages(), refuse=False)
-    target_m = None if target is None else length_m(target, "--target")
-    typer.echo(plan_text(setup.scene.scene.title, setup.plan, setup.findings))
-    scene_text, simulated = setup.scene.scene, setup.bench.bench.simulated
-    foreseen = [*detection_text(scene_text, simulated, setup.plan.shots[0])]
-    foreseen += folding_text(scene_text, setup.plan.shots[0], simulated)
-    foreseen += [*calibration_text(scene_text, setup.bench.bench), *averaging_text(scene_text, simulated)]
-    gain = fit_gain(scene_text, setup.plan.shots[0])
-    typer.echo("\n" + "\n".join([*foreseen, *prediction_text(scene_text, target_m, gain)]))
-    if any(finding.level == "refused" for finding in setup.findings):
+    checked = check_scene(scene, bench, target)
+    typer.echo(checked)
+    if checked.refused:
         raise typer.Exit(EXIT_MISTAKE)
 
 

@@ -10,9 +10,10 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
+from hpe_rig.acquire import open_run
 from hpe_rig.bench import BenchReport, Found, Settings, file_differences, read_bench, settings_differences, survey
 from hpe_rig.scene import parse_toml
-from hpe_rig.store import read_run, read_snapshots
+from hpe_rig.store import read_snapshots
 
 TABLE_WIDTH: Final = 120
 
@@ -60,9 +61,9 @@ def _stated_now(before: Mapping[str, Settings], now: Mapping[str, Settings]) -> 
 
 
 def _state_of_run(path: Path) -> BenchState:
-    run, snapshots = read_run(path), read_snapshots(path)
+    stored, snapshots = open_run(path).stored, read_snapshots(path)
     settings = snapshots[-1] if snapshots else {}
-    return BenchState(path.name, parse_toml(run.bench_toml, run.bench_name), settings, None)
+    return BenchState(path.name, parse_toml(stored.bench_toml, stored.bench_name), settings, None)
 
 
 def print_report(report: BenchReport) -> None:

@@ -21,6 +21,8 @@ def print_result(result: Result) -> None:
     source = "SIMULATED" if result.simulated else "measured"
     console.print(f"\n{result.title}", style="bold")
     console.print(f"{source}, {result.run_file}, estimator {result.estimator}")
+    if result.simulated_specimen:
+        console.print(f"simulated specimen: {result.simulated_specimen}")
     for shot in result.shots:
         console.print(_shot_table(shot))
     console.print(
@@ -28,8 +30,8 @@ def print_result(result: Result) -> None:
     )
     for warning in (*result.warnings, *shot_warnings(result.shots)):
         console.print(f"WARNING {warning}", style="bold")
-    if result.left_out:
-        console.print("left out: " + "; ".join(f"{what} ({why})" for what, why in result.left_out))
+    if result.omitted:
+        console.print("left out: " + "; ".join(f"{what} ({why})" for what, why in result.omitted))
     total_s = sum(result.run_time_s.values())
     stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.run_time_s.items() if seconds >= LEAST_S)
     console.print(f"run time: {total_s:.2f} s ({stages})")

@@ -20,7 +20,16 @@ from hpe_rig.design.model import Baseline, baseline, design_setting, predicted
 from hpe_rig.design.variables import Variable
 from hpe_rig.plan import AcousticOutput, Finding, Plan, highest_output
 from hpe_rig.prediction import Expected, Setting
-from hpe_rig.scene import Mistake, Number, Path, Scene, SettingsError, mistakes_of, with_values
+from hpe_rig.scene import (
+    Mistake,
+    Number,
+    Path,
+    Scene,
+    SettingsError,
+    mistakes_of,
+    with_default_specimen,
+    with_values,
+)
 
 Goal = Literal["jitter", "phase-jitter", "bias", "time"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
@@ -141,6 +150,8 @@ class Problem:
         if mistakes:
             return Candidate(values, tuple(_conflict(mistake) for mistake in mistakes))
         scene = Scene.model_validate(tables)
+        if self.bench.simulated:
+            scene = with_default_specimen(scene)
         try:
             plan, found = planned(scene, self.bench)
         except SettingsError as error:

@@ -1,22 +1,17 @@
-"""What a run file holds so far, read from another process while it is written."""
+"""State of a run, read from its file by another process while it is written."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Protocol, final
 
 import numpy as np
 
-from hpe_rig.acquire import request_stop, stop_path
-from hpe_rig.bench import parse_bench
+from hpe_rig.acquire import Run, estimates_of, open_run, request_stop, stop_path
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
-from hpe_rig.plan import Plan, make_plan
-from hpe_rig.processing import HarmonicFit, driven_frequencies_hz, estimate, options_of, shot_echoes
+from hpe_rig.processing import driven_frequencies_hz, estimate, options_of, shot_echoes
 from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
-from hpe_rig.result import Estimate
-from hpe_rig.scene import Scene, parse_scene
-from hpe_rig.store import StoredRun, StoreError, read_run
+from hpe_rig.store import StoredRun, StoreError
 
 LONGEST_HISTORY = 240
 
@@ -41,7 +36,7 @@ class RunSource:
         """Take ``path``; raises nothing: a file that is not there yet is waited for."""
         self._path = path
         self._seen: tuple[int, int, bool] | None = None
-        self._planned: tuple[Scene, Plan] | None = None
+        self._run: Run | None = None
         self._shot = 0
         self._before = 0
         self._history: list[State] = []
@@ -52,12 +47,13 @@ class RunSource:
             seen = self._fingerprint()
             if seen == self._seen:
                 return None
-            stored = read_run(self._path)
+            # Scene and plan stay the same while records arrive.
+            self._run = open_run(self._path) if self._run is None else self._run.refreshed()
         except (OSError, StoreError) as error:
             # Just being created, or no run file at all: both may be different a moment later.
             return self._waiting(str(error))
         self._seen = seen
-        return self._state(stored)
+        return self._state(self._run)
 
     def stop(self) -> None:
         """Ask the run to stop through the file that it looks for."""
@@ -73,18 +69,12 @@ class RunSource:
         self._seen = (0, 0, False)
         return {"mode": "run", "status": "waiting", "title": self._path.name, "why": why}
 
-    def _plan(self, stored: StoredRun) -> tuple[Scene, Plan]:
-        if self._planned is None:
-            scene = parse_scene(stored.scene_name, stored.scene_toml).scene
-            self._planned = scene, make_plan(scene, parse_bench(stored.bench_name, stored.bench_toml).bench)
-        return self._planned
-
-    def _state(self, stored: StoredRun) -> State:
-        scene, plan = self._plan(stored)
+    def _state(self, run: Run) -> State:
+        stored, plan = run.stored, run.plan
         here = self._advance(stored)
         state: State = {
             "mode": "run",
-            "title": scene.title,
+            "title": run.scene.title,
             "simulated": stored.simulated,
             "status": stored.status,
             "stop_requested": stop_path(self._path).exists(),
@@ -96,7 +86,7 @@ class RunSource:
         if not here or (state["stop_requested"] and stored.status == "running"):
             # An estimate would keep the run's core busy while somebody waits for it to stop.
             return state
-        return state | self._measured(scene, plan, stored, here)
+        return state | self._measured(run, here)
 
     def _advance(self, stored: StoredRun) -> int:
         """Move on to the last shot that has records and return how many it has."""
@@ -105,8 +95,8 @@ class RunSource:
             self._shot, self._before, here = self._shot + 1, self._before + here, later
         return here
 
-    def _measured(self, scene: Scene, plan: Plan, stored: StoredRun, here: int) -> State:
-        shot, records = plan.shots[self._shot], stored.records[self._shot]
+    def _measured(self, run: Run, here: int) -> State:
+        scene, shot, records = run.scene, run.plan.shots[self._shot], run.records[self._shot]
         echoes = echo_view(scene, shot, records, line=-1)
         if echoes is None:
             return {}
@@ -120,7 +110,7 @@ class RunSource:
             arrived = shot_echoes(scene, shot, gated, shown_pulses(scene, shot))
             wanted = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
             fit = estimate(arrived, wanted, "coherent", driven_frequencies_hz(scene), options_of(scene.processing))
-            estimates = _estimates(fit)
+            estimates = estimates_of(fit)
             state["motion"] = motion_state(motion_view(scene, shot, gated, estimates))
         except ValueError as error:
             # Not enough pulses yet; the page says so and shows the echoes.
@@ -133,20 +123,3 @@ class RunSource:
 
 def _arrived(stored: StoredRun, shot: int) -> int:
     return int(np.count_nonzero(stored.rows(shot)["records/recorded"] == 1))
-
-
-def _estimates(fit: HarmonicFit) -> list[Estimate]:
-    return [
-        Estimate(
-            frequency_hz=float(fit.frequency_hz[index]),
-            amplitude_m=float(fit.amplitude_m[index]),
-            amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
-            phase_rad=float(fit.phase_rad[index]),
-            phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
-            averaging_factor=None,
-            speckle_relative=None,
-            true_amplitude_m=None,
-            true_phase_rad=None,
-        )
-        for index in range(fit.frequency_hz.size)
-    ]

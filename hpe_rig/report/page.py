@@ -6,7 +6,6 @@ The numbers come from the stored records, estimated again, never from a table th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -15,9 +14,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from hpe_rig.acquire import chosen_estimator, process
-from hpe_rig.bench import BenchFile, parse_bench
-from hpe_rig.plan import Finding, Plan, findings, make_plan
+from hpe_rig.acquire import Run, chosen_estimator, open_run
 from hpe_rig.prediction import detection_text
 from hpe_rig.report import figures, provenance as report_provenance
 from hpe_rig.report.foreseen import foreseen
@@ -27,8 +24,7 @@ from hpe_rig.report.sweep import Sweep, make_sweep
 from hpe_rig.report.sweep_figures import sweep_pictures
 from hpe_rig.report.views import MotionView, echo_view, gate_alone, motion_view
 from hpe_rig.result import Estimate, Result, ShotResult, Stages, shot_warnings
-from hpe_rig.scene import Scene, parse_scene
-from hpe_rig.store import StoredRun, StoreError, read_run, reason
+from hpe_rig.store import StoreError, reason
 
 MOST_ROWS = 1000
 """Rows of the table of every shot; what is beyond stays in the result file."""
@@ -82,34 +78,33 @@ def _refuse_other(target: Path) -> None:
 
 def render(path: Path, estimator: str | None = None, shot: int | None = None) -> str:
     """Return the report of the run in ``path`` as HTML text; raises as ``write_report``."""
-    stored = read_run(path)
-    scene = parse_scene(stored.scene_name, stored.scene_toml).scene
-    bench = parse_bench(stored.bench_name, stored.bench_toml).bench
     stages = Stages()
-    result = process(path, estimator, stages)
+    with stages("read"):
+        run = open_run(path)
+    result = run.estimate(estimator, stages)
+    with stages("write result"):
+        run.save(result)
     shown = _shown(result, shot)
-    plan = make_plan(scene, bench)
-    found = findings(scene, bench, plan)
     with stages("draw"):
-        pictures, checks, motion = _look(scene, plan, stored, shown)
+        pictures, checks, motion = _look(run, shown)
         sweep = make_sweep(result.shots)
         swept = sweep_pictures(sweep) if sweep else ()
     return _page(
         result=result,
         shown=shown,
-        scene=scene,
-        stored=stored,
+        scene=run.scene,
+        stored=run.stored,
         pictures={picture.key: picture for picture in pictures},
         swept=swept,
         sweep=sweep,
         checks=checks,
         errors=error_stages(shown, motion),
-        findings=found,
-        foreseen=foreseen(scene, shown, chosen_estimator(estimator, scene)),
+        findings=run.findings,
+        foreseen=foreseen(run.scene, shown, chosen_estimator(estimator, run.scene)),
         settings=report_provenance.settings(path, shown.shot),
         attributes=report_provenance.attributes(path, [f"version_{name}" for name in result.versions]),
         fingerprint=report_provenance.fingerprint(path),
-        facts=[*_facts(scene, bench, plan, result), *_dose(scene, stored, found)],
+        facts=[*_facts(run, result), *_dose(run)],
         strongest=strongest(shown),
         most_rows=MOST_ROWS,
         longest_text=LONGEST_TEXT,
@@ -142,7 +137,7 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage
         rows.append(ErrorStage("speckle", spread, "predicted standard deviation from place to place"))
     if lead.amplitude_error is not None and lead.phase_error_rad is not None:
         error = f"{lead.amplitude_error * 100:+.1f} %, {math.degrees(lead.phase_error_rad):+.2f} degrees"
-        rows.append(ErrorStage("all together", error, "against the truth, which the twin knows"))
+        rows.append(ErrorStage("all together", error, "against the ground truth, which the twin knows"))
     return rows
 
 
@@ -156,14 +151,12 @@ def _shown(result: Result, shot: int | None) -> ShotResult:
     raise StoreError(f"shot {shot} has no result, of {len(result.shots)} that have one. Try: --shot {numbers}.")
 
 
-def _look(
-    scene: Scene, plan: Plan, stored: StoredRun, result: ShotResult
-) -> tuple[list[Picture], list[Check], MotionView | None]:
+def _look(run: Run, result: ShotResult) -> tuple[list[Picture], list[Check], MotionView | None]:
     """Return the pictures of one shot, the tests of its residual and its motion, None where there is none."""
-    shot = plan.shots[result.shot]
+    scene, shot = run.scene, run.plan.shots[result.shot]
     whole = 2 * shot.capture.record_count * shot.capture.record_samples <= LARGEST_SHOT_BYTES
     part = slice(0, shot.capture.record_samples) if whole else shot.gate
-    records = stored.records.gated(result.shot, part)
+    records = run.records.gated(result.shot, part)
     pictures = list(figures.timing(shot))
     echoes = echo_view(scene, shot, records, first_sample=part.start)
     if echoes is not None:
@@ -183,11 +176,13 @@ def _look(
     return pictures + list(figures.residual(motion)), residual_checks(motion), motion
 
 
-def _facts(scene: Scene, bench: BenchFile, plan: Plan, result: Result) -> list[tuple[str, str]]:
+def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
     """Return what was measured and how, as names and values."""
+    scene, shot = run.scene, run.plan.shots[0]
     gate, tracking = scene.acquisition, scene.tracking
-    shot = plan.shots[0]
-    facts = [("bench", bench.title), ("run file", result.run_file), ("run", result.status)]
+    facts = [("bench", run.bench.title), ("run file", result.run_file), ("run", result.status)]
+    if result.simulated_specimen:
+        facts.append(("simulated specimen", result.simulated_specimen))
     if scene.excitation:
         lengths = " / ".join(f"{length * 1e6:g}" for length in scene.excitation.burst_length_s)
         forces = " / ".join(f"{force:g}" for force in scene.excitation.force_fraction)
@@ -199,16 +194,16 @@ def _facts(scene: Scene, bench: BenchFile, plan: Plan, result: Result) -> list[t
         *facts,
         ("track", f"{shot.capture.record_count} pulses of {tracking.cycles} cycles at {tracking.pulse_rate_hz:g} Hz"),
         ("gate", f"{gate.gate_length_m * 1e3:g} mm at {gate.gate_depth_m * 1e3:g} mm depth"),
-        ("shots", f"{len(result.shots)} of {len(plan.shots)} planned"),
+        ("shots", f"{len(result.shots)} of {len(run.plan.shots)} planned"),
         ("estimator", result.estimator),
         ("phase", result.phase_reference),
     ]
 
 
-def _dose(scene: Scene, stored: StoredRun, found: Sequence[Finding]) -> list[tuple[str, str]]:
+def _dose(run: Run) -> list[tuple[str, str]]:
     """Return the acoustic output by the bench file's calibration, the detection floor, and what the limits let move."""
-    output = [("acoustic output", finding.text) for finding in found if finding.check == "acoustic output"]
-    lines = [text.partition(": ") for text in detection_text(scene, stored.simulated)]
+    output = [("acoustic output", finding.text) for finding in run.findings if finding.check == "acoustic output"]
+    lines = [text.partition(": ") for text in detection_text(run.scene, run.stored.simulated)]
     return output + [(name, text) for name, _, text in lines]
 
 

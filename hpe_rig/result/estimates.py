@@ -1,13 +1,19 @@
-"""What a measurement says: displacement amplitude and phase with uncertainties, units, provenance and run time."""
+"""Displacement amplitude and phase with uncertainties, units, provenance and run time: what a measurement says."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hpe_rig.result.html_repr import result_html
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+MOST_NUMBERS = 12
+"""Shots that a warning names; of more it says how many."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +103,15 @@ class ShotResult:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The result of a run."""
+    """The result of a run, or of anybody's echoes (``hpe_rig.estimate``).
+
+    ``run_file`` is "" where there is none; ``omitted``: what the scene did not need, and why; ``run_time_s``: wall time
+    by stage; ``simulated_specimen`` names the default one, None where the scene describes its own or none was needed.
+
+    >>> result.shots[0].estimates[0].amplitude_m
+    >>> result.to_frame().to_csv("result.csv")
+    >>> result.figure().savefig("result.pdf")
+    """
 
     title: str
     run_file: str
@@ -107,13 +121,16 @@ class Result:
     phase_reference: str
     shots: tuple[ShotResult, ...]
     warnings: tuple[str, ...]
-    left_out: tuple[tuple[str, str], ...]
+    omitted: tuple[tuple[str, str], ...]
     versions: Mapping[str, str]
     run_time_s: Mapping[str, float]
+    simulated_specimen: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; numbers that JSON cannot hold become None."""
-        tables = asdict(self)
+        tables = {_WRITTEN.get(name, name): value for name, value in asdict(self).items()}
+        if self.simulated_specimen is None:
+            del tables["simulated_specimen"]
         for shot, table in zip(self.shots, tables["shots"], strict=True):
             for estimate, row in zip(shot.estimates, table["estimates"], strict=True):
                 derived = (
@@ -128,9 +145,50 @@ class Result:
         plain: dict[str, Any] = _finite(tables)
         return plain
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return a pandas frame of one row a shot and frequency, SI units in the columns' names; unknown is None.
+
+        Raises ``ModuleNotFoundError`` that names the extra where pandas is not installed.
+        """
+        from hpe_rig.result.rows import result_frame
+
+        return result_frame(self)
+
+    def figure(self) -> Figure:
+        """Return a matplotlib figure of amplitude and phase over frequency, with bars of 2 u."""
+        from hpe_rig.result.figure import result_figure
+
+        return result_figure(self)
+
     def _repr_html_(self) -> str:
         """Return figure and table, as a notebook shows a value."""
-        return result_html(self.as_dict())
+        from hpe_rig.result.html_repr import result_html
+
+        return result_html(self)
+
+
+_WRITTEN = {"omitted": "left_out"}
+"""Names in JSON, where they differ: files keep theirs."""
+
+
+def shot_warnings(shots: Sequence[ShotResult]) -> list[str]:
+    """Return the warnings of ``shots``, alike but for their numbers taken together, with the shots that have them."""
+    kinds: dict[str, dict[int, str]] = {}
+    for shot in shots:
+        for text in shot.warnings:
+            kinds.setdefault(re.sub(r"\d[\d., ]*", "#", text), {}).setdefault(shot.shot + 1, text)
+    if len(shots) == 1:
+        return list(shots[0].warnings)
+    return [_words(by_shot, len(shots)) for by_shot in kinds.values()]
+
+
+def _words(by_shot: dict[int, str], shots: int) -> str:
+    numbers = ", ".join(map(str, list(by_shot)[:MOST_NUMBERS]))
+    if len(by_shot) > MOST_NUMBERS:
+        numbers += f" ... ({len(by_shot)} of {shots} shots)"
+    first, text = next(iter(by_shot.items()))
+    example = "" if len(set(by_shot.values())) == 1 else f"such as in shot {first}, "
+    return f"shot {numbers}: {example}{text}"
 
 
 def _finite(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""A result as rows, one a shot and frequency: for CSV, for pandas, for whatever takes plain values."""
+"""Rows of a result, one a shot and frequency: for CSV, for pandas, for whatever takes plain values."""
 
 from __future__ import annotations
 
@@ -35,7 +35,11 @@ def result_csv(result: Result) -> str:
 
 def result_frame(result: Result) -> pd.DataFrame:
     """Return the rows as a pandas frame, title, estimator and ``simulated`` among its ``attrs``."""
-    import pandas as pd
+    try:
+        import pandas as pd
+    except ModuleNotFoundError as error:
+        what = 'Result.to_frame needs pandas, which is not installed. Try: pip install "hpe-rig[frames]".'
+        raise ModuleNotFoundError(what, name=error.name) from None
 
     frame = pd.DataFrame(result_rows(result))
     frame.attrs.update({name: getattr(result, name) for name in ("title", "run_file", "estimator", "simulated")})

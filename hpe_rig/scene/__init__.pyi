@@ -7,18 +7,23 @@ from .keys import (
     with_values as with_values,
 )
 from .scene import (
+    DEFAULT_SPECIMEN as DEFAULT_SPECIMEN,
     Count as Count,
     Estimator as Estimator,
     NonNegative as NonNegative,
     Positive as Positive,
     Processing as Processing,
     Scene as Scene,
+    SceneSource as SceneSource,
     SceneText as SceneText,
     Section as Section,
     Title as Title,
+    has_default_specimen as has_default_specimen,
+    load_scene as load_scene,
     parse_scene as parse_scene,
     scene_text as scene_text,
     shipped_scenes as shipped_scenes,
+    with_default_specimen as with_default_specimen,
 )
 from .validation import (
     Mistake as Mistake,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -198,6 +200,21 @@ class Scene(Section):
     simulation: dict[str, Any] | None = None
     """What the twin simulates, in the twin's own words; a real bench leaves it out."""
 
+    def with_(self, values: Mapping[str, Any]) -> Scene:
+        """Return the scene with ``values`` by their full path; sections that are absent are made.
+
+        ``scene.with_({"tracking.pulse_rate_hz": 4000.0, "excitation.force_fraction": [0.5, 1.0]})``; an entry of a list
+        is ``"excitation.force_fraction[0]"``. Raises ``SettingsError`` with every mistake.
+        """
+        # keys.py describes a scene and so imports this file.
+        from hpe_rig.scene.keys import with_values
+
+        tables = with_values(_tables(self), {_path(name): value for name, value in values.items()})
+        mistakes = mistakes_of(Scene, tables)
+        if mistakes:
+            raise SettingsError("the scene", mistakes)
+        return Scene.model_validate(tables)
+
     @property
     def wanted_frequencies_hz(self) -> tuple[float, ...]:
         """Vibration frequencies to estimate, in Hz, as asked or as the excitation implies."""
@@ -282,17 +299,85 @@ def shipped_scenes() -> dict[str, str]:
     return {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
 
 
-def scene_text(name_or_path: str) -> tuple[str, str]:
-    """Return name and text of a shipped scene or of a TOML file; raise ``SettingsError`` with what exists."""
+SceneSource = str | os.PathLike[str] | Scene
+"""What is taken as a scene: the name of a shipped one, the path of a TOML file, or a ``Scene``."""
+
+
+def load_scene(source: SceneSource) -> Scene:
+    """Return the scene that ``source`` names: a shipped one's name, a TOML file's path, or a ``Scene`` itself.
+
+    Raises ``SettingsError`` with every mistake, and ``TypeError`` for anything else.
+
+    >>> load_scene("table-1").tracking.pulse_rate_hz
+    4000.0
+    """
+    return source if isinstance(source, Scene) else parse_scene(*scene_text(source)).scene
+
+
+def scene_text(source: SceneSource) -> tuple[str, str]:
+    """Return the name and the TOML text of a scene; raises as ``load_scene``, naming the shipped scenes."""
+    if isinstance(source, Scene):
+        return "scene", _toml(source)
+    if not isinstance(source, str | os.PathLike):
+        taken = "the name of a shipped one, the path of a TOML file or a Scene"
+        raise TypeError(f"a scene is taken as {taken}, not as {type(source).__name__}")
     shipped = shipped_scenes()
-    if name_or_path in shipped:
-        return name_or_path, shipped[name_or_path]
-    path = Path(name_or_path)
+    if source in shipped:
+        return str(source), shipped[str(source)]
+    path = Path(source)
     try:
         return path.stem, path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
         what = f"neither a shipped scene nor a readable file ({reason})"
-        raise SettingsError(
-            f"scene {name_or_path}", [Mistake("", what, f"a path, or one of {', '.join(shipped)}")]
-        ) from None
+        raise SettingsError(f"scene {source}", [Mistake("", what, f"a path, or one of {', '.join(shipped)}")]) from None
+
+
+DEFAULT_SPECIMEN = "default muscle"
+"""Name of the specimen that the twin takes where a scene has no [simulation]."""
+DEFAULT_SPECIMEN_SCENE = "bovine-muscle"
+"""The shipped scene whose [simulation] it is; its comments say where each value comes from."""
+
+
+def with_default_specimen(scene: Scene) -> Scene:
+    """Return ``scene`` with the default muscle, in focus at the gate, where it has no [simulation]."""
+    return (
+        scene if scene.simulation is not None else scene.model_copy(update={"simulation": _default_simulation(scene)})
+    )
+
+
+def has_default_specimen(scene: Scene) -> bool:
+    """Return whether the twin of ``scene`` is the default muscle."""
+    return scene.simulation is not None and scene.simulation == _default_simulation(scene)
+
+
+def _default_simulation(scene: Scene) -> dict[str, Any]:
+    return {**_default_specimen(), "beams": {"focus_depth_m": scene.acquisition.gate_depth_m}}
+
+
+@cache
+def _default_specimen() -> Mapping[str, Any]:
+    return load_scene(DEFAULT_SPECIMEN_SCENE).simulation or {}
+
+
+def _tables(scene: Scene) -> dict[str, Any]:
+    """Return what was set in ``scene``, as the tables of a TOML file."""
+    tables: dict[str, Any] = _plain(scene.model_dump(exclude_unset=True, exclude_none=True))
+    return tables
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+def _toml(scene: Scene) -> str:
+    import tomlkit
+
+    return tomlkit.dumps(_tables(scene))
+
+
+def _path(name: str) -> tuple[str | int, ...]:
+    """Return the parts of a path such as ``excitation.force_fraction[0]``."""
+    return tuple(int(part) if part.isdigit() else part for part in name.replace("[", ".").replace("]", "").split("."))

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.run import Setup, measure, prepare, process
+from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.result.estimates import Result
 from hpe_rig.scene.scene import shipped_scenes
 
@@ -50,7 +51,9 @@ def measured(tmp_path: Path, prepared: Prepare) -> Measure:
     def measure_edited(
         name: str, *edits: tuple[str, str], bench: Path | None = None, estimator: str | None = None
     ) -> Result:
-        run_file = measure(prepared(name, *edits, bench=bench), tmp_path / f"{name}-{len(list(tmp_path.iterdir()))}.h5")
+        run_file = record_run(
+            prepared(name, *edits, bench=bench), tmp_path / f"{name}-{len(list(tmp_path.iterdir()))}.h5"
+        )
         return process(run_file, estimator)
 
     return measure_edited

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.run import Setup, measure, prepare
+from hpe_rig.acquire.run import Setup, prepare, record_run
 from hpe_rig.bench import inventory as bench_report
 from hpe_rig.bench.bench_file import BenchFile, read_bench
 from hpe_rig.bench.comparison import file_differences, prefixed, settings_differences
@@ -206,9 +206,9 @@ def test_the_command_prints_the_table_and_exits_by_what_it_found(tmp_path: Path)
 
 
 def test_two_runs_are_compared_in_the_fields_words(prepared: Prepare, tmp_path: Path) -> None:
-    first = measure(prepared("bovine-muscle"), tmp_path / "first.h5")
+    first = record_run(prepared("bovine-muscle"), tmp_path / "first.h5")
     wider = edited(tmp_path, ("max_duty = 0.05", "max_duty = 0.04"))
-    second = measure(
+    second = record_run(
         prepared("bovine-muscle", ("delay_s = 131e-6", "delay_s = 140e-6"), bench=wider), tmp_path / "second.h5"
     )
     lines = compare_with(first, bench_state(second)).splitlines()
@@ -221,7 +221,7 @@ def test_two_runs_are_compared_in_the_fields_words(prepared: Prepare, tmp_path: 
 
 
 def test_a_run_is_compared_with_the_bench_as_it_stands(tmp_path: Path) -> None:
-    run = measure(prepare("table-1"), tmp_path / "run.h5")
+    run = record_run(prepare("table-1"), tmp_path / "run.h5")
     text = compare_with(run, bench_state(None))
     assert "tracking pulser: frequency 9 MHz in run.h5, 1 kHz in the bench now" in text
     assert "toneburst generator: instrument not opened in run.h5, opened in the bench now" in text
@@ -231,7 +231,7 @@ def test_a_run_is_compared_with_the_bench_as_it_stands(tmp_path: Path) -> None:
 
 def test_snapshots_of_all_acquired_shots_are_read(prepared: Prepare, tmp_path: Path) -> None:
     setup = prepared("table-1", ("[acquisition]", "[acquisition]\nrepeats = 3"))
-    snapshots = read_snapshots(measure(setup, tmp_path / "run.h5"))
+    snapshots = read_snapshots(record_run(setup, tmp_path / "run.h5"))
     assert len(snapshots) == 3
     assert set(snapshots[0]) == set(setup.plan.roles)
     foreign = tmp_path / "foreign.h5"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from hpe_rig.acquire.run import measure, prepare, prepare_text
+from hpe_rig.acquire.run import prepare, prepare_text, record_run
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.scene.scene import shipped_scenes
@@ -30,7 +30,7 @@ def bench(folder: Path, *lines: str) -> Path:
 @pytest.fixture(scope="module")
 def echoes(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
     """Return the echoes of a run with the shipped bench file."""
-    run = read_run(measure(prepare("table-1"), tmp_path_factory.mktemp("shipped") / "run.h5"))
+    run = read_run(record_run(prepare("table-1"), tmp_path_factory.mktemp("shipped") / "run.h5"))
     assert run.records.monitor(0) is None
     return run.records[0].codes
 
@@ -40,7 +40,7 @@ def test_every_way_to_capture_gives_the_same_echoes_with_a_second_channel(
     tmp_path: Path, echoes: np.ndarray, mode: str
 ) -> None:
     lines = f'acquisition_mode = "{mode}"', f"monitor_range_v = {MONITOR_V}"
-    run = read_run(measure(prepare("table-1", bench(tmp_path, *lines)), tmp_path / "run.h5"))
+    run = read_run(record_run(prepare("table-1", bench(tmp_path, *lines)), tmp_path / "run.h5"))
     np.testing.assert_array_equal(run.records[0].codes, echoes)
     # NPT records carry no header, so no trigger time.
     assert np.isnan(run.records[0].trigger_time_s).all() == (mode == "npt")

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from hpe_rig.acquire.resumption import prepare_rest
-from hpe_rig.acquire.run import Setup, measure, planned, process
+from hpe_rig.acquire.run import Setup, planned, record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.bench.bench_file import parse_bench, read_bench
 from hpe_rig.bench.opening import check_simulation
 from hpe_rig.plan.checks.conflicts import PlanError
@@ -40,7 +41,7 @@ MOST_BYTES = 1 << 30
 @pytest.fixture
 def small(prepared: Prepare, tmp_path: Path) -> Path:
     """Return a small run file."""
-    return measure(prepared("table-1", *SMALL), tmp_path / "run.h5")
+    return record_run(prepared("table-1", *SMALL), tmp_path / "run.h5")
 
 
 def fixed(text: str) -> Any:

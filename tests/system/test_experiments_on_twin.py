@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import measure, prepare_text, process
+from hpe_rig.acquire.run import prepare_text, record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.prediction.detection import detection_floor
 from hpe_rig.report.sweep import fit_line
 from hpe_rig.scene.scene import shipped_scenes
@@ -39,7 +40,7 @@ def test_amplitudes_of_nothing_are_those_of_the_stated_jitter_and_noise(tmp_path
     repeats = (r"gate_length_m = 1.0e-3\n(repeats = 5\n)?", f"gate_length_m = 1.0e-3\nrepeats = {REPEATS}\n")
     force = (r"(force_fraction = .*\n)?\n\[tracking\]", "force_fraction = 1e-4\n\n[tracking]")
     setup = prepare_text("a", edited(name, *edits, repeats, force))
-    shots = process(measure(setup, tmp_path / "a.h5")).shots
+    shots = process(record_run(setup, tmp_path / "a.h5")).shots
     amplitude_m = np.array([[item.amplitude_m for item in shot.estimates] for shot in shots])
     expected_m = detection_floor(setup.scene.scene, True, setup.plan.shots[0]).quadrature_m
     # Two quadratures each: the root of their mean square is known to 1 / sqrt(4 n); three of it. Speckle makes the
@@ -56,7 +57,7 @@ def test_slopes_double_with_the_toneburst_length_and_lines_are_straight(tmp_path
     lines = {}
     few = (r"force_fraction = .*", "force_fraction = [1.0, 0.81, 0.64, 0.49, 0.36]")
     for name in ("muscle-force", "muscle-force-200us"):
-        shots = process(measure(prepare_text(name, edited(name, few)), tmp_path / f"{name}.h5")).shots
+        shots = process(record_run(prepare_text(name, edited(name, few)), tmp_path / f"{name}.h5")).shots
         for length_s in {shot.burst_length_s for shot in shots}:
             own = [shot for shot in shots if shot.burst_length_s == length_s]
             force = np.array(sorted({shot.force_fraction for shot in own}))

@@ -18,7 +18,7 @@ import pytest
 from drivers.alazar.ats460 import Ats460
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import InstrumentError
-from hpe_rig.acquire.run import Setup, measure
+from hpe_rig.acquire.run import Setup, record_run
 from hpe_rig.bench.instruments import UnsafeBenchError
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.store import StoredRun, read_run
@@ -165,7 +165,7 @@ def tapped(monkeypatch: pytest.MonkeyPatch) -> Callable[[Tap], None]:
 def attempt(setup: Setup, path: Path) -> BaseException | None:
     """Measure and return what was raised."""
     try:
-        measure(setup, path)
+        record_run(setup, path)
     except (InstrumentError, UnsafeBenchError, InjectedError, KeyboardInterrupt, Terminated) as error:
         return error
     return None
@@ -201,7 +201,7 @@ def test_a_fault_at_any_io_call_leaves_the_bench_safe_and_the_records_kept(
     setup = prepared("bovine-muscle-synchronous", *SHORT, *([SINGLE_PORT] if memory == "single port" else []))
     clean = Tap()
     tapped(clean)
-    whole = read_run(measure(setup, tmp_path / "whole.h5"))
+    whole = read_run(record_run(setup, tmp_path / "whole.h5"))
     assert clean.arrived == 16
     if every:
         cases = [(index, kind) for kind in KINDS for index in range(clean.calls)]

@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 
 from drivers.agilent import generators as agilent_33250a
 from drivers.interfaces import PulseTrain
-from hpe_rig.acquire.run import Setup, measure, prepare, process
+from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress, ShotBlock, acquire
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.bench.opening import open_bench
@@ -94,20 +95,20 @@ def test_synchronous_pulses_fold_higher_harmonics_and_the_result_says_so(measure
 
 def test_the_same_scene_gives_the_same_file_bit_for_bit(prepared: Prepare, tmp_path: Path) -> None:
     setup = prepared("bovine-muscle-synchronous")
-    first, second = (measure(setup, tmp_path / f"{name}.h5") for name in "ab")
+    first, second = (record_run(setup, tmp_path / f"{name}.h5") for name in "ab")
     assert first.read_bytes() == second.read_bytes()
 
 
 def test_another_seed_gives_another_file(prepared: Prepare, tmp_path: Path) -> None:
-    first = measure(prepared("table-1"), tmp_path / "a.h5")
-    second = measure(prepared("table-1", ("seed = 1", "seed = 2")), tmp_path / "b.h5")
+    first = record_run(prepared("table-1"), tmp_path / "a.h5")
+    second = record_run(prepared("table-1", ("seed = 1", "seed = 2")), tmp_path / "b.h5")
     assert not np.array_equal(read_run(first).records[0].codes, read_run(second).records[0].codes)
 
 
 def test_single_port_and_dual_port_boards_record_the_same(prepared: Prepare, tmp_path: Path) -> None:
     single = ("[simulation]\n", "[simulation]\ninstruments = {dual_port_memory = false}\n")
-    first = measure(prepared("table-1"), tmp_path / "a.h5")
-    second = measure(prepared("table-1", single), tmp_path / "b.h5")
+    first = record_run(prepared("table-1"), tmp_path / "a.h5")
+    second = record_run(prepared("table-1", single), tmp_path / "b.h5")
     np.testing.assert_array_equal(read_run(first).records[0].codes, read_run(second).records[0].codes)
 
 
@@ -148,7 +149,7 @@ def test_interference_that_is_forced_through_shows_in_the_echoes(prepared: Prepa
     assert warned == {"interference": "warning", "folding": "warning"}
     rms = []
     for index, setup in enumerate((clean, forced)):
-        run = read_run(measure(setup, tmp_path / f"{index}.h5"))
+        run = read_run(record_run(setup, tmp_path / f"{index}.h5"))
         gate = setup.plan.shots[0].gate
         codes = run.records[0].codes[:, gate].astype(float)
         rms.append(np.sqrt((codes**2).mean(axis=1)))
@@ -179,7 +180,7 @@ def test_a_wrong_burst_rate_in_the_driver_shows_as_a_wrong_measurement(
 
 
 def test_both_estimators_agree_on_one_run(prepared: Prepare, tmp_path: Path) -> None:
-    run_file = measure(prepared("table-1", (NOISE, "")), tmp_path / "run.h5")
+    run_file = record_run(prepared("table-1", (NOISE, "")), tmp_path / "run.h5")
     coherent, paper = (process(run_file, name).shots[0].estimates[0] for name in ("coherent", "cross_spectrum"))
     assert coherent.true_amplitude_m == pytest.approx(1e-6, rel=1e-3)
     # Two gates' speckle averages of the same echoes: 6 and 8 % apart from the mean (model notes, section 1).
@@ -204,7 +205,7 @@ def test_records_and_results_open_in_xarray_with_coordinates_and_units(measured:
 
 def test_the_run_file_keeps_scene_settings_and_provenance(prepared: Prepare, tmp_path: Path) -> None:
     setup = prepared("bovine-muscle-synchronous")
-    path = measure(setup, tmp_path / "run.h5")
+    path = record_run(setup, tmp_path / "run.h5")
     with h5py.File(path) as file:
         assert file["scene"].asstr()[()] == setup.scene.text
         settings = json.loads(file["snapshot"].asstr()[0])
@@ -218,7 +219,7 @@ def test_an_existing_run_file_is_never_overwritten(prepared: Prepare, tmp_path: 
     path = tmp_path / "run.h5"
     path.write_bytes(b"precious")
     with pytest.raises(StoreError, match="already exists"):
-        measure(prepared("table-1"), path)
+        record_run(prepared("table-1"), path)
     assert path.read_bytes() == b"precious"
 
 
@@ -239,7 +240,7 @@ def test_an_interrupted_run_can_be_processed_as_far_as_it_came(prepared: Prepare
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        measure(setup, path, stop_in_the_second_shot)
+        record_run(setup, path, stop_in_the_second_shot)
     result = process(path)
     assert result.status == "aborted"
     assert [shot.shot for shot in result.shots] == [0]
@@ -328,7 +329,7 @@ def test_a_shell_completes_commands_shipped_scenes_and_files(tmp_path: Path, mon
 
 def test_a_repeat_keeps_the_scatterers_and_draws_new_noise(prepared: Prepare, tmp_path: Path) -> None:
     setup = prepared("table-1", ("[acquisition]", "[acquisition]\nrepeats = 2"))
-    first, second = (records.codes for records in read_run(measure(setup, tmp_path / "run.h5")).records)
+    first, second = (records.codes for records in read_run(record_run(setup, tmp_path / "run.h5")).records)
     assert not np.array_equal(first, second)
     echo = first[:, setup.plan.shots[0].gate].astype(float), second[:, setup.plan.shots[0].gate].astype(float)
     assert np.corrcoef(echo[0].ravel(), echo[1].ravel())[0, 1] > 0.99

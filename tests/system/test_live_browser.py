@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.run import measure, prepare
+from hpe_rig.acquire.run import prepare, record_run
 from hpe_rig.report.page import write_report
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import read_run
@@ -122,7 +122,7 @@ def test_it_opens_updates_survives_a_reload_serves_ten_viewers_and_stops_with_ou
 def test_a_report_fits_the_window_asks_for_nothing_and_raises_no_complaint(
     browser: object, tmp_path: Path, width: int
 ) -> None:
-    report = write_report(measure(prepare("table-1"), tmp_path / "run.h5"))
+    report = write_report(record_run(prepare("table-1"), tmp_path / "run.h5"))
     asked: list[str] = []
     page = browser.new_page(viewport={"width": width, "height": 844})  # type: ignore[attr-defined]
     page.on("request", lambda request: asked.append(request.url))

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.acquire import measure, prepare, prepare_rest, process, resume
+from hpe_rig.acquire import prepare, prepare_rest, process, record_run, resume
 from hpe_rig.report import write_report
 from hpe_rig.store import read_run, read_snapshots
 
@@ -106,7 +106,7 @@ def test_an_old_run_is_resumed_and_equals_one_that_was_not_interrupted(copied: P
     assert (resumed.status, resumed.predecessor) == ("complete", "aborted.h5")
     assert resumed.shot_complete.all()
     assert_alike(process(done).as_dict()["shots"], shots_of("aborted-resumed"), ENGINE)
-    whole = read_run(measure(prepare(str(copied / "aborted.toml")), copied / "whole.h5"))
+    whole = read_run(record_run(prepare(str(copied / "aborted.toml")), copied / "whole.h5"))
     for shot in range(1, 4):
         # The first shot is the old version's; the others this version has measured in both files.
         np.testing.assert_array_equal(resumed.records[shot].codes, whole.records[shot].codes)

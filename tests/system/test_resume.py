@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 from drivers.agilent.generators import Agilent33250A
 from hpe_rig.acquire import run as run_module, stop_request as live_stop
 from hpe_rig.acquire.resumption import prepare_rest, resume
-from hpe_rig.acquire.run import Setup, measure, process
+from hpe_rig.acquire.run import Setup, record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress
 from hpe_rig.acquire.stop_request import request_stop, stop_path
 from hpe_rig.bench.interrupts import Terminated
@@ -56,13 +57,13 @@ def stopped_after(setup: Setup, path: Path, shots: int) -> Path:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        measure(setup, path, stop)
+        record_run(setup, path, stop)
     return path
 
 
 def test_a_resumed_run_can_be_killed_and_resumed_again(prepared: Prepare, tmp_path: Path) -> None:
     setup = prepared("bovine-muscle-synchronous", *SWEEP)
-    expected = table(measure(setup, tmp_path / "whole.h5"))
+    expected = table(record_run(setup, tmp_path / "whole.h5"))
     path = tmp_path / "first.h5"
     for stop_at, name in ((1, "first"), (3, "second")):
         path, earlier = tmp_path / f"{name}.h5", path
@@ -71,7 +72,7 @@ def test_a_resumed_run_can_be_killed_and_resumed_again(prepared: Prepare, tmp_pa
             if progress.shot.index == stop_at:
                 raise KeyboardInterrupt
 
-        go_on = partial(measure, setup) if name == "first" else partial(resume, prepare_rest(earlier))
+        go_on = partial(record_run, setup) if name == "first" else partial(resume, prepare_rest(earlier))
         with pytest.raises(KeyboardInterrupt):
             go_on(path, stop)
     assert read_run(path).shot_complete.tolist() == [True, True, True, False]
@@ -87,7 +88,7 @@ def test_resuming_gives_the_same_table_when_no_period_fits_the_sample_clock(prep
         ("[acquisition]", "[acquisition]\nshot_period_s = 0.1234567"),
         ("delay_s = 130e-6", 'delay_s = 130e-6\ndisturbed = "keep"'),
     )
-    expected = table(measure(setup, tmp_path / "whole.h5"))
+    expected = table(record_run(setup, tmp_path / "whole.h5"))
     assert resumed_table(stopped_after(setup, tmp_path / "run.h5", 2)) == expected
 
 
@@ -102,7 +103,7 @@ def test_resume_refuses_another_scene(
     prepared: Prepare, tmp_path: Path, change: Callable[[str], str], message: str
 ) -> None:
     setup = prepared("bovine-muscle-synchronous", *SWEEP)
-    path = measure(setup, tmp_path / "run.h5")
+    path = record_run(setup, tmp_path / "run.h5")
     other = tmp_path / "other.toml"
     other.write_text(change(setup.scene.text), encoding="utf-8")
     with pytest.raises(StoreError, match=message):
@@ -111,7 +112,7 @@ def test_resume_refuses_another_scene(
 
 def test_resume_refuses_another_bench_and_a_complete_run(prepared: Prepare, tmp_path: Path) -> None:
     setup = prepared("bovine-muscle-synchronous", *SWEEP)
-    path = measure(setup, tmp_path / "run.h5")
+    path = record_run(setup, tmp_path / "run.h5")
     bench = tmp_path / "bench.toml"
     bench.write_text(setup.bench.text.replace("delay_s = 10e-9", "delay_s = 11e-9"), encoding="utf-8")
     with pytest.raises(StoreError, match="bench"):
@@ -151,13 +152,13 @@ def test_run_times_stand_in_the_file_where_they_are_asked_for(prepared: Prepare,
     ticks = itertools.count()
     stages = Stages(lambda: float(next(ticks)))
     setup = prepared("bovine-muscle-synchronous", *SWEEP)
-    path = measure(setup, tmp_path / "run.h5", stages=stages)
+    path = record_run(setup, tmp_path / "run.h5", stages=stages)
     stored = read_run(path).run_time_s
     assert list(stored) == [name for name in STAGES if name not in ("load", "plan", "take over", "wait")]
     assert process(path).run_time_s.keys() > stored.keys()
     # Between the first reading and the last all time but that between stages belongs to one of them.
     assert sum(stages.run_time_s.values()) == next(ticks) - 3
-    plain = measure(setup, tmp_path / "plain.h5")
+    plain = record_run(setup, tmp_path / "plain.h5")
     assert read_run(plain).run_time_s == {}
     with h5py.File(path, "r") as timed, h5py.File(plain, "r") as untimed:
         for name in ("records/echo", "records/trigger_time_s", "truth/displacement_m", "snapshot"):
@@ -176,9 +177,9 @@ def test_a_sigterm_between_the_file_and_the_bench_leaves_an_aborted_file(
     with monkeypatch.context() as patch:
         patch.setattr(run_module, "open_bench", terminated)
         with pytest.raises(Terminated):
-            measure(setup, tmp_path / "run.h5")
+            record_run(setup, tmp_path / "run.h5")
     assert read_run(tmp_path / "run.h5").status == "aborted"
-    assert resumed_table(tmp_path / "run.h5") == table(measure(setup, tmp_path / "whole.h5"))
+    assert resumed_table(tmp_path / "run.h5") == table(record_run(setup, tmp_path / "whole.h5"))
 
 
 def test_a_sigterm_while_the_file_appears_waits_until_it_can_be_closed(
@@ -192,5 +193,5 @@ def test_a_sigterm_while_the_file_appears_waits_until_it_can_be_closed(
 
     monkeypatch.setattr(store_writer, "open_for_readers", interrupted)
     with pytest.raises(Terminated):
-        measure(prepared("table-1"), tmp_path / "run.h5")
+        record_run(prepared("table-1"), tmp_path / "run.h5")
     assert read_run(tmp_path / "run.h5").status == "aborted"

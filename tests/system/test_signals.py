@@ -16,7 +16,8 @@ import pytest
 
 from drivers.agilent.generators import Agilent33250A, MasterTrigger33250A
 from drivers.interfaces import DeadlineError, InstrumentError
-from hpe_rig.acquire.run import Setup, measure, process
+from hpe_rig.acquire.run import Setup, record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import acquire
 from hpe_rig.bench import instruments as open_instruments, opening as bench_module
 from hpe_rig.bench.instruments import UnsafeBenchError
@@ -88,7 +89,7 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
 
     monkeypatch.setattr(World, "wire", watched_wire)
     monkeypatch.setattr(MasterTrigger33250A, "fire", noted_fire)
-    measure(setup, tmp_path / "run.h5")
+    record_run(setup, tmp_path / "run.h5")
     assert len(fired_s) == 1
     print(f"killed at any of {len(left_s)} messages: the bench goes on for at most {max(left_s):.4f} s")
     # It must have been seen running, and never for longer than its finite trains.
@@ -139,7 +140,7 @@ def test_an_error_while_records_are_stored_leaves_the_bench_safe(
 
     monkeypatch.setattr(RunWriter, "append", full)
     with pytest.raises(OSError, match="no space left"):
-        measure(prepared("bovine-muscle-synchronous"), tmp_path / "run.h5")
+        record_run(prepared("bovine-muscle-synchronous"), tmp_path / "run.h5")
     assert_safe(worlds[0])
     run = read_run(tmp_path / "run.h5")
     assert run.status == "failed"
@@ -153,7 +154,7 @@ def test_an_error_while_processing_leaves_the_bench_safe_and_the_run_complete(
         raise ZeroDivisionError
 
     monkeypatch.setattr("hpe_rig.processing.estimate_run", fails)
-    path = measure(prepared("table-1"), tmp_path / "run.h5")
+    path = record_run(prepared("table-1"), tmp_path / "run.h5")
     with pytest.raises(ZeroDivisionError):
         process(path)
     assert_safe(worlds[0])
@@ -183,7 +184,7 @@ def test_a_lost_master_ends_the_shot_when_the_plan_says_so(
 def test_an_input_beyond_its_range_becomes_a_warning_of_the_result(prepared: Prepare, tmp_path: Path) -> None:
     small = ("[acquisition]", "[acquisition]\ninput_range_v = 0.05")
     clean, loud = (
-        process(measure(prepared("table-1", *edits), tmp_path / f"{name}.h5"))
+        process(record_run(prepared("table-1", *edits), tmp_path / f"{name}.h5"))
         for name, edits in (("clean", ()), ("loud", (small,)))
     )
     assert not any("left its range" in warning for warning in clean.warnings)
@@ -280,6 +281,6 @@ def test_the_checks_of_these_tests_can_fail(
     """A bench that is left as it is, is seen to drive."""
     for module in (bench_module, open_instruments):
         monkeypatch.setattr(module, "make_safe", lambda instruments: None)
-    measure(prepared("bovine-muscle-synchronous"), tmp_path / "run.h5")
+    record_run(prepared("bovine-muscle-synchronous"), tmp_path / "run.h5")
     with pytest.raises(AssertionError):
         assert_safe(worlds[0])

@@ -22,7 +22,8 @@ import pytest
 from drivers.interfaces import RecordBlock
 from hpe_rig.acquire import run as run_module
 from hpe_rig.acquire.resumption import prepare_rest, resume
-from hpe_rig.acquire.run import Setup, measure, process
+from hpe_rig.acquire.run import Setup, record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress, ShotBlock, Step, acquire
 from hpe_rig.bench.instruments import Bench
 from hpe_rig.bench.opening import open_bench
@@ -98,16 +99,16 @@ def assert_resumes_to(path: Path, expected: dict[str, Any], number: int) -> None
 
 def kill_at_random(setup: Setup, tmp_path: Path, kills: int, seed: int) -> None:
     """Kill a run at ``kills`` random moments and assert that nothing is lost."""
-    whole_path = measure(setup, tmp_path / "whole.h5")
+    whole_path = record_run(setup, tmp_path / "whole.h5")
     whole, expected = read_run(whole_path), table(whole_path)
     start = time.perf_counter()
-    os.waitpid(forked(partial(measure, setup, tmp_path / "timed.h5")), 0)
+    os.waitpid(forked(partial(record_run, setup, tmp_path / "timed.h5")), 0)
     duration_s = time.perf_counter() - start
     rng = np.random.default_rng(seed)
     opened, records, resumed = 0, 0, 0
     for number, moment_s in enumerate(rng.uniform(0, duration_s, kills)):
         path = tmp_path / f"{number}.h5"
-        pid = forked(partial(measure, setup, path))
+        pid = forked(partial(record_run, setup, path))
         time.sleep(moment_s)
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
@@ -189,7 +190,7 @@ def measure_on_a_full_disk(setup: Setup, path: Path, size: int) -> None:
     vars(run_module)["open_bench"] = noted
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
     with pytest.raises(StoreError, match="File too large") as raised:
-        measure(setup, path)
+        record_run(setup, path)
     assert path.name in str(raised.value)
     assert "Try:" in str(raised.value)
     for bench in benches:
@@ -203,7 +204,7 @@ def test_a_disk_full_at_any_size_ends_with_a_message_outputs_off_and_a_file_that
     prepared: Prepare, tmp_path: Path, sizes: int
 ) -> None:
     setup = prepared("bovine-muscle-synchronous", *SWEEP)
-    whole_path = measure(setup, tmp_path / "whole.h5")
+    whole_path = record_run(setup, tmp_path / "whole.h5")
     whole, expected = read_run(whole_path), table(whole_path)
     opened, records = 0, 0
     # One in each of equal parts, so that a few sizes, too, meet the header and the records.
@@ -292,7 +293,7 @@ def test_a_long_run_streams_in_constant_memory(prepared: Prepare, tmp_path: Path
                 resident.append(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
                 report.write_text(" ".join(f"{megabytes:.1f}" for megabytes in resident))
 
-        measure(setup, tmp_path / "run.h5", observe)
+        record_run(setup, tmp_path / "run.h5", observe)
 
     _, status = os.waitpid(forked(noted), 0)
     assert os.waitstatus_to_exitcode(status) == 0

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hpe_rig.acquire.resumption import prepare_rest, resume
-from hpe_rig.acquire.run import measure, process
+from hpe_rig.acquire.run import record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Step
 from hpe_rig.report.sweep import make_sweep
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
@@ -31,14 +32,14 @@ def test_every_pulse_rate_is_a_shot_with_the_same_frequencies_and_pulses(prepare
 @pytest.mark.slow
 def test_a_sweep_that_was_interrupted_goes_on_to_the_same_result(prepared, tmp_path):
     setup = prepared("muscle-pulse-rate", *SHORT)
-    whole = process(measure(setup, tmp_path / "whole.h5"))
+    whole = process(record_run(setup, tmp_path / "whole.h5"))
 
     def stop(progress):
         if progress.shot.index == 1 and progress.step is Step.COLLECT:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        measure(setup, tmp_path / "cut.h5", stop)
+        record_run(setup, tmp_path / "cut.h5", stop)
     rest = process(resume(prepare_rest(tmp_path / "cut.h5"), tmp_path / "rest.h5"))
     assert [shot.estimates for shot in rest.shots] == [shot.estimates for shot in whole.shots]
     sweep = make_sweep(whole.shots)
@@ -51,7 +52,7 @@ def test_windows_are_taken_from_the_same_records(prepared, tmp_path):
     both = ("window_length_s = [50e-3, 100e-3, 150e-3, 200e-3]", "window_length_s = [20e-3, 40e-3]")
     edits = (*SHORT[:1], ("burst_count = 26", "burst_count = 7"), SHORT[2], both)
     setup = prepared("muscle-window", *edits)
-    shots = process(measure(setup, tmp_path / "a.h5")).shots
+    shots = process(record_run(setup, tmp_path / "a.h5")).shots
     assert len(setup.plan.shots) == 1
     assert [shot.window_length_s for shot in shots] == [20e-3, 40e-3]
     assert [shot.pulses_used for shot in shots] == [80, 160]

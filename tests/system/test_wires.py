@@ -17,7 +17,7 @@ import pytest
 import pyvisa
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.acquire.run import measure, prepare
+from hpe_rig.acquire.run import prepare, record_run
 from hpe_rig.bench.bench_file import TRANSPORTS, BenchFile, parse_bench, read_bench
 from hpe_rig.bench.emulation import addressed
 from hpe_rig.bench.opening import open_bench, open_each
@@ -42,7 +42,7 @@ def bench_over(folder: Path, transport: str, *edits: tuple[str, str]) -> Path:
 @pytest.fixture(scope="module", params=["table-1", "bovine-muscle"])
 def in_process(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     path = tmp_path_factory.mktemp("in_process") / "run.h5"
-    return request.param, measure(prepare(request.param), path)
+    return request.param, record_run(prepare(request.param), path)
 
 
 @pytest.mark.parametrize("transport", TRANSPORTS)
@@ -50,7 +50,7 @@ def test_a_measurement_over_a_real_transport_gives_the_records_of_the_one_in_pro
     in_process: tuple[str, Path], transport: str, tmp_path: Path
 ) -> None:
     scene, path = in_process
-    over = read_run(measure(prepare(scene, bench_over(tmp_path, transport)), tmp_path / "run.h5"))
+    over = read_run(record_run(prepare(scene, bench_over(tmp_path, transport)), tmp_path / "run.h5"))
     direct = read_run(path)
     assert over.status == direct.status == "complete"
     for one, other in zip(over.records, direct.records, strict=True):
@@ -64,7 +64,7 @@ def test_a_measurement_over_a_serial_line_behind_tcp_gives_the_same_records(
     """As on Windows, where there are no pseudo terminals."""
     monkeypatch.delattr(os, "openpty", raising=False)
     scene, path = in_process
-    over = read_run(measure(prepare(scene, bench_over(tmp_path, "serial")), tmp_path / "run.h5"))
+    over = read_run(record_run(prepare(scene, bench_over(tmp_path, "serial")), tmp_path / "run.h5"))
     for one, other in zip(over.records, read_run(path).records, strict=True):
         np.testing.assert_array_equal(one.codes, other.codes)
 
@@ -78,9 +78,9 @@ def test_pulse_trains_from_a_sibling_give_the_same_records(model: str, tmp_path:
         (f'[generators.{role}]\nmodel = "33250A"', f'[generators.{role}]\nmodel = "{model}"')
         for role in ("master", "burst_train", "tracking_train")
     ]
-    direct = read_run(measure(prepare("bovine-muscle"), tmp_path / "a.h5"))
+    direct = read_run(record_run(prepare("bovine-muscle"), tmp_path / "a.h5"))
     bench = bench_over(tmp_path, "socket", *edits)
-    other = read_run(measure(prepare("bovine-muscle", bench), tmp_path / "b.h5"))
+    other = read_run(record_run(prepare("bovine-muscle", bench), tmp_path / "b.h5"))
     np.testing.assert_array_equal(other.records[0].codes, direct.records[0].codes)
 
 

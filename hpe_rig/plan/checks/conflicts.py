@@ -14,7 +14,7 @@ from hpe_rig.plan.checks.digitizer import board, capture_mode, memory
 from hpe_rig.plan.checks.output import acoustic_output, drive, generators
 from hpe_rig.plan.interference import admissible_delays_s, disturbed_pulses, effective_rate_hz, forbidden_window_s
 from hpe_rig.plan.shots import Plan, Shot, reference_gate
-from hpe_rig.scene import Scene
+from hpe_rig.scene import DEFAULT_SPECIMEN, Scene, has_default_specimen
 
 __all__ = ["Finding", "PlanError", "findings", "refuse_conflicts"]
 
@@ -264,15 +264,10 @@ def _tracking_train(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Find
 def _simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Finding]:
     if not bench.simulated:
         return
-    if scene.simulation is None:
-        yield Finding(
-            "simulation",
-            "refused",
-            "a simulated bench without [simulation] has nothing to measure",
-            "a [simulation] section",
-        )
-        return
-    speed, assumed = scene.simulation.get("sound_speed_m_per_s"), scene.acquisition.sound_speed_m_per_s
+    if has_default_specimen(scene):
+        text = f"{DEFAULT_SPECIMEN}, in focus at the gate: the scene has no [simulation]"
+        yield Finding("simulated specimen", "passed", text)
+    speed, assumed = (scene.simulation or {}).get("sound_speed_m_per_s"), scene.acquisition.sound_speed_m_per_s
     if isinstance(speed, int | float) and speed != assumed:
         text = f"simulation.sound_speed_m_per_s = {speed:g} m/s, "
         text += f"the gate assumes acquisition.sound_speed_m_per_s = {assumed:g} m/s"

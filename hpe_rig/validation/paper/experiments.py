@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hpe_rig.acquire import measure, prepare_text, process
+from hpe_rig.acquire import prepare_text, process, record_run
 from hpe_rig.plan import slow_time_window
 from hpe_rig.processing import Motion, driven_frequencies_hz, least_squares
 from hpe_rig.report import STYLE
@@ -89,7 +89,7 @@ def result_and_sampled_truth(scene: str, text: str | None = None) -> tuple[Resul
     """
     setup = prepare_text(scene, text or shipped_scenes()[scene])
     with TemporaryDirectory() as folder:
-        run_file = measure(setup, Path(folder) / "run.h5")
+        run_file = record_run(setup, Path(folder) / "run.h5")
         with h5py.File(run_file) as file:
             true_m = file["truth/displacement_m"][...]
         result = process(run_file)

@@ -18,7 +18,8 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from hpe_rig.acquire.run import measure, prepare, prepare_text, process
+from hpe_rig.acquire.run import prepare, prepare_text, record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress, Step, unobserved
 from hpe_rig.acquire.stop_request import StopRequested, clear_stop, request_stop, stop_path, stoppable
 from hpe_rig.live.alignment import AlignSource, align, without_pushing
@@ -46,7 +47,7 @@ class Counter:
 
 @pytest.fixture(scope="module")
 def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return measure(prepare("table-1"), tmp_path_factory.mktemp("live") / "run.h5")
+    return record_run(prepare("table-1"), tmp_path_factory.mktemp("live") / "run.h5")
 
 
 @pytest.fixture
@@ -178,7 +179,7 @@ def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_pa
             request_stop(run_file)
 
     with pytest.raises(StopRequested):
-        measure(setup, run_file, stoppable(ask_late, run_file, clock=iter(range(10**6)).__next__))
+        record_run(setup, run_file, stoppable(ask_late, run_file, clock=iter(range(10**6)).__next__))
     stored = read_run(run_file)
     assert stored.status == "aborted"
     assert stored.records[0].valid.any()
@@ -193,7 +194,7 @@ def test_a_stop_that_is_asked_for_as_a_shot_ends_leaves_it_complete(tmp_path: Pa
         if progress.step is Step.SAFE:
             request_stop(run_file)
 
-    measure(prepare("table-1"), run_file, stoppable(ask, run_file, clock=itertools.count().__next__))
+    record_run(prepare("table-1"), run_file, stoppable(ask, run_file, clock=itertools.count().__next__))
     assert read_run(run_file).status == "complete"
 
 
@@ -207,7 +208,7 @@ def test_nothing_is_estimated_for_the_page_while_somebody_waits_for_the_run_to_s
             request_stop(run_file)
             states.append(source.poll() or {})
 
-    measure(prepare("table-1"), run_file, look)
+    record_run(prepare("table-1"), run_file, look)
     states.append(source.poll() or {})
     assert [state["status"] for state in states] == ["running", "running", "complete"]
     assert [state["stop_requested"] for state in states] == [False, True, True]
@@ -227,7 +228,7 @@ def test_a_stop_is_seen_while_the_next_shot_is_waited_for(tmp_path: Path) -> Non
             request_stop(run_file)
 
     with pytest.raises(StopRequested):
-        measure(prepare_text(name, long), run_file, stoppable(ask, run_file, clock=itertools.count().__next__))
+        record_run(prepare_text(name, long), run_file, stoppable(ask, run_file, clock=itertools.count().__next__))
     assert (waits, fired) == ([3], [1])
     assert read_run(run_file).shot_complete.tolist() == [True, False]
 
@@ -290,12 +291,12 @@ def test_an_alignment_without_records_says_so() -> None:
 
 def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tmp_path: Path) -> None:
     code = (
-        "import sys\nfrom pathlib import Path\nfrom hpe_rig.acquire import measure, prepare\n"
+        "import sys\nfrom pathlib import Path\nfrom hpe_rig.acquire import record_run, prepare\n"
         "from hpe_rig.cli.app import app\n"
         "from hpe_rig.cli.watch import watched\nsetup = prepare('table-1')\n"
         f"path = Path({str(tmp_path / 'run.h5')!r})\n"
         "with watched(setup, path, False, False, print) as watching:\n"
-        "    measure(setup, path, watching(lambda progress: None))\n"
+        "    record_run(setup, path, watching(lambda progress: None))\n"
         "print(*sorted({name.partition('.')[0] for name in sys.modules}))\n"
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import measure, prepare, prepare_text
+from hpe_rig.acquire.run import prepare, prepare_text, record_run
 from hpe_rig.prediction.aliasing import fitted_over_true, folding_text
 from hpe_rig.scene.scene import scene_text
 from hpe_rig.store.layout import TRUE_HARMONICS
@@ -18,7 +18,7 @@ def test_folding_of_synchronous_pulses_is_that_of_the_twins_motion(tmp_path):
     """
     setup = prepare("bovine-muscle-synchronous")
     shot = setup.plan.shots[0]
-    with h5py.File(measure(setup, tmp_path / "run.h5")) as file:
+    with h5py.File(record_run(setup, tmp_path / "run.h5")) as file:
         motion_m = file["truth/displacement_m"][0]
         in_phase_m, quadrature_m = (file[f"true_harmonics/{part}"][0] for part in TRUE_HARMONICS)
     period_m, time_s = motion_m[-40:], shot.timeline.sensing_s[-40:] - shot.timeline.reference_s

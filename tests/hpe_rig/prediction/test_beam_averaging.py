@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import measure, prepare_text
+from hpe_rig.acquire.run import prepare_text, record_run
 from hpe_rig.prediction.beam_averaging import depth_spread, gaussian_averaging, medium_motion, width_scale
 from hpe_rig.prediction.forecast import averaging_text, predicted_averaging
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
@@ -93,7 +93,7 @@ def test_declared_medium_goes_before_the_twins_and_the_gaussian_is_the_last_reso
 def test_field_that_the_beams_do_not_allow_is_refused_with_a_remedy(tmp_path, old, new, words):
     assert old in MUSCLE
     with pytest.raises(SettingsError) as refused:
-        measure(prepare_text("a", MUSCLE.replace(old, new)), tmp_path / "a.h5")
+        record_run(prepare_text("a", MUSCLE.replace(old, new)), tmp_path / "a.h5")
     for word in [*words, 'specimen.field = "gaussian"']:
         assert word in str(refused.value)
 

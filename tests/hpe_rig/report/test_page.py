@@ -12,12 +12,12 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import measure, prepare, process
+from hpe_rig.acquire.run import prepare, record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.report.page import render, strongest, write_report
 from hpe_rig.report.sweep import Curve, Sweep
 from hpe_rig.report.sweep_figures import sweep_pictures
-from hpe_rig.result.estimates import Result
-from hpe_rig.result.warnings import shot_warnings
+from hpe_rig.result.estimates import Result, shot_warnings
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import StoreError
 
@@ -32,7 +32,7 @@ def measured(folder: Path, *edits: tuple[str, str], scene: str = "bovine-muscle"
         text = text.replace(old, new)
     path = folder / f"{scene}.toml"
     path.write_text(text, encoding="utf-8")
-    return measure(prepare(str(path)), folder / "run.h5")
+    return record_run(prepare(str(path)), folder / "run.h5")
 
 
 @pytest.fixture(scope="module")

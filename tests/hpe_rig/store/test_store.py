@@ -21,7 +21,8 @@ import pytest
 import xarray as xr
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.acquire.run import Setup, measure, prepare, process
+from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.run_file import process
 from hpe_rig.result.html_repr import result_html
 from hpe_rig.result.rows import result_csv, result_frame
 from hpe_rig.scene.scene import shipped_scenes
@@ -115,7 +116,7 @@ def test_the_next_shot_leaves_the_last_one_as_it_is(setup: Setup, tmp_path: Path
 
 
 def test_a_gate_is_read_alone(setup: Setup, tmp_path: Path) -> None:
-    stored = read_run(measure(setup, tmp_path / "run.h5"))
+    stored = read_run(record_run(setup, tmp_path / "run.h5"))
     gate = slice(100, 130)
     np.testing.assert_array_equal(stored.records.gated(1, gate).codes, stored.records[1].codes[:, gate])
 
@@ -136,16 +137,16 @@ def test_overwriting_happens_only_when_told(setup: Setup, tmp_path: Path) -> Non
     path = tmp_path / "run.h5"
     path.write_bytes(b"precious")
     with pytest.raises(StoreError, match="--overwrite"):
-        measure(setup, path)
+        record_run(setup, path)
     assert path.read_bytes() == b"precious"
-    measure(setup, path, options=WriteOptions(overwrite=True))
+    record_run(setup, path, options=WriteOptions(overwrite=True))
     assert read_run(path).status == "complete"
     assert free_path("run", tmp_path).name == "run-2.h5"
 
 
 def test_a_missing_folder_is_a_message(setup: Setup, tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="cannot be created"):
-        measure(setup, tmp_path / "nowhere" / "run.h5")
+        record_run(setup, tmp_path / "nowhere" / "run.h5")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a folder's mode means nothing there")
@@ -155,7 +156,7 @@ def test_a_read_only_folder_is_a_message(setup: Setup) -> None:
     with tempfile.TemporaryDirectory() as name:
         Path(name).chmod(0o555)
         with nobody(), pytest.raises(StoreError, match=r"cannot be created \(Permission denied\)"):
-            measure(setup, Path(name) / "run.h5")
+            record_run(setup, Path(name) / "run.h5")
         Path(name).chmod(0o755)
 
 
@@ -175,12 +176,12 @@ def test_a_disk_too_small_for_the_run_is_refused_before_anything_is_written(
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=40_000))
     with pytest.raises(StoreError, match=r"the disk has 0.04 MB free"):
-        measure(setup, tmp_path / "run.h5")
+        record_run(setup, tmp_path / "run.h5")
     assert not list(tmp_path.glob("*.h5"))
 
 
 def test_a_result_never_replaces_a_file_that_is_none(setup: Setup, tmp_path: Path) -> None:
-    path = measure(setup, tmp_path / "run.h5")
+    path = record_run(setup, tmp_path / "run.h5")
     result = process(path)
     process(path)
     foreign = result_path(path, "coherent")
@@ -191,8 +192,8 @@ def test_a_result_never_replaces_a_file_that_is_none(setup: Setup, tmp_path: Pat
 
 
 def test_compressed_records_are_the_same_records(setup: Setup, tmp_path: Path) -> None:
-    plain = measure(setup, tmp_path / "plain.h5")
-    packed = measure(setup, tmp_path / "packed.h5", options=WriteOptions(compress=True))
+    plain = record_run(setup, tmp_path / "plain.h5")
+    packed = record_run(setup, tmp_path / "packed.h5", options=WriteOptions(compress=True))
     with h5py.File(packed) as file:
         assert [item[0] for item in _filters(file["records/echo"])] == [32008]
     for one, other in zip(read_run(plain).records, read_run(packed).records, strict=True):
@@ -206,7 +207,7 @@ def _filters(dataset: h5py.Dataset) -> list[tuple[int, ...]]:
 
 @pytest.mark.external
 def test_h5dump_reads_a_run_and_a_result(setup: Setup, tmp_path: Path) -> None:
-    path = measure(setup, tmp_path / "run.h5")
+    path = record_run(setup, tmp_path / "run.h5")
     process(path)
     for file, name, word in ((path, "/records/shot_complete", "1, 1"), (result_path(path, "coherent"), "/json", "{")):
         done = subprocess.run(["h5dump", "-d", name, file], capture_output=True, text=True, check=False)
@@ -217,7 +218,7 @@ def test_h5dump_reads_a_run_and_a_result(setup: Setup, tmp_path: Path) -> None:
 
 
 def test_every_object_is_of_a_type_and_format_that_hdf5_1_10_knows(setup: Setup, tmp_path: Path) -> None:
-    path = measure(setup, tmp_path / "run.h5")
+    path = record_run(setup, tmp_path / "run.h5")
     process(path)
     plain: list[str] = []
 
@@ -245,7 +246,7 @@ def test_a_missing_record_is_nan_in_xarray(setup: Setup, tmp_path: Path) -> None
 
 
 def test_a_table_goes_to_csv_and_to_pandas_with_every_digit(setup: Setup, tmp_path: Path) -> None:
-    result = process(measure(setup, tmp_path / "run.h5"))
+    result = process(record_run(setup, tmp_path / "run.h5"))
     read, frame = list(csv.DictReader(io.StringIO(result_csv(result)))), result_frame(result)
     assert len(read) == len(frame) == 2
     estimate = result.shots[1].estimates[0]
@@ -257,7 +258,7 @@ def test_a_table_goes_to_csv_and_to_pandas_with_every_digit(setup: Setup, tmp_pa
 
 
 def test_a_notebook_shows_figure_table_and_that_it_was_simulated(setup: Setup, tmp_path: Path) -> None:
-    result = process(measure(setup, tmp_path / "run.h5"))
+    result = process(record_run(setup, tmp_path / "run.h5"))
     page = result._repr_html_()
     assert "SIMULATED" in page
     assert page.count("<svg") == 2
@@ -268,7 +269,7 @@ def test_a_notebook_shows_figure_table_and_that_it_was_simulated(setup: Setup, t
 
 
 def test_settings_are_kept_shot_by_shot(setup: Setup, tmp_path: Path) -> None:
-    path = measure(setup, tmp_path / "run.h5")
+    path = record_run(setup, tmp_path / "run.h5")
     snapshots = read_snapshots(path)
     assert [set(snapshot) for snapshot in snapshots] == [set(setup.plan.roles)] * 2
     with h5py.File(path) as file:

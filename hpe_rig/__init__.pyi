@@ -1,0 +1,12 @@
+from .acquire import (
+    CheckedScene as CheckedScene,
+    Run as Run,
+    check as check,
+    estimate as estimate,
+    measure as measure,
+    open_bench as open_bench,
+    open_run as open_run,
+)
+from .result import Result as Result
+from .scene import Scene as Scene, load_scene as load_scene
+from .study import run_study as run_study

@@ -1,0 +1,196 @@
+"""Public functions of ``hpe_rig``: a scene as a name, a path or a ``Scene``, a bench as the path of its file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.run_file import Run, chosen_estimator, estimates_of, open_run
+from hpe_rig.bench import Bench, open_bench as open_instruments
+from hpe_rig.plan import Finding
+from hpe_rig.result import Result, ShotResult, Stages
+from hpe_rig.scene import Estimator, SceneSource
+from hpe_rig.store import versions
+
+BenchSource = str | os.PathLike[str] | None
+"""What is taken as a bench: the path of its TOML file; None: the simulated bench."""
+
+
+def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLike[str] | None = None) -> Run:
+    """Measure ``scene`` and return the run; every output is off when this returns or raises.
+
+    ``path``: the run file, never overwritten; absent: the scene's name here, numbered where that is taken. Raises
+    ``SettingsError`` with every mistake of scene or bench file, ``PlanError`` with every conflict, ``StoreError`` where
+    the file cannot be written, ``InstrumentError`` where an instrument fails, and ``TypeError`` for what is no scene.
+
+    >>> run = measure("bovine-muscle")
+    >>> run.displacement_m(0).shape
+    >>> print(run.estimate("coherent").to_frame())
+    """
+    return open_run(record_run(prepare(scene, _bench_path(bench)), None if path is None else Path(path)))
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedScene:
+    """What is known of a measurement before it is made; ``str`` of it is what ``hpe-rig check`` prints."""
+
+    setup: Setup
+    text: str
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What each check found, passed ones included."""
+        return self.setup.findings
+
+    @property
+    def refused(self) -> bool:
+        """Whether a conflict forbids the measurement."""
+        return any(finding.level == "refused" for finding in self.findings)
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def check(scene: SceneSource, bench: BenchSource = None, target: str | None = None) -> CheckedScene:
+    """Return the plan of ``scene`` in words with every conflict, expected bias and jitter; opens nothing.
+
+    ``target``: a wanted uncertainty such as "20nm", to say what reaches it. Raises ``SettingsError`` as ``measure``.
+
+    >>> checked = check("bovine-muscle")
+    >>> checked.refused
+    False
+    >>> print(checked)
+    """
+    from hpe_rig.plan import plan_text
+    from hpe_rig.prediction import length_m
+
+    setup = prepare(scene, _bench_path(bench), refuse=False)
+    target_m = None if target is None else length_m(target, "--target")
+    plan = plan_text(setup.scene.scene.title, setup.plan, setup.findings)
+    return CheckedScene(setup, "\n".join([plan, "", *_foreseen(setup, target_m)]))
+
+
+def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
+    """Yield what can be said of the result beforehand: detection, aliasing, calibration, averaging, jitter."""
+    from hpe_rig import prediction
+
+    scene, bench, shot = setup.scene.scene, setup.bench.bench, setup.plan.shots[0]
+    yield from prediction.detection_text(scene, bench.simulated, shot)
+    yield from prediction.folding_text(scene, shot, bench.simulated)
+    yield from prediction.calibration_text(scene, bench)
+    yield from prediction.averaging_text(scene, bench.simulated)
+    yield from prediction.prediction_text(scene, target_m, prediction.fit_gain(scene, shot))
+
+
+@contextmanager
+def open_bench(scene: SceneSource, bench: BenchSource = None) -> Iterator[Bench]:
+    """Yield the instruments that ``scene`` needs, by role; off and verified off on every way out.
+
+    Raises as ``measure``.
+
+    >>> with open_bench("bovine-muscle", "my-bench.toml") as bench:
+    ...     print(bench.master.identify())
+    """
+    setup = prepare(scene, _bench_path(bench))
+    with open_instruments(setup.scene.scene, setup.bench.bench, setup.plan.roles) as opened:
+        yield opened
+
+
+def estimate(
+    rf: ArrayLike,
+    *,
+    sample_rate_hz: float,
+    pulse_rate_hz: float,
+    carrier_hz: float,
+    frequencies_hz: Sequence[float],
+    sound_speed_m_per_s: float = 1540.0,
+    estimator: str = "coherent",
+) -> Result:
+    """Return amplitude and phase of the motion in anybody's gated echoes.
+
+    ``rf`` (..., pulse, sample), real: the samples of the gate, pulses ``1 / pulse_rate_hz`` apart; integers of a
+    digitizer do as well as volts. A pulse with a sample that is not finite counts as missing; where there are leading
+    axes each of their entries becomes a shot of the result, in C order. Phases are those of sin(2 pi f t + phase) with
+    t from the first pulse; displacement is positive away from the transducer. Raises ``TypeError`` where ``rf`` is not
+    real, ``SettingsError`` for an unknown estimator, ``ValueError`` where the echoes carry no estimate.
+
+    >>> rf = np.load("echoes.npy")
+    >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
+    """
+    volts = _real(rf)
+    stages = Stages()
+    chosen = chosen_estimator(estimator)
+    acquired = {"sample_rate_hz": sample_rate_hz, "carrier_hz": carrier_hz, "sound_speed_m_per_s": sound_speed_m_per_s}
+    with stages("process"):
+        shots = tuple(
+            _shot(index, one, pulse_rate_hz, acquired, frequencies_hz, chosen)
+            for index, one in enumerate(volts.reshape(-1, *volts.shape[-2:]))
+        )
+    return Result(
+        title=f"Echoes of shape {volts.shape}",
+        run_file="",
+        simulated=False,
+        status="complete",
+        estimator=chosen,
+        phase_reference="of sin(2 pi f t + phase), with t from the first pulse",
+        shots=shots,
+        warnings=(),
+        omitted=(),
+        versions=versions(),
+        run_time_s=stages.run_time_s,
+    )
+
+
+def _shot(
+    index: int,
+    volts: NDArray[np.floating[Any]],
+    pulse_rate_hz: float,
+    acquired: dict[str, float],
+    frequencies_hz: Sequence[float],
+    estimator: Estimator,
+) -> ShotResult:
+    from hpe_rig.processing import EchoGate, estimate as estimate_motion
+
+    valid = np.isfinite(volts).all(axis=-1)
+    # A constant offset, such as a digitizer's, is no echo; one number for all pulses keeps their resting echo.
+    centred = volts - volts[valid].mean() if valid.any() else volts
+    pulse_time_s = np.arange(valid.size) / pulse_rate_hz
+    fit = estimate_motion(
+        EchoGate(volts=centred, pulse_time_s=pulse_time_s, valid=valid, **acquired), frequencies_hz, estimator
+    )
+    return ShotResult(
+        shot=index,
+        repeat=0,
+        burst_length_s=None,
+        force_fraction=None,
+        pulses_used=fit.pulses,
+        pulses_missing=int((~valid).sum()),
+        residual_m=float(fit.residual_rms_m),
+        estimates=estimates_of(fit),
+        warnings=(),
+        pulse_rate_hz=pulse_rate_hz,
+    )
+
+
+def _real(rf: ArrayLike) -> NDArray[np.floating[Any]]:
+    """Return ``rf`` as float32 where it is that, else as float64."""
+    values = np.asarray(rf)
+    if values.dtype.kind not in "iuf":
+        raise TypeError(f"rf is taken as real numbers (..., pulse, sample), not as {values.dtype}")
+    if values.ndim < 2:
+        raise ValueError(f"rf has shape {values.shape}: it needs the axes (..., pulse, sample)")
+    return values if values.dtype == np.float32 else values.astype(np.float64)
+
+
+def _bench_path(bench: BenchSource) -> Path | None:
+    if bench is not None and not isinstance(bench, str | os.PathLike):
+        raise TypeError(f"a bench is taken as the path of its TOML file or None, not as {type(bench).__name__}")
+    return None if bench is None else Path(bench)

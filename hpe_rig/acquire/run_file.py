@@ -1,0 +1,209 @@
+"""Run file -> result: a stored run parsed, planned and validated once, and what is estimated from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.acquire.run import planned
+from hpe_rig.bench import BenchFile, parse_bench
+from hpe_rig.plan import Finding, Plan, reference_gate
+from hpe_rig.result import Estimate, Result, ShotResult, Stages
+from hpe_rig.scene import (
+    DEFAULT_SPECIMEN,
+    Estimator,
+    Processing,
+    Scene,
+    SettingsError,
+    has_default_specimen,
+    mistakes_of,
+    parse_scene,
+    with_default_specimen,
+)
+from hpe_rig.store import StoredRecords, StoredRun, StoreError, read_run, result_path, versions, write_result
+
+if TYPE_CHECKING:
+    from hpe_rig.processing import EchoGate, HarmonicFit
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A stored run; its records are read when they are asked for, so that a long one takes no memory.
+
+    ``findings``: what the checks of its plan found; ``stored``: what the file held when it was opened, scene and bench
+    file verbatim among it.
+
+    >>> run = open_run("bovine-muscle.h5")
+    >>> run.scene.tracking.pulse_rate_hz, run.records[0].codes.shape
+    >>> run.estimate("kasai").shots[0].estimates[0].amplitude_m
+    """
+
+    path: Path
+    scene: Scene
+    bench: BenchFile
+    plan: Plan
+    findings: tuple[Finding, ...]
+    stored: StoredRun
+
+    @property
+    def records(self) -> StoredRecords:
+        """The digitizer's codes of every shot, each int16 (pulse, sample), with what turns them into volts."""
+        return self.stored.records
+
+    def displacement_m(self, shot: int = 0) -> NDArray[np.float64]:
+        """Return the displacement of every tracking pulse of ``shot``, counted from 0, up to a constant; (pulse,), m.
+
+        By the scene's estimator, "coherent" where that is "joint", which has none; positive away from the transducer,
+        sensed at ``plan.shots[shot].timeline.sensing_s``. NaN where the record is missing or the pulse is omitted.
+        Raises ``IndexError`` for a shot that is none, ``ValueError`` where the echoes carry no displacement.
+        """
+        from hpe_rig.processing import coherent, motion_of, relative_to
+
+        name = self.scene.processing.estimator
+        motion = motion_of(self._echoes(shot), "coherent" if name == "joint" else name)
+        reference = reference_gate(self.scene, self.plan.shots[shot])
+        if reference is not None:
+            motion = relative_to(motion, coherent(self._echoes(shot, reference)))
+        return motion.displacement_m
+
+    def estimate(self, estimator: str | None = None, stages: Stages | None = None) -> Result:
+        """Return amplitude and phase of every shot, by the scene's estimator or the one named.
+
+        ``stages`` takes the wall time. Raises ``SettingsError`` for an estimator that does not exist and ``StoreError``
+        where the records carry no estimate.
+        """
+        stages = stages or Stages()
+        stages.come_after(self.stored.run_time_s)
+        chosen = chosen_estimator(estimator, self.scene)
+        with stages("process"):
+            shots = _shots(self, chosen)
+        return Result(
+            title=self.scene.title,
+            run_file=self.path.name,
+            simulated=self.stored.simulated,
+            status=self.stored.status,
+            estimator=chosen,
+            phase_reference=phase_reference(self.scene),
+            shots=shots,
+            warnings=tuple(_warnings(self)),
+            omitted=tuple((item.what, item.why) for item in self.plan.left_out),
+            versions=versions(),
+            run_time_s=stages.run_time_s,
+            simulated_specimen=DEFAULT_SPECIMEN if self.stored.simulated and has_default_specimen(self.scene) else None,
+        )
+
+    def save(self, result: Result) -> Path:
+        """Write ``result`` beside the run file, in place of an earlier one of that estimator, and return its path."""
+        path = result_path(self.path, result.estimator)
+        write_result(path, result)
+        return path
+
+    def _echoes(self, shot: int, gate: slice | None = None) -> EchoGate:
+        """Return the echoes of every pulse of ``shot`` in volts, (pulse, sample), those to be omitted marked."""
+        from hpe_rig.processing import shot_echoes
+
+        planned_shot = self.plan.shots[shot]
+        records = self.records.gated(shot, gate or planned_shot.gate)
+        return shot_echoes(self.scene, planned_shot, records, np.ones(records.valid.size, np.bool_))
+
+    def refreshed(self) -> Run:
+        """Return the run as its file stands by now, for one that is still being written."""
+        return replace(self, stored=read_run(self.path))
+
+
+def open_run(path: Path | str) -> Run:
+    """Return the run in the run file ``path``, also one that is going on or was interrupted.
+
+    Raises ``StoreError`` where it is none or its records are not those of its scene, ``SettingsError`` where its scene
+    or bench file leads to no plan.
+    """
+    stored = read_run(Path(path))
+    scene = parse_scene(stored.scene_name, stored.scene_toml).scene
+    bench = parse_bench(stored.bench_name, stored.bench_toml).bench
+    if bench.simulated:
+        scene = with_default_specimen(scene)
+    plan, found = planned(scene, bench)
+    stored.refuse_unlike(plan)
+    return Run(stored.path, scene, bench, plan, found, stored)
+
+
+def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:
+    """Return the result of the run in ``path`` and write it beside the run file."""
+    stages = stages or Stages()
+    with stages("read"):
+        run = open_run(path)
+    result = run.estimate(estimator, stages)
+    with stages("write result"):
+        run.save(result)
+    return result
+
+
+def chosen_estimator(name: str | None, scene: Scene | None = None) -> Estimator:
+    """Return the estimator of that name, or the scene's; raise ``SettingsError`` for a name that is none."""
+    asked = {"estimator": name} if name or scene is None else {"estimator": scene.processing.estimator}
+    mistakes = mistakes_of(Processing, asked, ("processing",))
+    if mistakes:
+        raise SettingsError("command line", mistakes)
+    return Processing.model_validate(asked).estimator
+
+
+def phase_reference(scene: Scene) -> str:
+    """Return in words what phase zero means; the way from transducer to gate is accounted for."""
+    start = "the first toneburst's arrival at the gate" if scene.excitation else "the master trigger's edge"
+    return f"of sin(2 pi f t + phase), the motion at the gate, with t from {start}"
+
+
+def estimates_of(fit: HarmonicFit) -> tuple[Estimate, ...]:
+    """Return the estimates of one fit, with nothing known or predicted beside them."""
+    return tuple(
+        Estimate(
+            frequency_hz=float(fit.frequency_hz[index]),
+            amplitude_m=float(fit.amplitude_m[index]),
+            amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
+            phase_rad=float(fit.phase_rad[index]),
+            phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
+            averaging_factor=None,
+            speckle_relative=None,
+            true_amplitude_m=None,
+            true_phase_rad=None,
+        )
+        for index in range(fit.frequency_hz.size)
+    )
+
+
+def _shots(run: Run, estimator: Estimator) -> tuple[ShotResult, ...]:
+    from hpe_rig.prediction import predicted_averaging
+    from hpe_rig.processing import estimate_run
+
+    try:
+        averaging = predicted_averaging(run.scene, estimator, run.stored.simulated)
+        shots = estimate_run(run.scene, run.plan, run.stored, estimator, averaging)
+    except ValueError as error:
+        raise StoreError(
+            f"{run.path} cannot be estimated ({error}). Try: another estimator, or more records."
+        ) from error
+    if not shots:
+        raise StoreError(
+            f"{run.path} holds no records, the run is {run.stored.status}: it ended before the first came. "
+            f"Try: hpe-rig resume {run.path}."
+        )
+    return shots
+
+
+def _warnings(run: Run) -> Iterator[str]:
+    """Yield what a reader of the result must know of the whole run."""
+    yield from (str(finding) for finding in run.findings if finding.level != "passed")
+    # The board cannot say which record it was; where some are skipped the gate's own codes decide.
+    for shot in run.stored.clipped if run.scene.tracking.disturbed != "skip" else ():
+        yield (
+            f"shot {shot + 1}: the digitizer's input left its range of {run.scene.acquisition.input_range_v:g} V, in "
+            "the gate or outside it: raise acquisition.input_range_v"
+        )
+    if run.stored.status != "complete":
+        yield f"the run is {run.stored.status}: not every record was acquired"

@@ -1,0 +1,42 @@
+"""Figure of a result: amplitude and phase over frequency, shot by shot."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from hpe_rig.result.estimates import Result
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+"""Okabe and Ito's palette, told apart by the colour-blind; as many shots are drawn."""
+PANELS = (
+    ("amplitude_m", "amplitude_uncertainty_m", "amplitude / nm", 1e9),
+    ("phase_rad", "phase_uncertainty_rad", "phase / deg", 180 / math.pi),
+)
+
+
+def result_figure(result: Result) -> Figure:
+    """Return a matplotlib figure with bars of twice the standard uncertainty, of the first shots."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.0, 5.0), layout="constrained")
+    figure.suptitle(f"SIMULATED: {result.title}" if result.simulated else result.title, wrap=True, fontsize="medium")
+    for panel, (value, uncertainty, label, factor) in zip(figure.subplots(2, sharex=True), PANELS, strict=True):
+        for shot, colour in zip(result.shots, COLOURS, strict=False):
+            panel.errorbar(
+                [item.frequency_hz for item in shot.estimates],
+                [getattr(item, value) * factor for item in shot.estimates],
+                yerr=[2 * getattr(item, uncertainty) * factor for item in shot.estimates],
+                fmt="o",
+                color=colour,
+                label=f"shot {shot.shot + 1}",
+            )
+        panel.set_ylabel(f"{label}, bars: 2 u")
+        panel.axhline(0.0, color="0.5", linewidth=0.8)
+    panel.set_xlabel("frequency / Hz")
+    if len(result.shots) > 1:
+        panel.legend()
+    return figure
