@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hpe_rig.processing import ESTIMATORS
-from hpe_rig.validation import PARAMETERS, Case, Row, case_rows
+from hpe_rig.validation import PARAMETERS, MotionCase, MotionRow, case_rows
 
 BIAS, JITTER = 0.02, 0.15
 """Wanted: bias within 2 % of D_0, jitter within 15 %."""
@@ -28,14 +28,14 @@ def main() -> None:
     held = total = 0
     for name, values in PARAMETERS.items():
         for value in values:
-            case = replace(Case(snr_db=chosen.snr_db), **{name: value})
+            case = replace(MotionCase(snr_db=chosen.snr_db), **{name: value})
             for row in case_rows(case, name, value, chosen.estimators, chosen.draws, 1):
                 good = _print(row, case.amplitude_m)
                 held, total = held + good, total + 1
     print(f"bias within {BIAS:.0%} of D_0 and jitter within {JITTER:.0%}: {held} of {total}")
 
 
-def _print(row: Row, amplitude_m: float) -> bool:
+def _print(row: MotionRow, amplitude_m: float) -> bool:
     measured = float(np.hypot(row.noise_jitter_m, row.speckle_jitter_m))
     predicted = float(np.hypot(row.predicted_noise_m, row.predicted_speckle_m))
     missed_bias = abs(row.predicted_bias_m - row.bias_m) > BIAS * amplitude_m

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, Motion, estimate, kalman, least_squares, motion_of
-from hpe_rig.validation import Case, gate, twin_echoes
+from hpe_rig.validation import MotionCase, gate, twin_echoes
 
 Floats = NDArray[np.float64]
 RATE_HZ, FREQUENCY_HZ, NOISE_M = 4000.0, 200.0, 1e-7
@@ -111,7 +111,7 @@ def _simdkalman(time_s: Floats, data: Floats) -> Floats:
 
 
 def _motion(repeats: int) -> None:
-    case = Case(snr_db=20)
+    case = MotionCase(snr_db=20)
     volts = twin_echoes(case, 1000, np.random.default_rng(1))
     noise_v = np.sqrt(np.mean(volts**2, axis=(-2, -1), keepdims=True)) / 10
     noisy = volts + noise_v * np.random.default_rng(2).standard_normal(volts.shape)

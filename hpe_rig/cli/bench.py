@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
-
-from rich.console import Console
-from rich.table import Table
+from typing import Any
 
 from hpe_rig.acquire import open_run
 from hpe_rig.bench import BenchReport, Found, Settings, file_differences, read_bench, settings_differences, survey
+from hpe_rig.cli.tables import wide_console
+from hpe_rig.result import rich_table
 from hpe_rig.scene import parse_toml
 from hpe_rig.store import read_snapshots
-
-TABLE_WIDTH: Final = 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +65,10 @@ def _state_of_run(path: Path) -> BenchState:
 
 def print_report(report: BenchReport) -> None:
     """Print the table of instruments, then each problem with its remedy, then the addresses found."""
-    console = Console(soft_wrap=True, highlight=False, markup=False, width=max(TABLE_WIDTH, Console().width))
+    console = wide_console()
     console.print(f"{report.title} ({'SIMULATED' if report.simulated else 'real'})", style="bold")
-    table = Table(box=None, header_style="bold")
-    for header in ("role", "address", "model", "serial", "firmware", "round trip\nms", "found", "self-test"):
-        table.add_column(header, justify="right" if header.startswith("round") else "left")
-    for found in report.found:
-        table.add_row(*_row(found))
-    console.print(table)
+    headers = ("role", "address", "model", "serial", "firmware", "found", "self-test", "round trip\nms")
+    console.print(rich_table(headers, (_row(found) for found in report.found), words=7))
     for found in report.found:
         for problem in found.problems:
             console.print(f"{found.role}: {problem.removeprefix(f'{found.role}: ')}", style="bold")
@@ -90,8 +83,8 @@ def print_report(report: BenchReport) -> None:
 def _row(found: Found) -> tuple[str, ...]:
     state = "on" if found.settings.get("output_on") else "off" if "output_on" in found.settings else "idle"
     if found.identity is None or found.latency_s is None:
-        return found.role, found.address, "-", "-", "-", "-", "problem", "-"
+        return found.role, found.address, "-", "-", "-", "problem", "-", "-"
     who = found.identity
     tested = {None: "-", True: "passed", False: "FAILED"}[found.self_test]
     latency = f"{found.latency_s * 1e3:.2f}"
-    return found.role, found.address, who.model, who.serial, who.firmware, latency, state, tested
+    return found.role, found.address, who.model, who.serial, who.firmware, state, tested, latency

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hpe_rig.cli.console import EXIT_MISTAKE, BenchPath, SceneName, announce, guarded
+from hpe_rig.cli.console import BenchPath, SceneName, announce, guarded
 
 studies = typer.Typer()
 
@@ -15,7 +15,7 @@ studies = typer.Typer()
 @studies.command()
 @guarded
 def accuracy(
-    of: Annotated[
+    part: Annotated[
         str | None,
         typer.Argument(
             metavar="PART", help="One of echo, specimen, chain, motion, harmonic. Default: one report of all."
@@ -32,28 +32,13 @@ def accuracy(
     draws: Annotated[int, typer.Option(min=2, help="Draws per case in motion; ten times as many end to end.")] = 100,
 ) -> None:
     """Measure error against run time. Of the simulated physics, of the estimators, and end to end."""
-    if of is None:
-        from hpe_rig.validation import Effort, write_accuracy_report
+    from hpe_rig.validation import Effort, write_accuracy, write_accuracy_report
 
-        effort = Effort(largest, most_echoes, longest_s, draws)
+    effort = Effort(largest, most_echoes, longest_s, draws)
+    if part is None:
         write_accuracy_report(output or Path("accuracy.html"), figure, effort, announce)
-        return
-    if of in ("motion", "harmonic"):
-        from hpe_rig.validation import write_estimator_accuracy
-
-        write_estimator_accuracy(of, output, figure, draws, typer.echo)
-        return
-    if of in ("specimen", "chain"):
-        from hpe_rig.validation import chain_points, specimen_points, write_points
-
-        write_points(chain_points() if of == "chain" else specimen_points(), output, figure, typer.echo)
-        return
-    if of != "echo":
-        typer.echo(f"{of}: no such part. Try: echo, specimen, chain, motion or harmonic.", err=True)
-        raise typer.Exit(EXIT_MISTAKE)
-    from hpe_rig.validation import write_accuracy
-
-    write_accuracy(output, figure, largest, most_echoes, longest_s, typer.echo)
+    else:
+        write_accuracy(part, output, figure, effort, typer.echo)
 
 
 @studies.command()

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hpe_rig.bench import interruptible
+from hpe_rig.result import text_table
 from hpe_rig.study import SUMMARY, StudyResult, Watch, cluster, processes, run_study
 
 
@@ -29,8 +30,7 @@ def study_command(
     ahead = 64 if scheduler else 2 * count + 2
     with interruptible(), _progress(name) as watch:
         results = run_study(name, output, open_pool, ahead, replaced, watch)
-    for line in table(results, output):
-        show(line)
+    show(table(results, output))
     if report:
         from hpe_rig.study import write_study_report
         from hpe_rig.validation import reproduction_part
@@ -40,16 +40,17 @@ def study_command(
         show(f"{page}: open it in any browser")
 
 
-def table(results: list[StudyResult], output: Path) -> Iterator[str]:
-    """Yield a header and, for each study, its cases, realisations, processor time, memory and summary file."""
-    yield f"{'study':10} {'cases':>6} {'realisations':>13} {'processor time':>15} {'peak memory':>12}  results"
-    for result in results:
-        cases = len({row["case"] for row in result.rows})
-        memory = max(row["peak_memory_bytes"] for row in result.rows) / 2**20
-        where = output / result.name / SUMMARY
-        yield (
-            f"{result.name:10} {cases:6} {result.realisations:13} {result.seconds:13.1f} s {memory:8.0f} MiB  {where}"
+def table(results: list[StudyResult], output: Path) -> str:
+    """Return what every study computed and in what time, a row a study."""
+    headers = ("study", "results", "cases", "realisations", "processor time", "peak memory")
+    rows = (
+        (
+            *(result.name, str(output / result.name / SUMMARY), f"{len(result.cases)}", f"{result.realisations}"),
+            *(f"{result.seconds:.1f} s", f"{result.peak_memory_mib:.0f} MiB"),
         )
+        for result in results
+    )
+    return text_table(headers, rows, words=2)
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import math
 from rich.console import Console
 from rich.table import Table
 
-from hpe_rig.result import Estimate, Result, ShotResult, shot_warnings
+from hpe_rig.result import Estimate, Result, ShotResult, rich_table, shot_warnings
 
 TABLE_WIDTH = 120
 LEAST_S = 0.005
@@ -16,8 +16,7 @@ LEAST_S = 0.005
 
 def print_result(result: Result) -> None:
     """Print the table of each shot, the warnings, what was left out, and the run time by stage."""
-    # A pipe has no width; rich would assume 80 columns and squeeze the table into them.
-    console = Console(soft_wrap=True, highlight=False, markup=False, width=max(TABLE_WIDTH, Console().width))
+    console = wide_console()
     source = "SIMULATED" if result.simulated else "measured"
     console.print(f"\n{result.title}", style="bold")
     console.print(f"{source}, {result.run_file}, estimator {result.estimator}")
@@ -37,18 +36,19 @@ def print_result(result: Result) -> None:
     console.print(f"run time: {total_s:.2f} s ({stages})")
 
 
+def wide_console() -> Console:
+    """Return a console of at least `TABLE_WIDTH` columns: a pipe has no width, and 80 would squeeze a table."""
+    return Console(soft_wrap=True, highlight=False, markup=False, width=max(TABLE_WIDTH, Console().width))
+
+
 def _shot_table(shot: ShotResult) -> Table:
     known = any(estimate.true_amplitude_m is not None for estimate in shot.estimates)
     predicted = any(estimate.averaging_factor is not None for estimate in shot.estimates)
-    table = Table(title=_shot_title(shot), title_justify="left", box=None, header_style="bold")
     headers = ["f\nHz", "amplitude\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "SNR\ndB"]
     headers += ["true peak\nnm", "error\n%", "phase error\ndeg"] if known else []
     headers += ["averaging\npredicted", "speckle u\n%", "corrected\nnm", "u\nnm"] if predicted else []
-    for header in headers:
-        table.add_column(header, justify="right")
-    for estimate in shot.estimates:
-        table.add_row(*_row(estimate, known, predicted))
-    return table
+    rows = [_row(estimate, known, predicted) for estimate in shot.estimates]
+    return rich_table(headers, rows, words=0, title=_shot_title(shot))
 
 
 def _shot_title(shot: ShotResult) -> str:

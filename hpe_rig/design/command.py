@@ -15,6 +15,7 @@ from hpe_rig.design.search import Design, design
 from hpe_rig.design.simulation_check import Measured, Simulated, simulate
 from hpe_rig.design.variables import variables
 from hpe_rig.prediction import length_m
+from hpe_rig.result import text_table
 from hpe_rig.scene import Mistake, SettingsError, edited_text, parse_toml
 
 MODEL_JITTER, MODEL_BIAS, ERRORS = 0.15, 0.02, 3.0
@@ -120,22 +121,18 @@ def design_lines(found: Design, draws: int = 0, seed: int = 0) -> Iterator[str]:
     )
     if not found.best.values:
         yield "no scene within the limits is better than the one at hand"
-    yield f"{'':34}{'before':>22}{'after':>22}"
+    rows = []
     for variable in problem.space:
         values = [candidate.values.get(variable.key.path, variable.key.value) for candidate in pair]
-        yield _row(str(variable.key), *("absent" if value is None else f"{value:.6g}" for value in values))
+        rows.append((str(variable.key), *("absent" if value is None else f"{value:.6g}" for value in values)))
     after = _column(problem, found.best, draws, seed)
     columns = [_column(problem, pair[0], draws, seed) if found.best.values else after, after]
-    for name in columns[1]:
-        yield _row(name, *(column.get(name, "-") for column in columns))
+    rows += [(name, *(column.get(name, "-") for column in columns)) for name in after]
+    yield text_table(("", "before", "after"), rows)
     for reason in found.held:
         yield f"held back: {reason}"
     if found.start.conflicts:
         yield f"before, check refuses it: {', '.join(dict.fromkeys(item.check for item in found.start.conflicts))}"
-
-
-def _row(name: str, before: str, after: str) -> str:
-    return f"{name:34}{before:>22}{after:>22}"
 
 
 def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> dict[str, str]:
@@ -149,7 +146,7 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
         simulated = simulate(scene, plan, setting, problem.baseline, draws, seed)
     rows = {
         "amplitude": _nm(setting.amplitude_m),
-        "pulses they are worth": f"{setting.pulses}",
+        "effective number of pulses": f"{setting.pulses}",
         "SNR in the gate": f"{10 * math.log10(setting.snr):.1f} dB",
         "bias, predicted": _nm(expected.bias_m),
         "bias, simulated": _both(simulated, "bias_m", 1e9, "nm"),

@@ -83,10 +83,10 @@ def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Setting:
     driven = _drive(scene)
     if driven > 0 and start.drive > 0:
         amplitude_m = driven if _simulates_specimen(scene) else amplitude_m * driven / start.drive
-    return replace(setting, pulses=worth_pulses(scene, plan), snr=snr, amplitude_m=max(amplitude_m, 1e-15))
+    return replace(setting, pulses=effective_pulses(scene, plan), snr=snr, amplitude_m=max(amplitude_m, 1e-15))
 
 
-def worth_pulses(scene: Scene, plan: Plan) -> int:
+def effective_pulses(scene: Scene, plan: Plan) -> int:
     """Return how many pulses, evenly spread over whole cycles, would tell the first frequency as well as those used.
 
     Skipped pulses, and frequencies and background that are fitted along and hard to tell apart, cost as many. Raises

@@ -5,6 +5,7 @@ from .svg import (
     Picture as Picture,
     inline as inline,
     label_decades as label_decades,
+    mark as mark,
     picture as picture,
 )
 from .sweep import Line as Line, fit_line as fit_line

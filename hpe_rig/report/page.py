@@ -18,7 +18,7 @@ from hpe_rig.acquire import Run, chosen_estimator, open_run
 from hpe_rig.prediction import detection_text
 from hpe_rig.report import figures, provenance as report_provenance
 from hpe_rig.report.foreseen import foreseen
-from hpe_rig.report.residual_tests import Check, residual_checks
+from hpe_rig.report.residual_tests import ResidualTest, residual_tests
 from hpe_rig.report.svg import Picture
 from hpe_rig.report.sweep import Sweep, make_sweep
 from hpe_rig.report.sweep_figures import sweep_pictures
@@ -151,7 +151,7 @@ def _shown(result: Result, shot: int | None) -> ShotResult:
     raise StoreError(f"shot {shot} has no result, of {len(result.shots)} that have one. Try: --shot {numbers}.")
 
 
-def _look(run: Run, result: ShotResult) -> tuple[list[Picture], list[Check], MotionView | None]:
+def _look(run: Run, result: ShotResult) -> tuple[list[Picture], list[ResidualTest], MotionView | None]:
     """Return the pictures of one shot, the tests of its residual and its motion, None where there is none."""
     scene, shot = run.scene, run.plan.shots[result.shot]
     whole = 2 * shot.capture.record_count * shot.capture.record_samples <= LARGEST_SHOT_BYTES
@@ -166,14 +166,14 @@ def _look(run: Run, result: ShotResult) -> tuple[list[Picture], list[Check], Mot
     try:
         motion = motion_view(scene, shot, gate_alone(records, shot.gate, part.start), result.estimates)
     except ValueError as error:
-        return pictures, [Check("displacement", "not possible", str(error), "")], None
+        return pictures, [ResidualTest("displacement", "not possible", str(error), "")], None
     periods_s = CLOSE_PERIODS / min((item.frequency_hz for item in result.estimates), default=math.inf)
     close_s = periods_s if 0 < periods_s < motion.time_s[-1] - motion.time_s[0] else None
     pictures.append(figures.displacement(motion, None, "displacement", "Displacement in the processing window"))
     if close_s:
         title = f"Closer: {CLOSE_PERIODS} periods of the lowest frequency"
         pictures.append(figures.displacement(motion, close_s, "displacement-close", title))
-    return pictures + list(figures.residual(motion)), residual_checks(motion), motion
+    return pictures + list(figures.residual(motion)), residual_tests(motion), motion
 
 
 def _facts(run: Run, result: Result) -> list[tuple[str, str]]:

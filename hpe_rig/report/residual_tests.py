@@ -1,4 +1,4 @@
-"""What is left after the fit, tested: is it white, is there a line in it, is it normal, is it as large as expected?
+"""Tests of what is left after the fit: is it white, is there a line in it, is it normal, is it as large as expected?
 
 Each test states its p-value: how often pure white noise would look at least as odd. Below ``LEAST_P`` it is noticed.
 """
@@ -12,28 +12,28 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtrc, kolmogorov
+from scipy import stats
 
 from hpe_rig.report.views import MotionView
 
 FloatArray = NDArray[np.float64]
-Verdict = Literal["passed", "noticed", "not possible"]
+Outcome = Literal["passed", "noticed", "not possible"]
 
 LEAST_P = 0.001
 LEAST_BINS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Check:
+class ResidualTest:
     """What one test of the residual found, in words."""
 
     name: str
-    verdict: Verdict
+    verdict: Outcome
     found: str
     meaning: str
 
 
-def residual_checks(view: MotionView) -> list[Check]:
+def residual_tests(view: MotionView) -> list[ResidualTest]:
     """Return what every test says about the residual of ``view``."""
     return [test(view) for test in _TESTS]
 
@@ -59,20 +59,13 @@ def whiteness_p(power: FloatArray) -> float:
     """Return the p-value of a periodogram (bin,) under white noise: Bartlett's cumulative periodogram test."""
     cumulated = np.cumsum(power)[:-1] / power.sum()
     even = np.arange(1, power.size) / power.size
-    return float(kolmogorov(math.sqrt(power.size - 1) * np.max(np.abs(cumulated - even))))
+    return float(stats.kstwobign.sf(math.sqrt(power.size - 1) * np.max(np.abs(cumulated - even))))
 
 
 def line_p(power: FloatArray) -> float:
     """Return the p-value of a periodogram's (bin,) largest bin under white noise: Fisher's g, first term (a bound)."""
     share = float(power.max() / power.sum())
     return min(1.0, power.size * (1 - share) ** (power.size - 1))
-
-
-def normality_p(residual: FloatArray) -> float:
-    """Return the p-value of skewness and kurtosis of ``residual`` (pulse,) under a normal law: Jarque and Bera."""
-    standard = (residual - residual.mean()) / residual.std()
-    statistic = residual.size / 6 * ((standard**3).mean() ** 2 + ((standard**4).mean() - 3) ** 2 / 4)
-    return float(chdtrc(2, statistic))
 
 
 def innovations(matrix: FloatArray, data: FloatArray, variance: FloatArray) -> FloatArray:
@@ -106,36 +99,36 @@ def _start(matrix: FloatArray) -> int:
     raise ValueError(f"{len(matrix)} pulses are too few to start from: {matrix.shape[1]} numbers are unknown")
 
 
-def _whiteness(view: MotionView) -> Check:
+def _whiteness(view: MotionView) -> ResidualTest:
     _, power = periodogram(view)
     name = "white residual"
     if power.size < LEAST_BINS:
         return _impossible(name, f"{power.size} free frequencies, {LEAST_BINS} needed")
     meaning = "the stated uncertainties take the noise as white"
-    return _verdict(name, whiteness_p(power), f"cumulative periodogram of {power.size} bins", meaning)
+    return _outcome(name, whiteness_p(power), f"cumulative periodogram of {power.size} bins", meaning)
 
 
-def _line(view: MotionView) -> Check:
+def _line(view: MotionView) -> ResidualTest:
     frequency_hz, power = periodogram(view)
     name = "no line left"
     if power.size < LEAST_BINS:
         return _impossible(name, f"{power.size} free frequencies, {LEAST_BINS} needed")
     amplitude_m = 2 * math.sqrt(power.max()) / view.residual_m.size
     found = f"largest at {frequency_hz[np.argmax(power)]:.4g} Hz, {amplitude_m * 1e9:.3g} nm"
-    return _verdict(name, line_p(power), found, "a line would be motion at a frequency that was not fitted")
+    return _outcome(name, line_p(power), found, "a line would be motion at a frequency that was not fitted")
 
 
-def _normality(view: MotionView) -> Check:
+def _normality(view: MotionView) -> ResidualTest:
     residual = view.residual_m
     name = "normal residual"
     if residual.size < 30 or not residual.std() > 0:
         return _impossible(name, f"{residual.size} pulses of {residual.std() * 1e9:.3g} nm rms")
-    standard = (residual - residual.mean()) / residual.std()
-    found = f"skewness {(standard**3).mean():+.2f}, excess kurtosis {(standard**4).mean() - 3:+.2f}"
-    return _verdict(name, normality_p(residual), found, "outliers would be spikes, clipped or disturbed pulses")
+    found = f"skewness {stats.skew(residual):+.2f}, excess kurtosis {stats.kurtosis(residual):+.2f}"
+    p = float(stats.jarque_bera(residual).pvalue)
+    return _outcome(name, p, found, "outliers would be spikes, clipped or disturbed pulses")
 
 
-def _steady(view: MotionView) -> Check:
+def _steady(view: MotionView) -> ResidualTest:
     first, second = np.array_split(view.residual_m, 2)
     name = "steady noise"
     if first.size < 15 or not min(first.std(), second.std()) > 0:
@@ -143,10 +136,10 @@ def _steady(view: MotionView) -> Check:
     log_ratio = math.log(float(np.mean(second**2) / np.mean(first**2)))
     distance = abs(log_ratio) / math.sqrt(2 / first.size + 2 / second.size)
     found = f"rms {first.std() * 1e9:.3g} nm, then {second.std() * 1e9:.3g} nm"
-    return _verdict(name, math.erfc(distance / math.sqrt(2)), found, "noise that changes points at a changing echo")
+    return _outcome(name, float(2 * stats.norm.sf(distance)), found, "noise that changes points at a changing echo")
 
 
-def _innovation(view: MotionView) -> Check:
+def _innovation(view: MotionView) -> ResidualTest:
     name = "innovations"
     try:
         if not (view.noise_m2 > 0).all():
@@ -158,15 +151,15 @@ def _innovation(view: MotionView) -> Check:
     # one-sided: echoes that change shape with the motion show more scatter than their noise, and that is no fault
     found = f"mean square {squares.mean():.3f} of {squares.size}, at most 1 expected"
     meaning = "above 1: jitter or motion that the echoes' own noise does not explain; below: echoes change shape"
-    return _verdict(name, float(chdtrc(squares.size, total)), found, meaning)
+    return _outcome(name, float(stats.chi2.sf(total, squares.size)), found, meaning)
 
 
-_TESTS: tuple[Callable[[MotionView], Check], ...] = (_whiteness, _line, _normality, _steady, _innovation)
+_TESTS: tuple[Callable[[MotionView], ResidualTest], ...] = (_whiteness, _line, _normality, _steady, _innovation)
 
 
-def _verdict(name: str, p: float, found: str, meaning: str) -> Check:
-    return Check(name, "passed" if p >= LEAST_P else "noticed", f"{found}, p = {p:.2g}", meaning)
+def _outcome(name: str, p: float, found: str, meaning: str) -> ResidualTest:
+    return ResidualTest(name, "passed" if p >= LEAST_P else "noticed", f"{found}, p = {p:.2g}", meaning)
 
 
-def _impossible(name: str, why: str) -> Check:
-    return Check(name, "not possible", why, "")
+def _impossible(name: str, why: str) -> ResidualTest:
+    return ResidualTest(name, "not possible", why, "")

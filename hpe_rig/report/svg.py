@@ -15,11 +15,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from hpe_rig.result import PALETTE
+
 FloatArray = NDArray[np.float64]
 
 SIZE_IN = (4.8, 3.1)
-BLUE, ORANGE, GREEN, GREY, SKY = "#0072B2", "#D55E00", "#007A5A", "#5A5A5A", "#56B4E9"
-MARKS = (("o", BLUE), ("s", ORANGE), ("^", GREEN), ("D", "#8A4F7D"), ("v", GREY))
+BLUE, ORANGE, GREEN, _, GREY, _, SKY, _ = PALETTE
+MARKS = tuple(zip("os^DvxP*", PALETTE, strict=True))
+"""Marker and colour of each curve of a panel: told apart without colours too."""
 MOST_POINTS = 1500
 
 STYLE: Any = {
@@ -46,6 +49,11 @@ class Picture:
     title: str
     alt: str
     svg: str
+
+
+def mark(place: int) -> tuple[str, str]:
+    """Return marker and colour of the curve number ``place``; they come again after eight."""
+    return MARKS[place % len(MARKS)]
 
 
 def legend(axes: Axes, place: Any) -> None:

@@ -1,4 +1,4 @@
-"""Many shots as curves: what was varied, means over repeats, and a straight line through them."""
+"""Curves of many shots: what was varied, means over repeats, and a straight line through them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import circmean, linregress
 
 from hpe_rig.result import ShotResult
 
@@ -73,22 +74,13 @@ def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
 
 def fit_line(x: FloatArray, y: FloatArray) -> Line | None:
     """Return the least-squares line through (x, y), both (point,); None where x has fewer than two values."""
-    centred = x - x.mean()
-    spread = float(centred @ centred)
-    if not spread > 0:
+    if x.size == 0 or not np.ptp(x) > 0:
         return None
-    slope = float(centred @ y) / spread
-    intercept = float(y.mean()) - slope * float(x.mean())
-    left = y - intercept - slope * x
-    total = float(np.sum((y - y.mean()) ** 2))
-    variance = float(left @ left) / (x.size - 2) if x.size > 2 else math.nan
-    return Line(
-        slope=slope,
-        slope_u=math.sqrt(variance / spread),
-        intercept=intercept,
-        intercept_u=math.sqrt(variance * (1 / x.size + float(x.mean()) ** 2 / spread)),
-        r_squared=1 - float(left @ left) / total if total > 0 else math.nan,
-    )
+    found = linregress(x, y)
+    # Two points leave no residual to take an uncertainty from, for which scipy states 0.
+    slope_u, intercept_u = (found.stderr, found.intercept_stderr) if x.size > 2 else (math.nan, math.nan)
+    r_squared = float(found.rvalue) ** 2 if np.ptp(y) > 0 else math.nan
+    return Line(float(found.slope), float(slope_u), float(found.intercept), float(intercept_u), r_squared)
 
 
 def _length(shot: ShotResult) -> str:
@@ -143,6 +135,6 @@ def _spread(values: FloatArray) -> tuple[float, float]:
 
 def _circular(phase: FloatArray) -> tuple[float, float]:
     """Return circular mean and standard deviation about it; a plain mean fails where phases pass half a turn."""
-    mean = float(np.angle(np.mean(np.exp(1j * phase))))
+    mean = float(circmean(phase, high=math.pi, low=-math.pi))
     away = np.angle(np.exp(1j * (phase - mean)))
     return mean, float(np.sqrt(away @ away / (phase.size - 1))) if phase.size > 1 else math.nan

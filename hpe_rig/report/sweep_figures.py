@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.report.svg import MARKS, Picture, legend, panel, picture
+from hpe_rig.report.svg import Picture, legend, mark, panel, picture
 from hpe_rig.report.sweep import Curve, Sweep
 
 
@@ -24,10 +24,11 @@ def sweep_pictures(sweep: Sweep, most: int = 2) -> tuple[Picture, ...]:
 def _sweep_amplitude(label: str, curves: Sequence[Curve]) -> Picture:
     figure, axes = panel()
     parts = []
-    for curve, (mark, colour) in zip(curves, _marks(len(curves)), strict=True):
+    for place, curve in enumerate(curves):
+        marker, colour = mark(place)
         spread = np.nan_to_num(curve.amplitude_sd_m) * 1e9
         axes.errorbar(
-            curve.x, curve.amplitude_m * 1e9, spread, fmt=mark, ms=4, capsize=2, color=colour,
+            curve.x, curve.amplitude_m * 1e9, spread, fmt=marker, ms=4, capsize=2, color=colour,
             label=curve.group or "mean, sd",
         )  # fmt: skip
         if curve.line is not None and not label.startswith("repeat"):
@@ -45,10 +46,11 @@ def _sweep_amplitude(label: str, curves: Sequence[Curve]) -> Picture:
 
 def _sweep_phase(label: str, curves: Sequence[Curve]) -> Picture:
     figure, axes = panel()
-    for curve, (mark, colour) in zip(curves, _marks(len(curves)), strict=True):
+    for place, curve in enumerate(curves):
+        marker, colour = mark(place)
         spread = np.degrees(np.nan_to_num(curve.phase_sd_rad))
         axes.errorbar(
-            curve.x, np.degrees(_continuous(curve)), spread, fmt=mark, ms=4, capsize=2, color=colour,
+            curve.x, np.degrees(_continuous(curve)), spread, fmt=marker, ms=4, capsize=2, color=colour,
             label=curve.group or "mean, sd",
         )  # fmt: skip
     axes.set(xlabel=label, ylabel="phase (degrees)")
@@ -67,7 +69,3 @@ def _continuous(curve: Curve) -> NDArray[np.float64]:
     strongest = int(np.argmax(curve.amplitude_m))
     before = np.unwrap(curve.phase_rad[strongest::-1])[::-1]
     return np.concatenate([before[:-1], np.unwrap(curve.phase_rad[strongest:])])
-
-
-def _marks(count: int) -> list[tuple[str, str]]:
-    return [MARKS[index % len(MARKS)] for index in range(count)]

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from typing import TYPE_CHECKING, Any
 
 from hpe_rig.result.estimates import Result
+from hpe_rig.result.tables import csv_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,12 +24,7 @@ def result_rows(result: Result) -> list[dict[str, Value]]:
 
 def result_csv(result: Result) -> str:
     """Return the rows as CSV with a header; unknown is empty, numbers keep every digit."""
-    rows = result_rows(result)
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, rows[0].keys() if rows else (), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
+    return csv_text(result_rows(result))
 
 
 def result_frame(result: Result) -> pd.DataFrame:

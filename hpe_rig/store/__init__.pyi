@@ -1,3 +1,4 @@
+from .atomic import atomic_file as atomic_file
 from .format import (
     FORMAT as FORMAT,
     FORMAT_VERSION as FORMAT_VERSION,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shutil
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import h5py
 from h5py import h5f, h5p
 
+from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.format import StoreError, reason
 
 
@@ -29,39 +29,15 @@ def refuse_small_disk(path: Path, needed: int) -> None:
 
 def publish(image: bytes, path: Path, overwrite: bool) -> None:
     """Create ``path`` with the bytes ``image``, whole or not at all; raise ``StoreError`` where it cannot be."""
-    draft = path.parent / f".{path.name}.{os.getpid()}.draft"
     try:
-        with draft.open("xb") as file:
+        with atomic_file(path, overwrite) as draft, draft.open("xb") as file:
             file.write(image)
             file.flush()
             os.fsync(file.fileno())
-        if overwrite:
-            draft.replace(path)
-        else:
-            _rename_to_new(draft, path)
     except FileExistsError:
         raise StoreError(f"{path} already exists. Try: another --output, or --overwrite.") from None
     except OSError as error:
         raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder with --output.") from None
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink()
-
-
-def _rename_to_new(draft: Path, path: Path) -> None:
-    """Rename, raising ``FileExistsError`` where ``path`` is taken: a link on POSIX, where a rename would replace it."""
-    if os.name == "posix":
-        try:
-            path.hardlink_to(draft)
-        except FileExistsError:
-            raise
-        except OSError:
-            # A file system without links: the check and the rename are then two steps.
-            if path.exists():
-                raise FileExistsError(path) from None
-            draft.rename(path)
-    else:
-        draft.rename(path)
 
 
 def open_for_readers(path: Path) -> h5py.File:

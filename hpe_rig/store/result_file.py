@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import os
 from pathlib import Path
 from typing import Final
 
@@ -13,6 +11,7 @@ import h5py
 import numpy as np
 
 from hpe_rig.result import Result
+from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.layout import LIBVER, name_axes
 
@@ -35,19 +34,14 @@ def write_result(path: Path, result: Result) -> None:
     Raises ``StoreError`` if it cannot be written.
     """
     _refuse_foreign(path)
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
     try:
-        with h5py.File(draft, "w", libver=LIBVER) as file:
+        with atomic_file(path) as draft, h5py.File(draft, "w", libver=LIBVER) as file:
             _write(file, result)
-        draft.replace(path)
     except (OSError, RuntimeError) as error:
         raise StoreError(
             f"{path} cannot be written ({reason(error)}). The run file is as it was. "
             "Try: make room or a writable folder, then hpe-rig process."
         ) from error
-    finally:
-        with contextlib.suppress(OSError):
-            draft.unlink()
 
 
 def _write(file: h5py.File, result: Result) -> None:

@@ -72,7 +72,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class GridPoint:
     """Where a case stands in a study: the shown value of every axis, and the reading of eq. (11)."""
 
     coordinates: dict[str, Any]
@@ -100,13 +100,13 @@ class _Grid:
         return tuple(0 if axis.name in self.definition.common else n for axis, n in zip(axes, place, strict=True))
 
 
-def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[Point]:
+def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[GridPoint]:
     """Return every point of a study; raise ``SettingsError`` with all mistakes of all its scenes, each once."""
     columns, shown = [axis.columns() for axis in definition.axes], [axis.values() for axis in definition.axes]
     grid = _Grid(_base_tables(definition.scene, folder), definition, columns, shown)
     unfit = itertools.chain(_useless_keys(definition), _doubled_keys(definition))
     found: dict[str, Mistake] = {str(mistake): mistake for mistake in unfit}
-    out: list[Point] = []
+    out: list[GridPoint] = []
     streams: dict[str, int] = {}
     for reading in definition.readings:
         for place in grid.places:
@@ -116,7 +116,7 @@ def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[
                 found |= {str(mistake): mistake for mistake in error.mistakes}
                 continue
             values = zip(definition.axes, shown, place, strict=True)
-            out.append(Point({axis.name: each[n] for axis, each, n in values}, reading, case))
+            out.append(GridPoint({axis.name: each[n] for axis, each, n in values}, reading, case))
     if found:
         raise SettingsError(f"study {name}", list(found.values()))
     return out

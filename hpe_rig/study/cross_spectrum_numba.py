@@ -1,4 +1,4 @@
-"""The paper's peak search in one compiled loop; imported by `band` alone, and only where Numba is installed."""
+"""Cross-spectrum peak search of the paper in one loop, compiled; `kernels` imports it where Numba is installed."""
 
 from __future__ import annotations
 

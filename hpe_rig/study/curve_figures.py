@@ -1,4 +1,4 @@
-"""Bias and jitter panels in the paper's arrangement: a curve a value, bands of two standard errors."""
+"""Panels of bias and jitter in the paper's arrangement: a curve a value, bands of two standard errors."""
 
 from __future__ import annotations
 
@@ -8,20 +8,16 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from hpe_rig.report import STYLE
+from hpe_rig.report import MARKS, STYLE, label_decades, mark
 from hpe_rig.study.results import StudyResult
 from hpe_rig.study.series import Curve, View, axis_label, curves, numbers
 
 Floats = NDArray[np.float64]
 
 NM, DEGREES = 1e9, 180 / np.pi
-COLOURS = ("#0072B2", "#D55E00", "#007A5A", "#8A4F7D", "#5A5A5A", "#E69F00", "#56B4E9")
-MARKS = "os^Dv*P"
 PANELS = (
     ("(a) displacement bias (nm)", "amplitude_bias", "m", NM),
     ("(b) displacement jitter (nm)", "amplitude_jitter", "m", NM),
@@ -80,13 +76,13 @@ def _panel(axes: Axes, found: Sequence[Curve], quantity: str, unit: str, scale: 
     for place, curve in enumerate(found):
         value = curve.values(f"{quantity}_{unit}") * scale
         spread = curve.values(f"{quantity}_se_{unit}") * (scale * BAND)
-        colour = COLOURS[place % len(COLOURS)]
-        axes.plot(curve.x, value, MARKS[place % len(MARKS)] + "-", ms=4, color=colour, label=curve.label)
+        marker, colour = mark(place)
+        axes.plot(curve.x, value, marker + "-", ms=4, color=colour, label=curve.label)
         low = np.maximum(value - spread, 1e-3 * value) if quantity.endswith("jitter") else value - spread
         axes.fill_between(curve.x, low, value + spread, color=colour, alpha=0.2, lw=0)
     if quantity.endswith("jitter"):
         axes.set_yscale("log")
-        plain_log(axes.yaxis)
+        label_decades(axes.yaxis)
     else:
         axes.axhline(0, color="k", lw=0.8, ls="--")
 
@@ -104,21 +100,10 @@ def _mean_and_deviation(curve: Curve, label: str) -> Figure:
         jitter = curve.values(f"{quantity}_jitter_{unit}") * scale
         spread = curve.values(f"{quantity}_bias_se_{unit}") * (scale * BAND)
         axes.plot(curve.x, target, "k--", lw=1, label="target")
-        axes.errorbar(curve.x, mean, jitter, fmt="o-", ms=4, capsize=3, color=COLOURS[0], label="mean, sd")
+        axes.errorbar(curve.x, mean, jitter, fmt="o-", ms=4, capsize=3, color=MARKS[0][1], label="mean, sd")
         axes.fill_between(
-            curve.x, mean - spread, mean + spread, color=COLOURS[1], alpha=0.4, lw=0, label="mean's 2 s.e."
+            curve.x, mean - spread, mean + spread, color=MARKS[1][1], alpha=0.4, lw=0, label="mean's 2 s.e."
         )
         axes.set(xlabel=label, ylabel=title)
         axes.legend(frameon=False, fontsize=8)
     return figure
-
-
-def plain_log(axis: Axis) -> None:
-    """Label a logarithmic axis with plain numbers: 1, 2, 5 within a decade and a half, powers of ten beyond."""
-    low, high = axis.get_view_interval()
-    if not low > 0:
-        return  # nothing is drawn on it
-    within = high < 30 * low
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if within else (1.0,)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())

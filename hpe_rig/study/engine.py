@@ -12,22 +12,21 @@ from __future__ import annotations
 
 import functools
 import itertools
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.study.cases import Case
-from hpe_rig.study.kernels import Form, band_of, form_of, states
-from hpe_rig.study.memory import peak_memory_bytes
+from hpe_rig.study.kernels import Form, form_of, spectral_kernels, states
+from hpe_rig.study.results import Record
 from hpe_rig.study.statistics import errors, phase_errors
 
 Floats = NDArray[np.float64]
-Record = dict[str, Any]
 
 TOLERANCE = 1e-7
 """Of the echoes, rms over rms: 1 pm of motion."""
@@ -88,7 +87,7 @@ def _run_block(active: list[_Running], block: int, draws: slice) -> None:
         echoes.append(_echoes(own, block, draws.stop - draws.start))
         since = _charge(own, since)
     case = active[0].case
-    numbers = band_of(case.train).numbers
+    numbers = spectral_kernels(case.train).numbers
     rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_NOISE, block)))
     for some, repeats in _parts(case, draws.stop - draws.start):
         shape = (some.stop - some.start, repeats.stop - repeats.start, case.train.pulses, numbers)
@@ -121,7 +120,7 @@ def _echoes(cases: list[_Running], block: int, draws: int) -> _Echoes:
 
 def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
     """Yield draws and noise realisations that are done together: few, and by the case's own numbers alone."""
-    at_once = max(1, _NOISE_VALUES // (case.train.pulses * len(band_of(case.train).grid_hz["peak"])))
+    at_once = max(1, _NOISE_VALUES // (case.train.pulses * len(spectral_kernels(case.train).grid_hz["peak"])))
     for draw in range(0, draws, step := max(1, at_once // case.noise)):
         for first in range(0, case.noise, at_once):
             yield slice(draw, min(draw + step, draws)), slice(first, min(first + at_once, case.noise))
@@ -130,7 +129,7 @@ def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
 def _in_forms(active: list[_Running], numbers: Floats) -> dict[Form, Floats]:
     """Return unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes."""
     wanted = {form_of(name) for one in active for name in one.case.estimators}
-    return {form: numbers @ band_of(active[0].case.train).of_numbers[form] for form in wanted}
+    return {form: numbers @ spectral_kernels(active[0].case.train).of_numbers[form] for form in wanted}
 
 
 def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[Form, Floats], since: float) -> float:
@@ -138,7 +137,7 @@ def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dic
     train = made.cases[0].case.train
     volts = made.volts[some]
     power = np.square(volts).mean(axis=2)[:, made.which].mean(axis=1)
-    clean = {form: volts @ columns for form, columns in band_of(train).of_volts.items() if form in noise}
+    clean = {form: volts @ columns for form, columns in spectral_kernels(train).of_volts.items() if form in noise}
     clean["volts"] = volts
     since = _charge(made.cases, since)
     for one in made.cases:
@@ -209,3 +208,24 @@ def _true(case: Case, hz: float) -> tuple[float, float]:
     parts = [part for part in case.twin.motion or () if part.frequency_hz == hz]
     phasor = sum(part.amplitude_m * np.exp(1j * part.phase_rad) for part in parts)
     return float(np.abs(phasor)), float(np.angle(phasor))
+
+
+def peak_memory_bytes() -> int:
+    """Return the largest resident size of this process so far."""
+    if sys.platform == "win32":
+        import ctypes
+        from ctypes import wintypes
+
+        class Counters(ctypes.Structure):
+            _fields_ = [("size", wintypes.DWORD), ("faults", wintypes.DWORD), ("peak", ctypes.c_size_t)] + [
+                (f"other_{n}", ctypes.c_size_t) for n in range(7)
+            ]
+
+        counters = Counters(size=ctypes.sizeof(Counters))
+        this = wintypes.HANDLE(-1)
+        ctypes.windll.kernel32.K32GetProcessMemoryInfo(this, ctypes.byref(counters), counters.size)
+        return int(counters.peak)
+    import resource
+
+    # Kibibytes on Linux, bytes on macOS.
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -1,4 +1,4 @@
-"""From echoes and noise to amplitude and phase, for many realisations: what a train of pulses and a gate fix.
+"""Kernels that turn echoes and noise into amplitude and phase, for many realisations of one train of pulses.
 
 Every estimator here looks at a gate through its spectrum in the transmitted band alone, that is through some fifty
 numbers (`basis`) of its hundred or more samples. White noise in the samples is white noise in those numbers, so it is
@@ -77,8 +77,8 @@ def form_of(estimator: Estimator) -> Form:
 
 
 @dataclass(frozen=True, slots=True)
-class Band:
-    """What a train fixes of the spectra; `band_of` makes it."""
+class SpectralKernels:
+    """What a train fixes of the spectra; `spectral_kernels` makes it."""
 
     numbers: int
     """How many numbers say all that any estimator sees of a gate."""
@@ -90,13 +90,13 @@ class Band:
     """The same from the numbers, (number, 2 * bin), and of "volts" (number, sample), orthonormal rows."""
 
 
-def band_of(train: Train) -> Band:
+def spectral_kernels(train: Train) -> SpectralKernels:
     """Return what the estimators see of a gate; raises ``ValueError`` for a gate too short for the band."""
-    return _band(train.carrier_hz, train.sample_rate_hz, train.samples)
+    return _spectral_kernels(train.carrier_hz, train.sample_rate_hz, train.samples)
 
 
 @functools.lru_cache(maxsize=16)
-def _band(carrier_hz: float, sample_rate_hz: float, samples: int) -> Band:
+def _spectral_kernels(carrier_hz: float, sample_rate_hz: float, samples: int) -> SpectralKernels:
     # The grids are those of one pulse, whenever it is fired and whatever the sound speed.
     one = EchoGate(np.zeros((1, samples)), sample_rate_hz, np.zeros(1), carrier_hz, 1.0, np.ones(1, dtype=bool))
     grid_hz: dict[Form, Floats] = {
@@ -108,7 +108,7 @@ def _band(carrier_hz: float, sample_rate_hz: float, samples: int) -> Band:
     of_volts["peak"] *= hann(samples)[:, None]
     basis = _basis(np.hstack([of_volts["plain"], of_volts["peak"]]))
     of_numbers: dict[Form, Floats] = {form: basis @ columns for form, columns in of_volts.items()}
-    return Band(len(basis), grid_hz, of_volts, of_numbers | {"volts": basis})
+    return SpectralKernels(len(basis), grid_hz, of_volts, of_numbers | {"volts": basis})
 
 
 def _basis(columns: Floats) -> Floats:
@@ -161,7 +161,7 @@ def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
         fit = estimate(train.gate(noisy), train.frequencies_hz, estimator, options=train.options)
         return fit.state[..., : 2 * len(train.frequencies_hz)]
     if estimator == "coherent":
-        phase, _, mean_hz = coherent_phase(_complex(noisy), band_of(train).grid_hz["plain"])
+        phase, _, mean_hz = coherent_phase(_complex(noisy), spectral_kernels(train).grid_hz["plain"])
         return np.asarray((phase * _metres(train) / mean_hz[..., None]) @ functional(train, estimator))
     return np.asarray(motion_of(train.gate(noisy), estimator).displacement_m @ functional(train, estimator))
 
@@ -174,11 +174,11 @@ def _states_or_nan(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
 
 
 def _peaks_states(train: Train, clean: Floats, which: Places, level: Floats, noise: Floats) -> Floats:
-    grid_hz = band_of(train).grid_hz["peak"]
+    grid_hz = spectral_kernels(train).grid_hz["peak"]
     if compiled():
         shape = (*noise.shape[:2], train.pulses - 1)
         step, peak = np.empty(shape), np.empty(shape, dtype=np.intp)
-        _loop()(clean, which, level, noise, step, peak)
+        _peak_steps()(clean, which, level, noise, step, peak)
         peak_hz = grid_hz[peak]
     else:
         step, peak_hz = peak_phase(_complex(clean[:, None, which] + level[:, None, None, None] * noise), grid_hz)
@@ -203,13 +203,13 @@ def compiled() -> bool:
 
 
 @functools.cache
-def _loop() -> Callable[..., None]:
-    loop: Callable[..., None] = importlib.import_module("hpe_rig.study.cross_spectrum_numba").peak_steps
-    return loop
+def _peak_steps() -> Callable[..., None]:
+    peak_steps: Callable[..., None] = importlib.import_module("hpe_rig.study.cross_spectrum_numba").peak_steps
+    return peak_steps
 
 
 def refuse_unusable(train: Train, estimators: Sequence[Estimator]) -> None:
     """Raise ``ValueError`` where the train cannot carry an estimate, before anything is drawn."""
-    band_of(train)
+    spectral_kernels(train)
     for estimator in estimators:
         functional(train, estimator if estimator != "joint" else "coherent")

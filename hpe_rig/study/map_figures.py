@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from hpe_rig.report import STYLE
-from hpe_rig.study.curve_figures import DEGREES, NM, plain_log
+from hpe_rig.report import STYLE, label_decades
+from hpe_rig.study.curve_figures import DEGREES, NM
 from hpe_rig.study.definition import Axis
 from hpe_rig.study.results import StudyResult
 from hpe_rig.study.series import View, axis_label, maps, shown
@@ -142,7 +142,7 @@ def _map(
     for name, values_of in (("x", x), ("y", y)):
         if values_of.min() > 0 and values_of.max() / values_of.min() >= 20:
             axes.set(**{f"{name}scale": "log"})
-            plain_log(axes.xaxis if name == "x" else axes.yaxis)
+            label_decades(axes.xaxis if name == "x" else axes.yaxis)
     if x.min() <= OURS <= x.max() and y.min() <= OURS <= y.max():
         axes.plot(OURS, OURS, "+", color="#FF9E6D", ms=11, mew=2)
     axes.set_title(title, fontsize=9)

@@ -1,16 +1,13 @@
-"""One self-contained HTML page of parts: words, inline SVG pictures, and tables that download as CSV. No script."""
+"""Self-contained HTML page of parts: words, inline SVG pictures, and tables that download as CSV. No script."""
 
 from __future__ import annotations
 
 import base64
-import csv
-import io
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import dataclass
 from importlib import resources
-from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -18,7 +15,7 @@ import jinja2
 from markupsafe import Markup
 
 from hpe_rig.report import Picture
-from hpe_rig.scene import Mistake, SettingsError
+from hpe_rig.result import csv_text, mappings
 
 Row = Mapping[str, Any]
 
@@ -29,7 +26,7 @@ MOST_INSIDE = 5000
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class PageTable:
     """Rows with the same columns; ``key`` names its CSV file, ``beside`` where it lies, as seen from the page.
 
     ``folded``: shown when asked for. A column ``verdict`` is emphasised where it says that something is missed.
@@ -56,14 +53,6 @@ class Table:
         """Whether most columns hold text: on a phone its rows then stand as paragraphs."""
         return 2 * len(self.words) > len(self.columns)
 
-    def csv(self) -> str:
-        """Return every row as comma separated values with a header, in full precision."""
-        text = io.StringIO(newline="")
-        writer = csv.DictWriter(text, self.columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        return text.getvalue()
-
 
 @dataclass(frozen=True, slots=True)
 class Part:
@@ -73,12 +62,12 @@ class Part:
     title: str
     words: tuple[str, ...] = ()
     pictures: tuple[Picture, ...] = ()
-    tables: tuple[Table, ...] = ()
+    tables: tuple[PageTable, ...] = ()
 
 
-def table(key: str, caption: str, rows: Sequence[Any], folded: bool = True, beside: str | None = None) -> Table:
+def table(key: str, caption: str, rows: Sequence[Any], folded: bool = True, beside: str | None = None) -> PageTable:
     """Return a table of dataclass instances or mappings."""
-    return Table(key, caption, [_mapping(row) for row in rows], folded, beside)
+    return PageTable(key, caption, mappings(rows), folded, beside)
 
 
 def render(title: str, lead: Sequence[str], parts: Sequence[Part], facts: Mapping[str, str] | None = None) -> str:
@@ -88,15 +77,6 @@ def render(title: str, lead: Sequence[str], parts: Sequence[Part], facts: Mappin
     template = (resources.files("hpe_rig.study") / "study.html").read_text(encoding="utf-8")
     page = environment.from_string(template)
     return page.render(title=title, lead=lead, parts=parts, facts=facts or {}, most_rows=MOST_ROWS)
-
-
-def write(path: Path, page: str) -> None:
-    """Write the page; raise ``SettingsError`` where that is not possible."""
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        mistake = Mistake("", f"{path} cannot be written ({error.strerror})", "another --output")
-        raise SettingsError("command line", [mistake]) from None
 
 
 def cell(value: Any) -> str:
@@ -110,10 +90,6 @@ def cell(value: Any) -> str:
     return f"{value:.2e}" if 0 < abs(value) < 1e-3 else f"{value:.4g}"
 
 
-def _mapping(row: Any) -> Row:
-    return asdict(row) if is_dataclass(row) and not isinstance(row, type) else row
-
-
 def _svg(picture: Picture) -> Markup:
     # Drawn here, from numbers, with every text escaped by the drawing itself.
     return Markup(picture.svg)  # noqa: S704
@@ -125,7 +101,7 @@ def _width_px(picture: Picture) -> int:
     return round(1.25 * 4 / 3 * float(box[1])) if box else 1200
 
 
-def _address(one: Table) -> str:
+def _address(one: PageTable) -> str:
     if one.beside is not None and len(one.rows) > MOST_INSIDE:
         return quote(one.beside)
-    return "data:text/csv;charset=utf-8;base64," + base64.b64encode(one.csv().encode()).decode()
+    return "data:text/csv;charset=utf-8;base64," + base64.b64encode(csv_text(one.rows).encode()).decode()

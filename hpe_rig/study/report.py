@@ -1,4 +1,4 @@
-"""``hpe-rig study NAME --report``: finished studies -> one self-contained page, and every figure as SVG and PNG."""
+"""Report of finished studies, ``hpe-rig study NAME --report``: one self-contained page, every figure as SVG and PNG."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from hpe_rig.report import STYLE, Picture, inline, label_decades, picture
+from hpe_rig.report import STYLE, Picture, inline, label_decades, mark, picture
 from hpe_rig.store import versions
-from hpe_rig.study.curve_figures import COLOURS, MARKS, NM, curve_alt, curve_figure
+from hpe_rig.study.curve_figures import NM, curve_alt, curve_figure
 from hpe_rig.study.map_figures import map_alt, map_figure
-from hpe_rig.study.page import Part, render, table, write
-from hpe_rig.study.results import SUMMARY, StudyResult
+from hpe_rig.study.page import Part, render, table
+from hpe_rig.study.results import SUMMARY, StudyResult, write_whole
 from hpe_rig.study.series import View, is_map, views
 
 PNG_DPI = 150
@@ -37,7 +37,7 @@ def write_study_report(name: str, results: Sequence[StudyResult], output: Path, 
     parts.append(run_time_part(results))
     facts = {**versions(), "cases computed with": ", ".join(sorted({v for one in results for v in one.versions}))}
     title = results[0].definition.title if len(results) == 1 else f"Parameter study: {name}"
-    write(path, render(title, LEAD, parts, facts))
+    write_whole(path, render(title, LEAD, parts, facts))
     return path
 
 
@@ -70,10 +70,10 @@ def run_time_part(results: Sequence[StudyResult]) -> Part:
     taken = [
         {
             "study": one.name,
-            "cases": len({row["case"] for row in one.rows}),
+            "cases": len(one.cases),
             "realisations": one.realisations,
             "processor time (s)": one.seconds,
-            "peak memory (MiB)": max(row["peak_memory_bytes"] for row in one.rows) / 2**20,
+            "peak memory (MiB)": one.peak_memory_mib,
         }
         for one in results
     ]
@@ -145,9 +145,10 @@ def _run_time_figure(results: Sequence[StudyResult]) -> Figure:
         figure = Figure(figsize=(9.6, 4.2), layout="constrained")
         panels = dict(zip(readings, figure.subplots(1, len(readings), sharey=True, squeeze=False)[0], strict=True))
         for place, name, one in found:
+            marker, colour = mark(place)
             panels[one.reading].loglog(
-                _column(one, "seconds"), _column(one, "amplitude_bias_se_m") * NM, MARKS[place % len(MARKS)],
-                ms=4, alpha=0.6, rasterized=True, color=COLOURS[place % len(COLOURS)], label=name,
+                _column(one, "seconds"), _column(one, "amplitude_bias_se_m") * NM, marker,
+                ms=4, alpha=0.6, rasterized=True, color=colour, label=name,
             )  # fmt: skip
         for reading, axes in panels.items():
             axes.set(xlabel="processor time of a case (s)", title=reading)

@@ -1,21 +1,48 @@
-"""A finished study on disk: its definition and a row for every case, estimator and frequency, as JSON and as CSV."""
+"""Results on disk: a file for each finished case, so that a study can go on, and a table for each finished study."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hpe_rig.result import csv_text
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.study.case_store import Record, write_whole
-from hpe_rig.study.cases import Point
+from hpe_rig.store import atomic_file
+from hpe_rig.study.cases import GridPoint
 from hpe_rig.study.definition import Definition
 
+Record = dict[str, Any]
+"""One finished case: ``estimates``, a row an estimator and frequency, and what else `FIELDS` names."""
+
+FIELDS = frozenset({"case", "estimates", "draws", "noise", "seconds", "peak_memory_bytes", "version"})
 STUDY, SUMMARY = "study.json", "summary.csv"
 OF_CASE = ("draws", "noise", "seconds", "peak_memory_bytes", "case")
+
+
+@dataclass(frozen=True, slots=True)
+class CaseStore:
+    """The finished cases below a folder, each named by the hash of its definition; several studies may share one."""
+
+    folder: Path
+
+    def read(self, key: str) -> Record | None:
+        """Return the record of a finished case; None where it is absent or its file is damaged."""
+        try:
+            record = json.loads(self._path(key).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        whole = isinstance(record, dict) and record.keys() >= FIELDS and record["case"] == key
+        return record if whole else None
+
+    def write(self, record: Record) -> None:
+        """Write a record whole or not at all; raises ``SettingsError`` where the folder cannot be written."""
+        write_whole(self._path(record["case"]), json.dumps(record))
+
+    def _path(self, key: str) -> Path:
+        # A folder for every 256th case: file managers take long over 1e5 files in one.
+        return self.folder / key[:2] / f"{key}.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,17 +56,27 @@ class StudyResult:
     """Versions of this package that computed its cases."""
 
     @property
+    def cases(self) -> dict[str, dict[str, Any]]:
+        """One row of each case, by the case's key."""
+        return {row["case"]: row for row in self.rows}
+
+    @property
     def seconds(self) -> float:
         """Processor time of all its cases, those taken over from another study included."""
-        return sum({row["case"]: float(row["seconds"]) for row in self.rows}.values())
+        return sum(float(row["seconds"]) for row in self.cases.values())
 
     @property
     def realisations(self) -> int:
         """Number of realisations of all its cases."""
-        return sum({row["case"]: int(row["draws"] * row["noise"]) for row in self.rows}.values())
+        return sum(int(row["draws"] * row["noise"]) for row in self.cases.values())
+
+    @property
+    def peak_memory_mib(self) -> float:
+        """Largest resident size of a process that computed any of its cases."""
+        return float(max(row["peak_memory_bytes"] for row in self.rows) / 2**20)
 
 
-def result_of(name: str, definition: Definition, points: list[Point], records: dict[str, Record]) -> StudyResult:
+def result_of(name: str, definition: Definition, points: list[GridPoint], records: dict[str, Record]) -> StudyResult:
     """Return the study's rows, in the order of its points."""
     rows = []
     for point in points:
@@ -60,19 +97,15 @@ def write_study(result: StudyResult, folder: Path) -> None:
         "rows": result.rows,
     }
     write_whole(folder / STUDY, json.dumps(tables) + "\n")
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(result.rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(result.rows)
-    write_whole(folder / SUMMARY, text.getvalue())
+    write_whole(folder / SUMMARY, csv_text(result.rows))
 
 
-def read_study(folder: Path) -> StudyResult:
-    """Return a finished study; raise ``SettingsError`` where ``folder`` holds none."""
+def write_whole(path: Path, text: str) -> None:
+    """Write ``text`` whole or not at all, its folder too; raises ``SettingsError`` where that is impossible."""
     try:
-        tables = json.loads((folder / STUDY).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        mistake = Mistake(str(folder), f"no finished study here ({error})", "hpe-rig study NAME first")
-        raise SettingsError("study", [mistake]) from None
-    definition = Definition.model_validate(tables["definition"])
-    return StudyResult(tables["name"], definition, tables["rows"], tuple(tables["versions"]))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_file(path) as draft:
+            draft.write_text(text, encoding="utf-8", newline="")
+    except OSError as error:
+        mistake = Mistake(str(path), f"cannot be written ({error.strerror})", "another folder, by --output")
+        raise SettingsError("command line", [mistake]) from None

@@ -1,4 +1,4 @@
-"""A study from its name to its results: expand, leave out what is finished, compute the rest, write."""
+"""Run of a study from its name to its results: expand, leave out what is finished, compute the rest, write."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.study.case_store import CaseStore, Record
-from hpe_rig.study.cases import Case, Point, points_of
+from hpe_rig.study.cases import Case, GridPoint, points_of
 from hpe_rig.study.definition import Definition, read_studies
 from hpe_rig.study.engine import run_batch
 from hpe_rig.study.executor import OpenPool, completed
-from hpe_rig.study.results import StudyResult, result_of, write_study
+from hpe_rig.study.results import CaseStore, Record, StudyResult, result_of, write_study
 
 MOST_CASES = 24
 """Cases of a batch: enough to share draws and noise, few enough that a lost worker costs little."""
@@ -83,7 +82,7 @@ def batches(cases: Sequence[Case]) -> list[list[Case]]:
 
 
 def _written(
-    name: str, definition: Definition, points: list[Point], records: Mapping[str, Record], output: Path
+    name: str, definition: Definition, points: list[GridPoint], records: Mapping[str, Record], output: Path
 ) -> StudyResult:
     result = result_of(name, definition, points, {point.case.key: records[point.case.key] for point in points})
     write_study(result, output / name)

@@ -1,17 +1,16 @@
-from .accuracy.chain import chain_points as chain_points
-from .accuracy.echo import write_accuracy as write_accuracy
-from .accuracy.estimators import write_estimator_accuracy as write_estimator_accuracy
 from .accuracy.motion import (
     PARAMETERS as PARAMETERS,
-    Case as Case,
-    Row as Row,
+    MotionCase as MotionCase,
+    MotionRow as MotionRow,
     case_rows as case_rows,
     gate as gate,
     twin_echoes as twin_echoes,
 )
-from .accuracy.report import Effort as Effort, write_accuracy_report as write_accuracy_report
-from .accuracy.specimen import specimen_points as specimen_points
-from .accuracy.work_precision import write_points as write_points
+from .accuracy.report import (
+    Effort as Effort,
+    write_accuracy as write_accuracy,
+    write_accuracy_report as write_accuracy_report,
+)
 from .paper.experiments import write_page as write_page
 from .paper.force import figure_15 as figure_15
 from .paper.muscle import (

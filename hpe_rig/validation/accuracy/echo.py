@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 import statistics
@@ -16,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.result import csv_text
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.validation.accuracy.work_precision import file_mistakes
 
@@ -216,11 +215,7 @@ def as_text(rows: list[Measurement], suffix: str) -> str:
         return json.dumps([asdict(row) for row in rows], indent=1) + "\n"
     if suffix != ".csv":
         raise ValueError(f"{suffix!r} is no table format here: end the file's name in .csv or .json")
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(Measurement.__slots__), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(row) for row in rows)
-    return text.getvalue()
+    return csv_text(rows)
 
 
 def write_figure(rows: list[Measurement], path: Path) -> None:

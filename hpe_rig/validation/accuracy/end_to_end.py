@@ -13,13 +13,17 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hpe_rig.prediction import beam_averaging_factor, force_spectrum, scatterer_density
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate
+from hpe_rig.report import MARKS, label_decades, mark
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
@@ -256,3 +260,70 @@ def _pulse_s() -> Floats:
 def _gate_s(way: Way) -> Floats:
     samples = round(2 * way.gate_length_m / scene().sound_speed_m_per_s * SAMPLE_RATE_HZ)
     return np.asarray((np.arange(samples) - (samples - 1) / 2) / SAMPLE_RATE_HZ)
+
+
+def draw_end_to_end(rows: Sequence[EndToEnd], path: Path) -> None:
+    """Draw error over run time of every way, and the numerical part of it over tolerance and nodes."""
+    figure = Figure(figsize=(11, 4.8))
+    whole, numerical = figure.subplots(1, 2, width_ratios=[3, 2])
+    figure.subplots_adjust(left=0.065, right=0.99, bottom=0.11, top=0.93, wspace=0.18)
+    _whole(whole, rows)
+    _numerical(numerical, rows)
+    for axes in (whole, numerical):
+        axes.set(xscale="log", yscale="log")
+        label_decades(axes.xaxis)
+        axes.grid(alpha=0.3)
+    figure.savefig(path)
+
+
+def _whole(axes: Axes, rows: Sequence[EndToEnd]) -> None:
+    for place, name in enumerate(dict.fromkeys(row.estimator for row in rows)):
+        own = [row for row in rows if row.estimator == name]
+        marker, colour = mark(place)
+        size = [14 * (row.gate_length_m / 0.5e-3) for row in own]
+        axes.scatter(
+            [row.time_s for row in own], [row.error for row in own], size,
+            marker=marker, color=colour, alpha=0.7, label=name, linewidths=0.8,
+        )  # fmt: skip
+    front = sorted((row.time_s, row.error) for row in rows if row.on_front)
+    axes.step(*zip(*front, strict=True), where="post", color="k", lw=1.2, label="Pareto front")
+    _star(axes, [(row.time_s, row.error) for row in rows if row.shipped])
+    for row in rows:
+        if row.shipped:
+            count = f"{row.realisations} realisation{'s' if row.realisations > 1 else ''}"
+            axes.annotate(count, (row.time_s, row.error), (6, 8), textcoords="offset points", fontsize=7)
+    axes.set(
+        xlabel="processor time, scene to amplitude (s)",
+        ylabel="rms error / true amplitude",
+        title="Final amplitude; larger marks: longer gates",
+    )
+    axes.legend(fontsize=7, ncols=2)
+
+
+def _numerical(axes: Axes, rows: Sequence[EndToEnd]) -> None:
+    """Draw what tolerance and nodes alone do, over the run time of the most realisations."""
+    most = max(row.realisations for row in rows)
+    shipped = [row for row in rows if row.shipped and row.realisations == most]
+    for name, marker, colour in (("tolerance", *MARKS[0]), ("nodes", *MARKS[1])):
+        own = [row for row in rows if row.varied == name and row.realisations == most]
+        times_s, errors = [row.time_s for row in own], [row.numerical_error for row in own]
+        axes.plot(times_s, errors, marker, ms=6, color=colour, label=f"{name} varied")
+        for row in own:
+            text = f"{row.tolerance:.0e}" if name == "tolerance" else f"{row.nodes}"
+            axes.annotate(text, (row.time_s, row.numerical_error), (6, -3), textcoords="offset points", fontsize=7)
+    _star(axes, [(row.time_s, row.numerical_error) for row in shipped])
+    for row in shipped:
+        axes.axhline(row.standard_error, color="0.5", lw=0.8, ls="--", label=f"standard error of {most}")
+    axes.margins(x=0.12)
+    axes.set(
+        xlabel=f"processor time of {most} realisations (s)",
+        ylabel="rms numerical error / amplitude",
+        title="Of which tolerance and nodes",
+    )
+    axes.legend(fontsize=7)
+
+
+def _star(axes: Axes, points: Sequence[tuple[float, float]]) -> None:
+    if points:
+        times_s, errors = zip(*points, strict=True)
+        axes.plot(times_s, errors, "*", label="shipped default", ms=15, mfc="none", mec="k", mew=1.3, zorder=5)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.processing import EchoGate, Estimator, HarmonicFit, Motion, estimate, kalman, least_squares
-from hpe_rig.validation.accuracy.work_precision import Point
+from hpe_rig.validation.accuracy.work_precision import Point, grouped
 
 Floats = NDArray[np.float64]
 T = TypeVar("T")
@@ -60,7 +60,7 @@ def _of_medium(points: Iterable[Point]) -> Iterator[Extreme]:
         "lumped": "time constants over 12 decades at once",
     }
     measure = "largest error / largest displacement"
-    for case, own in _by_case(points).items():
+    for case, own in grouped(points, lambda point: point.case).items():
         reason = next((text for name, text in reasons.items() if case.startswith(name)), None)
         if reason is None:
             continue
@@ -72,13 +72,6 @@ def _of_medium(points: Iterable[Point]) -> Iterator[Extreme]:
         for point in [best, *failed.values()]:
             method = f"{point.method}, {point.setting}"
             yield Extreme("medium", case, reason, method, point.error, measure, point.time_s)
-
-
-def _by_case(points: Iterable[Point]) -> dict[str, list[Point]]:
-    found: dict[str, list[Point]] = {}
-    for point in points:
-        found.setdefault(point.case, []).append(point)
-    return found
 
 
 def _echoes() -> Iterator[Extreme]:

@@ -1,4 +1,4 @@
-"""Error against run time of displacement to amplitude and phase: every filter and fit, on prescribed displacement."""
+"""Harmonic fits, displacement to amplitude and phase, error against run time: every filter, prescribed displacement."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from hpe_rig.processing import (
     velocity_between_pulses,
     velocity_to_harmonics,
 )
+from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped
 
 Floats = NDArray[np.float64]
 
@@ -67,6 +69,15 @@ def rows(pulses: Sequence[int] = (60, 100, 400, 2000), seed: int = 0, repeats: i
         motion = noisy_motion(count, np.random.default_rng([seed, count]))
         for name, method in METHODS.items():
             yield _row(name, method, motion, repeats)
+
+
+def draw_harmonic(rows: Sequence[HarmonicRow], path: Path) -> None:
+    """Draw amplitude error over its bound against run time, a panel a number of pulses."""
+    panels = {
+        f"{count} pulses": {row.method: [(row.time_s, row.jitter_m / row.bound_m)] for row in own}
+        for count, own in sorted(grouped(rows, lambda row: row.pulses).items())
+    }
+    draw_panels(panels, path, f"run time of {REALISATIONS} fits (s)", "jitter / bound", over_bound=True)
 
 
 def noisy_motion(pulses: int, generator: np.random.Generator, realisations: int = REALISATIONS) -> Motion:

@@ -1,4 +1,4 @@
-"""Error against run time of every estimator: the paper's parameters one at a time, the twin's echoes, many draws."""
+"""Motion estimators, error against run time: the paper's parameters one at a time, the twin's echoes, many draws."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.prediction import Expected, Setting, draw_speckle, echo_bound, expected, scatterer_density
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, harmonic_columns
+from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +31,7 @@ PARAMETERS: dict[str, tuple[float, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class MotionCase:
     """Table I with what a study changes."""
 
     snr_db: float = 20.0
@@ -57,7 +59,7 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class MotionRow:
     """One estimator in one case: bias, jitters (standard deviations), efficiency, truth of the uncertainty, time."""
 
     parameter: str
@@ -88,17 +90,30 @@ def rows(
     draws: int = 200,
     snr_db: Sequence[float] = (10.0, 40.0),
     seed: int = 0,
-) -> Iterator[Row]:
+) -> Iterator[MotionRow]:
     """Yield a row for every parameter's every value, SNR and estimator; the parameter ``snr_db`` is its own SNR."""
     for name in parameters:
         for value in PARAMETERS[name]:
             for level in (value,) if name == "snr_db" else snr_db:
-                yield from case_rows(replace(Case(snr_db=level), **{name: value}), name, value, estimators, draws, seed)
+                case = replace(MotionCase(snr_db=level), **{name: value})
+                yield from case_rows(case, name, value, estimators, draws, seed)
+
+
+def draw_motion(rows: Sequence[MotionRow], path: Path) -> None:
+    """Draw noise jitter over its bound against time per pulse, a panel a parameter."""
+    panels = {
+        name: {
+            estimator: [(row.us_per_pulse, row.noise_jitter_m / row.bound_m) for row in some]
+            for estimator, some in grouped(own, lambda row: row.estimator).items()
+        }
+        for name, own in grouped(rows, lambda row: row.parameter).items()
+    }
+    draw_panels(panels, path, "time per pulse (us)", "noise jitter / bound", over_bound=True)
 
 
 def case_rows(
-    case: Case, parameter: str, value: float, estimators: Sequence[Estimator], draws: int, seed: int
-) -> Iterator[Row]:
+    case: MotionCase, parameter: str, value: float, estimators: Sequence[Estimator], draws: int, seed: int
+) -> Iterator[MotionRow]:
     """Yield a row for every estimator, all from the same echoes and noise."""
     clean = twin_echoes(case, draws, np.random.default_rng([seed, 0]))
     noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 10 ** (case.snr_db / 10))
@@ -112,7 +127,7 @@ def case_rows(
         yield _row(case, parameter, value, name, clean, noisy, np.sqrt(bound[:, 0, 0]), model)
 
 
-def twin_echoes(case: Case, draws: int, generator: np.random.Generator) -> Floats:
+def twin_echoes(case: MotionCase, draws: int, generator: np.random.Generator) -> Floats:
     """Return noise-free echoes of the twin, (draw, pulse, sample), moved by D_0 sin(2 pi f t)."""
     from sim_backend.echoes import drawn_echoes, hann_pulse
     from sim_backend.settings import Scatterers, SimulationSettings
@@ -126,7 +141,7 @@ def twin_echoes(case: Case, draws: int, generator: np.random.Generator) -> Float
     return np.concatenate(list(drawn_echoes(settings, moved, pulse, case.gate_s, generator, draws, 1e-7)))
 
 
-def setting_of(case: Case) -> Setting:
+def setting_of(case: MotionCase) -> Setting:
     """Return the case in the words of the analytic model."""
     tracking = (0.078e-3, 0.078e-3, 0.83e-3)
     return Setting(
@@ -146,7 +161,7 @@ def setting_of(case: Case) -> Setting:
     )
 
 
-def gate(case: Case, volts: Floats) -> EchoGate:
+def gate(case: MotionCase, volts: Floats) -> EchoGate:
     """Return echoes (..., pulse, sample) as the estimators take them."""
     everything = np.ones(volts.shape[-2], dtype=bool)
     return EchoGate(
@@ -155,7 +170,7 @@ def gate(case: Case, volts: Floats) -> EchoGate:
 
 
 def _row(
-    case: Case,
+    case: MotionCase,
     parameter: str,
     value: float,
     name: Estimator,
@@ -163,7 +178,7 @@ def _row(
     noisy: Floats,
     bound_m: Floats,
     model: Expected,
-) -> Row:
+) -> MotionRow:
     resting = estimate(gate(case, clean), [case.frequency_hz], name)
     start_s = time.perf_counter()
     fit = estimate(gate(case, noisy), [case.frequency_hz], name)
@@ -171,7 +186,7 @@ def _row(
     amplitude_m, phase_rad = fit.amplitude_m[:, 0], fit.phase_rad[:, 0]
     error_m = amplitude_m - resting.amplitude_m[:, 0]
     low, high = np.quantile(error_m / bound_m, [0.1587, 0.8413])
-    return Row(
+    return MotionRow(
         parameter=parameter,
         value=value,
         snr_db=case.snr_db,

@@ -1,18 +1,18 @@
-"""``hpe-rig accuracy`` without a part: every table, and one report of them all."""
+"""Reports of ``hpe-rig accuracy``: table and figure of one part, or one page of them all."""
 
 from __future__ import annotations
 
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from hpe_rig.report import Picture, inline
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import versions
-from hpe_rig.study import Part, Table, cell, render, table, write
+from hpe_rig.study import PageTable, Part, cell, render, table, write_whole
 from hpe_rig.validation.accuracy import (
     chain as accuracy_chain,
     echo as accuracy_echo,
@@ -20,11 +20,9 @@ from hpe_rig.validation.accuracy import (
     motion as accuracy_motion,
     specimen as accuracy_specimen,
 )
-from hpe_rig.validation.accuracy.end_to_end import EndToEnd, rows as end_to_end_rows
-from hpe_rig.validation.accuracy.end_to_end_figure import draw_end_to_end
+from hpe_rig.validation.accuracy.end_to_end import EndToEnd, draw_end_to_end, rows as end_to_end_rows
 from hpe_rig.validation.accuracy.extremes import Extreme, extremes
-from hpe_rig.validation.accuracy.table import draw_harmonic, draw_motion
-from hpe_rig.validation.accuracy.work_precision import Point, write_figure
+from hpe_rig.validation.accuracy.work_precision import Point, draw_points, points_text, write_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +39,24 @@ class Effort:
         """Realisations end to end."""
         most = 10 * self.draws
         return (*(count for count in (1, 10, 100) if count < most), most)
+
+
+def write_accuracy(
+    part: str, output: Path | None, figure: Path | None, effort: Effort, show: Callable[[str], None]
+) -> None:
+    """Run one accuracy study and write or show its table; raises ``SettingsError`` before anything is measured."""
+    if part == "echo":
+        accuracy_echo.write_accuracy(output, figure, effort.largest, effort.most_echoes, effort.longest_s, show)
+    elif part == "motion":
+        write_rows(accuracy_motion.rows(draws=effort.draws), output, figure, accuracy_motion.draw_motion, show)
+    elif part == "harmonic":
+        write_rows(accuracy_harmonic.rows(), output, figure, accuracy_harmonic.draw_harmonic, show)
+    elif part in ("specimen", "chain"):
+        points = {"specimen": accuracy_specimen, "chain": accuracy_chain}[part].points()
+        write_rows(points, output, figure, draw_points, show, points_text)
+    else:
+        mistake = Mistake("PART", f"{part} is no part", "echo, motion, harmonic, specimen or chain")
+        raise SettingsError("command line", [mistake])
 
 
 def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell: Callable[[str], None]) -> None:
@@ -68,7 +84,7 @@ def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell:
         told = ", ".join(f"{part} {value:.0f}" for part, value in seconds.items())
         # After every part, so that an interruption costs that part alone.
         facts = {**versions(), "seconds by part": told}
-        write(path, render("Error against run time", lead(parts[0].tables[0]), parts, facts))
+        write_whole(path, render("Error against run time", lead(parts[0].tables[0]), parts, facts))
         tell(f"{name}: {seconds[name]:.1f} s, in {path}")
     tell(f"{path}: open it in any browser")
 
@@ -88,7 +104,7 @@ def refuse(path: Path, figure: Path | None, effort: Effort) -> None:
         raise SettingsError("command line", mistakes)
 
 
-def lead(end_to_end: Table) -> list[str]:
+def lead(end_to_end: PageTable) -> list[str]:
     """Return what matters most: how far the shipped default is from the front."""
     shipped = [row for row in end_to_end.rows if row["shipped"]]
     each = (f"{row['error'] * 100:.2g} % in {row['time_s']:.2g} s from {row['realisations']}" for row in shipped)
@@ -155,7 +171,8 @@ def motion_part(draws: int) -> Part:
     """Return the section of the estimators of displacement."""
     rows = list(accuracy_motion.rows(draws=draws))
     alt = "; ".join(_best(rows, name) for name in dict.fromkeys(row.estimator for row in rows))
-    picture = drawn(rows, draw_motion, "motion", "Estimators: noise jitter over its bound against time", f"{alt}.")
+    title = "Estimators: noise jitter over its bound against time"
+    picture = drawn(rows, accuracy_motion.draw_motion, "motion", title, f"{alt}.")
     caption = f"Estimators, the paper's parameters one at a time, {draws} draws a case."
     return Part("motion-part", "Echoes to amplitude and phase", (), (picture,), (table("motion", caption, rows),))
 
@@ -166,7 +183,8 @@ def harmonic_part() -> Part:
     alt = "; ".join(
         f"{row.method}, {row.pulses} pulses: {row.jitter_m / row.bound_m:.2f} in {row.time_s:.2g} s" for row in rows
     )
-    picture = drawn(rows, draw_harmonic, "harmonic", "Fits: jitter over its bound against time", f"{alt}.")
+    title = "Fits: jitter over its bound against time"
+    picture = drawn(rows, accuracy_harmonic.draw_harmonic, "harmonic", title, f"{alt}.")
     caption = "Displacement to amplitude and phase, 200 realisations."
     return Part("harmonic-part", "Displacement to harmonics", (), (picture,), (table("harmonic", caption, rows),))
 
@@ -183,11 +201,10 @@ def _points_part(key: str, title: str, points: Sequence[Point]) -> Part:
     cases = list(dict.fromkeys(point.case for point in points))
     best = [min((p for p in points if p.case == case and p.error == p.error), key=lambda p: p.error) for case in cases]
     alt = "; ".join(f"{p.case}: {cell(p.error)} by {p.method}, {p.setting}" for p in best)
-    picture = drawn(points, write_figure, key, f"{title}: error against run time", f"Least errors: {alt}.")
-    rows = [asdict(point) for point in points]
-    return Part(f"{key}-part", title, (), (picture,), (table(key, "Largest error over largest value.", rows),))
+    picture = drawn(points, draw_points, key, f"{title}: error against run time", f"Least errors: {alt}.")
+    return Part(f"{key}-part", title, (), (picture,), (table(key, "Largest error over largest value.", points),))
 
 
-def _best(rows: Sequence[accuracy_motion.Row], name: str) -> str:
+def _best(rows: Sequence[accuracy_motion.MotionRow], name: str) -> str:
     own = [row.noise_jitter_m / row.bound_m for row in rows if row.estimator == name]
     return f"{name}: {min(own):.2f} to {max(own):.2f} of the bound"

@@ -1,25 +1,29 @@
-"""Error against run time: one point a method and setting, and the table of them."""
+"""Work precision: error against run time, one row a method and setting, as table and as figure."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.report import label_decades, mark
+from hpe_rig.result import csv_text, mappings, text_table
 from hpe_rig.scene import Mistake, SettingsError
 
 Floats = NDArray[np.float64]
+Row = TypeVar("Row")
+Key = TypeVar("Key", bound=Hashable)
 
-COLOURS = ("#0072B2", "#D55E00", "#007A5A", "#8A4F7D", "#5A5A5A", "#E69F00", "#56B4E9", "#000000")
-"""Told apart by the colour-blind."""
+PANELS_A_ROW = 4
+LEAST_ERROR = 1e-17
+"""Where an error of zero is drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,23 +56,12 @@ def measured(
     return Point(case, method, setting, error, float(np.median(times_s)))
 
 
-def as_text(points: Sequence[Point]) -> str:
-    """Return the points as a table for people."""
-    lines = [f"{'case':28} {'method':34} {'setting':24} {'error':>9} {'time':>11}"]
-    for point in points:
-        error = "gave up" if np.isnan(point.error) else f"{point.error:.1e}"
-        name = f"{point.case:28} {point.method:34} {point.setting:24}"
-        lines.append(f"{name} {error:>9} {point.time_s * 1e3:8.2f} ms")
-    return "\n".join(lines)
-
-
-def as_csv(points: Sequence[Point]) -> str:
-    """Return the points as comma separated values with a header, times in seconds."""
-    out = io.StringIO()
-    writer = csv.DictWriter(out, ["case", "method", "setting", "error", "time_s"], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(asdict(point) for point in points)
-    return out.getvalue()
+def grouped(rows: Iterable[Row], key: Callable[[Row], Key]) -> dict[Key, list[Row]]:
+    """Return the rows by ``key``, groups and rows in the order of the rows."""
+    found: dict[Key, list[Row]] = {}
+    for row in rows:
+        found.setdefault(key(row), []).append(row)
+    return found
 
 
 def file_mistakes(output: Path | None, figure: Path | None) -> list[Mistake]:
@@ -83,51 +76,88 @@ def file_mistakes(output: Path | None, figure: Path | None) -> list[Mistake]:
     return found
 
 
-def write_points(
-    points: Iterable[Point], output: Path | None, figure: Path | None, show: Callable[[str], None]
-) -> None:
-    """Measure ``points``, write table and figure; without a file for the table ``show`` gets it as text.
+def points_text(points: Sequence[Point]) -> str:
+    """Return the points as a table for the terminal."""
+    cells = (
+        (p.case, p.method, p.setting, "gave up" if np.isnan(p.error) else f"{p.error:.1e}", f"{p.time_s * 1e3:.2f} ms")
+        for p in points
+    )
+    return text_table(("case", "method", "setting", "error", "time"), cells, words=3)
 
-    What was measured until an interruption is written. Raises ``SettingsError`` for wrong names before any point.
+
+def write_rows(
+    rows: Iterable[Any],
+    output: Path | None,
+    figure: Path | None,
+    draw: Callable[[list[Any], Path], None],
+    show: Callable[[str], None],
+    as_text: Callable[[list[Any]], str] = csv_text,
+) -> None:
+    """Measure ``rows``, write table and figure; without a file for the table ``show`` gets it ``as_text``.
+
+    What was measured until an interruption is written. Raises ``SettingsError`` for wrong names before any row.
     """
     mistakes = file_mistakes(output, figure)
     if mistakes:
         raise SettingsError("command line", mistakes)
-    found: list[Point] = []
+    found: list[Any] = []
     try:
-        found.extend(points)
+        found.extend(rows)
     finally:
         if output is None:
-            show(as_text(found))
-        elif output.suffix == ".json":
-            output.write_text(json.dumps([asdict(point) for point in found], indent=1) + "\n", encoding="utf-8")
+            show(as_text(found).rstrip("\n"))
         else:
-            output.write_text(as_csv(found), encoding="utf-8")
+            text = json.dumps(mappings(found), indent=1) + "\n" if output.suffix == ".json" else csv_text(found)
+            output.write_text(text, encoding="utf-8")
+            show(f"{output}: {len(found)} rows")
     if figure is not None:
-        write_figure(found, figure)
+        draw(found, figure)
+        show(f"{figure}: error against run time")
 
 
-def write_figure(points: Sequence[Point], path: Path, panels_a_row: int = 4) -> None:
-    """Write error against run time: a panel a case, a line a method."""
+def draw_points(points: Sequence[Point], path: Path) -> None:
+    """Draw error against run time, a panel a case, a line a method."""
+    known = [point for point in points if not np.isnan(point.error)]
+    panels = {
+        case: {
+            method: [(point.time_s, max(point.error, LEAST_ERROR)) for point in some]
+            for method, some in grouped(own, lambda point: point.method).items()
+        }
+        for case, own in grouped(known, lambda point: point.case).items()
+    }
+    draw_panels(panels, path, "run time (s)", "relative error")
+
+
+def draw_panels(
+    panels: dict[str, dict[str, list[tuple[float, float]]]],
+    path: Path,
+    x_label: str,
+    y_label: str,
+    over_bound: bool = False,
+) -> None:
+    """Draw panels by title, in each (time, error) by method, on logarithmic axes: the best is low and to the left.
+
+    ``over_bound``: errors are ratios to a bound, so that all panels share an axis, with a line at 1 and no others.
+    """
     from matplotlib.figure import Figure
 
-    from hpe_rig.report import label_decades
-
-    cases = list(dict.fromkeys(point.case for point in points))
-    columns = min(panels_a_row, len(cases))
-    figure = Figure(figsize=(3.4 * columns, 3.2 * math.ceil(len(cases) / columns)), layout="constrained")
-    panels = figure.subplots(math.ceil(len(cases) / columns), columns, squeeze=False).ravel()
-    for spare in panels[len(cases) :]:
+    columns = min(PANELS_A_ROW, len(panels))
+    lines = math.ceil(len(panels) / columns)
+    figure = Figure(figsize=(3.4 * columns, 3.2 * lines), layout="constrained")
+    axes = figure.subplots(lines, columns, squeeze=False, sharey=over_bound).ravel()
+    for spare in axes[len(panels) :]:
         spare.set_axis_off()
-    for panel, case in zip(panels, cases, strict=False):
-        here = [point for point in points if point.case == case and not np.isnan(point.error)]
-        for place, method in enumerate(dict.fromkeys(point.method for point in here)):
-            some = [point for point in here if point.method == method]
-            times_s, errors = [point.time_s for point in some], [max(point.error, 1e-17) for point in some]
-            marker = "osd^vx"[place % 6]
-            panel.plot(times_s, errors, marker=marker, ms=4, lw=0.8, color=COLOURS[place % len(COLOURS)], label=method)
-        panel.set(xscale="log", yscale="log", xlabel="run time (s)", ylabel="relative error", title=case)
-        label_decades(panel.xaxis)
-        panel.grid(alpha=0.3)
-        panel.legend(fontsize=7, framealpha=0.5)
+    for one, (title, methods) in zip(axes, panels.items(), strict=False):
+        for place, (method, points) in enumerate(methods.items()):
+            marker, colour = mark(place)
+            line = "" if over_bound else "-"
+            one.plot(*zip(*points, strict=True), marker=marker, ls=line, lw=0.8, ms=4, color=colour, label=method)
+        if over_bound:
+            one.axhline(1, color="0.6", lw=0.8)
+        one.set(xscale="log", yscale="log", xlabel=x_label, title=title)
+        label_decades(one.xaxis)
+        one.grid(alpha=0.3)
+        one.legend(fontsize=7, framealpha=0.5)
+    for one in axes[::columns]:
+        one.set_ylabel(y_label)
     figure.savefig(path)

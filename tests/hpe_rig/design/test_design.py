@@ -14,16 +14,14 @@ from typer.testing import CliRunner
 from hpe_rig.acquire.run import Setup, prepare, prepare_text
 from hpe_rig.cli.app import app
 from hpe_rig.design.command import Request, write_design
-from hpe_rig.design.model import predicted, worth_pulses
+from hpe_rig.design.model import effective_pulses, predicted
 from hpe_rig.design.problem import Goal, Limits, Problem
 from hpe_rig.design.search import Design, design
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.design.variables import variables
 from hpe_rig.prediction.bounds import harmonic_bound
-from hpe_rig.scene.editing import edited_text
-from hpe_rig.scene.keys import Key, number_keys, resolve
 from hpe_rig.scene.scene import scene_text
-from hpe_rig.scene.validation import Mistake, SettingsError
+from hpe_rig.scene.validation import SettingsError
 
 # Everything moves alike and by little: hardly any speckle jitter, and the noise is the Cramer-Rao bound's.
 NO_SPECKLE = scene_text("table-1")[1].replace("[0.17e-3, 0.17e-3, 1.80e-3]", "[1.0, 1.0, 1.0]")
@@ -227,36 +225,6 @@ def test_what_the_model_lacks_is_named_at_once() -> None:
     assert [mistake.path for mistake in caught.value.mistakes] == ["beams", "processing.expected_snr_db"]
 
 
-def test_short_names_are_found_where_they_are_unambiguous() -> None:
-    keys = number_keys(tomllib.loads(scene_text("bovine-muscle")[1]))
-    found = resolve("pulse_rate_hz", keys)
-    assert isinstance(found, Key)
-    assert str(found) == "tracking.pulse_rate_hz"
-    twice, many = resolve("carrier_hz", keys), resolve("tracking_width_m", keys)
-    assert isinstance(twice, Mistake)
-    assert twice.remedy == "one of excitation.carrier_hz, tracking.carrier_hz"
-    assert isinstance(many, Mistake)
-    assert "tracking_width_m[2]" in many.remedy
-    assert isinstance(resolve("beams.tracking_width_m[2]", keys), Key)
-
-
-def test_a_scenes_text_keeps_its_comments() -> None:
-    text = scene_text("muscle-force")[1]
-    values = {
-        ("processing", "window_start_s"): 0.06,
-        ("tracking", "pulse_count"): 77,
-        ("beams", "tracking_width_m", 1): 9e-5,
-        ("simulation", "scatterers", "per_cell"): 12.0,
-    }
-    new = edited_text(text, values)
-    assert "window_start_s = 0.06     # leave out the start-up transient" in new
-    unchanged = set(text.splitlines()) - set(new.splitlines())
-    assert len(unchanged) == 2
-    assert tomllib.loads(new)["simulation"]["scatterers"]["per_cell"] == 12.0
-    with pytest.raises(SettingsError, match="line of its own"):
-        edited_text("tracking = { pulse_rate_hz = 1.0 }", {("tracking", "pulse_rate_hz"): 2.0})
-
-
 @pytest.mark.parametrize("gate_m", [1e-3, 3e-3])
 def test_noise_of_a_longer_gate_is_predicted_from_the_echo_left_in_it(gate_m: float) -> None:
     setup = prepare_text("gate", NO_SPECKLE.replace("gate_length_m = 1.0e-3", f"gate_length_m = {gate_m}"))
@@ -297,9 +265,9 @@ def test_pulses_are_worth_what_the_fit_makes_of_them() -> None:
         update={"processing": scene.processing.model_copy(update={"frequencies_hz": tuple(frequencies_hz)})}
     )
     variance = np.linalg.inv(matrix.T @ matrix).diagonal()[[0, 10]]
-    assert worth_pulses(own, plan) == round(2 / variance.mean())
+    assert effective_pulses(own, plan) == round(2 / variance.mean())
     # a gap after every toneburst leaves a hundred harmonics hard to tell apart
-    assert worth_pulses(scene, setup.plan) < 0.1 * time_s.size
+    assert effective_pulses(scene, setup.plan) < 0.1 * time_s.size
 
 
 def test_the_command_writes_a_scene_that_check_passes(tmp_path: Path) -> None:

@@ -41,8 +41,13 @@ def test_check_tells_what_a_delay_of_shifting_pulses_costs():
     assert "at most {:.2g} % and {:.2g} deg".format(*largest) in line
 
 
+def test_on_metal_nothing_is_said_of_the_medium_that_the_twin_alone_has():
+    setup = prepare("bovine-muscle")
+    scene, shot = setup.scene.scene, setup.plan.shots[0]
+    assert [len(list(folding_text(scene, shot, simulated))) for simulated in (True, False)] == [1, 0]
+
+
 @pytest.mark.parametrize("simulated", [True, False])
-def test_nothing_is_said_where_no_medium_or_no_push_is_known(simulated):
-    name = "bovine-muscle" if not simulated else "table-1"
-    setup = prepare(name)
+def test_nothing_is_said_where_nothing_pushes(simulated):
+    setup = prepare("table-1")
     assert not list(folding_text(setup.scene.scene, setup.plan.shots[0], simulated))

@@ -13,12 +13,12 @@ from hpe_rig.prediction.forecast import length_m, predict, prediction_text, reme
 from hpe_rig.processing import Estimator
 from hpe_rig.scene.scene import parse_scene, scene_text
 from hpe_rig.scene.validation import SettingsError
-from hpe_rig.validation.accuracy.motion import PARAMETERS, Case, case_rows, setting_of as setting_of_case
+from hpe_rig.validation.accuracy.motion import PARAMETERS, MotionCase, case_rows, setting_of as setting_of_case
 
 
 @pytest.fixture(scope="module")
 def table_one() -> Setting:
-    return setting_of_case(Case())
+    return setting_of_case(MotionCase())
 
 
 @pytest.mark.parametrize("snr_db", [10.0, 40.0])
@@ -42,7 +42,7 @@ def test_more_scatterers_cannot_tell_the_drawn_envelopes_from_the_closed_form(ta
     assert 1 + found.bias_m / 1e-6 == pytest.approx(factor, abs=0.0033)
 
 
-def _compare(case: Case, estimator: Estimator, draws: int, bias: float, jitter: float) -> None:
+def _compare(case: MotionCase, estimator: Estimator, draws: int, bias: float, jitter: float) -> None:
     row = next(iter(case_rows(case, "", 0.0, [estimator], draws, 1)))
     measured = np.hypot(row.noise_jitter_m, row.speckle_jitter_m)
     predicted = np.hypot(row.predicted_noise_m, row.predicted_speckle_m)
@@ -53,7 +53,7 @@ def _compare(case: Case, estimator: Estimator, draws: int, bias: float, jitter: 
 @pytest.mark.parametrize(("estimator", "spread"), [("coherent", 0.06), ("kasai", 0.06), ("cross_spectrum", 0.09)])
 def test_bias_and_jitter_of_table_one_are_predicted(estimator: Estimator, spread: float) -> None:
     # 2 % and 15 % wanted; 160 draws know the mean to spread / sqrt(160), and a heavy-tailed spread to 2 / sqrt(160)
-    _compare(Case(snr_db=20), estimator, 160, 0.02 + 2 * spread / np.sqrt(160), 0.15 + 2 / np.sqrt(160))
+    _compare(MotionCase(snr_db=20), estimator, 160, 0.02 + 2 * spread / np.sqrt(160), 0.15 + 2 / np.sqrt(160))
 
 
 @pytest.mark.slow
@@ -63,7 +63,7 @@ def test_bias_and_jitter_of_table_one_are_predicted(estimator: Estimator, spread
     [(name, value) for name, values in PARAMETERS.items() for value in values if name != "snr_db"],
 )
 def test_bias_and_jitter_of_figures_5_to_11_are_predicted(name: str, value: float, estimator: Estimator) -> None:
-    _compare(replace(Case(snr_db=20), **{name: value}), estimator, 1000, 0.02, 0.15 + 2 / np.sqrt(1000))
+    _compare(replace(MotionCase(snr_db=20), **{name: value}), estimator, 1000, 0.02, 0.15 + 2 / np.sqrt(1000))
 
 
 def test_remedies_reach_the_target_each_alone(table_one: Setting) -> None:

@@ -15,7 +15,7 @@ from hpe_rig.processing import (
     estimate,
 )
 from hpe_rig.processing.model import harmonic_columns
-from hpe_rig.validation.accuracy.motion import Case, twin_echoes
+from hpe_rig.validation.accuracy.motion import MotionCase, twin_echoes
 
 if TYPE_CHECKING:
     from conftest import TableOne
@@ -84,7 +84,7 @@ def test_noise_alone_explains_6000_measurements(table_one: TableOne, estimator: 
     generator = np.random.default_rng(32)
     squares = []
     for _ in range(60):
-        clean = twin_echoes(Case(), 100, generator)
+        clean = twin_echoes(MotionCase(), 100, generator)
         noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 100)
         fit = estimate(table_one.gate(clean + noise_v * generator.standard_normal(clean.shape)), [200.0], estimator)
         error = fit.amplitude_m - estimate(table_one.gate(clean), [200.0], estimator).amplitude_m
@@ -101,7 +101,7 @@ def test_jitter_over_100_speckles_is_within_five_percent_of_the_bound(
 ) -> None:
     columns = harmonic_columns(table_one.pulse_time_s, np.array([200.0]))
     generator, ratios = np.random.default_rng(33), []
-    for echo in twin_echoes(Case(), 100, generator):
+    for echo in twin_echoes(MotionCase(), 100, generator):
         noise_v = np.sqrt(np.mean(echo**2) / 10 ** (snr_db / 10))
         volts = echo + noise_v * generator.standard_normal((30, *echo.shape))
         bound = echo_bound(echo[0], 100e6, noise_v, columns, 1540.0)
@@ -116,7 +116,7 @@ def test_noise_and_speckle_together_explain_2000_measurements(table_one: TableOn
     generator = np.random.default_rng(31)
     ratios, noise = [], []
     for _ in range(20):
-        clean = twin_echoes(Case(), 100, generator)
+        clean = twin_echoes(MotionCase(), 100, generator)
         noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 100)
         fit = estimate(table_one.gate(clean + noise_v * generator.standard_normal(clean.shape)), [200.0], estimator)
         ratios.append(fit.amplitude_m[:, 0] / table_one.amplitude_m)

@@ -9,7 +9,7 @@ import pytest
 
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.scene.validation import SettingsError
-from hpe_rig.study.cases import Point, points_of
+from hpe_rig.study.cases import GridPoint, points_of
 from hpe_rig.study.definition import Definition, Range, read_studies, shipped_studies
 
 SIZES = {"fig-4": 1, "fig-5": 5, "fig-6": 5, "fig-7": 6, "fig-8": 5, "fig-9": 3, "fig-10": 3, "fig-11": 4}
@@ -25,7 +25,7 @@ keys = { "simulation.receiver.snr_db" = [10.0, 20.0] }
 """
 
 
-def _points(text: str, tmp_path: Path, **replaced: object) -> list[Point]:
+def _points(text: str, tmp_path: Path, **replaced: object) -> list[GridPoint]:
     (tmp_path / "own.toml").write_text(text, encoding="utf-8")
     ((name, (definition, folder)),) = read_studies(str(tmp_path / "own.toml"), replaced).items()
     return points_of(name, definition, folder)

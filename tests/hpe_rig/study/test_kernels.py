@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hpe_rig.processing import ESTIMATORS, Estimator, Options, estimate
-from hpe_rig.study import kernels as band
-from hpe_rig.study.kernels import Train, band_of, form_of, states
+from hpe_rig.study import kernels
+from hpe_rig.study.kernels import Train, form_of, spectral_kernels, states
 
 TRAIN = Train(4000.0, 40, 0.0, 9e6, 1540.0, 100e6, 130, (200.0,), Options())
 OTHERS = [
@@ -30,7 +30,7 @@ def _echoes(train: Train, draws: int) -> np.ndarray:
 @pytest.mark.parametrize("train", [TRAIN, *OTHERS])
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_an_estimator_sees_of_white_noise_what_the_band_holds(train: Train, estimator: Estimator) -> None:
-    seen, echoes = band_of(train), _echoes(train, 1)
+    seen, echoes = spectral_kernels(train), _echoes(train, 1)
     noise = np.random.default_rng(6).standard_normal((1, 2, train.pulses, train.samples))
     numbers = noise @ seen.of_numbers["volts"].T
     fit = estimate(train.gate(echoes[:, None] + 0.3 * noise), train.frequencies_hz, estimator, options=train.options)
@@ -44,34 +44,34 @@ def test_an_estimator_sees_of_white_noise_what_the_band_holds(train: Train, esti
 
 @pytest.mark.parametrize("train", [TRAIN, *OTHERS])
 def test_the_band_is_far_smaller_than_the_gate_and_its_numbers_are_white(train: Train) -> None:
-    basis = band_of(train).of_numbers["volts"]
+    basis = spectral_kernels(train).of_numbers["volts"]
     assert len(basis) < 0.95 * train.samples
     np.testing.assert_allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-13)
 
 
 @pytest.mark.parametrize("train", [TRAIN, *OTHERS])
 def test_what_multiplies_the_random_numbers_does_not_hang_on_rounding(train: Train) -> None:
-    seen = band_of(train)
+    seen = spectral_kernels(train)
     columns = np.hstack([seen.of_volts["plain"], seen.of_volts["peak"]])
     rounded = columns * (1 + 1e-15 * np.random.default_rng(8).standard_normal(columns.shape))
-    basis = band._basis(rounded)
+    basis = kernels._basis(rounded)
     for form in ("plain", "peak"):
         np.testing.assert_allclose(basis @ seen.of_volts[form], seen.of_numbers[form], rtol=0, atol=1e-13)
 
 
 def test_the_compiled_peak_search_is_that_of_the_paper_s_chain(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
-    seen, rng = band_of(TRAIN), np.random.default_rng(7)
+    seen, rng = spectral_kernels(TRAIN), np.random.default_rng(7)
     clean = _echoes(TRAIN, 3) @ seen.of_volts["peak"]
     noise = rng.standard_normal((3, 4, TRAIN.pulses, seen.numbers)) @ seen.of_numbers["peak"]
     arguments = clean, rng.integers(0, TRAIN.pulses, TRAIN.pulses), np.array([0.0, 0.3, 3.0]), noise
     fast = states(TRAIN, "cross_spectrum", *arguments)
-    monkeypatch.setattr(band, "compiled", lambda: False)
+    monkeypatch.setattr(kernels, "compiled", lambda: False)
     np.testing.assert_allclose(fast, states(TRAIN, "cross_spectrum", *arguments), rtol=0, atol=1e-16)
 
 
 def test_a_refused_realisation_is_no_number_and_the_others_are() -> None:
-    seen, echoes = band_of(TRAIN), _echoes(TRAIN, 2)
+    seen, echoes = spectral_kernels(TRAIN), _echoes(TRAIN, 2)
     volts = echoes @ seen.of_volts["plain"]
     volts[1] = 0.0
     found = states(

@@ -22,9 +22,9 @@ from hpe_rig.scene.validation import SettingsError
 from hpe_rig.study.curve_figures import BAND, curve_alt, curve_figure
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.map_figures import map_figure
-from hpe_rig.study.page import MOST_INSIDE, MOST_ROWS, Part, cell, render, table, write
+from hpe_rig.study.page import MOST_INSIDE, MOST_ROWS, Part, cell, render, table
 from hpe_rig.study.report import write_study_report
-from hpe_rig.study.results import StudyResult
+from hpe_rig.study.results import StudyResult, write_whole
 from hpe_rig.study.run import run_study
 from hpe_rig.study.series import is_map, shown, views
 from hpe_rig.validation.paper.reproduction import reproduction_part
@@ -212,5 +212,6 @@ def test_a_table_too_long_for_the_page_is_the_file_beside_it() -> None:
 
 
 def test_a_page_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
     with pytest.raises(SettingsError, match="cannot be written"):
-        write(tmp_path / "absent" / "page.html", "")
+        write_whole(tmp_path / "file" / "page.html", "")

@@ -20,10 +20,9 @@ from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
 from hpe_rig.scene.validation import SettingsError
-from hpe_rig.study.case_store import FIELDS, CaseStore
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.executor import MOST_LOSSES, cluster, completed, processes
-from hpe_rig.study.results import StudyResult, read_study
+from hpe_rig.study.results import FIELDS, CaseStore, StudyResult
 from hpe_rig.study.run import run_study
 
 STUDY = """
@@ -62,6 +61,13 @@ def numbers(results: list[StudyResult]) -> list[dict[str, Any]]:
         for result in results
         for row in result.rows
     ]
+
+
+def read_study(folder: Path) -> StudyResult:
+    """Return a finished study from its file."""
+    tables = json.loads((folder / "study.json").read_text(encoding="utf-8"))
+    definition = Definition.model_validate(tables["definition"])
+    return StudyResult(tables["name"], definition, tables["rows"], tuple(tables["versions"]))
 
 
 def test_results_read_back_and_stand_in_the_table(study: str, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
 from hpe_rig.validation.accuracy.echo import CHOSEN, Measurement, as_text, measurements, share_chosen_well, write_figure
-from hpe_rig.validation.accuracy.work_precision import Point, write_points
+from hpe_rig.validation.accuracy.work_precision import Point, draw_points, write_rows
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_points_until_an_interruption_are_written(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_points(points(), tmp_path / "a.csv", None, print)
+        write_rows(points(), tmp_path / "a.csv", None, draw_points, print)
     assert (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()[1] == "case,method,setting,0.001,0.5"
 
 

@@ -13,16 +13,16 @@ import pytest
 
 from hpe_rig.scene.validation import SettingsError
 from hpe_rig.validation.accuracy import harmonic as accuracy_harmonic
-from hpe_rig.validation.accuracy.motion import Case, Row, case_rows
-from hpe_rig.validation.accuracy.table import draw_harmonic, draw_motion, rows_as_text, write_rows
+from hpe_rig.validation.accuracy.motion import MotionCase, MotionRow, case_rows, draw_motion
+from hpe_rig.validation.accuracy.work_precision import write_rows
 
 
 @pytest.fixture(scope="module")
-def motion_rows() -> list[Row]:
-    return list(case_rows(Case(snr_db=30), "snr_db", 30.0, ["coherent", "cross_spectrum"], 48, 0))
+def motion_rows() -> list[MotionRow]:
+    return list(case_rows(MotionCase(snr_db=30), "snr_db", 30.0, ["coherent", "cross_spectrum"], 48, 0))
 
 
-def test_rows_of_motion_order_the_estimators_by_the_bound(motion_rows: list[Row]) -> None:
+def test_rows_of_motion_order_the_estimators_by_the_bound(motion_rows: list[MotionRow]) -> None:
     coherent, paper = motion_rows
     assert coherent.bound_m == paper.bound_m
     # 48 draws: the jitter is known to 10 %; Hann gate and Hann slow time cost 1.22 x 1.23
@@ -31,8 +31,8 @@ def test_rows_of_motion_order_the_estimators_by_the_bound(motion_rows: list[Row]
     assert 0 < coherent.us_per_pulse < paper.us_per_pulse * 5
 
 
-def test_the_same_seed_gives_the_same_errors(motion_rows: list[Row]) -> None:
-    again = next(iter(case_rows(Case(snr_db=30), "snr_db", 30.0, ["coherent"], 48, 0)))
+def test_the_same_seed_gives_the_same_errors(motion_rows: list[MotionRow]) -> None:
+    again = next(iter(case_rows(MotionCase(snr_db=30), "snr_db", 30.0, ["coherent"], 48, 0)))
     assert again.bias_m == motion_rows[0].bias_m
     assert again.noise_jitter_m == motion_rows[0].noise_jitter_m
 
@@ -47,13 +47,15 @@ def test_rows_of_harmonic_keep_the_bound_and_the_papers_loss() -> None:
     assert np.isfinite([row.normalised_error for row in rows.values()]).all()
 
 
-def test_tables_read_back_and_figures_are_written(motion_rows: list[Row], tmp_path: Path) -> None:
-    read = list(csv.DictReader(io.StringIO(rows_as_text(motion_rows, ".csv"))))
-    assert float(read[0]["noise_jitter_m"]) == motion_rows[0].noise_jitter_m
-    assert json.loads(rows_as_text(motion_rows, ".json"))[1]["estimator"] == "cross_spectrum"
+def test_tables_read_back_and_figures_are_written(motion_rows: list[MotionRow], tmp_path: Path) -> None:
     told: list[str] = []
     write_rows(motion_rows, tmp_path / "t.csv", tmp_path / "t.svg", draw_motion, told.append)
-    write_rows(accuracy_harmonic.rows((60,), repeats=1), None, tmp_path / "h.svg", draw_harmonic, told.append)
+    read = list(csv.DictReader(io.StringIO((tmp_path / "t.csv").read_text(encoding="utf-8"))))
+    assert float(read[0]["noise_jitter_m"]) == motion_rows[0].noise_jitter_m
+    write_rows(motion_rows, tmp_path / "t.json", None, draw_motion, told.append)
+    assert json.loads((tmp_path / "t.json").read_text(encoding="utf-8"))[1]["estimator"] == "cross_spectrum"
+    fits = accuracy_harmonic.rows((60,), repeats=1)
+    write_rows(fits, None, tmp_path / "h.svg", accuracy_harmonic.draw_harmonic, told.append)
     assert (tmp_path / "t.svg").stat().st_size > 1000
     assert (tmp_path / "h.svg").stat().st_size > 1000
     assert "2 rows" in told[0]
@@ -64,6 +66,6 @@ def test_an_unknown_table_format_is_refused_before_the_study_runs(tmp_path: Path
         write_rows(_never(), tmp_path / "t.xls", None, draw_motion, print)
 
 
-def _never() -> Iterator[Row]:
+def _never() -> Iterator[MotionRow]:
     raise AssertionError("the study ran")
     yield

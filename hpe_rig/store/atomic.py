@@ -1,0 +1,43 @@
+"""Files that appear whole or not at all: written as a draft beside their place and renamed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+
+@contextmanager
+def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
+    """Yield a draft beside ``path``, which becomes ``path`` when the block ends and is deleted where it fails.
+
+    Raises ``FileExistsError`` at the end where ``path`` is taken and must not be overwritten.
+    """
+    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    try:
+        yield draft
+        if overwrite:
+            draft.replace(path)
+        else:
+            _rename_to_new(draft, path)
+    finally:
+        # Gone already where all went well.
+        with suppress(OSError):
+            draft.unlink()
+
+
+def _rename_to_new(draft: Path, path: Path) -> None:
+    """Rename, raising ``FileExistsError`` where ``path`` is taken: a link on POSIX, where a rename would replace it."""
+    if os.name == "posix":
+        try:
+            path.hardlink_to(draft)
+        except FileExistsError:
+            raise
+        except OSError:
+            # A file system without links: the check and the rename are then two steps.
+            if path.exists():
+                raise FileExistsError(path) from None
+            draft.rename(path)
+    else:
+        draft.rename(path)
