@@ -4,9 +4,9 @@ Files, in the order in which a run passes through them::
 
     format.py             names, versions and limits that writers and readers share; ``StoreError``; file names
     layout.py             the empty run file: every group, dataset and attribute at its final size
-    publish.py            how that file comes into being, open to readers from its first moment
     records.py            record blocks as they arrive -> the place of each record's pulse
-    writer.py             ``RunWriter``: records, settings, ground truth and status into the file
+    atomic.py             files that appear whole or not at all
+    writer.py             ``RunWriter``: creates the file; writes records, settings, ground truth and status
     validation.py         reading a file that anybody may have written: nothing is taken for granted
     reader.py             ``read_run``: the run file, shot by shot, when asked for
     result_file.py        ``write_result``: the result beside the run file

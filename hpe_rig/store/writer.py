@@ -10,6 +10,7 @@ import contextlib
 import json
 import math
 import os
+import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -19,15 +20,16 @@ from typing import Any, final
 
 import h5py
 import numpy as np
+from h5py import h5f, h5p
 from numpy.typing import NDArray
 
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench import BenchText, uninterrupted
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.scene import SceneText
+from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, StoreError, reason
 from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
-from hpe_rig.store.publish import open_for_readers, publish, refuse_small_disk
 from hpe_rig.store.reader import StoredRun
 from hpe_rig.store.records import MISSING, Placed, place
 
@@ -67,8 +69,8 @@ class RunWriter:
         self._checkpoint_s = clock()
         self._broken = False
         image = empty_run(scene, bench, plan, options.compress, options.predecessor)
-        refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
-        publish(image, path, options.overwrite)
+        _refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
+        _publish(image, path, options.overwrite)
         with self._writing():
             self._file = open_for_readers(path)
         self._volts = volts_of_codes(plan.shots[0].capture.input_range_v)
@@ -309,3 +311,37 @@ class _ShotRows:
         self.latest: Placed | None = None
         self.recorded = np.zeros(shot.capture.record_count, bool)
         self.trigger_time_s = np.full(shot.capture.record_count, np.nan)
+
+
+def _refuse_small_disk(path: Path, needed: int) -> None:
+    """Raise ``StoreError`` where the disk of ``path`` has less than ``needed`` bytes free."""
+    try:
+        free = shutil.disk_usage(path.parent).free
+    except OSError:
+        # Whatever is wrong with the folder is reported when the file is created.
+        return
+    if free < needed:
+        raise StoreError(
+            f"{path}: the run needs {needed / 1e6:.6g} MB, the disk has {free / 1e6:.6g} MB free. "
+            "Try: another folder with --output, --compress, or fewer repeats."
+        )
+
+
+def _publish(image: bytes, path: Path, overwrite: bool) -> None:
+    """Create ``path`` with the bytes ``image``, whole or not at all; raise ``StoreError`` where it cannot be."""
+    try:
+        with atomic_file(path, overwrite) as draft, draft.open("xb") as file:
+            file.write(image)
+            file.flush()
+            os.fsync(file.fileno())
+    except FileExistsError:
+        raise StoreError(f"{path} already exists. Try: another --output, or --overwrite.") from None
+    except OSError as error:
+        raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder with --output.") from None
+
+
+def open_for_readers(path: Path) -> h5py.File:
+    """Open ``path`` in HDF5's single-writer-multiple-reader mode, so that it stays readable if its writer is killed."""
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
+    return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE, access))
