@@ -1,4 +1,16 @@
-"""hpe_rig/acquire"""
+"""Acquisition: a scene becomes a run file, and a run file a result.
+
+    api.py            measure, check, estimate, open_bench: what ``hpe_rig`` offers to scripts
+    run.py            scene and bench file -> plan -> a run file with every shot's records
+    sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
+    stop_request.py   a safe stop that another process asks for
+    log.py            every step beside the run file
+    run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result
+    resumption.py     a stopped run's complete shots taken over, the others measured
+
+A run file is opened with ``open_run`` alone: scene, bench, plan and checks come with it, validated. ``prepare`` and
+``record_run`` are the two halves of a measurement, for callers that have to step in between.
+"""
 
 import lazy_loader
 

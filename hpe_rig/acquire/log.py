@@ -1,4 +1,4 @@
-"""A log of every step of a run beside its file, written line by line, so that a crash keeps it."""
+"""Log of every step of a run beside its file, written line by line, so that a crash keeps it."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def log_path(run_file: Path) -> Path:
 def logged(
     setup: Setup, log_file: Path, clock: Callable[[], float] = time.monotonic
 ) -> Iterator[Callable[[Observer], Observer]]:
-    """Yield what makes of an observer one whose steps stand in ``log_file`` too, with how the run ended and why.
+    """Yield a function that wraps an observer so that every step is written to ``log_file``, with how the run ended.
 
-    A log that is there already is added to: the run it tells of may be one that this one is refused for.
+    An existing log is appended to: it may tell of the run because of which this one is refused.
 
     Raises ``StoreError`` where the file cannot be written.
     """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -117,12 +118,16 @@ class Run:
         return replace(self, stored=read_run(self.path))
 
 
-def open_run(path: Path | str) -> Run:
+def open_run(path: str | os.PathLike[str]) -> Run:
     """Return the run in the run file ``path``, also one that is going on or was interrupted.
 
     Raises ``StoreError`` where it is none or its records are not those of its scene, ``SettingsError`` where its scene
-    or bench file leads to no plan.
+    or bench file leads to no plan, and ``TypeError`` for what is no path.
+
+    >>> open_run("bovine-muscle.h5").estimate().shots[0].estimates[0].amplitude_m
     """
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(f"a run is taken as the path of a run file, not as {type(path).__name__}")
     stored = read_run(Path(path))
     scene = parse_scene(stored.scene_name, stored.scene_toml).scene
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench

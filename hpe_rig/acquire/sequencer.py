@@ -1,4 +1,4 @@
-"""Configure -> verify -> arm -> enable -> fire -> collect -> safe, shot by shot; yields records, stores nothing."""
+"""Sequence of a shot: configure, verify, arm, enable, fire, collect, off; yields records, stores nothing."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ Observer = Callable[[Progress], None]
 
 
 def unobserved(progress: Progress) -> None:
-    """Take notice of nothing."""
+    """Ignore every step."""
 
 
 def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Generator[Event, None, None]:

@@ -1,4 +1,4 @@
-"""Ask a run in another process to stop safely: a file beside the run file, looked for between records.
+"""Request to stop a run in another process safely: a file beside the run file, looked for between records.
 
 No signal and no process number: whoever may write beside the run may stop it, on any system and over a network share.
 """

@@ -1,4 +1,12 @@
-"""hpe_rig/live"""
+"""Live page of a run or of an alignment, on this machine only.
+
+process.py     the page's own process, so that no browser holds up a run: ``live_page_of``, ``serve_run``
+server.py      loopback, a token in the address, a task a viewer
+source.py      run file -> state
+alignment.py   single tracking shots -> state: ``align``, ``without_pushing``
+state.py       state as small plain values for JSON
+live.html      the page
+"""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Align the focus on the specimen: single tracking shots, nothing pushing, again and again until stopped."""
+"""Alignment of the focus on the specimen: single tracking shots, no toneburst, repeated until stopped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The live page of a run: served by a process of its own that reads the run file, so no browser can hold up a run."""
+"""Process that serves the live page of a run from its file, so that no browser can hold up the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The live page's server: loopback only, a random token in the address, one task a viewer, nothing else.
+"""Server of the live page: loopback only, a random token in the address, one task a viewer, nothing else.
 
 A viewer that is slow misses states; it never holds up the reading of the next one, let alone the acquisition.
 """

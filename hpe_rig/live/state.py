@@ -1,4 +1,4 @@
-"""What the live page shows, as plain values for JSON: small, whatever the size of the run."""
+"""State of the live page as plain values for JSON: small, whatever the size of the run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,14 @@
-"""hpe_rig/report"""
+"""Report of a run: one HTML page with figures, tests of the residual, predictions and provenance.
+
+page.py             run file -> page: ``write_report``
+views.py            one shot as people look at it: echoes, displacement, fit; the live page's too
+residual_tests.py   whether the fit leaves nothing but noise
+foreseen.py         what the error model predicts for the amplitudes found
+sweep.py            many shots as curves, means over repeats, straight lines
+provenance.py       attributes, settings read back, fingerprint of the file
+figures.py, sweep_figures.py, svg.py   drawings, and what they share with other pages
+report.html         the page's template
+"""
 
 import lazy_loader
 

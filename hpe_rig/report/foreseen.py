@@ -1,4 +1,4 @@
-"""What the analytic model foresees for the amplitudes that were found, to stand beside what the estimate states."""
+"""Prediction of the error model for the amplitudes found, to stand beside the stated uncertainties."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Run file -> one self-contained HTML page: inline SVG, no script, no network, opens anywhere.
+"""Page of a run: one self-contained HTML file with inline SVG, no script and no network.
 
-The numbers come from the stored records, estimated again, never from a table that somebody could have edited.
+Its numbers are estimated again from the stored records, never read from a table that could have been edited.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from hpe_rig.acquire import Run, chosen_estimator, open_run
+from hpe_rig.acquire import Run, open_run
 from hpe_rig.prediction import detection_text
 from hpe_rig.report import figures, provenance as report_provenance
 from hpe_rig.report.foreseen import foreseen
@@ -100,7 +100,7 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
         checks=checks,
         errors=error_stages(shown, motion),
         findings=run.findings,
-        foreseen=foreseen(run.scene, shown, chosen_estimator(estimator, run.scene)),
+        foreseen=foreseen(run.scene, shown, result.estimator),
         settings=report_provenance.settings(path, shown.shot),
         attributes=report_provenance.attributes(path, [f"version_{name}" for name in result.versions]),
         fingerprint=report_provenance.fingerprint(path),

@@ -1,4 +1,4 @@
-"""Where a run file's numbers come from: its attributes, its settings as read back, its fingerprint.
+"""Provenance of a run file's numbers: its attributes, its settings as read back, its fingerprint.
 
 Everything read here may have been tampered with: it is bounded in size, taken as text, and never followed.
 """

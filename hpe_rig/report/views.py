@@ -1,4 +1,4 @@
-"""One shot as people look at it: echoes over depth, displacement per pulse, the fitted harmonics and what is left."""
+"""Views of one shot: echoes over depth, displacement per pulse, the fitted harmonics and the residual."""
 
 from __future__ import annotations
 

@@ -1,4 +1,13 @@
-"""hpe_rig/result"""
+"""Result of a measurement: amplitude and phase with covariance, units, provenance and run time.
+
+    estimates.py   Estimate (one frequency) -> ShotResult -> Result
+    rows.py        one row a shot and frequency: CSV, pandas
+    figure.py      amplitude and phase over frequency
+    html_repr.py   figure and tables, as a notebook shows a result
+    stages.py      wall time by stage
+
+All rooms but ``scene`` may use it; it uses ``scene`` alone.
+"""
 
 import lazy_loader
 

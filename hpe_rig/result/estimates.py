@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+from hpe_rig.scene import Estimator
+
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
@@ -78,7 +80,7 @@ class Estimate:
 
     @property
     def phase_error_rad(self) -> float | None:
-        """Error of the phase against the truth, within half a turn."""
+        """Error of the phase against the ground truth, within half a turn."""
         if self.true_phase_rad is None:
             return None
         return math.remainder(self.phase_rad - self.true_phase_rad, 2 * math.pi)
@@ -117,7 +119,7 @@ class Result:
     run_file: str
     simulated: bool
     status: str
-    estimator: str
+    estimator: Estimator
     phase_reference: str
     shots: tuple[ShotResult, ...]
     warnings: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""Wall time by stage; imports nothing heavy, so that loading what is heavy can be a stage itself."""
+"""Wall time by stage; imports nothing heavy, so that loading heavy packages can be a stage itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from contextlib import contextmanager
 
 
 class Stages:
-    """Wall time by stage, in the order the stages were entered; of stages within each other the innermost counts."""
+    """Wall time by stage, in the order of entering; of nested stages the innermost one is charged.
+
+    ``with stages("read"): ...`` adds the time of the block to ``stages.run_time_s["read"]``.
+    """
 
     def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
         self.run_time_s: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""The scene: what is measured and on which specimen. TOML, SI units, the unit in every key; validated at once."""
+"""Scene: what is measured and on which specimen. TOML, SI units, the unit in every key; validated at once."""
 
 from __future__ import annotations
 
