@@ -94,7 +94,8 @@ def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[CheckResult, ..
         plan = make_plan(scene, bench)
         return plan, tuple(check_plan(scene, bench, plan))
     except (ArithmeticError, ValueError, MemoryError) as error:
-        what = f"its numbers lead to no plan ({error})"
+        why = "more memory than is available" if isinstance(error, MemoryError) else error
+        what = f"its numbers lead to no plan ({why})"
         raise SettingsError("the scene", [Mistake("", what, "values as they occur on a bench")]) from error
 
 
@@ -170,7 +171,7 @@ def _record(event: Event, scene: Scene, bench: Bench, writer: RunWriter, stages:
                     with stages("truth"):
                         pulses_m = bench.world.true_displacement_m()
                         harmonics_m = true_harmonics_m(scene, shot, bench.world.true_motion_m)
-                    writer.truth(shot, pulses_m)
+                    writer.ground_truth(shot, pulses_m)
                     writer.true_harmonics(shot, harmonics_m)
                 writer.finish(shot)
 

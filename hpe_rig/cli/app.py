@@ -1,4 +1,4 @@
-"""The commands of ``hpe-rig``; each imports what it needs when it is called, so that ``--help`` stays light."""
+"""Commands of ``hpe-rig``; each imports what it needs when called, so that ``--help`` stays fast."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hpe_rig.cli.console import (
     EXIT_INSTRUMENT,
     EXIT_MISTAKE,
     BenchPath,
+    RunFile,
     SceneName,
     announce,
     guarded,
@@ -24,19 +25,19 @@ from hpe_rig.cli.studies import studies
 from hpe_rig.result import Stages
 
 app = typer.Typer(
-    help="Measure harmonic motion with pulsed ultrasound excitation, on the bench or on its twin.",
+    help="Measure harmonic motion in tissue with pulsed ultrasound excitation, on a real or simulated bench.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-Csv = Annotated[bool, typer.Option("--csv", help="Print CSV, a row a shot and frequency, instead of a table.")]
-Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (extra: compression).")]
-Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]; absent: as the scene says.")]
-Live = Annotated[bool, typer.Option("--live", help="Show a live page with a stop button (extra live).")]
-Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to a file beside the run file.")]
-Port = Annotated[int, typer.Option(min=0, max=65535, help="Port of the live page on this machine; 0: any free one.")]
+Csv = Annotated[bool, typer.Option("--csv", help="Print CSV instead of a table, one row per shot and frequency.")]
+Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (needs the extra 'compression').")]
+Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]. Default: the scene's.")]
+Live = Annotated[bool, typer.Option("--live", help="Serve a live page with a stop button (needs the extra 'live').")]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to RUN.log beside the run file.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="Local port of the live page. 0: any free port.")]
 
 
 def main() -> None:
@@ -56,7 +57,9 @@ def main() -> None:
 def run(
     scene: SceneName,
     bench: BenchPath = None,
-    output: Annotated[Path | None, typer.Option(help="Run file; absent: SCENE.h5 here, numbered if taken.")] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Run file. Default: SCENE.h5 in this folder, numbered if it exists.")
+    ] = None,
     estimator: Estimator = None,
     json: Json = False,
     csv: Csv = False,
@@ -65,7 +68,7 @@ def run(
     live: Live = False,
     verbose: Verbose = False,
 ) -> None:
-    """Plan, acquire, store, estimate: one measurement from the scene to the table."""
+    """Measure a scene, from the plan to the printed result."""
     stages = Stages()
     with stages("load"):
         from hpe_rig.acquire import chosen_estimator, prepare, process, record_run
@@ -85,10 +88,12 @@ def run(
 @app.command()
 @guarded
 def resume(
-    run_file: Path,
-    scene: Annotated[str | None, typer.Option(help="Scene to compare with; absent: the run's own.")] = None,
+    run_file: RunFile,
+    scene: Annotated[
+        str | None, typer.Option(help="Scene that must equal the run's. Default: the scene in the run file.")
+    ] = None,
     bench: BenchPath = None,
-    output: Annotated[Path | None, typer.Option(help="Run file; absent: beside the first, numbered.")] = None,
+    output: Annotated[Path | None, typer.Option(help="New run file. Default: beside the old one, numbered.")] = None,
     estimator: Estimator = None,
     json: Json = False,
     csv: Csv = False,
@@ -96,7 +101,7 @@ def resume(
     live: Live = False,
     verbose: Verbose = False,
 ) -> None:
-    """Go on with a run that stopped: take its complete shots over into a new file, measure the others."""
+    """Continue a stopped run, keeping its complete shots. They are copied to a new file, which gets the others too."""
     stages = Stages()
     with stages("load"):
         from hpe_rig.acquire import prepare_rest, process, resume as resume_run
@@ -115,8 +120,8 @@ def resume(
 
 @app.command()
 @guarded
-def process(run_file: Path, estimator: Estimator = None, json: Json = False, csv: Csv = False) -> None:
-    """Estimate again from a stored run, also with another estimator."""
+def process(run_file: RunFile, estimator: Estimator = None, json: Json = False, csv: Csv = False) -> None:
+    """Estimate again from a stored run. The result is printed and written beside the run file."""
     from hpe_rig.acquire import process as process_run
 
     show(process_run(run_file, estimator, Stages()), json, csv)
@@ -125,12 +130,14 @@ def process(run_file: Path, estimator: Estimator = None, json: Json = False, csv
 @app.command()
 @guarded
 def report(
-    run_file: Path,
+    run_file: RunFile,
     estimator: Estimator = None,
-    output: Annotated[Path | None, typer.Option(help="HTML file; absent: RUN.html beside the run file.")] = None,
-    shot: Annotated[int | None, typer.Option(help="Shot to draw, from 1; absent: the one that moves most.")] = None,
+    output: Annotated[Path | None, typer.Option(help="HTML file. Default: RUN.html beside the run file.")] = None,
+    shot: Annotated[
+        int | None, typer.Option(help="Shot to draw, counted from 1. Default: the one with the largest motion.")
+    ] = None,
 ) -> None:
-    """Write one self-contained HTML page: what was measured, figures, tests, uncertainties, provenance."""
+    """Write the report of a run. One HTML file with results, figures, residual tests, predictions and provenance."""
     from hpe_rig.report import write_report
 
     typer.echo(f"{write_report(run_file, estimator, output, shot)}: open it in any browser")
@@ -139,11 +146,11 @@ def report(
 @app.command()
 @guarded
 def live(
-    run_file: Path,
+    run_file: RunFile,
     port: Port = 0,
     attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
 ) -> None:
-    """Serve the live page of a run that another process writes, on this machine only; Ctrl-C ends it."""
+    """Serve the live page of a run, ongoing or ended. On this machine only; stop with Ctrl-C."""
     from hpe_rig.store import extra
 
     with extra("live"):
@@ -155,7 +162,7 @@ def live(
 @app.command()
 @guarded
 def align(scene: SceneName, bench: BenchPath = None, port: Port = 0) -> None:
-    """Repeat single tracking shots without pushing, for aligning the focus on a live page, until stopped."""
+    """Align the focus on a live page, without excitation. Single tracking shots are repeated until stopped."""
     from hpe_rig.acquire import prepare
     from hpe_rig.store import extra
 
@@ -164,7 +171,7 @@ def align(scene: SceneName, bench: BenchPath = None, port: Port = 0) -> None:
 
     setup = without_pushing(prepare(scene, bench, refuse=False))
     shots = align_focus(setup, port, announce)
-    typer.echo(f"stopped after {shots} single shots: every output is off, verified")
+    typer.echo(f"stopped after {shots} single shots; all outputs verified off")
 
 
 @app.command()
@@ -173,10 +180,13 @@ def check(
     scene: SceneName,
     bench: BenchPath = None,
     target: Annotated[
-        str | None, typer.Option(help="Wanted uncertainty, such as 20nm: prints what reaches it.")
+        str | None,
+        typer.Option(
+            help="Wanted uncertainty, such as 20nm. Print the pulse count, pulse rate or SNR that reaches it."
+        ),
     ] = None,
 ) -> None:
-    """Print the plan: timeline, checks, what is left out, duration, file size, bias and jitter. Opens nothing."""
+    """Print timeline, conflicts and expected errors of a scene. No instrument is opened."""
     from hpe_rig.acquire import check as check_scene
 
     checked = check_scene(scene, bench, target)
@@ -190,9 +200,9 @@ def check(
 def emulate(
     scene: SceneName = "bovine-muscle",
     bench: BenchPath = None,
-    transport: Annotated[str, typer.Option(help="socket, serial, hislip, vxi11 or prologix")] = "socket",
+    transport: Annotated[str, typer.Option(help="One of socket, serial, hislip, vxi11, prologix.")] = "socket",
 ) -> None:
-    """Serve the simulated generators on loopback to any VISA program, print the bench file, end on Ctrl-C."""
+    """Serve the simulated generators to any VISA program. On loopback; prints the bench file; stop with Ctrl-C."""
     from hpe_rig.acquire import prepare
     from hpe_rig.bench import emulate as serve
 
@@ -213,10 +223,10 @@ def scenes() -> None:
 @app.command()
 @guarded
 def new(
-    name: Annotated[str, typer.Argument(help="The new scene's name; NAME.toml is written here.")],
-    like: Annotated[str, typer.Option(help="The scene to start from.")] = "bovine-muscle",
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the copy. NAME.toml is written to this folder.")],
+    like: Annotated[str, typer.Option(help="Scene to copy, or 'bench' for a bench file.")] = "bovine-muscle",
 ) -> None:
-    """Copy a shipped scene, or the simulated bench file with --like bench, to a file of your own."""
+    """Copy a shipped scene or bench file, to edit."""
     from hpe_rig.bench import read_bench
     from hpe_rig.scene import scene_text
 
@@ -226,22 +236,24 @@ def new(
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        typer.echo(f"{path} exists and is never overwritten. Try: another name.", err=True)
+        typer.echo(f"{path} already exists and is not overwritten. Try: another name.", err=True)
         raise typer.Exit(EXIT_MISTAKE) from None
     except OSError as error:
-        typer.echo(f"{path} cannot be written ({error.strerror}). Try: another folder.", err=True)
+        typer.echo(f"cannot write {path} ({error.strerror}). Try: another folder.", err=True)
         raise typer.Exit(EXIT_MISTAKE) from None
     typer.echo(
-        f"{path}: edit it, then hpe-rig check {path}" if like != "bench" else f"{path}: edit it, then --bench {path}"
+        f"{path}: edit it, then run hpe-rig check {path}"
+        if like != "bench"
+        else f"{path}: edit it, then pass --bench {path}"
     )
 
 
 @app.command()
 @guarded
 def schema(
-    of: Annotated[str, typer.Argument(help="scene, bench or simulation")] = "scene",
+    of: Annotated[str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation.")] = "scene",
 ) -> None:
-    """Print the JSON schema of a scene, a bench file or the [simulation] section, for editors."""
+    """Print the JSON schema of a settings file, for use in editors."""
     import json
 
     from hpe_rig.acquire import json_schema
@@ -252,18 +264,20 @@ def schema(
 @app.command("bench")
 @guarded
 def bench_command(
-    bench: Annotated[Path | None, typer.Argument(help="Bench file or run file; absent: the simulated bench.")] = None,
-    compare: Annotated[Path | None, typer.Option(help="Run file: print what differs from its bench.")] = None,
+    bench: Annotated[
+        Path | None, typer.Argument(metavar="BENCH", help="Bench file or run file. Default: the simulated bench.")
+    ] = None,
+    compare: Annotated[Path | None, typer.Option(help="Run file. Print how its bench differs from this one.")] = None,
     self_test: Annotated[
-        bool, typer.Option("--self-test", help="Have every generator test itself too, with all outputs off.")
+        bool, typer.Option("--self-test", help="Also run each generator's self-test, outputs off.")
     ] = False,
 ) -> None:
-    """Ask every instrument who it is and how it is set, or compare a bench or run with another run; all stays safe."""
+    """Identify every instrument, read its settings, leave outputs off. Or compare with the bench of a run."""
     from hpe_rig.cli.bench import bench_state, compare_with, print_report
     from hpe_rig.scene import Mistake, SettingsError
 
     if bench is not None and bench.suffix == ".h5" and (self_test or compare is None):
-        what = "a run file only remembers a bench: no instrument can be asked or tested"
+        what = "a run file records a bench but gives no access to its instruments"
         raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])
     state = bench_state(bench, self_test)
     if state.report is not None:

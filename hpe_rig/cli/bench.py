@@ -1,4 +1,4 @@
-"""``hpe-rig bench``: a bench as it stands, or as a run file remembers it, printed and compared."""
+"""Command ``bench``: a bench as it stands, or as a run file records it, printed and compared."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class BenchState:
 
 
 def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
-    """Return the state of the bench in the bench file ``path``, or of the bench that a run file remembers.
+    """Return the state of the bench in the bench file ``path``, or of the bench that a run file records.
 
     See ``survey`` for ``self_test``.
     """
@@ -38,7 +38,7 @@ def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
 
 
 def compare_with(path: Path, state: BenchState) -> str:
-    """Return in words what differs between the run file ``path`` and ``state``."""
+    """Return the differences between the bench of the run file ``path`` and ``state`` as text, one a line."""
     run = _state_of_run(path)
     before = run.settings if state.report is None else _stated_now(run.settings, state.settings)
     found = [*file_differences(run.tables, state.tables), *settings_differences(before, state.settings)]
@@ -49,7 +49,7 @@ def compare_with(path: Path, state: BenchState) -> str:
 
 
 def _stated_now(before: Mapping[str, Settings], now: Mapping[str, Settings]) -> dict[str, Settings]:
-    """Return ``before`` without what a board states only once it is programmed, as nobody has done now."""
+    """Return ``before`` without what a board states only once it is programmed, which a survey does not do."""
     stated = now.get("digitizer")
     if stated is None or "digitizer" not in before:
         return dict(before)
@@ -64,7 +64,7 @@ def _state_of_run(path: Path) -> BenchState:
 
 
 def print_report(report: BenchReport) -> None:
-    """Print the table, then what is wrong with the remedy, then the addresses found."""
+    """Print the table of instruments, then each problem with its remedy, then the addresses found."""
     console = wide_console()
     console.print(f"{report.title} ({'SIMULATED' if report.simulated else 'real'})", style="bold")
     headers = ("role", "address", "model", "serial", "firmware", "found", "self-test", "round trip\nms")
@@ -77,7 +77,7 @@ def print_report(report: BenchReport) -> None:
             f"VISA addresses found: {', '.join(report.addresses) or 'none (LAN instruments may not be listed)'}"
         )
     if report.settings:
-        console.print("every instrument that answered is safe: outputs off, digitizer idle, read back")
+        console.print("every instrument that answered is safe: outputs off, digitizer idle, verified")
 
 
 def _row(found: Found) -> tuple[str, ...]:

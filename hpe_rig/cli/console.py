@@ -1,4 +1,4 @@
-"""What every command shares: how failures end, how results are printed, how progress shows."""
+"""Exit codes, error messages, progress and printed results, the same for every command."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_INTERRUPTED, EXIT_TERMINATED = 
 
 
 def guarded(command: Callable[P, None]) -> Callable[P, None]:
-    """Return ``command`` such that every expected failure ends in a message and an exit code, never in a traceback."""
+    """Return ``command`` with every expected failure turned into a message and an exit code, never a traceback."""
 
     @functools.wraps(command)
     def guard(*args: P.args, **kwargs: P.kwargs) -> None:
@@ -40,12 +40,12 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
 
 
 def announce(text: str) -> None:
-    """Say something that is no result."""
+    """Print a message to standard error, which keeps standard output for results."""
     typer.echo(text, err=True)
 
 
 def scenes_like(incomplete: str) -> list[str]:
-    """Return the shipped scenes and the TOML files here that a shell may complete ``incomplete`` to."""
+    """Return the shipped scenes and TOML files in this folder whose names begin with ``incomplete``."""
     from hpe_rig.scene import shipped_scenes
 
     names = [*shipped_scenes(), *(path.name for path in sorted(Path().glob("*.toml")))]
@@ -71,7 +71,7 @@ def show(result: Result, json: bool, csv: bool) -> None:
 
 @contextmanager
 def progress(setup: Setup, quiet: bool) -> Iterator[Observer]:
-    """Yield what draws a progress bar on a terminal and nothing anywhere else."""
+    """Yield an observer that draws a progress bar on a terminal, and does nothing elsewhere."""
     from hpe_rig.acquire import Progress, unobserved
 
     if quiet or not sys.stderr.isatty():
@@ -120,6 +120,7 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
 
 SceneName = Annotated[
     str,
-    typer.Argument(metavar="SCENE", help="A shipped scene's name or a TOML file.", autocompletion=scenes_like),
+    typer.Argument(metavar="SCENE", help="Name of a shipped scene, or a TOML file.", autocompletion=scenes_like),
 ]
-BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file; absent: the simulated bench.")]
+BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file. Default: the simulated bench.")]
+RunFile = Annotated[Path, typer.Argument(metavar="RUN", help="Run file, such as bovine-muscle.h5.")]

@@ -1,4 +1,4 @@
-"""Command ``hpe-rig study``: workers, progress and the closing table around `run_study`."""
+"""Command ``study``: workers, progress bar and closing table around ``run_study``."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def study_command(
     show: Callable[[str], None],
     report: bool = False,
 ) -> None:
-    """Run the study ``name``, show its progress and what it took; write its report where wanted."""
+    """Run the study ``name``, print what it computed and how long it took, and write its report if asked."""
     count = workers or os.cpu_count() or 1
     open_pool = functools.partial(cluster, scheduler, count) if scheduler else functools.partial(processes, count)
     ahead = 64 if scheduler else 2 * count + 2

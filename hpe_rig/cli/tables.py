@@ -1,4 +1,4 @@
-"""Tables of a result for people: nm, degrees, Hz."""
+"""Result as a table on the terminal: nm, degrees, Hz."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEAST_S = 0.005
 
 
 def print_result(result: Result) -> None:
-    """Print every shot's table, warnings, what was left out and the run time by stage."""
+    """Print the table of each shot, the warnings, what was left out, and the run time by stage."""
     console = wide_console()
     source = "SIMULATED" if result.simulated else "measured"
     console.print(f"\n{result.title}", style="bold")

@@ -1,4 +1,4 @@
-"""Observers of a run: a request to stop, a log, a live page; none costs anything unless asked for."""
+"""Observers of a run: stop request, log and live page, each loaded only when asked for."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Watch = Callable[[Observer], Observer]
 
 @contextmanager
 def watched(setup: Setup, path: Path, live: bool, verbose: bool, announce: Callable[[str], None]) -> Iterator[Watch]:
-    """Yield what makes of an observer one with which the run into ``path`` can be stopped and is logged.
+    """Yield a function that wraps an observer so that the run into ``path`` can be stopped and is logged.
 
-    A live page started from a terminal stays after the run until Ctrl-C. Raises ``StoreError`` where log or page
-    cannot start.
+    A live page started from a terminal stays open after the run until Ctrl-C. Raises ``StoreError`` where the log or
+    the page cannot start.
     """
     with ExitStack() as stack:
         log: Watch = _same
@@ -32,12 +32,12 @@ def watched(setup: Setup, path: Path, live: bool, verbose: bool, announce: Calla
                 from hpe_rig.live import live_page_of
 
             announce(f"live page: {stack.enter_context(live_page_of(path))}")
-        # A request left over from an earlier run of this name is none for this one.
+        # A request left over from an earlier run of the same name must not stop this one.
         clear_stop(path)
         stack.callback(clear_stop, path)
         yield lambda observer: stoppable(log(observer), path)
         if live and sys.stdin.isatty():
-            announce("the live page stays until Ctrl-C")
+            announce("the live page stays open until Ctrl-C")
             with suppress(KeyboardInterrupt):
                 while True:
                     time.sleep(0.5)

@@ -1,22 +1,19 @@
-"""The HDF5 run file: written while the run goes on, readable at every moment, distrusted when read.
+"""Records and results on disk, in HDF5: written while a run goes on, readable at every moment, checked when read.
 
-Layout, format version 2 (``store_layout``)::
+Files, in the order in which a run passes through them::
 
-    /                      attributes: format, format_version, title, scene_name, bench_name, simulated, status, seed,
-                           predecessor, predecessor_shots, version_*
-    /scene, /bench         TOML text; /snapshot (shot,) JSON of the settings read back
-    /records               echo (shot, pulse, sample) int16 with scale_factor and add_offset to volts; recorded
-                           (shot, pulse) 1 where a record is there, written after it; trigger_time_s and pulse_onset_s
-                           (shot, pulse); shot_complete and clipped (shot,); burst_length_s, force_fraction, repeat
-                           (shot,); scales shot, pulse, sample
-    /run_time              run_time_s (stage,) of the acquisition, NaN where nobody asked for it; scale stage: names
-    /truth                 displacement_m (shot, pulse), simulated runs only
-    /true_harmonics        A cos(phase) and A sin(phase) of the true motion (shot, frequency), simulated runs only
+    format.py             names, versions and limits that writers and readers share; ``StoreError``; file names
+    layout.py             the empty run file: every group, dataset and attribute at its final size
+    records.py            record blocks as they arrive -> the place of each record's pulse
+    atomic.py             files that appear whole or not at all
+    writer.py             ``RunWriter``: creates the file; writes records, settings, ground truth and status
+    validation.py         reading a file that anybody may have written: nothing is taken for granted
+    reader.py             ``read_run``: the run file, shot by shot, when asked for
+    result_file.py        ``write_result``: the result beside the run file
+    optional_packages.py  ``extra``: a missing optional package, named with the extra that brings it
 
-Promises: ``status`` is running, complete, aborted or failed. Everything stands at its final size before the first
-record (``store_writer``), so that a file whose writer was killed opens, in HDF5's single-writer-multiple-reader mode,
-and holds every record whose mark stands. Within a format version things are added, never renamed or redefined; a reader
-refuses a newer version with a message and keeps on reading every version from 2 on (``store_reader``).
+Other rooms write with ``RunWriter`` and ``write_result``, read with ``read_run`` and ``read_snapshots``, and catch
+``StoreError``. The format itself, with its promises, is described in ``docs/run-file.md``.
 """
 
 import lazy_loader

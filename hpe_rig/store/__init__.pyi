@@ -11,9 +11,9 @@ from .format import (
 from .layout import Predecessor as Predecessor
 from .optional_packages import extra as extra
 from .reader import (
+    StoredGroundTruth as StoredGroundTruth,
     StoredRecords as StoredRecords,
     StoredRun as StoredRun,
-    StoredTruth as StoredTruth,
     read_run as read_run,
     read_snapshots as read_snapshots,
 )

@@ -1,4 +1,4 @@
-"""What writers and readers of run files share: names, versions, limits, the one error."""
+"""Names, versions and limits that writers and readers of run files share, and their one error."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ STAGES: Final = (
     "store",
     "truth",
 )
-"""Stages of an acquisition, in the order of the run file's run times; "collect" ends with every output off."""
+"""Stages of an acquisition, in the order of the run times in the run file; "collect" ends with every output off."""
 STAGE_BYTES: Final = 16
 MOST_STAGES: Final = 64
 STATUS_BYTES: Final = 8
-"""Room for running, complete, aborted or failed: an attribute that changes must not change its size."""
+"""Enough for running, complete, aborted and failed: the attribute changes during a run, so its size is fixed."""
 SNAPSHOT_BYTES: Final = 8192
-"""Room for one shot's settings as JSON; of fixed size, since nothing may be created while others read."""
+"""Enough for the settings of one shot as JSON; fixed, since nothing may be created while others read."""
 CHUNK_BYTES: Final = 1_000_000
-"""Wanted size of one chunk of echoes: what a crash can cost."""
+"""Target size of one chunk of echoes, which is the most that a crash can cost."""
 ROW_CHUNK: Final = 65536
-"""Most pulses in one chunk of a quantity with one value a pulse."""
+"""Most pulses in one chunk of a quantity with one value per pulse."""
 BITSHUFFLE: Final = 32008
-"""Registered HDF5 filter of bitshuffle with LZ4."""
+"""Registered number of the HDF5 filter bitshuffle with LZ4."""
 
 
 class StoreError(Exception):
-    """A run file that cannot be written or read; says which, why and what to try."""
+    """A file that cannot be written or read; the message says which, why, and what to try."""
 
 
 def versions() -> dict[str, str]:
-    """Return the versions that shaped the numbers, and the commit the package was built from where it is known."""
+    """Return the versions of Python and of the packages that produced the numbers, and the commit if known."""
     return dict(_versions())
 
 
@@ -77,23 +77,23 @@ def result_path(run_path: Path, estimator: str) -> Path:
 
 
 def reason(error: BaseException) -> str:
-    """Return what went wrong in the operating system's words or in plain ones, never in the HDF5 library's."""
+    """Return the cause of ``error`` in the operating system's words or plain ones, never in the HDF5 library's."""
     text = str(error)
     if found := re.search(r"error message = '([^']*)'", text):
         return found.group(1)
     if isinstance(error, OSError) and error.strerror and "nable to" not in error.strerror:
         return error.strerror
     if isinstance(error, MemoryError):
-        return "it takes more memory than there is"
-    return next((words for sign, words in _PLAIN.items() if sign in text), "the HDF5 library cannot make sense of it")
+        return "it needs more memory than is available"
+    return next((words for sign, words in _PLAIN.items() if sign in text), "the HDF5 library cannot read it")
 
 
 _PLAIN: Final = {
     "truncated file": "it is cut short",
-    "signature not found": "it is no HDF5 file",
+    "signature not found": "it is not an HDF5 file",
     "unable to lock": "another program has it open",
     "already open": "another program has it open",
-    "doesn't exist": "something is absent",
+    "doesn't exist": "something in it is missing",
     "checksum": "its bytes do not match their checksums",
-    "filter": "its records cannot be unpacked",
+    "filter": "its records cannot be decompressed",
 }

@@ -1,8 +1,8 @@
-"""The empty run file as bytes: every group, dataset and attribute, before the first record.
+"""Empty run file as bytes: every group, dataset and attribute, before the first record.
 
-Nothing can be created once others read along, so everything stands at its final size and is filled in later. All but
-the echoes has its place on the disk from the start: when the disk fills up it is a chunk of echoes that does not fit,
-and nothing that the library would still have to write.
+HDF5 allows nothing to be created while others read, so everything has its final size here and is filled in later. All
+but the echoes also has its place on the disk from the start: when the disk fills up, it is a chunk of echoes that does
+not fit, never something that the library would still have to write. ``docs/run-file.md`` describes what is in the file.
 """
 
 from __future__ import annotations
@@ -36,18 +36,16 @@ from hpe_rig.store.optional_packages import extra
 from hpe_rig.store.records import MISSING
 
 LIBVER = ("v110", "v110")
-"""Read by HDF5 1.10 and everything after it, and by nothing before: concurrent reading came with 1.10."""
+"""Readable with HDF5 1.10 and later: concurrent reading came with 1.10."""
 MOST_PLACED_BYTES = 64_000_000
-"""Up to this size the quantities with a value a pulse get their place at once; beyond, as they are written."""
-
-
+"""Quantities with one value per pulse are allocated at once up to this size, and beyond it as they are written."""
 TRUE_HARMONICS = ("in_phase_m", "quadrature_m")
-"""A cos(phase) and A sin(phase) of the true displacement at the focus, in group ``true_harmonics``."""
+"""A cos(phase) and A sin(phase) of the true displacement at the focus, datasets of group ``true_harmonics``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Predecessor:
-    """The run file that a run goes on from, by name, and how many of its shots were taken over."""
+    """Run file that a resumed run continues, by name, and how many of its shots were copied."""
 
     name: str = ""
     shots: int = 0
@@ -64,9 +62,9 @@ def empty_run(
         times["run_time_s"] = np.full(len(STAGES), math.nan)
         name_axes(times, {"stage": np.array(STAGES, f"S{STAGE_BYTES}")}, {"run_time_s": "s"})
         if bench.bench.simulated:
-            truth = file.create_group("truth")
-            _create_rows(truth, "displacement_m", plan, np.dtype("<f8"), math.nan)
-            name_axes(truth, _shot_and_pulse(plan), {"displacement_m": "m"})
+            ground_truth = file.create_group("truth")
+            _create_rows(ground_truth, "displacement_m", plan, np.dtype("<f8"), math.nan)
+            name_axes(ground_truth, _shot_and_pulse(plan), {"displacement_m": "m"})
             _create_true_harmonics(file, len(plan.shots), scene.scene.wanted_frequencies_hz)
         file.flush()
         image: bytes = file.id.get_file_image()
@@ -81,7 +79,7 @@ def volts_of_codes(input_range_v: float, code_limits: tuple[int, int]) -> tuple[
 
 
 def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:
-    """Give every dataset of ``group`` its units and, axis by axis in this order, the named scales."""
+    """Give every dataset of ``group`` its units, and its axes, in this order, the named dimension scales."""
     datasets = [item for item in group.values() if isinstance(item, h5py.Dataset) and item.ndim]
     for name, values in scales.items():
         group[name] = values
@@ -115,7 +113,7 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
 
 
 def _fixed(text: str) -> NDArray[Any]:
-    """Return ``text`` as UTF-8 of its own fixed length, which a reader can judge before it reads it."""
+    """Return ``text`` as UTF-8 of fixed length, which a reader can check before reading it."""
     encoded = text.encode("utf-8")
     return np.array(encoded, dtype=h5py.string_dtype("utf-8", max(1, len(encoded))))
 
@@ -150,9 +148,9 @@ def _create_codes(
     echo = group.create_dataset(
         name, shape, "<i2", chunks=(1, pulses_a_chunk, shape[2]), fillvalue=MISSING, **(_filter() if compress else {})
     )
-    # The first chunk brings the index of all of them into being.
+    # Writing the first chunk creates the index of all chunks.
     echo[0, :pulses_a_chunk] = MISSING
-    # The CF names: readers that know them turn codes into volts and missing records into NaN by themselves.
+    # CF conventions: readers that know them convert codes to volts and missing records to NaN by themselves.
     scale, offset = volts_of_codes(input_range_v, code_limits)
     echo.attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
     lowest, highest = map(np.int16, code_limits)
@@ -165,7 +163,7 @@ def _filter() -> Mapping[str, Any]:
     filters: Mapping[str, Any] = hdf5plugin.Bitshuffle(cname="lz4")
     if filters["compression"] != BITSHUFFLE:
         raise StoreError(
-            f"hdf5plugin offers filter {filters['compression']} where run files have bitshuffle, {BITSHUFFLE}. "
+            f"hdf5plugin offers filter {filters['compression']} instead of bitshuffle, {BITSHUFFLE}. "
             "Try: pip install --upgrade hdf5plugin, or no --compress."
         )
     return filters

@@ -1,16 +1,16 @@
-"""Optional packages: one that is missing is named, with the extra that brings it."""
+"""Optional packages: a missing one is reported with the extra that brings it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from hpe_rig.store.format import StoreError
+
 
 @contextmanager
 def extra(name: str) -> Iterator[None]:
     """Turn a package that is missing inside the block into a ``StoreError`` that names the extra ``name``."""
-    from hpe_rig.store.format import StoreError
-
     try:
         yield
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""What a run file holds, read shot by shot when it is asked for; also while the run goes on."""
+"""Content of a run file, read shot by shot when asked for, also while the run goes on."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ STATUSES: Final = ("running", "complete", "aborted", "failed")
 CODE_LIMITS_UNSTATED: Final = (-8192, 8191)
 """Lowest and highest code in files from before these were written: the 14 bits of the only digitizer then."""
 MOST_UNHELD_BYTES: Final = 256_000_000
-"""How much memory a shot may take beyond what the file holds: places of records that never came."""
+"""Most memory that a shot may take beyond what the file holds, for records that never came."""
 MOST_SHOTS: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class StoredRecords(Sequence[ShotRecords]):
-    """The records of every shot, (shot); each is read when it is asked for, as it stands in the file by then."""
+    """Records of every shot, (shot,), each read when asked for, as the file has it by then."""
 
     path: Path
     shape: Shape
@@ -51,14 +51,14 @@ class StoredRecords(Sequence[ShotRecords]):
         return self.gated(shot, slice(0, self.shape[2]))
 
     def monitor(self, shot: int) -> ShotRecords | None:
-        """Return the records of ``shot`` at the second input, (pulse, sample); None where it was not recorded."""
+        """Return the records of ``shot`` at the monitor input, (pulse, sample), or None where it was not recorded."""
         with trusted(self.path) as trust:
             if not trust.has("records/monitor"):
                 return None
         return self.gated(shot, slice(0, self.shape[2]), "monitor")
 
     def gated(self, shot: int, gate: slice, name: str = "echo") -> ShotRecords:
-        """Return the records of ``shot``, of each the samples of ``gate`` alone: (pulse, sample)."""
+        """Return the samples in ``gate`` of each record of ``shot``, (pulse, sample)."""
         shot = _within(shot, self.shape[0])
         if not 0 <= gate.start < gate.stop <= self.shape[2]:
             raise StoreError(
@@ -96,8 +96,8 @@ class StoredRecords(Sequence[ShotRecords]):
 
 
 @dataclass(frozen=True, slots=True)
-class StoredTruth:
-    """The true displacement of every shot, float64 (pulse,) each, read when it is asked for."""
+class StoredGroundTruth:
+    """True displacement of every shot, float64 (pulse,) in m, each read when asked for."""
 
     path: Path
     shape: Shape
@@ -108,7 +108,7 @@ class StoredTruth:
             return row_m
 
     def harmonics_m(self, shot: int, frequencies: int) -> NDArray[np.float64]:
-        """Return in-phase and quadrature of the true displacement at the wanted frequencies, (frequency, 2)."""
+        """Return A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
         shape = (self.shape[0], frequencies)
         with trusted(self.path) as trust:
             names = [f"true_harmonics/{name}" for name in TRUE_HARMONICS]
@@ -119,11 +119,11 @@ class StoredTruth:
 
 @dataclass(frozen=True, slots=True)
 class StoredRun:
-    """What a run file holds; ``true_displacement_m``, (pulse,) for each shot, is None for a real bench.
+    """Content of a run file; ``true_displacement_m``, (pulse,) for each shot, is None for a real bench.
 
-    ``shot_complete`` (shot,): which shots came to their end. ``clipped`` are the indices of the shots during which the
-    digitizer's input left its range. ``predecessor`` names the run that this one went on from, "" where there is none.
-    ``run_time_s`` is the wall time of the acquisition by stage, empty where it was not taken.
+    ``shot_complete`` (shot,) tells which shots are complete. ``clipped`` lists the shots during which the digitizer's
+    input left its range. ``predecessor`` names the run that this one continued, "" where there is none. ``run_time_s``
+    is the wall time of the acquisition by stage, empty where it was not measured.
     """
 
     path: Path
@@ -134,14 +134,14 @@ class StoredRun:
     simulated: bool
     status: str
     records: StoredRecords
-    true_displacement_m: StoredTruth | None
+    true_displacement_m: StoredGroundTruth | None
     shot_complete: NDArray[np.bool_]
     clipped: tuple[int, ...]
     predecessor: str
     run_time_s: Mapping[str, float]
 
     def rows(self, shot: int) -> dict[str, Any]:
-        """Return everything of ``shot`` but its echoes, by its place in the file."""
+        """Return everything of ``shot`` but its echoes, keyed by the path of the dataset in the file."""
         shape = self.records.shape
         with trusted(self.path) as trust:
             rows = {
@@ -156,7 +156,7 @@ class StoredRun:
             return rows | {name: _rows(trust, name, shape)[shot] for name in names}
 
     def refuse_unlike(self, plan: Plan) -> None:
-        """Raise ``StoreError`` where the records are not those of ``plan``: the file was changed, or its scene."""
+        """Raise ``StoreError`` where the records do not fit ``plan``: the file was changed, or its scene."""
         capture = plan.shots[0].capture
         planned = (len(plan.shots), capture.record_count, capture.record_samples)
         if planned != self.records.shape:
@@ -169,19 +169,19 @@ class StoredRun:
             expected = volts_of_codes(capture.input_range_v, _code_limits(trust, "records/echo"))
         if not np.allclose(stored, expected, rtol=1e-9, atol=0):
             raise StoreError(
-                f"{self.path} has {stored[0]:g} V a code, its scene's input range of {capture.input_range_v:g} V "
+                f"{self.path} has {stored[0]:g} V per code, its scene's input range of {capture.input_range_v:g} V "
                 f"gives {expected[0]:g}. It was changed. Try: an untouched copy."
             )
 
 
 def read_run(path: Path) -> StoredRun:
-    """Return the run in ``path``, also one that is going on or was killed; raise ``StoreError`` where it is none."""
+    """Return the run in ``path``, also one that goes on or was killed; raise ``StoreError`` if it is not a run file."""
     with trusted(path) as trust:
         return _stored_run(trust, path)
 
 
 def read_snapshots(path: Path) -> tuple[Mapping[str, Mapping[str, Setting]], ...]:
-    """Return each acquired shot's settings as read back, by role; raise ``StoreError`` as ``read_run`` does."""
+    """Return the settings of each acquired shot as read back, by role; raise ``StoreError`` as ``read_run`` does."""
     with trusted(path) as trust:
         dataset = trust.dataset("snapshot", f"S{SNAPSHOT_BYTES}", (None,))
         texts = [text for shot in range(dataset.shape[0]) if (text := dataset[shot])]
@@ -224,7 +224,7 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
         simulated=simulated,
         status=status,
         records=StoredRecords(path, shape),
-        true_displacement_m=StoredTruth(path, shape) if simulated else None,
+        true_displacement_m=StoredGroundTruth(path, shape) if simulated else None,
         shot_complete=flags["shot_complete"],
         clipped=tuple(int(shot) for shot in np.flatnonzero(flags["clipped"])),
         predecessor=trust.attribute("predecessor", str),
@@ -234,7 +234,7 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
 
 def _run_time_s(trust: Trusted) -> dict[str, float]:
     if not trust.has("run_time"):
-        # Written before run times were.
+        # The earliest run files of this version have none.
         return {}
     names = trust.dataset("run_time/stage", f"S{STAGE_BYTES}", (None,))
     if names.shape[0] > MOST_STAGES:

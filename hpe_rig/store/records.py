@@ -1,4 +1,4 @@
-"""One shot's codes with their axes; what did not arrive is marked as missing."""
+"""Records of one shot: blocks as they arrive -> codes on the plan's axes, missing records marked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The result file: a file of its own, so that records are written once, and never half there."""
+"""Result file: separate from the run file, so that records are written once and never touched again."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ RESULT_UNITS: Final = {
 def write_result(path: Path, result: Result) -> None:
     """Write ``result`` to ``path``, in place of an earlier result there and of nothing else.
 
-    Group ``results``: one dataset an estimate's value, dimensions shot and frequency, NaN where a value is unknown.
+    Group ``results``: one dataset for each quantity of an estimate, float64 (shot, frequency), NaN where unknown.
     Raises ``StoreError`` if it cannot be written.
     """
     _refuse_foreign(path)
@@ -61,17 +61,19 @@ def _write(file: h5py.File, result: Result) -> None:
 
 
 def _refuse_foreign(path: Path) -> None:
-    """Raise ``StoreError`` where ``path`` is there and was not written as a result."""
+    """Raise ``StoreError`` where ``path`` exists and is not a result file."""
     if not path.exists():
         return
     try:
         with h5py.File(path, "r") as file:
-            # Results of earlier versions carry no format; nothing else has a group of this name with these attributes.
+            # Results of earlier versions have no attribute ``format``, but these two.
             known = file.attrs.get("format") == RESULT_FORMAT or {"run_file", "estimator"} <= set(file.attrs)
     except (OSError, KeyError, ValueError, RuntimeError):
         known = False
     if not known:
-        raise StoreError(f"{path} exists and is no result of hpe-rig: it is left alone. Try: move it away.")
+        raise StoreError(
+            f"{path} exists and is not a result file of hpe-rig, so it is not replaced. Try: move it away."
+        )
 
 
 def _number(value: float | None) -> float:

@@ -1,7 +1,7 @@
-"""Reading an HDF5 file that somebody else may have written: nothing is taken for granted, nothing outside it opened.
+"""Validation of an HDF5 file that anybody may have written: nothing is taken for granted, no other file is opened.
 
-A file can name other files (external links, external storage, virtual datasets), declare sizes that it does not
-hold, and carry filters; each is refused here, before a byte of data is asked for.
+A file can refer to other files (external links, external storage, virtual datasets), declare sizes that it does not
+hold, and name filters; each is refused here, before any data is read.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 SUPERBLOCK: Final = 3
 """Version of the HDF5 superblock of every run file; from it on all of the library's metadata carry checksums."""
 FLAGS_PLACE: Final = 11
-"""Where that superblock marks a file as being written."""
+"""Byte of that superblock in which a file is marked as being written."""
 READ_ATTEMPTS: Final = 20
 OPEN_ATTEMPTS: Final = 5
 OPEN_PAUSE_S: Final = 0.02
 
 
 class UntrustedError(Exception):
-    """Something in a file is not what a run file has there."""
+    """Content of a file that differs from what a run file has there."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trusted:
-    """An open file of which only what has been checked is handed out."""
+    """Open file that hands out only what has been checked."""
 
     file: h5py.File
 
@@ -52,7 +52,7 @@ class Trusted:
         return _text(dataset[()], f"/{name}") if _is_text(dataset, f"/{name}") else ""
 
     def dataset(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
-        """Return dataset ``name`` if it has this type and shape; None stands for any length."""
+        """Return dataset ``name`` if it has this type and shape, where None stands for any length."""
         dataset = self._item(name, h5py.Dataset)
         _refuse_outside(dataset, name)
         if dataset.dtype != np.dtype(dtype):
@@ -125,20 +125,21 @@ def _opened(path: Path, in_use: bool) -> h5py.File:
     if not in_use:
         with contextlib.suppress(OSError):
             return h5py.File(path, "r")
-        # A run that a full disk ended is shorter than its last chunk would be; a reader of a growing file minds less.
+        # A run ended by a full disk is shorter than it declares, which HDF5 tolerates in a file that may still grow.
     access = _patience()
     for _ in range(OPEN_ATTEMPTS - 1):
         with contextlib.suppress(OSError):
             return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, access))
-        # A writer may be between two of its steps; a damaged file is asked for these 0.1 s as well.
+        # A writer may be between two of its steps. On a damaged file this costs 0.1 s.
         time.sleep(OPEN_PAUSE_S)
     return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, access))
 
 
 def _patience() -> h5p.PropFAID:
-    """Return file access properties under which damaged metadata are read ``READ_ATTEMPTS`` times, not for ever.
+    """Return file access properties with ``READ_ATTEMPTS`` attempts to read damaged metadata.
 
-    The library doubles its pause at each of 100 attempts by default; h5py does not hand this setting through.
+    The library's default is 100, with a pause that doubles each time: practically for ever. h5py does not expose the
+    setting, hence ctypes.
     """
     access = h5p.create(h5p.FILE_ACCESS)
     beside = Path(h5py.__file__).parent / "hdf5.dll"
@@ -149,14 +150,14 @@ def _patience() -> h5p.PropFAID:
 
 
 def _refuse_foreign(path: Path) -> bool:
-    """Return whether the file says that it is being written: it is, or its writer was killed."""
+    """Return whether the file is marked as being written: it is, or its writer was killed."""
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "is no regular file" if path.exists() else "does not exist"
         raise StoreError(f"{path} {what}. Try: a file written by hpe-rig run, here or with its folder's name.")
     with path.open("rb") as file:
         start = file.read(FLAGS_PLACE + 1)
     if start[: len(SIGNATURE)] != SIGNATURE:
-        raise UntrustedError("it is no HDF5 file")
+        raise UntrustedError("it is not an HDF5 file")
     if len(start) <= FLAGS_PLACE or start[len(SIGNATURE)] != SUPERBLOCK:
         raise UntrustedError(
             f"it is an HDF5 file of another kind (a run file has a superblock of version {SUPERBLOCK})"
@@ -165,7 +166,7 @@ def _refuse_foreign(path: Path) -> bool:
 
 
 def _refuse_format(trust: Trusted) -> None:
-    foreign = UntrustedError("it is an HDF5 file, but a result or another program's")
+    foreign = UntrustedError("it is an HDF5 file, but a result file or another program's")
     try:
         if trust.attribute("format", str) != FORMAT:
             raise foreign
@@ -177,18 +178,18 @@ def _refuse_format(trust: Trusted) -> None:
             f"it has format version {version}, this program reads up to {FORMAT_VERSION}; a newer hpe-rig reads it"
         )
     if version < FORMAT_VERSION:
-        raise UntrustedError(f"it has format version {version}, which came before run files kept their promises")
+        raise UntrustedError(f"it has format version {version}, which predates the promises of run files")
 
 
 def _is_text(holder: Any, where: str) -> bool:
-    """Return whether there is text to be read; raise ``UntrustedError`` where there is something else."""
+    """Return True where ``holder`` has a single text of fixed, bounded length; raise ``UntrustedError`` otherwise."""
     if holder.shape != ():
         raise UntrustedError(f"{where} is no single text")
     information = h5py.check_string_dtype(holder.dtype)
     if information is None:
         raise UntrustedError(f"{where} is no text")
     if information.length is None:
-        # Such text lies in a heap without checksums, in which a damaged file can lead the library round in circles.
+        # Such text lies in a heap without checksums, where a damaged file can send the library into an endless loop.
         raise UntrustedError(f"{where} is a text of variable length, which no run file holds")
     if holder.dtype.itemsize > MOST_TEXT_BYTES:
         raise UntrustedError(f"{where} is a text of {holder.dtype.itemsize} bytes, more than {MOST_TEXT_BYTES}")
@@ -203,7 +204,7 @@ def _text(value: Any, where: str) -> str:
         raise UntrustedError(f"{where} is no UTF-8 text") from None
     if len(text) > MOST_TEXT_BYTES:
         raise UntrustedError(f"{where} is a text of {len(text)} characters, more than {MOST_TEXT_BYTES}")
-    # A terminal would obey them.
+    # A terminal would execute them.
     if any(not character.isprintable() and character not in "\n\r\t" for character in text):
         raise UntrustedError(f"{where} holds control characters")
     return text

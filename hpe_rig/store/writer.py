@@ -1,6 +1,7 @@
-"""Records to disk while they arrive: whole chunks, flushed, in a file that others may read at any moment.
+"""Writer of a run file: records go to disk as they arrive, in whole chunks, while others may read.
 
-Order is the promise: a chunk of echoes is on its way to the disk before the marks that say its records are there.
+The order of writing carries the promise: a chunk of echoes is handed to the operating system before the marks in
+``recorded`` that say its records are there. A reader, or the next program after a crash, may trust every mark.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import contextlib
 import json
 import math
 import os
+import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -18,26 +20,27 @@ from typing import Any, final
 
 import h5py
 import numpy as np
+from h5py import h5f, h5p
 from numpy.typing import NDArray
 
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench import BenchText, uninterrupted
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.scene import SceneText
+from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, StoreError, reason
 from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
-from hpe_rig.store.publish import open_for_readers, publish, refuse_small_disk
 from hpe_rig.store.reader import StoredRun
 from hpe_rig.store.records import MISSING, Placed, place
 
 ROWS = ("recorded", "trigger_time_s", "pulse_onset_s", "shot_complete", "clipped")
 CHECKPOINT_S = 1.0
-"""Longest time that written records may wait for the disk itself, checked at the end of each shot."""
+"""Longest time between two syncs to the disk itself, checked at the end of each shot."""
 
 
 @dataclass(frozen=True, slots=True)
 class WriteOptions:
-    """How a run file is written; ``predecessor`` is the run that it goes on from."""
+    """Options of writing a run file; ``predecessor`` is the run that a resumed run continues."""
 
     compress: bool = False
     overwrite: bool = False
@@ -46,7 +49,10 @@ class WriteOptions:
 
 @final
 class RunWriter:
-    """An open run file; records are appended as they arrive, the status says how it ended."""
+    """Open run file: records are appended as they arrive; closing it writes the status.
+
+    Use it as a context manager. The status becomes complete, failed (an exception) or aborted (Ctrl-C, SIGTERM).
+    """
 
     def __init__(
         self,
@@ -63,8 +69,8 @@ class RunWriter:
         self._checkpoint_s = clock()
         self._broken = False
         image = empty_run(scene, bench, plan, options.compress, options.predecessor)
-        refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
-        publish(image, path, options.overwrite)
+        _refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
+        _publish(image, path, options.overwrite)
         with self._writing():
             self._file = open_for_readers(path)
         self._volts = volts_of_codes(plan.shots[0].capture.input_range_v, bench.bench.digitizer.board_model.code_limits)
@@ -105,7 +111,7 @@ class RunWriter:
             self._rows["pulse_onset_s"][shot.index] = shot.timeline.pulse_onset_s
 
     def append(self, shot: Shot, block: RecordBlock) -> None:
-        """Put the records of ``block`` in their pulses' places; chunks that are full go to the disk."""
+        """Write the records of ``block`` at the places of their pulses; full chunks go to disk."""
         if not block.codes.size:
             return
         self._refuse_other_volts(block)
@@ -113,18 +119,18 @@ class RunWriter:
             rows = self._rows_of(shot)
             index, rows.latest = place(block, rows.latest, shot)
             kept = index >= 0
-            # A copy only where something is left out.
+            # Indexing copies, so it is done only where a record is left out.
             inputs = (block.codes, *([] if block.monitor is None else [block.monitor.codes]))
             codes = inputs if kept.all() else tuple(of_input[kept] for of_input in inputs)
             self._put(rows, index[kept], codes, block.trigger_time_s[kept])
 
     def clipped(self, shot: Shot, clipped: bool) -> None:
-        """Write whether the digitizer's input left its range during ``shot``."""
+        """Write whether the input of the digitizer left its range during ``shot``."""
         with self._writing():
             self._rows["clipped"][shot.index] = clipped
 
-    def truth(self, shot: Shot, displacement_m: NDArray[np.float64]) -> None:
-        """Write the true displacement at the focus for each record of ``shot``, shape (record,)."""
+    def ground_truth(self, shot: Shot, displacement_m: NDArray[np.float64]) -> None:
+        """Write the true displacement at the focus at each record of ``shot``, (record,)."""
         recorded = np.zeros(0, bool) if self._shot is None else self._shot.recorded
         valid = np.flatnonzero(recorded)
         row_m = np.full(recorded.size, np.nan)
@@ -134,7 +140,7 @@ class RunWriter:
                 self._file["truth/displacement_m"][shot.index] = row_m
 
     def true_harmonics(self, shot: Shot, harmonics_m: NDArray[np.float64]) -> None:
-        """Write in-phase and quadrature of the true displacement at the wanted frequencies, (frequency, 2)."""
+        """Write A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
         with self._writing():
             for name, column_m in zip(TRUE_HARMONICS, harmonics_m.T, strict=True):
                 self._file[f"true_harmonics/{name}"][shot.index] = column_m
@@ -145,7 +151,7 @@ class RunWriter:
             self._file["run_time/run_time_s"][...] = [run_time_s.get(name, math.nan) for name in STAGES]
 
     def finish(self, shot: Shot) -> None:
-        """Hand everything of ``shot`` to the operating system, then mark it as complete; now and then sync the disk."""
+        """Flush everything of ``shot``, then mark it complete; sync to disk if ``CHECKPOINT_S`` have passed."""
         with self._writing():
             self._write_chunk()
             self._file.flush()
@@ -179,6 +185,7 @@ class RunWriter:
         codes: tuple[NDArray[np.int16], ...],
         time_s: NDArray[np.float64],
     ) -> None:
+        # Records of one block may reach over several chunks, and late ones may belong to an earlier chunk.
         for number in np.unique(index // self._chunk.rows):
             here = index // self._chunk.rows == number
             if (rows.index, number) != self._chunk.place:
@@ -193,7 +200,7 @@ class RunWriter:
                 self._write_chunk()
 
     def _write_chunk(self) -> None:
-        """Write the chunk begun, then the marks of its records; nothing where nothing was added since."""
+        """Write the current chunk, then the marks of its records; do nothing if no record was added since."""
         if self._chunk.place is None or self._shot is None or not self._chunk.fresh:
             return
         shot, number = self._chunk.place
@@ -214,6 +221,7 @@ class RunWriter:
                 self._write_chunk()
                 self._file.flush()
         finally:
+            # The status is of fixed size and has its place: it can be written even on a full disk.
             with contextlib.suppress(OSError, RuntimeError):
                 self._file.attrs.modify("status", np.bytes_(status))
                 self._sync()
@@ -228,8 +236,8 @@ class RunWriter:
         found = block.volts_per_code, block.volts_offset
         if not all(math.isclose(one, other, rel_tol=1e-9) for one, other in zip(found, expected, strict=True)):
             raise StoreError(
-                f"the digitizer says {block.volts_per_code:g} V a code, its range {expected[0]:g}. Its input range is "
-                "not the programmed one. Try: hpe-rig bench, then another acquisition.input_range_v."
+                f"the digitizer reports {block.volts_per_code:g} V per code, its range implies {expected[0]:g}: its "
+                "input range is not the programmed one. Try: hpe-rig bench, then another acquisition.input_range_v."
             )
 
     @contextlib.contextmanager
@@ -246,9 +254,10 @@ class RunWriter:
 
 @final
 class _Chunk:
-    """The chunk of echoes that is being filled; ``place`` is its (shot, number), None before the first.
+    """Chunk of echoes being filled; ``place`` is its (shot, number), None before the first.
 
-    ``fresh`` says whether it holds records that the file does not.
+    ``fresh`` is True while it holds records that the file does not. A chunk stays in memory after it is written, so
+    that a late record only means writing it once more.
     """
 
     def __init__(self, echo: h5py.Dataset) -> None:
@@ -261,17 +270,17 @@ class _Chunk:
         self.fresh = False
 
     def begin(self, shot: int, number: int) -> None:
-        """Forget what is held and start on another chunk."""
+        """Start another chunk, all records missing."""
         self.codes.fill(MISSING)
         self.place = (shot, number)
 
     def put(self, rows: NDArray[np.int64], codes: NDArray[np.int16]) -> None:
-        """Take ``codes`` (row, sample) in at ``rows``."""
+        """Put ``codes`` (row, sample) into the rows ``rows``."""
         self.codes[rows] = codes
         self.fresh = True
 
     def flush(self) -> None:
-        """Write the chunk, which stays held so that late records can be added."""
+        """Write the chunk to the file; it stays in memory."""
         if self.place is not None:
             shot, number = self.place
             self._write(shot, number * self.rows)
@@ -284,7 +293,7 @@ class _Chunk:
 
     def _write(self, shot: int, first: int) -> None:
         if self._plain:
-            # Past the library's cache: nothing is left there to fail again when the disk is full.
+            # Bypasses the library's cache: on a full disk nothing is left in it to fail again when the file is closed.
             self._echo.id.write_direct_chunk((shot, first, 0), self.codes)
         else:
             rows = min(self.rows, self._echo.shape[1] - first)
@@ -295,10 +304,44 @@ class _Chunk:
 
 @final
 class _ShotRows:
-    """What is known of the records of the shot that is running."""
+    """Marks and times of the records of the current shot, and where the latest of them was placed."""
 
     def __init__(self, shot: Shot) -> None:
         self.index = shot.index
         self.latest: Placed | None = None
         self.recorded = np.zeros(shot.capture.record_count, bool)
         self.trigger_time_s = np.full(shot.capture.record_count, np.nan)
+
+
+def _refuse_small_disk(path: Path, needed: int) -> None:
+    """Raise ``StoreError`` where the disk of ``path`` has less than ``needed`` bytes free."""
+    try:
+        free = shutil.disk_usage(path.parent).free
+    except OSError:
+        # Whatever is wrong with the folder is reported when the file is created.
+        return
+    if free < needed:
+        raise StoreError(
+            f"{path}: the run needs {needed / 1e6:.6g} MB, the disk has {free / 1e6:.6g} MB free. "
+            "Try: another folder with --output, --compress, or fewer repeats."
+        )
+
+
+def _publish(image: bytes, path: Path, overwrite: bool) -> None:
+    """Create ``path`` with the bytes ``image``, whole or not at all; raise ``StoreError`` where it cannot be."""
+    try:
+        with atomic_file(path, overwrite) as draft, draft.open("xb") as file:
+            file.write(image)
+            file.flush()
+            os.fsync(file.fileno())
+    except FileExistsError:
+        raise StoreError(f"{path} already exists. Try: another --output, or --overwrite.") from None
+    except OSError as error:
+        raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder with --output.") from None
+
+
+def open_for_readers(path: Path) -> h5py.File:
+    """Open ``path`` in HDF5's single-writer-multiple-reader mode, so that it stays readable if its writer is killed."""
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
+    return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE, access))

@@ -202,7 +202,7 @@ def test_the_command_prints_the_table_and_exits_by_what_it_found(tmp_path: Path)
     assert rig("--compare", "absent.h5").returncode == 2
     refused = rig("run.h5")
     assert refused.returncode == 2
-    assert "only remembers a bench" in refused.stderr
+    assert "records a bench but gives no access" in refused.stderr
 
 
 def test_two_runs_are_compared_in_the_fields_words(prepared: Prepare, tmp_path: Path) -> None:

@@ -219,7 +219,7 @@ def test_the_run_file_keeps_scene_settings_and_provenance(prepared: Prepare, tmp
 def test_an_existing_run_file_is_never_overwritten(prepared: Prepare, tmp_path: Path) -> None:
     path = tmp_path / "run.h5"
     path.write_bytes(b"precious")
-    with pytest.raises(StoreError, match="never overwritten"):
+    with pytest.raises(StoreError, match="already exists"):
         record_run(prepared("table-1"), path)
     assert path.read_bytes() == b"precious"
 
@@ -317,7 +317,7 @@ def test_a_run_that_is_refused_leaves_run_and_log_of_that_name_as_they_are(tmp_p
     log.write_text("how they came\n", encoding="utf-8")
     done = CliRunner().invoke(app, ["run", "table-1", "--output", str(run_file), "--verbose"])
     assert done.exit_code == 2
-    assert "never overwritten" in done.stderr
+    assert "already exists" in done.stderr
     assert run_file.read_bytes() == b"records"
     assert log.read_text(encoding="utf-8").startswith("how they came\n")
     done = CliRunner().invoke(app, ["run", "table-1", "--output", str(tmp_path), "--overwrite"])

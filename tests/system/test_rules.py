@@ -1,20 +1,24 @@
 """The rules of the architecture hold, and the machine that checks them notices when they do not."""
 
+import ast
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
+PACKAGES = ("hpe_rig", "drivers", "sim_backend")
 HEAVY = ("numpy", "scipy", "matplotlib", "pyvisa", "h5py", "sim_backend", "xarray")
 
 
-def modules_after(statement: str) -> set[str]:
+def modules_after(statement: str, root: Path = ROOT) -> set[str]:
     """Return the modules that a fresh interpreter has loaded after ``statement``."""
     code = f"{statement}\nimport sys; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=root)
     return set(done.stdout.splitlines()[-1].split())
 
 
@@ -52,8 +56,8 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    """A copy of the packages that a test may spoil."""
-    for name in ("hpe_rig", "drivers", "sim_backend"):
+    """A copy of packages and scripts that a test may spoil."""
+    for name in (*PACKAGES, "scripts"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     return tmp_path
@@ -82,3 +86,156 @@ def test_the_import_contracts_notice_a_violation(tree: Path, file: str, statemen
     done = lint(tree)
     assert done.returncode == 1
     assert "BROKEN" in done.stdout
+
+
+def faces(root: Path) -> dict[str, Path]:
+    """Return the face, ``__init__.pyi``, of every room by the room's dotted name."""
+    files = sorted(face for package in PACKAGES for face in (root / package).rglob("__init__.pyi"))
+    return {".".join(file.parent.relative_to(root).parts): file for file in files}
+
+
+def offers(face: Path) -> dict[str, str]:
+    """Return each name that a face offers, and the file of the room that it comes from, dotted."""
+    statements = [item for item in ast.parse(face.read_text(encoding="utf-8")).body if isinstance(item, ast.ImportFrom)]
+    return {alias.asname or alias.name: item.module or "" for item in statements for alias in item.names}
+
+
+def defined(body: list[ast.stmt]) -> Iterator[str]:
+    """Yield the names that a module's statements bind, also under ``if`` and ``try``."""
+    for item in body:
+        match item:
+            case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
+                yield name
+            case ast.Assign(targets=targets):
+                yield from (node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name))
+            case ast.AnnAssign(target=ast.Name(id=name)):
+                yield name
+            case ast.Import(names=names) | ast.ImportFrom(names=names):
+                yield from (alias.asname or alias.name for alias in names)
+            case ast.If() | ast.Try():
+                handlers = [line for handler in getattr(item, "handlers", []) for line in handler.body]
+                yield from defined([*item.body, *item.orelse, *handlers])
+
+
+def face_mistakes(root: Path) -> list[str]:
+    """Return what is wrong with the rooms' faces: names that do not exist, names that are also files of the room."""
+    mistakes = []
+    for room, face in faces(root).items():
+        for name, module in offers(face).items():
+            file = face.parent.joinpath(*module.split("."))
+            source = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
+            stub = source.with_suffix(".pyi")
+            known = set(offers(stub)) if stub.exists() else set()
+            if source.exists():
+                known |= set(defined(ast.parse(source.read_text(encoding="utf-8")).body))
+            if name not in known:
+                mistakes.append(f"{room} offers {name}, which {module} does not define")
+            shadow = face.parent / name
+            if "." in room and (shadow.is_dir() or shadow.with_suffix(".py").exists()):
+                mistakes.append(f"{room} offers {name}, which is also a file of it: importing that file hides the name")
+    return mistakes
+
+
+def imports(file: Path) -> Iterator[tuple[int, str, list[str]]]:
+    """Yield line, module and names (none: the module itself) of every import, wherever in the file it stands."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        match node:
+            case ast.ImportFrom(module=str(module), level=0, names=names):
+                yield node.lineno, module, [alias.name for alias in names]
+            case ast.Import(names=names):
+                yield from ((node.lineno, alias.name, []) for alias in names)
+            case ast.Call(func=ast.Name(id="import_module") | ast.Attribute(attr="import_module"), args=[first, *_]):
+                text = first.values[0] if isinstance(first, ast.JoinedStr) and first.values else first
+                if isinstance(text, ast.Constant):
+                    yield node.lineno, str(text.value), []
+
+
+def room_of(module: str, rooms: dict[str, set[str]]) -> str:
+    """Return the innermost room that a dotted module lies in, "" where it lies in none."""
+    parts = module.split(".")
+    inside = (".".join(parts[:length]) for length in range(len(parts), 1, -1))
+    return next((name for name in inside if name in rooms), "")
+
+
+def door_mistakes(root: Path) -> list[str]:
+    """Return every import that enters a room past its face, and every one inside a room that goes by its own face."""
+    rooms = {room: set(offers(face)) for room, face in faces(root).items()}
+    files = [file for folder in (*PACKAGES, "scripts") for file in sorted((root / folder).rglob("*.py"))]
+    mistakes = []
+    for file in files:
+        place = file.relative_to(root)
+        here = room_of(".".join(place.with_suffix("").parts), rooms)
+        for line, module, names in imports(file):
+            room = room_of(module, rooms)
+            if not room:
+                continue
+            where = f"{place.as_posix()}:{line}"
+            if room == here:
+                # A file may import the file beside it as a whole; what the face offers it takes from where it is.
+                if module == room and (not names or rooms[room].intersection(names)):
+                    mistakes.append(f"{where} imports from its own room's face, {room}")
+            elif module != room:
+                mistakes.append(f"{where} imports {module} past the face of {room}")
+            else:
+                mistakes += [
+                    f"{where} imports {name}, which {room} does not offer" for name in names if name not in rooms[room]
+                ]
+    return mistakes
+
+
+def test_rooms_are_entered_through_their_faces_alone() -> None:
+    assert door_mistakes(ROOT) == []
+
+
+def test_faces_offer_what_exists_under_names_of_their_own() -> None:
+    assert len(faces(ROOT)) >= 15
+    assert face_mistakes(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "statement", "message"),
+    [
+        ("hpe_rig/plan/shots.py", "from hpe_rig.scene.scene import Scene", "past the face of hpe_rig.scene"),
+        ("hpe_rig/plan/shots.py", "import hpe_rig.bench.opening", "past the face of hpe_rig.bench"),
+        ("hpe_rig/plan/shots.py", "from hpe_rig.scene import nothing", "imports nothing, which hpe_rig.scene does"),
+        ("hpe_rig/plan/shots.py", "from hpe_rig.plan import make_plan", "imports from its own room's face"),
+        ("scripts/measure.py", "from hpe_rig.store.writer import RunWriter", "past the face of hpe_rig.store"),
+        ("sim_backend/world.py", "from sim_backend.echoes.engine import echoes", "past the face of sim_backend.echoes"),
+        ("hpe_rig/cli/app.py", "import_module(f'hpe_rig.report.{name}')", "past the face of hpe_rig.report"),
+    ],
+)
+def test_an_import_past_a_face_is_noticed(tree: Path, file: str, statement: str, message: str) -> None:
+    path = tree / file
+    text = path.read_text(encoding="utf-8")
+    path.write_text(f"{text}\n\ndef _violation() -> None:\n    {statement}\n", encoding="utf-8")
+    (mistake,) = set(door_mistakes(tree)) - set(door_mistakes(ROOT))
+    assert mistake.startswith(f"{file}:")
+    assert message in mistake
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("from .format import nothing as nothing", "offers nothing, which format does not define"),
+        ("from .nowhere import FORMAT as FORMAT", "offers FORMAT, which nowhere does not define"),
+        ("from .reader import read_run as writer", "offers writer, which is also a file of it"),
+    ],
+)
+def test_a_face_that_is_wrong_is_noticed(tree: Path, line: str, message: str) -> None:
+    face = tree / "hpe_rig" / "store" / "__init__.pyi"
+    face.write_text(f"{face.read_text(encoding='utf-8')}{line}\n", encoding="utf-8")
+    assert any(message in mistake for mistake in face_mistakes(tree))
+
+
+LIGHT = ("numpy", "pydantic", "h5py")
+
+
+def test_importing_the_package_loads_no_numerics_no_validation_and_no_files() -> None:
+    assert not modules_after("import hpe_rig").intersection(LIGHT)
+
+
+@pytest.mark.parametrize("library", LIGHT)
+def test_a_heavy_import_of_the_package_is_noticed(tree: Path, library: str) -> None:
+    package = tree / "hpe_rig" / "__init__.py"
+    package.write_text(f"{package.read_text(encoding='utf-8')}\nimport {library}\n", encoding="utf-8")
+    assert library in modules_after("import hpe_rig", tree)

@@ -124,7 +124,7 @@ main()
         check=False,
     )
     assert again.returncode == 2
-    assert "never overwritten" in again.stderr
+    assert "already exists" in again.stderr
 
 
 def test_an_error_while_records_are_stored_leaves_the_bench_safe(

@@ -123,7 +123,7 @@ def test_a_gate_is_read_alone(setup: Setup, tmp_path: Path) -> None:
 
 def test_a_block_in_other_volts_than_the_range_says_is_refused(setup: Setup, tmp_path: Path) -> None:
     other = replace(block_of(setup, 0, 4, 0.5), volts_per_code=1e-3)
-    with pytest.raises(StoreError, match="V a code"):
+    with pytest.raises(StoreError, match="V per code"):
         written(setup, tmp_path / "run.h5", other)
     assert read_run(tmp_path / "run.h5").status == "failed"
 
@@ -186,7 +186,7 @@ def test_a_result_never_replaces_a_file_that_is_none(setup: Setup, tmp_path: Pat
     process(path)
     foreign = result_path(path, "coherent")
     foreign.write_bytes(b"precious")
-    with pytest.raises(StoreError, match="left alone"):
+    with pytest.raises(StoreError, match="not replaced"):
         write_result(foreign, result)
     assert foreign.read_bytes() == b"precious"
 

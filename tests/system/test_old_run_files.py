@@ -1,0 +1,122 @@
+"""Run files of earlier versions are still read, estimated, resumed and reported; see tests/fixtures/README.md."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from hpe_rig.acquire import prepare, prepare_rest, process, record_run, resume
+from hpe_rig.report import write_report
+from hpe_rig.store import read_run, read_snapshots
+
+FIXTURES = Path(__file__).parents[1] / "fixtures" / "run_files"
+NAMES = ("specimen", "aborted", "compressed")
+SHAPES = {"specimen": (2, 119, 192), "aborted": (4, 41, 192), "compressed": (2, 41, 192)}
+ROUNDING = 1e-9
+"""Relative difference that another processor or another NumPy may make to a number estimated from the same records."""
+ENGINE = 1e-5
+"""The same where the twin computes the echoes anew, to the tolerance of its echo engine, and rounds them to codes."""
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    """Return a folder with copies of the run files, which a test may write beside."""
+    shutil.copytree(FIXTURES, tmp_path / "runs")
+    return tmp_path / "runs"
+
+
+def shots_of(name: str) -> list[dict[str, Any]]:
+    """Return the shots of a result as the earlier version printed them."""
+    shots: list[dict[str, Any]] = json.loads((FIXTURES / f"{name}.json").read_text(encoding="utf-8"))["shots"]
+    return shots
+
+
+def assert_alike(found: Any, expected: Any, relative: float, where: str = "") -> None:
+    """Compare nested tables key by key; ``found`` may say more, and words may have changed."""
+    match expected:
+        case dict():
+            for key, value in expected.items():
+                assert key in found, f"{where}.{key} is gone"
+                assert_alike(found[key], value, relative, f"{where}.{key}")
+        case list():
+            assert len(found) == len(expected), where
+            for index, (one, other) in enumerate(zip(found, expected, strict=True)):
+                assert_alike(one, other, relative, f"{where}[{index}]")
+        case float():
+            # Errors against the truth are differences of nearly equal numbers: rounding counts against 1 there.
+            assert found == pytest.approx(expected, rel=relative, abs=relative if "error" in where else 1e-15), where
+        case str():
+            assert isinstance(found, str), where
+        case _:
+            assert found == expected, where
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_old_run_file_is_read_record_by_record(name: str) -> None:
+    path = FIXTURES / f"{name}.h5"
+    run = read_run(path)
+    assert run.records.shape == SHAPES[name]
+    assert run.simulated
+    assert run.scene_toml == (FIXTURES / f"{name}.toml").read_text(encoding="utf-8")
+    shots = [0, 1] if name == "aborted" else range(SHAPES[name][0])
+    assert len(read_snapshots(path)) == len(shots)
+    if name == "compressed":
+        pytest.importorskip("hdf5plugin")
+    with h5py.File(path) as file:
+        for shot in shots:
+            recorded = file["records/recorded"][shot] == 1
+            assert recorded.sum() == (25 if (name, shot) == ("aborted", 1) else SHAPES[name][1])
+            np.testing.assert_array_equal(run.records[shot].codes[recorded], file["records/echo"][shot][recorded])
+
+
+def test_the_monitor_channel_of_an_old_run_file_is_read() -> None:
+    monitor = read_run(FIXTURES / "compressed.h5").records.monitor(1)
+    assert monitor is not None
+    assert monitor.codes.shape == SHAPES["compressed"][1:]
+    assert read_run(FIXTURES / "specimen.h5").records.monitor(0) is None
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_old_run_file_gives_the_numbers_that_its_version_gave(copied: Path, name: str) -> None:
+    result = process(copied / f"{name}.h5").as_dict()
+    expected = json.loads((FIXTURES / f"{name}.json").read_text(encoding="utf-8"))
+    for key in ("title", "status", "simulated", "estimator"):
+        assert result[key] == expected[key]
+    assert_alike(result["shots"], expected["shots"], ROUNDING)
+
+
+def test_the_comparison_notices_a_number_that_differs(copied: Path) -> None:
+    shots = process(copied / "specimen.h5").as_dict()["shots"]
+    shots[1]["estimates"][0]["phase_rad"] += 1e-6
+    with pytest.raises(AssertionError, match=r"\[1\].estimates\[0\].phase_rad"):
+        assert_alike(shots, shots_of("specimen"), ROUNDING)
+
+
+def test_an_old_run_is_resumed_and_equals_one_that_was_not_interrupted(copied: Path) -> None:
+    rest = prepare_rest(copied / "aborted.h5")
+    assert rest.complete == 1
+    done = resume(rest)
+    resumed = read_run(done)
+    assert (resumed.status, resumed.predecessor) == ("complete", "aborted.h5")
+    assert resumed.shot_complete.all()
+    assert_alike(process(done).as_dict()["shots"], shots_of("aborted-resumed"), ENGINE)
+    whole = read_run(record_run(prepare(str(copied / "aborted.toml")), copied / "whole.h5"))
+    for shot in range(1, 4):
+        # The first shot is the old version's; the others this version has measured in both files.
+        np.testing.assert_array_equal(resumed.records[shot].codes, whole.records[shot].codes)
+    np.testing.assert_array_equal(resumed.records[0].codes, read_run(copied / "aborted.h5").records[0].codes)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_report_is_written_of_an_old_run_file(copied: Path, name: str) -> None:
+    title = json.loads((FIXTURES / f"{name}.json").read_text(encoding="utf-8"))["title"]
+    page = write_report(copied / f"{name}.h5", None, None, None)
+    text = Path(page).read_text(encoding="utf-8")
+    assert title in text
+    assert "<svg" in text
