@@ -44,11 +44,17 @@ def compiled_series(
     bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
     omega, step = angular_rates(pulse)
     # The loop is compiled for this one kind of array.
-    made = out if out.dtype == np.float64 and out.flags.c_contiguous else np.empty(out.shape)
+    usable = out.dtype == np.float64 and out.flags.c_contiguous
+    made: Floats = out.view(np.float64) if usable else np.empty(out.shape)
     parts = (scene.rest_s, scene.weight, shape, amplitude_s, sample_time_s)
+    rest_s, weight, shape, amplitude_s, time_s = (np.ascontiguousarray(part, dtype=np.float64) for part in parts)
     rows(
         scene.row.searchsorted(np.arange(len(amplitude_s) + 1)),
-        *(np.ascontiguousarray(part, dtype=np.float64) for part in parts),
+        rest_s,
+        weight,
+        shape,
+        amplitude_s,
+        time_s,
         np.array([pulse.start_s, pulse.end_s]),
         omega[0],
         step or 0.0,
@@ -63,7 +69,7 @@ def compiled_series(
         CROSSING_SHARE * tolerance,
         made,
     )
-    if made is not out:
+    if not usable:
         out[:] = made
 
 
