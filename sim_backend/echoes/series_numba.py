@@ -32,10 +32,8 @@ Loop = TypeVar("Loop", bound=Callable[..., object])
 _compiled: Callable[[Loop], Loop] = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 
-def compiled_series(
-    scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance: float, out: NDArray[np.floating]
-) -> None:
-    """Write the same as `sim_backend.echoes.series.series` to ``out`` (row, echo, sample), of any float type."""
+def compiled_series(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance: float, out: Floats) -> None:
+    """Write the same as `sim_backend.echoes.series.series` to ``out`` (row, echo, sample)."""
     tables = series_tables(scene, pulse, sample_time_s, tolerance)
     shape, amplitude_s = scene.shape[0], scene.amplitude_s[:, :, 0]
     farthest_s = largest_size(amplitude_s) * largest_size(shape)
@@ -44,11 +42,16 @@ def compiled_series(
     bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
     omega, step = angular_rates(pulse)
     # The loop is compiled for this one kind of array.
-    made = out if out.dtype == np.float64 and out.flags.c_contiguous else np.empty(out.shape)
+    made = out if out.flags.c_contiguous else np.empty(out.shape)
     parts = (scene.rest_s, scene.weight, shape, amplitude_s, sample_time_s)
+    rest_s, weight, shape, amplitude_s, time_s = (np.ascontiguousarray(part, dtype=np.float64) for part in parts)
     rows(
         scene.row.searchsorted(np.arange(len(amplitude_s) + 1)),
-        *(np.ascontiguousarray(part, dtype=np.float64) for part in parts),
+        rest_s,
+        weight,
+        shape,
+        amplitude_s,
+        time_s,
         np.array([pulse.start_s, pulse.end_s]),
         omega[0],
         step or 0.0,

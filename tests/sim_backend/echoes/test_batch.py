@@ -86,16 +86,6 @@ print("numba" in sys.modules)
     assert done.stdout.split() == ["False", "True"]
 
 
-def test_float32_is_kept_to_where_its_rounding_allows():
-    scene = three_rows()
-    ours = batch(scene, PULSE, GATE_S, 1e-6, np.float32)
-    assert ours.dtype == np.float32
-    exact = exact_row(scene, 0)
-    assert rms_error(ours[0], exact) < 1e-6
-    with pytest.raises(ValueError, match="float32 rounds at 6e-8 and cannot keep a tolerance of 1e-08"):
-        batch(scene, PULSE, GATE_S, 1e-8, np.float32)
-
-
 @pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize(
     ("wrong", "says"),
@@ -117,13 +107,11 @@ def test_scatterers_of_no_weight_are_silent(compiled):
     assert not batch(replace(scene, weight=0 * scene.weight), PULSE, GATE_S, compiled=compiled).any()
 
 
-def test_scatterers_out_of_order_and_types_that_hold_no_echo_are_refused():
+def test_scatterers_out_of_order_are_refused():
     scene = three_rows()
     turned = replace(scene, rest_s=scene.rest_s[::-1])
     with pytest.raises(ValueError, match=r"numpy\.lexsort\(\(rest_s, row\)\)"):
         batch(turned, PULSE, GATE_S)
-    with pytest.raises(ValueError, match="dtype int64 cannot hold echoes"):
-        batch(scene, PULSE, GATE_S, 1e-6, np.int64)
 
 
 @pytest.mark.parametrize("compiled", [True, False])
@@ -133,11 +121,10 @@ def test_times_in_single_precision_are_taken_at_their_value(compiled):
     assert np.array_equal(ours, batch(scene, PULSE, single_s.astype(np.float64), 1e-9, compiled=compiled))
 
 
-def test_same_seed_gives_the_same_draws_whatever_their_number_and_the_threads():
+def test_same_seed_gives_the_same_draws_whatever_their_number():
     many = all_draws(2 * DRAWS_AT_ONCE + 5)
     assert np.array_equal(many, all_draws(2 * DRAWS_AT_ONCE + 5))
     assert np.array_equal(many[:20], all_draws(20))
-    assert np.array_equal(many, all_draws(2 * DRAWS_AT_ONCE + 5, threads=2))
     assert np.abs(many - all_draws(2 * DRAWS_AT_ONCE + 5, seed=1)).max() > 0.1
 
 

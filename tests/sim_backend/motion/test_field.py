@@ -65,8 +65,8 @@ def test_field_off_the_axis_equals_the_double_integral_over_wave_vectors(lateral
     assert abs(ours - expected) < 1e-6 * peak
 
 
-def test_tracked_over_peak_displacement_is_that_of_the_theory_notes():
-    """docs/theory/medium.md, section 2: a column of 0.34 mm in 4 kPa gelatin, tracked by exp(-r^2 / T^2) with T = 0.155 mm."""
+def test_tracked_over_peak_displacement_is_that_of_the_theory():
+    """docs/theory/medium.md: a column of 0.34 mm in 4 kPa gelatin, tracked by exp(-r^2 / T^2), T = 0.155 mm."""
     specimen, tracking_m = Specimen(preset="gelatin_8"), 0.155e-3
     node, weight = np.polynomial.legendre.leggauss(24)
     lateral_m = 3.5 * tracking_m * (node + 1) / 2
