@@ -26,7 +26,7 @@ COUNTED = ("messages", "round trips", "bytes")
 
 
 class Ledger:
-    """What went over the wires, and the wall time, by step of each shot."""
+    """What went over the connections, and the wall time, by step of each shot."""
 
     def __init__(self) -> None:
         self.counts: dict[tuple[int, Step], Counter[str]] = defaultdict(Counter)
@@ -50,11 +50,11 @@ class Ledger:
 
 
 def counting(ledger: Ledger, method: str, what: str) -> Callable[..., Any]:
-    """Return a wrapper of a wire's ``method`` that keeps the ledger."""
+    """Return a wrapper of a connection's ``method`` that keeps the ledger."""
 
     def wrap(original: Callable[..., Any]) -> Callable[..., Any]:
-        def counted(wire: Any, *message: str) -> Any:
-            reply = original(wire, *message)
+        def counted(connection: Any, *message: str) -> Any:
+            reply = original(connection, *message)
             ledger.count(what, len(message[0] if method == "write" else reply))
             return reply
 
@@ -68,15 +68,15 @@ def measured(scene: Path, transport: str | None, folder: Path) -> Ledger:
     bench = folder / f"{transport}.toml"
     line = f'simulated = true\ntransport = "{transport}"' if transport else "simulated = true"
     bench.write_text(read_bench().text.replace("simulated = true", line), encoding="utf-8")
-    ledger, wire = Ledger(), VisaConnection if transport else GeneratorConnection
-    before = {method: getattr(wire, method) for method in ("write", "read")}
+    ledger, connection = Ledger(), VisaConnection if transport else GeneratorConnection
+    before = {method: getattr(connection, method) for method in ("write", "read")}
     for method, what in (("write", "messages"), ("read", "round trips")):
-        setattr(wire, method, counting(ledger, method, what)(before[method]))
+        setattr(connection, method, counting(ledger, method, what)(before[method]))
     try:
         record_run(prepare(str(scene), bench), folder / f"{transport}.h5", ledger.observe)
     finally:
         for method, original in before.items():
-            setattr(wire, method, original)
+            setattr(connection, method, original)
     return ledger
 
 

@@ -152,7 +152,6 @@ _NEW_NAMES: Final[Mapping[int, tuple[str, str]]] = MappingProxyType(
         607: ("ApiNetworkError", "the connection to the board's server failed"),
     }
 )
-RETURN_CODES: Final[Mapping[int, str]] = MappingProxyType({code: name for code, (name, _) in MEANINGS.items()})
 
 # What to suspect first: (cause, remedy).
 _BY_CODE: Final[Mapping[int, tuple[str, str]]] = MappingProxyType(
@@ -200,11 +199,6 @@ def check(code: int, call: str, role: str, sdk_major: int | None = None) -> None
     name, meaning = _entry(code, sdk_major)
     why, remedy = _BY_CALL.get(call) or _BY_CODE.get(code) or _UNSUSPECTED
     raise InstrumentError(role, f"{call} returned {code} ({name}), {meaning}", why, remedy)
-
-
-def code_name(code: int, sdk_major: int | None = None) -> str:
-    """Return the vendor's name of ``code``."""
-    return _entry(code, sdk_major)[0]
 
 
 def _entry(code: int, sdk_major: int | None) -> tuple[str, str]:

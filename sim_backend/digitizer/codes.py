@@ -36,29 +36,6 @@ class Code(IntEnum):
     """SDK 5.8.2, time stamp of a record above 1000 on FPGA 18 and below."""
 
 
-_NAMES_BY_NUMBER = """
-Success Failed AccessDenied DmaChannelUnavailable DmaChannelInvalid DmaChannelTypeError DmaInProgress DmaDone DmaPaused
-DmaNotPaused DmaCommandInvalid DmaManReady DmaManNotReady DmaInvalidChannelPriority DmaManCorrupted
-DmaInvalidElementIndex DmaNoMoreElements DmaSglInvalid DmaSglQueueFull NullParam InvalidBusIndex UnsupportedFunction
-InvalidPciSpace InvalidIopSpace InvalidSize InvalidAddress InvalidAccessType InvalidIndex MuNotReady MuFifoEmpty
-MuFifoFull InvalidRegister DoorbellClearFailed InvalidUserPin InvalidUserState EepromNotPresent EepromTypeNotSupported
-EepromBlank ConfigAccessFailed InvalidDeviceInfo NoActiveDriver InsufficientResources ObjectAlreadyAllocated
-AlreadyInitialized NotInitialized BadConfigRegEndianMode InvalidPowerState PowerDown FlybyNotSupported
-NotSupportThisChannel NoAction HSNotSupported VPDNotSupported VpdNotEnabled NoMoreCap InvalidOffset BadPinDirection
-PciTimeout DmaChannelClosed DmaChannelError InvalidHandle BufferNotReady InvalidData DoNothing DmaSglBuildFailed
-PMNotSupported InvalidDriverVersion WaitTimeout WaitCanceled BufferTooSmall BufferOverflow InvalidBuffer
-InvalidRecordsPerBuffer DmaPending LockAndProbePagesFailed WaitAbandoned WaitFailed TransferComplete PllNotLocked
-NotSupportedInDualChannelMode
-"""
-_NAMES = _NAMES_BY_NUMBER.split()
-
-
-def text_of(code: int) -> str:
-    """Return the library's name of a return code."""
-    index = code - Code.SUCCESS
-    return f"Api{_NAMES[index]}" if 0 <= index < len(_NAMES) else "ApiUnknown"
-
-
 BOARD_KIND = 7
 SERIAL_NUMBER = 460_001
 SDK_VERSION = (5, 8, 2)

@@ -28,12 +28,6 @@ class AlazarLibrary:
 
     # Systems and boards
 
-    def AlazarNumOfSystems(self) -> int:
-        return 1
-
-    def AlazarBoardsInSystemBySystemID(self, system: Any) -> int:
-        return 1 if _number_of(system) == 1 else 0
-
     def AlazarGetBoardBySystemID(self, system: Any, board: Any) -> int | None:
         return HANDLE if (_number_of(system), _number_of(board)) == (1, 1) else None
 
@@ -50,9 +44,6 @@ class AlazarLibrary:
 
     def AlazarGetDriverVersion(self, major: Any, minor: Any, revision: Any) -> int:
         return self._answer(HANDLE, *zip((major, minor, revision), codes.DRIVER_VERSION, strict=True))
-
-    def AlazarErrorToText(self, code: Any) -> bytes:
-        return codes.text_of(_number_of(code)).encode("ascii")
 
     def AlazarQueryCapability(self, handle: Any, capability: Any, reserved: Any, value: Any) -> int:
         return self._answer_known(handle, self._state.capabilities(), capability, value)
@@ -134,9 +125,6 @@ class AlazarLibrary:
     def AlazarBusy(self, handle: Any) -> int:
         return int(self._state.busy() and _number_of(handle) == HANDLE)
 
-    def AlazarTriggered(self, handle: Any) -> int:
-        return int(self._state.triggered() and _number_of(handle) == HANDLE)
-
     def AlazarGetStatus(self, handle: Any) -> int:
         return self._state.status() if _number_of(handle) == HANDLE else 0xFFFFFFFF
 
@@ -173,11 +161,6 @@ class AlazarLibrary:
         if refusal is not Code.SUCCESS:
             return refusal
         return self._answer(handle, (timestamp, self._state.timestamp(_number_of(record))))
-
-    def AlazarGetWhoTriggeredBySystemID(self, system: Any, board: Any, record: Any) -> int:
-        if self._refuse_record(self.AlazarGetBoardBySystemID(system, board), record) is not Code.SUCCESS:
-            return 0
-        return self._state.triggered_by(_number_of(record))
 
     # Dual port
 

@@ -121,14 +121,6 @@ class AlazarState:
         self._clock.now_ps += REGISTER_READ_PS
         return self._is_busy()
 
-    def triggered(self) -> bool:
-        """Return, after the time that asking takes, whether the capture has had its first trigger."""
-        self._clock.now_ps += REGISTER_READ_PS
-        if not self._board.armings:
-            return False
-        tick_ps = self._recorder.taken(self._clock.now_ps).tick_ps
-        return bool(tick_ps.size > 0 and tick_ps[0] <= self._clock.now_ps)
-
     def status(self) -> int:
         """Return the status bits of the last capture."""
         complete = self._complete()
@@ -169,10 +161,6 @@ class AlazarState:
         """Return the trigger counter of a record."""
         taken = self._recorder.taken(self._clock.now_ps)
         return int(timestamps(self._arming, taken, self._reset_ps)[record - 1])
-
-    def triggered_by(self, record: int) -> int:
-        """Return what triggered a record."""
-        return int(self._recorder.taken(self._clock.now_ps).by[record - 1])
 
     def begin_transfer(self, transfer: Transfer, offset: int) -> Code:
         """Prepare AutoDMA, and start it at once where the program does not do so itself."""

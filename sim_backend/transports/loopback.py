@@ -29,7 +29,7 @@ class Instrument(Protocol):
 
 @final
 class Port:
-    """An instrument behind the lock of the world it belongs to, in bytes as they go over a wire."""
+    """An instrument behind the lock of the world it belongs to, in bytes as they go over a connection."""
 
     def __init__(self, instrument: Instrument, lock: threading.RLock) -> None:
         self._instrument = instrument

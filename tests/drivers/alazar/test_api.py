@@ -9,8 +9,10 @@ from types import SimpleNamespace
 import pytest
 
 from drivers.alazar.api import SIGNATURES, Adma, AlazarLibrary, Capability, Parameter, bind, load_library
-from drivers.alazar.return_codes import RETURN_CODES, SUCCESS, WAIT_TIMEOUT, check, code_name
+from drivers.alazar.return_codes import MEANINGS, SUCCESS, WAIT_TIMEOUT, check
 from drivers.interfaces import InstrumentError
+
+RETURN_CODES = {code: name for code, (name, _) in MEANINGS.items()}
 
 
 def fake_library() -> SimpleNamespace:
@@ -122,7 +124,6 @@ def test_every_other_code_is_an_error_naming_call_number_name_and_role(code: int
 
 @pytest.mark.parametrize("code", [603, 604, 607])
 def test_codes_that_changed_their_meaning_are_not_given_a_name(code: int) -> None:
-    assert "SDK version" in code_name(code)
     with pytest.raises(InstrumentError, match=f"{code}.*SDK version"):
         check(code, "AlazarStartCapture", "digitizer")
 

@@ -1,4 +1,4 @@
-"""The VISA connection over a loopback socket or terminal that serves the simulated generator, or a script that misbehaves."""
+"""VISA connection over a loopback socket or terminal to the simulated generator, or to a script that misbehaves."""
 
 from __future__ import annotations
 

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
+from drivers.agilent.models import MODELS as GENERATOR_MODELS
+from drivers.alazar.models import MODELS as BOARD_MODELS
 from drivers.interfaces import InstrumentError
 from hpe_rig.acquire.run import prepare_text
 from hpe_rig.acquire.sequencer import acquire
-from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.bench.bench_file import DigitizerBoard, Generator, read_bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.plan.checks.checklist import check_plan
@@ -17,6 +20,12 @@ from hpe_rig.plan.shots import make_plan
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 
 MUSCLE = shipped_scenes()["bovine-muscle"]
+
+
+def test_a_bench_file_names_the_models_that_have_a_driver_and_no_others() -> None:
+    generators, boards = (section.model_fields["model"].annotation for section in (Generator, DigitizerBoard))
+    assert set(get_args(generators)) == {model.name for model in GENERATOR_MODELS}
+    assert set(get_args(boards)) == {model.name for model in BOARD_MODELS}
 
 
 @pytest.mark.parametrize(
