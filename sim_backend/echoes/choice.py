@@ -45,7 +45,7 @@ class Choice:
 
 
 def choices(
-    motion: EchoDelays,
+    delays: EchoDelays,
     weight: Floats,
     pulse: Pulse,
     sample_time_s: Floats,
@@ -58,7 +58,7 @@ def choices(
     if tolerance < FINEST_TOLERANCE:
         return [Choice("running_sum", 0.0)] if method is None else refuse(method, "of its tolerance")
     samples, scatterers, frequencies = len(sample_time_s), len(weight), len(pulse.frequency_hz)
-    echoes_wanted = motion.echo_count
+    echoes_wanted = delays.echo_count
     stretches = max(1, math.ceil(float(sample_time_s[-1] - sample_time_s[0]) / (pulse.end_s - pulse.start_s)))
     # Figures of run time: measured on one x86-64 core, `hpe-rig accuracy echo` shows how often they choose well.
     # A scatterer reaches at most two stretches of the gate, or three where it moves far.
@@ -68,26 +68,26 @@ def choices(
     if method is None:
         found.append(Choice("running_sum", 3e-4 * stretches + echoes_wanted * exact_s))
     # One shape is left to the series and the nodes, whose error does not rest on a sample of the echoes.
-    usual = len(motion.shape) > 1 and echoes_wanted * scatterers <= _MOST_PAIRS
+    usual = len(delays.shape) > 1 and echoes_wanted * scatterers <= _MOST_PAIRS
     if method == "combined" or (method is None and usual and echoes_wanted >= FEWEST_ECHOES):
         found.append(Choice("combined", 0.4 * echoes_wanted * exact_s))
     if method == "combined":
         return found
-    spread_s = np.ptp(motion.amplitude_s, axis=0) / 2
-    if method in (None, "interpolated") and len(motion.shape) == 1:
-        largest_s = float(spread_s[0] * np.abs(motion.shape).max())
-        share = edge_share(motion.rest_s, weight, pulse, largest_s, sample_time_s)
+    spread_s = np.ptp(delays.amplitude_s, axis=0) / 2
+    if method in (None, "interpolated") and len(delays.shape) == 1:
+        largest_s = float(spread_s[0] * np.abs(delays.shape).max())
+        share = edge_share(delays.rest_s, weight, pulse, largest_s, sample_time_s)
         nodes = node_count(pulse, largest_s, share, tolerance)
         if nodes < MOST_NODES:
             found.append(
                 Choice("interpolated", 4e-4 * stretches + (nodes + CHECKED) * exact_s + nodes * combining_s, nodes)
             )
-    angle = largest_angle(pulse, motion.shape, motion.about_middle().amplitude_s[None])
+    angle = largest_angle(pulse, delays.shape, delays.about_middle().amplitude_s[None])
     orders = terms_needed(angle, tolerance)
-    columns = math.comb(orders - 1 + len(motion.shape), orders - 1)
+    columns = math.comb(orders - 1 + len(delays.shape), orders - 1)
     if method in (None, "series") and angle <= MOST_ANGLE_RAD and columns <= _MOST_COLUMNS:
         period_s = float(sample_time_s[-1] - sample_time_s[0]) / max(1, samples - 1) or 1.0
-        reach_s = spread_s @ np.abs(motion.shape)
+        reach_s = spread_s @ np.abs(delays.shape)
         crossings = 4 * float(reach_s.sum()) / period_s
         each_s = 160e-9 + 10e-9 * columns * frequencies
         cost_s = 5e-4 * stretches + scatterers * each_s + 7e-10 * orders * crossings * echoes_wanted
@@ -100,9 +100,9 @@ def refuse(method: Method | None, reason: str) -> list[Choice]:
     raise ValueError(f"method {method!r} cannot serve here because {reason}: leave the method out or take running_sum")
 
 
-def in_reach(motion: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> NDArray[np.int64]:
+def in_reach(delays: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> NDArray[np.int64]:
     """Return the scatterers whose echo can touch a sample."""
-    early_s, late_s = motion.range_s()
+    early_s, late_s = delays.range_s()
     touches = (early_s + pulse.start_s <= sample_time_s[-1]) & (late_s + pulse.end_s >= sample_time_s[0])
     touches &= weight != 0
     return np.flatnonzero(touches)

@@ -19,7 +19,7 @@ class EchoDelays:
     """Delays of the echoes of scatterers that move in few spatial shapes: delay = rest + amplitude @ shape.
 
     A standing motion has one shape; a travelling wave of one frequency two (in phase and in quadrature), a medium's own
-    field one a mode; pulses that come late add a shape of ones. As many shapes as scatterers stand for any motion.
+    field one a mode; pulses that come late add a shape of ones. As many shapes as scatterers stand for any delays.
     """
 
     rest_s: Floats
@@ -63,10 +63,10 @@ class EchoDelays:
         return EchoDelays(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s)
 
 
-def refuse_unusable(motion: EchoDelays, weight: Floats, sample_time_s: Floats, tolerance: float) -> None:
+def refuse_unusable(delays: EchoDelays, weight: Floats, sample_time_s: Floats, tolerance: float) -> None:
     """Raise ValueError for what `refuse_numbers` and `refuse_misfits` say of a motion."""
     axes = {"rest_s": "scatterer", "shape": "shape, scatterer", "amplitude_s": "echo, shape"}
-    named = {name: getattr(motion, name) for name in axes} | {"weight": weight}
+    named = {name: getattr(delays, name) for name in axes} | {"weight": weight}
     refuse_misfits(named, axes | {"weight": "scatterer"})
     refuse_numbers(named, sample_time_s, tolerance)
 

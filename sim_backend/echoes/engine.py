@@ -52,7 +52,7 @@ class Synthesis:
 
 
 def synthesise(
-    motion: EchoDelays,
+    delays: EchoDelays,
     weight: Floats,
     pulse: Pulse,
     sample_time_s: Floats,
@@ -67,29 +67,29 @@ def synthesise(
     cannot serve.
     """
     weight, sample_time_s = np.asarray(weight), np.asarray(sample_time_s, dtype=np.float64)
-    refuse_unusable(motion, weight, sample_time_s, tolerance)
+    refuse_unusable(delays, weight, sample_time_s, tolerance)
     refuse_aliasing(pulse, sample_time_s)
     if method is not None and method not in get_args(Method):
         raise ValueError(f"method {method!r} is unknown: take one of {', '.join(get_args(Method))}")
-    return _synthesise(motion, weight, pulse, sample_time_s, tolerance, method)
+    return _synthesise(delays, weight, pulse, sample_time_s, tolerance, method)
 
 
 def _synthesise(
-    motion: EchoDelays,
+    delays: EchoDelays,
     weight: Floats,
     pulse: Pulse,
     sample_time_s: Floats,
     tolerance: float,
     method: Method | None,
 ) -> Synthesis:
-    echoes_wanted = motion.echo_count
+    echoes_wanted = delays.echo_count
     if min(echoes_wanted, len(weight), len(sample_time_s)) == 0:
         return Synthesis(np.zeros((echoes_wanted, len(sample_time_s))), method or "running_sum", 0, 0)
     # First those that can be heard in the gate, then of these those that can matter to the tolerance.
-    near = in_reach(motion, weight, pulse, sample_time_s)
+    near = in_reach(delays, weight, pulse, sample_time_s)
     limit = left_out_below(weight[near], pulse, sample_time_s, tolerance)
     strong = near[np.abs(weight[near]) > limit]
-    made = _evaluate(motion, weight, strong, pulse, sample_time_s, tolerance, method)
+    made = _evaluate(delays, weight, strong, pulse, sample_time_s, tolerance, method)
     if len(strong) < len(near):
         rms = math.sqrt(float(np.vdot(made.echo, made.echo)) / made.echo.size)
         left_out = float(np.abs(weight[near]).sum() - np.abs(weight[strong]).sum()) * float(
@@ -97,12 +97,12 @@ def _synthesise(
         )
         # The rms was estimated too high (scatterers that cancel each other): the bound does not hold, so take them all.
         if left_out > 2 * LEFT_OUT_SHARE * tolerance * rms:
-            return _evaluate(motion, weight, near, pulse, sample_time_s, tolerance, method)
+            return _evaluate(delays, weight, near, pulse, sample_time_s, tolerance, method)
     return made
 
 
 def _evaluate(
-    motion: EchoDelays,
+    delays: EchoDelays,
     weight: Floats,
     part: NDArray[np.int64],
     pulse: Pulse,
@@ -111,53 +111,53 @@ def _evaluate(
     method: Method | None,
 ) -> Synthesis:
     if len(part) < len(weight):
-        motion = motion.of(part)
+        delays = delays.of(part)
         weight = weight[part]
     if len(weight) == 0:
-        echoes_wanted = motion.echo_count
+        echoes_wanted = delays.echo_count
         return Synthesis(np.zeros((echoes_wanted, len(sample_time_s))), method or "running_sum", 0, 0)
-    able = choices(motion, weight, pulse, sample_time_s, tolerance, method)
+    able = choices(delays, weight, pulse, sample_time_s, tolerance, method)
     choice = min(able, key=lambda one: one.cost_s)
     echo: Floats | None = None
     terms = choice.terms
     match choice.method:
         case "series":
-            echo = _series_by_blocks(motion, weight, pulse, sample_time_s, tolerance)
+            echo = _series_by_blocks(delays, weight, pulse, sample_time_s, tolerance)
         case "interpolated":
-            echo = interpolated_within(motion, weight, pulse, sample_time_s, terms, tolerance)
+            echo = interpolated_within(delays, weight, pulse, sample_time_s, terms, tolerance)
         case "combined":
-            made = combined(motion.delay_s(), weight, pulse, sample_time_s, tolerance)
+            made = combined(delays.delay_s(), weight, pulse, sample_time_s, tolerance)
             echo, terms = (None, 0) if made is None else made
     if echo is not None:
         return Synthesis(echo, choice.method, terms, len(weight))
     # Chosen, or what another evaluation falls back on that found its own error too large.
-    parts = motion.parts(_PAIRS_AT_ONCE)
+    parts = delays.parts(_PAIRS_AT_ONCE)
     exact = np.concatenate([running_sum(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
     return Synthesis(exact, "running_sum", 0, len(weight))
 
 
 def _series_by_blocks(
-    motion: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, tolerance: float
+    delays: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, tolerance: float
 ) -> Floats:
     """Return the echoes, block by block of samples: each with the scatterers that can reach it, its origin near it."""
-    motion = motion.about_middle()
-    if (motion.rest_s[1:] < motion.rest_s[:-1]).any():
-        order = np.argsort(motion.rest_s, kind="stable")
-        motion, weight = motion.of(order), weight[order]
-    reach_s = float(np.abs(motion.amplitude_s).max(axis=0) @ np.abs(motion.shape).max(axis=1))
+    delays = delays.about_middle()
+    if (delays.rest_s[1:] < delays.rest_s[:-1]).any():
+        order = np.argsort(delays.rest_s, kind="stable")
+        delays, weight = delays.of(order), weight[order]
+    reach_s = float(np.abs(delays.amplitude_s).max(axis=0) @ np.abs(delays.shape).max(axis=1))
     stretches = blocks(sample_time_s, pulse)
     out = []
     for block in stretches:
         origin_s = local_origin_s(sample_time_s[block], pulse)
         time_s = sample_time_s[block]
         begin, end = np.searchsorted(
-            motion.rest_s, [time_s[0] - pulse.end_s - reach_s, time_s[-1] - pulse.start_s + reach_s]
+            delays.rest_s, [time_s[0] - pulse.end_s - reach_s, time_s[-1] - pulse.start_s + reach_s]
         )
         # One beyond on each side: the sums above are rounded.
         near = slice(max(0, int(begin) - 1), int(end) + 1)
-        row = np.zeros(len(motion.rest_s[near]), dtype=np.int64)
+        row = np.zeros(len(delays.rest_s[near]), dtype=np.int64)
         scene = ScattererRows(
-            row, motion.rest_s[near] - origin_s, weight[near], motion.shape[:, near], motion.amplitude_s[None]
+            row, delays.rest_s[near] - origin_s, weight[near], delays.shape[:, near], delays.amplitude_s[None]
         )
         out.append(series(scene, pulse, time_s - origin_s, tolerance)[0])
     return out[0] if len(out) == 1 else np.concatenate(out, axis=1)

@@ -50,8 +50,8 @@ def batch(
         begin = scene.row.searchsorted(np.arange(len(scene.amplitude_s) + 1)).tolist()
         for row, (first, last) in enumerate(itertools.pairwise(begin)):
             own = slice(first, last)
-            motion = EchoDelays(scene.rest_s[own], scene.shape[:, own], scene.amplitude_s[row])
-            out[row] = synthesise(motion, scene.weight[own], pulse, sample_time_s, tolerance).echo
+            delays = EchoDelays(scene.rest_s[own], scene.shape[:, own], scene.amplitude_s[row])
+            out[row] = synthesise(delays, scene.weight[own], pulse, sample_time_s, tolerance).echo
     return out
 
 

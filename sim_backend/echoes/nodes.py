@@ -87,16 +87,16 @@ def _edge_jumps(pulse: Pulse) -> tuple[float, ...]:
 
 
 def interpolated_within(
-    motion: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, nodes: int, tolerance: float
+    delays: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, nodes: int, tolerance: float
 ) -> Floats | None:
     """Return the echoes of a motion of one shape by `interpolated`; None where it misses ``tolerance``.
 
     That is told by some echoes that are summed exactly: few scatterers in the gate may all lie where a support ends.
     """
-    echo = interpolated(motion.rest_s, weight, motion.shape[0], motion.amplitude_s[:, 0], pulse, sample_time_s, nodes)
-    ascending = np.argsort(motion.amplitude_s[:, 0], kind="stable")
+    echo = interpolated(delays.rest_s, weight, delays.shape[0], delays.amplitude_s[:, 0], pulse, sample_time_s, nodes)
+    ascending = np.argsort(delays.amplitude_s[:, 0], kind="stable")
     checked = ascending[np.unique(np.linspace(0, len(echo) - 1, CHECKED).astype(np.int64))]
-    exact = running_sum(motion.rest_s + motion.amplitude_s[checked] @ motion.shape, weight, pulse, sample_time_s)
+    exact = running_sum(delays.rest_s + delays.amplitude_s[checked] @ delays.shape, weight, pulse, sample_time_s)
     error = echo[checked] - exact
     # Half of the tolerance: the others may be worse than those checked.
     if 4 * np.vdot(error, error) > tolerance**2 * np.vdot(exact, exact):
@@ -121,8 +121,8 @@ def interpolated(
     low, high = float(amplitude_s.min()), float(amplitude_s.max())
     middle, half = (high + low) / 2, (high - low) / 2
     angle = (np.arange(nodes) + 0.5) * np.pi / nodes
-    motion = EchoDelays(rest_s, shape[None], (middle + half * np.cos(angle))[:, None])
-    parts = motion.parts(_PAIRS_AT_ONCE)
+    delays = EchoDelays(rest_s, shape[None], (middle + half * np.cos(angle))[:, None])
+    parts = delays.parts(_PAIRS_AT_ONCE)
     at_nodes = np.concatenate([running_sum(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
     if half == 0.0:
         return np.repeat(at_nodes[:1], len(amplitude_s), axis=0)

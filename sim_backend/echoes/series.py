@@ -73,7 +73,7 @@ def series(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance:
     # U_a(t), then every echo as a short combination of them, then the samples that a support's end crosses.
     sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
     rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
-    out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.steps), sums)
+    out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.recurrence), sums)
     budget = CROSSING_SHARE * tolerance * rms * math.sqrt(len(sample_time_s))
     _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
     return out
@@ -106,7 +106,7 @@ def exponents(shapes: int, orders: int) -> list[tuple[int, ...]]:
     return [tuple(map(axes.count, range(shapes))) for axes in itertools.chain.from_iterable(chosen)]
 
 
-def steps(powers: list[tuple[int, ...]]) -> list[tuple[int, int, int]]:
+def recurrence(powers: list[tuple[int, ...]]) -> list[tuple[int, int, int]]:
     """Return for every exponent tuple but the first which one it is a shape times, that shape, and its exponent."""
     place = {power: index for index, power in enumerate(powers)}
     found = []
@@ -121,8 +121,8 @@ def steps(powers: list[tuple[int, ...]]) -> list[tuple[int, int, int]]:
 class Tables:
     """What a pulse and a gate fix."""
 
-    steps: list[tuple[int, int, int]]
-    """How each monomial of the shapes but the first follows from an earlier one (`steps`)."""
+    recurrence: list[tuple[int, int, int]]
+    """How each monomial of the shapes but the first follows from an earlier one (`recurrence`)."""
     scale: float
     """Highest angular frequency of the pulse, rad/s, to which moments and coefficients are referred."""
     turn: Complexes
@@ -147,7 +147,7 @@ def tables_of(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> Tab
     jumps = [np.abs(_edge_derivatives(pulse, edge_s, carrier_hz, 20)).tolist() for edge_s in ends]
     taylor = np.stack([_edge_derivatives(pulse, edge_s, 0.0, 40).real for edge_s in ends])
     return Tables(
-        steps(powers),
+        recurrence(powers),
         float(2 * math.pi * np.abs(hz).max()),
         rotation,
         (jumps[0], jumps[1]),
@@ -172,11 +172,11 @@ def _edge_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int)
     return out
 
 
-def _coefficients(amplitude_rad: Floats, steps: list[tuple[int, int, int]]) -> Floats:
+def _coefficients(amplitude_rad: Floats, recurrence: list[tuple[int, int, int]]) -> Floats:
     """Return b^a / a!, (row, echo, exponent)."""
-    out = np.empty((len(steps) + 1, *amplitude_rad.shape[:2]))
+    out = np.empty((len(recurrence) + 1, *amplitude_rad.shape[:2]))
     out[0] = 1.0
-    for index, (lower, shape, power) in enumerate(steps, 1):
+    for index, (lower, shape, power) in enumerate(recurrence, 1):
         np.multiply(out[lower], amplitude_rad[..., shape] / power, out=out[index])
     return np.ascontiguousarray(np.moveaxis(out, 0, -1))
 
@@ -205,7 +205,7 @@ def _rest_sums(
         for cut in range(low, high, at_once):
             length = min(at_once, high - cut)
             part = slice(first + cut, first + cut + length)
-            turned, moments = phasors(pulse, scene.rest_s[part], -1)[:, None], _moments(scene, part, tables.steps)
+            turned, moments = phasors(pulse, scene.rest_s[part], -1)[:, None], _moments(scene, part, tables.recurrence)
             here = min(max(middle - cut, 0), length)
             # Those there already, an empty place, those to come: the sums begin at the empty place and go either way.
             sums = np.zeros((*tables.turn.shape[:2], length + 1), dtype=np.complex128)
@@ -227,12 +227,12 @@ def _runs(key: Indices) -> Indices:
     return np.flatnonzero(new)
 
 
-def _moments(scene: ScattererRows, part: slice, steps: list[tuple[int, int, int]]) -> Floats:
+def _moments(scene: ScattererRows, part: slice, recurrence: list[tuple[int, int, int]]) -> Floats:
     """Return I_n g_n^a, (exponent, scatterer)."""
     shape, weight = scene.shape[:, part], scene.weight[part]
-    out = np.empty((len(steps) + 1, len(weight)))
+    out = np.empty((len(recurrence) + 1, len(weight)))
     out[0] = weight
-    for index, (lower, axis, _) in enumerate(steps, 1):
+    for index, (lower, axis, _) in enumerate(recurrence, 1):
         np.multiply(out[lower], shape[axis], out=out[index])
     return out
 

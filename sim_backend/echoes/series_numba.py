@@ -45,7 +45,7 @@ def compiled_series(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, t
     made = out if out.flags.c_contiguous else np.empty(out.shape)
     parts = (scene.rest_s, scene.weight, shape, amplitude_s, sample_time_s)
     rest_s, weight, shape, amplitude_s, time_s = (np.ascontiguousarray(part, dtype=np.float64) for part in parts)
-    rows(
+    echoes_of_rows(
         scene.row.searchsorted(np.arange(len(amplitude_s) + 1)),
         rest_s,
         weight,
@@ -183,7 +183,7 @@ def _correct(
 
 
 @_compiled
-def rows(
+def echoes_of_rows(
     first: NDArray[np.int64],
     rest_s: Floats,
     weight: Floats,
