@@ -178,8 +178,8 @@ def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatA
     """
     rate_hz = 1 / float(np.median(np.diff(time_s)))
     apart_hz = 0.9 / float(time_s[-1] - time_s[0])
-    seen_hz, new_hz = _aliased(frequency_hz, rate_hz), []
-    for frequency, aliased in zip(np.sort(also_hz), _aliased(np.sort(also_hz), rate_hz), strict=True):
+    seen_hz, new_hz = aliased_hz(frequency_hz, rate_hz), []
+    for frequency, aliased in zip(np.sort(also_hz), aliased_hz(np.sort(also_hz), rate_hz), strict=True):
         if aliased >= apart_hz and np.abs(seen_hz - aliased).min() >= apart_hz:
             seen_hz = np.append(seen_hz, aliased)
             new_hz.append(frequency)
@@ -194,7 +194,7 @@ def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatA
     return columns
 
 
-def _aliased(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
+def aliased_hz(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
     """Return where pulses at ``rate_hz`` see a frequency, from 0 to half the rate."""
     return np.asarray(np.abs(frequency_hz - rate_hz * np.round(frequency_hz / rate_hz)))
 
