@@ -55,7 +55,7 @@ def effective_rate_hz(pulse_rate_hz: float, burst_rate_hz: float, bursts: int) -
     """Return the rate at which ``bursts`` burst periods together sample one period.
 
     It is the pulse rate where every period is sampled at the same instants, and more where the pulses shift from burst
-    to burst: then harmonics up to half of it can be told apart.
+    to burst: then harmonics up to half of it can be resolved.
     """
     shifts = Fraction(pulse_rate_hz / burst_rate_hz).limit_denominator(max(1, bursts))
     return float(shifts.numerator) * burst_rate_hz

@@ -64,7 +64,7 @@ def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = No
 def fit_gain(scene: Scene, shot: Shot) -> float:
     """Return the noise of the worst wanted quadrature over that of a sinusoid fitted alone to all pulses; else 1.
 
-    Above 1 where pulses are skipped and the other driven harmonics, fitted along, are hardly told from the wanted ones.
+    Above 1 where pulses are skipped and barely resolve the wanted from the other driven harmonics, fitted along.
     """
     with suppress(ValueError):
         return _quadrature_gain(scene, shot) / math.sqrt(2 / window_pulse_count(scene))

@@ -53,7 +53,7 @@ class Conditions:
     fit_gain: float = 1.0
 
     @property
-    def jitter_variance(self) -> float:
+    def trigger_jitter_variance(self) -> float:
         """Variance of a pulse's echo phase by trigger jitter, rad^2."""
         return float((2 * np.pi * self.carrier_hz * self.trigger_jitter_s) ** 2)
 
@@ -102,7 +102,7 @@ def expected(conditions: Conditions, estimator: str, speckle: Speckle, generator
         ratio, share = _whole_gate(conditions, speckle, spec.by_carrier)
         pulse = spec.gate_noise / (conditions.gate_samples * conditions.snr * share)
         walk = _walk(conditions, pulse) if spec.steps_add_up else 0.0
-    deviation = _quadrature_deviation(conditions, spec, pulse + conditions.jitter_variance, walk)
+    deviation = _quadrature_deviation(conditions, spec, pulse + conditions.trigger_jitter_variance, walk)
     return _with_noise(conditions, estimator, ratio, deviation)
 
 

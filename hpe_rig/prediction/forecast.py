@@ -107,7 +107,7 @@ def remedies(prediction: Prediction, target_m: float, depth_m: float, estimator:
     cycles = conditions.pulses / conditions.pulse_rate_hz * conditions.frequency_hz
     spec = spec_of(estimator)
     worse = conditions.fit_gain**2 if spec.fits_all_at_once else spec.slow_time_noise
-    jitter = 2 * worse * conditions.jitter_variance / conditions.pulses * conditions.metres_per_radian**2
+    jitter = 2 * worse * conditions.trigger_jitter_variance / conditions.pulses * conditions.metres_per_radian**2
     left = target_m**2 - jitter
     snr_factor = (found.noise_jitter_m**2 - jitter) / left if left > 0 else math.inf
     return Remedy(

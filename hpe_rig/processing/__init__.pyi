@@ -25,7 +25,7 @@ from .ground_truth import true_harmonics_m as true_harmonics_m
 from .harmonic import HarmonicFit as HarmonicFit, Innovations as Innovations, least_squares as least_squares
 from .kalman_filter import kalman as kalman
 from .maximum_likelihood import joint as joint
-from .model import design as design, harmonic_columns as harmonic_columns
+from .model import aliased_hz as aliased_hz, harmonic_columns as harmonic_columns, linear_model as linear_model
 from .motion import (
     coherent as coherent,
     coherent_phase as coherent_phase,

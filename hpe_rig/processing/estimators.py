@@ -116,7 +116,7 @@ class EstimatorSpec:
 
     @property
     def fits_all_at_once(self) -> bool:
-        """Whether all frequencies are fitted at once, so that telling them apart costs noise; else one by one."""
+        """Whether all frequencies are fitted at once, so that resolving them costs noise; else one by one."""
         return self.slow_time_window == "none"
 
 

@@ -24,7 +24,7 @@ def follow(records: EchoGate, gate: slice) -> tuple[EchoGate, Motion]:
     coarse_m = looked.displacement_m[records.valid]
     if float(looked.largest_step) > 0.95:
         raise ValueError(
-            f"a step of {float(looked.largest_step):.2f} quarter wavelengths cannot be told from one in the other "
+            f"a step of {float(looked.largest_step):.2f} quarter wavelengths is ambiguous with one in the other "
             "direction: raise the pulse rate"
         )
     metre_samples = 2 / records.sound_speed_m_per_s * records.sample_rate_hz

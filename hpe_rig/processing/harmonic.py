@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, FloatArray, Motion
-from hpe_rig.processing.model import LARGEST_CONDITION, design
+from hpe_rig.processing.model import LARGEST_CONDITION, linear_model
 
 PHASE_VARIANCE_LIMIT = np.pi**2 / 3
 """Variance of a phase about which nothing is known, rad^2."""
@@ -72,11 +72,11 @@ def least_squares(
     ``also_hz`` are frequencies that are there as well: fitted, so that they are no residual, and not returned; half
     the pulse rate may be among them. ``background_order`` is that of the polynomial fitted along. Every valid pulse has
     the same weight; the residual is taken as white, for accumulated steps as white plus a random walk. Raises
-    ``ValueError`` when the pulses cannot tell the frequencies apart (see ``model.design``).
+    ``ValueError`` when the pulses cannot resolve the frequencies (see ``model.linear_model``).
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     times = motion.time_s, motion.valid
-    model = design(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
+    model = linear_model(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
     wanted, (pulses, states) = model.wanted, model.matrix.shape
     state, residual = model.solve(motion.displacement_m[..., motion.valid])
     variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)

@@ -17,7 +17,7 @@ from numpy.polynomial import legendre
 
 from hpe_rig.processing.echoes import FloatArray, Motion
 from hpe_rig.processing.harmonic import HarmonicFit, Innovations, fit_from_state
-from hpe_rig.processing.model import LARGEST_CONDITION, SURE_CONDITION, design, scaled_time
+from hpe_rig.processing.model import LARGEST_CONDITION, SURE_CONDITION, linear_model, scaled_time
 
 PRIOR = 1e10
 """Prior variance over measurement variance: nothing known."""
@@ -63,7 +63,7 @@ def kalman(
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     times = motion.time_s, motion.valid
-    model = design(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
+    model = linear_model(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
     displacement = motion.displacement_m[..., motion.valid]
     if process_noise == background_noise == 0:
         found = filter_constant(model.matrix, displacement, prior, innovations)

@@ -15,7 +15,7 @@ import numpy as np
 
 from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, band_spectrum, turned
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
-from hpe_rig.processing.model import LARGEST_CONDITION, design, triangular_root
+from hpe_rig.processing.model import LARGEST_CONDITION, linear_model, triangular_root
 from hpe_rig.processing.motion import coherent
 
 STEPS = 12
@@ -40,7 +40,7 @@ def joint(
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     times = echoes.pulse_time_s, echoes.valid
-    model = design(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
+    model = linear_model(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
     constant = model.wanted.stop - 1 - background_order
     # the constant is the phase of the resting echo: centred columns are what is left once that is fitted
     matrix = np.delete(model.matrix, constant, axis=1) if background_order >= 0 else model.matrix

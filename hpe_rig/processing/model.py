@@ -1,4 +1,4 @@
-"""Linear model of slow time: sinusoids, a smooth background, and what pulses can tell apart.
+"""Linear model of slow time: sinusoids, a smooth background, and what pulses can resolve.
 
 State order: in-phase and quadrature (A cos phi, A sin phi) of each wanted frequency, the background, then frequencies
 that are there and not wanted.
@@ -18,7 +18,7 @@ from numpy.polynomial import legendre
 from hpe_rig.processing.echoes import BoolArray, FloatArray
 
 LARGEST_CONDITION = 100.0
-"""Condition number from which on frequencies are refused as not told apart."""
+"""Condition number from which on frequencies are refused as not resolved."""
 
 
 SURE_CONDITION = 1e4
@@ -28,7 +28,7 @@ LARGEST_KEPT = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
-class Design:
+class LinearModel:
     """A model matrix (valid pulse, state), and the condition number of what is wanted (columns scaled to unit length).
 
     ``every_pulse`` (pulse, state) has the rows of the other pulses as well; ``root`` (state, state), upper triangular,
@@ -72,7 +72,7 @@ def scaled_time(time_s: FloatArray) -> FloatArray:
     return np.asarray((time_s - time_s[0]) * (2 / (time_s[-1] - time_s[0])) - 1)
 
 
-def design(
+def linear_model(
     time_s: FloatArray,
     valid: BoolArray,
     frequency_hz: FloatArray,
@@ -80,10 +80,10 @@ def design(
     *,
     background_order: int = 0,
     also_hz: FloatArray | Sequence[float] = (),
-) -> Design:
+) -> LinearModel:
     """Return the model of the valid pulses: wanted frequencies, background polynomial, then the others (``also_hz``).
 
-    Of the others, those stay, from the lowest up, that the pulses can tell apart.
+    Of the others, those stay, from the lowest up, that the pulses can resolve.
 
     ``background_order`` 0 is a constant, 1 a velocity, 2 an acceleration, more a drift; -1 leaves it out. Raises
     ``ValueError`` for no or non-positive or repeated frequencies, a frequency at or above half the pulse rate, too few
@@ -91,23 +91,23 @@ def design(
     """
     choice = tuple(frequency_hz.tolist()), tuple(np.asarray(also_hz).tolist()), background_order, largest_condition
     if time_s.size > LARGEST_KEPT:
-        return _design(time_s, valid, *choice)
-    return _kept_design(time_s.tobytes(), valid.tobytes(), *choice)
+        return _model(time_s, valid, *choice)
+    return _kept_model(time_s.tobytes(), valid.tobytes(), *choice)
 
 
 @lru_cache(maxsize=4)
-def _kept_design(time_s: bytes, valid: bytes, *choice: Any) -> Design:
-    return _design(np.frombuffer(time_s), np.frombuffer(valid, dtype=bool), *choice)
+def _kept_model(time_s: bytes, valid: bytes, *choice: Any) -> LinearModel:
+    return _model(np.frombuffer(time_s), np.frombuffer(valid, dtype=bool), *choice)
 
 
-def _design(
+def _model(
     time_s: FloatArray,
     valid: BoolArray,
     frequencies_hz: tuple[float, ...],
     also_hz: tuple[float, ...],
     background_order: int,
     largest_condition: float,
-) -> Design:
+) -> LinearModel:
     frequency_hz = np.array(frequencies_hz)
     _require_frequencies(time_s, frequency_hz)
     every_pulse = np.hstack([harmonic_columns(time_s, frequency_hz), background_columns(time_s, background_order)])
@@ -125,13 +125,13 @@ def _design(
         # Half of what is left stays for the noise.
         others = _other_columns(time_s, frequency_hz, np.array(also_hz))[:, : (found - states) // 2]
         every_pulse = np.hstack([every_pulse, others])
-        kept = states + _tellable(every_pulse[valid], states, largest_condition)
+        kept = states + _resolvable(every_pulse[valid], states, largest_condition)
         every_pulse = every_pulse[:, :kept]
         matrix = every_pulse[valid]
     root = triangular_root(matrix, max(condition, largest_condition if also_hz else 1.0))
     for array in (matrix, every_pulse, root):
         array.flags.writeable = False
-    return Design(matrix, every_pulse, root, condition, slice(0, states))
+    return LinearModel(matrix, every_pulse, root, condition, slice(0, states))
 
 
 def triangular_root(matrix: FloatArray, condition: float) -> FloatArray:
@@ -152,13 +152,13 @@ def _condition(matrix: FloatArray) -> float:
     return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
 
 
-def _tellable(matrix: FloatArray, wanted: int, largest_condition: float) -> int:
-    """Return how many columns after the ``wanted`` the pulses can tell from those and from each other."""
+def _resolvable(matrix: FloatArray, wanted: int, largest_condition: float) -> int:
+    """Return how many columns after the ``wanted`` the pulses can resolve, from those and from each other."""
     scaled = matrix / np.linalg.norm(matrix, axis=0).clip(min=np.finfo(np.float64).tiny)
     gram = scaled.T @ scaled
     # More columns never lower the condition, so a bisection finds the last good number.
     few, many = 0, matrix.shape[1] - wanted
-    # The first look is at all: often they can be told.
+    # The first look is at all: often all can be resolved.
     middle = many
     while few < many:
         smallest, *_, largest = np.linalg.eigvalsh(gram[: wanted + middle, : wanted + middle])
@@ -178,8 +178,8 @@ def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatA
     """
     rate_hz = 1 / float(np.median(np.diff(time_s)))
     apart_hz = 0.9 / float(time_s[-1] - time_s[0])
-    seen_hz, new_hz = _aliased(frequency_hz, rate_hz), []
-    for frequency, aliased in zip(np.sort(also_hz), _aliased(np.sort(also_hz), rate_hz), strict=True):
+    seen_hz, new_hz = aliased_hz(frequency_hz, rate_hz), []
+    for frequency, aliased in zip(np.sort(also_hz), aliased_hz(np.sort(also_hz), rate_hz), strict=True):
         if aliased >= apart_hz and np.abs(seen_hz - aliased).min() >= apart_hz:
             seen_hz = np.append(seen_hz, aliased)
             new_hz.append(frequency)
@@ -194,7 +194,7 @@ def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatA
     return columns
 
 
-def _aliased(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
+def aliased_hz(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
     """Return where pulses at ``rate_hz`` see a frequency, from 0 to half the rate."""
     return np.asarray(np.abs(frequency_hz - rate_hz * np.round(frequency_hz / rate_hz)))
 
@@ -205,7 +205,7 @@ def _require_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
     if not np.all(np.isfinite(frequency_hz) & (frequency_hz > 0)):
         raise ValueError(f"frequencies {frequency_hz.tolist()} Hz: each must be finite and above zero")
     if np.unique(frequency_hz).size != frequency_hz.size:
-        raise ValueError(f"frequencies {frequency_hz.tolist()} Hz name one twice: it cannot be told from itself")
+        raise ValueError(f"frequencies {frequency_hz.tolist()} Hz name one twice: give each once")
     if time_s.size < 2:
         raise ValueError(f"{time_s.size} pulse: no motion can be seen; try more tracking pulses")
     rate_hz = 1 / float(np.median(np.diff(time_s)))
@@ -223,7 +223,7 @@ def _unresolved(time_s: FloatArray, frequency_hz: FloatArray, condition: float, 
     span_s = float(time_s[-1] - time_s[0])
     closest_hz = float(np.min(np.diff(np.sort(frequency_hz), prepend=0.0)))
     return (
-        f"frequencies {frequency_hz.tolist()} Hz cannot be told apart (condition {condition:.3g}, limit {limit:g}): "
-        f"the closest two, zero included, are {closest_hz:g} Hz apart and watched for {span_s:g} s, or the valid "
+        f"frequencies {frequency_hz.tolist()} Hz cannot be resolved (condition {condition:.3g}, limit {limit:g}): "
+        f"the closest two, zero included, are {closest_hz:g} Hz apart in a window of {span_s:g} s, or the valid "
         f"pulses are spaced badly; try at least {1 / closest_hz:g} s or other frequencies"
     )

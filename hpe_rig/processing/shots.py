@@ -13,7 +13,7 @@ from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlik
 from hpe_rig.processing.echoes import EchoGate, Motion, relative_to
 from hpe_rig.processing.estimators import EstimatorSpec, Options, estimate, fit_motion, spec_of
 from hpe_rig.processing.harmonic import HarmonicFit
-from hpe_rig.processing.model import Design, design
+from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.result import Averaging, Estimate, ShotResult
@@ -98,14 +98,14 @@ def _estimate_shot(
     )
 
 
-def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[NDArray[np.float64], Design]:
+def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[NDArray[np.float64], LinearModel]:
     """Return the times (pulse,) of the pulses that the fit of ``shot`` uses, and the model fitted to them.
 
     As planned, no record missing; without the other driven frequencies where an estimator does not fit them along.
-    Raises ``ValueError`` where the pulses do not tell the wanted frequencies apart.
+    Raises ``ValueError`` where the pulses do not resolve the wanted frequencies.
     """
     chosen = select(scene, shot)
-    model = design(
+    model = linear_model(
         chosen.time_s,
         chosen.used,
         chosen.wanted_hz,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, FloatArray, Motion
-from hpe_rig.processing.model import LARGEST_CONDITION, design
+from hpe_rig.processing.model import LARGEST_CONDITION, linear_model
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +35,11 @@ def drift_between_halves(
     """Return the change of amplitude between both halves: suspicious where bursts are missing or motion decays.
 
     The wanted states may change by a step in the middle, the rest of ``least_squares``' model is that of all pulses.
-    Raises ``ValueError`` as that does, and where half the pulses cannot tell the frequencies apart.
+    Raises ``ValueError`` as that does, and where half the pulses cannot resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     valid, wanted = motion.valid, 2 * frequency_hz.size
-    model = design(motion.time_s, valid, frequency_hz, background_order=background_order, also_hz=also_hz)
+    model = linear_model(motion.time_s, valid, frequency_hz, background_order=background_order, also_hz=also_hz)
     side = np.where(np.arange(valid.size) < valid.size // 2, -1.0, 1.0)[valid]
     # one solution for the steps and the motion
     motions = motion.displacement_m[..., valid]
@@ -50,7 +50,7 @@ def drift_between_halves(
     smallest, *_, largest = np.linalg.eigvalsh(products)
     free = len(model.matrix) - model.matrix.shape[1] - wanted
     if free < 1 or not smallest * LARGEST_CONDITION**2 > largest:
-        raise ValueError("half the pulses cannot tell the frequencies apart: watch them for longer")
+        raise ValueError("half the pulses cannot resolve the frequencies: use a longer window")
     covariance = np.linalg.inv(products)
     change = residual @ step.T @ covariance
     rest = residual - change @ step

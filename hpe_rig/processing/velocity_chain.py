@@ -16,7 +16,7 @@ from hpe_rig.processing.conditioning import hann
 from hpe_rig.processing.echoes import FloatArray, Velocity
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.processing.kalman_filter import PRIOR, filter_constant
-from hpe_rig.processing.model import LARGEST_CONDITION, Design, design, harmonic_columns
+from hpe_rig.processing.model import LARGEST_CONDITION, LinearModel, harmonic_columns, linear_model
 from hpe_rig.processing.velocity_noise import per_pulse, velocity_noise
 
 
@@ -59,7 +59,7 @@ def velocity_to_harmonics(
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
-    model = design(velocity.time_s, velocity.valid, frequency_hz, largest_condition, also_hz=also_hz)
+    model = linear_model(velocity.time_s, velocity.valid, frequency_hz, largest_condition, also_hz=also_hz)
     every_hz = np.concatenate([frequency_hz, np.asarray(also_hz, dtype=np.float64)])
     filled = _filled(velocity, model)
     each = [_one_frequency(velocity, filled, f, _half_width_hz(every_hz, f), model, steps) for f in frequency_hz]
@@ -86,7 +86,7 @@ def _even_interval_s(velocity: Velocity) -> float:
 
 
 def _one_frequency(
-    velocity: Velocity, filled: FloatArray, f: float, half_width_hz: float, model: Design, steps: Steps
+    velocity: Velocity, filled: FloatArray, f: float, half_width_hz: float, model: LinearModel, steps: Steps
 ) -> tuple[FloatArray, FloatArray]:
     """Return the state (..., 2) of one frequency and the rows (2, interval) that give it from the velocities."""
     valid, interval_s = velocity.valid, _even_interval_s(velocity)
@@ -124,7 +124,7 @@ def _velocity_turn(f: float, interval_s: float) -> FloatArray:
     return np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
 
 
-def _filled(velocity: Velocity, model: Design) -> FloatArray:
+def _filled(velocity: Velocity, model: LinearModel) -> FloatArray:
     """Return the velocities (..., interval), missing ones predicted from a fit to all the others.
 
     The band-pass needs a value everywhere; one that follows the motion does not disturb its neighbours.

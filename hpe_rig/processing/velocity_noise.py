@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hpe_rig.processing.echoes import FloatArray, Velocity
-from hpe_rig.processing.model import Design
+from hpe_rig.processing.model import LinearModel
 
 RATIOS = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 49)])
 """Interval over pulse noise, both as variance of a displacement step, that are tried."""
@@ -18,7 +18,7 @@ LEAST_BINS = 12
 
 
 def velocity_noise(
-    velocity: Velocity, model: Design, frequency_hz: FloatArray, interval_s: float
+    velocity: Velocity, model: LinearModel, frequency_hz: FloatArray, interval_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the variances (...) of one pulse's displacement (m^2) and of one interval's velocity ((m/s)^2).
 

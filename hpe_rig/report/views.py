@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.plan import Selection, Shot, select
-from hpe_rig.processing import codes_to_volts, coherent, design, shot_echoes
+from hpe_rig.processing import aliased_hz, codes_to_volts, coherent, linear_model, shot_echoes
 from hpe_rig.result import Estimate
 from hpe_rig.scene import Scene
 from hpe_rig.store import ShotRecords
@@ -117,7 +117,7 @@ def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequenc
     frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
     also_hz = shown.driven_hz
     order = scene.processing.background_order
-    matrix = design(motion.time_s, kept, frequency_hz, background_order=order, also_hz=also_hz).matrix
+    matrix = linear_model(motion.time_s, kept, frequency_hz, background_order=order, also_hz=also_hz).matrix
     wanted, rest = np.split(matrix, [2 * frequency_hz.size], axis=1)
     displacement_m = motion.displacement_m[kept]
     harmonics_m = wanted @ _state(estimates)
@@ -160,4 +160,4 @@ def _state(estimates: Sequence[Estimate]) -> FloatArray:
 
 def _seen_hz(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
     """Return where pulses at ``rate_hz`` see each frequency, from 0 to half the rate, each once."""
-    return np.unique(np.round(np.abs(frequency_hz - rate_hz * np.round(frequency_hz / rate_hz)), 9))
+    return np.unique(np.round(aliased_hz(frequency_hz, rate_hz), 9))

@@ -179,8 +179,8 @@ def test_velocity_noise_that_does_not_cancel_is_found_and_stated() -> None:
         ([200.0, 200.0], 100, "twice"),
         ([2000.0], 100, "half the pulse rate of 4000 Hz"),
         ([200.0, 400.0], 5, "5 valid pulses cannot give 5 unknowns"),
-        ([200.0, 200.1], 100, "cannot be told apart"),
-        ([0.5], 100, "cannot be told apart"),
+        ([200.0, 200.1], 100, "cannot be resolved"),
+        ([0.5], 100, "cannot be resolved"),
     ],
 )
 def test_what_pulses_cannot_tell_is_refused_with_the_reason(

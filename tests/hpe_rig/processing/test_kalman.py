@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.processing import Motion, kalman, least_squares
 from hpe_rig.processing.kalman_filter import filter_changing, filter_constant
-from hpe_rig.processing.model import design
+from hpe_rig.processing.model import linear_model
 
 FloatArray = NDArray[np.float64]
 RATE_HZ = 4000.0
@@ -46,7 +46,7 @@ def _plain(matrix: FloatArray, data: FloatArray, prior: float) -> tuple[FloatArr
 @pytest.mark.parametrize("pulses", [9, 64, 65, 200])
 def test_blocks_give_the_plain_recursions_states_covariance_and_innovations(pulses: int) -> None:
     generator = np.random.default_rng(pulses)
-    matrix = design(np.arange(pulses) / RATE_HZ, np.ones(pulses, bool), np.array([200.0, 730.0]), np.inf).matrix
+    matrix = linear_model(np.arange(pulses) / RATE_HZ, np.ones(pulses, bool), np.array([200.0, 730.0]), np.inf).matrix
     data = generator.standard_normal((3, pulses))
     found = filter_constant(matrix, data, 1e4, innovations=True)
     changing = filter_changing(matrix, data, [np.zeros((pulses, 5, 1))], 1e4)
@@ -79,7 +79,7 @@ def test_a_huge_prior_gives_least_squares_to_1e9() -> None:
     filtered, fitted = kalman(motion, [200.0, 330.0], prior=1e15), least_squares(motion, [200.0, 330.0])
     np.testing.assert_allclose(filtered.state, fitted.state, rtol=1e-9, atol=1e-18)
     np.testing.assert_allclose(filtered.covariance, fitted.covariance, rtol=1e-9, atol=1e-30)
-    q, r = np.linalg.qr(design(motion.time_s, motion.valid, np.array([200.0, 330.0])).matrix)
+    q, r = np.linalg.qr(linear_model(motion.time_s, motion.valid, np.array([200.0, 330.0])).matrix)
     np.testing.assert_allclose(
         filtered.state, np.linalg.solve(r, q.T @ motion.displacement_m.T).T, rtol=1e-9, atol=1e-18
     )
