@@ -179,10 +179,6 @@ def estimates_of(fit: HarmonicFit) -> tuple[Estimate, ...]:
             amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
             phase_rad=float(fit.phase_rad[index]),
             phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
-            averaging_factor=None,
-            speckle_relative=None,
-            true_amplitude_m=None,
-            true_phase_rad=None,
         )
         for index in range(fit.frequency_hz.size)
     )
