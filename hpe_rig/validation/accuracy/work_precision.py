@@ -157,7 +157,6 @@ def draw_panels(
         one.grid(alpha=0.3)
         if over_bound:
             one.axhline(1, color="0.6", lw=0.8)
-            label_decades(one.yaxis)
         if not over_bound or one is axes[0]:
             one.legend(fontsize=7, framealpha=0.5)
     for one in axes[::columns]:
