@@ -27,7 +27,7 @@ CLOSED_FORM = {
     "gelatin-12": {100: 10.1, 200: 9.58, 400: 8.12, 600: 6.65, 1000: 4.49},
     "gelatin-15": {100: 5.47, 200: 5.34, 400: 4.91, 600: 4.38, 1000: 3.40},
 }
-"""Amplitude at the focus over force density by frequency, 1e-12 m per N/m^3: a Voigt medium under the Gaussian force."""
+"""Amplitude at the focus over force density by frequency, 1e-12 m per N/m^3: a Voigt medium, a Gaussian force."""
 
 SPECKLE = 0.017
 """Relative spread of the tracked displacement over speckle, `hpe-rig check`: one draw for all repeats."""

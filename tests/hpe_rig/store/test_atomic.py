@@ -12,9 +12,14 @@ from hpe_rig.store.atomic import atomic_file
 def test_what_fails_halfway_leaves_the_file_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("before", encoding="utf-8")
-    with pytest.raises(ZeroDivisionError), atomic_file(path) as draft:
-        draft.write_text("half", encoding="utf-8")
-        raise ZeroDivisionError
+
+    def half() -> None:
+        with atomic_file(path) as draft:
+            draft.write_text("half", encoding="utf-8")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        half()
     assert path.read_text(encoding="utf-8") == "before"
     assert list(tmp_path.iterdir()) == [path]
 
