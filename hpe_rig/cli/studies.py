@@ -17,7 +17,7 @@ studies = typer.Typer()
 def accuracy(
     part: Annotated[
         str | None,
-        typer.Argument(help="echo, specimen, chain, motion or harmonic; default: one report of all."),
+        typer.Argument(metavar="PART", help="echo, specimen, chain, motion or harmonic; default: one report of all."),
     ] = None,
     output: Annotated[
         Path | None,
