@@ -8,10 +8,10 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 import hpe_rig as hpe
-from hpe_rig.result import Estimate
+from hpe_rig.result import PALETTE, Estimate
 
 FOLDER = Path(__file__).parent / "figures"
-ESTIMATE = "#D55E00"
+_, ESTIMATE, *_, PREDICTED, _ = PALETTE
 
 
 def main() -> None:
@@ -34,7 +34,7 @@ def draw(estimates: tuple[Estimate, ...]) -> Figure:
     spread = np.array([item.speckle_relative or np.nan for item in estimates])
     left.plot(frequency_hz, true_nm, color="0.45", label="true peak displacement")
     band = (true_nm * averaged * (1 - 2 * spread), true_nm * averaged * (1 + 2 * spread))
-    left.fill_between(frequency_hz, *band, color="#56B4E9", alpha=0.35, lw=0, label="predicted, 2 speckle sd")
+    left.fill_between(frequency_hz, *band, color=PREDICTED, alpha=0.35, lw=0, label="predicted, 2 speckle sd")
     nm = np.array([(item.amplitude_m, 2 * item.amplitude_uncertainty_m) for item in estimates]).T * 1e9
     left.errorbar(frequency_hz, *nm, fmt="o", ms=4, color=ESTIMATE, label="estimate, 2 u")
     left.set(xlabel="vibration frequency (Hz)", ylabel="displacement amplitude (nm)", ylim=(0, None))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -101,12 +102,10 @@ def inline(svg: str, key: str, title: str, alt: str) -> str:
     body = re.sub(r'(url\(#|xlink:href="#)', rf"\g<1>{key}-", body)
     head, _, rest = body.partition(">")
     head = re.sub(r' (?:width|height)="[^"]*"', "", head)
-    names = f'<title id="{key}-t">{_escape(title)}</title><desc id="{key}-d">{_escape(alt)}</desc>'
+    names = (
+        f'<title id="{key}-t">{escape(title, quote=False)}</title><desc id="{key}-d">{escape(alt, quote=False)}</desc>'
+    )
     return f'{head} role="img" aria-labelledby="{key}-t {key}-d">{names}{rest}'
-
-
-def _escape(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
 
 
 def label_decades(axis: Axis) -> None:

@@ -73,7 +73,10 @@ def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
 
 
 def fit_line(x: FloatArray, y: FloatArray) -> Line | None:
-    """Return the least-squares line through (x, y), both (point,); None where x has fewer than two values."""
+    """Return the least-squares line through (x, y), both (point,); None where x has fewer than two values.
+
+    Uncertainties come from 1 - R^2, so of points that leave a line by less than 1e-8 of their range they are rounding.
+    """
     if x.size == 0 or not np.ptp(x) > 0:
         return None
     found = linregress(x, y)

@@ -93,7 +93,7 @@ def curves(result: StudyResult, one: View) -> list[Curve]:
     x = np.array(given if numbers(given) else range(len(given)), dtype=np.float64)
     found = []
     for values in itertools.product(*(axis.values() for axis in outer)):
-        rows = [row for row in one.rows if all(row[a.name] == v for a, v in zip(outer, values, strict=True))]
+        rows = _rows_at(one, outer, values)
         label = ", ".join(f"{a.name} = {shown(v, a.unit)}" for a, v in zip(outer, values, strict=True))
         if len(rows) == len(x):
             found.append(Curve(label, x, tuple(rows)))
@@ -106,9 +106,13 @@ def maps(result: StudyResult, one: View) -> Iterator[tuple[tuple[Any, ...], Floa
     x, y = (np.array(axis.values(), dtype=np.float64) for axis in (across, up))
     columns = [name for name, value in one.rows[0].items() if isinstance(value, float)]
     for values in itertools.product(*(axis.values() for axis in outer)):
-        rows = [row for row in one.rows if all(row[a.name] == v for a, v in zip(outer, values, strict=True))]
+        rows = _rows_at(one, outer, values)
         tables = {name: np.array([row[name] for row in rows]).reshape(len(x), len(y)).T for name in columns}
         yield values, x, y, tables
+
+
+def _rows_at(one: View, axes: Sequence[Axis], values: Sequence[Any]) -> list[StudyRow]:
+    return [row for row in one.rows if all(row[axis.name] == v for axis, v in zip(axes, values, strict=True))]
 
 
 def shown(value: Any, unit: str) -> str:

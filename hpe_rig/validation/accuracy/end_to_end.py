@@ -12,7 +12,7 @@ import math
 import os
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -204,11 +204,7 @@ def _of_way(varied: str, way: Way, realisations: Sequence[int], seed: int) -> It
         standard_error = deviation / math.sqrt(count)
         yield EndToEnd(
             varied=varied,
-            estimator=way.estimator,
-            gate_length_m=way.gate_length_m,
-            tolerance=way.tolerance,
-            nodes=way.nodes,
-            degrees=way.degrees,
+            **asdict(way),
             realisations=count,
             numerical_error=numerical,
             bias=bias,

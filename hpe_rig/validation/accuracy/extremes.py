@@ -1,6 +1,6 @@
 """Stiff and extreme cases, each with its error: shipped settings against an exact reference, no noise.
 
-The medium's cases come from `accuracy_specimen`; here are the echoes' (against the direct sum), the estimators' (one
+The medium's cases come from `specimen`; here are the echoes' (against the direct sum), the estimators' (one
 scatterer, whose motion is the truth) and the fit's (prescribed displacement).
 """
 
@@ -42,7 +42,7 @@ class Extreme:
 def extremes(medium: Iterable[Point] = (), longest_cycles: float = 1e4) -> Iterator[Extreme]:
     """Yield every stage's cases, ``longest_cycles`` those of the longest train that the estimators get.
 
-    ``medium`` are the points of `accuracy_specimen`: ours, the best of the others and each that fails.
+    ``medium`` are the points of `specimen`: ours, the best of the others and each that fails.
     """
     yield from _of_medium(medium)
     yield from _echoes()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -22,7 +23,7 @@ from hpe_rig.validation.accuracy import (
 )
 from hpe_rig.validation.accuracy.end_to_end import EndToEnd, draw_end_to_end, rows as end_to_end_rows
 from hpe_rig.validation.accuracy.extremes import Extreme, extremes
-from hpe_rig.validation.accuracy.work_precision import Point, draw_points, points_text, write_rows
+from hpe_rig.validation.accuracy.work_precision import Point, draw_points, grouped, points_text, write_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +70,7 @@ def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell:
         "specimen": lambda: specimen_part(medium),
         "stiff and extreme": lambda: extremes_part(list(extremes(medium))),
         "echo": lambda: echo_part(effort),
-        "chain": lambda: chain_part(list(accuracy_chain.chain_points())),
+        "chain": lambda: _points_part("chain", "Receive chain: tails and oversampling", list(accuracy_chain.chain_points())),
         "motion": lambda: motion_part(effort.draws),
         "harmonic": harmonic_part,
     }
@@ -129,22 +130,15 @@ def end_to_end_part(rows: Sequence[EndToEnd]) -> Part:
         "The bias of cross_spectrum, the paper's chain, is its Hann window's: pulses at 3990 Hz fold what moves at 3.8 "
         "kHz onto 190 Hz, of which the window lets half into 200 Hz.",
     )
-    picture = drawn(
-        rows, draw_end_to_end, "end-to-end", "Error of the final amplitude against seconds", f"Front: {alt}."
-    )
+    title = "Error of the final amplitude against seconds"
     caption = "End to end: errors relative to the true amplitude; on front: nothing else is as good in less time."
-    return Part("end-to-end-part", "End to end", words, (picture,), (table("end-to-end", caption, rows),))
+    return _part("end-to-end", "End to end", rows, draw_end_to_end, title, f"Front: {alt}.", caption, words)
 
 
 def specimen_part(found: list[Point]) -> Part:
     """Return the medium's section; its points are added to ``found``."""
     found += accuracy_specimen.specimen_points()
     return _points_part("specimen", "Medium: response to a burst train", found)
-
-
-def chain_part(points: Sequence[Point]) -> Part:
-    """Return the receive chain's section."""
-    return _points_part("chain", "Receive chain: tails and oversampling", points)
 
 
 def extremes_part(cases: Sequence[Extreme]) -> Part:
@@ -162,9 +156,9 @@ def echo_part(effort: Effort) -> Part:
     echoes = tuple(count for count in accuracy_echo.ECHOES if count <= effort.most_echoes)
     rows = list(accuracy_echo.measurements(scatterers, echoes, longest_s=effort.longest_s))
     alt = f"Relative error against run time, {scatterers[0]} to {scatterers[-1]} scatterers: the table has the numbers."
-    picture = drawn(rows, accuracy_echo.write_figure, "echo", "Echoes: error against run time", alt)
     caption = "Echo engine: error relative to the direct sum, every evaluation."
-    return Part("echo-part", "Echo engine", (), (picture,), (table("echo", caption, rows),))
+    title = "Echoes: error against run time"
+    return _part("echo", "Echo engine", rows, accuracy_echo.write_figure, title, alt, caption)
 
 
 def motion_part(draws: int) -> Part:
@@ -172,9 +166,9 @@ def motion_part(draws: int) -> Part:
     rows = list(accuracy_motion.rows(draws=draws))
     alt = "; ".join(_best(rows, name) for name in dict.fromkeys(row.estimator for row in rows))
     title = "Estimators: noise jitter over its bound against time"
-    picture = drawn(rows, accuracy_motion.draw_motion, "motion", title, f"{alt}.")
     caption = f"Estimators, the paper's parameters one at a time, {draws} draws a case."
-    return Part("motion-part", "Echoes to amplitude and phase", (), (picture,), (table("motion", caption, rows),))
+    draw = accuracy_motion.draw_motion
+    return _part("motion", "Echoes to amplitude and phase", rows, draw, title, f"{alt}.", caption)
 
 
 def harmonic_part() -> Part:
@@ -184,25 +178,35 @@ def harmonic_part() -> Part:
         f"{row.method}, {row.pulses} pulses: {row.jitter_m / row.bound_m:.2f} in {row.time_s:.2g} s" for row in rows
     )
     title = "Fits: jitter over its bound against time"
-    picture = drawn(rows, accuracy_harmonic.draw_harmonic, "harmonic", title, f"{alt}.")
     caption = "Displacement to amplitude and phase, 200 realisations."
-    return Part("harmonic-part", "Displacement to harmonics", (), (picture,), (table("harmonic", caption, rows),))
-
-
-def drawn(rows: Sequence[Any], draw: Callable[[Any, Path], None], key: str, title: str, alt: str) -> Picture:
-    """Return what ``draw`` writes as a picture to stand in a page."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "drawn.svg"
-        draw(rows, path)
-        return Picture(key, title, alt, inline(path.read_text(encoding="utf-8"), key, title, alt))
+    draw = accuracy_harmonic.draw_harmonic
+    return _part("harmonic", "Displacement to harmonics", rows, draw, title, f"{alt}.", caption)
 
 
 def _points_part(key: str, title: str, points: Sequence[Point]) -> Part:
-    cases = list(dict.fromkeys(point.case for point in points))
-    best = [min((p for p in points if p.case == case and p.error == p.error), key=lambda p: p.error) for case in cases]
+    known = grouped((point for point in points if not math.isnan(point.error)), lambda point: point.case)
+    best = [min(own, key=lambda point: point.error) for own in known.values()]
     alt = "; ".join(f"{p.case}: {cell(p.error)} by {p.method}, {p.setting}" for p in best)
-    picture = drawn(points, draw_points, key, f"{title}: error against run time", f"Least errors: {alt}.")
-    return Part(f"{key}-part", title, (), (picture,), (table(key, "Largest error over largest value.", points),))
+    drawn = f"{title}: error against run time"
+    return _part(key, title, points, draw_points, drawn, f"Least errors: {alt}.", "Largest error over largest value.")
+
+
+def _part(
+    key: str,
+    title: str,
+    rows: Sequence[Any],
+    draw: Callable[[Any, Path], None],
+    drawn: str,
+    alt: str,
+    caption: str,
+    words: tuple[str, ...] = (),
+) -> Part:
+    """Return a section with the picture that ``draw`` writes of ``rows``, entitled ``drawn``, and their table."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "drawn.svg"
+        draw(rows, path)
+        svg = inline(path.read_text(encoding="utf-8"), key, drawn, alt)
+    return Part(f"{key}-part", title, words, (Picture(key, drawn, alt, svg),), (table(key, caption, rows),))
 
 
 def _best(rows: Sequence[accuracy_motion.MotionRow], name: str) -> str:

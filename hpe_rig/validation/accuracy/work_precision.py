@@ -152,12 +152,13 @@ def draw_panels(
             marker, colour = mark(place)
             line = "" if over_bound else "-"
             one.plot(*zip(*points, strict=True), marker=marker, ls=line, lw=0.8, ms=4, color=colour, label=method)
-        if over_bound:
-            one.axhline(1, color="0.6", lw=0.8)
         one.set(xscale="log", yscale="log", xlabel=x_label, title=title)
         label_decades(one.xaxis)
         one.grid(alpha=0.3)
-        one.legend(fontsize=7, framealpha=0.5)
+        if over_bound:
+            one.axhline(1, color="0.6", lw=0.8)
+        if not over_bound or one is axes[0]:
+            one.legend(fontsize=7, framealpha=0.5)
     for one in axes[::columns]:
         one.set_ylabel(y_label)
     figure.savefig(path)

@@ -28,29 +28,17 @@ from hpe_rig.validation.paper.judgement import (
 NM, DEGREES = 1e9, 180 / math.pi
 
 
-def error_percent(result: StudyResult, reading: str) -> Judgement:
-    """Judge the error at the highest SNR, 18.5 %."""
-    curve = ends(result, reading)[0]
-    share = 100 / curve.values("amplitude_true_m")[-1]
-    return number(
-        -curve.values("amplitude_bias_m")[-1] * share, curve.values("amplitude_bias_se_m")[-1] * share, 18.5, 0.05, " %"
-    )
+def at_highest_snr(
+    quantity: str, said: float, rounding: float, scale: float = 1.0, offset: float = 0.0, unit: str = ""
+) -> Judge:
+    """Return the judge of "bias" or "jitter" of the amplitude over the true one, ``offset`` + ``scale`` times it."""
 
+    def judge(result: StudyResult, reading: str) -> Judgement:
+        curve = ends(result, reading)[0]
+        value, se, truth = (curve.values(f"amplitude_{name}_m")[-1] for name in (quantity, f"{quantity}_se", "true"))
+        return number(offset + scale * value / truth, abs(scale) * se / truth, said, rounding, unit)
 
-def spread_percent(result: StudyResult, reading: str) -> Judgement:
-    """Judge the error's standard deviation at the highest SNR, 3.4 %."""
-    curve = ends(result, reading)[0]
-    share = 100 / curve.values("amplitude_true_m")[-1]
-    jitter, se = curve.values("amplitude_jitter_m")[-1], curve.values("amplitude_jitter_se_m")[-1]
-    return number(jitter * share, se * share, 3.4, 0.05, " %")
-
-
-def tracked(result: StudyResult, reading: str) -> Judgement:
-    """Judge tracked over peak displacement at the highest SNR, 0.815."""
-    curve = ends(result, reading)[0]
-    truth = curve.values("amplitude_true_m")[-1]
-    bias, se = curve.values("amplitude_bias_m")[-1] / truth, curve.values("amplitude_bias_se_m")[-1] / truth
-    return number(1 + bias, se, 0.815, 0.0005)
+    return judge
 
 
 def lateral_theory(result: StudyResult, reading: str) -> Judgement:

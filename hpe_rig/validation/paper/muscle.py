@@ -214,7 +214,7 @@ def figure_18() -> Experiment:
         "others at 2.0 kHz and above at 2.5 kHz; here they fold to the same side. The muscle's moduli are assumed too: "
         "with 10 Pa s instead of 2 a third as much would fold. The last row is what would be tracked without.",
         _table("f_prf", table, truth=four),
-        figure[0],
+        figure,
         (
             Verdict(
                 "3 and 4 kHz agree in displacement",
@@ -275,7 +275,7 @@ def figure_19() -> Experiment:
         "displacement and phase for every slow-time window",
         "Scene `muscle-window`: the windows are taken from the same records, five repeats, 4 kHz, T_b = 100 us.",
         _table("T_s", {f"{length_s * 1e3:g} ms": each for length_s, each in windows.items()}),
-        figure[0],
+        figure,
         (
             Verdict(
                 "longer T_s lowers the deviation of displacement",
@@ -366,13 +366,13 @@ def _label(axes: list[Axes], x: str) -> None:
     axes[0].legend(frameon=False, fontsize=7)
 
 
-def _over_frequency(settings: dict[str, Repeated]) -> tuple[Figure, list[Axes]]:
+def _over_frequency(settings: dict[str, Repeated]) -> Figure:
     figure, axes = panels(4)
     for (name, each), (mark, colour) in zip(settings.items(), MARKS, strict=False):
         for panel, what in zip(axes, _WHAT, strict=True):
             panel.plot(each.frequency_hz, getattr(each, what), marker=mark, color=colour, ms=4, label=name)
     _label(axes, "frequency (Hz)")
-    return figure, axes
+    return figure
 
 
 def _table(name: str, settings: dict[str, Repeated], truth: Repeated | None = None) -> tuple[tuple[str, ...], ...]:

@@ -22,12 +22,12 @@ from hpe_rig.validation.paper.experiments import (
 Floats = NDArray[np.float64]
 
 GELATINS = {"gelatin-8": "8 %, 4.0 kPa", "gelatin-12": "12 %, 7.25 kPa", "gelatin-15": "15 %, 13.5 kPa"}
-NOTES_NM = {
+CLOSED_FORM = {
     "gelatin-8": {100: 17.8, 200: 16.0, 400: 11.8, 600: 8.65, 1000: 5.07},
     "gelatin-12": {100: 10.1, 200: 9.58, 400: 8.12, 600: 6.65, 1000: 4.49},
     "gelatin-15": {100: 5.47, 200: 5.34, 400: 4.91, 600: 4.38, 1000: 3.40},
 }
-"""|U| / f0, model notes, section 3, in 1e-12 m per N/m^3."""
+"""Amplitude at the focus over force density by frequency, 1e-12 m per N/m^3: a Voigt medium, a Gaussian force."""
 
 SPECKLE = 0.017
 """Relative spread of the tracked displacement over speckle, `hpe-rig check`: one draw for all repeats."""
@@ -85,7 +85,7 @@ def figure_14() -> Experiment:
     soft, middle, hard = found.values()
     normal = [each.mean_nm / each.mean_nm[0] for each in found.values()]
     rise = max(float((np.diff(each.mean_nm) / _step_error_nm(each)).max()) for each in found.values())
-    error = max(float(np.abs(_over_notes(name, each)).max()) for name, each in found.items())
+    error = max(float(np.abs(_over_closed_form(name, each)).max()) for name, each in found.items())
     rows = [
         (f"{hz:.0f} Hz", *(f"{each.mean_nm[k]:.0f} +- {each.sd_nm[k]:.0f} ({normal[n][k]:.2f})" for n, each in
                            enumerate(found.values())))
@@ -145,11 +145,11 @@ def _step_error_nm(each: Repeated) -> Floats:
     return np.full(each.mean_nm.size - 1, pooled * np.sqrt(2 / len(each.amplitude_m)))
 
 
-def _over_notes(name: str, each: Repeated) -> Floats:
-    """Return normalised measurement less the notes' closed form in standard errors, 200 to 600 Hz."""
-    notes = NOTES_NM[name]
-    places = [round(hz / 100) - 1 for hz in notes if 100 < hz <= 600]
-    expected = np.array([value for hz, value in notes.items() if 100 < hz <= 600]) / notes[100]
+def _over_closed_form(name: str, each: Repeated) -> Floats:
+    """Return normalised measurement less the closed form in standard errors, 200 to 600 Hz."""
+    closed = CLOSED_FORM[name]
+    places = [round(hz / 100) - 1 for hz in closed if 100 < hz <= 600]
+    expected = np.array([value for hz, value in closed.items() if 100 < hz <= 600]) / closed[100]
     relative = each.mean_nm[places] / each.mean_nm[0]
     noise = np.hypot(each.sd_nm[places] / each.mean_nm[places], each.sd_nm[0] / each.mean_nm[0])
     u = relative * noise / np.sqrt(len(each.amplitude_m))
@@ -280,8 +280,8 @@ def dose() -> Experiment:
         "displacement at the limit of FDA track 3 beside the detection floor",
         "I_spta.3 of 720 mW/cm2 or I_sppa.3 of 190 W/cm2, whichever is less. The scenes push harder, by the last "
         "column, to move what the paper moved: 20 to 22 kW/cm2 would be a linear wave of 26 MPa, a mechanical index of "
-        "15, more than such a bench can give. A wider force or a softer muscle than assumed would need less. Theory "
-        "notes, section 4: a column twice as wide moves 19 nm.",
+        "15, more than such a bench can give. A wider force or a softer muscle than assumed would need less: a "
+        "column twice as wide moves 19 nm.",
         (header, *rows),
         figure,
         (

@@ -114,7 +114,7 @@ def test_without_noise_one_realisation_of_it_is_all_there_is(tmp_path: Path) -> 
     found = run_batch([point.case])[0]
     assert found["noise"] == 1
     row = estimate(found, "coherent")
-    # Speckle alone, known from 20 draws to 16 %: 0.060 of the amplitude (notes, section 1).
+    # Speckle alone, known from 20 draws to 16 %: 0.060 of the amplitude.
     assert row["amplitude_jitter_m"] == pytest.approx(60e-9, rel=0.5)
     assert math.isnan(row["amplitude_noise_jitter_m"])
 
@@ -160,7 +160,7 @@ def test_the_literal_reading_has_the_closed_form_s_mean() -> None:
     assert found == pytest.approx(expected, abs=3 * row["amplitude_bias_se_m"] / 1e-6 + 1 / 600)
 
 
-# Notes, section 1: tracked over peak displacement, and the standard error of what is said there.
+# Tracked over peak displacement from an earlier simulation, written apart from this one, and its standard error.
 PUBLISHED = [
     ("physical", "cross_spectrum", 2.18, 0.892, 0.0018),
     ("physical", "coherent", 2.18, 0.887, 0.0013),
@@ -186,5 +186,5 @@ def test_the_tracked_part_of_the_peak_is_the_published_one(
     allowed = 3 * math.hypot(row["amplitude_bias_se_m"] / 1e-6, error)
     assert 1 + row["amplitude_bias_m"] / 1e-6 == pytest.approx(expected, abs=allowed)
     if reading == "literal" and ratio_z == 2.18:
-        # The scatter of a draw, 0.024: 2000 draws know theirs to 1.6 %, the notes give two digits.
+        # The scatter of a draw, 0.024: 2000 draws know theirs to 1.6 %, and two digits are given.
         assert row["amplitude_speckle_jitter_m"] / 1e-6 == pytest.approx(0.024, abs=0.0025)
