@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from hpe_rig.acquire import prepare, process, record_run
+import hpe_rig as hpe
 from hpe_rig.result import Estimate
 
 FOLDER = Path(__file__).parent / "figures"
@@ -17,7 +17,7 @@ ESTIMATE = "#D55E00"
 def main() -> None:
     """Measure the shipped scene and write figures/bovine-muscle.svg."""
     with TemporaryDirectory() as folder:
-        result = process(record_run(prepare("bovine-muscle"), Path(folder) / "run.h5"))
+        result = hpe.measure("bovine-muscle", path=Path(folder) / "run.h5").estimate()
     FOLDER.mkdir(exist_ok=True)
     figure = draw(result.shots[0].estimates)
     with rc_context({"svg.hashsalt": "hpe_rig", "svg.fonttype": "none"}):

@@ -27,7 +27,7 @@ class Rest:
 def prepare_rest(
     path: Path, scene: SceneSource | None = None, bench_path: Path | None = None, stages: Stages | None = None
 ) -> Rest:
-    """Return what is left of the run in ``path``.
+    """Return what is left of the run in ``path``; ``scene``: one to compare with, None: the run's own.
 
     The bench is the caller's, never the file's: a run file decides neither which instruments are addressed nor their
     limits. Raises ``StoreError`` where scene or bench differ from the run's or nothing is left, else as ``prepare``.
@@ -49,7 +49,7 @@ def resume(
     stages: Stages | None = None,
     compress: bool = False,
 ) -> Path:
-    """Take over what is complete, measure what is not, into a new run file, and return its path; as ``record_run``."""
+    """Copy the complete shots into a new run file, measure the others, and return its path; as ``record_run``."""
     old = rest.earlier.path
     path = path or free_path(old.stem, old.parent)
     options = WriteOptions(compress=compress, predecessor=Predecessor(old.name, rest.complete))

@@ -49,7 +49,7 @@ from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """A measurement ready to run."""
+    """A measurement ready to run: scene and bench file with their texts, the plan and what its checks found."""
 
     scene: SceneText
     bench: BenchText
@@ -60,7 +60,11 @@ class Setup:
 def prepare(
     scene: SceneSource, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
 ) -> Setup:
-    """Return the planned measurement; raise ``SettingsError`` or, unless told otherwise, ``PlanError``."""
+    """Return the planned measurement of ``scene`` on the bench file ``bench_path``, None: the simulated bench.
+
+    Raises ``SettingsError`` with every mistake, ``PlanError`` with every conflict unless ``refuse`` is off, and
+    ``TypeError`` for what is no scene.
+    """
     return prepare_text(*scene_text(scene), bench_path, stages, refuse)
 
 
@@ -73,6 +77,7 @@ def prepare_text(
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check)
         if bench.bench.simulated:
+            # Filled in here and in open_run alone: everything behind a plan meets a described specimen.
             scene = replace(scene, scene=with_default_specimen(scene.scene))
         # What the scene declares of beams and sound speed may contradict its [simulation].
         if check and scene.scene.simulation and (mistakes := check(declared(scene.scene))):
@@ -114,7 +119,7 @@ def record_run(
     rest = replace(setup.plan, shots=setup.plan.shots[first:])
     with interruptible(), ExitStack() as stack:
         with uninterrupted():
-            # Between the file's appearance and its guard nothing may come.
+            # A signal between the file's appearance and the guard that closes it would leave it "running" for ever.
             writer = stack.enter_context(RunWriter(path, setup.scene, setup.bench, setup.plan, options))
         if earlier is not None:
             with taken("take over"):
@@ -131,12 +136,12 @@ def record_run(
 
 
 def _timed(observer: Observer, stages: Stages) -> Observer:
-    """Return ``observer`` such that the innermost stage changes its name with every step of the sequencer."""
+    """Return ``observer`` such that the time of every step of the sequencer is charged to a stage of its name."""
 
     def observe(progress: Progress) -> None:
         observer(progress)
         if progress.step is not Step.SAFE:
-            # Told when every output is off already.
+            # This step is announced once the outputs are off: its time is part of the step before.
             stages.rename(progress.step.value)
 
     return observe
@@ -144,7 +149,7 @@ def _timed(observer: Observer, stages: Stages) -> Observer:
 
 @contextmanager
 def _noting(note: str) -> Iterator[None]:
-    """Add ``note`` to whatever ends the block."""
+    """Add ``note`` to the exception that ends the block."""
     try:
         yield
     except BaseException as error:
@@ -153,6 +158,7 @@ def _noting(note: str) -> Iterator[None]:
 
 
 def _record(event: Event, scene: Scene, bench: Bench, writer: RunWriter, stages: Stages) -> None:
+    """Write what ``event`` brings; a shot counts as complete only once everything of it is in the file."""
     with stages("store"):
         match event:
             case ShotReady(shot, settings):

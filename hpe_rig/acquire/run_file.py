@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.acquire.run import planned
 from hpe_rig.bench import BenchFile, parse_bench
-from hpe_rig.plan import Finding, Plan, reference_gate
+from hpe_rig.plan import Finding, Plan, reference_gate, slow_time_window
 from hpe_rig.result import Estimate, Result, ShotResult, Stages
 from hpe_rig.scene import (
     DEFAULT_SPECIMEN,
@@ -22,7 +22,6 @@ from hpe_rig.scene import (
     Processing,
     Scene,
     SettingsError,
-    has_default_specimen,
     mistakes_of,
     parse_scene,
     with_default_specimen,
@@ -38,7 +37,7 @@ class Run:
     """A stored run; its records are read when they are asked for, so that a long one takes no memory.
 
     ``findings``: what the checks of its plan found; ``stored``: what the file held when it was opened, scene and bench
-    file verbatim among it.
+    file verbatim among it; ``simulated_specimen``: the name of the default one, None where none was needed.
 
     >>> run = open_run("bovine-muscle.h5")
     >>> run.scene.tracking.pulse_rate_hz, run.records[0].codes.shape
@@ -51,6 +50,7 @@ class Run:
     plan: Plan
     findings: tuple[Finding, ...]
     stored: StoredRun
+    simulated_specimen: str | None = None
 
     @property
     def records(self) -> StoredRecords:
@@ -61,8 +61,9 @@ class Run:
         """Return the displacement of every tracking pulse of ``shot``, counted from 0, up to a constant; (pulse,), m.
 
         By the scene's estimator, "coherent" where that is "joint", which has none; positive away from the transducer,
-        sensed at ``plan.shots[shot].timeline.sensing_s``. NaN where the record is missing or the pulse is omitted.
-        Raises ``IndexError`` for a shot that is none, ``ValueError`` where the echoes carry no displacement.
+        sensed at ``plan.shots[shot].timeline.sensing_s``; of the whole train, whatever the processing window. NaN where
+        the record is missing or the pulse is omitted. Raises ``IndexError`` for a shot that is none, ``ValueError``
+        where the echoes carry no displacement.
         """
         from hpe_rig.processing import coherent, motion_of, relative_to
 
@@ -96,7 +97,7 @@ class Run:
             omitted=tuple((item.what, item.why) for item in self.plan.left_out),
             versions=versions(),
             run_time_s=stages.run_time_s,
-            simulated_specimen=DEFAULT_SPECIMEN if self.stored.simulated and has_default_specimen(self.scene) else None,
+            simulated_specimen=self.simulated_specimen,
         )
 
     def save(self, result: Result) -> Path:
@@ -106,12 +107,15 @@ class Run:
         return path
 
     def _echoes(self, shot: int, gate: slice | None = None) -> EchoGate:
-        """Return the echoes of every pulse of ``shot`` in volts, (pulse, sample), those to be omitted marked."""
+        """Return the echoes of every pulse of ``shot``, (pulse, sample), also outside the processing window."""
         from hpe_rig.processing import shot_echoes
 
+        whole_train = {"window_start_s": 0.0, "window_length_s": None}
+        processing = self.scene.processing.model_copy(update=whole_train)
+        whole = self.scene.model_copy(update={"processing": processing})
         planned_shot = self.plan.shots[shot]
         records = self.records.gated(shot, gate or planned_shot.gate)
-        return shot_echoes(self.scene, planned_shot, records, np.ones(records.valid.size, np.bool_))
+        return shot_echoes(whole, planned_shot, records, slow_time_window(whole, planned_shot))
 
     def refreshed(self) -> Run:
         """Return the run as its file stands by now, for one that is still being written."""
@@ -129,13 +133,14 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     if not isinstance(path, str | os.PathLike):
         raise TypeError(f"a run is taken as the path of a run file, not as {type(path).__name__}")
     stored = read_run(Path(path))
-    scene = parse_scene(stored.scene_name, stored.scene_toml).scene
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench
-    if bench.simulated:
+    scene = parse_scene(stored.scene_name, stored.scene_toml).scene
+    specimen = DEFAULT_SPECIMEN if bench.simulated and scene.simulation is None else None
+    if specimen is not None:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)
     stored.refuse_unlike(plan)
-    return Run(stored.path, scene, bench, plan, found, stored)
+    return Run(stored.path, scene, bench, plan, found, stored, specimen)
 
 
 def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:
@@ -151,10 +156,12 @@ def process(path: Path, estimator: str | None = None, stages: Stages | None = No
 
 def chosen_estimator(name: str | None, scene: Scene | None = None) -> Estimator:
     """Return the estimator of that name, or the scene's; raise ``SettingsError`` for a name that is none."""
-    asked = {"estimator": name} if name or scene is None else {"estimator": scene.processing.estimator}
+    if name is None and scene is not None:
+        return scene.processing.estimator
+    asked = {"estimator": name}
     mistakes = mistakes_of(Processing, asked, ("processing",))
     if mistakes:
-        raise SettingsError("command line", mistakes)
+        raise SettingsError("estimator", mistakes)
     return Processing.model_validate(asked).estimator
 
 
@@ -173,10 +180,6 @@ def estimates_of(fit: HarmonicFit) -> tuple[Estimate, ...]:
             amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
             phase_rad=float(fit.phase_rad[index]),
             phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
-            averaging_factor=None,
-            speckle_relative=None,
-            true_amplitude_m=None,
-            true_phase_rad=None,
         )
         for index in range(fit.frequency_hz.size)
     )

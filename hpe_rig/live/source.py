@@ -60,6 +60,7 @@ class RunSource:
         request_stop(self._path)
 
     def _fingerprint(self) -> tuple[int, int, bool]:
+        """Return what changes whenever there is something new to show, without opening the file."""
         status = self._path.stat()
         return status.st_mtime_ns, status.st_size, stop_path(self._path).exists()
 
@@ -110,6 +111,7 @@ class RunSource:
             arrived = shot_echoes(scene, shot, gated, shown_pulses(scene, shot))
             wanted = np.array(scene.wanted_frequencies_hz, dtype=np.float64)
             fit = estimate(arrived, wanted, "coherent", driven_frequencies_hz(scene), options_of(scene.processing))
+            # The same selection and the same fit as the result's, over the pulses that have arrived.
             estimates = estimates_of(fit)
             state["motion"] = motion_state(motion_view(scene, shot, gated, estimates))
         except ValueError as error:

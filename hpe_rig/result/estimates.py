@@ -31,8 +31,9 @@ class Averaging:
 class Estimate:
     """One vibration frequency of one shot; uncertainties are standard ones, from noise alone.
 
-    ``true_amplitude_m`` and ``true_phase_rad`` are those of the peak displacement at the focus, known on the twin;
-    ``averaging_factor`` is the predicted ratio of tracked to peak displacement, None where no beams are given.
+    ``true_amplitude_m`` and ``true_phase_rad`` are the ground truth, the peak displacement at the focus, known on the
+    twin alone; ``averaging_factor`` is the predicted ratio of tracked to peak displacement, None where no beams are
+    given.
     """
 
     frequency_hz: float
@@ -40,10 +41,10 @@ class Estimate:
     amplitude_uncertainty_m: float
     phase_rad: float
     phase_uncertainty_rad: float
-    averaging_factor: float | None
-    speckle_relative: float | None
-    true_amplitude_m: float | None
-    true_phase_rad: float | None
+    averaging_factor: float | None = None
+    speckle_relative: float | None = None
+    true_amplitude_m: float | None = None
+    true_phase_rad: float | None = None
 
     @property
     def snr_db(self) -> float:

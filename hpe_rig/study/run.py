@@ -6,13 +6,14 @@ import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from hpe_rig.study.cases import Case, GridPoint, points_of
 from hpe_rig.study.definition import Definition, read_studies
 from hpe_rig.study.engine import run_batch
-from hpe_rig.study.executor import OpenPool, completed
+from hpe_rig.study.executor import OpenPool, completed, processes
 from hpe_rig.study.results import CaseStore, Record, StudyResult, result_of, write_study
 
 MOST_CASES = 24
@@ -25,7 +26,7 @@ Watch = Callable[[int, int], None]
 def run_study(
     name: str,
     output: Path,
-    open_pool: OpenPool,
+    open_pool: OpenPool | None = None,
     ahead: int = 0,
     replaced: Mapping[str, Any] | None = None,
     watch: Watch = lambda done, total: None,
@@ -33,8 +34,12 @@ def run_study(
     """Run a study or a collection, write it below ``output`` and return its results.
 
     ``output``/cases holds a file a finished case, ``output``/NAME the results; cases finished before, by whichever
-    study, are not computed again. Raises ``SettingsError`` with every mistake before anything is computed.
+    study, are not computed again. ``open_pool`` opens the workers, one a processor of this machine by default. Raises
+    ``SettingsError`` with every mistake before anything is computed.
+
+    >>> (result,) = run_study("fig-7", Path("results"))
     """
+    open_pool = open_pool or partial(processes, os.cpu_count() or 1)
     studies = {
         own: (definition, points_of(own, definition, folder))
         for own, (definition, folder) in read_studies(name, replaced).items()

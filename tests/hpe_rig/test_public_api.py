@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from doctest import DocTestParser
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,18 @@ def test_importing_the_package_loads_nothing_of_it_and_every_name_is_there() -> 
     named = set(re.findall(r"hpe\.(\w+)\(", hpe.__doc__ or ""))
     assert named <= set(hpe.__all__)
     assert set(hpe.__all__) >= {"load_scene", "measure", "open_run", "estimate", "check", "run_study", "open_bench"}
+
+
+def test_the_example_of_the_package_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"rf": moving_echo(), "Path": Path}
+    examples = [example.source for example in DocTestParser().get_examples(hpe.__doc__ or "")]
+    for source in examples:
+        # A whole study takes minutes; test_run.py of the studies runs small ones.
+        if "run_study" not in source:
+            exec(source, names)
+    assert len(examples) > 6
+    assert names["run"].scene.tracking.pulse_rate_hz == 3890.0
 
 
 def test_a_name_a_path_and_a_scene_measure_the_same(run: hpe.Run, tmp_path: Path) -> None:

@@ -137,10 +137,6 @@ def test_a_prescribed_motion_needs_frequencies_and_a_pulse_count() -> None:
     assert "tracking.pulse_count" in message_of(edited(TABLE_1, "pulse_count = 101", ""))
 
 
-def test_a_simulated_bench_refuses_a_scene_without_simulation() -> None:
-    assert "[simulation]" in message_of(TABLE_1[: TABLE_1.index("[simulation]")])
-
-
 @pytest.mark.parametrize(
     ("source", "target", "words"),
     [
