@@ -132,12 +132,16 @@ def test_the_commands_that_end_by_themselves_run(folder: Path) -> None:
     assert made >= {"my-scene.toml", "my-scene.h5", "my-scene.coherent.h5", "my-scene.kasai.h5", "my-scene.html"}
 
 
-def test_the_python_lines_run(folder: Path) -> None:
+def test_the_python_lines_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (lines,) = blocks(README, "python")
     names: dict[str, object] = {}
     exec(compile(lines, "README.md", "exec"), names)
     assert {"hpe", "run"} <= set(names)
     assert (folder / "bovine-muscle.h5").exists()
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("Bovine muscle")
+    # Title, source, header and ten frequencies.
+    assert len(printed) == 3 + 10
 
 
 def anchors(page: Path) -> set[str]:
