@@ -120,11 +120,14 @@ def room_imports() -> dict[tuple[str, str], bool]:
 
 
 def below(package: str, room: str) -> list[str]:
-    """Return the rooms of ``package`` that ``room`` imports, those that all may know left out."""
+    """Return the rooms of ``package`` that ``room`` imports, those that all may know left out; refuse one above it."""
     panel = PANELS[package]
     pairs = (pair for pair in room_imports() if pair[0] == f"{package}.{room}")
     names = (target.rpartition(".")[2] for _, target in pairs if target.startswith(f"{package}."))
-    return [name for name in names if name not in panel.ground]
+    found = [name for name in names if name not in panel.ground]
+    if up := [other for other in found if panel.spots[other][1] >= panel.spots[room][1]]:
+        raise SystemExit(f"{package}.{room} imports {', '.join(up)}, drawn no lower: move it in PANELS")
+    return found
 
 
 def reached(package: str, room: str) -> set[str]:
@@ -133,10 +136,8 @@ def reached(package: str, room: str) -> set[str]:
 
 
 def drawn(package: str, room: str) -> list[str]:
-    """Return the imports of ``room`` that do not follow from its others; refuse one that points upwards."""
+    """Return the imports of ``room`` that do not follow from its others."""
     direct = below(package, room)
-    if up := [other for other in direct if place(package, other)[1] >= place(package, room)[1]]:
-        raise SystemExit(f"{package}.{room} imports {', '.join(up)}, drawn no lower: move it in PANELS")
     return [other for other in direct if not any(other in reached(package, each) for each in direct if each != other)]
 
 

@@ -1,4 +1,17 @@
-"""The command line: the commands, a few lines each, and what they print."""
+"""Command line: the commands, a few lines each, and what they print.
+
+Files, from what is typed to what is shown::
+
+    app.py      commands that plan, measure, process and look at a bench; ``main``
+    studies.py  commands that study scenes and estimators by simulation
+    watch.py    stop request, log and live page around a run
+    bench.py    the report of a bench, and its comparison with another
+    study.py    workers, progress and closing table of a study
+    tables.py   a result as a table: ``print_result``
+    console.py  exit codes, error messages, progress, arguments that several commands share
+
+Each command imports what it runs when it is called, which keeps ``hpe-rig --help`` as fast as typer.
+"""
 
 import lazy_loader
 

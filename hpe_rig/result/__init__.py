@@ -1,7 +1,7 @@
 """Result of a measurement: amplitude and phase with covariance, units, provenance and run time.
 
     estimates.py   Estimate (one frequency) -> ShotResult -> Result
-    rows.py        one row a shot and frequency: CSV, pandas
+    rows.py        one row a shot and frequency: CSV, pandas, printed
     figure.py      amplitude and phase over frequency
     html_repr.py   figure and tables, as a notebook shows a result
     stages.py      wall time by stage

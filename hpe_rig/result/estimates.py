@@ -111,6 +111,7 @@ class Result:
     ``run_file`` is "" where there is none; ``omitted``: what the scene did not need, and why; ``run_time_s``: wall time
     by stage; ``simulated_specimen`` names the default one, None where the scene describes its own or none was needed.
 
+    >>> print(result)
     >>> result.shots[0].estimates[0].amplitude_m
     >>> result.to_frame().to_csv("result.csv")
     >>> result.figure().savefig("result.pdf")
@@ -147,6 +148,12 @@ class Result:
                 row.update({name: getattr(estimate, name) for name in derived})
         plain: dict[str, Any] = _finite(tables)
         return plain
+
+    def __str__(self) -> str:
+        """Return amplitude and phase with standard uncertainties as a table, a row a shot and frequency."""
+        from hpe_rig.result.rows import result_text
+
+        return result_text(self)
 
     def to_frame(self) -> pd.DataFrame:
         """Return a pandas frame of one row a shot and frequency, SI units in the columns' names; unknown is None.

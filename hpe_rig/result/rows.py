@@ -1,11 +1,12 @@
-"""Rows of a result, one a shot and frequency: for CSV, for pandas, for whatever takes plain values."""
+"""Rows of a result, one a shot and frequency: for CSV, for pandas, for people."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from hpe_rig.result.estimates import Result
-from hpe_rig.result.tables import csv_text
+from hpe_rig.result.tables import csv_text, text_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -42,3 +43,19 @@ def result_frame(result: Result) -> pd.DataFrame:
 
 def _single_values(table: dict[str, Any]) -> dict[str, Value]:
     return {name: value for name, value in table.items() if not isinstance(value, dict | list)}
+
+
+def result_text(result: Result) -> str:
+    """Return title, source and a table for people: nm and degrees, a row a shot and frequency."""
+    rows = [
+        (
+            *(f"{shot.shot + 1}", f"{item.frequency_hz:g}"),
+            *(f"{item.amplitude_m * 1e9:.4g}", f"{item.amplitude_uncertainty_m * 1e9:.2g}"),
+            *(f"{math.degrees(item.phase_rad):.2f}", f"{math.degrees(item.phase_uncertainty_rad):.2g}"),
+        )
+        for shot in result.shots
+        for item in shot.estimates
+    ]
+    table = text_table(("shot", "f / Hz", "amplitude / nm", "u / nm", "phase / deg", "u / deg"), rows, words=0)
+    source = ", ".join(text for text in ("SIMULATED" if result.simulated else "measured", result.run_file) if text)
+    return f"{result.title}\n{source}, estimator {result.estimator}\n{table}"

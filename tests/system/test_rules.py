@@ -1,6 +1,7 @@
 """The rules of the architecture hold, and the machine that checks them notices when they do not."""
 
 import ast
+import re
 import shutil
 import subprocess
 import sys
@@ -239,3 +240,38 @@ def test_a_heavy_import_of_the_package_is_noticed(tree: Path, library: str) -> N
     package = tree / "hpe_rig" / "__init__.py"
     package.write_text(f"{package.read_text(encoding='utf-8')}\nimport {library}\n", encoding="utf-8")
     assert library in modules_after("import hpe_rig", tree)
+
+
+def drawn(root: Path, output: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(root / "scripts" / "draw_architecture.py"), str(output)]
+    return subprocess.run(command, capture_output=True, text=True, cwd=root, check=False)
+
+
+def test_the_picture_of_the_architecture_shows_the_rooms_that_there_are(tmp_path: Path) -> None:
+    done = drawn(ROOT, tmp_path / "now.svg")
+    assert done.returncode == 0, done.stderr
+    shown, now = (
+        set(re.findall(r"<text[^>]*>([^<]+)</text>", path.read_text(encoding="utf-8")))
+        for path in (ROOT / "docs" / "figures" / "architecture.svg", tmp_path / "now.svg")
+    )
+    assert {"scene", "cli", "acquire", "world", "alazar"} <= shown
+    assert shown == now, "try: python scripts/draw_architecture.py"
+
+
+@pytest.mark.parametrize(
+    ("file", "statement", "message"),
+    [
+        ("hpe_rig/plan/shots.py", "import hpe_rig.report", "hpe_rig.plan imports report, drawn no lower"),
+        ("hpe_rig/cellar/__init__.py", "import hpe_rig.scene", "hpe_rig.cellar has no place"),
+    ],
+)
+def test_the_picture_refuses_an_arrow_upwards_and_a_room_without_a_place(
+    tree: Path, file: str, statement: str, message: str
+) -> None:
+    path = tree / file
+    path.parent.mkdir(exist_ok=True)
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    path.write_text(f"{text}\n{statement}\n", encoding="utf-8")
+    done = drawn(tree, tree / "wrong.svg")
+    assert done.returncode != 0
+    assert message in done.stderr

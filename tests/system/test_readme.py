@@ -1,0 +1,172 @@
+"""What README and docs show works: first scene, study, commands with their options, Python lines, links, file names."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.cli.app import app
+from hpe_rig.store import read_run
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = sorted(path for path in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+COMMANDS = re.findall(r"^\| `hpe-rig ([^`]+)` \|", README, flags=re.MULTILINE)
+CHEAP = (
+    "scenes",
+    "new my-scene",
+    "check my-scene.toml",
+    "check my-scene.toml --target 20nm",
+    "run my-scene.toml",
+    "process RUN.h5 --estimator kasai",
+    "report RUN.h5",
+    "bench my-bench.toml",
+    "bench my-bench.toml --self-test",
+    "bench my-bench.toml --compare RUN.h5",
+    "schema scene",
+)
+"""Commands of the table that end by themselves within seconds; they run in this order."""
+
+
+def blocks(text: str, language: str) -> list[str]:
+    """Return the fenced blocks of ``text`` in ``language``."""
+    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+
+
+def invoked(command: str) -> str:
+    """Return what a command prints to standard output; fail where it does."""
+    done = CliRunner().invoke(app, shlex.split(command))
+    assert done.exit_code == 0, f"{command}: {done.output}"
+    return done.stdout
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return an empty folder, which is the current one during the test."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_first_scene_is_measured_on_the_simulated_bench_with_a_default_specimen(folder: Path) -> None:
+    scene = blocks(README, "toml")[0]
+    assert len(scene.splitlines()) <= 12
+    assert "simulation" not in tomllib.loads(scene)
+    (folder / "first.toml").write_text(scene, encoding="utf-8")
+    assert "simulated specimen: default muscle" in invoked("run first.toml")
+    run = read_run(folder / "first.h5")
+    assert (run.status, run.simulated) == ("complete", True)
+    # The default specimen is the twin's alone: the run file keeps the scene as it was written.
+    assert run.scene_toml == scene
+
+
+def test_the_quick_start_is_two_commands_that_install_and_run(folder: Path) -> None:
+    section = README.partition("## Quick start")[2].partition("\n## ")[0]
+    install, test = (block.strip() for block in blocks(section, ""))
+    first, _, second = install.partition(" && hpe-rig ")
+    assert (first, test) == ("pip install .", 'pip install -e ".[test]" && pytest')
+    assert "coherent" in invoked(second)
+    # The files that the text below the commands names.
+    for name in re.findall(r"`([\w.-]+\.h5)`", section):
+        assert (folder / name).exists(), name
+
+
+def test_the_study_is_run_at_its_smallest_size(folder: Path) -> None:
+    (study,) = blocks((ROOT / "docs" / "studies.md").read_text(encoding="utf-8"), "toml")
+    assert tomllib.loads(study)["scatterers"] == 500
+    (folder / "mine.toml").write_text(study, encoding="utf-8")
+    said = invoked("study mine.toml --scatterers 2 --noise 2 --workers 1")
+    assert "mine" in said
+    rows = (folder / "studies" / "mine" / "summary.csv").read_text(encoding="utf-8").splitlines()
+    # Three pulse rates, read by two estimators.
+    assert len(rows) - 1 >= 3 * 2
+    assert (folder / "studies" / "mine" / "study.json").exists()
+
+
+@cache
+def commands() -> set[str]:
+    """Return the commands that ``hpe-rig --help`` lists."""
+    return set(re.findall(r"^  (\w+)  ", invoked("--help").partition("Commands:")[2], flags=re.MULTILINE))
+
+
+@cache
+def options(command: str) -> set[str]:
+    """Return the options that a command's help lists."""
+    return set(re.findall(r"^  (--[a-z-]+)", invoked(f"{command} --help"), flags=re.MULTILINE))
+
+
+def shown_commands() -> Iterator[tuple[str, str, list[str]]]:
+    """Yield page, command and options wherever README or docs show one with its options."""
+    for page in PAGES:
+        for shown in re.findall(r"`hpe-rig ([a-z][^`]*)`", page.read_text(encoding="utf-8")):
+            command, *words = shlex.split(shown)
+            yield page.name, command, [word for word in words if word.startswith("--")]
+
+
+def test_commands_and_options_that_the_pages_show_exist() -> None:
+    shown = list(shown_commands())
+    assert sum(len(words) for _, _, words in shown) > 10
+    for page, command, words in shown:
+        assert command in commands(), f"{page}: hpe-rig {command}"
+        assert set(words) <= options(command), f"{page}: hpe-rig {command} {' '.join(words)}"
+
+
+def test_every_command_is_in_the_table() -> None:
+    assert len(commands()) > 10
+    assert {command.split()[0] for command in COMMANDS} == commands()
+
+
+def test_the_commands_that_end_by_themselves_run(folder: Path) -> None:
+    assert set(CHEAP) <= set(COMMANDS)
+    for command in CHEAP:
+        invoked(command.replace("RUN.h5", "my-scene.h5"))
+        if command == "new my-scene":
+            invoked("new my-bench --like bench")
+    made = {path.name for path in folder.iterdir()}
+    assert made >= {"my-scene.toml", "my-scene.h5", "my-scene.coherent.h5", "my-scene.kasai.h5", "my-scene.html"}
+
+
+def test_the_python_lines_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (lines,) = blocks(README, "python")
+    names: dict[str, object] = {}
+    exec(compile(lines, "README.md", "exec"), names)
+    assert {"hpe", "run"} <= set(names)
+    assert (folder / "bovine-muscle.h5").exists()
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("Bovine muscle")
+    # Title, source, header and ten frequencies.
+    assert len(printed) == 3 + 10
+
+
+def anchors(page: Path) -> set[str]:
+    """Return the anchors of a page's headings."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_a_link_leads_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
+        place, _, anchor = target.partition("#")
+        assert "://" not in place, f"{page.name}: {target}"
+        linked = (page.parent / place).resolve() if place else page
+        assert linked.exists(), f"{page.name} links to {target}"
+        assert not anchor or anchor in anchors(linked), f"{page.name} links to {target}"
+
+
+def named_paths(page: Path) -> set[str]:
+    """Return the files and folders of this repository that a page names in code font."""
+    found = re.findall(r"`((?:hpe_rig|drivers|sim_backend|scripts|tests|docs)/[\w./-]*)`", page.read_text("utf-8"))
+    return set(found)
+
+
+def test_a_file_that_a_page_names_exists() -> None:
+    named = {(page.name, path) for page in PAGES for path in named_paths(page)}
+    assert len(named) > 10
+    assert [(page, path) for page, path in sorted(named) if not (ROOT / path).exists()] == []
