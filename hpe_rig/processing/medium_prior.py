@@ -1,0 +1,387 @@
+"""Harmonics of tonebursts with a prior from physics: what a medium can do, not only what the pulses tell apart.
+
+Under a long train of tonebursts the displacement is periodic: d = A x + background + noise, x the in-phase and
+quadrature states of every harmonic of the burst rate up to 40 kHz. What media make of the bursts' known spectrum spans
+few directions of x: its covariance over an ensemble of media is s^2 F F', F (state, rank), s the rms displacement, and
+
+    x = K d,   K = P A' (A P A' + R)^-1,   P = (k s)^2 F F'
+    covariance of its error = K R K' + mean of (I - K A) x_m x_m' (I - K A)'        noise, and aliasing and shrinkage
+
+s maximises the evidence; k = 3 leaves the weights to the data where s is a little off. The mean goes over the members
+x_m of the ensemble, each as large and as likely as the data have it. The singular value decomposition A F = U L V'
+turns all of it into sums over the rank. See docs/theory/medium-prior.md.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import fdtrc
+
+from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
+from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
+from hpe_rig.processing.kalman_filter import filter_constant
+from hpe_rig.processing.medium_ensemble import Beams, KnownMedium, medium_ensemble
+from hpe_rig.processing.model import background_columns, harmonic_columns
+
+HIGHEST_HZ = 4e4
+"""Frequency up to which the bursts' harmonics are part of the model."""
+WEIGHT = 3.0
+"""Scale k of the weights over that of the evidence."""
+VOIGT_SHARE = 10.0
+"""Weight of a Voigt medium in P over that of a medium of another family: they are the rule, and pulses that stand still
+against the bursts cannot tell."""
+MISFIT = 1e-3
+"""Standard deviation of a medium from what the ensemble spans, relative to its rms response at a frequency."""
+FREEDOM = 0.05
+"""The same for each wanted harmonic alone: reflections and layers, which no medium without end has."""
+LEAST_MEMBERS = 10.0
+"""Members that carry the error's mean at least: the ensemble has no more where the data narrow it down."""
+BROAD = 1e5
+"""Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
+SCAN = np.arange(0.0, 9.0, 0.1) * np.log(10)
+"""Logarithms of the scales tried, over the one at which the strongest direction stands as high as a pulse's noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MediumPrior:
+    """Prior of the states of all harmonics for a motion of 1 m rms; compared by identity, read-only.
+
+    A medium is the real, then imaginary parts of its response at some nodes of frequency: its ``2 * node`` directions.
+    ``spectrum`` complex (harmonic, node) takes responses to A exp(j phase) of every harmonic's motion; ``root``
+    (direction, direction) is a root of the covariance of directions: F is ``states(all) @ root``. ``members`` (member,
+    direction) are the ensemble; ``averaging``, complex (member, harmonic), their peak over tracked motion.
+    """
+
+    burst_rate_hz: float
+    spectrum: ComplexArray
+    root: FloatArray
+    members: FloatArray
+    averaging: ComplexArray
+
+    @property
+    def frequency_hz(self) -> FloatArray:
+        """Frequencies (harmonic,) of the states."""
+        return self.burst_rate_hz * np.arange(1.0, self.averaging.shape[1] + 1)
+
+    def states(self, places: Sequence[int]) -> FloatArray:
+        """Return the matrix (2 * place, direction) from directions to in-phase and quadrature of harmonics, from 0."""
+        rows = self.spectrum[list(places)]
+        pairs = np.hstack([rows.real, -rows.imag]), np.hstack([rows.imag, rows.real])
+        return np.stack(pairs, axis=1).reshape(2 * len(rows), -1)
+
+    def columns(self, time_s: FloatArray, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return the motion (pulse, direction) of every direction, and (pulse, 2 * place) of states of some harmonics.
+
+        The same as ``harmonic_columns``, by powers of one exponential a pulse.
+        """
+        sin, cos = harmonic_columns(time_s, np.array([self.burst_rate_hz])).T
+        turns = _powers(cos + 1j * sin, len(self.spectrum))
+        motion, wanted = turns @ self.spectrum, turns[:, list(places)]
+        return np.hstack([motion.imag, motion.real]), _real_pairs(1j * np.conj(wanted))
+
+    def places(self, frequency_hz: FloatArray) -> tuple[int, ...]:
+        """Return which harmonics ``frequency_hz`` are, from 0; raise ``ValueError`` where one is none."""
+        number = np.rint(frequency_hz / self.burst_rate_hz)
+        near = np.abs(frequency_hz - number * self.burst_rate_hz) <= 1e-6 * self.burst_rate_hz
+        if not np.all(near & (number >= 1) & (number <= self.averaging.shape[1])):
+            raise ValueError(
+                f"frequencies {frequency_hz.tolist()} Hz are not all multiples of the burst rate of "
+                f"{self.burst_rate_hz:g} Hz up to {self.frequency_hz[-1]:g} Hz: the tonebursts drive no others; "
+                "try least_squares"
+            )
+        return tuple((number.astype(int) - 1).tolist())
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Scale, noise and test of the data against the prior, each (...), and how likely the members are.
+
+    ``scale_m``: rms displacement of the ensemble; ``variance_m2`` of a pulse's noise; ``significance``: probability
+    that a medium of the ensemble gives data as unlikely as these. ``likelihood`` (..., member), of sum 1;
+    ``square_m2`` (..., member), mean square of each member's own scale.
+    """
+
+    scale_m: FloatArray
+    variance_m2: FloatArray
+    significance: FloatArray
+    likelihood: FloatArray
+    square_m2: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class MediumFit:
+    """Wanted harmonics with their total covariance, its two parts, and the evidence.
+
+    ``noise_m2`` and ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) add up to ``fit.state_covariance``.
+    """
+
+    fit: HarmonicFit
+    noise_m2: FloatArray
+    aliasing_m2: FloatArray
+    evidence: Evidence
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the valid pulses see of a prior, the background taken off: A F = left diag(value) right'.
+
+    ``left`` (pulse, seen) and ``value`` (seen,); ``rows`` (2 * wanted, seen), F right of the wanted states. ``members``
+    (member + 2 * wanted, seen), in ``left``, and ``wanted_members`` (..., 2 * wanted): motion of every member, then of
+    each wanted harmonic's own freedom. For the filter ``factor`` (pulse, rank), A F with its background, ``wanted``
+    (2 * wanted, rank), F of the wanted states, and ``background`` (pulse, order + 1).
+    """
+
+    left: FloatArray
+    value: FloatArray
+    rows: FloatArray
+    members: FloatArray
+    wanted_members: FloatArray
+    factor: FloatArray
+    wanted: FloatArray
+    background: FloatArray
+
+
+@functools.lru_cache(maxsize=8)
+def medium_prior(
+    beams: Beams,
+    burst_rate_hz: float,
+    burst_length_s: float,
+    known: KnownMedium | None = None,
+    density_kg_per_m3: float = 1000.0,
+) -> MediumPrior:
+    """Return the prior of the motion under tonebursts of ``burst_length_s`` at ``burst_rate_hz``.
+
+    Times count from a burst's onset at the focus. A ``known`` medium narrows the ensemble to Voigt media near it. The
+    force's spectrum is that of rectangular pulses, paper eq. (18).
+    """
+    harmonic = np.arange(1.0, int(HIGHEST_HZ / burst_rate_hz * (1 + 1e-9)) + 1)
+    ensemble = medium_ensemble(beams, burst_rate_hz, float(burst_rate_hz * harmonic[-1]), known, density_kg_per_m3)
+    duty = burst_rate_hz * burst_length_s
+    # A sin(w t + phase) has A exp(j phase) = j times the amplitude of exp(jwt), which is twice the coefficient
+    force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
+    spectrum = force[:, None] * ensemble.interpolation(np.asarray(burst_rate_hz * harmonic))
+    tracked, peak = ensemble.tracked @ spectrum.T, ensemble.peak @ spectrum.T
+    unit = np.sqrt(2 / np.sum(np.abs(tracked) ** 2, axis=1))[:, None]
+    # a few ten node values, real and imaginary, hold each member: from there to the states by one matrix
+    nodes = unit * ensemble.tracked
+    members = np.hstack([nodes.real, nodes.imag])
+    share = np.where(ensemble.voigt, VOIGT_SHARE, 1.0)
+    root = _root(members, share / share.sum())
+    prior = MediumPrior(burst_rate_hz, spectrum, root, members, peak / tracked)
+    for array in (prior.spectrum, prior.root, prior.members, prior.averaging):
+        array.flags.writeable = False
+    return prior
+
+
+def _root(members: FloatArray, share: FloatArray) -> FloatArray:
+    """Return a lower triangular root of the covariance of ``members`` (member, direction), misfit included."""
+    values = np.sqrt(share)[:, None] * members
+    power = np.sum(values**2, axis=0).reshape(2, -1).mean(axis=0)
+    misfit = np.diag(MISFIT * np.sqrt(np.tile(power, 2)))
+    return np.asarray(np.linalg.qr(np.vstack([values, misfit]), mode="r")).T
+
+
+def medium_fit(
+    motion: Motion,
+    frequencies_hz: FloatArray | Sequence[float],
+    prior: MediumPrior,
+    *,
+    background_order: int = 0,
+) -> MediumFit:
+    """Return amplitudes and phases of the wanted harmonics with the prior of media, in closed form.
+
+    Every valid pulse has the same weight: what the echoes state of each scatters more than their noise differs, and
+    trigger jitter, the same for all, is no part of it. The noise is therefore that of the residual, over the degrees of
+    freedom that the prior leaves; of accumulated steps it is white plus a random walk. Raises ``ValueError`` for
+    frequencies that are no harmonics of the bursts and for too few pulses.
+    """
+    frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
+    seen = seen_by(prior, motion.time_s, motion.valid, frequency_hz, background_order)
+    data = motion.displacement_m[..., motion.valid]
+    data = data - (data @ seen.background) @ seen.background.T
+    along = data @ seen.left
+    evidence = _evidence(seen, data, along)
+    gain = _gain(seen, evidence)
+    return _result(frequency_hz, seen, (gain * along) @ seen.rows.T, gain, evidence, motion)
+
+
+def medium_kalman(
+    motion: Motion,
+    frequencies_hz: FloatArray | Sequence[float],
+    prior: MediumPrior,
+    *,
+    background_order: int = 0,
+) -> tuple[MediumFit, FloatArray]:
+    """Return the same by the square-root Kalman filter, its start covariance P; and innovations (..., valid pulse).
+
+    The filter runs on x = F a, a of covariance (k s)^2 I at the start. Scale and noise are those of ``medium_fit``.
+    The innovations are normalised: white and of unit variance where prior and noise are right.
+    """
+    whole = medium_fit(motion, frequencies_hz, prior, background_order=background_order)
+    seen = seen_by(prior, motion.time_s, motion.valid, whole.fit.frequency_hz, background_order)
+    scale, noise = whole.evidence.scale_m.reshape(-1), np.sqrt(whole.evidence.variance_m2.reshape(-1))
+    data = motion.displacement_m[..., motion.valid]
+    states, innovations = [], []
+    for each, s, sigma in zip(data.reshape(-1, data.shape[-1]), scale.tolist(), noise.tolist(), strict=True):
+        start = WEIGHT * s / sigma
+        matrix = np.hstack([start * seen.factor, BROAD * seen.background])
+        found = filter_constant(matrix, each / sigma, 1.0, innovations=True)
+        states.append(WEIGHT * s * seen.wanted @ found.state[: seen.wanted.shape[1]])
+        innovations.append(found.innovations)
+    state = np.reshape(states, (*data.shape[:-1], -1))
+    fit = _result(whole.fit.frequency_hz, seen, state, _gain(seen, whole.evidence), whole.evidence, motion)
+    return fit, np.reshape(innovations, data.shape)
+
+
+def peak_over_tracked(found: MediumFit, prior: MediumPrior) -> tuple[ComplexArray, FloatArray]:
+    """Return peak over tracked motion of the wanted harmonics, complex (..., frequency), and its covariance.
+
+    The mean of its logarithm over the ensemble, every member as likely as the data have it; covariance (..., frequency,
+    2, 2) of (relative amplitude, phase in rad).
+    """
+    ratio = np.log(prior.averaging[:, list(prior.places(found.fit.frequency_hz))])
+    likelihood = found.evidence.likelihood
+    mean = likelihood @ ratio
+    off = ratio - mean[..., None, :]
+    parts = np.stack([off.real, off.imag], axis=-1)
+    return np.exp(mean), np.einsum("...m,...mfi,...mfj->...fij", likelihood, parts, parts)
+
+
+def seen_by(
+    prior: MediumPrior, time_s: FloatArray, valid: BoolArray, frequency_hz: FloatArray, background_order: int = 0
+) -> Seen:
+    """Return what the valid pulses at ``time_s`` (pulse,) see of the prior; kept for the next train of the same times.
+
+    Raises ``ValueError`` for frequencies that are no harmonics of the bursts and for too few pulses.
+    """
+    found = int(valid.sum())
+    if found <= background_order + 3:
+        raise ValueError(f"{found} valid pulses: too few for an amplitude and its uncertainty; try more pulses")
+    return _seen(prior, time_s.tobytes(), valid.tobytes(), prior.places(frequency_hz), background_order)
+
+
+@functools.lru_cache(maxsize=4)
+def _seen(prior: MediumPrior, time_s: bytes, valid: bytes, places: tuple[int, ...], order: int) -> Seen:
+    times, used = np.frombuffer(time_s), np.frombuffer(valid, dtype=bool)
+    directions, columns = prior.columns(times, places)
+    directions, columns = directions[used], columns[used]
+    background = np.linalg.qr(background_columns(times, order)[used])[0]
+    basis = prior.states(places)
+    # each wanted harmonic's own freedom, the same in both its states
+    power = np.sum((basis @ prior.root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
+    own = np.diag(FREEDOM * np.sqrt(np.repeat(power, 2)))
+    own_seen = columns @ own
+    factor, wanted = np.hstack([directions @ prior.root, own_seen]), np.hstack([basis @ prior.root, own])
+    q, r = np.linalg.qr(factor - background @ (background.T @ factor))
+    u, value, right = np.linalg.svd(r, full_matrices=False)
+    left = q @ u
+    return Seen(
+        left,
+        value,
+        wanted @ right.T,
+        np.vstack([prior.members @ (directions.T @ left), own_seen.T @ left]),
+        np.vstack([prior.members @ basis.T, own]),
+        factor,
+        wanted,
+        background,
+    )
+
+
+def _evidence(seen: Seen, data: FloatArray, along: FloatArray) -> Evidence:
+    """Return the scale of the largest evidence, the noise and the test.
+
+    With ratio = s / sigma the noise that maximises the evidence is a closed form, so one dimension is scanned:
+    -2 log evidence = n log sigma^2 + sum_i log p_i, n sigma^2 = sum_i z_i^2 / p_i + rest, p_i = 1 + ratio^2 L_i^2.
+    """
+    count = data.shape[-1] - seen.background.shape[1]
+    rest = np.einsum("...i,...i->...", data, data) - np.einsum("...i,...i->...", along, along)
+    tried = SCAN - np.log(seen.value[0])
+    power = 1 + np.exp(2 * tried)[:, None] * seen.value**2
+    tiny = np.finfo(np.float64).tiny
+    variance = np.maximum(along**2 @ (1 / power).T + rest[..., None].clip(min=0), tiny) / count
+    evidence = -(count * np.log(variance) + np.log(power).sum(axis=1)) / 2
+    ratio = np.exp(_highest(tried, evidence))[..., None]
+    # Noise from the residual, over the degrees of freedom that it keeps: right for a medium off the ensemble as well.
+    kept = 1 / (1 + (ratio * seen.value) ** 2)
+    freedom = count - np.sum(1 - kept, axis=-1)
+    noise = np.maximum(np.sum((along * kept) ** 2, axis=-1) + rest.clip(min=0), tiny) / freedom
+    statistic = np.sum(along**2 * kept, axis=-1) / noise / seen.value.size
+    significance = fdtrc(seen.value.size, freedom, statistic)
+    return Evidence(ratio[..., 0] * np.sqrt(noise), noise, significance, *_likelihood(seen, along, noise))
+
+
+def _likelihood(seen: Seen, along: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return likelihood, of sum 1, and mean square scale of every member (..., member).
+
+    exp(-distance / 2 T), distance in noise of the data from the member at its best scale, T >= 1 a power of two.
+    """
+    member = seen.members[: len(seen.members) - len(seen.rows)]
+    power = np.sum(member**2, axis=1)
+    scale = np.maximum(along @ member.T, 0.0) / power
+    distance = -(scale**2) * power / variance[..., None]
+    distance -= distance.min(axis=-1, keepdims=True)
+    widening = np.ones(variance.shape)
+    for _ in range(60):
+        weight = np.exp(-distance / 2 / widening[..., None])
+        few = weight.sum(axis=-1) ** 2 < LEAST_MEMBERS * np.sum(weight**2, axis=-1)
+        if not few.any():
+            break
+        widening = np.where(few, 2 * widening, widening)
+    return weight / weight.sum(axis=-1, keepdims=True), scale**2 + variance[..., None] / power
+
+
+def _highest(place: FloatArray, height: FloatArray) -> FloatArray:
+    """Return where ``height`` (..., place) is highest, by the parabola through its highest value and its neighbours."""
+    top = np.clip(np.argmax(height, axis=-1), 1, place.size - 2)[..., None]
+    before, at, after = (np.take_along_axis(height, top + step, axis=-1)[..., 0] for step in (-1, 0, 1))
+    bend = np.minimum(before - 2 * at + after, -np.finfo(np.float64).tiny)
+    return np.asarray(place[top[..., 0]] + np.clip((before - after) / bend / 2, -1, 1) * (place[1] - place[0]))
+
+
+def _gain(seen: Seen, evidence: Evidence) -> FloatArray:
+    """Return the diagonal (..., seen) of the weights: K = rows diag(gain) left'."""
+    start = (WEIGHT * evidence.scale_m[..., None]) ** 2
+    return np.asarray(start * seen.value / (evidence.variance_m2[..., None] + start * seen.value**2))
+
+
+def _result(
+    frequency_hz: FloatArray, seen: Seen, state: FloatArray, gain: FloatArray, evidence: Evidence, motion: Motion
+) -> MediumFit:
+    weights = seen.rows * gain[..., None, :]
+    variance = evidence.variance_m2[..., None, None]
+    if motion.walk is None:
+        noise = variance * (weights @ np.swapaxes(weights, -1, -2))
+    else:
+        noise = variance * _walk_covariance(weights @ seen.left.T, np.asarray(motion.walk)[..., None, None])
+    own = np.repeat(evidence.scale_m[..., None] ** 2, len(seen.rows), axis=-1)
+    share = np.concatenate([evidence.likelihood * evidence.square_m2, own], axis=-1)
+    missed = seen.wanted_members - seen.members @ np.swapaxes(weights, -1, -2)
+    aliasing = np.swapaxes(missed, -1, -2) @ (share[..., None] * missed)
+    fit = fit_from_state(frequency_hz, state, noise + aliasing, evidence.variance_m2, len(seen.left))
+    return MediumFit(fit, noise, aliasing, evidence)
+
+
+def _walk_covariance(weights: FloatArray, walk: FloatArray) -> FloatArray:
+    """Return the covariance of sums with ``weights`` (..., state, pulse) of accumulated steps' noise.
+
+    Pulses of total variance 1; a step's own noise, ``walk`` times a pulse's, shifts every later pulse.
+    """
+    over_steps = np.cumsum(weights[..., :0:-1], axis=-1)
+    return np.asarray(weights @ np.swapaxes(weights, -1, -2) + walk * (over_steps @ np.swapaxes(over_steps, -1, -2)))
+
+
+def _powers(turn: ComplexArray, count: int) -> ComplexArray:
+    """Return the powers 1 to ``count`` (pulse, power) of ``turn`` (pulse,): products of two of a few."""
+    few = int(np.ceil(np.sqrt(count)))
+    low = np.cumprod(np.broadcast_to(turn[:, None], (turn.size, few)), axis=1)
+    high = np.cumprod(np.broadcast_to(low[:, -1:], (turn.size, few)), axis=1) / low[:, -1:]
+    return np.asarray((high[:, :, None] * low[:, None, :]).reshape(turn.size, -1)[:, :count])
+
+
+def _real_pairs(values: ComplexArray) -> FloatArray:
+    """Return real and imaginary parts (..., 2 * column) of ``values`` (..., column), in turn."""
+    return np.stack([values.real, values.imag], axis=-1).reshape(*values.shape[:-1], -1)
