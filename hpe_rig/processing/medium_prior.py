@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import fdtrc
@@ -34,11 +34,11 @@ WEIGHT = 3.0
 VOIGT_SHARE = 10.0
 """Weight of a Voigt medium in P over that of a medium of another family: they are the rule, and pulses that stand still
 against the bursts cannot tell."""
-MISFIT = 1e-3
+MISFIT = 3e-3
 """Standard deviation of a medium from what the ensemble spans, relative to its rms response at a frequency."""
-FREEDOM = 0.05
+FREEDOM = 0.03
 """The same for each wanted harmonic alone: reflections and layers, which no medium without end has."""
-LEAST_MEMBERS = 10.0
+LEAST_MEMBERS = 15.0
 """Members that carry the error's mean at least: the ensemble has no more where the data narrow it down."""
 BROAD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
@@ -50,16 +50,18 @@ SCAN = np.arange(0.0, 9.0, 0.1) * np.log(10)
 class MediumPrior:
     """Prior of the states of all harmonics for a motion of 1 m rms; compared by identity, read-only.
 
-    A medium is the real, then imaginary parts of its response at some nodes of frequency: its ``2 * node`` directions.
-    ``spectrum`` complex (harmonic, node) takes responses to A exp(j phase) of every harmonic's motion; ``root``
-    (direction, direction) is a root of the covariance of directions: F is ``states(all) @ root``. ``members`` (member,
-    direction) are the ensemble; ``averaging``, complex (member, harmonic), their peak over tracked motion.
+    A medium is given by its response at a few nodes of frequency, real parts, then imaginary: ``2 * node`` directions.
+    ``spectrum`` complex (harmonic, node) takes the response to A exp(j phase) of every harmonic's motion. ``root``
+    (direction, direction) is a root of the directions' covariance, so F is ``states(all harmonics) @ root``.
+    ``members`` (member, direction) are the ensemble, ``misfit`` (direction,) standard deviations from it;
+    ``averaging``, complex (member, harmonic): peak over tracked motion.
     """
 
     burst_rate_hz: float
     spectrum: ComplexArray
     root: FloatArray
     members: FloatArray
+    misfit: FloatArray
     averaging: ComplexArray
 
     @property
@@ -130,9 +132,10 @@ class Seen:
     """What the valid pulses see of a prior, the background taken off: A F = left diag(value) right'.
 
     ``left`` (pulse, seen) and ``value`` (seen,); ``rows`` (2 * wanted, seen), F right of the wanted states. ``members``
-    (member + 2 * wanted, seen), in ``left``, and ``wanted_members`` (..., 2 * wanted): motion of every member, then of
-    each wanted harmonic's own freedom. For the filter ``factor`` (pulse, rank), A F with its background, ``wanted``
-    (2 * wanted, rank), F of the wanted states, and ``background`` (pulse, order + 1).
+    (member, seen), in ``left``, and ``wanted_members`` (member, 2 * wanted): every member's motion; ``free`` and
+    ``wanted_free`` the same of misfit and of the wanted harmonics' own freedom. For the filter ``factor`` (pulse,
+    rank), A F with its background, ``wanted`` (2 * wanted, rank), F of the wanted states, and ``background`` (pulse,
+    order + 1), orthonormal.
     """
 
     left: FloatArray
@@ -140,6 +143,8 @@ class Seen:
     rows: FloatArray
     members: FloatArray
     wanted_members: FloatArray
+    free: FloatArray
+    wanted_free: FloatArray
     factor: FloatArray
     wanted: FloatArray
     background: FloatArray
@@ -170,19 +175,14 @@ def medium_prior(
     nodes = unit * ensemble.tracked
     members = np.hstack([nodes.real, nodes.imag])
     share = np.where(ensemble.voigt, VOIGT_SHARE, 1.0)
-    root = _root(members, share / share.sum())
-    prior = MediumPrior(burst_rate_hz, spectrum, root, members, peak / tracked)
-    for array in (prior.spectrum, prior.root, prior.members, prior.averaging):
+    power = (share / share.sum()) @ (members**2)
+    misfit = MISFIT * np.sqrt(np.tile(power.reshape(2, -1).mean(axis=0), 2))
+    weighted = np.sqrt(share / share.sum())[:, None] * members
+    root = np.asarray(np.linalg.qr(np.vstack([weighted, np.diag(misfit)]), mode="r")).T
+    prior = MediumPrior(burst_rate_hz, spectrum, root, members, misfit, peak / tracked)
+    for array in (prior.spectrum, prior.root, prior.members, prior.misfit, prior.averaging):
         array.flags.writeable = False
     return prior
-
-
-def _root(members: FloatArray, share: FloatArray) -> FloatArray:
-    """Return a lower triangular root of the covariance of ``members`` (member, direction), misfit included."""
-    values = np.sqrt(share)[:, None] * members
-    power = np.sum(values**2, axis=0).reshape(2, -1).mean(axis=0)
-    misfit = np.diag(MISFIT * np.sqrt(np.tile(power, 2)))
-    return np.asarray(np.linalg.qr(np.vstack([values, misfit]), mode="r")).T
 
 
 def medium_fit(
@@ -205,8 +205,18 @@ def medium_fit(
     data = data - (data @ seen.background) @ seen.background.T
     along = data @ seen.left
     evidence = _evidence(seen, data, along)
-    gain = _gain(seen, evidence)
-    return _result(frequency_hz, seen, (gain * along) @ seen.rows.T, gain, evidence, motion)
+    start = (WEIGHT * evidence.scale_m[..., None]) ** 2
+    gain = start * seen.value / (evidence.variance_m2[..., None] + start * seen.value**2)
+    weights = seen.rows * gain[..., None, :]
+    if motion.walk is None:
+        noise = evidence.variance_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
+    else:
+        residual = data - (gain * seen.value * along) @ seen.left.T
+        noise = _step_noise(residual, weights @ seen.left.T, np.asarray(motion.walk), np.sum(gain * seen.value, -1))
+    aliasing = _aliasing(seen, weights, evidence)
+    state = (gain * along) @ seen.rows.T
+    fit = fit_from_state(frequency_hz, state, noise + aliasing, evidence.variance_m2, len(seen.left))
+    return MediumFit(fit, noise, aliasing, evidence)
 
 
 def medium_kalman(
@@ -233,8 +243,9 @@ def medium_kalman(
         states.append(WEIGHT * s * seen.wanted @ found.state[: seen.wanted.shape[1]])
         innovations.append(found.innovations)
     state = np.reshape(states, (*data.shape[:-1], -1))
-    fit = _result(whole.fit.frequency_hz, seen, state, _gain(seen, whole.evidence), whole.evidence, motion)
-    return fit, np.reshape(innovations, data.shape)
+    known = whole.fit.state_covariance, whole.evidence.variance_m2, whole.fit.pulses
+    fit = fit_from_state(whole.fit.frequency_hz, state, *known)
+    return replace(whole, fit=fit), np.reshape(innovations, data.shape)
 
 
 def peak_over_tracked(found: MediumFit, prior: MediumPrior) -> tuple[ComplexArray, FloatArray]:
@@ -279,12 +290,15 @@ def _seen(prior: MediumPrior, time_s: bytes, valid: bytes, places: tuple[int, ..
     q, r = np.linalg.qr(factor - background @ (background.T @ factor))
     u, value, right = np.linalg.svd(r, full_matrices=False)
     left = q @ u
+    seen = directions.T @ left
     return Seen(
         left,
         value,
         wanted @ right.T,
-        np.vstack([prior.members @ (directions.T @ left), own_seen.T @ left]),
-        np.vstack([prior.members @ basis.T, own]),
+        prior.members @ seen,
+        prior.members @ basis.T,
+        np.vstack([prior.misfit[:, None] * seen, own_seen.T @ left]),
+        np.vstack([prior.misfit[:, None] * basis.T, own]),
         factor,
         wanted,
         background,
@@ -304,7 +318,11 @@ def _evidence(seen: Seen, data: FloatArray, along: FloatArray) -> Evidence:
     tiny = np.finfo(np.float64).tiny
     variance = np.maximum(along**2 @ (1 / power).T + rest[..., None].clip(min=0), tiny) / count
     evidence = -(count * np.log(variance) + np.log(power).sum(axis=1)) / 2
-    ratio = np.exp(_highest(tried, evidence))[..., None]
+    best = _highest(tried, evidence)
+    # No medium needs more than the one that the pulses see least of: beyond it lies what no medium explains.
+    most = np.sqrt(np.sum(along**2, axis=-1) / np.sum(seen.members**2, axis=1).min())
+    at_best = np.take_along_axis(variance, np.argmax(evidence, axis=-1)[..., None], axis=-1)[..., 0]
+    ratio = np.minimum(np.exp(best), np.maximum(most / np.sqrt(at_best), np.exp(tried[0])))[..., None]
     # Noise from the residual, over the degrees of freedom that it keeps: right for a medium off the ensemble as well.
     kept = 1 / (1 + (ratio * seen.value) ** 2)
     freedom = count - np.sum(1 - kept, axis=-1)
@@ -319,9 +337,8 @@ def _likelihood(seen: Seen, along: FloatArray, variance: FloatArray) -> tuple[Fl
 
     exp(-distance / 2 T), distance in noise of the data from the member at its best scale, T >= 1 a power of two.
     """
-    member = seen.members[: len(seen.members) - len(seen.rows)]
-    power = np.sum(member**2, axis=1)
-    scale = np.maximum(along @ member.T, 0.0) / power
+    power = np.sum(seen.members**2, axis=1)
+    scale = np.maximum(along @ seen.members.T, 0.0) / power
     distance = -(scale**2) * power / variance[..., None]
     distance -= distance.min(axis=-1, keepdims=True)
     widening = np.ones(variance.shape)
@@ -342,36 +359,29 @@ def _highest(place: FloatArray, height: FloatArray) -> FloatArray:
     return np.asarray(place[top[..., 0]] + np.clip((before - after) / bend / 2, -1, 1) * (place[1] - place[0]))
 
 
-def _gain(seen: Seen, evidence: Evidence) -> FloatArray:
-    """Return the diagonal (..., seen) of the weights: K = rows diag(gain) left'."""
-    start = (WEIGHT * evidence.scale_m[..., None]) ** 2
-    return np.asarray(start * seen.value / (evidence.variance_m2[..., None] + start * seen.value**2))
+def _aliasing(seen: Seen, weights: FloatArray, evidence: Evidence) -> FloatArray:
+    """Return the covariance (..., state, state) of what ``weights`` (..., state, seen) make wrong without noise."""
+    total = np.zeros((*weights.shape[:-1], weights.shape[-2]))
+    for share, wanted, part in (
+        (evidence.likelihood * evidence.square_m2, seen.wanted_members, seen.members),
+        (evidence.scale_m[..., None] ** 2, seen.wanted_free, seen.free),
+    ):
+        missed = wanted - part @ np.swapaxes(weights, -1, -2)
+        total += np.swapaxes(missed, -1, -2) @ (share[..., None] * missed)
+    return total
 
 
-def _result(
-    frequency_hz: FloatArray, seen: Seen, state: FloatArray, gain: FloatArray, evidence: Evidence, motion: Motion
-) -> MediumFit:
-    weights = seen.rows * gain[..., None, :]
-    variance = evidence.variance_m2[..., None, None]
-    if motion.walk is None:
-        noise = variance * (weights @ np.swapaxes(weights, -1, -2))
-    else:
-        noise = variance * _walk_covariance(weights @ seen.left.T, np.asarray(motion.walk)[..., None, None])
-    own = np.repeat(evidence.scale_m[..., None] ** 2, len(seen.rows), axis=-1)
-    share = np.concatenate([evidence.likelihood * evidence.square_m2, own], axis=-1)
-    missed = seen.wanted_members - seen.members @ np.swapaxes(weights, -1, -2)
-    aliasing = np.swapaxes(missed, -1, -2) @ (share[..., None] * missed)
-    fit = fit_from_state(frequency_hz, state, noise + aliasing, evidence.variance_m2, len(seen.left))
-    return MediumFit(fit, noise, aliasing, evidence)
+def _step_noise(residual: FloatArray, weights: FloatArray, walk: FloatArray, states: FloatArray) -> FloatArray:
+    """Return the covariance (..., state, state) of sums with ``weights`` (..., state, pulse) over accumulated steps.
 
-
-def _walk_covariance(weights: FloatArray, walk: FloatArray) -> FloatArray:
-    """Return the covariance of sums with ``weights`` (..., state, pulse) of accumulated steps' noise.
-
-    Pulses of total variance 1; a step's own noise, ``walk`` times a pulse's, shifts every later pulse.
+    A step's own noise, ``walk`` times a pulse's, shifts every later pulse. The scale comes from the residual's changes
+    between pulses, ``states`` of them taken by the fit.
     """
+    changes = np.diff(residual, axis=-1)
+    pulse = np.einsum("...i,...i->...", changes, changes) / (changes.shape[-1] - states) / (2 + walk)
     over_steps = np.cumsum(weights[..., :0:-1], axis=-1)
-    return np.asarray(weights @ np.swapaxes(weights, -1, -2) + walk * (over_steps @ np.swapaxes(over_steps, -1, -2)))
+    white, random_walk = (each @ np.swapaxes(each, -1, -2) for each in (weights, over_steps))
+    return np.asarray(pulse[..., None, None] * (white + walk[..., None, None] * random_walk))
 
 
 def _powers(turn: ComplexArray, count: int) -> ComplexArray:
