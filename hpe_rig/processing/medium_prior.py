@@ -42,6 +42,8 @@ LEAST_MEMBERS = 15.0
 """Members that carry the error's mean at least: the ensemble has no more where the data narrow it down."""
 BROAD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
+UNSEEN = 1e-10
+"""Singular value over the largest up to which pulses see nothing of a direction."""
 SCAN = np.arange(0.0, 9.0, 0.1) * np.log(10)
 """Logarithms of the scales tried, over the one at which the strongest direction stands as high as a pulse's noise."""
 
@@ -287,9 +289,12 @@ def _seen(prior: MediumPrior, time_s: bytes, valid: bytes, places: tuple[int, ..
     own = np.diag(FREEDOM * np.sqrt(np.repeat(power, 2)))
     own_seen = columns @ own
     factor, wanted = np.hstack([directions @ prior.root, own_seen]), np.hstack([basis @ prior.root, own])
-    q, r = np.linalg.qr(factor - background @ (background.T @ factor))
-    u, value, right = np.linalg.svd(r, full_matrices=False)
-    left = q @ u
+    moving = factor - background @ (background.T @ factor)
+    # a triangle has the same singular values, and left vectors follow: much less work than those of all pulses
+    _, value, right = np.linalg.svd(np.linalg.qr(moving, mode="r"))
+    kept = value > UNSEEN * value[0]
+    value, right = value[kept], right[: kept.size][kept]
+    left = moving @ (right.T / value)
     seen = directions.T @ left
     return Seen(
         left,
