@@ -161,6 +161,7 @@ def draw() -> Figure:
             label = f"{'least squares' if colour == PLAIN else 'prior'}, {name.split()[0]}"
             left.semilogy(WANTED_HZ, 100 * error, style, color=colour, label=label)
     left.set(xlabel="vibration frequency (Hz)", ylabel="error without noise (%)", title="4000 Hz, synchronous")
+    left.set_ylim(0.006, 100)
     left.legend(frameon=False, fontsize=7, ncols=2)
     wave, noise_m = harmonics(*media()["Voigt 9 kPa, 2 Pa s"]), np.geomspace(2e-9, 2e-6, 13)
     for colour, label in ((PLAIN, "least squares"), (PRIOR, "prior")):
@@ -172,7 +173,7 @@ def draw() -> Figure:
             stated.append(summary(fit, wave, sinusoid_m)[3])
         right.loglog(noise_m * 1e9, stated, "o-", ms=3, color=colour, label=label)
     right.axhline(1.0, color="0.45", lw=0.8)
-    right.annotate("one sinusoid in the same noise", (2.2, 1.05), fontsize=7, color="0.45", va="bottom")
+    right.annotate("one sinusoid in the same noise", (1900, 1.04), fontsize=7, color="0.45", ha="right")
     right.set(xlabel="noise of a pulse (nm)", ylabel="stated u over a sinusoid's", title="3990 Hz, shifting")
     right.legend(frameon=False, fontsize=8)
     for axes in (left, right):
