@@ -1,0 +1,179 @@
+"""Ensemble of viscoelastic media: how each moves at the focus of a Gaussian radiation force, tracked and at its peak.
+
+Five families of media, their parameters spread evenly over what soft tissue and phantoms show, and force widths spread
+about the declared ones. The displacement is a closed form at each wave direction and frequency:
+
+    U = F0 sx^2 sz / (sqrt(2 pi) mu) int_0^1 2 (1 - m^2) [sqrt(pi/a)/2 + j pi q w(q sqrt(a)) / 2] dm,
+    a = (sx^2 (1 - m^2) + sz^2 m^2) / 2,   q^2 = rho w^2 / mu,   Im q >= 0,
+
+w() the Faddeeva function, m the cosine of a wave's direction with the beam; time factor exp(+jwt). See
+docs/theory/medium-prior.md.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri, wofz
+
+from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray
+
+Triple = tuple[float, float, float]
+
+MEMBERS = 240
+FAMILIES = 5
+DIRECTIONS = 12
+"""Quadrature nodes over wave directions: the displacement is good to 3e-4 of itself, in the paper's beams."""
+NODES_PER_E_FOLD = 6.0
+"""Frequencies a factor e at which media are evaluated: what lies between is interpolated to 1e-4 of the largest."""
+
+MODULUS_PA = (1e3, 60e3)
+VISCOSITY_PA_S = (0.2, 15.0)
+LOW_VISCOSITY_PA_S = (0.005, 0.2)
+MAXWELL_VISCOSITY_PA_S = (0.5, 50.0)
+BRANCH_OVER_MODULUS = (0.2, 10.0)
+POWER = (0.02, 0.6)
+POWER_REFERENCE_HZ = 200.0
+"""Frequency at which a power-law medium has its modulus."""
+
+
+@dataclass(frozen=True, slots=True)
+class Beams:
+    """Sigmas of the Gaussian body force and of the tracking beam (x, y, z), m; both round, x counts.
+
+    ``axial_spread_m``: standard deviation of depth in the gate, weighted by echo energy. ``width_spread``: standard
+    deviation of the logarithm of the force's widths, which no one has measured in the medium.
+    """
+
+    force_width_m: Triple
+    tracking_width_m: Triple
+    axial_spread_m: float
+    width_spread: float = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class KnownMedium:
+    """Voigt medium known in advance, and standard deviations of the logarithms of its two parameters."""
+
+    shear_modulus_pa: float
+    shear_viscosity_pa_s: float
+    modulus_spread: float = 0.3
+    viscosity_spread: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Ensemble:
+    """Displacement per unit force of every member, complex (member, node), at the frequencies ``node_hz`` (node,).
+
+    ``tracked`` is the mean over the tracking beam and gate, ``peak`` that at the focus; both but for one real factor a
+    member; ``voigt`` (member,) tells Voigt media. Read-only.
+    """
+
+    node_hz: FloatArray
+    tracked: ComplexArray
+    peak: ComplexArray
+    voigt: BoolArray
+
+    def interpolation(self, frequency_hz: FloatArray) -> FloatArray:
+        """Return the matrix (frequency, node) that takes values at the nodes to ``frequency_hz`` within their range."""
+        order = self.node_hz.size - 1
+        position, node = (_position(each, self.node_hz[0], self.node_hz[-1]) for each in (frequency_hz, self.node_hz))
+        chebyshev = np.polynomial.chebyshev.chebvander
+        return np.asarray(np.linalg.solve(chebyshev(node, order).T, chebyshev(position, order).T).T)
+
+
+@functools.lru_cache(maxsize=8)
+def medium_ensemble(
+    beams: Beams,
+    lowest_hz: float,
+    highest_hz: float,
+    known: KnownMedium | None = None,
+    density_kg_per_m3: float = 1000.0,
+    members: int = MEMBERS,
+) -> Ensemble:
+    """Return the ensemble between two frequencies; of the ``known`` medium alone where there is one.
+
+    The parameters fill their ranges evenly by a low-discrepancy sequence: no chance, hence no seed.
+    """
+    count = max(8, round(NODES_PER_E_FOLD * np.log(highest_hz / lowest_hz)))
+    node_hz = np.sqrt(lowest_hz * highest_hz) * (highest_hz / lowest_hz) ** (-np.cos(np.linspace(0, np.pi, count)) / 2)
+    spread = _even_sequence(members, 5)
+    s = 2j * np.pi * node_hz
+    modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
+    shear_k2 = -density_kg_per_m3 * s**2 / modulus_pa
+    wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
+    lateral, axial = (beams.force_width_m[0] * wide) ** 2, (beams.force_width_m[2] * deep) ** 2
+    # Speckle weights by energy, a Gaussian of variance T^2/2 across: a force as much broader, of the same density.
+    seen = lateral + beams.tracking_width_m[0] ** 2 / 2, axial + beams.axial_spread_m**2
+    found = Ensemble(
+        node_hz,
+        displacement(shear_k2, *seen) / modulus_pa,
+        displacement(shear_k2, lateral, axial) / modulus_pa,
+        np.arange(members) % FAMILIES == 0 if known is None else np.ones(members, bool),
+    )
+    for array in (found.node_hz, found.tracked, found.peak, found.voigt):
+        array.flags.writeable = False
+    return found
+
+
+def displacement(
+    shear_k2: ComplexArray, lateral: FloatArray, axial: FloatArray, directions: int = DIRECTIONS
+) -> ComplexArray:
+    """Return the displacement times the modulus but for a real factor, (member, frequency).
+
+    ``shear_k2`` (member, frequency) is the squared wave number, ``lateral`` and ``axial`` (member,) the squared widths
+    of the force.
+    """
+    node, weight = np.polynomial.legendre.leggauss(directions)
+    # In the variable that makes a needle's spectrum smooth: m = tan(angle) / slope.
+    slope = np.sqrt(np.maximum(axial / lateral - 1, 1e-12))[:, None]
+    angle = np.arctan(slope) * (node + 1) / 2
+    m = np.tan(angle) / slope
+    weight = weight * np.arctan(slope) / 2 / (slope * np.cos(angle) ** 2)
+    a = (lateral[:, None] * (1 - m**2) + axial[:, None] * m**2) / 2
+    q = np.sqrt(shear_k2)
+    q = np.where(q.imag < 0, -q, q)[:, :, None]
+    waves = np.sqrt(np.pi / a)[:, None] / 2 + 0.5j * np.pi * q * wofz(q * np.sqrt(a)[:, None])
+    return np.asarray((waves @ (weight * 2 * (1 - m**2))[:, :, None])[..., 0])
+
+
+def _modulus(s: ComplexArray, spread: FloatArray) -> ComplexArray:
+    """Return the complex modulus (member, frequency): Voigt, Zener, power law, nearly elastic, Maxwell in turn."""
+    modulus = _log_even(spread[:, 0], MODULUS_PA)[:, None]
+    viscosity = _log_even(spread[:, 1], VISCOSITY_PA_S)[:, None]
+    low_viscosity = _log_even(spread[:, 1], LOW_VISCOSITY_PA_S)[:, None]
+    fluid_viscosity = _log_even(spread[:, 1], MAXWELL_VISCOSITY_PA_S)[:, None]
+    branch = modulus * _log_even(spread[:, 2], BRANCH_OVER_MODULUS)[:, None]
+    power = (POWER[0] + (POWER[1] - POWER[0]) * spread[:, 2])[:, None]
+    families = (
+        modulus + s * viscosity,
+        modulus + s * viscosity / (1 + s * viscosity / branch),
+        modulus * (s / (2 * np.pi * POWER_REFERENCE_HZ)) ** power,
+        modulus + s * low_viscosity,
+        s * fluid_viscosity / (1 + s * fluid_viscosity / modulus),
+    )
+    return np.asarray(np.choose((np.arange(len(spread)) % FAMILIES)[:, None], families))
+
+
+def _known_modulus(known: KnownMedium, s: ComplexArray, spread: FloatArray) -> ComplexArray:
+    scale = np.exp(ndtri(spread[:, :2]) * [known.modulus_spread, known.viscosity_spread])
+    return np.asarray(known.shear_modulus_pa * scale[:, :1] + s * (known.shear_viscosity_pa_s * scale[:, 1:]))
+
+
+def _log_even(share: FloatArray, limits: tuple[float, float]) -> FloatArray:
+    return np.asarray(limits[0] * (limits[1] / limits[0]) ** share)
+
+
+def _even_sequence(count: int, dimensions: int) -> FloatArray:
+    """Return points (count, dimension) that fill the unit cube: multiples of 1/g^i, g^(d+1) = g + 1, modulo 1."""
+    g = 1.5
+    for _ in range(64):
+        g = (1 + g) ** (1 / (dimensions + 1))
+    return np.asarray((0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, dimensions + 1))) % 1)
+
+
+def _position(frequency_hz: FloatArray, lowest_hz: float, highest_hz: float) -> FloatArray:
+    """Return frequencies from -1 at the lowest to 1 at the highest, by their logarithm."""
+    return np.asarray(2 * np.log(frequency_hz / lowest_hz) / np.log(highest_hz / lowest_hz) - 1)

@@ -1,0 +1,402 @@
+"""Harmonics of tonebursts with a prior from physics: what a medium can do, not only what the pulses tell apart.
+
+Under a long train of tonebursts the displacement is periodic: d = A x + background + noise, x the in-phase and
+quadrature states of every harmonic of the burst rate up to 40 kHz. What media make of the bursts' known spectrum spans
+few directions of x: its covariance over an ensemble of media is s^2 F F', F (state, rank), s the rms displacement, and
+
+    x = K d,   K = P A' (A P A' + R)^-1,   P = (k s)^2 F F'
+    covariance of its error = K R K' + mean of (I - K A) x_m x_m' (I - K A)'        noise, and aliasing and shrinkage
+
+s maximises the evidence; k = 3 leaves the weights to the data where s is a little off. The mean goes over the members
+x_m of the ensemble, each as large and as likely as the data have it. The singular value decomposition A F = U L V'
+turns all of it into sums over the rank. See docs/theory/medium-prior.md.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import fdtrc
+
+from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
+from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
+from hpe_rig.processing.kalman_filter import filter_constant
+from hpe_rig.processing.medium_ensemble import Beams, KnownMedium, medium_ensemble
+from hpe_rig.processing.model import background_columns, harmonic_columns
+
+HIGHEST_HZ = 4e4
+"""Frequency up to which the bursts' harmonics are part of the model."""
+WEIGHT = 3.0
+"""Scale k of the weights over that of the evidence."""
+VOIGT_SHARE = 10.0
+"""Weight of a Voigt medium in P over that of a medium of another family: they are the rule, and pulses that stand still
+against the bursts cannot tell."""
+MISFIT = 3e-3
+"""Standard deviation of a medium from what the ensemble spans, relative to its rms response at a frequency."""
+FREEDOM = 0.03
+"""The same for each wanted harmonic alone: reflections and layers, which no medium without end has."""
+LEAST_MEMBERS = 15.0
+"""Members that carry the error's mean at least: the ensemble has no more where the data narrow it down."""
+BROAD = 1e5
+"""Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
+UNSEEN = 1e-10
+"""Singular value over the largest up to which pulses see nothing of a direction."""
+SCAN = np.arange(0.0, 9.0, 0.1) * np.log(10)
+"""Logarithms of the scales tried, over the one at which the strongest direction stands as high as a pulse's noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MediumPrior:
+    """Prior of the states of all harmonics for a motion of 1 m rms; compared by identity, read-only.
+
+    A medium is given by its response at a few nodes of frequency, real parts, then imaginary: ``2 * node`` directions.
+    ``spectrum`` complex (harmonic, node) takes the response to A exp(j phase) of every harmonic's motion. ``root``
+    (direction, direction) is a root of the directions' covariance, so F is ``states(all harmonics) @ root``.
+    ``members`` (member, direction) are the ensemble, ``misfit`` (direction,) standard deviations from it;
+    ``averaging``, complex (member, harmonic): peak over tracked motion.
+    """
+
+    burst_rate_hz: float
+    spectrum: ComplexArray
+    root: FloatArray
+    members: FloatArray
+    misfit: FloatArray
+    averaging: ComplexArray
+
+    @property
+    def frequency_hz(self) -> FloatArray:
+        """Frequencies (harmonic,) of the states."""
+        return self.burst_rate_hz * np.arange(1.0, self.averaging.shape[1] + 1)
+
+    def states(self, places: Sequence[int]) -> FloatArray:
+        """Return the matrix (2 * place, direction) from directions to in-phase and quadrature of harmonics, from 0."""
+        rows = self.spectrum[list(places)]
+        pairs = np.hstack([rows.real, -rows.imag]), np.hstack([rows.imag, rows.real])
+        return np.stack(pairs, axis=1).reshape(2 * len(rows), -1)
+
+    def columns(self, time_s: FloatArray, places: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return the motion (pulse, direction) of every direction, and (pulse, 2 * place) of states of some harmonics.
+
+        The same as ``harmonic_columns``, by powers of one exponential a pulse.
+        """
+        sin, cos = harmonic_columns(time_s, np.array([self.burst_rate_hz])).T
+        turns = _powers(cos + 1j * sin, len(self.spectrum))
+        motion, wanted = turns @ self.spectrum, turns[:, list(places)]
+        return np.hstack([motion.imag, motion.real]), _real_pairs(1j * np.conj(wanted))
+
+    def places(self, frequency_hz: FloatArray) -> tuple[int, ...]:
+        """Return which harmonics ``frequency_hz`` are, from 0; raise ``ValueError`` where one is none."""
+        number = np.rint(frequency_hz / self.burst_rate_hz)
+        near = np.abs(frequency_hz - number * self.burst_rate_hz) <= 1e-6 * self.burst_rate_hz
+        if not np.all(near & (number >= 1) & (number <= self.averaging.shape[1])):
+            raise ValueError(
+                f"frequencies {frequency_hz.tolist()} Hz are not all multiples of the burst rate of "
+                f"{self.burst_rate_hz:g} Hz up to {self.frequency_hz[-1]:g} Hz: the tonebursts drive no others; "
+                "try least_squares"
+            )
+        return tuple((number.astype(int) - 1).tolist())
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """Scale, noise and test of the data against the prior, each (...), and how likely the members are.
+
+    ``scale_m``: rms displacement of the ensemble; ``variance_m2`` of a pulse's noise; ``significance``: probability
+    that a medium of the ensemble gives data as unlikely as these. ``likelihood`` (..., member), of sum 1;
+    ``square_m2`` (..., member), mean square of each member's own scale.
+    """
+
+    scale_m: FloatArray
+    variance_m2: FloatArray
+    significance: FloatArray
+    likelihood: FloatArray
+    square_m2: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class MediumFit:
+    """Wanted harmonics with their total covariance, its two parts, and the evidence.
+
+    ``noise_m2`` and ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) add up to ``fit.state_covariance``.
+    """
+
+    fit: HarmonicFit
+    noise_m2: FloatArray
+    aliasing_m2: FloatArray
+    evidence: Evidence
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the valid pulses see of a prior, the background taken off: A F = left diag(value) right'.
+
+    ``left`` (pulse, seen) and ``value`` (seen,); ``rows`` (2 * wanted, seen), F right of the wanted states. ``members``
+    (member, seen), in ``left``, and ``wanted_members`` (member, 2 * wanted): every member's motion; ``free`` and
+    ``wanted_free`` the same of misfit and of the wanted harmonics' own freedom. For the filter ``factor`` (pulse,
+    rank), A F with its background, ``wanted`` (2 * wanted, rank), F of the wanted states, and ``background`` (pulse,
+    order + 1), orthonormal.
+    """
+
+    left: FloatArray
+    value: FloatArray
+    rows: FloatArray
+    members: FloatArray
+    wanted_members: FloatArray
+    free: FloatArray
+    wanted_free: FloatArray
+    factor: FloatArray
+    wanted: FloatArray
+    background: FloatArray
+
+
+@functools.lru_cache(maxsize=8)
+def medium_prior(
+    beams: Beams,
+    burst_rate_hz: float,
+    burst_length_s: float,
+    known: KnownMedium | None = None,
+    density_kg_per_m3: float = 1000.0,
+) -> MediumPrior:
+    """Return the prior of the motion under tonebursts of ``burst_length_s`` at ``burst_rate_hz``.
+
+    Times count from a burst's onset at the focus. A ``known`` medium narrows the ensemble to Voigt media near it. The
+    force's spectrum is that of rectangular pulses, paper eq. (18).
+    """
+    harmonic = np.arange(1.0, int(HIGHEST_HZ / burst_rate_hz * (1 + 1e-9)) + 1)
+    ensemble = medium_ensemble(beams, burst_rate_hz, float(burst_rate_hz * harmonic[-1]), known, density_kg_per_m3)
+    duty = burst_rate_hz * burst_length_s
+    # A sin(w t + phase) has A exp(j phase) = j times the amplitude of exp(jwt), which is twice the coefficient
+    force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
+    spectrum = force[:, None] * ensemble.interpolation(np.asarray(burst_rate_hz * harmonic))
+    tracked, peak = ensemble.tracked @ spectrum.T, ensemble.peak @ spectrum.T
+    unit = np.sqrt(2 / np.sum(np.abs(tracked) ** 2, axis=1))[:, None]
+    # a few ten node values, real and imaginary, hold each member: from there to the states by one matrix
+    nodes = unit * ensemble.tracked
+    members = np.hstack([nodes.real, nodes.imag])
+    share = np.where(ensemble.voigt, VOIGT_SHARE, 1.0)
+    power = (share / share.sum()) @ (members**2)
+    misfit = MISFIT * np.sqrt(np.tile(power.reshape(2, -1).mean(axis=0), 2))
+    weighted = np.sqrt(share / share.sum())[:, None] * members
+    root = np.asarray(np.linalg.qr(np.vstack([weighted, np.diag(misfit)]), mode="r")).T
+    prior = MediumPrior(burst_rate_hz, spectrum, root, members, misfit, peak / tracked)
+    for array in (prior.spectrum, prior.root, prior.members, prior.misfit, prior.averaging):
+        array.flags.writeable = False
+    return prior
+
+
+def medium_fit(
+    motion: Motion,
+    frequencies_hz: FloatArray | Sequence[float],
+    prior: MediumPrior,
+    *,
+    background_order: int = 0,
+) -> MediumFit:
+    """Return amplitudes and phases of the wanted harmonics with the prior of media, in closed form.
+
+    Every valid pulse has the same weight: what the echoes state of each scatters more than their noise differs, and
+    trigger jitter, the same for all, is no part of it. The noise is therefore that of the residual, over the degrees of
+    freedom that the prior leaves; of accumulated steps it is white plus a random walk. Raises ``ValueError`` for
+    frequencies that are no harmonics of the bursts and for too few pulses.
+    """
+    frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
+    seen = seen_by(prior, motion.time_s, motion.valid, frequency_hz, background_order)
+    data = motion.displacement_m[..., motion.valid]
+    data = data - (data @ seen.background) @ seen.background.T
+    along = data @ seen.left
+    evidence = _evidence(seen, data, along)
+    start = (WEIGHT * evidence.scale_m[..., None]) ** 2
+    gain = start * seen.value / (evidence.variance_m2[..., None] + start * seen.value**2)
+    weights = seen.rows * gain[..., None, :]
+    if motion.walk is None:
+        noise = evidence.variance_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
+    else:
+        residual = data - (gain * seen.value * along) @ seen.left.T
+        noise = _step_noise(residual, weights @ seen.left.T, np.asarray(motion.walk), np.sum(gain * seen.value, -1))
+    aliasing = _aliasing(seen, weights, evidence)
+    state = (gain * along) @ seen.rows.T
+    fit = fit_from_state(frequency_hz, state, noise + aliasing, evidence.variance_m2, len(seen.left))
+    return MediumFit(fit, noise, aliasing, evidence)
+
+
+def medium_kalman(
+    motion: Motion,
+    frequencies_hz: FloatArray | Sequence[float],
+    prior: MediumPrior,
+    *,
+    background_order: int = 0,
+) -> tuple[MediumFit, FloatArray]:
+    """Return the same by the square-root Kalman filter, its start covariance P; and innovations (..., valid pulse).
+
+    The filter runs on x = F a, a of covariance (k s)^2 I at the start. Scale and noise are those of ``medium_fit``.
+    The innovations are normalised: white and of unit variance where prior and noise are right.
+    """
+    whole = medium_fit(motion, frequencies_hz, prior, background_order=background_order)
+    seen = seen_by(prior, motion.time_s, motion.valid, whole.fit.frequency_hz, background_order)
+    scale, noise = whole.evidence.scale_m.reshape(-1), np.sqrt(whole.evidence.variance_m2.reshape(-1))
+    data = motion.displacement_m[..., motion.valid]
+    states, innovations = [], []
+    for each, s, sigma in zip(data.reshape(-1, data.shape[-1]), scale.tolist(), noise.tolist(), strict=True):
+        start = WEIGHT * s / sigma
+        matrix = np.hstack([start * seen.factor, BROAD * seen.background])
+        found = filter_constant(matrix, each / sigma, 1.0, innovations=True)
+        states.append(WEIGHT * s * seen.wanted @ found.state[: seen.wanted.shape[1]])
+        innovations.append(found.innovations)
+    state = np.reshape(states, (*data.shape[:-1], -1))
+    known = whole.fit.state_covariance, whole.evidence.variance_m2, whole.fit.pulses
+    fit = fit_from_state(whole.fit.frequency_hz, state, *known)
+    return replace(whole, fit=fit), np.reshape(innovations, data.shape)
+
+
+def peak_over_tracked(found: MediumFit, prior: MediumPrior) -> tuple[ComplexArray, FloatArray]:
+    """Return peak over tracked motion of the wanted harmonics, complex (..., frequency), and its covariance.
+
+    The mean of its logarithm over the ensemble, every member as likely as the data have it; covariance (..., frequency,
+    2, 2) of (relative amplitude, phase in rad).
+    """
+    ratio = np.log(prior.averaging[:, list(prior.places(found.fit.frequency_hz))])
+    likelihood = found.evidence.likelihood
+    mean = likelihood @ ratio
+    off = ratio - mean[..., None, :]
+    parts = np.stack([off.real, off.imag], axis=-1)
+    return np.exp(mean), np.einsum("...m,...mfi,...mfj->...fij", likelihood, parts, parts)
+
+
+def seen_by(
+    prior: MediumPrior, time_s: FloatArray, valid: BoolArray, frequency_hz: FloatArray, background_order: int = 0
+) -> Seen:
+    """Return what the valid pulses at ``time_s`` (pulse,) see of the prior; kept for the next train of the same times.
+
+    Raises ``ValueError`` for frequencies that are no harmonics of the bursts and for too few pulses.
+    """
+    found = int(valid.sum())
+    if found <= background_order + 3:
+        raise ValueError(f"{found} valid pulses: too few for an amplitude and its uncertainty; try more pulses")
+    return _seen(prior, time_s.tobytes(), valid.tobytes(), prior.places(frequency_hz), background_order)
+
+
+@functools.lru_cache(maxsize=4)
+def _seen(prior: MediumPrior, time_s: bytes, valid: bytes, places: tuple[int, ...], order: int) -> Seen:
+    times, used = np.frombuffer(time_s), np.frombuffer(valid, dtype=bool)
+    directions, columns = prior.columns(times, places)
+    directions, columns = directions[used], columns[used]
+    background = np.linalg.qr(background_columns(times, order)[used])[0]
+    basis = prior.states(places)
+    # each wanted harmonic's own freedom, the same in both its states
+    power = np.sum((basis @ prior.root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
+    own = np.diag(FREEDOM * np.sqrt(np.repeat(power, 2)))
+    own_seen = columns @ own
+    factor, wanted = np.hstack([directions @ prior.root, own_seen]), np.hstack([basis @ prior.root, own])
+    moving = factor - background @ (background.T @ factor)
+    # a triangle has the same singular values, and left vectors follow: much less work than those of all pulses
+    _, value, right = np.linalg.svd(np.linalg.qr(moving, mode="r"))
+    kept = value > UNSEEN * value[0]
+    value, right = value[kept], right[: kept.size][kept]
+    left = moving @ (right.T / value)
+    seen = directions.T @ left
+    return Seen(
+        left,
+        value,
+        wanted @ right.T,
+        prior.members @ seen,
+        prior.members @ basis.T,
+        np.vstack([prior.misfit[:, None] * seen, own_seen.T @ left]),
+        np.vstack([prior.misfit[:, None] * basis.T, own]),
+        factor,
+        wanted,
+        background,
+    )
+
+
+def _evidence(seen: Seen, data: FloatArray, along: FloatArray) -> Evidence:
+    """Return the scale of the largest evidence, the noise and the test.
+
+    With ratio = s / sigma the noise that maximises the evidence is a closed form, so one dimension is scanned:
+    -2 log evidence = n log sigma^2 + sum_i log p_i, n sigma^2 = sum_i z_i^2 / p_i + rest, p_i = 1 + ratio^2 L_i^2.
+    """
+    count = data.shape[-1] - seen.background.shape[1]
+    rest = np.einsum("...i,...i->...", data, data) - np.einsum("...i,...i->...", along, along)
+    tried = SCAN - np.log(seen.value[0])
+    power = 1 + np.exp(2 * tried)[:, None] * seen.value**2
+    tiny = np.finfo(np.float64).tiny
+    variance = np.maximum(along**2 @ (1 / power).T + rest[..., None].clip(min=0), tiny) / count
+    evidence = -(count * np.log(variance) + np.log(power).sum(axis=1)) / 2
+    best = _highest(tried, evidence)
+    # No medium needs more than the one that the pulses see least of: beyond it lies what no medium explains.
+    most = np.sqrt(np.sum(along**2, axis=-1) / np.sum(seen.members**2, axis=1).min())
+    at_best = np.take_along_axis(variance, np.argmax(evidence, axis=-1)[..., None], axis=-1)[..., 0]
+    ratio = np.minimum(np.exp(best), np.maximum(most / np.sqrt(at_best), np.exp(tried[0])))[..., None]
+    # Noise from the residual, over the degrees of freedom that it keeps: right for a medium off the ensemble as well.
+    kept = 1 / (1 + (ratio * seen.value) ** 2)
+    freedom = count - np.sum(1 - kept, axis=-1)
+    noise = np.maximum(np.sum((along * kept) ** 2, axis=-1) + rest.clip(min=0), tiny) / freedom
+    statistic = np.sum(along**2 * kept, axis=-1) / noise / seen.value.size
+    significance = fdtrc(seen.value.size, freedom, statistic)
+    return Evidence(ratio[..., 0] * np.sqrt(noise), noise, significance, *_likelihood(seen, along, noise))
+
+
+def _likelihood(seen: Seen, along: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return likelihood, of sum 1, and mean square scale of every member (..., member).
+
+    exp(-distance / 2 T), distance in noise of the data from the member at its best scale, T >= 1 a power of two.
+    """
+    power = np.sum(seen.members**2, axis=1)
+    scale = np.maximum(along @ seen.members.T, 0.0) / power
+    distance = -(scale**2) * power / variance[..., None]
+    distance -= distance.min(axis=-1, keepdims=True)
+    widening = np.ones(variance.shape)
+    for _ in range(60):
+        weight = np.exp(-distance / 2 / widening[..., None])
+        few = weight.sum(axis=-1) ** 2 < LEAST_MEMBERS * np.sum(weight**2, axis=-1)
+        if not few.any():
+            break
+        widening = np.where(few, 2 * widening, widening)
+    return weight / weight.sum(axis=-1, keepdims=True), scale**2 + variance[..., None] / power
+
+
+def _highest(place: FloatArray, height: FloatArray) -> FloatArray:
+    """Return where ``height`` (..., place) is highest, by the parabola through its highest value and its neighbours."""
+    top = np.clip(np.argmax(height, axis=-1), 1, place.size - 2)[..., None]
+    before, at, after = (np.take_along_axis(height, top + step, axis=-1)[..., 0] for step in (-1, 0, 1))
+    bend = np.minimum(before - 2 * at + after, -np.finfo(np.float64).tiny)
+    return np.asarray(place[top[..., 0]] + np.clip((before - after) / bend / 2, -1, 1) * (place[1] - place[0]))
+
+
+def _aliasing(seen: Seen, weights: FloatArray, evidence: Evidence) -> FloatArray:
+    """Return the covariance (..., state, state) of what ``weights`` (..., state, seen) make wrong without noise."""
+    total = np.zeros((*weights.shape[:-1], weights.shape[-2]))
+    for share, wanted, part in (
+        (evidence.likelihood * evidence.square_m2, seen.wanted_members, seen.members),
+        (evidence.scale_m[..., None] ** 2, seen.wanted_free, seen.free),
+    ):
+        missed = wanted - part @ np.swapaxes(weights, -1, -2)
+        total += np.swapaxes(missed, -1, -2) @ (share[..., None] * missed)
+    return total
+
+
+def _step_noise(residual: FloatArray, weights: FloatArray, walk: FloatArray, states: FloatArray) -> FloatArray:
+    """Return the covariance (..., state, state) of sums with ``weights`` (..., state, pulse) over accumulated steps.
+
+    A step's own noise, ``walk`` times a pulse's, shifts every later pulse. The scale comes from the residual's changes
+    between pulses, ``states`` of them taken by the fit.
+    """
+    changes = np.diff(residual, axis=-1)
+    pulse = np.einsum("...i,...i->...", changes, changes) / (changes.shape[-1] - states) / (2 + walk)
+    over_steps = np.cumsum(weights[..., :0:-1], axis=-1)
+    white, random_walk = (each @ np.swapaxes(each, -1, -2) for each in (weights, over_steps))
+    return np.asarray(pulse[..., None, None] * (white + walk[..., None, None] * random_walk))
+
+
+def _powers(turn: ComplexArray, count: int) -> ComplexArray:
+    """Return the powers 1 to ``count`` (pulse, power) of ``turn`` (pulse,): products of two of a few."""
+    few = int(np.ceil(np.sqrt(count)))
+    low = np.cumprod(np.broadcast_to(turn[:, None], (turn.size, few)), axis=1)
+    high = np.cumprod(np.broadcast_to(low[:, -1:], (turn.size, few)), axis=1) / low[:, -1:]
+    return np.asarray((high[:, :, None] * low[:, None, :]).reshape(turn.size, -1)[:, :count])
+
+
+def _real_pairs(values: ComplexArray) -> FloatArray:
+    """Return real and imaginary parts (..., 2 * column) of ``values`` (..., column), in turn."""
+    return np.stack([values.real, values.imag], axis=-1).reshape(*values.shape[:-1], -1)

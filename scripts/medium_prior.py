@@ -1,0 +1,196 @@
+"""Table and figure of what the prior of media leaves of noise and aliasing, beside plain least squares.
+
+Usage: python scripts/medium_prior.py [FOLDER]     the figure is written to docs/figures unless FOLDER is given
+
+Truths are the media's own fields, 1000 harmonics, quadrature apart from the ensemble's. Errors are the largest of ten
+harmonics, of the mean over noise and its negative; gain and u are over those of one sinusoid in the same noise.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from hpe_rig.prediction.beam_averaging import medium_motion
+from hpe_rig.processing import HarmonicFit, Motion, harmonic_columns, least_squares
+from hpe_rig.processing.medium_ensemble import Beams, medium_ensemble
+from hpe_rig.processing.medium_prior import medium_fit, medium_prior, seen_by
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+BEAMS = Beams((0.17e-3, 0.17e-3, 1.80e-3), (0.078e-3, 0.078e-3, 0.83e-3), 0.3e-3)
+RATE_HZ, LENGTH_S = 100.0, 100e-6
+HARMONIC = np.arange(1, 1001)
+WANTED_HZ = RATE_HZ * np.arange(1.0, 11.0)
+RMS_M = 0.5e-6
+NOISE_M = (770e-9, 77e-9, 7.7e-9)
+TRAINS = {"shifting 3990 Hz": (3990.0, 131e-6), "synchronous 4000 Hz": (4000.0, 130e-6), "2500 Hz": (2500.0, 130e-6)}
+DRIVEN_HZ = 1 / LENGTH_S
+PRIOR, PLAIN = "#0072B2", "#D55E00"
+
+
+def media() -> dict[str, tuple[ComplexArray, float]]:
+    """Return modulus (harmonic,) and how much wider the force is than declared."""
+    s = 2j * np.pi * RATE_HZ * HARMONIC
+    elastic = np.full(HARMONIC.size, 9e3 + 1e-6j)
+    every: dict[str, tuple[ComplexArray, float]] = {
+        "Voigt 2 kPa, 1 Pa s": (2e3 + s * 1.0, 1.0),
+        "Voigt 9 kPa, 2 Pa s": (9e3 + s * 2.0, 1.0),
+        "Voigt 30 kPa, 3 Pa s": (30e3 + s * 3.0, 1.0),
+        "Zener 5 + 20 kPa, 3 Pa s": (5e3 + 1 / (1 / 20e3 + 1 / (s * 3.0)), 1.0),
+        "power law 9 kPa, 0.3": (9e3 * (s / (2 * np.pi * 150)) ** 0.3, 1.0),
+        "Voigt, force twice as wide": (9e3 + s * 2.0, 2.0),
+        "elastic 9 kPa": (elastic, 1.0),
+        "Maxwell 9 kPa, 5 Pa s": (1 / (1 / 9e3 + 1 / (s * 5.0)), 1.0),
+    }
+    return every
+
+
+def harmonics(modulus_pa: ComplexArray, wider: float) -> ComplexArray:
+    """Return A exp(j phase) of the tracked motion (harmonic,)."""
+    width_m = tuple(wider * width for width in BEAMS.force_width_m)
+    axes = width_m, BEAMS.tracking_width_m, BEAMS.axial_spread_m
+    moved, _ = medium_motion(modulus_pa, 1000.0, RATE_HZ * HARMONIC, *axes)
+    duty = RATE_HZ * LENGTH_S
+    wave = 1j * moved * np.sinc(HARMONIC * duty) * np.exp(-1j * np.pi * HARMONIC * duty)
+    return np.asarray(wave * RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2))
+
+
+def train(rate_hz: float, delay_s: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return times (pulse,) over 15 burst periods, from a burst's onset, and which pulses no burst disturbs."""
+    time_s = 0.05 + delay_s + np.arange(round(0.15 * rate_hz)) / rate_hz
+    inside = time_s % (1 / RATE_HZ)
+    return time_s, (inside > 105e-6) & (inside < 1 / RATE_HZ - 95e-6)
+
+
+def measured(rate_hz: float, delay_s: float, wave: ComplexArray, noise_m: float, trials: int = 40) -> Motion:
+    """Return trains of ``wave`` (harmonic,) with noise and with its negative."""
+    time_s, valid = train(rate_hz, delay_s)
+    parts = np.stack([wave.real, wave.imag], axis=-1).ravel()
+    noise = noise_m * np.random.default_rng(1).standard_normal((trials, time_s.size))
+    moved = harmonic_columns(time_s, RATE_HZ * HARMONIC) @ parts + np.concatenate([noise, -noise])
+    return Motion(time_s, moved, np.full(moved.shape, noise_m**2), valid)
+
+
+def plain(motion: Motion) -> HarmonicFit:
+    """Return least squares, every harmonic free that the pulses tell apart."""
+    return least_squares(motion, WANTED_HZ, also_hz=RATE_HZ * np.arange(11.0, DRIVEN_HZ / RATE_HZ + 1))
+
+
+def summary(fit: HarmonicFit, wave: ComplexArray, sinusoid_m: float) -> tuple[float, float, float, float, float]:
+    """Return percent and degrees of the mean's largest error, gain, u over a sinusoid's, and NEV."""
+    state = fit.state[..., :20]
+    error = state - np.stack([wave[:10].real, wave[:10].imag], axis=-1).ravel()
+    ratio = (state.mean(axis=0)[::2] + 1j * state.mean(axis=0)[1::2]) / wave[:10]
+    variance = np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[..., :20]
+    return (
+        float(np.abs(np.abs(ratio) - 1).max() * 100),
+        float(np.degrees(np.abs(np.angle(ratio)).max())),
+        float(np.sqrt(state.var(axis=0).mean()) / sinusoid_m),
+        float(np.sqrt(variance.mean()) / sinusoid_m),
+        float(np.mean(error**2 / variance)),
+    )
+
+
+def rows() -> Iterator[str]:
+    """Yield the table: a row for each train, noise and medium."""
+    prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
+    yield "| pulses | noise | medium | prior: error | gain | u | NEV | p | plain: error | gain | NEV |"
+    yield "|---|---|---|---|---|---|---|---|---|---|---|"
+    for name, at in TRAINS.items():
+        for noise_m in NOISE_M:
+            sinusoid_m = noise_m * float(np.sqrt(2 / train(*at)[1].sum()))
+            for medium, (modulus_pa, wider) in media().items():
+                wave = harmonics(modulus_pa, wider)
+                motion = measured(*at, wave, noise_m)
+                found = medium_fit(motion, WANTED_HZ, prior)
+                off, turn, gain, u, nev = summary(found.fit, wave, sinusoid_m)
+                old = summary(plain(motion), wave, sinusoid_m)
+                yield (
+                    f"| {name} | {noise_m * 1e9:.3g} nm | {medium} | {off:.2f} %, {turn:.2f} deg | {gain:.2f} "
+                    f"| {u:.2f} | {nev:.2f} | {float(np.median(found.evidence.significance)):.2f} "
+                    f"| {old[0]:.2f} %, {old[1]:.2f} deg | {old[2]:.2f} | {old[4]:.1f} |"
+                )
+
+
+def cost() -> Iterator[str]:
+    """Yield what the prior costs: once a scene, once a timing, once a train."""
+
+    def best_ms(call: object) -> float:
+        assert callable(call)
+        taken = []
+        for _ in range(5):
+            start = time.process_time()
+            call()
+            taken.append(time.process_time() - start)
+        return min(taken) * 1e3
+
+    ensemble_ms = best_ms(lambda: medium_ensemble.__wrapped__(BEAMS, RATE_HZ, 4e4))
+    yield f"ensemble {ensemble_ms:.1f} ms, prior {best_ms(lambda: medium_prior.__wrapped__(BEAMS, 100.0, 1e-4)):.1f} ms"
+    prior, generator = medium_prior(BEAMS, RATE_HZ, LENGTH_S), np.random.default_rng(0)
+    for count in (598, 1593, 4000):
+        time_s, valid = 0.05 + np.arange(count) / 3990.0, np.ones(count, dtype=bool)
+        # shifted by a picosecond, so that nothing is kept from before
+        shifted = iter([time_s + index * 1e-12 for index in range(1, 6)])
+        timing_ms = best_ms(lambda shifted=shifted, valid=valid: seen_by(prior, next(shifted), valid, WANTED_HZ))
+        motion = Motion(time_s, generator.standard_normal(count) * 1e-8, np.ones(count), valid)
+        fit_ms = best_ms(lambda motion=motion: medium_fit(motion, WANTED_HZ, prior))
+        yield f"{count} pulses: {timing_ms:.1f} ms a timing, {fit_ms:.2f} ms a train"
+
+
+def draw() -> Figure:
+    """Return errors over frequency at the synchronous rate, and u over noise where the pulses shift."""
+    prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
+    figure = Figure(figsize=(8.4, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for index, name in enumerate(("Voigt 9 kPa, 2 Pa s", "Zener 5 + 20 kPa, 3 Pa s", "elastic 9 kPa")):
+        wave = harmonics(*media()[name])
+        motion = measured(*TRAINS["synchronous 4000 Hz"], wave, 7.7e-9)
+        style = ("-", "--", ":")[index]
+        for colour, fit in ((PLAIN, plain(motion)), (PRIOR, medium_fit(motion, WANTED_HZ, prior).fit)):
+            state = fit.state[..., :20].mean(axis=0)
+            error = np.abs((state[::2] + 1j * state[1::2]) / wave[:10] - 1)
+            label = f"{'least squares' if colour == PLAIN else 'prior'}, {name.split()[0]}"
+            left.semilogy(WANTED_HZ, 100 * error, style, color=colour, label=label)
+    left.set(xlabel="vibration frequency (Hz)", ylabel="error without noise (%)", title="4000 Hz, synchronous")
+    left.set_ylim(0.006, 100)
+    left.legend(frameon=False, fontsize=7, ncols=2)
+    wave, noise_m = harmonics(*media()["Voigt 9 kPa, 2 Pa s"]), np.geomspace(2e-9, 2e-6, 13)
+    for colour, label in ((PLAIN, "least squares"), (PRIOR, "prior")):
+        stated = []
+        for each in noise_m.tolist():
+            motion = measured(*TRAINS["shifting 3990 Hz"], wave, each, 5)
+            fit = plain(motion) if colour == PLAIN else medium_fit(motion, WANTED_HZ, prior).fit
+            sinusoid_m = each * float(np.sqrt(2 / motion.valid.sum()))
+            stated.append(summary(fit, wave, sinusoid_m)[3])
+        right.loglog(noise_m * 1e9, stated, "o-", ms=3, color=colour, label=label)
+    right.axhline(1.0, color="0.45", lw=0.8)
+    right.annotate("one sinusoid in the same noise", (1900, 1.04), fontsize=7, color="0.45", ha="right")
+    right.set(xlabel="noise of a pulse (nm)", ylabel="stated u over a sinusoid's", title="3990 Hz, shifting")
+    right.legend(frameon=False, fontsize=8)
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.25)
+    return figure
+
+
+def main(folder: str = "") -> None:
+    """Print the table and the cost, and write medium-prior.svg."""
+    for line in (*rows(), "", *cost()):
+        print(line)
+    path = Path(folder) if folder else Path(__file__).parents[1] / "docs" / "figures"
+    path.mkdir(parents=True, exist_ok=True)
+    with rc_context({"svg.hashsalt": "hpe_rig", "svg.fonttype": "none"}):
+        draw().savefig(path / "medium-prior.svg", metadata={"Date": None})
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
