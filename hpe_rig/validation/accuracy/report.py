@@ -70,7 +70,9 @@ def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell:
         "specimen": lambda: specimen_part(medium),
         "stiff and extreme": lambda: extremes_part(list(extremes(medium))),
         "echo": lambda: echo_part(effort),
-        "chain": lambda: _points_part("chain", "Receive chain: tails and oversampling", list(accuracy_chain.chain_points())),
+        "chain": lambda: _points_part(
+            "chain", "Receive chain: tails and oversampling", list(accuracy_chain.chain_points())
+        ),
         "motion": lambda: motion_part(effort.draws),
         "harmonic": harmonic_part,
     }
