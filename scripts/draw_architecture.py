@@ -64,7 +64,7 @@ PANELS = {
         },
     ),
     "sim_backend": Panel(
-        *("sim_backend: the twin", "#00705A", "#E8F4F0", 10.8, ("settings", "wiring", "clock")),
+        *("sim_backend: the twin", "#00705A", "#E8F4F0", 10.8, ("settings", "wiring")),
         {
             "world": (1, 9, "the bench as one"),
             "transports": (2, 9, "TCP, serial, HiSLIP"),
@@ -76,7 +76,6 @@ PANELS = {
             "echoes": (0, 3, "the echo engine"),
             "settings": (0, 1, "[simulation]"),
             "wiring": (1, 1, "edges, in ps"),
-            "clock": (2, 1, "simulated time"),
         },
     ),
 }

@@ -18,10 +18,18 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hpe_rig.prediction.beam_averaging import medium_motion
-from hpe_rig.processing import HarmonicFit, Motion, harmonic_columns, least_squares
-from hpe_rig.processing.medium_ensemble import Beams, medium_ensemble
-from hpe_rig.processing.medium_prior import medium_fit, medium_prior, seen_by
+from hpe_rig.prediction import medium_motion
+from hpe_rig.processing import (
+    HarmonicFit,
+    Motion,
+    PushBeams,
+    harmonic_columns,
+    least_squares,
+    medium_ensemble,
+    medium_fit,
+    media_prior,
+    seen_by,
+)
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -89,11 +89,11 @@ class TwinDeclaration:
 
         None without specimen, and where it moves by the Gaussian of eq. (12) instead of the medium's own field.
         """
-        from sim_backend.motion import shear_modulus
-
         specimen = self.settings.specimen
         if specimen is None or specimen.field == "gaussian":
             return None
+        from sim_backend.motion import shear_modulus
+
         s_per_s = np.asarray(2j * np.pi * frequency_hz, np.complex128)
         return np.asarray(shear_modulus(specimen, s_per_s)), specimen.density_kg_per_m3
 

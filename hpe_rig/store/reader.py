@@ -192,11 +192,11 @@ def _settings(text: bytes) -> Mapping[str, Mapping[str, Setting]]:
     try:
         roles = json.loads(text)
     except (ValueError, RecursionError):
-        raise UntrustedError("a shot's settings are no JSON") from None
+        raise UntrustedError("a shot's settings are not JSON") from None
     if not isinstance(roles, dict) or not all(isinstance(values, dict) for values in roles.values()):
         raise UntrustedError("a shot's settings are not listed by role")
     if not all(isinstance(value, str | int | float) for values in roles.values() for value in values.values()):
-        raise UntrustedError("a setting is no single value")
+        raise UntrustedError("a setting is not a single value")
     return roles
 
 

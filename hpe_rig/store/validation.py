@@ -71,11 +71,11 @@ class Trusted:
             raise UntrustedError(f"{where} is absent")
         identity = owner.attrs.get_id(name)
         if identity.shape != ():
-            raise UntrustedError(f"{where} is no single value")
+            raise UntrustedError(f"{where} is not a single value")
         if kind is str:
             return _text(owner.attrs[name], where) if _is_text(identity, where) else ""
         if identity.dtype.kind not in {int: "iu", bool: "b", float: "f"}[kind]:
-            raise UntrustedError(f"{where} is no {kind.__name__}")
+            raise UntrustedError(f"{where} is not of type {kind.__name__}")
         value = kind(owner.attrs[name])
         if not math.isfinite(value):
             raise UntrustedError(f"{where} is {value}")
@@ -96,7 +96,7 @@ class Trusted:
                 raise UntrustedError(f"{path} points out of its place, which no run file does")
         item = self.file[name]
         if not isinstance(item, kind):
-            raise UntrustedError(f"{path} is no {kind.__name__.lower()}")
+            raise UntrustedError(f"{path} is not a {kind.__name__.lower()}")
         return item
 
 
@@ -152,7 +152,7 @@ def _patience() -> h5p.PropFAID:
 def _refuse_foreign(path: Path) -> bool:
     """Return whether the file is marked as being written: it is, or its writer was killed."""
     if not path.is_file():
-        what = "is a folder" if path.is_dir() else "is no regular file" if path.exists() else "does not exist"
+        what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
         raise StoreError(f"{path} {what}. Try: a file written by hpe-rig run, here or with its folder's name.")
     with path.open("rb") as file:
         start = file.read(FLAGS_PLACE + 1)
@@ -184,10 +184,10 @@ def _refuse_format(trust: Trusted) -> None:
 def _is_text(holder: Any, where: str) -> bool:
     """Return True where ``holder`` has a single text of fixed, bounded length; raise ``UntrustedError`` otherwise."""
     if holder.shape != ():
-        raise UntrustedError(f"{where} is no single text")
+        raise UntrustedError(f"{where} is not a single text")
     information = h5py.check_string_dtype(holder.dtype)
     if information is None:
-        raise UntrustedError(f"{where} is no text")
+        raise UntrustedError(f"{where} is not text")
     if information.length is None:
         # Such text lies in a heap without checksums, where a damaged file can send the library into an endless loop.
         raise UntrustedError(f"{where} is a text of variable length, which no run file holds")
@@ -201,7 +201,7 @@ def _text(value: Any, where: str) -> str:
         text = value.decode("utf-8") if isinstance(value, bytes) else str(value)
         text.encode("utf-8")
     except UnicodeError:
-        raise UntrustedError(f"{where} is no UTF-8 text") from None
+        raise UntrustedError(f"{where} is not UTF-8 text") from None
     if len(text) > MOST_TEXT_BYTES:
         raise UntrustedError(f"{where} is a text of {len(text)} characters, more than {MOST_TEXT_BYTES}")
     # A terminal would execute them.

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 RECORDS, SAMPLES = 100, 512
 
 
-def chain_points() -> Iterator[Point]:
+def points() -> Iterator[Point]:
     """Yield the linear and the logarithmic chain of the paper, at tails of 1e-2 to 1e-12 and finer sampling."""
     from sim_backend.acoustics import with_reception
     from sim_backend.settings import ReceiveChain, SimulationSettings

@@ -70,9 +70,7 @@ def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell:
         "specimen": lambda: specimen_part(medium),
         "stiff and extreme": lambda: extremes_part(list(extremes(medium))),
         "echo": lambda: echo_part(effort),
-        "chain": lambda: _points_part(
-            "chain", "Receive chain: tails and oversampling", list(accuracy_chain.chain_points())
-        ),
+        "chain": lambda: _points_part("chain", "Receive chain: tails and oversampling", list(accuracy_chain.points())),
         "motion": lambda: motion_part(effort.draws),
         "harmonic": harmonic_part,
     }
@@ -139,7 +137,7 @@ def end_to_end_part(rows: Sequence[EndToEnd]) -> Part:
 
 def specimen_part(found: list[Point]) -> Part:
     """Return the medium's section; its points are added to ``found``."""
-    found += accuracy_specimen.specimen_points()
+    found += accuracy_specimen.points()
     return _points_part("specimen", "Medium: response to a burst train", found)
 
 

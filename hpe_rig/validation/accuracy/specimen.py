@@ -19,7 +19,7 @@ BLOWN_UP = 1e6
 BURSTS, PERIOD_PS, BURST_PS = 20, 10_000_000_000, 100_000_000
 
 
-def specimen_points() -> Iterator[Point]:
+def points() -> Iterator[Point]:
     """Yield the transient of 20 bursts at 800 instants in each medium, then the lumped model."""
     from sim_backend.settings import Specimen
 

@@ -106,7 +106,7 @@ def test_an_interruption_keeps_the_parts_before_it(tmp_path: Path, monkeypatch: 
         raise KeyboardInterrupt
 
     monkeypatch.setattr(accuracy_report, "end_to_end_rows", lambda realisations: two_ways())
-    monkeypatch.setattr(accuracy_report.accuracy_specimen, "specimen_points", interrupted)
+    monkeypatch.setattr(accuracy_report.accuracy_specimen, "points", interrupted)
     done = CliRunner().invoke(app, ["accuracy", "--output", str(tmp_path / "a.html")])
     assert done.exit_code == 130
     assert "a.html holds the parts before specimen" in done.output
