@@ -1,5 +1,9 @@
 from .aliasing import fitted_over_true as fitted_over_true
-from .beam_averaging import predicted_averaging as predicted_averaging, pulse_length_m as pulse_length_m
+from .beam_averaging import (
+    medium_motion as medium_motion,
+    predicted_averaging as predicted_averaging,
+    pulse_length_m as pulse_length_m,
+)
 from .bounds import echo_bound as echo_bound
 from .detection import detection_floor as detection_floor, fit_gain as fit_gain
 from .error_model import (

@@ -8,6 +8,12 @@ from .echoes import (
     relative_to as relative_to,
     velocity_between_pulses as velocity_between_pulses,
 )
+from .ensemble import (
+    BeamWidths as BeamWidths,
+    Ensemble as Ensemble,
+    KnownMedium as KnownMedium,
+    medium_ensemble as medium_ensemble,
+)
 from .estimators import (
     ESTIMATORS as ESTIMATORS,
     WINDOW_NOISE as WINDOW_NOISE,
@@ -33,6 +39,15 @@ from .motion import (
     kasai as kasai,
     loupas as loupas,
     peak_phase as peak_phase,
+)
+from .prior import (
+    MediumFit as MediumFit,
+    MediumPrior as MediumPrior,
+    medium_fit as medium_fit,
+    medium_kalman as medium_kalman,
+    medium_prior as medium_prior,
+    peak_over_tracked as peak_over_tracked,
+    seen_by as seen_by,
 )
 from .shots import (
     estimate_run as estimate_run,

@@ -22,9 +22,9 @@ import numpy as np
 from scipy.special import fdtrc
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
+from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, medium_ensemble
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.processing.kalman_filter import filter_constant
-from hpe_rig.processing.medium_ensemble import Beams, KnownMedium, medium_ensemble
 from hpe_rig.processing.model import background_columns, harmonic_columns
 
 HIGHEST_HZ = 4e4
@@ -154,7 +154,7 @@ class Seen:
 
 @functools.lru_cache(maxsize=8)
 def medium_prior(
-    beams: Beams,
+    beams: BeamWidths,
     burst_rate_hz: float,
     burst_length_s: float,
     known: KnownMedium | None = None,

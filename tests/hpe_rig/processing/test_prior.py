@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from hpe_rig.prediction.beam_averaging import medium_motion
 from hpe_rig.processing import Motion, harmonic_columns, least_squares
-from hpe_rig.processing.medium_ensemble import Beams, KnownMedium, displacement, medium_ensemble
-from hpe_rig.processing.medium_prior import (
+from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, displacement, medium_ensemble
+from hpe_rig.processing.prior import (
     FREEDOM,
     WEIGHT,
     MediumFit,
@@ -34,7 +34,7 @@ ComplexArray = NDArray[np.complex128]
 FORCE_M = (0.17e-3, 0.17e-3, 1.80e-3)
 TRACKING_M = (0.078e-3, 0.078e-3, 0.83e-3)
 DEPTH_M = 0.3e-3
-BEAMS = Beams(FORCE_M, TRACKING_M, DEPTH_M)
+BEAMS = BeamWidths(FORCE_M, TRACKING_M, DEPTH_M)
 RATE_HZ, LENGTH_S = 100.0, 100e-6
 WANTED_HZ = RATE_HZ * np.arange(1.0, 11.0)
 HARMONIC = np.arange(1, 1001)

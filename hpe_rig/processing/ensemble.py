@@ -40,7 +40,7 @@ POWER_REFERENCE_HZ = 200.0
 
 
 @dataclass(frozen=True, slots=True)
-class Beams:
+class BeamWidths:
     """Sigmas of the Gaussian body force and of the tracking beam (x, y, z), m; both round, x counts.
 
     ``axial_spread_m``: standard deviation of depth in the gate, weighted by echo energy. ``width_spread``: standard
@@ -86,7 +86,7 @@ class Ensemble:
 
 @functools.lru_cache(maxsize=8)
 def medium_ensemble(
-    beams: Beams,
+    beams: BeamWidths,
     lowest_hz: float,
     highest_hz: float,
     known: KnownMedium | None = None,
