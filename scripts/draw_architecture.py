@@ -46,12 +46,12 @@ PANELS = {
     "hpe_rig": Panel(
         *("hpe_rig: the application", "#0B62A0", "#EBF2F8", 3.8, ("scene", "result")),
         {
-            "cli": (0, 10, "the commands"),
-            "validation": (1, 9, "accuracy, paper"),
+            "cli": (0, 11, "the commands"),
+            "validation": (1, 10, "accuracy, paper"),
             "live": (0, 8, "the live page"),
-            "study": (1, 7, "Monte Carlo studies"),
+            "study": (1, 8, "Monte Carlo studies"),
             "report": (0, 7, "the page of a run"),
-            "design": (1, 8, "the best scene"),
+            "design": (1, 9, "the best scene"),
             "acquire": (0, 6, "scene to result"),
             "prediction": (0, 5, "expected errors"),
             "moduli": (1, 5, "moduli of the medium"),
