@@ -14,13 +14,14 @@ A scene is a name, a path or a ``Scene`` wherever one is taken. The map:
 
 scene.toml -> plan -> bench -> sequencer -> records -> processing -> result -> report
 scene/        plan/   bench/   acquire/     store/     processing/   result/   report/
+before it: prediction/; after it: moduli/; around it: live/, study/, design/, validation/, cli/
 
 what                                        equation of the paper          where
 burst train, spectrum of its force          (17), (18)                     prediction/theory.py, sim_backend/motion
 displacement D(t), velocity                 (1), (2)                       processing/harmonic.py
 echo of a scatterer, its delay              (3), (7) to (13)               sim_backend/echoes
 cross-spectrum, velocity from its phase     (5), (6)                       processing/motion.py
-amplitude and phase from displacement       Kalman filter, least squares   processing/harmonic.py, kalman_filter.py
+amplitude and phase from displacement       Kalman filter, least squares   processing/: harmonic.py, kalman_filter.py
 noise at a signal-to-noise ratio            (16)                           sim_backend/receiver
 
 T_b  burst_length_s     f_r  burst_rate_hz     f_prf  pulse_rate_hz     t_d  tracking.delay_s

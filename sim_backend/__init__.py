@@ -1,7 +1,7 @@
 """Digital twin: from programmed registers to digitizer codes, each equation of the paper in one room.
 
     SCPI text, ATSApi calls -> registers                       transports/, generator/, digitizer/
-    registers -> edges -> bursts, integer picoseconds          world.py, clock.py, wiring.py
+    registers -> edges -> bursts, integer picoseconds          world.py, wiring.py
     bursts -> volts at the digitizer's input                   acoustics/
       f(t), F(f)        toneburst train, its force   (17) (18) motion/: force.py
       A(k t_s)          prescribed motion            (1) (13)  motion/: prescribed.py

@@ -29,13 +29,13 @@ def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLi
 
     ``path``: the run file, never overwritten; absent: the scene's name here, numbered where that is taken. Raises
     ``SettingsError`` with every mistake of scene or bench file, ``PlanError`` with every conflict, ``StoreError`` where
-    the file cannot be written, ``InstrumentError`` where an instrument fails, and ``TypeError`` for what is no scene.
+    the file cannot be written, ``InstrumentError`` where an instrument fails, and ``TypeError`` for what is no scene or no path.
 
     >>> run = measure("bovine-muscle")
     >>> run.displacement_m(0).shape
     >>> print(run.estimate("coherent").to_frame())
     """
-    return open_run(record_run(prepare(scene, _bench_path(bench)), None if path is None else Path(path)))
+    return open_run(record_run(prepare(scene, _bench_path(bench)), _path(path, "a run file is taken as its path")))
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,6 +191,11 @@ def _real(rf: ArrayLike) -> NDArray[np.floating[Any]]:
 
 
 def _bench_path(bench: BenchSource) -> Path | None:
-    if bench is not None and not isinstance(bench, str | os.PathLike):
-        raise TypeError(f"a bench is taken as the path of its TOML file or None, not as {type(bench).__name__}")
-    return None if bench is None else Path(bench)
+    return _path(bench, "a bench is taken as the path of its TOML file")
+
+
+def _path(path: str | os.PathLike[str] | None, taken: str) -> Path | None:
+    """Return ``path`` as one; raise ``TypeError`` with ``taken``, which says what is taken, for what is none."""
+    if path is not None and not isinstance(path, str | os.PathLike):
+        raise TypeError(f"{taken} or None, not as {type(path).__name__}")
+    return None if path is None else Path(path)

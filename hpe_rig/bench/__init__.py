@@ -2,6 +2,7 @@
 
 In the order of the flow:
     bench_file    instruments, cables, limits and calibration of one bench, as its TOML file says
+    twin          what a scene declares of its simulation, as one typed value
     opening       drivers on VISA and the vendor's library, or on the twin
     instruments   the open instruments, and how they are made safe
     interrupts    Ctrl-C and SIGTERM while outputs may be on

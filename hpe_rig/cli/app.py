@@ -236,10 +236,10 @@ def new(
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        typer.echo(f"{path} already exists and is not overwritten. Try: another name.", err=True)
+        typer.echo(f"hpe-rig: {path} already exists and is not overwritten. Try: another name.", err=True)
         raise typer.Exit(EXIT_MISTAKE) from None
     except OSError as error:
-        typer.echo(f"cannot write {path} ({error.strerror}). Try: another folder.", err=True)
+        typer.echo(f"hpe-rig: cannot write {path} ({error.strerror}). Try: another folder.", err=True)
         raise typer.Exit(EXIT_MISTAKE) from None
     typer.echo(
         f"{path}: edit it, then run hpe-rig check {path}"

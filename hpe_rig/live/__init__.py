@@ -6,6 +6,8 @@ source.py      run file -> state
 alignment.py   single tracking shots -> state: ``align``, ``without_pushing``
 state.py       state as small plain values for JSON
 live.html      the page
+
+Others use these four functions.
 """
 
 import lazy_loader

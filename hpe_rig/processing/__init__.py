@@ -14,6 +14,7 @@
                        D_n = v_n / w_i -> band-pass -> Hann -> Kalman, x 2  velocity_chain.py, velocity_noise.py
                        then off with sinc(f_i / f_prf), T_prf / 2, 90 deg
 
+    what a medium can do of tonebursts, as a prior of the fit               ensemble.py, prior.py
     what distinguishes them, one row each                                   estimators.py
     a stored run, shot by shot, with its warnings                           shots.py, stationarity.py
     the same from the twin's motion, at every instant                       ground_truth.py

@@ -6,8 +6,11 @@ residual_tests.py   whether the fit leaves nothing but noise
 foreseen.py         what the error model predicts for the amplitudes found
 sweep.py            many shots as curves, means over repeats, straight lines
 provenance.py       attributes, settings read back, fingerprint of the file
-figures.py, sweep_figures.py, svg.py   drawings, and what they share with other pages
+figures.py          pictures of one shot and of many
+svg.py              panels as SVG text, which other pages draw too
 report.html         the page's template
+
+Others use ``write_report``; the live page takes the views, pages of studies what draws panels.
 """
 
 import lazy_loader

@@ -4,6 +4,8 @@
     rows.py        one row a shot and frequency: CSV, pandas, printed
     figure.py      amplitude and phase over frequency
     html_repr.py   figure and tables, as a notebook shows a result
+    tables.py      any rows as CSV and as text
+    palette.py     the colours of every figure
     stages.py      wall time by stage
 
 All rooms but ``scene`` may use it; it uses ``scene`` alone.

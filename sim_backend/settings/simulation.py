@@ -1,7 +1,7 @@
 """Settings of the twin, the ``[simulation]`` section of a scene: medium, scatterers, receiver, instruments.
 
 Provenance of every default is in its description: *paper* (Table I or Sec. III of the source paper), *manual*
-(instrument reference), *assumed* (no source; set it in the scene where it matters).
+(docs/theory/instruments.md), *assumed* (no source; set it in the scene where it matters).
 """
 
 from __future__ import annotations

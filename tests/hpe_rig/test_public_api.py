@@ -113,6 +113,8 @@ def test_what_is_no_scene_bench_or_echo_is_refused_with_what_is_taken() -> None:
             taken(3)  # type: ignore[operator]
     with pytest.raises(TypeError, match="path of its TOML file or None, not as dict"):
         hpe.check("table-1", bench={})  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="a run file is taken as its path or None, not as bytes"):
+        hpe.measure("table-1", path=b"run.h5")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="path of a run file, not as int"):
         hpe.open_run(3)  # type: ignore[arg-type]
     for wrong in (moving_echo().astype(complex), np.array([["a"]]), np.array([[None]])):

@@ -88,7 +88,7 @@ def test_bovine_muscle_finds_every_harmonic_of_the_specimen_within_the_speckle_s
 
 def test_synchronous_pulses_fold_higher_harmonics_and_the_result_says_so(measured: Measure) -> None:
     result = measured("bovine-muscle-synchronous")
-    assert any("folding" in warning for warning in result.warnings)
+    assert any("aliasing harmonics" in warning for warning in result.warnings)
     last = result.shots[0].estimates[-1]
     # 16 degrees at 1 kHz by the analytic series summed at the pulses' own times, far outside the noise
     assert abs(last.phase_error_rad or 0) > np.radians(10) > 10 * last.phase_uncertainty_rad
@@ -147,7 +147,7 @@ def test_interference_that_is_forced_through_shows_in_the_echoes(prepared: Prepa
     clean = prepared("bovine-muscle-synchronous")
     forced = prepared("bovine-muscle-synchronous", ("delay_s = 130e-6", 'delay_s = 20e-6\ndisturbed = "keep"'))
     warned = {finding.check: finding.level for finding in forced.findings if finding.level != "passed"}
-    assert warned == {"interference": "warning", "folding": "warning"}
+    assert warned == {"interference": "warning", "aliasing harmonics": "warning"}
     rms = []
     for index, setup in enumerate((clean, forced)):
         run = read_run(record_run(setup, tmp_path / f"{index}.h5"))

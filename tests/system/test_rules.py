@@ -228,6 +228,37 @@ def test_a_face_that_is_wrong_is_noticed(tree: Path, line: str, message: str) ->
     assert any(message in mistake for mistake in face_mistakes(tree))
 
 
+def unlisted(root: Path) -> list[str]:
+    """Return the files and folders that their room's docstring does not list, and those that it lists in vain."""
+    mistakes = []
+    for face in sorted(file for package in PACKAGES for file in (root / package).rglob("__init__.py")):
+        room, text = face.parent, ast.get_docstring(ast.parse(face.read_text(encoding="utf-8"))) or ""
+        # A file is listed as `name`, as name.py, or with others at the start of a line; a folder may be name/.
+        lists = re.findall(r"(\w+)\.py\b|(\w+)/|`(\w+)`|^ +(\w+(?:, \w+)*) {2}", text, flags=re.MULTILINE)
+        listed = {name for found in lists for name in ", ".join(found).split(", ")}
+        there = {file.stem for file in room.glob("*.py")} | {inner.parent.name for inner in room.glob("*/__init__.py")}
+        place = room.relative_to(root).as_posix()
+        mistakes += [f"{place} does not list {name}" for name in sorted(there - listed) if not name.startswith("__")]
+        anywhere = {file.name for file in room.rglob("*.py")}
+        mistakes += [f"{place} lists {name}" for name in re.findall(r"\w+\.py\b", text) if name not in anywhere]
+    return mistakes
+
+
+def test_a_rooms_docstring_lists_its_files() -> None:
+    assert unlisted(ROOT) == []
+
+
+def test_a_file_that_is_not_listed_or_not_there_is_noticed(tree: Path) -> None:
+    (tree / "hpe_rig" / "store" / "writer.py").rename(tree / "hpe_rig" / "store" / "scribe.py")
+    (tree / "sim_backend" / "wiring.py").rename(tree / "sim_backend" / "cables.py")
+    assert unlisted(tree) == [
+        "hpe_rig/store does not list scribe",
+        "hpe_rig/store lists writer.py",
+        "sim_backend does not list cables",
+        "sim_backend lists wiring.py",
+    ]
+
+
 LIGHT = ("numpy", "pydantic", "h5py")
 
 

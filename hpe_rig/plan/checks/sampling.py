@@ -52,14 +52,14 @@ def driven_harmonics(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
     text = f"tonebursts drive every multiple of {burst_rate_hz:g} Hz up to 1/T_b = {driven_hz:g} Hz, the pulses sample "
     text += f"the burst period at {effective_hz:g} Hz in all"
     if effective_hz > 1.5 * driven_hz:
-        yield CheckResult("folding", "passed", text)
+        yield CheckResult("aliasing harmonics", "passed", text)
         return
     shifted_hz = rate_hz - burst_rate_hz / 10
     remedy = (
         f'tracking.pulse_rate_hz = {shifted_hz:g} with disturbed = "skip", so that the pulses shift from burst to burst'
     )
-    text += ": higher harmonics fold onto the wanted ones and change amplitude and phase"
-    yield CheckResult("folding", "warning", text, remedy)
+    text += ": higher harmonics alias onto the wanted ones and change amplitude and phase"
+    yield CheckResult("aliasing harmonics", "warning", text, remedy)
 
 
 def resolution(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:

@@ -144,7 +144,7 @@ def test_the_table_holds_the_results_numbers(page: str, result: Result) -> None:
 def test_every_part_is_there(page: str) -> None:
     for heading in (
         "What was measured", "Amplitude and phase", "Displacement", "Echoes", "Timing", "What the fit leaves",
-        "Error and run time by stage", "What was left out", "Provenance",
+        "Error and run time by stage", "What was omitted", "Provenance",
     ):  # fmt: skip
         assert f">{heading}<" in page
     assert "SHA-256" in page
