@@ -29,7 +29,7 @@ def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLi
 
     ``path``: the run file, never overwritten; absent: the scene's name here, numbered where that is taken. Raises
     ``SettingsError`` with every mistake of scene or bench file, ``PlanError`` with every conflict, ``StoreError`` where
-    the file cannot be written, ``InstrumentError`` where an instrument fails, and ``TypeError`` for what is no scene or no path.
+    the file cannot be written, ``InstrumentError`` where an instrument fails, and ``TypeError`` for a wrong type.
 
     >>> run = measure("bovine-muscle")
     >>> run.displacement_m(0).shape

@@ -7,7 +7,7 @@
     what speaks against it, one file a subject               checks/
     the whole in words and as a drawing                      timeline.py
 
-Others use ``make_plan``, ``check_plan`` and ``refuse_conflicts``, and ``select`` for the pulses and frequencies of a fit.
+Others use ``make_plan``, ``check_plan``, ``refuse_conflicts``, and ``select`` for the pulses and frequencies of a fit.
 """
 
 import lazy_loader
