@@ -6,7 +6,7 @@
     stop_request.py   a safe stop that another process asks for
     log.py            every step beside the run file
     run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result
-    resumption.py     a stopped run's complete shots taken over, the others measured
+    resumption.py     a stopped run continued: its complete shots kept, the others measured
 
 A run file is opened with ``open_run`` alone: scene, bench, plan and checks come with it, validated. ``prepare`` and
 ``record_run`` are the two halves of a measurement, for callers that have to step in between.

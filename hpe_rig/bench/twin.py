@@ -105,7 +105,7 @@ def twin_of(scene: Scene) -> TwinDeclaration | None:
     try:
         return TwinDeclaration(twin_settings(scene))
     except ValueError:
-        # On a simulated bench every mistake was told when the scene was read; a real one does not read the section.
+        # On a simulated bench every mistake was reported when the scene was read; a real one does not read the section.
         return None
 
 

@@ -7,7 +7,7 @@ Files, from what is typed to what is shown::
     watch.py    stop request, log and live page around a run
     bench.py    the report of a bench, and its comparison with another
     study.py    workers, progress and closing table of a study
-    tables.py   a result as a table: ``print_result``
+    tables.py   a result as a table
     console.py  exit codes, error messages, progress, arguments that several commands share
 
 Each command imports what it runs when it is called, which keeps ``hpe-rig --help`` as fast as typer.

@@ -21,7 +21,6 @@ from .shots import (
     Plan as Plan,
     Shot as Shot,
     make_plan as make_plan,
-    pulse_count as pulse_count,
     reference_gate as reference_gate,
 )
 from .timeline import plan_text as plan_text

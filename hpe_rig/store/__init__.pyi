@@ -1,7 +1,5 @@
 from .atomic import atomic_file as atomic_file
 from .format import (
-    FORMAT as FORMAT,
-    FORMAT_VERSION as FORMAT_VERSION,
     StoreError as StoreError,
     free_path as free_path,
     reason as reason,

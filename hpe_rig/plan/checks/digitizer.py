@@ -104,7 +104,7 @@ def capture_mode(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckRe
     if board.mode != "single_port" and not board.dual_port_memory:
         remedy = 'acquisition_mode = "single_port", or dual_port_memory = true where the board has it'
         yield CheckResult("capture mode", "refused", f"{text}: needs dual-port memory", remedy)
-    # What the board cannot do of one channel in the plainest mode is told by the check above.
+    # What the board cannot do of one channel in the plainest mode is said by the check above.
     plain = mistakes(_plain(capture), board.board_model)
     refused = [mistake for mistake in mistakes(capture, board.board_model, board.mode) if mistake not in plain]
     remedy = "another digitizer.acquisition_mode, monitor_range_v or acquisition.record_samples"
