@@ -13,7 +13,8 @@ from typing import Final, final
 
 import numpy as np
 
-from drivers.alazar.api import Adma, Channel, Parameter, TimestampReset
+from drivers.alazar import api
+from drivers.alazar.api import Channel, Parameter
 from drivers.alazar.board import AlazarBoard
 from drivers.alazar.limits import pre_trigger_samples, records_per_buffer
 from drivers.alazar.page_buffer import PageBuffer
@@ -65,7 +66,7 @@ class DualPortCapture:
         # Set first: an interrupt during arming must find something to abort.
         self.armed = True
         try:
-            board.call(board.library.AlazarResetTimeStamp, int(TimestampReset.ALWAYS))
+            board.call(board.library.AlazarResetTimeStamp, api.TIMESTAMP_RESET_ALWAYS)
             self._announce()
             size = buffer_bytes(
                 self._capture.record_samples, self.records_per_block, len(self._channels), not self._npt
@@ -113,7 +114,7 @@ class DualPortCapture:
 
     def _announce(self) -> None:
         board, capture = self._board, self._capture
-        mode = Adma.NPT if self._npt else Adma.TRADITIONAL | Adma.ENABLE_RECORD_HEADERS
+        mode = api.ADMA_NPT if self._npt else api.ADMA_RECORD_HEADERS
         board.call(
             board.library.AlazarBeforeAsyncRead,
             sum(self._channels),
@@ -121,7 +122,7 @@ class DualPortCapture:
             capture.record_samples,
             self.records_per_block,
             capture.record_count,
-            int(Adma.EXTERNAL_STARTCAPTURE | mode),
+            api.ADMA_EXTERNAL_STARTCAPTURE | mode,
         )
 
     def _post(self, buffer: PageBuffer) -> None:

@@ -9,7 +9,8 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.alazar.api import Channel, Parameter, TimestampReset
+from drivers.alazar import api
+from drivers.alazar.api import Channel, Parameter
 from drivers.alazar.board import AlazarBoard
 from drivers.alazar.limits import BUFFER_WANTED_BYTES, pre_trigger_samples
 from drivers.alazar.page_buffer import PageBuffer
@@ -63,7 +64,7 @@ class SinglePortCapture:
         board = self._board
         # Set first: an interrupt during arming must find something to abort.
         self.armed = True
-        board.call(board.library.AlazarResetTimeStamp, int(TimestampReset.ALWAYS))
+        board.call(board.library.AlazarResetTimeStamp, api.TIMESTAMP_RESET_ALWAYS)
         board.call(board.library.AlazarStartCapture)
 
     def records(self, deadline_s: float) -> Iterator[RawRecords]:
