@@ -63,16 +63,9 @@ class HislipServer:
         self._port = port
         self._sessions = itertools.count(1)
         self._lock = threading.Lock()
-        self._listener = Listener(self._converse)
-
-    @property
-    def address(self) -> str:
-        """The VISA resource name."""
-        return f"TCPIP0::{LOOPBACK}::hislip0,{self._listener.port}::INSTR"
-
-    def close(self) -> None:
-        """Hang up and stop listening."""
-        self._listener.close()
+        listener = Listener(self._converse)
+        self.close = listener.close
+        self.address = f"TCPIP0::{LOOPBACK}::hislip0,{listener.port}::INSTR"
 
     def _converse(self, peer: socket.socket) -> None:
         first = receive(peer)

@@ -44,14 +44,11 @@ class Vxi11Gateway:
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._listener = Listener(self._converse)
+        self.close = self._listener.close
 
     def address(self, gpib_address: int) -> str:
         """Return the VISA resource name of the instrument at ``gpib_address``."""
         return f"TCPIP0::{LOOPBACK},{self._listener.port}::gpib0,{gpib_address}::INSTR"
-
-    def close(self) -> None:
-        """Hang up and stop listening."""
-        self._listener.close()
 
     def _converse(self, peer: socket.socket) -> None:
         links: dict[int, Link] = {}
