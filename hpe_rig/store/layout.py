@@ -30,9 +30,9 @@ from hpe_rig.store.format import (
     STAGES,
     STATUS_BYTES,
     StoreError,
+    extra,
     versions,
 )
-from hpe_rig.store.optional_packages import extra
 from hpe_rig.store.records import MISSING
 
 LIBVER = ("v110", "v110")
