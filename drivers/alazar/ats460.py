@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from drivers.alazar import api, samples
 from drivers.alazar.api import AlazarLibrary, Capability, Channel, Parameter
 from drivers.alazar.board import AlazarBoard
-from drivers.alazar.dual_port import DualPortCapture
+from drivers.alazar.captures import DualPortCapture, SinglePortCapture
 from drivers.alazar.limits import Mode, level_code, mistakes, refuse
 from drivers.alazar.models import ATS460_BOARD
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.alazar.samples import RawRecords
-from drivers.alazar.single_port import SinglePortCapture
 from drivers.interfaces import Capture, Clock, Identity, InstrumentError, MonitorRecords, RecordBlock, Setting
 
 UNSIGNED_FORMAT: Final = 0

@@ -46,10 +46,7 @@ class Emulator:
     """
 
     def __init__(
-        self,
-        transport: Transport,
-        instrument: Callable[[str, bool], Instrument],
-        roles: tuple[str, ...],
+        self, transport: Transport, instrument: Callable[[str, bool], Instrument], roles: tuple[str, ...]
     ) -> None:
         self._stack = ExitStack()
         lock = threading.RLock()
