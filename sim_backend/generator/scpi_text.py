@@ -166,8 +166,3 @@ def quoted(text: str) -> str:
 def real_reply(value: float) -> str:
     """Return a real number as the instrument prints it; infinity is 9.9E+37."""
     return f"{9.9e37 if math.isinf(value) else value + 0.0:+.13E}"
-
-
-def integer_reply(value: int) -> str:
-    """Return an integer as the instrument prints it, with its sign."""
-    return f"{value:+d}"
