@@ -114,11 +114,8 @@ class ScpiSession:
             *read, entry = self.query_all([*(f"{header}?" for header in headers), ERROR_QUERY])
             errors = self._drain(entry)
         replies = dict(zip(headers, read, strict=True))
-        changed = [
-            (register, replies[register.header])
-            for register in registers
-            if not register.holds(replies[register.header])
-        ]
+        told = [(register, replies[register.header]) for register in registers]
+        changed = [(register, reply) for register, reply in told if not register.holds(reply)]
         if errors or changed:
             raise _refused(self.role, group, errors, changed)
         return replies

@@ -118,11 +118,9 @@ def keyword(text: str, choices: Iterable[str]) -> str:
         short = "".join(letter for letter in choice if not letter.islower())
         if text.upper() in (short, choice.upper()):
             return short
-    raise (
-        ScpiError(-128, "Numeric data not allowed")
-        if _NUMBER.fullmatch(text)
-        else ScpiError(-224, "Illegal parameter value")
-    )
+    if _NUMBER.fullmatch(text):
+        raise ScpiError(-128, "Numeric data not allowed")
+    raise ScpiError(-224, "Illegal parameter value")
 
 
 def boolean(text: str) -> bool:
