@@ -13,7 +13,7 @@ from drivers.alazar import api, samples
 from drivers.alazar.api import AlazarLibrary, Capability, Channel, Parameter
 from drivers.alazar.board import AlazarBoard
 from drivers.alazar.captures import DualPortCapture, SinglePortCapture
-from drivers.alazar.limits import Mode, level_code, mistakes, refuse
+from drivers.alazar.limits import Mode, level_code, mistakes
 from drivers.alazar.models import ATS460_BOARD
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.alazar.samples import RawRecords
@@ -72,7 +72,10 @@ class Ats460:
         """Program the board; raise ``InstrumentError`` for what it cannot do, all of it at once."""
         chosen = self._chosen_mode()
         fpga = self._board.capability(Capability.FPGA_VERSION)
-        refuse(self.role, ATS460_BOARD, mistakes(capture, ATS460_BOARD, chosen, fpga))
+        found = "; ".join(refusal.text for refusal in mistakes(capture, ATS460_BOARD, chosen, fpga))
+        if found:
+            why = f"the {ATS460_BOARD.name} cannot do this, and nothing was sent to it"
+            raise InstrumentError(self.role, found, why, "change the value in the scene or bench file")
         self._disarm()
         self._capture = self._mode = None
         self._program(capture)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Final, Literal, NamedTuple
 
 from drivers.alazar.models import ATS460_BOARD, BoardModel
 from drivers.alazar.samples import HEADER_BYTES, buffer_bytes
-from drivers.interfaces import Capture, InstrumentError
+from drivers.interfaces import Capture
 
 MOST_RECORDS: Final = 0x7FFF_FFFE
 BUFFER_LIMIT_BYTES: Final = 4 * 2**20
@@ -41,14 +41,6 @@ def mistakes(
         "trigger_level_v": _outside("trigger_level_v", level_v, -highest_v, highest_v),
     }
     return [Refusal(field, text) for field, texts in found.items() for text in texts]
-
-
-def refuse(role: str, model: BoardModel, found: Sequence[Refusal]) -> None:
-    """Raise one ``InstrumentError`` with all of ``found``; nothing when there are none."""
-    if found:
-        why = f"the {model.name} cannot do this, and nothing was sent to it"
-        what = "; ".join(refusal.text for refusal in found)
-        raise InstrumentError(role, what, why, "change the value in the scene or bench file")
 
 
 def pre_trigger_samples(capture: Capture) -> int:

@@ -192,8 +192,8 @@ def _shots(scene: Scene, bench: BenchFile) -> Iterator[Shot]:
     capture, count = _capture(scene, bench), pulse_count(scene)
     # One timeline for all shots of a burst length: long sweeps and many repeats stay small.
     timelines = {length: _timeline(scene, bench, length, capture) for length in lengths}
-    pulse_vpp = generators.tracking_pulser.amplitude_vpp or bench.limits.full_drive_vpp
-    pulse = tracking.carrier_hz, tracking.cycles, pulse_vpp, 0.0, generators.tracking_pulser.load_ohm
+    pulser = generators.tracking_pulser
+    pulse_vpp = pulser.amplitude_vpp or bench.limits.full_drive_vpp
     sweep = itertools.product(lengths, forces, range(scene.acquisition.repeats))
     for index, (burst_length_s, force, repeat) in enumerate(sweep):
         yield Shot(
@@ -204,7 +204,7 @@ def _shots(scene: Scene, bench: BenchFile) -> Iterator[Shot]:
             burst_train=_burst_train(scene, bench),
             toneburst=_toneburst(scene, bench, burst_length_s, force),
             tracking_train=_train(tracking.pulse_rate_hz, count, tracking.delay_s, generators.tracking_train.load_ohm),
-            tracking_pulser=Toneburst(*pulse),
+            tracking_pulser=Toneburst(tracking.carrier_hz, tracking.cycles, pulse_vpp, 0.0, pulser.load_ohm),
             capture=capture,
             timeline=timelines[burst_length_s],
         )

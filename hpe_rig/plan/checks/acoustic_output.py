@@ -96,8 +96,9 @@ def acoustic_output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Chec
     """Yield whether the estimated output stays below the limits, and what could not be estimated."""
     unknown = dict.fromkeys(words for shot in plan.shots for words in uncalibrated(bench.calibration, shot))
     if unknown:
-        text, remedy = f"not estimated in full: {'; '.join(unknown)}", "a hydrophone measurement in [calibration]"
-        yield CheckResult("acoustic output", "warning", text, f"{remedy} of the bench file")
+        text = f"not estimated in full: {'; '.join(unknown)}"
+        remedy = "a hydrophone measurement in [calibration] of the bench file"
+        yield CheckResult("acoustic output", "warning", text, remedy)
     if bench.calibration is None:
         return
     limits, output = bench.limits, highest_output(bench, plan.shots)

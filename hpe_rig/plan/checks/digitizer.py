@@ -60,8 +60,8 @@ def _record_checks(capture: Capture, model: BoardModel) -> dict[str, tuple[str, 
     """Return name, text and remedy of the checks that a field of ``Capture`` has of its own."""
     rates = ", ".join(f"{rate / 1e6:g}" for rate in model.sample_rates_hz)
     ranges = ", ".join(f"{volts:g}" for volts in model.input_ranges_v)
-    samples, multiple, longest_delay = capture.record_samples, model.record_multiple, model.max_trigger_delay_samples
-    length = f"acquisition.record_samples = {samples}, the {model.name} takes multiples of {multiple} "
+    samples, multiples = capture.record_samples, f"multiples of {model.record_multiple} from {model.record_minimum}"
+    delay, longest = capture.trigger_delay_samples, model.max_trigger_delay_samples
     return {
         "sample_rate_hz": (
             "sample rate",
@@ -75,12 +75,12 @@ def _record_checks(capture: Capture, model: BoardModel) -> dict[str, tuple[str, 
         ),
         "record_samples": (
             "record length",
-            f"{length}from {model.record_minimum}",
+            f"acquisition.record_samples = {samples}, the {model.name} takes {multiples}",
             f"acquisition.record_samples = {_allowed_record_samples(samples, model)}",
         ),
         "trigger_delay_samples": (
             "trigger delay",
-            f"trigger delay of {capture.trigger_delay_samples} samples, the board holds {longest_delay}",
+            f"trigger delay of {delay} samples, the board holds {longest}",
             "a gate nearer to the transducer",
         ),
     }
