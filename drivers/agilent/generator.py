@@ -10,10 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from types import TracebackType
 from typing import Final, Self, final
 
-from drivers.agilent.limits import mistakes, refuse
+from drivers.agilent.limits import mistakes
 from drivers.agilent.models import AGILENT_33250A, MODELS, model_named
 from drivers.agilent.programs import READABLE, Group, changed, program
 from drivers.agilent.read_back import Readable, Register, whole_number
@@ -55,9 +54,7 @@ class Agilent33250A:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         try:
             self.make_safe()
         finally:
@@ -96,7 +93,10 @@ class Agilent33250A:
         """
         before, self._programmed = self._programmed, ()
         self._identified()
-        refuse(self.role, self._model, mistakes(task, self._model, self._max_vpp))
+        found = mistakes(task, self._model, self._max_vpp)
+        if found:
+            why = f"the {self._model.name} or what it is wired to cannot take this, and no setting was sent"
+            raise InstrumentError(self.role, "; ".join(found), why, "change the value in the scene or bench file")
         groups = program(task, self._model)
         registers = tuple(register for _, group in groups for register in group)
         differing = changed(before, registers)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Final
 
 from drivers.agilent.models import AGILENT_33250A, GeneratorModel, Range
-from drivers.interfaces import ContinuousSine, GeneratorTask, InstrumentError, PulseTrain, Toneburst, TriggerPulse
+from drivers.interfaces import ContinuousSine, GeneratorTask, PulseTrain, Toneburst, TriggerPulse
 
 LOAD_OHM: Final = (1.0, 10_000.0)
 SOURCE_OHM: Final = 50.0
@@ -23,13 +22,6 @@ def mistakes(task: GeneratorTask, model: GeneratorModel = AGILENT_33250A, max_vp
     ``max_vpp`` is the largest swing into the declared load that what hangs on the output bears.
     """
     return _beyond_model(task, model) + _beyond_wiring(task, max_vpp)
-
-
-def refuse(role: str, model: GeneratorModel, found: Sequence[str]) -> None:
-    """Raise one ``InstrumentError`` with all mistakes ``found``; nothing when there are none."""
-    if found:
-        why = f"the {model.name} or what it is wired to cannot take this, and no setting was sent"
-        raise InstrumentError(role, "; ".join(found), why, "change the value in the scene or bench file")
 
 
 def share_at_load(load_ohm: float) -> float:

@@ -52,62 +52,35 @@ class GeneratorModel:
         return next((width for above_s, width in self.narrowest_s if period_s > above_s), self.width_s[0])
 
 
+# fmt: off
 AGILENT_33250A: Final = GeneratorModel(
-    name="33250A",
-    pattern=r"33250A",
-    sine_hz=(1e-6, 80e6),
-    pulse_rate_hz=(500e-6, 50e6),
-    # Above it the instrument does infinite bursts only, and those are never wanted here.
-    burst_carrier_hz=(1e-6, 25e6),
-    cycles=(1, 1_000_000),
-    delay_s=(0.0, 85.0),
-    width_s=(8e-9, 2000.0),
-    edge_s=5e-9,
+    name="33250A", pattern=r"33250A",
+    # Above 25 MHz the instrument does infinite bursts only, and those are never wanted here.
+    sine_hz=(1e-6, 80e6), pulse_rate_hz=(500e-6, 50e6), burst_carrier_hz=(1e-6, 25e6),
+    cycles=(1, 1_000_000), delay_s=(0.0, 85.0), width_s=(8e-9, 2000.0), edge_s=5e-9,
     # Assumed numbers: that the least width grows with the period is known.
     narrowest_s=((200.0, 2e-6), (20.0, 200e-9)),
 )
 MODELS: Final = (
     AGILENT_33250A,
     GeneratorModel(
-        name="33220A",
-        pattern=r"33220A",
-        sine_hz=(1e-6, 20e6),
-        pulse_rate_hz=(500e-6, 5e6),
-        burst_carrier_hz=(1e-6, 6e6),
-        cycles=(1, 50_000),
-        delay_s=(0.0, 85.0),
-        width_s=(20e-9, 2000.0),
-        edge_s=5e-9,
+        name="33220A", pattern=r"33220A", pulse_node="FUNC:PULS",
+        sine_hz=(1e-6, 20e6), pulse_rate_hz=(500e-6, 5e6), burst_carrier_hz=(1e-6, 6e6),
+        cycles=(1, 50_000), delay_s=(0.0, 85.0), width_s=(20e-9, 2000.0), edge_s=5e-9,
         narrowest_s=((100.0, 2e-6), (10.0, 200e-9)),
-        pulse_node="FUNC:PULS",
     ),
     GeneratorModel(
-        name="33500B",
-        pattern=r"335\d\d[AB]",
-        sine_hz=(1e-6, 20e6),
-        pulse_rate_hz=(1e-6, 20e6),
-        burst_carrier_hz=(1e-6, 6e6),
-        cycles=(1, 100_000_000),
-        delay_s=(0.0, 1000.0),
-        width_s=(16e-9, 1e6),
-        edge_s=8.4e-9,
-        channel_number=True,
-        pulse_node="FUNC:PULS",
+        name="33500B", pattern=r"335\d\d[AB]", pulse_node="FUNC:PULS", channel_number=True,
+        sine_hz=(1e-6, 20e6), pulse_rate_hz=(1e-6, 20e6), burst_carrier_hz=(1e-6, 6e6),
+        cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(16e-9, 1e6), edge_s=8.4e-9,
     ),
     GeneratorModel(
-        name="33600A",
-        pattern=r"336\d\dA",
-        sine_hz=(1e-6, 80e6),
-        pulse_rate_hz=(1e-6, 80e6),
-        burst_carrier_hz=(1e-6, 6e6),
-        cycles=(1, 100_000_000),
-        delay_s=(0.0, 1000.0),
-        width_s=(5e-9, 1e6),
-        edge_s=2.9e-9,
-        channel_number=True,
-        pulse_node="FUNC:PULS",
+        name="33600A", pattern=r"336\d\dA", pulse_node="FUNC:PULS", channel_number=True,
+        sine_hz=(1e-6, 80e6), pulse_rate_hz=(1e-6, 80e6), burst_carrier_hz=(1e-6, 6e6),
+        cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(5e-9, 1e6), edge_s=2.9e-9,
     ),
 )
+# fmt: on
 
 
 def model_named(name: str) -> GeneratorModel | None:

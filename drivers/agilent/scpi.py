@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final, final
 
 from drivers.agilent.read_back import Register, argument
@@ -19,18 +18,16 @@ MOST_QUERIES: Final = 8
 STALE_READS: Final = 32
 HIGHEST_TOKEN: Final = 255
 
-CAUSES: Final[Mapping[int, str]] = MappingProxyType(
-    {
-        -113: "the instrument does not know a command: another model or firmware answered",
-        -211: "the trigger was ignored: the source is not BUS or a burst is still running",
-        -221: "two settings conflict, and the instrument changed one of them by itself",
-        -222: "a value is beyond the instrument's limit, and was clipped to it",
-        -350: "more errors came than the queue holds; the first ones are listed",
-        -410: "a reply was not read before the next command: another program talks to the instrument",
-        514: "the command works over RS-232 only",
-        550: "the instrument is in local mode (RS-232 needs SYST:REM first)",
-    }
-)
+CAUSES: Final[Mapping[int, str]] = {
+    -113: "the instrument does not know a command: another model or firmware answered",
+    -211: "the trigger was ignored: the source is not BUS or a burst is still running",
+    -221: "two settings conflict, and the instrument changed one of them by itself",
+    -222: "a value is beyond the instrument's limit, and was clipped to it",
+    -350: "more errors came than the queue holds; the first ones are listed",
+    -410: "a reply was not read before the next command: another program talks to the instrument",
+    514: "the command works over RS-232 only",
+    550: "the instrument is in local mode (RS-232 needs SYST:REM first)",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +114,8 @@ class ScpiSession:
             *read, entry = self.query_all([*(f"{header}?" for header in headers), ERROR_QUERY])
             errors = self._drain(entry)
         replies = dict(zip(headers, read, strict=True))
-        changed = [
-            (register, replies[register.header])
-            for register in registers
-            if not register.holds(replies[register.header])
-        ]
+        told = [(register, replies[register.header]) for register in registers]
+        changed = [(register, reply) for register, reply in told if not register.holds(reply)]
         if errors or changed:
             raise _refused(self.role, group, errors, changed)
         return replies

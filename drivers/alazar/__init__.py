@@ -7,7 +7,7 @@ In the order of the flow:
     return_codes   the library's return codes, and how one becomes an error
     board          one board's handle; every call checked
     page_buffer    page-aligned memory that a board writes into
-    single_port, dual_port   the two ways to capture
+    captures       the two ways to capture
     samples        from memory layout to codes, volts and trigger times
     ats460         the driver
 

@@ -4,16 +4,30 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from enum import IntEnum, IntFlag
-from typing import Any, Final, Protocol, cast
+from enum import IntEnum
+from typing import Any, Final
 
 from drivers.interfaces import InstrumentError
 
-# An out-parameter is ``ctypes.byref(value)``, a buffer an address.
-Out = Any
-Handle = int
-Address = int
+AlazarLibrary = Any
+"""The vendor's library with the functions of ``SIGNATURES``; out-parameters are ``ctypes.byref``, buffers addresses."""
 
+CLOCK_INTERNAL: Final = 1
+COUPLING_DC: Final = 2
+IMPEDANCE_50_OHM: Final = 2
+TRIGGER_OPERATION_J: Final = 0
+ENGINE_J, ENGINE_K = 0, 1
+SOURCE_EXTERNAL, SOURCE_DISABLE = 2, 3
+SLOPE_POSITIVE: Final = 1
+EXTERNAL_TRIGGER_5V: Final = 0
+AUX_OUT_TRIGGER: Final = 0
+TIMESTAMP_RESET_ALWAYS: Final = 1
+# Flags of ``AlazarBeforeAsyncRead``; traditional mode is their absence.
+ADMA_EXTERNAL_STARTCAPTURE, ADMA_RECORD_HEADERS, ADMA_NPT = 0x001, 0x008, 0x200
+# A bit of ``Capability.BOARD_OPTIONS_LOW``.
+OPTION_DUAL_PORT_MEMORY: Final = 1 << 2
+# Bits of ``AlazarGetStatus``: channel A or B clipped.
+STATUS_CLIPPED: Final = 1 << 1 | 1 << 2
 STATUS_FAILED: Final = 0xFFFF_FFFF
 
 
@@ -22,82 +36,6 @@ class Channel(IntEnum):
 
     A = 1
     B = 2
-
-
-class ClockSource(IntEnum):
-    """Where the sample clock comes from."""
-
-    INTERNAL = 1
-
-
-class Coupling(IntEnum):
-    """Input and external trigger coupling."""
-
-    AC = 1
-    DC = 2
-
-
-class Impedance(IntEnum):
-    """Input impedance."""
-
-    OHM_1M = 1
-    OHM_50 = 2
-
-
-class TriggerEngine(IntEnum):
-    """The two trigger comparators."""
-
-    J = 0
-    K = 1
-
-
-class TriggerOperation(IntEnum):
-    """How the comparators combine."""
-
-    J = 0
-
-
-class TriggerSource(IntEnum):
-    """What a comparator watches."""
-
-    EXTERNAL = 2
-    DISABLE = 3
-
-
-class TriggerSlope(IntEnum):
-    """The edge that triggers."""
-
-    POSITIVE = 1
-    NEGATIVE = 2
-
-
-class ExternalTriggerRange(IntEnum):
-    """Full scale of the external trigger input."""
-
-    PLUS_MINUS_5V = 0
-    PLUS_MINUS_1V = 1
-
-
-class AuxMode(IntEnum):
-    """What the AUX connector does."""
-
-    OUT_TRIGGER = 0
-
-
-class TimestampReset(IntEnum):
-    """When the record time stamps start from zero."""
-
-    FIRST_TIME_ONLY = 0
-    ALWAYS = 1
-
-
-class Adma(IntFlag):
-    """Flags of ``AlazarBeforeAsyncRead``; traditional mode is their absence of others."""
-
-    TRADITIONAL = 0x000
-    EXTERNAL_STARTCAPTURE = 0x001
-    ENABLE_RECORD_HEADERS = 0x008
-    NPT = 0x200
 
 
 class Parameter(IntEnum):
@@ -115,92 +53,6 @@ class Capability(IntEnum):
     SERIAL_NUMBER = 0x10000024
     FPGA_VERSION = 0x1000002C
     BOARD_OPTIONS_LOW = 0x10000037
-
-
-class BoardOption(IntFlag):
-    """Bits of ``Capability.BOARD_OPTIONS_LOW``."""
-
-    EXTERNAL_CLOCK = 1 << 1
-    DUAL_PORT_MEMORY = 1 << 2
-
-
-class StatusBit(IntFlag):
-    """Bits of ``AlazarGetStatus``."""
-
-    TRIGGER_TIMEOUT = 1 << 0
-    CHANNEL_A_CLIPPED = 1 << 1
-    CHANNEL_B_CLIPPED = 1 << 2
-
-
-class AlazarLibrary(Protocol):
-    """The vendor's functions this bench uses; names and order of arguments are the vendor's."""
-
-    def AlazarGetBoardBySystemID(self, system_id: int, board_id: int, /) -> Handle | None: ...
-    def AlazarGetBoardKind(self, handle: Handle, /) -> int: ...
-    def AlazarGetChannelInfo(self, handle: Handle, samples: Out, bits: Out, /) -> int: ...
-    def AlazarGetSDKVersion(self, major: Out, minor: Out, revision: Out, /) -> int: ...
-    def AlazarGetDriverVersion(self, major: Out, minor: Out, revision: Out, /) -> int: ...
-    def AlazarQueryCapability(self, handle: Handle, capability: int, reserved: int, value: Out, /) -> int: ...
-    def AlazarGetParameter(self, handle: Handle, channel: int, parameter: int, value: Out, /) -> int: ...
-    def AlazarSetCaptureClock(
-        self, handle: Handle, source: int, rate_id: int, edge: int, decimation: int, /
-    ) -> int: ...
-    def AlazarInputControl(
-        self, handle: Handle, channel: int, coupling: int, range_id: int, impedance: int, /
-    ) -> int: ...
-    def AlazarSetBWLimit(self, handle: Handle, channel: int, on: int, /) -> int: ...
-    def AlazarSetTriggerOperation(
-        self,
-        handle: Handle,
-        operation: int,
-        engine_1: int,
-        source_1: int,
-        slope_1: int,
-        level_1: int,
-        engine_2: int,
-        source_2: int,
-        slope_2: int,
-        level_2: int,
-        /,
-    ) -> int: ...
-    def AlazarSetExternalTrigger(self, handle: Handle, coupling: int, trigger_range: int, /) -> int: ...
-    def AlazarSetTriggerDelay(self, handle: Handle, samples: int, /) -> int: ...
-    def AlazarSetTriggerTimeOut(self, handle: Handle, ticks: int, /) -> int: ...
-    def AlazarConfigureAuxIO(self, handle: Handle, mode: int, parameter: int, /) -> int: ...
-    def AlazarResetTimeStamp(self, handle: Handle, option: int, /) -> int: ...
-    def AlazarSetRecordSize(self, handle: Handle, pre_samples: int, post_samples: int, /) -> int: ...
-    def AlazarSetRecordCount(self, handle: Handle, count: int, /) -> int: ...
-    def AlazarGetMaxRecordsCapable(self, handle: Handle, record_samples: int, records: Out, /) -> int: ...
-    def AlazarStartCapture(self, handle: Handle, /) -> int: ...
-    def AlazarAbortCapture(self, handle: Handle, /) -> int: ...
-    def AlazarBusy(self, handle: Handle, /) -> int: ...
-    def AlazarGetStatus(self, handle: Handle, /) -> int: ...
-    def AlazarRead(
-        self,
-        handle: Handle,
-        channel: int,
-        buffer: Address,
-        element_bytes: int,
-        record: int,
-        offset: int,
-        samples: int,
-        /,
-    ) -> int: ...
-    def AlazarGetTriggerTimestamp(self, handle: Handle, record: int, count: Out, /) -> int: ...
-    def AlazarBeforeAsyncRead(
-        self,
-        handle: Handle,
-        channels: int,
-        offset: int,
-        record_samples: int,
-        records_per_buffer: int,
-        records_per_acquisition: int,
-        flags: int,
-        /,
-    ) -> int: ...
-    def AlazarPostAsyncBuffer(self, handle: Handle, buffer: Address, size_bytes: int, /) -> int: ...
-    def AlazarWaitAsyncBufferComplete(self, handle: Handle, buffer: Address, timeout_ms: int, /) -> int: ...
-    def AlazarAbortAsyncRead(self, handle: Handle, /) -> int: ...
 
 
 U8, U32, LONG, HANDLE, RC = ctypes.c_uint8, ctypes.c_uint32, ctypes.c_long, ctypes.c_void_p, ctypes.c_int
@@ -250,7 +102,7 @@ def bind(library: Any, role: str) -> AlazarLibrary:
     for name, (result, arguments) in SIGNATURES.items():
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
-    return cast(AlazarLibrary, library)
+    return library
 
 
 def load_library(role: str = "digitizer", name: str | None = None) -> AlazarLibrary:

@@ -4,42 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
-from types import TracebackType
 from typing import Final, Self, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.alazar.api import (
-    AlazarLibrary,
-    AuxMode,
-    Capability,
-    Channel,
-    ClockSource,
-    Coupling,
-    ExternalTriggerRange,
-    Impedance,
-    Parameter,
-    TriggerEngine,
-    TriggerOperation,
-    TriggerSlope,
-    TriggerSource,
-)
+from drivers.alazar import api, samples
+from drivers.alazar.api import AlazarLibrary, Capability, Channel, Parameter
 from drivers.alazar.board import AlazarBoard
-from drivers.alazar.dual_port import DualPortCapture
-from drivers.alazar.limits import Mode, level_code, mistakes, refuse
+from drivers.alazar.captures import DualPortCapture, SinglePortCapture
+from drivers.alazar.limits import Mode, level_code, mistakes
 from drivers.alazar.models import ATS460_BOARD
 from drivers.alazar.page_buffer import PageBuffer
-from drivers.alazar.samples import (
-    CODE_BITS,
-    CODE_LIMITS,
-    RawRecords,
-    any_at_full_scale,
-    codes,
-    volts_offset,
-    volts_per_code,
-)
-from drivers.alazar.single_port import SinglePortCapture
+from drivers.alazar.samples import RawRecords
 from drivers.interfaces import Capture, Clock, Identity, InstrumentError, MonitorRecords, RecordBlock, Setting
 
 UNSIGNED_FORMAT: Final = 0
@@ -76,9 +53,7 @@ class Ats460:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.make_safe()
 
     @property
@@ -97,7 +72,10 @@ class Ats460:
         """Program the board; raise ``InstrumentError`` for what it cannot do, all of it at once."""
         chosen = self._chosen_mode()
         fpga = self._board.capability(Capability.FPGA_VERSION)
-        refuse(self.role, ATS460_BOARD, mistakes(capture, ATS460_BOARD, chosen, fpga))
+        found = "; ".join(refusal.text for refusal in mistakes(capture, ATS460_BOARD, chosen, fpga))
+        if found:
+            why = f"the {ATS460_BOARD.name} cannot do this, and nothing was sent to it"
+            raise InstrumentError(self.role, found, why, "change the value in the scene or bench file")
         self._disarm()
         self._capture = self._mode = None
         self._program(capture)
@@ -111,15 +89,13 @@ class Ats460:
         The vendor's interface reads most settings back nowhere; what it can report is compared.
         """
         _, mode = self._configured("verify")
+        parameter, samples_a_stamp = self._board.parameter, Parameter.SAMPLES_PER_TIMESTAMP_CLOCK
         expected = {
-            "bits per sample": (CODE_BITS, self._board.channel_info()[1]),
-            "data format": (UNSIGNED_FORMAT, self._board.parameter(Parameter.DATA_FORMAT)),
-            "samples per time stamp": (
-                SAMPLES_PER_TIMESTAMP,
-                self._board.parameter(Parameter.SAMPLES_PER_TIMESTAMP_CLOCK),
-            ),
+            "bits per sample": (samples.CODE_BITS, self._board.channel_info()[1]),
+            "data format": (UNSIGNED_FORMAT, parameter(Parameter.DATA_FORMAT)),
+            "samples per time stamp": (SAMPLES_PER_TIMESTAMP, parameter(samples_a_stamp)),
             "capture running": (mode.armed, self._board.busy()),
-            "buffers pending": (mode.buffers_posted(), self._board.parameter(Parameter.ASYNC_BUFFERS_PENDING)),
+            "buffers pending": (mode.buffers_posted(), parameter(Parameter.ASYNC_BUFFERS_PENDING)),
         }
         wrong = [
             f"{name} expected {want:d}, the board reports {read:d}"
@@ -156,14 +132,14 @@ class Ats460:
     def snapshot(self) -> Mapping[str, Setting]:
         """Return the programmed values, and what the board itself reports."""
         board, identity = self._board, self.identify()
-        samples, bits = board.channel_info()
+        memory_samples, bits = board.channel_info()
         reported: dict[str, Setting] = {
             "model": identity.model,
             "serial": identity.serial,
             "firmware": identity.firmware,
             "board_options": board.capability(Capability.BOARD_OPTIONS_LOW),
             "dual_port_memory": board.has_dual_port_memory(),
-            "memory_samples_per_channel": samples,
+            "memory_samples_per_channel": memory_samples,
             "bits_per_sample": bits,
             "clipped": self._clipped,
         }
@@ -181,10 +157,8 @@ class Ats460:
             if self._board.busy():
                 self._board.call(self._board.library.AlazarAbortCapture)
         if self._board.busy():
-            why = "the abort had no effect"
-            raise InstrumentError(
-                self.role, "the board is still capturing", why, "end the program, restart the machine"
-            )
+            remedy = "end the program, restart the machine"
+            raise InstrumentError(self.role, "the board is still capturing", "the abort had no effect", remedy)
 
     def close(self) -> None:
         """Abort what is running; the vendor's interface has nothing to close."""
@@ -206,19 +180,19 @@ class Ats460:
         board, lib = self._board, self._board.library
         level = level_code(capture.trigger_level_v)
         rate_id = ATS460_BOARD.rate_ids[capture.sample_rate_hz]
-        board.call(lib.AlazarSetCaptureClock, int(ClockSource.INTERNAL), rate_id, 0, 0)
+        board.call(lib.AlazarSetCaptureClock, api.CLOCK_INTERNAL, rate_id, 0, 0)
         for channel, range_v in _ranges_v(capture).items():
-            inputs = int(channel), int(Coupling.DC), ATS460_BOARD.range_ids[range_v], int(Impedance.OHM_50)
-            board.call(lib.AlazarInputControl, *inputs)
+            inputs = api.COUPLING_DC, ATS460_BOARD.range_ids[range_v], api.IMPEDANCE_50_OHM
+            board.call(lib.AlazarInputControl, int(channel), *inputs)
             board.call(lib.AlazarSetBWLimit, int(channel), 0)
-        external = (int(TriggerEngine.J), int(TriggerSource.EXTERNAL), int(TriggerSlope.POSITIVE), level)
-        unused = (int(TriggerEngine.K), int(TriggerSource.DISABLE), int(TriggerSlope.POSITIVE), ZERO_LEVEL_CODE)
-        board.call(lib.AlazarSetTriggerOperation, int(TriggerOperation.J), *external, *unused)
-        board.call(lib.AlazarSetExternalTrigger, int(Coupling.DC), int(ExternalTriggerRange.PLUS_MINUS_5V))
+        external = api.ENGINE_J, api.SOURCE_EXTERNAL, api.SLOPE_POSITIVE, level
+        unused = api.ENGINE_K, api.SOURCE_DISABLE, api.SLOPE_POSITIVE, ZERO_LEVEL_CODE
+        board.call(lib.AlazarSetTriggerOperation, api.TRIGGER_OPERATION_J, *external, *unused)
+        board.call(lib.AlazarSetExternalTrigger, api.COUPLING_DC, api.EXTERNAL_TRIGGER_5V)
         board.call(lib.AlazarSetTriggerDelay, max(0, capture.trigger_delay_samples))
         # Zero waits for ever: a record without its trigger would pass for an echo.
         board.call(lib.AlazarSetTriggerTimeOut, 0)
-        board.call(lib.AlazarConfigureAuxIO, int(AuxMode.OUT_TRIGGER), 0)
+        board.call(lib.AlazarConfigureAuxIO, api.AUX_OUT_TRIGGER, 0)
 
     def _blocks(
         self, capture: Capture, mode: SinglePortCapture | DualPortCapture, deadline_s: float
@@ -231,17 +205,11 @@ class Ats460:
             self._disarm()
 
     def _block(self, capture: Capture, raw: RawRecords) -> RecordBlock:
-        values = codes(raw.words)
-        self._clipped = self._clipped or any_at_full_scale(values) or self._board.input_clipped()
-        return RecordBlock(
-            raw.first_record,
-            values[0],
-            self._trigger_time_s(capture, raw),
-            volts_per_code(capture.input_range_v),
-            volts_offset(capture.input_range_v),
-            CODE_LIMITS,
-            _monitor(capture, values),
-        )
+        values, range_v = samples.codes(raw.words), capture.input_range_v
+        self._clipped = self._clipped or samples.any_at_full_scale(values) or self._board.input_clipped()
+        volts = samples.volts_per_code(range_v), samples.volts_offset(range_v)
+        time_s, monitor = self._trigger_time_s(capture, raw), _monitor(capture, values)
+        return RecordBlock(raw.first_record, values[0], time_s, *volts, samples.CODE_LIMITS, monitor)
 
     def _trigger_time_s(self, capture: Capture, raw: RawRecords) -> NDArray[np.float64]:
         if raw.counts is None:
@@ -257,9 +225,9 @@ class Ats460:
             "records_per_block": self._mode.records_per_block,
             "trigger_level_code": level_code(self._capture.trigger_level_v),
             "input_channels": "".join(channel.name for channel in _ranges_v(self._capture)),
-            "input_coupling": Coupling.DC.name,
+            "input_coupling": "DC",
             "input_impedance_ohm": 50.0,
-            "aux_output": AuxMode.OUT_TRIGGER.name,
+            "aux_output": "OUT_TRIGGER",
         }
 
     def _configured(self, action: str) -> tuple[Capture, SinglePortCapture | DualPortCapture]:
@@ -281,4 +249,6 @@ def _ranges_v(capture: Capture) -> dict[Channel, float]:
 
 def _monitor(capture: Capture, values: NDArray[np.int16]) -> MonitorRecords | None:
     range_v = capture.monitor_range_v
-    return None if range_v is None else MonitorRecords(values[1], volts_per_code(range_v), volts_offset(range_v))
+    if range_v is None:
+        return None
+    return MonitorRecords(values[1], samples.volts_per_code(range_v), samples.volts_offset(range_v))

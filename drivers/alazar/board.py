@@ -6,11 +6,10 @@ import ctypes
 from collections.abc import Callable
 from typing import Any, final
 
-from drivers.alazar.api import STATUS_FAILED, AlazarLibrary, BoardOption, Capability, Channel, Parameter, StatusBit
+from drivers.alazar import api
+from drivers.alazar.api import AlazarLibrary, Capability, Channel, Parameter
 from drivers.alazar.return_codes import FAILED, SUCCESS, UNSUPPORTED_FUNCTION, check
 from drivers.interfaces import InstrumentError
-
-VersionCall = Callable[..., int]
 
 
 @final
@@ -85,7 +84,7 @@ class AlazarBoard:
 
     def has_dual_port_memory(self) -> bool:
         """Return whether the board can be read while it captures."""
-        return bool(self.capability(Capability.BOARD_OPTIONS_LOW) & BoardOption.DUAL_PORT_MEMORY)
+        return bool(self.capability(Capability.BOARD_OPTIONS_LOW) & api.OPTION_DUAL_PORT_MEMORY)
 
     def most_records(self, record_samples: int) -> int:
         """Return how many records of this length the on-board memory holds."""
@@ -100,14 +99,12 @@ class AlazarBoard:
     def input_clipped(self) -> bool:
         """Return whether the board reports that an input left its range."""
         status = self.ask(self.library.AlazarGetStatus, self.handle)
-        if status == STATUS_FAILED:
-            what = f"AlazarGetStatus returned {STATUS_FAILED:#x}"
-            raise InstrumentError(
-                self.role, what, "the board does not answer", "restart the machine, check the board's seat"
-            )
-        return bool(status & (StatusBit.CHANNEL_A_CLIPPED | StatusBit.CHANNEL_B_CLIPPED))
+        if status == api.STATUS_FAILED:
+            what, remedy = f"AlazarGetStatus returned {status:#x}", "restart the machine, check the board's seat"
+            raise InstrumentError(self.role, what, "the board does not answer", remedy)
+        return bool(status & api.STATUS_CLIPPED)
 
-    def _version(self, function: VersionCall) -> str:
+    def _version(self, function: Callable[..., int]) -> str:
         parts = tuple(ctypes.c_uint8() for _ in range(3))
         code = self.ask(function, *map(ctypes.byref, parts))
         return ".".join(str(part.value) for part in parts) if code == SUCCESS else "unknown"

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Final, Literal, NamedTuple
 
 from drivers.alazar.models import ATS460_BOARD, BoardModel
-from drivers.interfaces import Capture, InstrumentError
+from drivers.alazar.samples import HEADER_BYTES, buffer_bytes
+from drivers.interfaces import Capture
 
 MOST_RECORDS: Final = 0x7FFF_FFFE
-HEADER_BYTES: Final = 16
 BUFFER_LIMIT_BYTES: Final = 4 * 2**20
 BUFFER_WANTED_BYTES: Final = 2**20
 # The part of a capture that is lost, at most, when its last trigger does not come: a part-filled buffer stays unread.
@@ -30,26 +30,17 @@ def mistakes(
     capture: Capture, model: BoardModel = ATS460_BOARD, mode: Mode = "traditional", fpga: int | None = None
 ) -> list[Refusal]:
     """Return what ``model`` cannot do of ``capture`` in ``mode``; without ``fpga`` version a recent one is assumed."""
+    monitor_v, level_v, highest_v = capture.monitor_range_v, capture.trigger_level_v, model.trigger_range_v
     found = {
-        "monitor_range_v": _monitor(capture.monitor_range_v, model),
+        "monitor_range_v": [] if monitor_v is None else _one_of("monitor_range_v", monitor_v, model.input_ranges_v),
         "sample_rate_hz": _one_of("sample_rate_hz", capture.sample_rate_hz, model.sample_rates_hz),
         "input_range_v": _one_of("input_range_v", capture.input_range_v, model.input_ranges_v),
         "record_samples": _record_samples(capture, model, mode),
         "trigger_delay_samples": _delay(capture, model, mode),
         "record_count": _record_count(capture.record_count, model, mode, fpga),
-        "trigger_level_v": _outside(
-            "trigger_level_v", capture.trigger_level_v, -model.trigger_range_v, model.trigger_range_v
-        ),
+        "trigger_level_v": _outside("trigger_level_v", level_v, -highest_v, highest_v),
     }
     return [Refusal(field, text) for field, texts in found.items() for text in texts]
-
-
-def refuse(role: str, model: BoardModel, found: Sequence[Refusal]) -> None:
-    """Raise one ``InstrumentError`` with all of ``found``; nothing when there are none."""
-    if found:
-        why = f"the {model.name} cannot do this, and nothing was sent to it"
-        what = "; ".join(refusal.text for refusal in found)
-        raise InstrumentError(role, what, why, "change the value in the scene or bench file")
 
 
 def pre_trigger_samples(capture: Capture) -> int:
@@ -64,7 +55,7 @@ def level_code(level_v: float, range_v: float = ATS460_BOARD.trigger_range_v) ->
 
 def records_per_buffer(capture: Capture, channels: int = 1) -> int:
     """Return the largest divisor of the record count that fills at most 1 MiB and an eighth of the capture."""
-    size_bytes = channels * (HEADER_BYTES + 2 * capture.record_samples)
+    size_bytes = buffer_bytes(capture.record_samples, 1, channels, headers=True)
     most = min(BUFFER_WANTED_BYTES / size_bytes, capture.record_count * LARGEST_BUFFER_SHARE)
     return max(count for count in _divisors(capture.record_count) if count <= max(1.0, most))
 
@@ -72,10 +63,6 @@ def records_per_buffer(capture: Capture, channels: int = 1) -> int:
 def _divisors(count: int) -> list[int]:
     small = [d for d in range(1, math.isqrt(count) + 1) if count % d == 0]
     return sorted({*small, *(count // d for d in small)})
-
-
-def _monitor(range_v: float | None, model: BoardModel) -> list[str]:
-    return [] if range_v is None else _one_of("monitor_range_v", range_v, model.input_ranges_v)
 
 
 def _record_samples(capture: Capture, model: BoardModel, mode: Mode) -> list[str]:
@@ -110,10 +97,8 @@ def _record_count(count: int, model: BoardModel, mode: Mode, fpga: int | None) -
 
 
 def _no_multiple(name: str, value: int, step: int) -> list[str]:
-    if value % step == 0:
-        return []
     below = value - value % step
-    return [f"{name} = {value} is no multiple of {step} (next: {below} or {below + step})"]
+    return [] if below == value else [f"{name} = {value} is no multiple of {step} (next: {below} or {below + step})"]
 
 
 def _outside(name: str, value: float, lowest: float, highest: float) -> list[str]:

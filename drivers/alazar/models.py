@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final
 
 
@@ -59,48 +58,20 @@ class BoardModel:
         return self.old_fpga_records if fpga <= self.old_fpga else self.max_records
 
 
+RATE_IDS: Final = {
+    1e3: 0x01, 2e3: 0x02, 5e3: 0x04, 10e3: 0x08, 20e3: 0x0A, 50e3: 0x0C, 100e3: 0x0E, 200e3: 0x10, 500e3: 0x12,
+    1e6: 0x14, 2e6: 0x18, 5e6: 0x1A, 10e6: 0x1C, 20e6: 0x1E, 50e6: 0x22, 100e6: 0x24, 125e6: 0x25,
+}  # fmt: skip
+# From memory of the data sheet; the board answers 513 where this is wrong.
+RANGE_IDS: Final = {
+    0.02: 1, 0.04: 2, 0.05: 3, 0.08: 4, 0.1: 5, 0.2: 6, 0.4: 7, 0.5: 8, 0.8: 9, 1.0: 10, 2.0: 11, 4.0: 12,
+}  # fmt: skip
 ATS460_BOARD: Final = BoardModel(
     name="ATS460",
     kind=7,
     code_bits=14,
-    rate_ids=MappingProxyType(
-        {
-            1e3: 0x01,
-            2e3: 0x02,
-            5e3: 0x04,
-            10e3: 0x08,
-            20e3: 0x0A,
-            50e3: 0x0C,
-            100e3: 0x0E,
-            200e3: 0x10,
-            500e3: 0x12,
-            1e6: 0x14,
-            2e6: 0x18,
-            5e6: 0x1A,
-            10e6: 0x1C,
-            20e6: 0x1E,
-            50e6: 0x22,
-            100e6: 0x24,
-            125e6: 0x25,
-        }
-    ),
-    # From memory of the data sheet; the board answers 513 where this is wrong.
-    range_ids=MappingProxyType(
-        {
-            0.02: 1,
-            0.04: 2,
-            0.05: 3,
-            0.08: 4,
-            0.1: 5,
-            0.2: 6,
-            0.4: 7,
-            0.5: 8,
-            0.8: 9,
-            1.0: 10,
-            2.0: 11,
-            4.0: 12,
-        }
-    ),
+    rate_ids=RATE_IDS,
+    range_ids=RANGE_IDS,
     record_minimum=128,
     record_multiple=16,
     npt_record_multiple=32,
@@ -117,7 +88,7 @@ MODELS: Final = (ATS460_BOARD,)
 
 def model_named(name: str) -> BoardModel:
     """Return the board called ``name``; raise ``ValueError`` for one that has no driver here."""
-    for model in MODELS:
-        if model.name == name:
-            return model
-    raise ValueError(f"no driver for a board {name!r}; there are {', '.join(model.name for model in MODELS)}")
+    found = next((model for model in MODELS if model.name == name), None)
+    if found is None:
+        raise ValueError(f"no driver for a board {name!r}; there are {', '.join(model.name for model in MODELS)}")
+    return found

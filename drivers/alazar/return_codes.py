@@ -6,7 +6,6 @@ Source: docs/theory/instruments.md, 2.8.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from types import MappingProxyType
 from typing import Final
 
 from drivers.interfaces import InstrumentError
@@ -128,64 +127,51 @@ def _entries(lines: str, first: int) -> Iterator[tuple[int, tuple[str, str]]]:
         yield code, (f"Api{name}", meaning)
 
 
-MEANINGS: Final[Mapping[int, tuple[str, str]]] = MappingProxyType(
-    {
-        **dict(_entries(_FROM_512, 512)),
-        605: ("ApiOCT605", "a function for optical coherence tomography failed"),
-        606: ("ApiOCT606", "a function for optical coherence tomography failed"),
-        **dict(_entries(_FROM_608, 608)),
-    }
-)
+MEANINGS: Final[Mapping[int, tuple[str, str]]] = {
+    **dict(_entries(_FROM_512, 512)),
+    605: ("ApiOCT605", "a function for optical coherence tomography failed"),
+    606: ("ApiOCT606", "a function for optical coherence tomography failed"),
+    **dict(_entries(_FROM_608, 608)),
+}
 
 # Their meaning changed between SDK versions, so that they have a name only where the version is known.
 AMBIGUOUS: Final = frozenset({603, 604, 607})
-_OLD_NAMES: Final[Mapping[int, tuple[str, str]]] = MappingProxyType(
-    {
-        604: ("ApiRecordTooHigh", "a record above 1000 has no time stamp with FPGA version 18 and below"),
-        607: ("ApiTooManyRecords", "the record count exceeds 1000 with FPGA version 18 and below"),
-    }
-)
-_NEW_NAMES: Final[Mapping[int, tuple[str, str]]] = MappingProxyType(
-    {
-        603: ("ApiError1", "too many single-port records"),
-        604: ("ApiError2", "too many single-port records"),
-        607: ("ApiNetworkError", "the connection to the board's server failed"),
-    }
-)
+_OLD_NAMES: Final[Mapping[int, tuple[str, str]]] = {
+    604: ("ApiRecordTooHigh", "a record above 1000 has no time stamp with FPGA version 18 and below"),
+    607: ("ApiTooManyRecords", "the record count exceeds 1000 with FPGA version 18 and below"),
+}
+_NEW_NAMES: Final[Mapping[int, tuple[str, str]]] = {
+    603: ("ApiError1", "too many single-port records"),
+    604: ("ApiError2", "too many single-port records"),
+    607: ("ApiNetworkError", "the connection to the board's server failed"),
+}
 
 # What to suspect first: (cause, remedy).
-_BY_CODE: Final[Mapping[int, tuple[str, str]]] = MappingProxyType(
-    {
-        513: ("the board refused an argument or combination", "compare the setting with the ATS460's data sheet"),
-        514: ("another program holds the board", "end the other program"),
-        518: ("a transfer is still running, or buffers were asked for out of order", "abort and arm again"),
-        533: ("this board or SDK version has no such function", "install another ATS-SDK version"),
-        536: ("a size is not one the board accepts", "change the record length"),
-        552: ("the kernel driver is not loaded", "reinstall the driver, restart the machine"),
-        553: ("the machine has not enough memory for the buffers", "use shorter or fewer records"),
-        572: ("the board's handle is not valid any more", "open the bench again"),
-        573: ("the buffer was not posted", "abort and arm again"),
-        578: ("driver and SDK are of different versions", "install driver and SDK of one release"),
-        579: ("no trigger arrived in time", "check the trigger cable, level and the generators' outputs"),
-        581: ("the buffer is smaller than the records", "change the record length or count"),
-        582: ("records came faster than they were read, and the board's memory is full", "lower the pulse rate"),
-        584: ("the records per buffer do not divide the record count", "change the record count"),
-        586: ("the system could not pin the buffers", "use shorter or fewer records, close other programs"),
-        590: ("the sample clock is not locked", "check the clock source"),
-    }
-)
-_BY_CALL: Final[Mapping[str, tuple[str, str]]] = MappingProxyType(
-    {
-        "AlazarSetRecordCount": (
-            "the record count exceeds what the board holds; with FPGA version 18 and below that is 1000",
-            "record fewer pulses per capture",
-        ),
-        "AlazarInputControl": (
-            "the board has no such input range at 50 ohm",
-            "choose another input_range_v",
-        ),
-    }
-)
+_BY_CODE: Final[Mapping[int, tuple[str, str]]] = {
+    513: ("the board refused an argument or combination", "compare the setting with the ATS460's data sheet"),
+    514: ("another program holds the board", "end the other program"),
+    518: ("a transfer is still running, or buffers were asked for out of order", "abort and arm again"),
+    533: ("this board or SDK version has no such function", "install another ATS-SDK version"),
+    536: ("a size is not one the board accepts", "change the record length"),
+    552: ("the kernel driver is not loaded", "reinstall the driver, restart the machine"),
+    553: ("the machine has not enough memory for the buffers", "use shorter or fewer records"),
+    572: ("the board's handle is not valid any more", "open the bench again"),
+    573: ("the buffer was not posted", "abort and arm again"),
+    578: ("driver and SDK are of different versions", "install driver and SDK of one release"),
+    579: ("no trigger arrived in time", "check the trigger cable, level and the generators' outputs"),
+    581: ("the buffer is smaller than the records", "change the record length or count"),
+    582: ("records came faster than they were read, and the board's memory is full", "lower the pulse rate"),
+    584: ("the records per buffer do not divide the record count", "change the record count"),
+    586: ("the system could not pin the buffers", "use shorter or fewer records, close other programs"),
+    590: ("the sample clock is not locked", "check the clock source"),
+}
+_BY_CALL: Final[Mapping[str, tuple[str, str]]] = {
+    "AlazarSetRecordCount": (
+        "the record count exceeds what the board holds; with FPGA version 18 and below that is 1000",
+        "record fewer pulses per capture",
+    ),
+    "AlazarInputControl": ("the board has no such input range at 50 ohm", "choose another input_range_v"),
+}
 _UNSUSPECTED: Final = (
     "no cause is known for this code",
     "run again, restart the machine if it stays, and see the error list of your SDK version",
@@ -203,8 +189,7 @@ def check(code: int, call: str, role: str, sdk_major: int | None = None) -> None
 
 def _entry(code: int, sdk_major: int | None) -> tuple[str, str]:
     unnamed = "its name depends on the SDK version", "which is not known"
-    if code in AMBIGUOUS and sdk_major is None:
-        return unnamed
     if code in AMBIGUOUS:
-        return (_OLD_NAMES if sdk_major is not None and sdk_major <= OLD_SDK else _NEW_NAMES).get(code, unnamed)
+        names = {} if sdk_major is None else _OLD_NAMES if sdk_major <= OLD_SDK else _NEW_NAMES
+        return names.get(code, unnamed)
     return MEANINGS.get(code, ("unknown code", "no SDK version known here has this code"))

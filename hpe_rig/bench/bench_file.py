@@ -14,7 +14,7 @@ from drivers.alazar import BoardModel, model_named
 from hpe_rig.scene import Mistake, NonNegative, Positive, Section, SettingsError, Title, mistakes_of, parse_toml
 
 GeneratorRole = Literal["master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"]
-GENERATOR_ROLES: tuple[GeneratorRole, ...] = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
+GENERATOR_ROLES: tuple[GeneratorRole, ...] = get_args(GeneratorRole)
 EXCITATION_ROLES: tuple[GeneratorRole, ...] = ("burst_train", "toneburst")
 
 Transport = Literal["socket", "serial", "hislip", "vxi11", "prologix"]
@@ -233,10 +233,8 @@ def read_bench(path: Path | None = None) -> BenchText:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
-        what = f"cannot be read ({reason})"
-        raise SettingsError(
-            f"bench {path}", [Mistake("", what, "hpe-rig new my-bench --like bench writes one to start from")]
-        ) from None
+        remedy = "hpe-rig new my-bench --like bench writes one to start from"
+        raise SettingsError(f"bench {path}", [Mistake("", f"cannot be read ({reason})", remedy)]) from None
     return parse_bench(path.stem, text)
 
 
@@ -244,12 +242,9 @@ def _missing_addresses(bench: BenchFile) -> list[Mistake]:
     if bench.simulated:
         return []
     simulated_only = [Mistake("transport", "only the simulated bench has one", "remove it: the address says it all")]
+    what, remedy = "this key is required on a real bench", 'a VISA name such as "GPIB0::10::INSTR"'
     return (simulated_only if bench.transport else []) + [
-        Mistake(
-            f"generators.{role}.address",
-            "this key is required on a real bench",
-            'a VISA name such as "GPIB0::10::INSTR"',
-        )
+        Mistake(f"generators.{role}.address", what, remedy)
         for role, generator in bench.generators.by_role.items()
         if not generator.address
     ]

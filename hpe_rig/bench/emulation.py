@@ -26,9 +26,8 @@ def emulate(scene: Scene, bench: BenchText, transport: str, announce: Callable[[
     """
     chosen = next((name for name in TRANSPORTS if name == transport), None)
     if chosen is None:
-        raise SettingsError(
-            "command line", [Mistake("transport", f"{transport} is no transport", ", ".join(TRANSPORTS))]
-        )
+        mistake = Mistake("transport", f"{transport} is no transport", ", ".join(TRANSPORTS))
+        raise SettingsError("command line", [mistake])
     if not bench.bench.simulated:
         remedy = "simulated = true, or leave --bench out"
         raise SettingsError(f"bench {bench.name}", [Mistake("simulated", "a real bench is not emulated", remedy)])

@@ -6,15 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from drivers.interfaces import (
-    Clock,
-    Digitizer,
-    Instrument,
-    MasterTrigger,
-    PulseGenerator,
-    Setting,
-    ToneburstGenerator,
-)
+from drivers.interfaces import Clock, Digitizer, Instrument, MasterTrigger, PulseGenerator, Setting, ToneburstGenerator
 from hpe_rig.bench.interrupts import uninterrupted
 
 if TYPE_CHECKING:
@@ -44,13 +36,13 @@ class Bench:
 
     simulated: bool
     clock: Clock
+    world: World | None
     master: MasterTrigger
-    burst_train: PulseGenerator | None
-    toneburst: ToneburstGenerator | None
     tracking_train: PulseGenerator
     tracking_pulser: ToneburstGenerator
     digitizer: Digitizer
-    world: World | None
+    burst_train: PulseGenerator | None = None
+    toneburst: ToneburstGenerator | None = None
 
     @property
     def instruments(self) -> tuple[Instrument, ...]:

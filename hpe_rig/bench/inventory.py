@@ -72,11 +72,7 @@ def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, s
 
 
 def _found(
-    role: str,
-    item: Instrument | Exception,
-    bench: BenchFile,
-    addresses: Sequence[str],
-    clock_s: Callable[[], float],
+    role: str, item: Instrument | Exception, bench: BenchFile, addresses: Sequence[str], clock_s: Callable[[], float]
 ) -> Found:
     address = _address(role, bench)
     if isinstance(item, Exception):

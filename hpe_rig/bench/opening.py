@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
@@ -41,10 +41,10 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
     ``first_shot`` is the index of the first shot to come: a twin that goes on with a run draws on its noise from there.
     """
     with interruptible(), ExitStack() as stack:
-        reached = (
-            _reach_twin(twin_tables(scene), bench, first_shot, stack) if bench.simulated else _reach_metal(bench, stack)
-        )
-        opened = _assemble(bench, roles, reached)
+        simulation = twin_tables(scene) if bench.simulated else {}
+        reached = _reach(simulation, bench, first_shot, stack)
+        drivers = {role: reached.instrument(role, bench) for role in roles}
+        opened = Bench(bench.simulated, reached.clock, reached.world, **drivers)
         for instrument in opened.instruments:
             stack.callback(_close_quietly, instrument)
         # Nothing is sent to a stranger at a wrong address, not even to switch it off.
@@ -68,7 +68,7 @@ def open_each(bench: BenchFile) -> Iterator[Mapping[str, Instrument | Exception]
     """
     roles = [role for role in GENERATOR_ROLES if getattr(bench.generators, role) is not None]
     with interruptible(), ExitStack() as stack:
-        reached = _reach_twin({}, bench, 0, stack) if bench.simulated else _reach_metal(bench, stack)
+        reached = _reach({}, bench, 0, stack)
         found: dict[str, Instrument | Exception] = {}
         try:
             for role in (*roles, "digitizer"):
@@ -125,7 +125,13 @@ class Reach:
         return Agilent33250A(self.connect(role), role, generator.model, most_vpp)
 
 
-def _reach_twin(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack) -> Reach:
+def _reach(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack) -> Reach:
+    if not bench.simulated:
+        from drivers.alazar import load_library
+
+        addresses = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
+        connect = _visa_connections(addresses, "", stack)
+        return Reach(connect, lambda: load_library(name=bench.digitizer.library), WallClock(), None)
     world = _world(simulation, bench, first_shot)
     if bench.transport is None:
         return Reach(lambda role: cast(Connection, world.connect(role)), world.alazar_library, world.clock, world)
@@ -190,33 +196,7 @@ def _visa_connections(
     return connect
 
 
-def _reach_metal(bench: BenchFile, stack: ExitStack) -> Reach:
-    from drivers.alazar import load_library
-
-    addresses = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
-    return Reach(
-        _visa_connections(addresses, "", stack), lambda: load_library(name=bench.digitizer.library), WallClock(), None
-    )
-
-
-def _assemble(bench: BenchFile, roles: Sequence[str], reached: Reach) -> Bench:
-    drivers = {role: reached.instrument(role, bench) for role in roles}
-    return Bench(
-        simulated=bench.simulated,
-        clock=reached.clock,
-        master=drivers["master"],
-        burst_train=drivers.get("burst_train"),
-        toneburst=drivers.get("toneburst"),
-        tracking_train=drivers["tracking_train"],
-        tracking_pulser=drivers["tracking_pulser"],
-        digitizer=drivers["digitizer"],
-        world=reached.world,
-    )
-
-
 def _close_quietly(instrument: Instrument) -> None:
     # The output is proven off by then; a transport that fails to close changes nothing about that.
-    try:
+    with suppress(InstrumentError, OSError):
         instrument.close()
-    except (InstrumentError, OSError):
-        return

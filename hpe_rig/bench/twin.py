@@ -29,11 +29,6 @@ class TwinDeclaration:
     settings: SimulationSettings
 
     @property
-    def seed(self) -> int:
-        """Seed of every random number."""
-        return self.settings.seed
-
-    @property
     def sound_speed_m_per_s(self) -> float:
         """Longitudinal sound speed."""
         return self.settings.sound_speed_m_per_s
@@ -47,11 +42,6 @@ class TwinDeclaration:
     def snr_db(self) -> float | None:
         """Echo power over noise power in the reference gate; None where it is not stated as a ratio."""
         return self.settings.receiver.snr_db
-
-    @property
-    def reference_gate_m(self) -> float:
-        """Length of the gate around the focus in which ``snr_db`` holds."""
-        return self.settings.receiver.reference_gate_m
 
     @property
     def has_receive_chain(self) -> bool:
@@ -75,13 +65,8 @@ class TwinDeclaration:
         return self.settings.specimen is not None
 
     @property
-    def prescribes_motion(self) -> bool:
-        """Whether the motion is given instead."""
-        return self.settings.motion is not None
-
-    @property
     def prescribed(self) -> tuple[tuple[float, float], ...]:
-        """Frequency, Hz, and amplitude, m, of every prescribed sinusoid."""
+        """Frequency, Hz, and amplitude, m, of every prescribed sinusoid; empty where no motion is prescribed."""
         return tuple((each.frequency_hz, each.amplitude_m) for each in self.settings.motion or ())
 
     def medium(self, frequency_hz: NDArray[np.float64]) -> tuple[NDArray[np.complex128], float] | None:

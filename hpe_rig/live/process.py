@@ -42,9 +42,8 @@ def live_page_of(run_file: Path, port: int = 0) -> Iterator[str]:
     """
     command = [sys.executable, "-m", "hpe_rig", "live", str(run_file), "--port", str(port), "--attached"]
     # A group of its own: Ctrl-C ends the run first, and the page shows how it ended.
-    apart: dict[str, Any] = {"start_new_session": True}
-    if os.name == "nt":
-        apart = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
+    windows = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
+    apart: dict[str, Any] = {"start_new_session": os.name == "posix", "creationflags": windows}
     child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **apart)  # noqa: S603
     try:
         yield _address(child)

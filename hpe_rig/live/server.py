@@ -50,9 +50,8 @@ class LivePage:
             self._socket.listen(64)
         except OSError as error:
             self._socket.close()
-            raise StoreError(
-                f"port {port} cannot be used ({reason(error)}). Try: another --port, or none for any free one."
-            ) from None
+            remedy = "another --port, or none for any free one"
+            raise StoreError(f"port {port} cannot be used ({reason(error)}). Try: {remedy}.") from None
         self._port = int(self._socket.getsockname()[1])
         self.address = f"http://{HOST}:{self._port}/{self._token}/"
         self._latest, self._version = json.dumps({"status": "waiting"}), 0
@@ -176,9 +175,8 @@ class LivePage:
             while not gone.done():
                 async with self._changed:
                     with contextlib.suppress(TimeoutError):
-                        await asyncio.wait_for(
-                            self._changed.wait_for(lambda: self._seen[viewer] != self._version), timeout=1.0
-                        )
+                        changed = self._changed.wait_for(lambda: self._seen[viewer] != self._version)
+                        await asyncio.wait_for(changed, timeout=1.0)
                     text, version = self._latest, self._version
                 if version != self._seen[viewer] and not gone.done():
                     await viewer.send_text(text)

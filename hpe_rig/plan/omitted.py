@@ -40,5 +40,5 @@ def _left_out_of_twin(twin: TwinDeclaration | None) -> Iterator[LeftOut]:
     if twin is None or not twin.trigger_jitter_s:
         yield LeftOut("trigger jitter", "simulation.instruments.trigger_jitter_s is absent or 0")
     if twin is None or not twin.has_specimen:
-        motion = "the motion is prescribed" if twin is not None and twin.prescribes_motion else "nothing moves"
+        motion = "the motion is prescribed" if twin is not None and twin.prescribed else "nothing moves"
         yield LeftOut("specimen response", f"{motion}: the scene has no [simulation.specimen]")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,14 +114,7 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
         return _joined([make_plan(each, bench) for each in scene.rates])
     (scene,) = scene.rates
     _refuse_endless(scene)
-    capture = _capture(scene, bench)
-    lengths = scene.excitation.burst_length_s if scene.excitation else (None,)
-    # One timeline for all shots of a burst length: long sweeps and many repeats stay small.
-    timelines = {length: _timeline(scene, bench, length, capture) for length in lengths}
-    shots = tuple(
-        _shot(index, repeat, force, scene, bench, capture, timelines[burst_length_s], burst_length_s)
-        for index, (burst_length_s, force, repeat) in enumerate(_sweep(scene))
-    )
+    shots = tuple(_shots(scene, bench))
     period_s = scene.acquisition.shot_period_s or max(shot.train_end_s for shot in shots)
     roles = tuple(role for role in GENERATOR_ROLES if scene.excitation or role not in EXCITATION_ROLES)
     return Plan((*roles, "digitizer"), shots, period_s, tuple(left_out(scene, bench)))
@@ -175,18 +169,10 @@ def burst_path_s(bench: BenchFile) -> float:
     return to_train_s + to_toneburst_s + bench.path_delay_s("toneburst.output", "transducer.drive")
 
 
-def _sweep(scene: Scene) -> itertools.product[tuple[float | None, float | None, int]]:
-    excitation, repeats = scene.excitation, range(scene.acquisition.repeats)
-    lengths: tuple[float | None, ...] = excitation.burst_length_s if excitation else (None,)
-    forces: tuple[float | None, ...] = excitation.force_fraction if excitation else (None,)
-    return itertools.product(lengths, forces, repeats)
-
-
 def _refuse_endless(scene: Scene) -> None:
     excitation, mistakes = scene.excitation, []
-    shots = scene.acquisition.repeats * (
-        len(excitation.burst_length_s) * len(excitation.force_fraction) if excitation else 1
-    )
+    bursts = len(excitation.burst_length_s) * len(excitation.force_fraction) if excitation else 1
+    shots = scene.acquisition.repeats * bursts
     if shots > MOST_SHOTS:
         what = f"the scene asks for {shots} shots, a run holds at most {MOST_SHOTS}"
         mistakes.append(Mistake("acquisition.repeats", what, "fewer repeats, or several runs"))
@@ -199,37 +185,29 @@ def _refuse_endless(scene: Scene) -> None:
         raise SettingsError("the scene", mistakes)
 
 
-def _shot(
-    index: int,
-    repeat: int,
-    force: float | None,
-    scene: Scene,
-    bench: BenchFile,
-    capture: Capture,
-    timeline: Timeline,
-    burst_length_s: float | None,
-) -> Shot:
-    tracking, pulser = scene.tracking, bench.generators.tracking_pulser
-    return Shot(
-        index=index,
-        repeat=repeat,
-        force_fraction=force,
-        master=TriggerPulse(MASTER_PULSE_S, TTL_HIGH_V, bench.generators.master.load_ohm),
-        burst_train=_burst_train(scene, bench),
-        toneburst=_toneburst(scene, bench, burst_length_s, force),
-        tracking_train=_train(
-            tracking.pulse_rate_hz, pulse_count(scene), tracking.delay_s, bench.generators.tracking_train.load_ohm
-        ),
-        tracking_pulser=Toneburst(
-            tracking.carrier_hz,
-            tracking.cycles,
-            pulser.amplitude_vpp or bench.limits.full_drive_vpp,
-            0.0,
-            pulser.load_ohm,
-        ),
-        capture=capture,
-        timeline=timeline,
-    )
+def _shots(scene: Scene, bench: BenchFile) -> Iterator[Shot]:
+    excitation, tracking, generators = scene.excitation, scene.tracking, bench.generators
+    lengths: tuple[float | None, ...] = excitation.burst_length_s if excitation else (None,)
+    forces: tuple[float | None, ...] = excitation.force_fraction if excitation else (None,)
+    capture, count = _capture(scene, bench), pulse_count(scene)
+    # One timeline for all shots of a burst length: long sweeps and many repeats stay small.
+    timelines = {length: _timeline(scene, bench, length, capture) for length in lengths}
+    pulser = generators.tracking_pulser
+    pulse_vpp = pulser.amplitude_vpp or bench.limits.full_drive_vpp
+    sweep = itertools.product(lengths, forces, range(scene.acquisition.repeats))
+    for index, (burst_length_s, force, repeat) in enumerate(sweep):
+        yield Shot(
+            index=index,
+            repeat=repeat,
+            force_fraction=force,
+            master=TriggerPulse(MASTER_PULSE_S, TTL_HIGH_V, generators.master.load_ohm),
+            burst_train=_burst_train(scene, bench),
+            toneburst=_toneburst(scene, bench, burst_length_s, force),
+            tracking_train=_train(tracking.pulse_rate_hz, count, tracking.delay_s, generators.tracking_train.load_ohm),
+            tracking_pulser=Toneburst(tracking.carrier_hz, tracking.cycles, pulse_vpp, 0.0, pulser.load_ohm),
+            capture=capture,
+            timeline=timelines[burst_length_s],
+        )
 
 
 def _train(rate_hz: float, count: int, delay_s: float, load_ohm: float) -> PulseTrain:

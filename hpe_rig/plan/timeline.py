@@ -63,9 +63,8 @@ def _table(plan: Plan, shot: Shot) -> Iterator[str]:
         burst = f"{burst_train.count} at {burst_train.rate_hz:g} Hz, "
         rows.append(("tonebursts", burst + ", ".join(f"{length * 1e6:g} us" for length in lengths)))
         start_s, end_s = forbidden_window_s(shot)
-        rows.append(
-            ("no pulse", f"from {-start_s * 1e6:.4g} us before a toneburst to {end_s * 1e6:.4g} us after its onset")
-        )
+        forbidden = f"from {-start_s * 1e6:.4g} us before a toneburst to {end_s * 1e6:.4g} us after its onset"
+        rows.append(("no pulse", forbidden))
         free = admissible_delays_s(shot)
         words = " or ".join(f"{low * 1e6:.4g} to {high * 1e6:.4g} us" for low, high in free) or "none"
         rows.append(("admissible t_d", f"{words}, plus multiples of {1e6 / train.rate_hz:g} us"))

@@ -1,13 +1,13 @@
 from .atomic import atomic_file as atomic_file
 from .format import (
     StoreError as StoreError,
+    extra as extra,
     free_path as free_path,
     reason as reason,
     result_path as result_path,
     versions as versions,
 )
 from .layout import Predecessor as Predecessor
-from .optional_packages import extra as extra
 from .reader import (
     StoredGroundTruth as StoredGroundTruth,
     StoredRecords as StoredRecords,

@@ -29,15 +29,15 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
 
 def _rename_to_new(draft: Path, path: Path) -> None:
     """Rename, raising ``FileExistsError`` where ``path`` is taken: a link on POSIX, where a rename would replace it."""
-    if os.name == "posix":
-        try:
-            path.hardlink_to(draft)
-        except FileExistsError:
-            raise
-        except OSError:
-            # A file system without links: the check and the rename are then two steps.
-            if path.exists():
-                raise FileExistsError(path) from None
-            draft.rename(path)
-    else:
+    if os.name != "posix":
+        draft.rename(path)
+        return
+    try:
+        path.hardlink_to(draft)
+    except FileExistsError:
+        raise
+    except OSError:
+        # A file system without links: the check and the rename are then two steps.
+        if path.exists():
+            raise FileExistsError(path) from None
         draft.rename(path)

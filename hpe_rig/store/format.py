@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import platform
 import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -47,13 +49,19 @@ class StoreError(Exception):
     """A file that cannot be written or read; the message says which, why, and what to try."""
 
 
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that produced the numbers, and the commit if known."""
-    return dict(_versions())
+@contextmanager
+def extra(name: str) -> Iterator[None]:
+    """Turn a package that is missing inside the block into a ``StoreError`` that names the extra ``name``."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        remedy = f'pip install "hpe-rig[{name}]"'
+        raise StoreError(f"this needs {error.name}, which is not installed. Try: {remedy}.") from None
 
 
 @cache
-def _versions() -> dict[str, str]:
+def versions() -> Mapping[str, str]:
+    """Return the versions of Python and of the packages that produced the numbers, and the commit if known."""
     packages = {name: metadata.version(name) for name in ("numpy", "scipy", "h5py")}
     try:
         own = metadata.version("hpe-rig")

@@ -30,9 +30,9 @@ from hpe_rig.store.format import (
     STAGES,
     STATUS_BYTES,
     StoreError,
+    extra,
     versions,
 )
-from hpe_rig.store.optional_packages import extra
 from hpe_rig.store.records import MISSING
 
 LIBVER = ("v110", "v110")
@@ -133,9 +133,8 @@ def _create_true_harmonics(file: h5py.File, shots: int, frequencies_hz: Sequence
     group = file.create_group("true_harmonics")
     for name in TRUE_HARMONICS:
         group[name] = np.full((shots, len(frequencies_hz)), math.nan)
-    name_axes(
-        group, {"shot": np.arange(shots), "frequency": np.array(frequencies_hz)}, dict.fromkeys(TRUE_HARMONICS, "m")
-    )
+    axes = {"shot": np.arange(shots), "frequency": np.array(frequencies_hz)}
+    name_axes(group, axes, dict.fromkeys(TRUE_HARMONICS, "m"))
     group["frequency"].attrs["units"] = "Hz"
 
 
@@ -145,9 +144,8 @@ def _create_codes(
     capture = plan.shots[0].capture
     shape = (len(plan.shots), capture.record_count, capture.record_samples)
     pulses_a_chunk = max(1, min(shape[1], math.ceil(CHUNK_BYTES / (2 * shape[2]))))
-    echo = group.create_dataset(
-        name, shape, "<i2", chunks=(1, pulses_a_chunk, shape[2]), fillvalue=MISSING, **(_filter() if compress else {})
-    )
+    chunks, filters = (1, pulses_a_chunk, shape[2]), _filter() if compress else {}
+    echo = group.create_dataset(name, shape, "<i2", chunks=chunks, fillvalue=MISSING, **filters)
     # Writing the first chunk creates the index of all chunks.
     echo[0, :pulses_a_chunk] = MISSING
     # CF conventions: readers that know them convert codes to volts and missing records to NaN by themselves.

@@ -112,9 +112,8 @@ class StoredGroundTruth:
         shape = (self.shape[0], frequencies)
         with trusted(self.path) as trust:
             names = [f"true_harmonics/{name}" for name in TRUE_HARMONICS]
-            return np.stack(
-                [trust.dataset(name, "<f8", shape)[_within(shot, self.shape[0])] for name in names], axis=-1
-            )
+            rows = [trust.dataset(name, "<f8", shape)[_within(shot, self.shape[0])] for name in names]
+            return np.stack(rows, axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,11 +240,8 @@ def _run_time_s(trust: Trusted) -> dict[str, float]:
         raise UntrustedError(f"/run_time has {names.shape[0]} stages")
     times_s = trust.dataset("run_time/run_time_s", "<f8", names.shape)[()]
     stages = [name.decode("ascii", "replace") for name in names[()]]
-    return {
-        stage: float(time_s)
-        for stage, time_s in zip(stages, times_s, strict=True)
-        if stage.isprintable() and 0 <= time_s < math.inf
-    }
+    pairs = zip(stages, times_s, strict=True)
+    return {stage: float(time_s) for stage, time_s in pairs if stage.isprintable() and 0 <= time_s < math.inf}
 
 
 def _echo(trust: Trusted, shape: Shape, name: str = "echo") -> h5py.Dataset:

@@ -20,8 +20,7 @@ import h5py
 import numpy as np
 from h5py import h5f, h5p
 
-from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, StoreError, reason
-from hpe_rig.store.optional_packages import extra
+from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, StoreError, extra, reason
 
 MOST_TEXT_BYTES: Final = 1_000_000
 MOST_CHUNK_BYTES: Final = 64_000_000
@@ -47,13 +46,14 @@ class Trusted:
 
     def text(self, name: str) -> str:
         """Return the text in the scalar dataset ``name``."""
-        dataset = self._item(name, h5py.Dataset)
+        dataset = self._dataset(name)
         _refuse_outside(dataset, name)
-        return _text(dataset[()], f"/{name}") if _is_text(dataset, f"/{name}") else ""
+        _refuse_no_text(dataset, f"/{name}")
+        return _text(dataset[()], f"/{name}")
 
     def dataset(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
         """Return dataset ``name`` if it has this type and shape, where None stands for any length."""
-        dataset = self._item(name, h5py.Dataset)
+        dataset = self._dataset(name)
         _refuse_outside(dataset, name)
         if dataset.dtype != np.dtype(dtype):
             raise UntrustedError(f"/{name} holds {str(dataset.dtype)[:40]}, not {np.dtype(dtype)}")
@@ -65,7 +65,7 @@ class Trusted:
 
     def attribute(self, name: str, kind: type, of: str | None = None) -> Any:
         """Return the scalar attribute ``name`` of the file or of dataset ``of``, as ``kind``: str, int, bool, float."""
-        owner = self.file if of is None else self._item(of, h5py.Dataset)
+        owner = self.file if of is None else self._dataset(of)
         where = f"attribute {of or ''}.{name}"
         if name not in owner.attrs:
             raise UntrustedError(f"{where} is absent")
@@ -73,7 +73,8 @@ class Trusted:
         if identity.shape != ():
             raise UntrustedError(f"{where} is not a single value")
         if kind is str:
-            return _text(owner.attrs[name], where) if _is_text(identity, where) else ""
+            _refuse_no_text(identity, where)
+            return _text(owner.attrs[name], where)
         if identity.dtype.kind not in {int: "iu", bool: "b", float: "f"}[kind]:
             raise UntrustedError(f"{where} is not of type {kind.__name__}")
         value = kind(owner.attrs[name])
@@ -85,7 +86,7 @@ class Trusted:
         """Return whether there is something at ``name``."""
         return name in self.file
 
-    def _item(self, name: str, kind: type) -> Any:
+    def _dataset(self, name: str) -> h5py.Dataset:
         path = ""
         for part in name.split("/"):
             path = f"{path}/{part}"
@@ -95,8 +96,8 @@ class Trusted:
             if not isinstance(link, h5py.HardLink):
                 raise UntrustedError(f"{path} points out of its place, which no run file does")
         item = self.file[name]
-        if not isinstance(item, kind):
-            raise UntrustedError(f"{path} is not a {kind.__name__.lower()}")
+        if not isinstance(item, h5py.Dataset):
+            raise UntrustedError(f"{path} is not a dataset")
         return item
 
 
@@ -126,13 +127,13 @@ def _opened(path: Path, in_use: bool) -> h5py.File:
         with contextlib.suppress(OSError):
             return h5py.File(path, "r")
         # A run ended by a full disk is shorter than it declares, which HDF5 tolerates in a file that may still grow.
-    access = _patience()
+    opening = os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, _patience()
     for _ in range(OPEN_ATTEMPTS - 1):
         with contextlib.suppress(OSError):
-            return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, access))
+            return h5py.File(h5f.open(*opening))
         # A writer may be between two of its steps. On a damaged file this costs 0.1 s.
         time.sleep(OPEN_PAUSE_S)
-    return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, access))
+    return h5py.File(h5f.open(*opening))
 
 
 def _patience() -> h5p.PropFAID:
@@ -159,30 +160,27 @@ def _refuse_foreign(path: Path) -> bool:
     if start[: len(SIGNATURE)] != SIGNATURE:
         raise UntrustedError("it is not an HDF5 file")
     if len(start) <= FLAGS_PLACE or start[len(SIGNATURE)] != SUPERBLOCK:
-        raise UntrustedError(
-            f"it is an HDF5 file of another kind (a run file has a superblock of version {SUPERBLOCK})"
-        )
+        kind = f"a run file has a superblock of version {SUPERBLOCK}"
+        raise UntrustedError(f"it is an HDF5 file of another kind ({kind})")
     return start[FLAGS_PLACE] != 0
 
 
 def _refuse_format(trust: Trusted) -> None:
-    foreign = UntrustedError("it is an HDF5 file, but a result file or another program's")
     try:
-        if trust.attribute("format", str) != FORMAT:
-            raise foreign
+        known = trust.attribute("format", str) == FORMAT
     except UntrustedError:
-        raise foreign from None
+        known = False
+    if not known:
+        raise UntrustedError("it is an HDF5 file, but a result file or another program's")
     version = trust.attribute("format_version", int)
-    if version > FORMAT_VERSION:
-        raise UntrustedError(
-            f"it has format version {version}, this program reads up to {FORMAT_VERSION}; a newer hpe-rig reads it"
-        )
-    if version < FORMAT_VERSION:
-        raise UntrustedError(f"it has format version {version}, which predates the promises of run files")
+    newer = f"this program reads up to {FORMAT_VERSION}; a newer hpe-rig reads it"
+    if version != FORMAT_VERSION:
+        why = newer if version > FORMAT_VERSION else "which predates the promises of run files"
+        raise UntrustedError(f"it has format version {version}, {why}")
 
 
-def _is_text(holder: Any, where: str) -> bool:
-    """Return True where ``holder`` has a single text of fixed, bounded length; raise ``UntrustedError`` otherwise."""
+def _refuse_no_text(holder: Any, where: str) -> None:
+    """Raise ``UntrustedError`` unless ``holder`` has a single text of fixed, bounded length."""
     if holder.shape != ():
         raise UntrustedError(f"{where} is not a single text")
     information = h5py.check_string_dtype(holder.dtype)
@@ -193,7 +191,6 @@ def _is_text(holder: Any, where: str) -> bool:
         raise UntrustedError(f"{where} is a text of variable length, which no run file holds")
     if holder.dtype.itemsize > MOST_TEXT_BYTES:
         raise UntrustedError(f"{where} is a text of {holder.dtype.itemsize} bytes, more than {MOST_TEXT_BYTES}")
-    return True
 
 
 def _text(value: Any, where: str) -> str:
@@ -223,9 +220,5 @@ def _refuse_chunks(dataset: h5py.Dataset, name: str) -> None:
     if filters not in ([], [BITSHUFFLE]):
         raise UntrustedError(f"/{name} went through filters {filters[:5]}, of which a run file knows {BITSHUFFLE} only")
     if filters:
-        _load_filter()
-
-
-def _load_filter() -> None:
-    with extra("compression"):
-        import hdf5plugin  # noqa: F401, registers the filter
+        with extra("compression"):
+            import hdf5plugin  # noqa: F401, registers the filter

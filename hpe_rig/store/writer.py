@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any, final
 
 import h5py
@@ -84,9 +83,7 @@ class RunWriter:
     def __enter__(self) -> RunWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         failed = "failed" if kind is not None and issubclass(kind, Exception) else "aborted"
         try:
             with uninterrupted(), self._writing():
@@ -279,19 +276,17 @@ class _Chunk:
         self.codes[rows] = codes
         self.fresh = True
 
-    def flush(self) -> None:
-        """Write the chunk to the file; it stays in memory."""
-        if self.place is not None:
-            shot, number = self.place
-            self._write(shot, number * self.rows)
-
     def write(self, shot: int, first: int, codes: NDArray[np.int16]) -> None:
         """Write whole ``codes`` (pulse, sample) from pulse ``first`` on, a multiple of the chunk's rows."""
         self.begin(shot, first // self.rows)
         self.codes[: codes.shape[0]] = codes
-        self._write(shot, first)
+        self.flush()
 
-    def _write(self, shot: int, first: int) -> None:
+    def flush(self) -> None:
+        """Write the chunk to the file; it stays in memory."""
+        if self.place is None:
+            return
+        shot, first = self.place[0], self.place[1] * self.rows
         if self._plain:
             # Bypasses the library's cache: on a full disk nothing is left in it to fail again when the file is closed.
             self._echo.id.write_direct_chunk((shot, first, 0), self.codes)

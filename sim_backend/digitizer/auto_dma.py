@@ -150,9 +150,8 @@ def headers(
     # Word 1: record 24, board type 8. Word 2: low part of the time stamp. Word 3: its high part 8, clock source 2,
     # edge 1, rate 7, range 5, coupling 2, impedance 2, triggered by external, B, A, time-out 1 each, this channel 1.
     quad = np.empty((count.size, 4), np.int64)
-    quad[:, 0] = (
-        (codes.SERIAL_NUMBER & 0x3FFFF) | 1 << 18 | channel << 22 | 1 << 23 | 2 << 27 | int(settings.signed) << 30
-    )
+    quad[:, 0] = (codes.SERIAL_NUMBER & 0x3FFFF) | 1 << 18 | channel << 22 | 1 << 23 | 2 << 27
+    quad[:, 0] |= int(settings.signed) << 30
     quad[:, 1] = (number & 0xFFFFFF) | codes.BOARD_KIND << 24
     quad[:, 2] = count & 0xFFFFFFFF
     quad[:, 3] = count >> 32 | 1 << 8 | rate_id << 11 | range_id << 18 | 2 << 23 | channel_input.impedance << 25

@@ -149,9 +149,8 @@ def aux_steps(arming: Arming, taken: Taken, latencies: Latencies) -> Steps:
 
 def words(volts: NDArray[np.float64], channel: Input, signed: bool) -> NDArray[np.uint16]:
     """Return 14-bit codes, left-justified in little-endian 16-bit words; the shape is that of ``volts``."""
-    code = np.clip(np.round(_at_input(volts, channel) / channel.range_v * HALF_SCALE + HALF_SCALE), 0, 16383).astype(
-        "<u2"
-    )
+    steps = np.round(_at_input(volts, channel) / channel.range_v * HALF_SCALE + HALF_SCALE)
+    code = np.clip(steps, 0, 16383).astype("<u2")
     if signed:
         code = (code - 0x2000) & 0x3FFF
     return (code << 2).astype("<u2")
@@ -228,9 +227,8 @@ class Board:
     def respond(self, arriving: Steps, until_ps: int) -> tuple[Emission, list[Taken]]:
         """Return the AUX output over all armings, and the records of each."""
         taken = [records_of(arming, arriving, self.latencies, until_ps) for arming in self.armings]
-        steps = [
-            aux_steps(arming, records, self.latencies) for arming, records in zip(self.armings, taken, strict=True)
-        ]
+        pairs = zip(self.armings, taken, strict=True)
+        steps = [aux_steps(arming, records, self.latencies) for arming, records in pairs]
         ignored = sum(records.ignored for records in taken)
         return Emission(joined_steps(steps), no_bursts(), ignored), taken
 

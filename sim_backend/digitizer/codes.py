@@ -51,43 +51,16 @@ ENDLESS_RECORDS = 0x7FFFFFFF
 SAMPLES_PER_TIMESTAMP = 2
 
 SAMPLE_RATES_HZ = {
-    0x01: 1_000,
-    0x02: 2_000,
-    0x04: 5_000,
-    0x08: 10_000,
-    0x0A: 20_000,
-    0x0C: 50_000,
-    0x0E: 100_000,
-    0x10: 200_000,
-    0x12: 500_000,
-    0x14: 1_000_000,
-    0x18: 2_000_000,
-    0x1A: 5_000_000,
-    0x1C: 10_000_000,
-    0x1E: 20_000_000,
-    0x22: 50_000_000,
-    0x24: 100_000_000,
-    0x25: 125_000_000,
-}
+    0x01: 1_000, 0x02: 2_000, 0x04: 5_000, 0x08: 10_000, 0x0A: 20_000, 0x0C: 50_000, 0x0E: 100_000, 0x10: 200_000,
+    0x12: 500_000, 0x14: 1_000_000, 0x18: 2_000_000, 0x1A: 5_000_000, 0x1C: 10_000_000, 0x1E: 20_000_000,
+    0x22: 50_000_000, 0x24: 100_000_000, 0x25: 125_000_000,
+}  # fmt: skip
 """Sample rate by id, internal clock."""
 
 INPUT_RANGES_V = {
-    1: 0.02,
-    2: 0.04,
-    3: 0.05,
-    4: 0.08,
-    5: 0.1,
-    6: 0.2,
-    7: 0.4,
-    8: 0.5,
-    9: 0.8,
-    10: 1.0,
-    11: 2.0,
-    12: 4.0,
-    13: 5.0,
-    14: 8.0,
-    15: 10.0,
-}
+    1: 0.02, 2: 0.04, 3: 0.05, 4: 0.08, 5: 0.1, 6: 0.2, 7: 0.4, 8: 0.5, 9: 0.8, 10: 1.0, 11: 2.0, 12: 4.0, 13: 5.0,
+    14: 8.0, 15: 10.0,
+}  # fmt: skip
 """Full scale by id; that the board takes exactly these is assumed (no primary source)."""
 HIGHEST_50_OHM_RANGE = 12
 """Range id up to which 50 ohm may be chosen (assumed)."""
@@ -104,12 +77,8 @@ TIMESTAMP_FIRST_TIME_ONLY, TIMESTAMP_ALWAYS = 0, 1
 ADMA_EXTERNAL_STARTCAPTURE, ADMA_RECORD_HEADERS, ADMA_NPT = 0x1, 0x8, 0x200
 
 CAPABILITY_SERIAL, CAPABILITY_CALIBRATION = 0x10000024, 0x10000026
-CAPABILITY_MEMORY, CAPABILITY_BOARD, CAPABILITY_FPGA, CAPABILITY_OPTIONS = (
-    0x1000002A,
-    0x1000002B,
-    0x1000002C,
-    0x10000037,
-)
+CAPABILITY_MEMORY, CAPABILITY_BOARD = 0x1000002A, 0x1000002B
+CAPABILITY_FPGA, CAPABILITY_OPTIONS = 0x1000002C, 0x10000037
 OPTION_EXTERNAL_CLOCK, OPTION_DUAL_PORT = 1 << 1, 1 << 2
 
 PARAMETER_DATA_WIDTH, PARAMETER_BUFFER_BYTES, PARAMETER_BUFFER_COUNT = 0x10000009, 0x10000039, 0x10000040

@@ -25,10 +25,7 @@ def input_control(
     settings: BoardSettings, channel: int, coupling: int, range_id: int, impedance: int
 ) -> Changes | None:
     """Return the changes of one input; the largest ranges need 1 Mohm."""
-    highest = {
-        codes.IMPEDANCE_1_MOHM: max(codes.INPUT_RANGES_V),
-        codes.IMPEDANCE_50_OHM: codes.HIGHEST_50_OHM_RANGE,
-    }
+    highest = {codes.IMPEDANCE_1_MOHM: max(codes.INPUT_RANGES_V), codes.IMPEDANCE_50_OHM: codes.HIGHEST_50_OHM_RANGE}
     if channel not in (1, 2) or coupling not in (1, 2) or not 1 <= range_id <= highest.get(impedance, 0):
         return None
     changed = list(settings.inputs)

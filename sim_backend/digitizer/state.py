@@ -153,10 +153,6 @@ class AlazarState:
         at_input = volts if channel == 1 else np.zeros_like(volts)
         return words(at_input, settings.inputs[channel - 1], settings.signed).tobytes()
 
-    def trigger_address(self, record: int) -> int:
-        """Return where in memory a record starts, in samples."""
-        return (record - 1) * (self._arming.settings.record_samples + 16)
-
     def timestamp(self, record: int) -> int:
         """Return the trigger counter of a record."""
         taken = self._recorder.taken(self._clock.now_ps)

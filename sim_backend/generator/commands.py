@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import Any
 
 from sim_backend.generator import levels, registers, timing
 from sim_backend.generator.levels import load_share
@@ -15,6 +17,8 @@ from sim_backend.generator.scpi_text import ScpiError, boolean, keyword, number,
 Write = Callable[[Registers, tuple[str, ...]], Coerced]
 Read = Callable[[Registers, tuple[str, ...]], str]
 LimitsOf = Callable[[Registers], tuple[float, float]]
+# What is shown of the registers: a field by its name, or what a function makes of them.
+Shown = str | Callable[[Registers], Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,10 +42,14 @@ def _extreme(text: str, limits: tuple[float, float]) -> float | None:
     return {"MIN": low, "MINIMUM": low, "MAX": high, "MAXIMUM": high}.get(text.upper())
 
 
+def _getter(shown: Shown) -> Callable[[Registers], Any]:
+    return attrgetter(shown) if isinstance(shown, str) else shown
+
+
 def _number(
     units: str,
     limits: LimitsOf,
-    get: Callable[[Registers], float],
+    shown: Shown,
     put: Callable[[Registers, float], Coerced],
     infinite: bool = False,
     convert: Callable[[Registers, float, str], float] = lambda state, value, unit: value,
@@ -55,7 +63,7 @@ def _number(
 
     def read(state: Registers, arguments: tuple[str, ...]) -> str:
         if not arguments:
-            return real_reply(get(state))
+            return real_reply(_getter(shown)(state))
         value = _extreme(_one(arguments), limits(state))
         if value is None:
             raise ScpiError(-224, "Illegal parameter value")
@@ -64,39 +72,37 @@ def _number(
     return SettingCommand(write, read)
 
 
-def _plain(units: str, low: float, high: float, field: str, quantity: str) -> SettingCommand:
+def _clipped(
+    units: str,
+    limits: LimitsOf,
+    field: str,
+    quantity: str,
+    settle: Callable[[Coerced], Coerced] = lambda coerced: coerced,
+) -> SettingCommand:
+    """Return a number that is clipped to its limits; ``settle`` fits the other settings to it."""
+
     def put(state: Registers, value: float) -> Coerced:
-        value, errors = registers.clipped(value, low, high, quantity)
-        return Coerced(replace(state, **{field: value}), errors)  # type: ignore[arg-type]
+        value, errors = registers.clipped(value, *limits(state), quantity)
+        return settle(Coerced(replace(state, **{field: value}), errors))  # type: ignore[arg-type]
 
-    return _number(units, lambda state: (low, high), lambda state: getattr(state, field), put)
+    return _number(units, limits, field, put)
 
 
-def _choice(words: str, get: Callable[[Registers], str], put: Callable[[Registers, str], Coerced]) -> SettingCommand:
+def _setter(shown: Shown) -> Callable[[Registers, Any], Coerced]:
+    return lambda state, value: Coerced(replace(state, **{str(shown): value}))
+
+
+def _choice(words: str, shown: Shown, put: Callable[[Registers, str], Coerced] | None = None) -> SettingCommand:
     return SettingCommand(
-        lambda state, arguments: put(state, keyword(_one(arguments), words.split())),
-        lambda state, arguments: get(state),
+        lambda state, arguments: (put or _setter(shown))(state, keyword(_one(arguments), words.split())),
+        lambda state, arguments: str(_getter(shown)(state)),
     )
 
 
-def _word(words: str, field: str) -> SettingCommand:
-    return _choice(
-        words,
-        lambda state: getattr(state, field),
-        lambda state, word: Coerced(replace(state, **{field: word})),  # type: ignore[arg-type]
-    )
-
-
-def _switch(get: Callable[[Registers], bool], put: Callable[[Registers, bool], Coerced]) -> SettingCommand:
+def _switch(shown: Shown, put: Callable[[Registers, bool], Coerced] | None = None) -> SettingCommand:
     return SettingCommand(
-        lambda state, arguments: put(state, boolean(_one(arguments))), lambda state, arguments: str(int(get(state)))
-    )
-
-
-def _flag(field: str) -> SettingCommand:
-    return _switch(
-        lambda state: getattr(state, field),
-        lambda state, on: Coerced(replace(state, **{field: on})),  # type: ignore[arg-type]
+        lambda state, arguments: (put or _setter(shown))(state, boolean(_one(arguments))),
+        lambda state, arguments: str(int(_getter(shown)(state))),
     )
 
 
@@ -122,9 +128,7 @@ def _amplitude() -> SettingCommand:
     return SettingCommand(write, shown.read)
 
 
-def _level(
-    open_limits: LimitsOf, get: Callable[[Registers], float], put: Callable[[Registers, float], Coerced]
-) -> SettingCommand:
+def _level(open_limits: LimitsOf, field: str, put: Callable[[Registers, float], Coerced]) -> SettingCommand:
     def limits(state: Registers) -> tuple[float, float]:
         low, high = open_limits(state)
         return low * load_share(state), high * load_share(state)
@@ -132,7 +136,7 @@ def _level(
     return _number(
         "V",
         limits,
-        lambda state: get(state) * load_share(state),
+        lambda state: getattr(state, field) * load_share(state),
         lambda state, value: put(state, value / load_share(state)),
     )
 
@@ -146,11 +150,6 @@ def _gap_v(state: Registers) -> float:
     return registers.LEVEL_GAP_V / load_share(state)
 
 
-def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
-    frequency_hz, errors = registers.clipped(frequency_hz, *timing.frequency_limits_hz(state), "frequency")
-    return timing.settle_frequency(Coerced(replace(state, frequency_hz=frequency_hz), errors))
-
-
 def _period_limits_s(state: Registers) -> tuple[float, float]:
     low_hz, high_hz = state.model.frequency_limits_hz["PULS"]
     return 1 / high_hz, 1 / low_hz
@@ -159,21 +158,6 @@ def _period_limits_s(state: Registers) -> tuple[float, float]:
 def _put_period(state: Registers, period_s: float) -> Coerced:
     period_s, errors = registers.clipped(period_s, *_period_limits_s(state), "pulse period")
     return timing.settle_frequency(timing.settle_pulse(Coerced(replace(state, frequency_hz=1 / period_s), errors)))
-
-
-def _put_edge(state: Registers, edge_s: float) -> Coerced:
-    edge_s, errors = registers.clipped(edge_s, *timing.edge_limits_s(state), "pulse edge time")
-    return Coerced(replace(state, edge_s=edge_s), errors)
-
-
-def _put_duty(state: Registers, percent: float) -> Coerced:
-    percent, errors = registers.clipped(percent, *timing.duty_limits_percent(state), "duty cycle")
-    return Coerced(replace(state, duty_percent=percent), errors)
-
-
-def _put_delay(state: Registers, delay_s: float) -> Coerced:
-    delay_s, errors = registers.clipped(delay_s, *state.model.delay_limits_s, "trigger delay")
-    return timing.settle_burst(Coerced(replace(state, delay_s=delay_s), errors))
 
 
 def _phase() -> SettingCommand:
@@ -216,68 +200,53 @@ def _clear_text(state: Registers, arguments: tuple[str, ...]) -> Coerced:
 
 
 SETTINGS = {
-    "[SOURce:]FUNCtion[:SHAPe]": _choice(
-        "SINusoid SQUare RAMP PULSe NOISe DC USER", lambda state: state.function, timing.set_function
-    ),
-    "[SOURce:]FUNCtion:SQUare:DCYCle": _number(
-        "", timing.duty_limits_percent, lambda state: state.duty_percent, _put_duty
-    ),
-    "[SOURce:]FUNCtion:RAMP:SYMMetry": _plain("", 0.0, 100.0, "symmetry_percent", "symmetry"),
-    "[SOURce:]FREQuency[:CW]": _number(
-        "HZ", timing.frequency_limits_hz, lambda state: state.frequency_hz, _put_frequency
+    "[SOURce:]FUNCtion[:SHAPe]": _choice("SINusoid SQUare RAMP PULSe NOISe DC USER", "function", timing.set_function),
+    "[SOURce:]FUNCtion:SQUare:DCYCle": _clipped("", timing.duty_limits_percent, "duty_percent", "duty cycle"),
+    "[SOURce:]FUNCtion:RAMP:SYMMetry": _clipped("", lambda state: (0.0, 100.0), "symmetry_percent", "symmetry"),
+    "[SOURce:]FREQuency[:CW]": _clipped(
+        "HZ", timing.frequency_limits_hz, "frequency_hz", "frequency", timing.settle_frequency
     ),
     "[SOURce:]VOLTage[:LEVel][:IMMediate][:AMPLitude]": _amplitude(),
-    "[SOURce:]VOLTage[:LEVel][:IMMediate]:OFFSet": _level(
-        _offset_limits, lambda state: state.offset_v, levels.set_offset
-    ),
+    "[SOURce:]VOLTage[:LEVel][:IMMediate]:OFFSet": _level(_offset_limits, "offset_v", levels.set_offset),
     "[SOURce:]VOLTage[:LEVel][:IMMediate]:HIGH": _level(
-        lambda state: (state.low_v + _gap_v(state), registers.PEAK_V), lambda state: state.high_v, levels.set_high
+        lambda state: (state.low_v + _gap_v(state), registers.PEAK_V), "high_v", levels.set_high
     ),
     "[SOURce:]VOLTage[:LEVel][:IMMediate]:LOW": _level(
-        lambda state: (-registers.PEAK_V, state.high_v - _gap_v(state)), lambda state: state.low_v, levels.set_low
+        lambda state: (-registers.PEAK_V, state.high_v - _gap_v(state)), "low_v", levels.set_low
     ),
     "[SOURce:]VOLTage:RANGe:AUTO": _range(),
-    "[SOURce:]VOLTage:UNIT": _choice("VPP VRMS DBM", lambda state: state.unit, levels.set_unit),
+    "[SOURce:]VOLTage:UNIT": _choice("VPP VRMS DBM", "unit", levels.set_unit),
     "[SOURce:]PULSe:PERiod": _number("S", _period_limits_s, lambda state: 1 / state.frequency_hz, _put_period),
-    "[SOURce:]PULSe:WIDTh": _number("S", timing.width_limits_s, lambda state: state.width_s, timing.set_width),
-    "[SOURce:]PULSe:TRANsition": _number("S", timing.edge_limits_s, lambda state: state.edge_s, _put_edge),
-    "[SOURce:]BURSt:STATe": _switch(lambda state: state.burst, timing.set_burst),
-    "[SOURce:]BURSt:MODE": _choice("TRIGgered GATed", lambda state: state.burst_mode, timing.set_burst_mode),
+    "[SOURce:]PULSe:WIDTh": _number("S", timing.width_limits_s, "width_s", timing.set_width),
+    "[SOURce:]PULSe:TRANsition": _clipped("S", timing.edge_limits_s, "edge_s", "pulse edge time"),
+    "[SOURce:]BURSt:STATe": _switch("burst", timing.set_burst),
+    "[SOURce:]BURSt:MODE": _choice("TRIGgered GATed", "burst_mode", timing.set_burst_mode),
     "[SOURce:]BURSt:NCYCles": _number(
-        "",
-        lambda state: (1.0, float(state.model.most_cycles)),
-        lambda state: state.cycles,
-        timing.set_cycles,
-        infinite=True,
+        "", lambda state: (1.0, float(state.model.most_cycles)), "cycles", timing.set_cycles, infinite=True
     ),
     "[SOURce:]BURSt:INTernal:PERiod": _number(
-        "S",
-        lambda state: state.model.burst_period_limits_s,
-        lambda state: state.burst_period_s,
-        timing.set_burst_period,
+        "S", attrgetter("model.burst_period_limits_s"), "burst_period_s", timing.set_burst_period
     ),
     "[SOURce:]BURSt:PHASe": _phase(),
-    "[SOURce:]BURSt:GATE:POLarity": _word("NORMal INVerted", "gate_polarity"),
+    "[SOURce:]BURSt:GATE:POLarity": _choice("NORMal INVerted", "gate_polarity"),
     "[SOURce:]AM:STATe": _mode("AM"),
     "[SOURce:]FM:STATe": _mode("FM"),
     "[SOURce:]FSKey:STATe": _mode("FSK"),
     "[SOURce:]SWEep:STATe": _mode("SWE"),
-    "OUTPut[:STATe]": _flag("output"),
-    "OUTPut:LOAD": _number(
-        "OHM", lambda state: registers.LOAD_LIMITS_OHM, lambda state: state.load_ohm, levels.set_load, infinite=True
-    ),
-    "OUTPut:POLarity": _word("NORMal INVerted", "polarity"),
-    "OUTPut:SYNC[:STATe]": _flag("sync"),
-    "OUTPut:TRIGger[:STATe]": _switch(lambda state: state.trigger_output, timing.set_trigger_output),
-    "OUTPut:TRIGger:SLOPe": _word("POSitive NEGative", "trigger_output_slope"),
-    "TRIGger:SOURce": _choice("IMMediate EXTernal BUS", lambda state: state.trigger_source, timing.set_source),
-    "TRIGger:SLOPe": _word("POSitive NEGative", "trigger_slope"),
-    "TRIGger:DELay": _number("S", lambda state: state.model.delay_limits_s, lambda state: state.delay_s, _put_delay),
-    "UNIT:ANGLe": _word("DEGree RADian", "angle_unit"),
-    "DISPlay[:WINDow][:STATe]": _flag("display"),
+    "OUTPut[:STATe]": _switch("output"),
+    "OUTPut:LOAD": _number("OHM", lambda state: registers.LOAD_LIMITS_OHM, "load_ohm", levels.set_load, infinite=True),
+    "OUTPut:POLarity": _choice("NORMal INVerted", "polarity"),
+    "OUTPut:SYNC[:STATe]": _switch("sync"),
+    "OUTPut:TRIGger[:STATe]": _switch("trigger_output", timing.set_trigger_output),
+    "OUTPut:TRIGger:SLOPe": _choice("POSitive NEGative", "trigger_output_slope"),
+    "TRIGger:SOURce": _choice("IMMediate EXTernal BUS", "trigger_source", timing.set_source),
+    "TRIGger:SLOPe": _choice("POSitive NEGative", "trigger_slope"),
+    "TRIGger:DELay": _clipped("S", attrgetter("model.delay_limits_s"), "delay_s", "trigger delay", timing.settle_burst),
+    "UNIT:ANGLe": _choice("DEGree RADian", "angle_unit"),
+    "DISPlay[:WINDow][:STATe]": _switch("display"),
     "DISPlay[:WINDow]:TEXT[:DATA]": _text(),
     "DISPlay[:WINDow]:TEXT:CLEar": SettingCommand(_clear_text, None),
-    "SYSTem:BEEPer:STATe": _flag("beeper"),
+    "SYSTem:BEEPer:STATe": _switch("beeper"),
 }
 """Every setting of the twin's 33250A by header (docs/theory/instruments.md, 1.4)."""
 

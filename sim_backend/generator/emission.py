@@ -72,10 +72,10 @@ def respond(history: History, software_ps: Sequence[int], arriving: Steps, laten
         if _idle_v(registers) != idle_v:
             steps.append(_steps(np.array([start_ps]), idle_v, _idle_v(registers)))
         idle_v = _idle_v(registers)
+        limit_ps = min(stop_ps, until_ps) if is_endless(registers) else stop_ps
         if onset_ps.size and registers.function == "SIN":
-            bursts.append(_sines(registers, onset_ps, min(stop_ps, until_ps) if is_endless(registers) else stop_ps))
+            bursts.append(_sines(registers, onset_ps, limit_ps))
         elif onset_ps.size and registers.function in ("PULS", "SQU"):
-            limit_ps = min(stop_ps, until_ps) if is_endless(registers) else stop_ps
             train, cut = _pulses(registers, onset_ps, limit_ps, next_idle_v)
             steps.append(train)
             idle_v = next_idle_v if cut else idle_v
@@ -118,10 +118,6 @@ def _idle_v(registers: Registers) -> float:
     return registers.low_v if registers.polarity == "NORM" else registers.high_v
 
 
-def _active_v(registers: Registers) -> float:
-    return registers.high_v if registers.polarity == "NORM" else registers.low_v
-
-
 def _cycles(registers: Registers) -> float:
     return registers.cycles if registers.burst else math.inf
 
@@ -138,9 +134,8 @@ def _sines(registers: Registers, onset_ps: Picoseconds, stop_ps: int) -> Bursts:
 
 def _pulses(registers: Registers, onset_ps: Picoseconds, stop_ps: int, after_cut_v: float) -> tuple[Steps, bool]:
     period_ps = PS_PER_S / registers.frequency_hz
-    high_s = (
-        registers.width_s if registers.function == "PULS" else registers.duty_percent / 100 / registers.frequency_hz
-    )
+    square_s = registers.duty_percent / 100 / registers.frequency_hz
+    high_s = registers.width_s if registers.function == "PULS" else square_s
     longest = int(min(_cycles(registers), math.ceil(max(0, stop_ps - int(onset_ps[0])) / period_ps)))
     if onset_ps.size * longest > MOST_STEPS:
         raise ValueError(
@@ -153,7 +148,9 @@ def _pulses(registers: Registers, onset_ps: Picoseconds, stop_ps: int, after_cut
     rise_ps = rise_ps[rise_ps < stop_ps]
     fall_ps = rise_ps + to_ps(high_s)
     cut = fall_ps > stop_ps
-    idle_v, active_v = _idle_v(registers), _active_v(registers)
+    idle_v, active_v = registers.low_v, registers.high_v
+    if registers.polarity != "NORM":
+        idle_v, active_v = active_v, idle_v
     falls = Steps(np.minimum(fall_ps, stop_ps), np.full(fall_ps.size, active_v), np.where(cut, after_cut_v, idle_v))
     return joined_steps([_steps(rise_ps, idle_v, active_v), falls]), bool(cut.any())
 

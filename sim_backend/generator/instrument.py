@@ -78,10 +78,6 @@ class Generator33250A:
             raise ScpiError(514, "Command allowed only with RS-232")
         self._local = local
 
-    def press_local(self) -> None:
-        """Have somebody press the Local key at the front panel."""
-        self._local = True
-
     @property
     def message_waiting(self) -> bool:
         """Whether a reply waits to be read."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 Range = tuple[float, float]
 
@@ -36,69 +35,41 @@ class Model:
 def _frequencies(sine_hz: float, ramp_hz: float, pulse: Range, arbitrary_hz: float) -> Mapping[str, Range]:
     lowest = 1e-6
     ranges = dict.fromkeys(("SIN", "SQU", "NOIS", "DC"), (lowest, sine_hz))
-    return MappingProxyType({**ranges, "RAMP": (lowest, ramp_hz), "PULS": pulse, "USER": (lowest, arbitrary_hz)})
+    return {**ranges, "RAMP": (lowest, ramp_hz), "PULS": pulse, "USER": (lowest, arbitrary_hz)}
 
 
+# fmt: off
 AGILENT_33250A = Model(
-    name="33250A",
-    identity="Agilent Technologies,33250A,0,2.01-1.01-2.00-03-2",
+    name="33250A", identity="Agilent Technologies,33250A,0,2.01-1.01-2.00-03-2",
     frequency_limits_hz=_frequencies(80e6, 1e6, (500e-6, 50e6), 25e6),
-    finite_burst_ceiling_hz=25e6,
-    most_cycles=1_000_000,
-    width_limits_s=(8e-9, 2000.0),
-    edge_limits_s=(5e-9, 1e-3),
-    burst_period_limits_s=(1e-6, 500.0),
-    delay_limits_s=(0.0, 85.0),
+    finite_burst_ceiling_hz=25e6, most_cycles=1_000_000, burst_period_limits_s=(1e-6, 500.0),
+    width_limits_s=(8e-9, 2000.0), edge_limits_s=(5e-9, 1e-3), delay_limits_s=(0.0, 85.0),
     # Assumed: that the narrowest pulse grows with the period is known, the numbers are not.
     narrowest_s=((200.0, 2e-6), (20.0, 200e-9)),
 )
 AGILENT_33220A = Model(
-    name="33220A",
-    identity="Agilent Technologies,33220A,MY44000001,2.02-2.02-22-2",
+    name="33220A", identity="Agilent Technologies,33220A,MY44000001,2.02-2.02-22-2", pulse_node="FUNCtion:PULSe",
     frequency_limits_hz=_frequencies(20e6, 200e3, (500e-6, 5e6), 6e6),
-    finite_burst_ceiling_hz=6e6,
-    most_cycles=50_000,
-    width_limits_s=(20e-9, 2000.0),
-    edge_limits_s=(5e-9, 100e-9),
-    burst_period_limits_s=(1e-6, 500.0),
-    delay_limits_s=(0.0, 85.0),
+    finite_burst_ceiling_hz=6e6, most_cycles=50_000, burst_period_limits_s=(1e-6, 500.0),
+    width_limits_s=(20e-9, 2000.0), edge_limits_s=(5e-9, 100e-9), delay_limits_s=(0.0, 85.0),
     narrowest_s=((100.0, 2e-6), (10.0, 200e-9)),
-    pulse_node="FUNCtion:PULSe",
 )
 AGILENT_33500B = Model(
-    name="33522B",
-    identity="Agilent Technologies,33522B,MY52000001,3.03-1.19-2.00-52-00",
+    name="33522B", identity="Agilent Technologies,33522B,MY52000001,3.03-1.19-2.00-52-00",
+    numbered=True, pulse_node="FUNCtion:PULSe", both_edges_node="[:BOTH]",
     frequency_limits_hz=_frequencies(30e6, 200e3, (1e-6, 30e6), 30e6),
-    finite_burst_ceiling_hz=6e6,
-    most_cycles=100_000_000,
-    width_limits_s=(16e-9, 1e6),
-    edge_limits_s=(8.4e-9, 1e-6),
-    burst_period_limits_s=(1e-6, 8000.0),
-    delay_limits_s=(0.0, 1000.0),
-    numbered=True,
-    pulse_node="FUNCtion:PULSe",
-    both_edges_node="[:BOTH]",
+    finite_burst_ceiling_hz=6e6, most_cycles=100_000_000, burst_period_limits_s=(1e-6, 8000.0),
+    width_limits_s=(16e-9, 1e6), edge_limits_s=(8.4e-9, 1e-6), delay_limits_s=(0.0, 1000.0),
 )
 KEYSIGHT_33600A = Model(
-    name="33622A",
-    identity="Keysight Technologies,33622A,MY53000001,A.02.03-3.15-03-64-02",
+    name="33622A", identity="Keysight Technologies,33622A,MY53000001,A.02.03-3.15-03-64-02",
+    numbered=True, pulse_node="FUNCtion:PULSe", both_edges_node="[:BOTH]",
     frequency_limits_hz=_frequencies(120e6, 800e3, (1e-6, 100e6), 120e6),
-    finite_burst_ceiling_hz=6e6,
-    most_cycles=100_000_000,
-    width_limits_s=(5e-9, 1e6),
-    edge_limits_s=(2.9e-9, 1e-6),
-    burst_period_limits_s=(1e-6, 8000.0),
-    delay_limits_s=(0.0, 1000.0),
-    numbered=True,
-    pulse_node="FUNCtion:PULSe",
-    both_edges_node="[:BOTH]",
+    finite_burst_ceiling_hz=6e6, most_cycles=100_000_000, burst_period_limits_s=(1e-6, 8000.0),
+    width_limits_s=(5e-9, 1e6), edge_limits_s=(2.9e-9, 1e-6), delay_limits_s=(0.0, 1000.0),
 )
-MODELS: Mapping[str, Model] = MappingProxyType(
-    {
-        "33250A": AGILENT_33250A,
-        "33220A": AGILENT_33220A,
-        "33500B": AGILENT_33500B,
-        "33600A": KEYSIGHT_33600A,
-    }
-)
+MODELS: Mapping[str, Model] = {
+    "33250A": AGILENT_33250A, "33220A": AGILENT_33220A, "33500B": AGILENT_33500B, "33600A": KEYSIGHT_33600A,
+}
+# fmt: on
 """By the name of the model or series that a bench file gives."""

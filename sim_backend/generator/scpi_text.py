@@ -118,11 +118,9 @@ def keyword(text: str, choices: Iterable[str]) -> str:
         short = "".join(letter for letter in choice if not letter.islower())
         if text.upper() in (short, choice.upper()):
             return short
-    raise (
-        ScpiError(-128, "Numeric data not allowed")
-        if _NUMBER.fullmatch(text)
-        else ScpiError(-224, "Illegal parameter value")
-    )
+    if _NUMBER.fullmatch(text):
+        raise ScpiError(-128, "Numeric data not allowed")
+    raise ScpiError(-224, "Illegal parameter value")
 
 
 def boolean(text: str) -> bool:
@@ -166,8 +164,3 @@ def quoted(text: str) -> str:
 def real_reply(value: float) -> str:
     """Return a real number as the instrument prints it; infinity is 9.9E+37."""
     return f"{9.9e37 if math.isinf(value) else value + 0.0:+.13E}"
-
-
-def integer_reply(value: int) -> str:
-    """Return an integer as the instrument prints it, with its sign."""
-    return f"{value:+d}"

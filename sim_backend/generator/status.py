@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim_backend.generator.scpi_text import ScpiError, integer_reply
+from sim_backend.generator.scpi_text import ScpiError
 
 QUEUE_DEPTH = 20
 STB_ERRORS, STB_MESSAGE, STB_EVENT, STB_SUMMARY = 4, 16, 32, 64
@@ -29,7 +29,7 @@ class Status:
     def next_error(self) -> str:
         """Remove and return the oldest error."""
         number, text = self._errors.pop(0) if self._errors else (0, "No error")
-        return f'{integer_reply(number)},"{text}"'
+        return f'{number:+d},"{text}"'
 
     def clear(self) -> None:
         """Empty error queue and event register."""
@@ -43,14 +43,14 @@ class Status:
     def events(self) -> str:
         """Return and clear the event register."""
         value, self._events = self._events, 0
-        return integer_reply(value)
+        return f"{value:+d}"
 
     def byte(self, message_waiting: bool) -> str:
         """Return the status byte."""
         value = (STB_ERRORS if self._errors else 0) | (STB_MESSAGE if message_waiting else 0)
         value |= STB_EVENT if self._events & self._enabled["ESE"] else 0
         value |= STB_SUMMARY if value & self._enabled["SRE"] else 0
-        return integer_reply(value)
+        return f"{value:+d}"
 
     def enable(self, register: str, arguments: tuple[str, ...]) -> None:
         """Set an enable register, "ESE" or "SRE"; raise ``ScpiError`` for anything but a whole number."""
@@ -62,4 +62,4 @@ class Status:
 
     def enabled(self, register: str) -> str:
         """Return an enable register."""
-        return integer_reply(self._enabled[register])
+        return f"{self._enabled[register]:+d}"

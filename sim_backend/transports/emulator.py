@@ -6,11 +6,10 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Literal, Protocol, Self, TypeVar, final, get_args
+from typing import Literal, Self, TypeVar, final, get_args
 
 from sim_backend.transports.hislip import HislipServer
-from sim_backend.transports.lines import SocketServer, serial_server
+from sim_backend.transports.lines import SerialServer, SocketServer, serial_server
 from sim_backend.transports.loopback import Instrument, Port
 from sim_backend.transports.prologix import PrologixAdapter
 from sim_backend.transports.vxi11 import Vxi11Gateway
@@ -21,13 +20,13 @@ FIRST_GPIB_ADDRESS = 10
 """Factory setting of the 33250A; each further instrument takes the next one."""
 
 
-class Server(Protocol):
-    """Something that listens until it is closed."""
-
-    def close(self) -> None: ...
-
-
-Opened = TypeVar("Opened", bound=Server)
+Opened = TypeVar("Opened", SocketServer | SerialServer | HislipServer, Vxi11Gateway, PrologixAdapter)
+ALONE: Mapping[Transport, Callable[[Port], SocketServer | SerialServer | HislipServer]] = {
+    "socket": SocketServer,
+    "serial": serial_server,
+    "hislip": HislipServer,
+}
+"""Servers of a single instrument each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +46,7 @@ class Emulator:
     """
 
     def __init__(
-        self,
-        transport: Transport,
-        instrument: Callable[[str, bool], Instrument],
-        roles: tuple[str, ...],
+        self, transport: Transport, instrument: Callable[[str, bool], Instrument], roles: tuple[str, ...]
     ) -> None:
         self._stack = ExitStack()
         lock = threading.RLock()
@@ -63,9 +59,7 @@ class Emulator:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -73,13 +67,8 @@ class Emulator:
         self._stack.close()
 
     def _serve(self, transport: Transport, ports: Mapping[str, Port]) -> dict[str, Served]:
-        match transport:
-            case "socket":
-                return {role: Served(self._open(SocketServer(port)).address) for role, port in ports.items()}
-            case "serial":
-                return {role: Served(self._open(serial_server(port)).address) for role, port in ports.items()}
-            case "hislip":
-                return {role: Served(self._open(HislipServer(port)).address) for role, port in ports.items()}
+        if transport in ALONE:
+            return {role: Served(self._open(ALONE[transport](port)).address) for role, port in ports.items()}
         on_bus = dict(enumerate(ports.values(), FIRST_GPIB_ADDRESS))
         numbered = zip(ports, on_bus, strict=True)
         if transport == "vxi11":

@@ -50,9 +50,12 @@ class Message(NamedTuple):
     """One HiSLIP message."""
 
     kind: int
-    control: int
-    parameter: int
-    payload: bytes
+    control: int = 0
+    parameter: int = 0
+    payload: bytes = b""
+
+
+UNRECOGNIZED: Final = Message(Kind.ERROR, UNRECOGNIZED_TYPE, 0, b"unrecognized message type")
 
 
 @final
@@ -63,16 +66,9 @@ class HislipServer:
         self._port = port
         self._sessions = itertools.count(1)
         self._lock = threading.Lock()
-        self._listener = Listener(self._converse)
-
-    @property
-    def address(self) -> str:
-        """The VISA resource name."""
-        return f"TCPIP0::{LOOPBACK}::hislip0,{self._listener.port}::INSTR"
-
-    def close(self) -> None:
-        """Hang up and stop listening."""
-        self._listener.close()
+        listener = Listener(self._converse)
+        self.close = listener.close
+        self.address = f"TCPIP0::{LOOPBACK}::hislip0,{listener.port}::INSTR"
 
     def _converse(self, peer: socket.socket) -> None:
         first = receive(peer)
@@ -104,28 +100,29 @@ class HislipServer:
                 case Kind.DEVICE_CLEAR_COMPLETE:
                     begun = b""
                     self._port.reply()
-                    send(peer, Message(Kind.DEVICE_CLEAR_ACKNOWLEDGE, 0, 0, b""))
+                    send(peer, Message(Kind.DEVICE_CLEAR_ACKNOWLEDGE))
                 case Kind.TRIGGER:
                     self._port.take(b"*TRG")
                 case _:
-                    send(peer, Message(Kind.ERROR, UNRECOGNIZED_TYPE, 0, b"unrecognized message type"))
+                    send(peer, UNRECOGNIZED)
 
     def _answer_asynchronous(self, peer: socket.socket) -> None:
         while True:
             message = receive(peer)
             match message.kind:
                 case Kind.ASYNC_MAXIMUM:
-                    send(peer, Message(Kind.ASYNC_MAXIMUM_RESPONSE, 0, 0, struct.pack("!Q", MAXIMUM_BYTES)))
+                    reply = Message(Kind.ASYNC_MAXIMUM_RESPONSE, 0, 0, struct.pack("!Q", MAXIMUM_BYTES))
                 case Kind.ASYNC_CLEAR:
-                    send(peer, Message(Kind.ASYNC_CLEAR_ACKNOWLEDGE, 0, 0, b""))
+                    reply = Message(Kind.ASYNC_CLEAR_ACKNOWLEDGE)
                 case Kind.ASYNC_STATUS:
-                    send(peer, Message(Kind.ASYNC_STATUS_RESPONSE, self._port.status_byte(), 0, b""))
+                    reply = Message(Kind.ASYNC_STATUS_RESPONSE, self._port.status_byte())
                 case Kind.ASYNC_LOCK:
-                    send(peer, Message(Kind.ASYNC_LOCK_RESPONSE, 1, 0, b""))
+                    reply = Message(Kind.ASYNC_LOCK_RESPONSE, 1)
                 case Kind.ASYNC_REMOTE_LOCAL:
-                    send(peer, Message(Kind.ASYNC_REMOTE_LOCAL_RESPONSE, 0, 0, b""))
+                    reply = Message(Kind.ASYNC_REMOTE_LOCAL_RESPONSE)
                 case _:
-                    send(peer, Message(Kind.ERROR, UNRECOGNIZED_TYPE, 0, b"unrecognized message type"))
+                    reply = UNRECOGNIZED
+            send(peer, reply)
 
 
 def send(peer: socket.socket, message: Message) -> None:

@@ -25,25 +25,13 @@ class Lines:
 
 @final
 class SocketServer:
-    """A SCPI instrument on a raw TCP socket."""
+    """A SCPI instrument on a raw TCP socket; ``address`` is its VISA resource name, with the port filled in."""
 
-    def __init__(self, port: Port, tcp_port: int = 0) -> None:
+    def __init__(self, port: Port, address: str = "TCPIP0::{host}::{port}::SOCKET") -> None:
         self._port = port
-        self._listener = Listener(self._converse, tcp_port)
-
-    @property
-    def address(self) -> str:
-        """The VISA resource name."""
-        return f"TCPIP0::{LOOPBACK}::{self.tcp_port}::SOCKET"
-
-    @property
-    def tcp_port(self) -> int:
-        """The port that is listened on."""
-        return self._listener.port
-
-    def close(self) -> None:
-        """Hang up and stop listening."""
-        self._listener.close()
+        listener = Listener(self._converse)
+        self.close = listener.close
+        self.address = address.format(host=LOOPBACK, port=listener.port)
 
     def _converse(self, peer: socket.socket) -> None:
         lines = Lines()
@@ -52,23 +40,6 @@ class SocketServer:
                 reply = self._port.answer(line)
                 if reply:
                     peer.sendall(reply)
-
-
-@final
-class SerialOverTcp:
-    """A SCPI instrument's RS-232 line behind a TCP socket, which pyserial opens as ``socket://``."""
-
-    def __init__(self, port: Port) -> None:
-        self._server = SocketServer(port)
-
-    @property
-    def address(self) -> str:
-        """The VISA resource name as pyvisa-py takes it; other VISA libraries know serial lines of this machine only."""
-        return f"ASRLsocket://{LOOPBACK}:{self._server.tcp_port}::INSTR"
-
-    def close(self) -> None:
-        """Hang up and stop listening."""
-        self._server.close()
 
 
 @final
@@ -83,13 +54,9 @@ class SerialServer:
         # Without raw mode the terminal would echo commands back as replies.
         tty.setraw(self._theirs)
         self._wake, self._woken = os.pipe()
+        self.address = f"ASRL{os.ttyname(self._theirs)}::INSTR"
         self._thread = threading.Thread(target=self._converse, daemon=True)
         self._thread.start()
-
-    @property
-    def address(self) -> str:
-        """The VISA resource name."""
-        return f"ASRL{os.ttyname(self._theirs)}::INSTR"
 
     def close(self) -> None:
         """Stop answering and take the terminal away."""
@@ -113,6 +80,9 @@ class SerialServer:
                     os.write(self._ours, reply)
 
 
-def serial_server(port: Port) -> SerialServer | SerialOverTcp:
+def serial_server(port: Port) -> SerialServer | SocketServer:
     """Return a serial line to the instrument: a pseudo terminal, or TCP where there are none (Windows)."""
-    return SerialServer(port) if hasattr(os, "openpty") else SerialOverTcp(port)
+    if hasattr(os, "openpty"):
+        return SerialServer(port)
+    # As pyvisa-py takes it, through pyserial; other VISA libraries know serial lines of this machine only.
+    return SocketServer(port, "ASRLsocket://{host}:{port}::INSTR")

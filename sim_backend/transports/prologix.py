@@ -20,20 +20,14 @@ class PrologixAdapter:
 
     def __init__(self, ports: Mapping[int, Port]) -> None:
         self._ports = ports
-        self._listener = Listener(self._converse)
-
-    @property
-    def interface_address(self) -> str:
-        """The VISA resource name of the adapter, to be opened before its instruments."""
-        return f"PRLGX-TCPIP0::{LOOPBACK}::{self._listener.port}::INTFC"
+        listener = Listener(self._converse)
+        self.close = listener.close
+        # To be opened before its instruments.
+        self.interface_address = f"PRLGX-TCPIP0::{LOOPBACK}::{listener.port}::INTFC"
 
     def address(self, gpib_address: int) -> str:
         """Return the VISA resource name of the instrument at ``gpib_address``."""
         return f"GPIB0::{gpib_address}::INSTR"
-
-    def close(self) -> None:
-        """Hang up and stop listening."""
-        self._listener.close()
 
     def _converse(self, peer: socket.socket) -> None:
         rest, addressed = b"", next(iter(self._ports))
@@ -41,32 +35,28 @@ class PrologixAdapter:
             lines, rest = unescaped_lines(rest + received)
             for line in lines:
                 if not line.startswith(b"++"):
-                    self._take(addressed, line)
+                    # Nobody listens at an address without an instrument; GPIB data sent there is lost.
+                    if addressed in self._ports:
+                        self._ports[addressed].take(_ESCAPED.sub(rb"\1", line))
                 elif line.startswith(b"++addr "):
                     addressed = int(line.split()[1])
                 else:
                     peer.sendall(self._adapter(addressed, line))
-
-    def _take(self, addressed: int, line: bytes) -> None:
-        # Nobody listens at an address without an instrument; GPIB data sent there is lost.
-        if addressed in self._ports:
-            self._ports[addressed].take(_ESCAPED.sub(rb"\1", line))
 
     def _adapter(self, addressed: int, line: bytes) -> bytes:
         """Return the adapter's answer to one of its own commands; settings have none."""
         if line.startswith(b"++ver"):
             return ADAPTER_VERSION
         port = self._ports.get(addressed)
-        if port is None:
-            return b""
-        if line.startswith(b"++read"):
-            return port.reply()
-        if line.startswith(b"++spoll"):
-            return f"{port.status_byte()}\r\n".encode()
-        if line.startswith(b"++trg"):
-            port.take(b"*TRG")
-        elif line.startswith(b"++clr"):
-            port.reply()
+        if port is not None:
+            if line.startswith(b"++read"):
+                return port.reply()
+            if line.startswith(b"++spoll"):
+                return f"{port.status_byte()}\r\n".encode()
+            if line.startswith(b"++trg"):
+                port.take(b"*TRG")
+            elif line.startswith(b"++clr"):
+                port.reply()
         return b""
 
 

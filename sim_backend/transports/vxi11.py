@@ -44,14 +44,11 @@ class Vxi11Gateway:
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
         self._listener = Listener(self._converse)
+        self.close = self._listener.close
 
     def address(self, gpib_address: int) -> str:
         """Return the VISA resource name of the instrument at ``gpib_address``."""
         return f"TCPIP0::{LOOPBACK},{self._listener.port}::gpib0,{gpib_address}::INSTR"
-
-    def close(self) -> None:
-        """Hang up and stop listening."""
-        self._listener.close()
 
     def _converse(self, peer: socket.socket) -> None:
         links: dict[int, Link] = {}
@@ -60,10 +57,8 @@ class Vxi11Gateway:
             if program != CORE_PROGRAM:
                 _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, PROGRAM_UNAVAILABLE))
                 continue
-            if procedure == CREATE_LINK:
-                result = self._create(links, arguments)
-            else:
-                result = _on_link(links, procedure, arguments)
+            create = procedure == CREATE_LINK
+            result = self._create(links, arguments) if create else _on_link(links, procedure, arguments)
             _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, 0) + result)
 
     def _create(self, links: dict[int, Link], arguments: bytes) -> bytes:
@@ -122,7 +117,8 @@ def _read(link: Link, arguments: bytes) -> bytes:
         time.sleep(timeout_ms / 1e3)
         return _failed(DEVICE_READ, IO_TIMEOUT)
     data, link.outgoing = link.outgoing[:request_bytes], link.outgoing[request_bytes:]
-    return struct.pack("!ii", NO_ERROR, COUNT_REASON if link.outgoing else END_REASON) + _xdr(data)
+    header = struct.pack("!iiI", NO_ERROR, COUNT_REASON if link.outgoing else END_REASON, len(data))
+    return header + data + bytes(-len(data) % 4)
 
 
 def _failed(procedure: int, error: int) -> bytes:
@@ -146,10 +142,6 @@ def _opaque(data: bytes, start: int) -> tuple[bytes, int]:
     """Return the XDR variable-length field at ``start``, and where the next one begins."""
     (size,) = struct.unpack_from("!I", data, start)
     return data[start + 4 : start + 4 + size], start + 4 + -(-size // 4) * 4
-
-
-def _xdr(data: bytes) -> bytes:
-    return struct.pack("!I", len(data)) + data + bytes(-len(data) % 4)
 
 
 def _record(peer: socket.socket) -> bytes:

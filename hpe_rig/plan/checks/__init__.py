@@ -2,10 +2,9 @@
 
     check_result      one result, and the error that refuses a plan
     simulation        what the twin measures on
-    excitation        tonebursts against the bench's limits
+    excitation        tonebursts against the bench's limits, and against pulses and gates
     output            tasks against what the generators can do
     acoustic_output   estimated output at the focus against its limits
-    interference      tonebursts and their echoes against pulses and gates
     timing            periods, record and depth
     sampling          aliasing, window and resolution
     digitizer         records against what the board can do

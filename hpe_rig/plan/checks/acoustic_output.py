@@ -63,7 +63,7 @@ def shot_output(calibration: Calibration, shot: Shot) -> AcousticOutput:
     """Return the output of ``shot``, averaged over its trains; ``uncalibrated`` drives are left out."""
     depth_m = calibration.focus_depth_m
     drives = [
-        drive_output(drive, depth_m, burst.amplitude_vpp, _duty(burst, rate_hz))
+        drive_output(drive, depth_m, burst.amplitude_vpp, burst.cycles / burst.carrier_hz * rate_hz)
         for drive, burst, rate_hz in _drives(calibration, shot)
         if drive is not None
     ]
@@ -97,9 +97,8 @@ def acoustic_output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Chec
     unknown = dict.fromkeys(words for shot in plan.shots for words in uncalibrated(bench.calibration, shot))
     if unknown:
         text = f"not estimated in full: {'; '.join(unknown)}"
-        yield CheckResult(
-            "acoustic output", "warning", text, "a hydrophone measurement in [calibration] of the bench file"
-        )
+        remedy = "a hydrophone measurement in [calibration] of the bench file"
+        yield CheckResult("acoustic output", "warning", text, remedy)
     if bench.calibration is None:
         return
     limits, output = bench.limits, highest_output(bench, plan.shots)
@@ -116,10 +115,6 @@ def _drives(calibration: Calibration, shot: Shot) -> list[tuple[DriveCalibration
     if shot.toneburst is not None and shot.burst_train is not None:
         drives.append((calibration.toneburst, shot.toneburst, shot.burst_train.rate_hz))
     return drives
-
-
-def _duty(burst: Toneburst, rate_hz: float) -> float:
-    return burst.cycles / burst.carrier_hz * rate_hz
 
 
 def _quieter(output: AcousticOutput, limits: OutputLimits) -> str:

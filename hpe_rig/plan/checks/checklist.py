@@ -10,8 +10,7 @@ from hpe_rig.bench import BenchFile
 from hpe_rig.plan.checks.acoustic_output import acoustic_output
 from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.checks.digitizer import board, capture_mode, gate_in_record, memory
-from hpe_rig.plan.checks.excitation import excitation
-from hpe_rig.plan.checks.interference import interference
+from hpe_rig.plan.checks.excitation import excitation, interference
 from hpe_rig.plan.checks.output import drive, generators
 from hpe_rig.plan.checks.sampling import driven_harmonics, resolution, wanted_frequencies
 from hpe_rig.plan.checks.simulation import simulation

@@ -27,9 +27,8 @@ def gate_in_record(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Check
     still = reference_gate(scene, shot)
     if still is not None:
         text = f"the reference gate takes samples {still.start} to {still.stop} of a record of {samples}"
-        remedy = (
-            "processing.reference_gate_depth_m closer to acquisition.gate_depth_m, or more acquisition.record_samples"
-        )
+        remedy = "processing.reference_gate_depth_m closer to acquisition.gate_depth_m, "
+        remedy += "or more acquisition.record_samples"
         yield judged("reference gate in record", still.start >= 0 and still.stop <= samples, text, remedy)
     length = gate.stop - gate.start
     text = f"the gate holds {length} samples"
@@ -61,6 +60,8 @@ def _record_checks(capture: Capture, model: BoardModel) -> dict[str, tuple[str, 
     """Return name, text and remedy of the checks that a field of ``Capture`` has of its own."""
     rates = ", ".join(f"{rate / 1e6:g}" for rate in model.sample_rates_hz)
     ranges = ", ".join(f"{volts:g}" for volts in model.input_ranges_v)
+    samples, multiples = capture.record_samples, f"multiples of {model.record_multiple} from {model.record_minimum}"
+    delay, longest = capture.trigger_delay_samples, model.max_trigger_delay_samples
     return {
         "sample_rate_hz": (
             "sample rate",
@@ -74,14 +75,12 @@ def _record_checks(capture: Capture, model: BoardModel) -> dict[str, tuple[str, 
         ),
         "record_samples": (
             "record length",
-            f"acquisition.record_samples = {capture.record_samples}, the {model.name} takes multiples of "
-            f"{model.record_multiple} from {model.record_minimum}",
-            f"acquisition.record_samples = {_allowed_record_samples(capture.record_samples, model)}",
+            f"acquisition.record_samples = {samples}, the {model.name} takes {multiples}",
+            f"acquisition.record_samples = {_allowed_record_samples(samples, model)}",
         ),
         "trigger_delay_samples": (
             "trigger delay",
-            f"trigger delay of {capture.trigger_delay_samples} samples, the board holds "
-            f"{model.max_trigger_delay_samples}",
+            f"trigger delay of {delay} samples, the board holds {longest}",
             "a gate nearer to the transducer",
         ),
     }

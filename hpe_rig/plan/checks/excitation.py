@@ -1,12 +1,14 @@
-"""Check of the excitation: generators, duty, length, count and whole cycles of the tonebursts."""
+"""Checks of the excitation: tonebursts against the bench's limits, and against pulses and gates."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from hpe_rig.bench import BenchFile
-from hpe_rig.plan.checks.check_result import CheckResult, in_us, is_whole, judged
-from hpe_rig.plan.shots import Plan
+from hpe_rig.plan.checks.check_result import CheckResult, Level, in_us, is_whole, judged
+from hpe_rig.plan.interference import admissible_delays_s, disturbed_pulses, forbidden_window_s
+from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import Scene
 
 
@@ -16,25 +18,19 @@ def excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     if excitation is None:
         return
     if bench.generators.burst_train is None or bench.generators.toneburst is None:
-        remedy = (
-            "[generators.burst_train] and [generators.toneburst] in the bench file, or a scene without [excitation]"
+        what, roles = (
+            "the bench has no generators for [excitation]",
+            "[generators.burst_train] and [generators.toneburst]",
         )
-        yield CheckResult("excitation generators", "refused", "the bench has no generators for [excitation]", remedy)
-    length_s, rate_hz = max(excitation.burst_length_s), excitation.burst_rate_hz
-    duty = length_s * rate_hz
+        remedy = f"{roles} in the bench file, or a scene without [excitation]"
+        yield CheckResult("excitation generators", "refused", what, remedy)
+    length_s, longest_s = max(excitation.burst_length_s), limits.max_burst_length_s
+    duty = length_s * excitation.burst_rate_hz
     text = f"duty f_r T_b = {duty:.3g}, limits.max_duty = {limits.max_duty:g}"
-    yield judged(
-        "duty",
-        duty <= limits.max_duty,
-        text,
-        f"excitation.burst_length_s of at most {in_us(limits.max_duty / rate_hz)}",
-    )
-    text = (
-        f"excitation.burst_length_s = {in_us(length_s)}, limits.max_burst_length_s = {in_us(limits.max_burst_length_s)}"
-    )
-    yield judged(
-        "burst length", length_s <= limits.max_burst_length_s, text, f"at most {in_us(limits.max_burst_length_s)}"
-    )
+    remedy = f"excitation.burst_length_s of at most {in_us(limits.max_duty / excitation.burst_rate_hz)}"
+    yield judged("duty", duty <= limits.max_duty, text, remedy)
+    text = f"excitation.burst_length_s = {in_us(length_s)}, limits.max_burst_length_s = {in_us(longest_s)}"
+    yield judged("burst length", length_s <= longest_s, text, f"at most {in_us(longest_s)}")
     text = f"excitation.burst_count = {excitation.burst_count}, limits.max_bursts = {limits.max_bursts}"
     yield judged("bursts", excitation.burst_count <= limits.max_bursts, text, f"at most {limits.max_bursts}")
     if excitation.burst_count == 1:
@@ -43,7 +39,39 @@ def excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
         cycles = burst_length_s * excitation.carrier_hz
         nearest_s = max(1, round(cycles)) / excitation.carrier_hz
         text = f"a toneburst of {in_us(burst_length_s)} at {excitation.carrier_hz:g} Hz has {cycles:.6g} cycles"
-        good = cycles >= 1 - 1e-9 and is_whole(cycles)
-        yield judged(
-            "whole cycles", good, text, f"excitation.burst_length_s = {nearest_s:.9g}, a whole number of cycles"
+        remedy = f"excitation.burst_length_s = {nearest_s:.9g}, a whole number of cycles"
+        yield judged("whole cycles", cycles >= 1 - 1e-9 and is_whole(cycles), text, remedy)
+
+
+def interference(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield, for every toneburst length, how many pulses or gates are disturbed."""
+    if scene.excitation is None or any(shot.toneburst is None for shot in plan.shots):
+        return
+    for shot in {shot.timeline.burst_length_s: shot for shot in plan.shots}.values():
+        count, burst = int(disturbed_pulses(shot).sum()), in_us(shot.timeline.burst_length_s)
+        if not count:
+            yield CheckResult("interference", "passed", f"no pulse or gate meets a {burst} toneburst or its echo")
+            continue
+        text = (
+            f"tracking.delay_s = {in_us(scene.tracking.delay_s)} lets tonebursts of "
+            f"excitation.burst_length_s = {burst} or their echoes disturb {count} of {shot.capture.record_count} "
+            "pulses or gates"
         )
+        if scene.tracking.disturbed == "skip":
+            yield CheckResult("interference", "passed", f"{text}; the estimate skips them")
+            continue
+        level: Level = "warning" if scene.tracking.disturbed == "keep" else "refused"
+        yield CheckResult("interference", level, text, _delay_remedy(shot))
+
+
+def _delay_remedy(shot: Shot) -> str:
+    period_s, (start_s, end_s) = 1 / shot.tracking_train.rate_hz, forbidden_window_s(shot)
+    intervals = admissible_delays_s(shot)
+    if intervals:
+        # Rounded inwards: every printed value is admissible.
+        inner_us = [(math.ceil(low * 1e7) / 10, math.floor(high * 1e7) / 10) for low, high in intervals]
+        words = " or ".join(f"{low:g} to {high:g} us" for low, high in inner_us)
+        return f"tracking.delay_s within {words} (plus any multiple of the pulse period, {in_us(period_s)})"
+    needed_hz = 1 / (end_s - start_s)
+    rate = f"a tracking.pulse_rate_hz that is a multiple of the burst rate and below {needed_hz:.4g} Hz"
+    return f'{rate} (no t_d is free at {shot.tracking_train.rate_hz:g} Hz), or tracking.disturbed = "skip"'

@@ -23,12 +23,8 @@ def wanted_frequencies(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[C
         return
     highest_hz, rate_hz = max(frequencies_hz), scene.tracking.pulse_rate_hz
     text = f"highest of processing.frequencies_hz is {highest_hz:g} Hz, tracking.pulse_rate_hz = {rate_hz:g} Hz"
-    yield judged(
-        "aliasing",
-        rate_hz > 2 * highest_hz,
-        text,
-        f"a pulse rate above {2 * highest_hz:g} Hz, or frequencies below {rate_hz / 2:g} Hz",
-    )
+    remedy = f"a pulse rate above {2 * highest_hz:g} Hz, or frequencies below {rate_hz / 2:g} Hz"
+    yield judged("aliasing", rate_hz > 2 * highest_hz, text, remedy)
     if scene.excitation is not None:
         alias = [f for f in frequencies_hz if not is_whole(f / scene.excitation.burst_rate_hz)]
         text = f"processing.frequencies_hz against f_r = {scene.excitation.burst_rate_hz:g} Hz"
@@ -54,10 +50,8 @@ def driven_harmonics(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
     if effective_hz > 1.5 * driven_hz:
         yield CheckResult("aliasing harmonics", "passed", text)
         return
-    shifted_hz = rate_hz - burst_rate_hz / 10
-    remedy = (
-        f'tracking.pulse_rate_hz = {shifted_hz:g} with disturbed = "skip", so that the pulses shift from burst to burst'
-    )
+    remedy = f'tracking.pulse_rate_hz = {rate_hz - burst_rate_hz / 10:g} with disturbed = "skip", '
+    remedy += "so that the pulses shift from burst to burst"
     text += ": higher harmonics alias onto the wanted ones and change amplitude and phase"
     yield CheckResult("aliasing harmonics", "warning", text, remedy)
 
@@ -73,12 +67,8 @@ def resolution(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     text = f"processing window of {window_s * 1e3:.4g} ms in a tracking train of {train_s * 1e3:.4g} ms"
     wanted_s = processing.window_start_s + (processing.window_length_s or 0)
     if wanted_s > train_s or window_s <= 0:
-        yield CheckResult(
-            "window",
-            "refused",
-            text,
-            f"window_start_s plus window_length_s within {train_s:g} s, or more tracking.pulse_count",
-        )
+        remedy = f"window_start_s plus window_length_s within {train_s:g} s, or more tracking.pulse_count"
+        yield CheckResult("window", "refused", text, remedy)
         return
     gaps_hz = np.diff([0.0, *frequencies_hz])
     needed_s = 1 / float(gaps_hz.min()) if gaps_hz.min() > 0 else math.inf

@@ -17,12 +17,8 @@ def tracking_train(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Check
         remedy = "tracking.pulse_count (without [excitation] there is no burst train to fill)"
         yield CheckResult("pulse count", "refused", "the number of tracking pulses is not given", remedy)
     elif count < 4:
-        yield CheckResult(
-            "pulse count",
-            "refused",
-            f"{count} tracking pulses cannot show a vibration",
-            "tracking.pulse_count of 4 or more",
-        )
+        text = f"{count} tracking pulses cannot show a vibration"
+        yield CheckResult("pulse count", "refused", text, "tracking.pulse_count of 4 or more")
     pulse_s, period_s = plan.shots[0].timeline.pulse_length_s, 1 / scene.tracking.pulse_rate_hz
     if pulse_s >= period_s:
         text = f"a tracking pulse of {in_us(pulse_s)} does not fit the pulse period of {in_us(period_s)}"
@@ -34,23 +30,17 @@ def record_in_period(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
     capture, period_s = plan.shots[0].capture, 1 / scene.tracking.pulse_rate_hz
     busy_s = (capture.trigger_delay_samples + capture.record_samples) / capture.sample_rate_hz
     text = f"a record ends {in_us(busy_s)} after its trigger, the pulse period is {in_us(period_s)}"
-    yield judged(
-        "record in period",
-        busy_s < period_s,
-        text,
-        f"acquisition.record_samples or tracking.pulse_rate_hz below {1 / busy_s:.4g} Hz",
-    )
+    remedy = f"acquisition.record_samples or tracking.pulse_rate_hz below {1 / busy_s:.4g} Hz"
+    yield judged("record in period", busy_s < period_s, text, remedy)
 
 
 def depth(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
     """Yield whether the gate's echoes are back before the next pulse, and the gate is in front of the transducer."""
-    acquisition = scene.acquisition
+    acquisition, rate_hz = scene.acquisition, scene.tracking.pulse_rate_hz
     far_m = acquisition.gate_depth_m + acquisition.gate_length_m / 2
     limit_hz = acquisition.sound_speed_m_per_s / (2 * far_m)
-    text = (
-        f"tracking.pulse_rate_hz = {scene.tracking.pulse_rate_hz:g} Hz, c/2z at the gate's far end is {limit_hz:.5g} Hz"
-    )
-    yield judged("depth", scene.tracking.pulse_rate_hz <= limit_hz, text, f"a pulse rate of at most {limit_hz:.5g} Hz")
+    text = f"tracking.pulse_rate_hz = {rate_hz:g} Hz, c/2z at the gate's far end is {limit_hz:.5g} Hz"
+    yield judged("depth", rate_hz <= limit_hz, text, f"a pulse rate of at most {limit_hz:.5g} Hz")
     near_m = acquisition.gate_depth_m - acquisition.gate_length_m / 2
     text = f"the gate starts {near_m * 1e3:.4g} mm from the transducer"
     yield judged("gate depth", near_m > 0, text, "acquisition.gate_depth_m of more than half acquisition.gate_length_m")
@@ -63,13 +53,11 @@ def periods(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]
     if period_s is not None:
         text = f"trains end {longest_s * 1e3:.4g} ms after the master trigger, "
         text += f"acquisition.shot_period_s = {period_s * 1e3:.4g} ms"
-        yield judged(
-            "master period", longest_s < period_s, text, f"a shot period above {longest_s:.4g} s, or shorter trains"
-        )
+        remedy = f"a shot period above {longest_s:.4g} s, or shorter trains"
+        yield judged("master period", longest_s < period_s, text, remedy)
     if scene.excitation is not None and scene.processing.synchronous:
         ratio = scene.tracking.pulse_rate_hz / scene.excitation.burst_rate_hz
         nearest = max(1, round(ratio)) * scene.excitation.burst_rate_hz
         text = f"the burst period holds {ratio:g} pulse periods, processing.synchronous = true wants a whole number"
-        yield judged(
-            "synchronous", is_whole(ratio), text, f"tracking.pulse_rate_hz = {nearest:g}, or synchronous = false"
-        )
+        remedy = f"tracking.pulse_rate_hz = {nearest:g}, or synchronous = false"
+        yield judged("synchronous", is_whole(ratio), text, remedy)

@@ -198,7 +198,7 @@ def test_an_instrument_put_in_local_mode_is_told_apart_and_still_made_safe(line)
     generator = Agilent33250A(line.connection, "burst_train")
     generator.configure(TRAIN)
     generator.enable_output()
-    line.instrument.press_local()
+    line.instrument.write("SYST:LOC", over_serial=True)
     if line.transport == "serial":
         with pytest.raises(InstrumentError, match=r"550 .*local mode"):
             generator.configure(dataclasses.replace(TRAIN, delay_s=0.0))

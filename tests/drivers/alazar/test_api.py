@@ -8,9 +8,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.alazar.api import SIGNATURES, Adma, AlazarLibrary, Capability, Parameter, bind, load_library
+from drivers.alazar import api
+from drivers.alazar.api import SIGNATURES, Capability, Parameter, bind, load_library
 from drivers.alazar.return_codes import MEANINGS, SUCCESS, WAIT_TIMEOUT, check
 from drivers.interfaces import InstrumentError
+from sim_backend.digitizer import AlazarLibrary
 
 RETURN_CODES = {code: name for code, (name, _) in MEANINGS.items()}
 
@@ -20,14 +22,11 @@ def fake_library() -> SimpleNamespace:
 
 
 @pytest.mark.parametrize("name", SIGNATURES)
-def test_every_signature_has_as_many_arguments_as_the_protocol(name: str) -> None:
+def test_every_signature_has_as_many_arguments_as_the_twins_function(name: str) -> None:
     parameters = inspect.signature(getattr(AlazarLibrary, name)).parameters
-    assert len(SIGNATURES[name][1]) == len(parameters) - 1
-
-
-def test_the_protocol_has_no_function_without_a_signature() -> None:
-    declared = {name for name in vars(AlazarLibrary) if name.startswith("Alazar")}
-    assert declared == set(SIGNATURES)
+    # Behind handle and operation the twin takes two engines of four numbers each.
+    engines = 7 if "engines" in parameters else 0
+    assert len(SIGNATURES[name][1]) == len(parameters) - 1 + engines
 
 
 def test_the_vendors_integers_are_32_bit_and_its_long_follows_the_platform() -> None:
@@ -135,6 +134,6 @@ def test_a_refused_record_count_names_the_limit_of_old_fpgas() -> None:
 
 def test_constants_are_those_of_the_reference() -> None:
     assert WAIT_TIMEOUT == 579
-    assert int(Adma.EXTERNAL_STARTCAPTURE | Adma.ENABLE_RECORD_HEADERS | Adma.TRADITIONAL) == 0x9
+    assert api.ADMA_EXTERNAL_STARTCAPTURE | api.ADMA_RECORD_HEADERS == 0x9
     assert int(Capability.BOARD_OPTIONS_LOW) == 0x10000037
     assert int(Parameter.SAMPLES_PER_TIMESTAMP_CLOCK) == 0x10000044

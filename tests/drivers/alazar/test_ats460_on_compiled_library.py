@@ -261,7 +261,7 @@ class Exact:
 
 script = tests.Script(load_library(name={library!r}))
 if {defect!r} == "freed too soon":
-    from drivers.alazar.dual_port import DualPortCapture
+    from drivers.alazar.captures import DualPortCapture
     abort = DualPortCapture.abort
     def freed_first(capture):
         for buffer in capture._buffers:
@@ -269,8 +269,8 @@ if {defect!r} == "freed too soon":
         abort(capture)
     DualPortCapture.abort = freed_first
 if {defect!r} == "too small":
-    from drivers.alazar import single_port as ats460_single_port
-    ats460_single_port.READ_MARGIN_SAMPLES = 0
+    from drivers.alazar import captures
+    captures.READ_MARGIN_SAMPLES = 0
 for mode in tests.MODES:
     for monitor_range_v in (None, 0.4):
         script.options()
