@@ -6,21 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hpe_rig.study import Part, StudyResult, table
-from hpe_rig.validation.paper.claims import (
-    at_highest_snr,
-    difference_at,
-    differences_fall,
-    falls_by_20_db,
-    hundred,
-    lateral_theory,
-    levels_out,
-    map_ratio,
-    map_trend,
-    no_phase_bias,
-    phase_limit,
-    phase_over_w_z,
-    wider_axially,
-)
+from hpe_rig.validation.paper import claims
 from hpe_rig.validation.paper.judgement import ABSENT, AGREES, Judge, flat, judged, slight, trend
 
 READINGS = ("physical", "literal")
@@ -40,15 +26,13 @@ def rows(results: Mapping[str, StudyResult]) -> list[dict[str, str]]:
     """Return a row a claim, for studies by name; readings that were not run say so."""
     out = []
     for claim in CLAIMS:
-        found = {reading: judged(results, claim.study, reading, claim.judge) for reading in READINGS}
-        why: dict[str, list[str]] = {}
-        for name, one in found.items():
-            reason = WHY.get(claim.says, {}).get(name)
+        row, why = {"where": claim.where, "the paper": claim.says}, dict[str, list[str]]()
+        for reading in READINGS:
+            one = judged(results, claim.study, reading, claim.judge)
+            row |= {reading: one.found, f"verdict, {reading}": one.verdict}
+            reason = WHY.get(claim.says, {}).get(reading)
             if reason is not None and one.verdict not in (AGREES, ABSENT):
-                why.setdefault(reason, []).append(name)
-        row = {"where": claim.where, "the paper": claim.says}
-        for name, one in found.items():
-            row |= {name: one.found, f"verdict, {name}": one.verdict}
+                why.setdefault(reason, []).append(reading)
         out.append({**row, "why": "; ".join(f"{' and '.join(names)}: {text}" for text, names in why.items())})
     return out
 
@@ -84,17 +68,17 @@ def reproduction_part(results: Sequence[StudyResult]) -> Part | None:
 
 
 CLAIMS: tuple[Claim, ...] = (
-    Claim("Sec. V.A", "error at high SNR 18.5 %", "fig-4", at_highest_snr("bias", 18.5, 0.05, -100, unit=" %")),
+    Claim("Sec. V.A", "error at high SNR 18.5 %", "fig-4", claims.at_highest_snr("bias", 18.5, 0.05, -100, unit=" %")),
     Claim("Sec. V.A", "error's deviation at high SNR 3.4 %", "fig-4",
-          at_highest_snr("jitter", 3.4, 0.05, 100, unit=" %")),
+          claims.at_highest_snr("jitter", 3.4, 0.05, 100, unit=" %")),
     Claim("Sec. V.A", "tracked over peak displacement 0.815", "fig-4",
-          at_highest_snr("bias", 0.815, 0.0005, offset=1.0)),
-    Claim("Sec. IV.A", "about 0.82 at W_x = W_y = 2.19", "fig-12", map_ratio),
-    Claim("Sec. II.B", "92 % by McAleavey's formula at W = 2.19", "fig-12", lateral_theory),
-    Claim("Fig. 4", "displacement levels out as SNR increases", "fig-4", levels_out),
-    Claim("Fig. 4", "no bias of the phase", "fig-4", no_phase_bias),
-    Claim("Sec. V.A", "errors reduced significantly for SNR of 20 dB and more", "fig-4", falls_by_20_db),
-    Claim("Sec. V.A", "100 realisations very similar to 1000", "fig-4", hundred),
+          claims.at_highest_snr("bias", 0.815, 0.0005, offset=1.0)),
+    Claim("Sec. IV.A", "about 0.82 at W_x = W_y = 2.19", "fig-12", claims.map_ratio),
+    Claim("Sec. II.B", "92 % by McAleavey's formula at W = 2.19", "fig-12", claims.lateral_theory),
+    Claim("Fig. 4", "displacement levels out as SNR increases", "fig-4", claims.levels_out),
+    Claim("Fig. 4", "no bias of the phase", "fig-4", claims.no_phase_bias),
+    Claim("Sec. V.A", "errors reduced significantly for SNR of 20 dB and more", "fig-4", claims.falls_by_20_db),
+    Claim("Sec. V.A", "100 realisations very similar to 1000", "fig-4", claims.hundred),
     Claim("Fig. 5", "displacement bias decreases as D_0 decreases", "fig-5", trend("amplitude_bias", falls=False)),
     Claim("Fig. 5", "displacement jitter decreases as D_0 decreases", "fig-5", trend("amplitude_jitter", falls=False)),
     Claim("Fig. 5", "phase bias decreases as D_0 increases", "fig-5", trend("phase_bias", falls=True)),
@@ -118,18 +102,19 @@ CLAIMS: tuple[Claim, ...] = (
     Claim("Fig. 11", "phase error increases with BW", "fig-11", trend("phase_jitter", falls=False)),
     Claim("Fig. 11", "displacement jitter changes significantly only at low SNR", "fig-11",
           flat("amplitude_jitter", 5.0, from_db=30.0)),
-    Claim("Fig. 12", "displacement increases with W_x and W_y", "fig-12", map_trend("amplitude_bias", falls=True)),
+    Claim("Fig. 12", "displacement increases with W_x and W_y", "fig-12",
+          claims.map_trend("amplitude_bias", falls=True)),
     Claim("Fig. 12", "displacement jitter decreases with W_x and W_y", "fig-12",
-          map_trend("amplitude_jitter", falls=True)),
-    Claim("Fig. 12", "phase bias decreases with W_x and W_y", "fig-12", map_trend("phase_bias", falls=True)),
-    Claim("Fig. 12", "phase jitter decreases with W_x and W_y", "fig-12", map_trend("phase_jitter", falls=True)),
-    Claim("Fig. 12", "phase bias below 5 degrees for W_x, W_y > 0.5", "fig-12", phase_limit("phase_bias")),
-    Claim("Fig. 12", "phase jitter below 5 degrees for W_x, W_y > 0.5", "fig-12", phase_limit("phase_jitter")),
-    Claim("Fig. 13", "differences up to and above 0.5 at W_z = 0.1", "fig-13", difference_at(0, 0.5)),
-    Claim("Fig. 13", "differences decrease as W_z increases", "fig-13", differences_fall),
-    Claim("Fig. 13", "differences still as high as 0.15 at W_z = 2.18", "fig-13", difference_at(-1, 0.15)),
-    Claim("Sec. V.A", "phase jitter about constant for W_z of 0.5 and more", "fig-13", phase_over_w_z),
-    Claim("Sec. V.A", "no significant change for W_z = 5 and 10", "w-z", wider_axially),
+          claims.map_trend("amplitude_jitter", falls=True)),
+    Claim("Fig. 12", "phase bias decreases with W_x and W_y", "fig-12", claims.map_trend("phase_bias", falls=True)),
+    Claim("Fig. 12", "phase jitter decreases with W_x and W_y", "fig-12", claims.map_trend("phase_jitter", falls=True)),
+    Claim("Fig. 12", "phase bias below 5 degrees for W_x, W_y > 0.5", "fig-12", claims.phase_limit("phase_bias")),
+    Claim("Fig. 12", "phase jitter below 5 degrees for W_x, W_y > 0.5", "fig-12", claims.phase_limit("phase_jitter")),
+    Claim("Fig. 13", "differences up to and above 0.5 at W_z = 0.1", "fig-13", claims.difference_at(0, 0.5)),
+    Claim("Fig. 13", "differences decrease as W_z increases", "fig-13", claims.differences_fall),
+    Claim("Fig. 13", "differences still as high as 0.15 at W_z = 2.18", "fig-13", claims.difference_at(-1, 0.15)),
+    Claim("Sec. V.A", "phase jitter about constant for W_z of 0.5 and more", "fig-13", claims.phase_over_w_z),
+    Claim("Sec. V.A", "no significant change for W_z = 5 and 10", "w-z", claims.wider_axially),
 )  # fmt: skip
 
 SPECKLE = (
