@@ -207,9 +207,9 @@ class Scene(Section):
         is ``"excitation.force_fraction[0]"``. Raises ``SettingsError`` with every mistake.
         """
         # keys.py describes a scene and so imports this file.
-        from hpe_rig.scene.keys import with_values
+        from hpe_rig.scene.keys import path_of, with_values
 
-        tables = with_values(_tables(self), {_path(name): value for name, value in values.items()})
+        tables = with_values(_tables(self), {path_of(name): value for name, value in values.items()})
         mistakes = mistakes_of(Scene, tables)
         if mistakes:
             raise SettingsError("the scene", mistakes)
@@ -376,8 +376,3 @@ def _toml(scene: Scene) -> str:
     import tomlkit
 
     return tomlkit.dumps(_tables(scene))
-
-
-def _path(name: str) -> tuple[str | int, ...]:
-    """Return the parts of a path such as ``excitation.force_fraction[0]``."""
-    return tuple(int(part) if part.isdigit() else part for part in name.replace("[", ".").replace("]", "").split("."))

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from sim_backend.settings.presets import Preset, with_chain_preset, with_preset
+from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, filled
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -59,7 +59,7 @@ class Specimen(Section):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
-        return with_preset(given)
+        return filled(given, PRESETS)
 
     @model_validator(mode="after")
     def _maxwell_needs_viscosity(self) -> Specimen:
@@ -236,7 +236,7 @@ class ReceiveChain(Section):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
-        return with_chain_preset(given)
+        return filled(given, CHAIN_PRESETS)
 
 
 class Instruments(Section):
