@@ -34,4 +34,5 @@ from .validation import (
     length_m as length_m,
     mistakes_of as mistakes_of,
     parse_toml as parse_toml,
+    validated as validated,
 )

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, parse_toml
+from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, parse_toml, validated
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
@@ -210,10 +210,7 @@ class Scene(Section):
         from hpe_rig.scene.keys import path_of, with_values
 
         tables = with_values(_tables(self), {path_of(name): value for name, value in values.items()})
-        mistakes = mistakes_of(Scene, tables)
-        if mistakes:
-            raise SettingsError("the scene", mistakes)
-        return Scene.model_validate(tables)
+        return validated(Scene, tables, "the scene")
 
     @property
     def wanted_frequencies_hz(self) -> tuple[float, ...]:

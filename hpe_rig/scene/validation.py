@@ -57,6 +57,13 @@ def mistakes_of(model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPa
     return []
 
 
+def validated(model: type[Model], tables: Mapping[str, Any], source: str) -> Model:
+    """Return ``tables`` as settings of ``model``; raise ``SettingsError`` about ``source`` with every mistake."""
+    if mistakes := mistakes_of(model, tables):
+        raise SettingsError(source, mistakes)
+    return model.model_validate(tables)
+
+
 def _follows(entry: dict[str, Any]) -> bool:
     """Return whether a list counts as too short only because its wrong entries were left out."""
     context = entry.get("ctx", {})

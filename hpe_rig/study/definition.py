@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from hpe_rig.scene import Count, Estimator, Mistake, Positive, Section, SettingsError, Title, mistakes_of, parse_toml
+from hpe_rig.scene import Count, Estimator, Mistake, Positive, Section, SettingsError, Title, parse_toml, validated
 
 Reading = Literal["physical", "literal"]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -151,10 +151,9 @@ def read_studies(name_or_path: str, replaced: Mapping[str, Any] | None = None) -
     tables = parse_toml(text, f"study {name}")
     if "studies" not in tables:
         return {name: (_definition(name, tables, replaced or {}), folder)}
-    _refuse(name, mistakes_of(Collection, tables))
     out: dict[str, tuple[Definition, Path]] = {}
     mistakes: list[Mistake] = []
-    for inner in Collection.model_validate(tables).studies:
+    for inner in validated(Collection, tables, f"study {name}").studies:
         try:
             own, text, place = _text_of(inner, folder)
             definition = _definition(own, parse_toml(text, f"study {own}"), replaced or {})
@@ -164,7 +163,8 @@ def read_studies(name_or_path: str, replaced: Mapping[str, Any] | None = None) -
         if own in out:
             mistakes.append(Mistake(inner, f"its results would replace those of another {own}", "another file name"))
         out[own] = (definition, place)
-    _refuse(name, mistakes)
+    if mistakes:
+        raise SettingsError(f"study {name}", mistakes)
     return out
 
 
@@ -173,8 +173,7 @@ def _definition(name: str, tables: dict[str, Any], replaced: Mapping[str, Any]) 
     if replaced.get("points") is not None:
         for values in _ranges(tables):
             values["count"] = replaced["points"]
-    _refuse(name, mistakes_of(Definition, tables))
-    return Definition.model_validate(tables)
+    return validated(Definition, tables, f"study {name}")
 
 
 def _ranges(tables: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -185,11 +184,6 @@ def _ranges(tables: dict[str, Any]) -> Iterator[dict[str, Any]]:
         for values in keys.values() if isinstance(keys, dict) else ():
             if isinstance(values, dict):
                 yield values
-
-
-def _refuse(name: str, mistakes: list[Mistake]) -> None:
-    if mistakes:
-        raise SettingsError(f"study {name}", mistakes)
 
 
 def _text_of(name_or_path: str, folder: Path) -> tuple[str, str, Path]:

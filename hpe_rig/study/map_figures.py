@@ -27,12 +27,12 @@ LATERAL = ("W_x", "W_y")
 HEIGHT_IN, BELOW_IN, ABOVE_IN = 3.1, 0.47, 0.28
 
 
-def lateral_average(w_x: Floats, w_y: Floats, power: float = 2.0) -> Floats:
+def lateral_average(w_x: Floats, w_y: Floats) -> Floats:
     """Return tracked over peak displacement of beams without axial extent; each W any shape.
 
-    Speckle weights by the tracking beam's amplitude to the ``power`` 2: prod W sqrt(2) / sqrt(2 W^2 + 1).
+    Speckle weights by the square of the tracking beam's amplitude: prod W sqrt(2) / sqrt(2 W^2 + 1).
     """
-    return np.asarray(np.sqrt(power * w_x**2 / (power * w_x**2 + 1) * power * w_y**2 / (power * w_y**2 + 1)))
+    return np.asarray(np.sqrt(2 * w_x**2 / (2 * w_x**2 + 1) * 2 * w_y**2 / (2 * w_y**2 + 1)))
 
 
 def map_figure(result: StudyResult, one: View) -> Figure:

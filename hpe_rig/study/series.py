@@ -67,9 +67,9 @@ def views(result: StudyResult) -> list[View]:
     return [View(*key, tuple(rows)) for key, rows in found.items()]
 
 
-def view(result: StudyResult, reading: str, estimator: str = "cross_spectrum") -> View | None:
-    """Return the first view of that reading and estimator; None where the study has none."""
-    return next((one for one in views(result) if (one.reading, one.estimator) == (reading, estimator)), None)
+def view(result: StudyResult, reading: str) -> View | None:
+    """Return the first view of the paper's chain in that reading; None where the study has none."""
+    return next((one for one in views(result) if (one.reading, one.estimator) == (reading, "cross_spectrum")), None)
 
 
 def axis_label(axis: Axis) -> str:

@@ -48,34 +48,25 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True)
 class Repeated:
-    """Repeats at one setting: amplitude and phase at every frequency, (repeat, frequency)."""
+    """Repeats at one setting.
+
+    ``amplitude_m`` (repeat, frequency). The others (frequency,): mean and standard deviation over the repeats, the mean
+    phase unwrapped over frequency; what is true, and the share of it that the beams average.
+    """
 
     frequency_hz: Floats
     amplitude_m: Floats
-    phase_rad: Floats
+    mean_nm: Floats
+    sd_nm: Floats
+    mean_deg: Floats
+    sd_deg: Floats
     true_m: Floats
     averaging: Floats
 
     @property
-    def mean_nm(self) -> Floats:
-        """Mean amplitude, nm (frequency,)."""
-        return np.asarray(self.amplitude_m.mean(axis=0) * 1e9)
-
-    @property
-    def sd_nm(self) -> Floats:
-        """Standard deviation of the amplitude over the repeats, nm (frequency,)."""
-        return np.asarray(self.amplitude_m.std(axis=0, ddof=1) * 1e9)
-
-    @property
-    def mean_deg(self) -> Floats:
-        """Mean phase, degrees, unwrapped over frequency (frequency,)."""
-        return np.asarray(np.degrees(np.unwrap(np.angle(np.exp(1j * self.phase_rad).mean(axis=0)))))
-
-    @property
-    def sd_deg(self) -> Floats:
-        """Standard deviation of the phase over the repeats, degrees (frequency,)."""
-        turn = np.exp(1j * self.phase_rad)
-        return np.asarray(np.degrees(np.angle(turn / turn.mean(axis=0)).std(axis=0, ddof=1)))
+    def error_nm(self) -> float:
+        """Standard error of a mean amplitude, from the deviation pooled over the frequencies."""
+        return float(np.sqrt(np.mean(self.sd_nm**2) / len(self.amplitude_m)))
 
 
 def result_of(scene: SceneSource) -> Result:
@@ -103,13 +94,18 @@ def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, Floats]:
 def repeated(shots: Sequence[ShotResult]) -> Repeated:
     """Return the repeats of one setting as arrays."""
     estimates = [shot.estimates for shot in shots]
-    true_m = np.array([[item.true_amplitude_m or np.nan for item in row] for row in estimates]).mean(axis=0)
+    amplitude_m = np.array([[item.amplitude_m for item in row] for row in estimates])
+    turn = np.exp(1j * np.array([[item.phase_rad for item in row] for row in estimates]))
+    mean_turn = turn.mean(axis=0)
     return Repeated(
-        np.array([item.frequency_hz for item in estimates[0]]),
-        np.array([[item.amplitude_m for item in row] for row in estimates]),
-        np.array([[item.phase_rad for item in row] for row in estimates]),
-        true_m,
-        np.array([item.averaging_factor or np.nan for item in estimates[0]]),
+        frequency_hz=np.array([item.frequency_hz for item in estimates[0]]),
+        amplitude_m=amplitude_m,
+        mean_nm=amplitude_m.mean(axis=0) * 1e9,
+        sd_nm=amplitude_m.std(axis=0, ddof=1) * 1e9,
+        mean_deg=np.degrees(np.unwrap(np.angle(mean_turn))),
+        sd_deg=np.degrees(np.angle(turn / mean_turn).std(axis=0, ddof=1)),
+        true_m=np.array([[item.true_amplitude_m or np.nan for item in row] for row in estimates]).mean(axis=0),
+        averaging=np.array([item.averaging_factor or np.nan for item in estimates[0]]),
     )
 
 

@@ -10,7 +10,7 @@ from typing import Concatenate, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.study import Curve, StudyResult, curves, maps, view
+from hpe_rig.study import Curve, StudyResult, View, curves, maps, view
 
 Floats = NDArray[np.float64]
 Columns = dict[str, Floats]
@@ -76,9 +76,7 @@ def with_error(value: float, se: float) -> str:
 
 def ends(result: StudyResult, reading: str) -> tuple[Curve, Curve]:
     """Return the first and the last curve of the paper's chain in a reading."""
-    one = view(result, reading)
-    assert one is not None  # noqa: S101
-    found = curves(result, one)
+    found = curves(result, _seen(result, reading))
     return found[0], found[-1]
 
 
@@ -119,9 +117,9 @@ def flat(result: StudyResult, reading: str, quantity: str, small: float, from_db
 
 
 @judge_of
-def slight(result: StudyResult, reading: str, quantity: str, share: float, from_db: float = SHOWN_DB) -> Judgement:
-    """Judge a small change: less than ``share`` of the value at the SNRs from ``from_db``."""
-    x, a, a_se, b, b_se = _both_ends(result, reading, quantity, from_db)
+def slight(result: StudyResult, reading: str, quantity: str, share: float) -> Judgement:
+    """Judge a small change: less than ``share`` of the value at the SNRs from 20 dB on."""
+    x, a, a_se, b, b_se = _both_ends(result, reading, quantity, SHOWN_DB)
     ratio, se = b / a - 1, np.hypot(a_se / a, b_se / b) * np.abs(b / a)
     place = int(np.argmax(np.abs(ratio)))
     words = f"{QUANTITIES[quantity]} {ratio[place] * 100:+.0f} ± {se[place] * 100:.1g} % at {x[place]:g} dB"
@@ -130,9 +128,7 @@ def slight(result: StudyResult, reading: str, quantity: str, share: float, from_
 
 def map_of(result: StudyResult, reading: str) -> list[tuple[float, Floats, Floats, Columns]]:
     """Return W_z, W_x, W_y and the columns (y, x) of every map of the paper's chain."""
-    one = view(result, reading)
-    assert one is not None  # noqa: S101
-    return [(float(values[0]), x, y, table) for values, x, y, table in maps(result, one)]
+    return [(float(values[0]), x, y, table) for values, x, y, table in maps(result, _seen(result, reading))]
 
 
 def at_point(x: Floats, y: Floats, values: Floats, place: float) -> float:
@@ -145,6 +141,12 @@ def in_units(curve: Curve, quantity: str) -> tuple[Floats, Floats]:
     """Return value and standard error of a quantity along a curve, in nm or degrees."""
     unit, scale, _ = UNITS[quantity.split("_")[0]]
     return curve.values(f"{quantity}_{unit}") * scale, curve.values(f"{quantity}_se_{unit}") * scale
+
+
+def _seen(result: StudyResult, reading: str) -> View:
+    one = view(result, reading)
+    assert one is not None  # noqa: S101
+    return one
 
 
 def _both_ends(result: StudyResult, reading: str, quantity: str, from_db: float = -math.inf) -> tuple[Floats, ...]:

@@ -235,9 +235,9 @@ def figure_18() -> Experiment:
     )
 
 
-def _delay_s(pulse_rate_hz: float, burst_length_s: float = 100e-6) -> float:
-    """Return the delay of the first pulse that puts the push amid two pulses, none of their gates in a toneburst."""
-    return min((burst_length_s + 1 / pulse_rate_hz) / 2, 1 / pulse_rate_hz - CLEAR_S)
+def _delay_s(pulse_rate_hz: float) -> float:
+    """Return the delay of the first pulse that puts a push of 100 us amid two pulses, no gate of theirs in it."""
+    return min((100e-6 + 1 / pulse_rate_hz) / 2, 1 / pulse_rate_hz - CLEAR_S)
 
 
 def _amid(pulse_rate_hz: float) -> Repeated:

@@ -84,7 +84,7 @@ def figure_14() -> Experiment:
     right.set(xlabel="frequency (Hz)", ylabel="displacement over that at 100 Hz", ylim=(0, None))
     soft, middle, hard = found.values()
     normal = [each.mean_nm / each.mean_nm[0] for each in found.values()]
-    rise = max(float((np.diff(each.mean_nm) / _step_error_nm(each)).max()) for each in found.values())
+    rise = max(float(np.diff(each.mean_nm).max() / (np.sqrt(2) * each.error_nm)) for each in found.values())
     off = max(_off_truth(each, sampled_m[name]) for name, each in found.items())
     error = max(float(np.abs(_over_closed_form(name, each)).max()) for name, each in found.items())
     rows = [
@@ -136,13 +136,7 @@ def figure_14() -> Experiment:
 def _off_truth(each: Repeated, sampled_m: Floats) -> float:
     """Return the largest departure from the tracked truth at the pulses in standard errors of noise and speckle."""
     tracked_nm = sampled_m * each.averaging * 1e9
-    noise_nm = np.sqrt(np.mean(each.sd_nm**2) / len(each.amplitude_m))
-    return float(np.abs((each.mean_nm - tracked_nm) / np.hypot(noise_nm, SPECKLE * tracked_nm)).max())
-
-
-def _step_error_nm(each: Repeated) -> Floats:
-    pooled = np.sqrt(np.mean(each.sd_nm**2))
-    return np.full(each.mean_nm.size - 1, pooled * np.sqrt(2 / len(each.amplitude_m)))
+    return float(np.abs((each.mean_nm - tracked_nm) / np.hypot(each.error_nm, SPECKLE * tracked_nm)).max())
 
 
 def _over_closed_form(name: str, each: Repeated) -> Floats:
