@@ -8,12 +8,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, parse_toml, validated
+from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, named_text, parse_toml, validated
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
@@ -318,16 +317,7 @@ def scene_text(source: SceneSource) -> tuple[str, str]:
     if not isinstance(source, str | os.PathLike):
         taken = "the name of a shipped one, the path of a TOML file or a Scene"
         raise TypeError(f"a scene is taken as {taken}, not as {type(source).__name__}")
-    shipped = shipped_scenes()
-    if source in shipped:
-        return str(source), shipped[str(source)]
-    path = Path(source)
-    try:
-        return path.stem, path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
-        what = f"neither a shipped scene nor a readable file ({reason})"
-        raise SettingsError(f"scene {source}", [Mistake("", what, f"a path, or one of {', '.join(shipped)}")]) from None
+    return named_text(source, shipped_scenes(), "scene")
 
 
 DEFAULT_SPECIMEN = "default muscle"

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -45,6 +47,25 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(source, [Mistake("", f"not valid TOML: {error}", "correct that line")]) from None
+
+
+def named_text(
+    source: str | os.PathLike[str], shipped: Mapping[str, str], kind: str, folder: Path = Path()
+) -> tuple[str, str]:
+    """Return name and text of what ``source`` names: one of ``shipped``, or a file, from ``folder`` on.
+
+    ``kind`` says in the ``SettingsError`` what it should have been, such as "scene".
+    """
+    if source in shipped:
+        return str(source), shipped[str(source)]
+    path = folder / source
+    try:
+        return path.stem, path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
+        what = f"neither a shipped {kind} nor a readable file ({reason})"
+        mistake = Mistake("", what, f"a path, or one of {', '.join(shipped)}")
+        raise SettingsError(f"{kind} {source}", [mistake]) from None
 
 
 def mistakes_of(model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPath = ()) -> list[Mistake]:

@@ -66,11 +66,10 @@ def reproduction_part(results: Sequence[StudyResult]) -> Part | None:
         f"Verdicts: {counts(told)}.",
     ]
     if len(told) < len(found):
-        words.append(
-            f"{len(found) - len(told)} statements need other studies: hpe-rig study reproduction has them all."
-        )
-    caption = "Reproduction of the paper."
-    return Part("reproduction-part", "Reproduction", tuple(words), (), (table("reproduction", caption, told, False),))
+        rest = len(found) - len(told)
+        words.append(f"{rest} statements need other studies: hpe-rig study reproduction has them all.")
+    shown = table("reproduction", "Reproduction of the paper.", told, folded=False)
+    return Part("reproduction-part", "Reproduction", tuple(words), (), (shown,))
 
 
 SPECKLE = (
