@@ -153,5 +153,5 @@ def write_page(experiments: Sequence[Experiment], folder: Path) -> Path:
 
 
 def _markdown(table: Sequence[Sequence[str]]) -> list[str]:
-    header, *rows = (f"| {' | '.join(row)} |" for row in table)
+    header, *rows = (f"|{'|'.join(f' {cell} ' if cell else ' ' for cell in row)}|" for row in table)
     return [header, "|" + "---|" * len(table[0]), *rows]
