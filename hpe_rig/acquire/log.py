@@ -21,9 +21,7 @@ def log_path(run_file: Path) -> Path:
 
 
 @contextlib.contextmanager
-def logged(
-    setup: Setup, log_file: Path, clock: Callable[[], float] = time.monotonic
-) -> Iterator[Callable[[Observer], Observer]]:
+def logged(setup: Setup, log_file: Path) -> Iterator[Callable[[Observer], Observer]]:
     """Yield a function that wraps an observer so that every step is written to ``log_file``, with how the run ended.
 
     An existing log is appended to: it may tell of the run because of which this one is refused.
@@ -36,7 +34,7 @@ def logged(
         raise StoreError(
             f"{log_file} cannot be written ({reason(error)}). Try: another --output, or no --verbose."
         ) from None
-    start_s = clock()
+    start_s = time.monotonic()
 
     def put(text: str) -> None:
         # A disk that fills up ends the run by its own file, with a message; a log alone ends none.
@@ -44,7 +42,7 @@ def logged(
             file.write(text)
 
     def write(text: str) -> None:
-        put(f"{clock() - start_s:10.4f} s  {text}\n")
+        put(f"{time.monotonic() - start_s:10.4f} s  {text}\n")
 
     def log(observer: Observer) -> Observer:
         said = ""

@@ -235,17 +235,13 @@ def new(
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
-    except FileExistsError:
-        typer.echo(f"hpe-rig: {path} already exists and is not overwritten. Try: another name.", err=True)
-        raise typer.Exit(EXIT_MISTAKE) from None
     except OSError as error:
-        typer.echo(f"hpe-rig: cannot write {path} ({error.strerror}). Try: another folder.", err=True)
+        taken = isinstance(error, FileExistsError)
+        why = "already exists and is not overwritten" if taken else f"cannot be written ({error.strerror})"
+        announce(f"hpe-rig: {path} {why}. Try: another {'name' if taken else 'folder'}.")
         raise typer.Exit(EXIT_MISTAKE) from None
-    typer.echo(
-        f"{path}: edit it, then run hpe-rig check {path}"
-        if like != "bench"
-        else f"{path}: edit it, then pass --bench {path}"
-    )
+    then = f"pass --bench {path}" if like == "bench" else f"run hpe-rig check {path}"
+    typer.echo(f"{path}: edit it, then {then}")
 
 
 @app.command()

@@ -22,7 +22,7 @@ def watched(setup: Setup, path: Path, live: bool, verbose: bool, announce: Calla
     the page cannot start.
     """
     with ExitStack() as stack:
-        log: Watch = _same
+        log: Watch | None = None
         if verbose:
             from hpe_rig.acquire import log_path, logged
 
@@ -35,13 +35,9 @@ def watched(setup: Setup, path: Path, live: bool, verbose: bool, announce: Calla
         # A request left over from an earlier run of the same name must not stop this one.
         clear_stop(path)
         stack.callback(clear_stop, path)
-        yield lambda observer: stoppable(log(observer), path)
+        yield lambda observer: stoppable(log(observer) if log else observer, path)
         if live and sys.stdin.isatty():
             announce("the live page stays open until Ctrl-C")
             with suppress(KeyboardInterrupt):
                 while True:
                     time.sleep(0.5)
-
-
-def _same(observer: Observer) -> Observer:
-    return observer

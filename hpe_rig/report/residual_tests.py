@@ -35,7 +35,15 @@ class ResidualTest:
 
 def residual_tests(view: MotionView) -> list[ResidualTest]:
     """Return what every test says about the residual of ``view``."""
-    return [test(view) for test in _TESTS]
+    out = []
+    for name, (test, meaning) in _TESTS.items():
+        try:
+            p, found = test(view)
+        except ValueError as error:
+            out.append(ResidualTest(name, "not possible", str(error), ""))
+        else:
+            out.append(ResidualTest(name, "passed" if p >= LEAST_P else "noticed", f"{found}, p = {p:.2g}", meaning))
+    return out
 
 
 def periodogram(view: MotionView) -> tuple[FloatArray, FloatArray]:
@@ -99,67 +107,57 @@ def _start(matrix: FloatArray) -> int:
     raise ValueError(f"{len(matrix)} pulses are too few to start from: {matrix.shape[1]} numbers are unknown")
 
 
-def _whiteness(view: MotionView) -> ResidualTest:
-    _, power = periodogram(view)
-    name = "white residual"
-    if power.size < LEAST_BINS:
-        return _impossible(name, f"{power.size} free frequencies, {LEAST_BINS} needed")
-    meaning = "the stated uncertainties take the noise as white"
-    return _outcome(name, whiteness_p(power), f"cumulative periodogram of {power.size} bins", meaning)
+def _whiteness(view: MotionView) -> tuple[float, str]:
+    _, power = _enough(periodogram(view))
+    return whiteness_p(power), f"cumulative periodogram of {power.size} bins"
 
 
-def _line(view: MotionView) -> ResidualTest:
-    frequency_hz, power = periodogram(view)
-    name = "no line left"
-    if power.size < LEAST_BINS:
-        return _impossible(name, f"{power.size} free frequencies, {LEAST_BINS} needed")
+def _line(view: MotionView) -> tuple[float, str]:
+    frequency_hz, power = _enough(periodogram(view))
     amplitude_m = 2 * math.sqrt(power.max()) / view.residual_m.size
-    found = f"largest at {frequency_hz[np.argmax(power)]:.4g} Hz, {amplitude_m * 1e9:.3g} nm"
-    return _outcome(name, line_p(power), found, "a line would be motion at a frequency that was not fitted")
+    return line_p(power), f"largest at {frequency_hz[np.argmax(power)]:.4g} Hz, {amplitude_m * 1e9:.3g} nm"
 
 
-def _normality(view: MotionView) -> ResidualTest:
+def _enough(spectrum: tuple[FloatArray, FloatArray]) -> tuple[FloatArray, FloatArray]:
+    if spectrum[1].size < LEAST_BINS:
+        raise ValueError(f"{spectrum[1].size} free frequencies, {LEAST_BINS} needed")
+    return spectrum
+
+
+def _normality(view: MotionView) -> tuple[float, str]:
     residual = view.residual_m
-    name = "normal residual"
     if residual.size < 30 or not residual.std() > 0:
-        return _impossible(name, f"{residual.size} pulses of {residual.std() * 1e9:.3g} nm rms")
+        raise ValueError(f"{residual.size} pulses of {residual.std() * 1e9:.3g} nm rms")
     found = f"skewness {stats.skew(residual):+.2f}, excess kurtosis {stats.kurtosis(residual):+.2f}"
-    p = float(stats.jarque_bera(residual).pvalue)
-    return _outcome(name, p, found, "outliers would be spikes, clipped or disturbed pulses")
+    return float(stats.jarque_bera(residual).pvalue), found
 
 
-def _steady(view: MotionView) -> ResidualTest:
+def _steady(view: MotionView) -> tuple[float, str]:
     first, second = np.array_split(view.residual_m, 2)
-    name = "steady noise"
     if first.size < 15 or not min(first.std(), second.std()) > 0:
-        return _impossible(name, f"{view.residual_m.size} pulses")
+        raise ValueError(f"{view.residual_m.size} pulses")
     log_ratio = math.log(float(np.mean(second**2) / np.mean(first**2)))
     distance = abs(log_ratio) / math.sqrt(2 / first.size + 2 / second.size)
-    found = f"rms {first.std() * 1e9:.3g} nm, then {second.std() * 1e9:.3g} nm"
-    return _outcome(name, float(2 * stats.norm.sf(distance)), found, "noise that changes points at a changing echo")
+    return float(2 * stats.norm.sf(distance)), f"rms {first.std() * 1e9:.3g} nm, then {second.std() * 1e9:.3g} nm"
 
 
-def _innovation(view: MotionView) -> ResidualTest:
-    name = "innovations"
-    try:
-        if not (view.noise_m2 > 0).all():
-            raise ValueError("the echoes show no noise of their own")
-        squares = innovations(view.matrix, view.displacement_m, view.noise_m2) ** 2
-    except ValueError as error:
-        return _impossible(name, str(error))
-    total = float(squares.sum())
+def _innovation(view: MotionView) -> tuple[float, str]:
+    if not (view.noise_m2 > 0).all():
+        raise ValueError("the echoes show no noise of their own")
+    squares = innovations(view.matrix, view.displacement_m, view.noise_m2) ** 2
     # one-sided: echoes that change shape with the motion show more scatter than their noise, and that is no fault
-    found = f"mean square {squares.mean():.3f} of {squares.size}, at most 1 expected"
-    meaning = "above 1: jitter or motion that the echoes' own noise does not explain; below: echoes change shape"
-    return _outcome(name, float(stats.chi2.sf(total, squares.size)), found, meaning)
+    p = float(stats.chi2.sf(float(squares.sum()), squares.size))
+    return p, f"mean square {squares.mean():.3f} of {squares.size}, at most 1 expected"
 
 
-_TESTS: tuple[Callable[[MotionView], ResidualTest], ...] = (_whiteness, _line, _normality, _steady, _innovation)
-
-
-def _outcome(name: str, p: float, found: str, meaning: str) -> ResidualTest:
-    return ResidualTest(name, "passed" if p >= LEAST_P else "noticed", f"{found}, p = {p:.2g}", meaning)
-
-
-def _impossible(name: str, why: str) -> ResidualTest:
-    return ResidualTest(name, "not possible", why, "")
+_TESTS: dict[str, tuple[Callable[[MotionView], tuple[float, str]], str]] = {
+    "white residual": (_whiteness, "the stated uncertainties take the noise as white"),
+    "no line left": (_line, "a line would be motion at a frequency that was not fitted"),
+    "normal residual": (_normality, "outliers would be spikes, clipped or disturbed pulses"),
+    "steady noise": (_steady, "noise that changes points at a changing echo"),
+    "innovations": (
+        _innovation,
+        "above 1: jitter or motion that the echoes' own noise does not explain; below: echoes change shape",
+    ),
+}
+"""Tests by name, with what a noticed one means; each returns p and what it found, or raises why it is not possible."""

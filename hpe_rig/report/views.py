@@ -63,11 +63,6 @@ class MotionView:
         """What the fit does not explain, shape (pulse,)."""
         return self.displacement_m - self.fitted_m
 
-    @property
-    def unknowns(self) -> int:
-        """How many numbers were fitted."""
-        return int(self.matrix.shape[1])
-
 
 def echo_view(scene: Scene, shot: Shot, records: ShotRecords, line: int = 0, first_sample: int = 0) -> EchoView | None:
     """Return the echoes of ``shot``; None where it has no record.
@@ -120,7 +115,8 @@ def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequenc
     matrix = linear_model(motion.time_s, kept, frequency_hz, background_order=order, also_hz=also_hz).matrix
     wanted, rest = np.split(matrix, [2 * frequency_hz.size], axis=1)
     displacement_m = motion.displacement_m[kept]
-    harmonics_m = wanted @ _state(estimates)
+    state = [part(item.phase_rad) * item.amplitude_m for item in estimates for part in (math.cos, math.sin)]
+    harmonics_m = wanted @ np.array(state, dtype=np.float64)
     rate_hz = shot.tracking_train.rate_hz
     return MotionView(
         time_s=motion.time_s[kept],
@@ -128,7 +124,7 @@ def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequenc
         fitted_m=harmonics_m + rest @ np.linalg.lstsq(rest, displacement_m - harmonics_m, rcond=None)[0],
         noise_m2=motion.variance_m2[kept],
         matrix=matrix,
-        frequencies_hz=_seen_hz(np.concatenate([frequency_hz, also_hz]), rate_hz),
+        frequencies_hz=np.unique(np.round(aliased_hz(np.concatenate([frequency_hz, also_hz]), rate_hz), 9)),
         pulse_rate_hz=rate_hz,
     )
 
@@ -148,16 +144,3 @@ def _depth_m(scene: Scene, shot: Shot, first_sample: int, samples: int) -> Float
     place = first_sample + np.arange(samples)
     after_s = place / shot.capture.sample_rate_hz + shot.timeline.record_offset_s[0]
     return np.asarray(after_s * scene.acquisition.sound_speed_m_per_s / 2)
-
-
-def _state(estimates: Sequence[Estimate]) -> FloatArray:
-    """Return (A cos phi, A sin phi) of every estimate in turn."""
-    pairs = [
-        (item.amplitude_m * math.cos(item.phase_rad), item.amplitude_m * math.sin(item.phase_rad)) for item in estimates
-    ]
-    return np.array(pairs, dtype=np.float64).reshape(-1)
-
-
-def _seen_hz(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
-    """Return where pulses at ``rate_hz`` see each frequency, from 0 to half the rate, each once."""
-    return np.unique(np.round(aliased_hz(frequency_hz, rate_hz), 9))

@@ -33,5 +33,7 @@ from .validation import (
     SettingsError as SettingsError,
     length_m as length_m,
     mistakes_of as mistakes_of,
+    named_text as named_text,
     parse_toml as parse_toml,
+    validated as validated,
 )

@@ -93,12 +93,9 @@ def _of_section(section: Section, given: Any, prefix: KeyPath) -> Iterator[Key]:
 
 
 def _of_tables(value: Any, path: KeyPath) -> Iterator[Key]:
-    if isinstance(value, Mapping):
-        for name, inner in value.items():
+    if isinstance(value, Mapping | list):
+        for name, inner in value.items() if isinstance(value, Mapping) else enumerate(value):
             yield from _of_tables(inner, (*path, name))
-    elif isinstance(value, list):
-        for index, inner in enumerate(value):
-            yield from _of_tables(inner, (*path, index))
     elif isinstance(value, int | float) and not isinstance(value, bool):
         yield Key(path, value, False)
 

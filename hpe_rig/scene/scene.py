@@ -8,12 +8,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, parse_toml
+from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, named_text, parse_toml, validated
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
@@ -207,13 +206,10 @@ class Scene(Section):
         is ``"excitation.force_fraction[0]"``. Raises ``SettingsError`` with every mistake.
         """
         # keys.py describes a scene and so imports this file.
-        from hpe_rig.scene.keys import with_values
+        from hpe_rig.scene.keys import path_of, with_values
 
-        tables = with_values(_tables(self), {_path(name): value for name, value in values.items()})
-        mistakes = mistakes_of(Scene, tables)
-        if mistakes:
-            raise SettingsError("the scene", mistakes)
-        return Scene.model_validate(tables)
+        tables = with_values(_tables(self), {path_of(name): value for name, value in values.items()})
+        return validated(Scene, tables, "the scene")
 
     @property
     def wanted_frequencies_hz(self) -> tuple[float, ...]:
@@ -321,16 +317,7 @@ def scene_text(source: SceneSource) -> tuple[str, str]:
     if not isinstance(source, str | os.PathLike):
         taken = "the name of a shipped one, the path of a TOML file or a Scene"
         raise TypeError(f"a scene is taken as {taken}, not as {type(source).__name__}")
-    shipped = shipped_scenes()
-    if source in shipped:
-        return str(source), shipped[str(source)]
-    path = Path(source)
-    try:
-        return path.stem, path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
-        what = f"neither a shipped scene nor a readable file ({reason})"
-        raise SettingsError(f"scene {source}", [Mistake("", what, f"a path, or one of {', '.join(shipped)}")]) from None
+    return named_text(source, shipped_scenes(), "scene")
 
 
 DEFAULT_SPECIMEN = "default muscle"
@@ -376,8 +363,3 @@ def _toml(scene: Scene) -> str:
     import tomlkit
 
     return tomlkit.dumps(_tables(scene))
-
-
-def _path(name: str) -> tuple[str | int, ...]:
-    """Return the parts of a path such as ``excitation.force_fraction[0]``."""
-    return tuple(int(part) if part.isdigit() else part for part in name.replace("[", ".").replace("]", "").split("."))

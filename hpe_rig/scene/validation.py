@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -47,6 +49,25 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
         raise SettingsError(source, [Mistake("", f"not valid TOML: {error}", "correct that line")]) from None
 
 
+def named_text(
+    source: str | os.PathLike[str], shipped: Mapping[str, str], kind: str, folder: Path = Path()
+) -> tuple[str, str]:
+    """Return name and text of what ``source`` names: one of ``shipped``, or a file, from ``folder`` on.
+
+    ``kind`` says in the ``SettingsError`` what it should have been, such as "scene".
+    """
+    if source in shipped:
+        return str(source), shipped[str(source)]
+    path = folder / source
+    try:
+        return path.stem, path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
+        what = f"neither a shipped {kind} nor a readable file ({reason})"
+        mistake = Mistake("", what, f"a path, or one of {', '.join(shipped)}")
+        raise SettingsError(f"{kind} {source}", [mistake]) from None
+
+
 def mistakes_of(model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPath = ()) -> list[Mistake]:
     """Return all mistakes of ``tables`` as settings of ``model``; empty where there are none."""
     try:
@@ -55,6 +76,13 @@ def mistakes_of(model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPa
         entries = [dict(entry) for entry in error.errors(include_url=False)]
         return [_mistake(entry, model, tables, prefix) for entry in entries if not _follows(entry)]
     return []
+
+
+def validated(model: type[Model], tables: Mapping[str, Any], source: str) -> Model:
+    """Return ``tables`` as settings of ``model``; raise ``SettingsError`` about ``source`` with every mistake."""
+    if mistakes := mistakes_of(model, tables):
+        raise SettingsError(source, mistakes)
+    return model.model_validate(tables)
 
 
 def _follows(entry: dict[str, Any]) -> bool:

@@ -4,5 +4,5 @@ from .page import PageTable as PageTable, Part as Part, cell as cell, render as 
 from .report import write_study_report as write_study_report
 from .results import SUMMARY as SUMMARY, StudyResult as StudyResult, write_whole as write_whole
 from .run import OnProgress as OnProgress, run_study as run_study
-from .series import Curve as Curve, curves as curves, maps as maps, view as view
+from .series import Curve as Curve, View as View, curves as curves, maps as maps, view as view
 from .statistics import Errors as Errors, errors as errors

@@ -34,26 +34,14 @@ if TYPE_CHECKING:
 ENGINE = 2
 """Raised whenever the same case gives other numbers: cases stored before are then not taken for finished."""
 
-USED = (
-    "tracking.pulse_rate_hz",
-    "tracking.pulse_count",
-    "tracking.delay_s",
-    "tracking.carrier_hz",
-    "acquisition.gate_depth_m",
-    "acquisition.gate_length_m",
-    "acquisition.sound_speed_m_per_s",
-    "acquisition.sample_rate_hz",
-    "processing.frequencies_hz",
-    "processing.harmonic",
-    "processing.process_noise",
-    "processing.background_order",
-    "simulation.sound_speed_m_per_s",
-    "simulation.motion",
-    "simulation.beams",
-    "simulation.scatterers",
-    "simulation.receiver.snr_db",
-)
-"""The scene keys that a study's echoes and estimates depend on."""
+USED = {
+    "tracking": ("pulse_rate_hz", "pulse_count", "delay_s", "carrier_hz"),
+    "acquisition": ("gate_depth_m", "gate_length_m", "sound_speed_m_per_s", "sample_rate_hz"),
+    "processing": ("frequencies_hz", "harmonic", "process_noise", "background_order"),
+    "simulation": ("sound_speed_m_per_s", "motion", "beams", "scatterers"),
+}
+"""The scene keys that a study's echoes and estimates depend on, by section, and the SNR."""
+USED_KEYS = (*(f"{section}.{key}" for section, keys in USED.items() for key in keys), "simulation.receiver.snr_db")
 
 Tables = dict[str, Any]
 
@@ -91,17 +79,11 @@ class GridPoint:
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
-    """A definition with its base scene and, for every axis, values by key and shown values."""
+    """A definition with its base scene and, for every axis, values by key."""
 
     base: Tables
     definition: Definition
     columns: list[dict[str, list[Any]]]
-    shown: list[list[Any]]
-
-    @property
-    def places(self) -> Iterator[tuple[int, ...]]:
-        """Every combination of a place on each axis."""
-        return itertools.product(*(range(len(shown)) for shown in self.shown))
 
     def common_place(self, place: tuple[int, ...]) -> tuple[int, ...]:
         """Return where the random numbers of ``place`` are taken from: along a common axis from its first value."""
@@ -111,14 +93,16 @@ class _Grid:
 
 def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[GridPoint]:
     """Return every point of a study; raise ``SettingsError`` with all mistakes of all its scenes, each once."""
-    columns, shown = [axis.columns() for axis in definition.axes], [axis.values() for axis in definition.axes]
-    grid = _Grid(_base_tables(definition.scene, folder), definition, columns, shown)
-    unfit = itertools.chain(_useless_keys(definition), _doubled_keys(definition))
-    found: dict[str, Mistake] = {str(mistake): mistake for mistake in unfit}
+    shipped = definition.scene in shipped_scenes()
+    base_name, text = scene_text(definition.scene if shipped else folder / definition.scene)
+    base = parse_toml(text, f"scene {base_name}")
+    grid = _Grid(base, definition, [axis.columns() for axis in definition.axes])
+    shown = [axis.values() for axis in definition.axes]
+    found: dict[str, Mistake] = {str(mistake): mistake for mistake in _wrong_keys(definition)}
     out: list[GridPoint] = []
     streams: dict[str, int] = {}
     for reading in definition.readings:
-        for place in grid.places:
+        for place in itertools.product(*(range(len(each)) for each in shown)):
             try:
                 case = _case(grid, reading, place, streams)
             except SettingsError as error:
@@ -131,19 +115,13 @@ def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[
     return out
 
 
-def _base_tables(scene: str, folder: Path) -> Tables:
-    name, text = scene_text(scene if scene in shipped_scenes() else str(folder / scene))
-    return parse_toml(text, f"scene {name}")
+def _wrong_keys(definition: Definition) -> Iterator[Mistake]:
+    varied = Counter(itertools.chain(*(axis.keys for axis in definition.axes)))
+    for key in (*definition.set, *varied):
+        if not any(key == used or key.startswith((f"{used}.", f"{used}[")) for used in USED_KEYS):
+            yield Mistake(key, "a study's echoes and estimates do not depend on it", f"one of {', '.join(USED_KEYS)}")
 
-
-def _useless_keys(definition: Definition) -> Iterator[Mistake]:
-    for key in itertools.chain(definition.set, *(axis.keys for axis in definition.axes)):
-        if not any(key == used or key.startswith((f"{used}.", f"{used}[")) for used in USED):
-            yield Mistake(key, "a study's echoes and estimates do not depend on it", f"one of {', '.join(USED)}")
-
-
-def _doubled_keys(definition: Definition) -> Iterator[Mistake]:
-    for key, count in Counter(itertools.chain(*(axis.keys for axis in definition.axes))).items():
+    for key, count in varied.items():
         if count > 1:
             yield Mistake(key, f"{count} axes vary it, and the last one alone would count", "one axis for it")
 
@@ -152,7 +130,11 @@ def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[s
     definition, estimators = grid.definition, grid.definition.readings[reading]
     scene, twin = _checked(_tables_at(grid, place), reading)
     train = _train(scene)
-    _refuse_train(train, estimators)
+    try:
+        refuse_unusable(train, estimators)
+    except ValueError as error:
+        what, _, remedy = str(error).rpartition("; ")
+        raise SettingsError("study", [Mistake("", what or remedy, remedy.removeprefix("try "))]) from None
     own = _dump(scene, twin)
     silent = own | {"simulation": {key: value for key, value in own["simulation"].items() if key != "snr_db"}}
     stream = _stream(grid, reading, place, own, streams)
@@ -265,28 +247,11 @@ def _train(scene: Scene) -> Train:
     )
 
 
-def _refuse_train(train: Train, estimators: tuple[Estimator, ...]) -> None:
-    try:
-        refuse_unusable(train, estimators)
-    except ValueError as error:
-        what, _, remedy = str(error).rpartition("; ")
-        raise SettingsError("study", [Mistake("", what or remedy, remedy.removeprefix("try "))]) from None
-
-
 def _dump(scene: Scene, twin: SimulationSettings) -> Tables:
     """Return the values that `USED` names, as JSON knows them."""
-    tables: Tables = {
-        "tracking": scene.tracking.model_dump(include={"pulse_rate_hz", "pulse_count", "delay_s", "carrier_hz"}),
-        "acquisition": scene.acquisition.model_dump(
-            include={"gate_depth_m", "gate_length_m", "sound_speed_m_per_s", "sample_rate_hz"}
-        ),
-        "processing": scene.processing.model_dump(
-            include={"frequencies_hz", "harmonic", "process_noise", "background_order"}
-        ),
-        "simulation": twin.model_dump(include={"sound_speed_m_per_s", "motion", "beams", "scatterers"}),
-    }
-    tables["simulation"]["snr_db"] = twin.receiver.snr_db
-    return tables
+    own = {section: set(keys) for section, keys in USED.items()}
+    simulation = twin.model_dump(include=own.pop("simulation")) | {"snr_db": twin.receiver.snr_db}
+    return {**scene.model_dump(include=own), "simulation": simulation}
 
 
 def _hash(value: Any) -> str:

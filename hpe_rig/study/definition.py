@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import contextlib
+import itertools
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -11,7 +13,18 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from hpe_rig.scene import Count, Estimator, Mistake, Positive, Section, SettingsError, Title, mistakes_of, parse_toml
+from hpe_rig.scene import (
+    Count,
+    Estimator,
+    Mistake,
+    Positive,
+    Section,
+    SettingsError,
+    Title,
+    named_text,
+    parse_toml,
+    validated,
+)
 
 Reading = Literal["physical", "literal"]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -147,60 +160,34 @@ def read_studies(name_or_path: str, replaced: Mapping[str, Any] | None = None) -
     ``replaced`` are top-level keys given on the command line; ``points`` among them is the count of every range.
     Raises ``SettingsError`` with every mistake.
     """
-    name, text, folder = _text_of(name_or_path, Path())
+    shipped, folder = shipped_studies(), Path(name_or_path).parent
+    name, text = named_text(name_or_path, shipped, "study")
     tables = parse_toml(text, f"study {name}")
     if "studies" not in tables:
         return {name: (_definition(name, tables, replaced or {}), folder)}
-    _refuse(name, mistakes_of(Collection, tables))
     out: dict[str, tuple[Definition, Path]] = {}
     mistakes: list[Mistake] = []
-    for inner in Collection.model_validate(tables).studies:
+    for inner in validated(Collection, tables, f"study {name}").studies:
         try:
-            own, text, place = _text_of(inner, folder)
+            own, text = named_text(inner, shipped, "study", folder)
             definition = _definition(own, parse_toml(text, f"study {own}"), replaced or {})
         except SettingsError as error:
             mistakes += [replace(each, path=f"{inner} {each.path}".rstrip()) for each in error.mistakes]
             continue
         if own in out:
             mistakes.append(Mistake(inner, f"its results would replace those of another {own}", "another file name"))
-        out[own] = (definition, place)
-    _refuse(name, mistakes)
+        out[own] = (definition, (folder / inner).parent)
+    if mistakes:
+        raise SettingsError(f"study {name}", mistakes)
     return out
 
 
 def _definition(name: str, tables: dict[str, Any], replaced: Mapping[str, Any]) -> Definition:
     tables = tables | {key: value for key, value in replaced.items() if key != "points" and value is not None}
-    if replaced.get("points") is not None:
-        for values in _ranges(tables):
-            values["count"] = replaced["points"]
-    _refuse(name, mistakes_of(Definition, tables))
-    return Definition.model_validate(tables)
-
-
-def _ranges(tables: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the tables of a definition's ranges; what is no axis is refused later."""
-    axes = tables.get("axes")
-    for axis in axes if isinstance(axes, list) else ():
-        keys = axis.get("keys") if isinstance(axis, dict) else None
-        for values in keys.values() if isinstance(keys, dict) else ():
-            if isinstance(values, dict):
-                yield values
-
-
-def _refuse(name: str, mistakes: list[Mistake]) -> None:
-    if mistakes:
-        raise SettingsError(f"study {name}", mistakes)
-
-
-def _text_of(name_or_path: str, folder: Path) -> tuple[str, str, Path]:
-    shipped = shipped_studies()
-    if name_or_path in shipped:
-        return name_or_path, shipped[name_or_path], Path()
-    path = folder / name_or_path
-    try:
-        return path.stem, path.read_text(encoding="utf-8-sig"), path.parent
-    except (OSError, UnicodeDecodeError) as error:
-        reason = "no such file" if isinstance(error, FileNotFoundError) else str(error)
-        what = f"neither a shipped study nor a readable file ({reason})"
-        mistake = Mistake("", what, f"a path, or one of {', '.join(shipped)}")
-        raise SettingsError(f"study {name_or_path}", [mistake]) from None
+    if (points := replaced.get("points")) is not None:
+        # What is no axis is refused below.
+        with contextlib.suppress(AttributeError, LookupError, TypeError):
+            for values in itertools.chain(*(axis["keys"].values() for axis in tables["axes"])):
+                if isinstance(values, dict):
+                    values["count"] = points
+    return validated(Definition, tables, f"study {name}")

@@ -10,13 +10,13 @@ changes them. Memory is that of one block, whatever the number of realisations, 
 
 from __future__ import annotations
 
-import functools
 import itertools
+import operator
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from importlib import metadata
+from importlib.metadata import version
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,8 +75,24 @@ def run_batch(cases: Sequence[Case]) -> list[CaseRecord]:
         _run_block(active, first // DRAWS_AT_ONCE, draws)
         for one in active:
             one.draws = draws.stop
-            one.finished = one.case.standard_error_m is not None and _precise_enough(one, one.case.standard_error_m)
-    return [_record(one) for one in running]
+            wanted_m = one.case.standard_error_m
+            one.finished = (
+                wanted_m is not None
+                and one.draws >= LEAST_DRAWS
+                and all(row["amplitude_bias_se_m"] <= wanted_m for row in _rows(one))
+            )
+    common = {"peak_memory_bytes": peak_memory_bytes(), "version": version("hpe-rig")}
+    return [
+        {
+            "case": one.case.key,
+            "estimates": _rows(one),
+            "draws": one.draws,
+            "noise": one.case.noise,
+            "seconds": one.seconds,
+            **common,
+        }
+        for one in running
+    ]
 
 
 def _run_block(active: list[_Running], block: int, draws: slice) -> None:
@@ -84,17 +100,21 @@ def _run_block(active: list[_Running], block: int, draws: slice) -> None:
     since = time.process_time()
     # Cases that differ in the noise's level alone, or in the estimators, have the same echoes: they are made once.
     echoes = []
-    for _, group in itertools.groupby(sorted(active, key=_echoes_key), _echoes_key):
+    key = operator.attrgetter("case.echoes_key")
+    for _, group in itertools.groupby(sorted(active, key=key), key):
         own = list(group)
         echoes.append(_echoes(own, block, draws.stop - draws.start))
         since = _charge(own, since)
     # All cases of a batch have the same noise but for its level: drawn once, at unit level, in parts that fit a cache.
     case = active[0].case
-    numbers = spectral_kernels(case.train).numbers
+    kernels = spectral_kernels(case.train)
+    forms = {form_of(name) for one in active for name in one.case.estimators}
     rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_NOISE, block)))
     for some, repeats in _parts(case, draws.stop - draws.start):
-        shape = (some.stop - some.start, repeats.stop - repeats.start, case.train.pulses, numbers)
-        noise = _in_forms(active, rng.standard_normal(shape))
+        shape = (some.stop - some.start, repeats.stop - repeats.start, case.train.pulses, kernels.numbers)
+        unit = rng.standard_normal(shape)
+        # Unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes.
+        noise = {form: unit @ kernels.of_numbers[form] for form in forms}
         since = _charge(active, since)
         place = (slice(draws.start + some.start, draws.start + some.stop), repeats)
         for made in echoes:
@@ -130,12 +150,6 @@ def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
             yield slice(draw, min(draw + step, draws)), slice(first, min(first + at_once, case.noise))
 
 
-def _in_forms(active: list[_Running], numbers: Floats) -> dict[Form, Floats]:
-    """Return unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes."""
-    wanted = {form_of(name) for one in active for name in one.case.estimators}
-    return {form: numbers @ spectral_kernels(active[0].case.train).of_numbers[form] for form in wanted}
-
-
 def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[Form, Floats], since: float) -> float:
     """Write the states of every case of these echoes at ``place`` (draw, noise); return the time it is."""
     train = made.cases[0].case.train
@@ -155,40 +169,12 @@ def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dic
     return since
 
 
-def _echoes_key(one: _Running) -> str:
-    return one.case.echoes_key
-
-
 def _charge(cases: list[_Running], since: float) -> float:
     """Share the processor time since ``since`` among ``cases``; return the time it is."""
     now = time.process_time()
     for one in cases:
         one.seconds += (now - since) / len(cases)
     return now
-
-
-def _precise_enough(one: _Running, wanted_m: float) -> bool:
-    if one.draws < LEAST_DRAWS:
-        return False
-    rows = _rows(one)
-    return all(row["amplitude_bias_se_m"] <= wanted_m for row in rows)
-
-
-def _record(one: _Running) -> CaseRecord:
-    return {
-        "case": one.case.key,
-        "estimates": _rows(one),
-        "draws": one.draws,
-        "noise": one.case.noise,
-        "seconds": one.seconds,
-        "peak_memory_bytes": peak_memory_bytes(),
-        "version": _version(),
-    }
-
-
-@functools.cache
-def _version() -> str:
-    return metadata.version("hpe-rig")
 
 
 def _rows(one: _Running) -> list[CaseRecord]:

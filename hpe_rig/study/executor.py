@@ -72,7 +72,8 @@ def processes(workers: int) -> Iterator[Executor]:
     others = multiprocessing.active_children()
     # Started anew on every system alike: a fork would copy the locks of the progress display's thread.
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, initializer=_ignore_interrupts)
+    # Ctrl-C is left to this process.
+    pool = ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
     try:
         with _interrupts_held():
             for _ in range(workers):
@@ -89,11 +90,6 @@ def processes(workers: int) -> Iterator[Executor]:
             os.environ.pop(name)
             if value is not None:
                 os.environ[name] = value
-
-
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager

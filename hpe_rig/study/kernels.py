@@ -13,9 +13,8 @@ so it is one matrix (`functional`).
 from __future__ import annotations
 
 import functools
-import importlib
 import importlib.util
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -189,9 +188,11 @@ def _peaks_states(train: Train, clean: Floats, which: Places, level: Floats, noi
     grid_hz = spectral_kernels(train).grid_hz["peak"]
     # In one pass over the pulses where Numba is there: the noisy spectra of all of them need not exist at once.
     if compiled():
+        from hpe_rig.study.cross_spectrum_numba import peak_steps
+
         shape = (*noise.shape[:2], train.pulses - 1)
         step, peak = np.empty(shape), np.empty(shape, dtype=np.intp)
-        _peak_steps()(clean, which, level, noise, step, peak)
+        peak_steps(clean, which, level, noise, step, peak)
         peak_hz = grid_hz[peak]
     else:
         step, peak_hz = peak_phase(_complex(clean[:, None, which] + level[:, None, None, None] * noise), grid_hz)
@@ -213,12 +214,6 @@ def _metres(train: Train) -> float:
 def compiled() -> bool:
     """Return whether Numba is installed; without it results differ by rounding."""
     return importlib.util.find_spec("numba") is not None
-
-
-@functools.cache
-def _peak_steps() -> Callable[..., None]:
-    peak_steps: Callable[..., None] = importlib.import_module("hpe_rig.study.cross_spectrum_numba").peak_steps
-    return peak_steps
 
 
 def refuse_unusable(train: Train, estimators: Sequence[Estimator]) -> None:

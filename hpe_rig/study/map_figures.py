@@ -27,12 +27,12 @@ LATERAL = ("W_x", "W_y")
 HEIGHT_IN, BELOW_IN, ABOVE_IN = 3.1, 0.47, 0.28
 
 
-def lateral_average(w_x: Floats, w_y: Floats, power: float = 2.0) -> Floats:
+def lateral_average(w_x: Floats, w_y: Floats) -> Floats:
     """Return tracked over peak displacement of beams without axial extent; each W any shape.
 
-    Speckle weights by the tracking beam's amplitude to the ``power`` 2: prod W sqrt(2) / sqrt(2 W^2 + 1).
+    Speckle weights by the square of the tracking beam's amplitude: prod W sqrt(2) / sqrt(2 W^2 + 1).
     """
-    return np.asarray(np.sqrt(power * w_x**2 / (power * w_x**2 + 1) * power * w_y**2 / (power * w_y**2 + 1)))
+    return np.asarray(np.sqrt(2 * w_x**2 / (2 * w_x**2 + 1) * 2 * w_y**2 / (2 * w_y**2 + 1)))
 
 
 def map_figure(result: StudyResult, one: View) -> Figure:
@@ -55,7 +55,7 @@ def map_alt(result: StudyResult, one: View) -> str:
     """Return the maps in words: ranges of what they show."""
     parts = []
     for values, _x, _y, table in maps(result, one):
-        ratio = 1 + table["amplitude_bias_m"] / table["amplitude_true_m"]
+        ratio = _normalised(table)
         jitter = table["amplitude_jitter_m"] * NM
         outer = result.definition.axes[:-2]
         head = ", ".join(f"{axis.name} = {shown(v, axis.unit)}" for axis, v in zip(outer, values, strict=True))
@@ -65,6 +65,10 @@ def map_alt(result: StudyResult, one: View) -> str:
             f"{table['phase_jitter_rad'].max() * DEGREES:.2g} degrees"
         )
     return f"{one.title}. {'; '.join(parts)}."
+
+
+def _normalised(table: dict[str, Floats]) -> Floats:
+    return np.asarray(1 + table["amplitude_bias_m"] / table["amplitude_true_m"])
 
 
 def _figure(rows: int) -> Figure:
@@ -80,11 +84,7 @@ def _four_quantities(x: Floats, y: Floats, table: dict[str, Floats]) -> Figure:
     figure = _figure(2)
     phase = np.arange(5, 181, 5.0)
     panels: tuple[tuple[str, Floats, Levels], ...] = (
-        (
-            "(a) normalised displacement",
-            1 + table["amplitude_bias_m"] / table["amplitude_true_m"],
-            np.arange(1, 10) / 10,
-        ),
+        ("(a) normalised displacement", _normalised(table), np.arange(1, 10) / 10),
         ("(b) displacement jitter (nm)", table["amplitude_jitter_m"] * NM, None),
         ("(c) |phase bias| (degrees)", np.abs(table["phase_bias_rad"]) * DEGREES, phase),
         ("(d) phase jitter (degrees)", table["phase_jitter_rad"] * DEGREES, np.arange(5, 181, 10.0)),
@@ -104,7 +104,7 @@ def _by_outer_value(
         spare.set_axis_off()
     values, title = [], ""
     for _, x, y, table in found:
-        ratio = 1 + table["amplitude_bias_m"] / table["amplitude_true_m"]
+        ratio = _normalised(table)
         values.append(lateral_average(x[None, :], y[:, None]) - ratio if lateral else ratio)
         title = "lateral theory minus tracked" if lateral else "normalised displacement"
     low, high = min(float(v.min()) for v in values), max(float(v.max()) for v in values)

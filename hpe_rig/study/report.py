@@ -89,11 +89,9 @@ def run_times(result: StudyResult) -> list[dict[str, Any]]:
     """Return medians over cases of errors and seconds for 100 and 1000 realisations, by reading and estimator."""
     out = []
     for one in views(result):
-        count = np.array([row["draws"] * row["noise"] for row in one.rows], dtype=np.float64)
-        seconds = _column(one, "seconds") / count
-        mean_nm, jitter_nm = (
-            _column(one, f"amplitude_{name}_se_m") * np.sqrt(count) * NM for name in ("bias", "jitter")
-        )
+        count = one.values("draws") * one.values("noise")
+        seconds = one.values("seconds") / count
+        mean_nm, jitter_nm = (one.values(f"amplitude_{name}_se_m") * np.sqrt(count) * NM for name in ("bias", "jitter"))
         row: dict[str, Any] = {"study": result.name, "reading": one.reading, "estimator": one.estimator}
         for wanted in (100, 1000):
             row[f"s.e. of mean from {wanted} (nm)"] = _median(mean_nm) / math.sqrt(wanted)
@@ -129,10 +127,6 @@ def _precision(result: StudyResult) -> tuple[str, ...]:
     return tuple(words)
 
 
-def _column(one: View, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-    return np.array([row[name] for row in one.rows], dtype=np.float64)
-
-
 def _median(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
     """Return the median of what is known; NaN where nothing is: one draw has no standard error."""
     known = values[np.isfinite(values)]
@@ -148,7 +142,7 @@ def _run_time_figure(results: Sequence[StudyResult]) -> Figure:
         for place, name, one in found:
             marker, colour = mark(place)
             panels[one.reading].loglog(
-                _column(one, "seconds"), _column(one, "amplitude_bias_se_m") * NM, marker,
+                one.values("seconds"), one.values("amplitude_bias_se_m") * NM, marker,
                 ms=4, alpha=0.6, rasterized=True, color=colour, label=name,
             )  # fmt: skip
         for reading, axes in panels.items():

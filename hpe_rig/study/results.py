@@ -80,13 +80,13 @@ def result_of(
     name: str, definition: Definition, points: list[GridPoint], records: dict[str, CaseRecord]
 ) -> StudyResult:
     """Return the study's rows, in the order of its points."""
-    rows = []
+    rows, versions = [], set()
     for point in points:
         record = records[point.case.key]
-        for estimate in record["estimates"]:
-            start = {**point.coordinates, "reading": point.reading}
-            rows.append({**start, **estimate, **{key: record[key] for key in OF_CASE}})
-    return StudyResult(name, definition, rows, tuple(sorted({record["version"] for record in records.values()})))
+        versions.add(record["version"])
+        start = {**point.coordinates, "reading": point.reading}
+        rows += [{**start, **estimate, **{key: record[key] for key in OF_CASE}} for estimate in record["estimates"]]
+    return StudyResult(name, definition, rows, tuple(sorted(versions)))
 
 
 def write_study(result: StudyResult, folder: Path) -> None:

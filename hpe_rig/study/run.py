@@ -10,8 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.study.cases import Case, GridPoint, points_of
-from hpe_rig.study.definition import Definition, read_studies
+from hpe_rig.study.cases import Case, points_of
+from hpe_rig.study.definition import read_studies
 from hpe_rig.study.engine import run_batch
 from hpe_rig.study.executor import OpenPool, completed, processes
 from hpe_rig.study.results import CaseRecord, CaseStore, StudyResult, result_of, write_study
@@ -52,7 +52,10 @@ def run_study(
     except BaseException as error:
         error.add_note(f"{len(records)} of {len(cases)} cases are kept in {output}: the same command goes on")
         raise
-    return [_written(own, *study, records, output) for own, study in studies.items()]
+    results = [result_of(own, definition, points, records) for own, (definition, points) in studies.items()]
+    for result in results:
+        write_study(result, output / result.name)
+    return results
 
 
 def _compute(
@@ -84,11 +87,3 @@ def batches(cases: Sequence[Case]) -> list[list[Case]]:
         own = list(group)
         out += [own[first : first + MOST_CASES] for first in range(0, len(own), MOST_CASES)]
     return sorted(out, key=lambda batch: -sum(case.scatterers * case.noise * case.train.pulses for case in batch))
-
-
-def _written(
-    name: str, definition: Definition, points: list[GridPoint], records: Mapping[str, CaseRecord], output: Path
-) -> StudyResult:
-    result = result_of(name, definition, points, {point.case.key: records[point.case.key] for point in points})
-    write_study(result, output / name)
-    return result

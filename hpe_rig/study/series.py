@@ -41,6 +41,10 @@ class View:
         reading = "physical" if self.reading == "physical" else "eq. (11) read literally"
         return f"{reading}, {spec_of(self.estimator).label}"
 
+    def values(self, column: str) -> Floats:
+        """Return a column, (row,)."""
+        return np.array([row[column] for row in self.rows], dtype=np.float64)
+
 
 @dataclass(frozen=True, slots=True)
 class Curve:
@@ -63,9 +67,9 @@ def views(result: StudyResult) -> list[View]:
     return [View(*key, tuple(rows)) for key, rows in found.items()]
 
 
-def view(result: StudyResult, reading: str, estimator: str = "cross_spectrum") -> View | None:
-    """Return the first view of that reading and estimator; None where the study has none."""
-    return next((one for one in views(result) if (one.reading, one.estimator) == (reading, estimator)), None)
+def view(result: StudyResult, reading: str) -> View | None:
+    """Return the first view of the paper's chain in that reading; None where the study has none."""
+    return next((one for one in views(result) if (one.reading, one.estimator) == (reading, "cross_spectrum")), None)
 
 
 def axis_label(axis: Axis) -> str:
@@ -117,10 +121,10 @@ def _rows_at(one: View, axes: Sequence[Axis], values: Sequence[Any]) -> list[Stu
 
 def shown(value: Any, unit: str) -> str:
     """Return a value with its unit as a person writes it."""
-    if isinstance(value, str) or not unit:
-        return str(value) if isinstance(value, str) else f"{value:g}"
+    if isinstance(value, str):
+        return value
     if unit == "m":
         return f"{value * 1e9:g} nm" if abs(value) < 5e-5 else f"{value * 1e3:g} mm"
     if unit == "Hz" and abs(value) >= 1e3:
         return f"{value / 1e6:g} MHz" if abs(value) >= 1e6 else f"{value / 1e3:g} kHz"
-    return f"{value:g} {unit}"
+    return f"{value:g} {unit}".rstrip()

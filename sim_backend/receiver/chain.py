@@ -73,7 +73,9 @@ def _receive(
     if switch is not None:
         volts, pending = _filtered(volts, pending) * switch, None
     if chain.noise_v_per_sqrt_hz and rng is not None:
-        volts, pending = _filtered(volts, pending) + _noise(volts.shape, chain, period_s, rng), None
+        # White, of the preamplifier's density, up to half the sampling rate of the chain.
+        level_v = chain.noise_v_per_sqrt_hz * math.sqrt(0.5 / period_s)
+        volts, pending = _filtered(volts, pending) + rng.standard_normal(volts.shape) * level_v, None
     if chain.band_pass is not None:
         pending = _product(pending, sampled(band_pass(chain.band_pass, frequency_hz), 0.0))
     if chain.log_amplifier is not None:
@@ -91,14 +93,6 @@ def _filtered(volts: Floats, response: Complexes | None) -> Floats:
 
 def _product(one: Complexes | None, other: Complexes) -> Complexes:
     return other if one is None else one * other
-
-
-def _noise(shape: tuple[int, ...], chain: ReceiveChain, period_s: float, rng: np.random.Generator) -> Floats:
-    """Return white noise of the preamplifier's density, up to half the sampling rate of the chain."""
-    assert chain.noise_v_per_sqrt_hz is not None  # noqa: S101
-    noise = rng.standard_normal(shape)
-    noise *= chain.noise_v_per_sqrt_hz * math.sqrt(0.5 / period_s)
-    return noise
 
 
 def _bands(chain: ReceiveChain) -> list[BandFilter]:

@@ -46,14 +46,12 @@ def sampled(response: Complexes, at_infinity: float) -> Complexes:
 
 def ringing_s(bands: Iterable[BandFilter], tolerance: float) -> float:
     """Return after which time a cascade of ``bands`` has rung down to ``tolerance``; notch and band-pass alike."""
-    slowest_s = [_slowest_s(band) for band in bands]
+    slowest_s = 0.0
+    for band in bands:
+        roots = np.concatenate([np.roots([1.0, -band.bandwidth * pole, 1.0]) for pole in _poles(band.order)])
+        slowest_s = max(slowest_s, float(-1 / (2 * np.pi * band.centre_hz * roots.real.max())))
     # Equal filters in cascade ring longer than one, by powers of t / slowest: a factor of 100 covers four of them.
-    return max(slowest_s, default=0.0) * math.log(100 / tolerance)
-
-
-def _slowest_s(band: BandFilter) -> float:
-    roots = np.concatenate([np.roots([1.0, -band.bandwidth * pole, 1.0]) for pole in _poles(band.order)])
-    return float(-1 / (2 * np.pi * band.centre_hz * roots.real.max()))
+    return slowest_s * math.log(100 / tolerance)
 
 
 def _poles(order: int) -> Complexes:

@@ -53,17 +53,8 @@ CHAIN_PRESETS: Mapping[str, Mapping[str, Any]] = {
 }
 
 
-def with_preset(given: Any) -> Any:
-    """Return a specimen's settings with what its ``preset`` names filled in; anything that is no table unchanged."""
-    return _filled(given, PRESETS)
-
-
-def with_chain_preset(given: Any) -> Any:
-    """Return a receive chain's settings with what its ``preset`` names filled in."""
-    return _filled(given, CHAIN_PRESETS)
-
-
-def _filled(given: Any, presets: Mapping[str, Mapping[str, Any]]) -> Any:
+def filled(given: Any, presets: Mapping[str, Mapping[str, Any]]) -> Any:
+    """Return settings with what their ``preset`` names filled in; anything that is no table unchanged."""
     if not isinstance(given, Mapping):
         return given
     return {**presets.get(str(given.get("preset")), {}), **given}

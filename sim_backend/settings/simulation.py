@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from sim_backend.settings.presets import Preset, with_chain_preset, with_preset
+from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, filled
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -59,7 +59,7 @@ class Specimen(Section):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
-        return with_preset(given)
+        return filled(given, PRESETS)
 
     @model_validator(mode="after")
     def _maxwell_needs_viscosity(self) -> Specimen:
@@ -236,7 +236,7 @@ class ReceiveChain(Section):
     @model_validator(mode="before")
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
-        return with_chain_preset(given)
+        return filled(given, CHAIN_PRESETS)
 
 
 class Instruments(Section):
@@ -291,31 +291,22 @@ class SimulationSettings(Section):
     """What the simulated instruments are."""
 
     @model_validator(mode="after")
-    def _one_cause_of_noise(self) -> SimulationSettings:
+    def _without_contradictions(self) -> SimulationSettings:
         if self.receive_chain is not None and self.receiver.snr_db is not None:
             raise ValueError(
                 "receiver.snr_db and receive_chain exclude each other: with a chain the noise is the preamplifier's, "
                 "receive_chain.noise_v_per_sqrt_hz"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _field_of_a_round_force(self) -> SimulationSettings:
-        if self.specimen is None or self.specimen.field == "gaussian":
-            return self
-        x, y, _ = self.beams.excitation_width_m
-        remedy = 'specimen.field = "gaussian"'
-        if abs(x - y) > 1e-12 * x:
-            raise ValueError(
-                f"the medium's own field is that of a round force, beams.excitation_width_m is {x:g} m by {y:g} m: "
-                f"make both equal, or set {remedy}"
-            )
-        if self.beams.width_ratio is not None:
-            raise ValueError(f"beams.width_ratio sets the shape of a Gaussian motion: remove it, or set {remedy}")
-        return self
-
-    @model_validator(mode="after")
-    def _one_cause_of_motion(self) -> SimulationSettings:
+        if self.specimen is not None and self.specimen.field == "medium":
+            x, y, _ = self.beams.excitation_width_m
+            remedy = 'specimen.field = "gaussian"'
+            if abs(x - y) > 1e-12 * x:
+                raise ValueError(
+                    f"the medium's own field is that of a round force, beams.excitation_width_m is {x:g} m by {y:g} m: "
+                    f"make both equal, or set {remedy}"
+                )
+            if self.beams.width_ratio is not None:
+                raise ValueError(f"beams.width_ratio sets the shape of a Gaussian motion: remove it, or set {remedy}")
         if self.specimen is not None and self.motion is not None:
             raise ValueError(
                 "specimen and motion exclude each other: remove [simulation.specimen] or [[simulation.motion]]"

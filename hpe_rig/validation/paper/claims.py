@@ -16,11 +16,12 @@ from hpe_rig.validation.paper.judgement import (
     SIGNIFICANT,
     UNITS,
     UNTOLD,
-    Judge,
     Judgement,
     at_point,
     below,
     ends,
+    in_units,
+    judge_of,
     map_of,
     number,
 )
@@ -28,17 +29,15 @@ from hpe_rig.validation.paper.judgement import (
 NM, DEGREES = 1e9, 180 / math.pi
 
 
+@judge_of
 def at_highest_snr(
-    quantity: str, said: float, rounding: float, scale: float = 1.0, offset: float = 0.0, unit: str = ""
-) -> Judge:
-    """Return the judge of "bias" or "jitter" of the amplitude over the true one, ``offset`` + ``scale`` times it."""
-
-    def judge(result: StudyResult, reading: str) -> Judgement:
-        curve = ends(result, reading)[0]
-        value, se, truth = (curve.values(f"amplitude_{name}_m")[-1] for name in (quantity, f"{quantity}_se", "true"))
-        return number(offset + scale * value / truth, abs(scale) * se / truth, said, rounding, unit)
-
-    return judge
+    result: StudyResult, reading: str, quantity: str, said: float, rounding: float,
+    scale: float = 1.0, offset: float = 0.0, unit: str = "",
+) -> Judgement:  # fmt: skip
+    """Judge "bias" or "jitter" of the amplitude over the true one, ``offset`` + ``scale`` times it."""
+    curve = ends(result, reading)[0]
+    value, se, truth = (curve.values(f"amplitude_{name}_m")[-1] for name in (quantity, f"{quantity}_se", "true"))
+    return number(offset + scale * value / truth, abs(scale) * se / truth, said, rounding, unit)
 
 
 def lateral_theory(result: StudyResult, reading: str) -> Judgement:
@@ -51,7 +50,7 @@ def lateral_theory(result: StudyResult, reading: str) -> Judgement:
 def levels_out(result: StudyResult, reading: str) -> Judgement:
     """Judge whether the mean is constant over the three highest SNRs."""
     curve = ends(result, reading)[0]
-    bias, se = curve.values("amplitude_bias_m") * NM, curve.values("amplitude_bias_se_m") * NM
+    bias, se = in_units(curve, "amplitude_bias")
     change = float(np.ptp(bias[-3:]))
     words = f"mean within {change:.2g} nm from {curve.x[-3]:g} to {curve.x[-1]:g} dB, s.e. {se[-1]:.2g} nm"
     return Judgement(words, AGREES if change < 3 * se[-1] else DIFFERS)
@@ -60,17 +59,17 @@ def levels_out(result: StudyResult, reading: str) -> Judgement:
 def no_phase_bias(result: StudyResult, reading: str) -> Judgement:
     """Judge whether the phase has a bias at any SNR."""
     curve = ends(result, reading)[0]
-    bias, se = curve.values("phase_bias_rad"), curve.values("phase_bias_se_rad")
+    bias, se = in_units(curve, "phase_bias")
     worst = int(np.argmax(np.abs(bias / se)))
-    size = f"{abs(bias[worst] / se[worst]):.1f} s.e., {abs(bias[worst]) * DEGREES:.2g} deg"
-    words = f"at most {size} at {curve.x[worst]:g} dB"
-    return Judgement(words, AGREES if abs(bias[worst]) < 3 * se[worst] else DIFFERS)
+    sigmas = abs(bias[worst] / se[worst])
+    words = f"at most {sigmas:.1f} s.e., {abs(bias[worst]):.2g} deg at {curve.x[worst]:g} dB"
+    return Judgement(words, AGREES if sigmas < 3 else DIFFERS)
 
 
 def falls_by_20_db(result: StudyResult, reading: str) -> Judgement:
     """Judge whether the displacement jitter has fallen at 20 dB."""
     curve = ends(result, reading)[0]
-    jitter, se = curve.values("amplitude_jitter_m") * NM, curve.values("amplitude_jitter_se_m") * NM
+    jitter, se = in_units(curve, "amplitude_jitter")
     at = int(np.argmin(np.abs(curve.x - 20)))
     words = f"displacement jitter {jitter[0]:.3g}, {jitter[at]:.3g}, {jitter[-1]:.3g} nm at 0, 20, {curve.x[-1]:g} dB"
     return Judgement(words, AGREES if jitter[0] - jitter[at] > 3 * math.hypot(se[0], se[at]) else DIFFERS)
@@ -95,37 +94,31 @@ def map_ratio(result: StudyResult, reading: str) -> Judgement:
     return number(value, at_point(x, y, table["amplitude_bias_se_m"] / truth, OURS), 0.82, 0.005)
 
 
-def phase_limit(quantity: str) -> Judge:
-    """Return the judge of 5 degrees as the most where both W exceed 0.5."""
-
-    def judge(result: StudyResult, reading: str) -> Judgement:
-        _, x, y, table = map_of(result, reading)[-1]
-        wide = (x[None, :] > 0.5) & (y[:, None] > 0.5)
-        value = np.abs(table[f"{quantity}_rad"])[wide] * DEGREES
-        place = int(np.argmax(value))
-        return below(value[place], table[f"{quantity}_se_rad"][wide][place] * DEGREES, 5.0, " deg")
-
-    return judge
+@judge_of
+def phase_limit(result: StudyResult, reading: str, quantity: str) -> Judgement:
+    """Judge 5 degrees as the most where both W exceed 0.5."""
+    _, x, y, table = map_of(result, reading)[-1]
+    wide = (x[None, :] > 0.5) & (y[:, None] > 0.5)
+    value = np.abs(table[f"{quantity}_rad"])[wide] * DEGREES
+    place = int(np.argmax(value))
+    return below(value[place], table[f"{quantity}_se_rad"][wide][place] * DEGREES, 5.0, " deg")
 
 
-def map_trend(quantity: str, falls: bool) -> Judge:
-    """Return the judge of a trend along W_x = W_y: from first to last, and whether it first goes the other way."""
-
-    def judge(result: StudyResult, reading: str) -> Judgement:
-        _, x, _, table = map_of(result, reading)[-1]
-        unit, scale, name = UNITS[quantity.split("_")[0]]
-        value = np.abs(np.diagonal(table[f"{quantity}_{unit}"])) * scale
-        se = np.diagonal(table[f"{quantity}_se_{unit}"]) * scale
-        whole = (value[-1] - value[0]) / math.hypot(se[0], se[-1]) * (-1 if falls else 1)
-        top = int(np.argmax(value if falls else -value))
-        back = abs(value[top] - value[0]) / max(math.hypot(se[0], se[top]), 1e-300) > SIGNIFICANT and top > 0
-        words = f"{QUANTITIES[quantity]} {value[0]:.3g} to {value[-1]:.3g} {name} along W_x = W_y"
-        if back:
-            words += f", but first to {value[top]:.3g} at W = {x[top]:.2g}"
-        verdict = DIFFERS if whole < -SIGNIFICANT else UNTOLD if whole < SIGNIFICANT else AGREES
-        return Judgement(words, IN_PART if back and verdict == AGREES else verdict)
-
-    return judge
+@judge_of
+def map_trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> Judgement:
+    """Judge a trend along W_x = W_y: from first to last, and whether it first goes the other way."""
+    _, x, _, table = map_of(result, reading)[-1]
+    unit, scale, name = UNITS[quantity.split("_")[0]]
+    value = np.abs(np.diagonal(table[f"{quantity}_{unit}"])) * scale
+    se = np.diagonal(table[f"{quantity}_se_{unit}"]) * scale
+    whole = (value[-1] - value[0]) / math.hypot(se[0], se[-1]) * (-1 if falls else 1)
+    top = int(np.argmax(value if falls else -value))
+    back = abs(value[top] - value[0]) / max(math.hypot(se[0], se[top]), 1e-300) > SIGNIFICANT and top > 0
+    words = f"{QUANTITIES[quantity]} {value[0]:.3g} to {value[-1]:.3g} {name} along W_x = W_y"
+    if back:
+        words += f", but first to {value[top]:.3g} at W = {x[top]:.2g}"
+    verdict = DIFFERS if whole < -SIGNIFICANT else UNTOLD if whole < SIGNIFICANT else AGREES
+    return Judgement(words, IN_PART if back and verdict == AGREES else verdict)
 
 
 def _differences(result: StudyResult, reading: str) -> list[tuple[float, float, float]]:
@@ -139,18 +132,14 @@ def _differences(result: StudyResult, reading: str) -> list[tuple[float, float, 
     return sorted(out)
 
 
-def difference_at(which: int, said: float) -> Judge:
-    """Return the judge of the largest difference from the lateral theory at one W_z, in ascending order."""
-
-    def judge(result: StudyResult, reading: str) -> Judgement:
-        w_z, gap, se = _differences(result, reading)[which]
-        # "Up to and greater than" and "as high as" are read off a figure: half a step of 0.05.
-        finding = number(gap, se, said, 0.025)
-        if which == 0 and gap > said:
-            finding = Judgement(finding.found, AGREES)
-        return Judgement(f"at most {finding.found} at W_z = {w_z:g}", finding.verdict)
-
-    return judge
+@judge_of
+def difference_at(result: StudyResult, reading: str, which: int, said: float) -> Judgement:
+    """Judge the largest difference from the lateral theory at one W_z, in ascending order."""
+    w_z, gap, se = _differences(result, reading)[which]
+    # "Up to and greater than" and "as high as" are read off a figure: half a step of 0.05.
+    finding = number(gap, se, said, 0.025)
+    verdict = AGREES if which == 0 and gap > said else finding.verdict
+    return Judgement(f"at most {finding.found} at W_z = {w_z:g}", verdict)
 
 
 def differences_fall(result: StudyResult, reading: str) -> Judgement:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import h5py
 import numpy as np
@@ -14,12 +15,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hpe_rig.acquire import prepare_text, process, record_run
+from hpe_rig.acquire import prepare, process, record_run
 from hpe_rig.plan import select
 from hpe_rig.processing import Motion, least_squares
 from hpe_rig.report import STYLE
 from hpe_rig.result import Result, ShotResult
-from hpe_rig.scene import shipped_scenes
+from hpe_rig.scene import SceneSource
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +31,7 @@ class Verdict:
 
     statement: str
     found: str
-    met: bool
+    met: bool | np.bool_
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,72 +48,64 @@ class Experiment:
 
 @dataclass(frozen=True, slots=True)
 class Repeated:
-    """Repeats at one setting: amplitude and phase at every frequency, (repeat, frequency)."""
+    """Repeats at one setting.
+
+    ``amplitude_m`` (repeat, frequency). The others (frequency,): mean and standard deviation over the repeats, the mean
+    phase unwrapped over frequency; what is true, and the share of it that the beams average.
+    """
 
     frequency_hz: Floats
     amplitude_m: Floats
-    phase_rad: Floats
+    mean_nm: Floats
+    sd_nm: Floats
+    mean_deg: Floats
+    sd_deg: Floats
     true_m: Floats
     averaging: Floats
 
     @property
-    def mean_nm(self) -> Floats:
-        """Mean amplitude, nm (frequency,)."""
-        return np.asarray(self.amplitude_m.mean(axis=0) * 1e9)
-
-    @property
-    def sd_nm(self) -> Floats:
-        """Standard deviation of the amplitude over the repeats, nm (frequency,)."""
-        return np.asarray(self.amplitude_m.std(axis=0, ddof=1) * 1e9)
-
-    @property
-    def mean_deg(self) -> Floats:
-        """Mean phase, degrees, unwrapped over frequency (frequency,)."""
-        return np.asarray(np.degrees(np.unwrap(np.angle(np.exp(1j * self.phase_rad).mean(axis=0)))))
-
-    @property
-    def sd_deg(self) -> Floats:
-        """Standard deviation of the phase over the repeats, degrees (frequency,)."""
-        turn = np.exp(1j * self.phase_rad)
-        return np.asarray(np.degrees(np.angle(turn / turn.mean(axis=0)).std(axis=0, ddof=1)))
+    def error_nm(self) -> float:
+        """Standard error of a mean amplitude, from the deviation pooled over the frequencies."""
+        return float(np.sqrt(np.mean(self.sd_nm**2) / len(self.amplitude_m)))
 
 
-def result_of(scene: str) -> Result:
-    """Measure a shipped scene and return its result."""
+def result_of(scene: SceneSource) -> Result:
+    """Measure a scene and return its result."""
     return result_and_sampled_truth(scene)[0]
 
 
-def result_and_sampled_truth(scene: str, text: str | None = None) -> tuple[Result, Floats]:
-    """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what folds is in them.
-
-    ``text`` is measured in place of the shipped scene's.
-    """
-    setup = prepare_text(scene, text or shipped_scenes()[scene])
+def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, Floats]:
+    """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what folds is in them."""
+    setup = prepare(scene)
     with TemporaryDirectory() as folder:
         run_file = record_run(setup, Path(folder) / "run.h5")
         with h5py.File(run_file) as file:
             true_m = file["truth/displacement_m"][...]
         result = process(run_file)
-    scene_, sampled_m = setup.scene.scene, []
+    sampled_m = []
     for shot, row_m in zip(setup.plan.shots, true_m, strict=True):
-        chosen = select(scene_, shot)
+        chosen = select(setup.scene.scene, shot)
         time_s = shot.timeline.sensing_s[chosen.window]
         motion = Motion(time_s, row_m[chosen.window], np.zeros(time_s.size), np.ones(time_s.size, bool))
-        fit = least_squares(motion, chosen.wanted_hz, also_hz=chosen.driven_hz)
-        sampled_m.append(fit.amplitude_m)
+        sampled_m.append(least_squares(motion, chosen.wanted_hz, also_hz=chosen.driven_hz).amplitude_m)
     return result, np.array(sampled_m)
 
 
 def repeated(shots: Sequence[ShotResult]) -> Repeated:
     """Return the repeats of one setting as arrays."""
     estimates = [shot.estimates for shot in shots]
-    true_m = np.array([[item.true_amplitude_m or np.nan for item in row] for row in estimates]).mean(axis=0)
+    amplitude_m = np.array([[item.amplitude_m for item in row] for row in estimates])
+    turn = np.exp(1j * np.array([[item.phase_rad for item in row] for row in estimates]))
+    mean_turn = turn.mean(axis=0)
     return Repeated(
-        np.array([item.frequency_hz for item in estimates[0]]),
-        np.array([[item.amplitude_m for item in row] for row in estimates]),
-        np.array([[item.phase_rad for item in row] for row in estimates]),
-        true_m,
-        np.array([item.averaging_factor or np.nan for item in estimates[0]]),
+        frequency_hz=np.array([item.frequency_hz for item in estimates[0]]),
+        amplitude_m=amplitude_m,
+        mean_nm=amplitude_m.mean(axis=0) * 1e9,
+        sd_nm=amplitude_m.std(axis=0, ddof=1) * 1e9,
+        mean_deg=np.degrees(np.unwrap(np.angle(mean_turn))),
+        sd_deg=np.degrees(np.angle(turn / mean_turn).std(axis=0, ddof=1)),
+        true_m=np.array([[item.true_amplitude_m or np.nan for item in row] for row in estimates]).mean(axis=0),
+        averaging=np.array([item.averaging_factor or np.nan for item in estimates[0]]),
     )
 
 
@@ -130,26 +123,35 @@ def panels(count: int) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
+def label(axes: Axes, x: str, y: str, **more: Any) -> None:
+    """Name a panel's axes and, where curves have names, put a legend."""
+    axes.set(xlabel=x, ylabel=y, **more)
+    if axes.get_legend_handles_labels()[1]:
+        axes.legend(frameon=False, fontsize=7)
+
+
 def write_page(experiments: Sequence[Experiment], folder: Path) -> Path:
     """Write a page in Markdown and a figure an experiment; return the page's path."""
     folder.mkdir(parents=True, exist_ok=True)
-    lines = [
-        "# The paper's experiments on the twin",
-        "",
-        "Figure and table beside what the paper says; a miss is a miss.",
-        "",
+    lines = ["# The paper's experiments on the twin", ""]
+    lines += ["Figure and table beside what the paper says; a miss is a miss.", ""]
+    rows = [
+        (item.key, verdict.statement, verdict.found, "met" if verdict.met else "**missed**")
+        for item in experiments
+        for verdict in item.verdicts
     ]
-    rows = [(item.key, verdict) for item in experiments for verdict in item.verdicts]
-    lines += ["| | statement | found | |", "|---|---|---|---|"]
-    lines += [f"| {key} | {v.statement} | {v.found} | {'met' if v.met else '**missed**'} |" for key, v in rows]
+    lines += _markdown((("", "statement", "found", ""), *rows))
     for item in experiments:
         name = f"{item.key.lower().replace(' ', '-').replace('.', '').replace(',', '')}.svg"
         with rc_context(STYLE):
             item.figure.savefig(folder / name, metadata={"Date": None})
         lines += ["", f"## {item.key}: {item.title}", "", item.how, "", f"![{item.title}]({name})", ""]
-        lines += ["| " + " | ".join(row) + " |" for row in item.table[:1]]
-        lines += ["|" + "---|" * len(item.table[0])]
-        lines += ["| " + " | ".join(row) + " |" for row in item.table[1:]]
+        lines += _markdown(item.table)
     path = folder / "beside-the-paper.md"
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
+
+
+def _markdown(table: Sequence[Sequence[str]]) -> list[str]:
+    header, *rows = (f"|{'|'.join(f' {cell} ' if cell else ' ' for cell in row)}|" for row in table)
+    return [header, "|" + "---|" * len(table[0]), *rows]

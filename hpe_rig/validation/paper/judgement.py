@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Concatenate, ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.study import Curve, StudyResult, curves, maps, view
+from hpe_rig.study import Curve, StudyResult, View, curves, maps, view
 
 Floats = NDArray[np.float64]
 Columns = dict[str, Floats]
+P = ParamSpec("P")
 
 SIGNIFICANT = 3.0
 """Standard errors: of 200 comparisons of nothing with nothing, one in two such pages shows one by chance."""
@@ -37,6 +39,11 @@ class Judgement:
 
 Judge = Callable[[StudyResult, str], Judgement]
 """From a study and a reading of eq. (11)."""
+
+
+def judge_of(rule: Callable[Concatenate[StudyResult, str, P], Judgement]) -> Callable[P, Judge]:
+    """Return ``rule`` (study, reading, what the paper says) as a function from what the paper says to its judge."""
+    return lambda *said, **more: lambda result, reading: rule(result, reading, *said, **more)
 
 
 def judged(results: Mapping[str, StudyResult], study: str, reading: str, judge: Judge) -> Judgement:
@@ -69,79 +76,59 @@ def with_error(value: float, se: float) -> str:
 
 def ends(result: StudyResult, reading: str) -> tuple[Curve, Curve]:
     """Return the first and the last curve of the paper's chain in a reading."""
-    one = view(result, reading)
-    assert one is not None  # noqa: S101
-    found = curves(result, one)
+    found = curves(result, _seen(result, reading))
     return found[0], found[-1]
 
 
-def trend(quantity: str, falls: bool) -> Judge:
-    """Return the judge of a trend from the first to the last value of the parameter, at every SNR.
+@judge_of
+def trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> Judgement:
+    """Judge a trend from the first to the last value of the parameter, at every SNR.
 
     It agrees where it shows significantly at some SNR and its opposite at none. Equal random numbers along the
     parameter make the standard errors upper bounds.
     """
-
-    def judge(result: StudyResult, reading: str) -> Judgement:
-        first, last = ends(result, reading)
-        (a, a_se), (b, b_se) = _sizes(first, quantity), _sizes(last, quantity)
-        z = (b - a) / np.maximum(np.hypot(a_se, b_se), 1e-300) * (-1 if falls else 1)
-        right, wrong = z > SIGNIFICANT, z < -SIGNIFICANT
-        shown = int(np.argmin(np.abs(first.x - SHOWN_DB)))
-        _, _, unit = UNITS[quantity.split("_")[0]]
-        words = f"{QUANTITIES[quantity]} {a[shown]:.3g} to {b[shown]:.3g} {unit} at {first.x[shown]:g} dB"
-        words += f"; {'falls' if falls else 'rises'} at {_places(first.x, right)}"
-        if wrong.any():
-            words += f", {'rises' if falls else 'falls'} at {_places(first.x, wrong)}"
-        if not right.any():
-            return Judgement(words, DIFFERS if wrong.any() else UNTOLD)
-        return Judgement(words, IN_PART if wrong.any() else AGREES)
-
-    return judge
+    x, a, a_se, b, b_se = _both_ends(result, reading, quantity)
+    z = (b - a) / np.maximum(np.hypot(a_se, b_se), 1e-300) * (-1 if falls else 1)
+    right, wrong = z > SIGNIFICANT, z < -SIGNIFICANT
+    shown = int(np.argmin(np.abs(x - SHOWN_DB)))
+    unit, ways = UNITS[quantity.split("_")[0]][2], ("falls", "rises") if falls else ("rises", "falls")
+    words = f"{QUANTITIES[quantity]} {a[shown]:.3g} to {b[shown]:.3g} {unit} at {x[shown]:g} dB"
+    words += f"; {ways[0]} at {_places(x, right)}"
+    if wrong.any():
+        words += f", {ways[1]} at {_places(x, wrong)}"
+    if not right.any():
+        return Judgement(words, DIFFERS if wrong.any() else UNTOLD)
+    return Judgement(words, IN_PART if wrong.any() else AGREES)
 
 
-def flat(quantity: str, small: float, from_db: float = -math.inf) -> Judge:
-    """Return the judge of "no effect": less than ``small`` (nm or degrees), or not significant, at every SNR."""
-
-    def judge(result: StudyResult, reading: str) -> Judgement:
-        first, last = ends(result, reading)
-        (a, a_se), (b, b_se) = _sizes(first, quantity), _sizes(last, quantity)
-        kept = first.x >= from_db
-        change, se = np.abs(b - a)[kept], np.hypot(a_se, b_se)[kept]
-        effect = (change > SIGNIFICANT * se) & (change > small)
-        place = int(np.argmax(change))
-        unit = UNITS[quantity.split("_")[0]][2]
-        words = f"{QUANTITIES[quantity]} changes at most by {with_error(change[place], se[place])} {unit}"
-        words += f", at {first.x[kept][place]:g} dB"
-        if effect.any():
-            words += f"; significantly at {_places(first.x[kept], effect)}"
-        return Judgement(words, DIFFERS if effect.all() else IN_PART if effect.any() else AGREES)
-
-    return judge
+@judge_of
+def flat(result: StudyResult, reading: str, quantity: str, small: float, from_db: float = -math.inf) -> Judgement:
+    """Judge "no effect": less than ``small`` (nm or degrees), or not significant, at every SNR."""
+    x, a, a_se, b, b_se = _both_ends(result, reading, quantity, from_db)
+    change, se = np.abs(b - a), np.hypot(a_se, b_se)
+    effect = (change > SIGNIFICANT * se) & (change > small)
+    place = int(np.argmax(change))
+    unit = UNITS[quantity.split("_")[0]][2]
+    words = f"{QUANTITIES[quantity]} changes at most by {with_error(change[place], se[place])} {unit}"
+    words += f", at {x[place]:g} dB"
+    if effect.any():
+        words += f"; significantly at {_places(x, effect)}"
+    return Judgement(words, DIFFERS if effect.all() else IN_PART if effect.any() else AGREES)
 
 
-def slight(quantity: str, share: float, from_db: float = SHOWN_DB) -> Judge:
-    """Return the judge of a small change: less than ``share`` of the value at the SNRs from ``from_db``."""
-
-    def judge(result: StudyResult, reading: str) -> Judgement:
-        first, last = ends(result, reading)
-        (a, a_se), (b, b_se) = _sizes(first, quantity), _sizes(last, quantity)
-        kept = first.x >= from_db
-        ratio, se = (b / a - 1)[kept], (np.hypot(a_se / a, b_se / b) * np.abs(b / a))[kept]
-        place = int(np.argmax(np.abs(ratio)))
-        words = (
-            f"{QUANTITIES[quantity]} {ratio[place] * 100:+.0f} ± {se[place] * 100:.1g} % at {first.x[kept][place]:g} dB"
-        )
-        return Judgement(words, AGREES if abs(ratio[place]) < share else DIFFERS)
-
-    return judge
+@judge_of
+def slight(result: StudyResult, reading: str, quantity: str, share: float) -> Judgement:
+    """Judge a small change: less than ``share`` of the value at the SNRs from 20 dB on."""
+    x, a, a_se, b, b_se = _both_ends(result, reading, quantity, SHOWN_DB)
+    ratio, se = b / a - 1, np.hypot(a_se / a, b_se / b) * np.abs(b / a)
+    place = int(np.argmax(np.abs(ratio)))
+    words = f"{QUANTITIES[quantity]} {ratio[place] * 100:+.0f} ± {se[place] * 100:.1g} % at {x[place]:g} dB"
+    return Judgement(words, AGREES if abs(ratio[place]) < share else DIFFERS)
 
 
 def map_of(result: StudyResult, reading: str) -> list[tuple[float, Floats, Floats, Columns]]:
     """Return W_z, W_x, W_y and the columns (y, x) of every map of the paper's chain."""
-    one = view(result, reading)
-    assert one is not None  # noqa: S101
-    return [(float(values[0]), x, y, table) for values, x, y, table in maps(result, one)]
+    return [(float(values[0]), x, y, table) for values, x, y, table in maps(result, _seen(result, reading))]
 
 
 def at_point(x: Floats, y: Floats, values: Floats, place: float) -> float:
@@ -150,10 +137,24 @@ def at_point(x: Floats, y: Floats, values: Floats, place: float) -> float:
     return float(np.interp(math.log(place), np.log(y), rows))
 
 
-def _sizes(curve: Curve, quantity: str) -> tuple[Floats, Floats]:
-    """Return absolute value and standard error of a quantity, in nm or degrees."""
+def in_units(curve: Curve, quantity: str) -> tuple[Floats, Floats]:
+    """Return value and standard error of a quantity along a curve, in nm or degrees."""
     unit, scale, _ = UNITS[quantity.split("_")[0]]
-    return np.abs(curve.values(f"{quantity}_{unit}")) * scale, curve.values(f"{quantity}_se_{unit}") * scale
+    return curve.values(f"{quantity}_{unit}") * scale, curve.values(f"{quantity}_se_{unit}") * scale
+
+
+def _seen(result: StudyResult, reading: str) -> View:
+    one = view(result, reading)
+    assert one is not None  # noqa: S101
+    return one
+
+
+def _both_ends(result: StudyResult, reading: str, quantity: str, from_db: float = -math.inf) -> tuple[Floats, ...]:
+    """Return SNR, absolute value and error on the first curve, value and error on the last, all (SNR,)."""
+    first, last = ends(result, reading)
+    (a, a_se), (b, b_se) = in_units(first, quantity), in_units(last, quantity)
+    kept = first.x >= from_db
+    return first.x[kept], np.abs(a)[kept], a_se[kept], np.abs(b)[kept], b_se[kept]
 
 
 def _places(x: Floats, chosen: NDArray[np.bool_]) -> str:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hpe_rig.prediction import detection_floor
 from hpe_rig.report import MARKS, Line, fit_line
-from hpe_rig.scene import parse_scene, shipped_scenes
+from hpe_rig.scene import load_scene
 from hpe_rig.validation.paper.experiments import (
     Experiment,
     Repeated,
     Verdict,
     by,
+    label,
     panels,
     repeated,
     result_and_sampled_truth,
@@ -33,6 +35,14 @@ CHI2_12 = 1.32
 """Below which that over 12 lies in 95 of 100 draws."""
 
 
+WHAT = {
+    "mean_nm": "mean displacement (nm)",
+    "sd_nm": "its deviation (nm)",
+    "mean_deg": "mean phase (degrees)",
+    "sd_deg": "its deviation (degrees)",
+}
+"""What Fig. 16 to 19 show of the repeats, a panel each."""
+
 CLEAR_S = 95e-6
 """How long before a toneburst a pulse must leave for its gate, 91 us later, to be clear of it."""
 
@@ -45,7 +55,8 @@ def figure_15() -> Experiment:
     figure, (left, right) = panels(2)
     rows, lines, single = [], {}, {}
     for (length_s, count), (mark, colour) in zip(HIGHEST.items(), MARKS, strict=False):
-        forces = by([shot for shot in shots if shot.burst_length_s == length_s], lambda shot: shot.force_fraction)
+        some = [shot for shot in shots if shot.burst_length_s == length_s]
+        forces = by(some, lambda shot: shot.force_fraction)
         force = np.array(list(forces))
         nm = np.array([each.amplitude_m[:, 1] for each in forces.values()]) * 1e9
         top = slice(-count, None)
@@ -59,28 +70,28 @@ def figure_15() -> Experiment:
         left.errorbar(force, nm.mean(axis=1), nm.std(axis=1, ddof=1), fmt=mark, color=colour, ms=4, label=name)
         left.plot(force[top], line.intercept + line.slope * force[top], color=colour, lw=1)
         right.plot(force, nm.mean(axis=1), mark, color=colour, ms=4, label=name)
-        full = [shot for shot in shots if shot.burst_length_s == length_s and shot.force_fraction == 1.0]
-        seen_nm = float(np.mean([sampled_m[id(shot)][1] for shot in full])) * 1e9
+        seen_nm = float(np.mean([sampled_m[id(shot)][1] for shot in some if shot.force_fraction == 1.0])) * 1e9
         truth_nm = np.array([forces[1.0].true_m[1] * 1e9, seen_nm]) * forces[1.0].averaging[1]
-        rows.append(_line_row(length_s, line, single[length_s], nm[:2].mean(), truth_nm))
-    floor = detection_floor(parse_scene("15", shipped_scenes()["muscle-force"]).scene)
+        rows.append(
+            (
+                f"{length_s * 1e6:.0f} us",
+                f"{line.slope:.0f} +- {line.slope_u:.0f}",
+                f"{PAPER_SLOPE_NM[length_s]:.0f}",
+                f"{line.intercept:.0f} +- {line.intercept_u:.0f}",
+                f"{line.r_squared:.3f}",
+                ", ".join(f"{value:.2f}" for value in single[length_s]),
+                f"{nm[:2].mean():.0f}",
+                f"{truth_nm[0]:.0f}, {truth_nm[1]:.0f}",
+            )
+        )
+    floor = detection_floor(load_scene("muscle-force"))
     right.axhspan(100, 200, color="0.9", label="the paper's floor")
     right.axhline(floor.detected_m * 1e9, color="0.3", ls="--", label="noise exceeds it once in 20")
-    right.set(xscale="log", yscale="log", xlabel="force F / F_0", ylabel="displacement (nm)")
-    left.set(xlabel="force F / F_0", ylabel="displacement (nm)")
-    right.legend(frameon=False, fontsize=7)
-    left.legend(frameon=False, fontsize=7)
+    label(right, "force F / F_0", "displacement (nm)", xscale="log", yscale="log")
+    label(left, "force F / F_0", "displacement (nm)")
     short, middle, long = (lines[length_s] for length_s in HIGHEST)
-    header = (
-        "T_b",
-        "slope (nm per F_0)",
-        "the paper's",
-        "offset (nm)",
-        "R^2",
-        "R^2 of each repeat",
-        "at F <= 0.04 (nm)",
-        "truth, at the pulses (nm)",
-    )
+    header = "T_b|slope (nm per F_0)|the paper's|offset (nm)|R^2|R^2 of each repeat|at F <= 0.04 (nm)"
+    header += "|truth, at the pulses (nm)"
     return Experiment(
         "Fig. 15",
         "displacement at 200 Hz against force",
@@ -94,7 +105,7 @@ def figure_15() -> Experiment:
         "forces the paper's three R^2 mean 24, 33 and 80 nm about its lines, 4 to 6 % of each slope: that is no noise, "
         "which would be the same for all. Far below the threshold an amplitude settles at the mean of the noise alone, "
         "1.25 times a quadrature's 54 nm.",
-        (header, *rows),
+        (tuple(header.split("|")), *rows),
         figure,
         (
             _slope_ratio("slope of 100 us over that of 50 us is 2 within errors", middle, short, 2.0),
@@ -120,38 +131,20 @@ def figure_15() -> Experiment:
     )
 
 
-def _line_row(length_s: float, line: Line, single: list[float], plateau_nm: float, truth_nm: Floats) -> tuple[str, ...]:
-    return (
-        f"{length_s * 1e6:.0f} us",
-        f"{line.slope:.0f} +- {line.slope_u:.0f}",
-        f"{PAPER_SLOPE_NM[length_s]:.0f}",
-        f"{line.intercept:.0f} +- {line.intercept_u:.0f}",
-        f"{line.r_squared:.3f}",
-        ", ".join(f"{value:.2f}" for value in single),
-        f"{plateau_nm:.0f}",
-        f"{truth_nm[0]:.0f}, {truth_nm[1]:.0f}",
-    )
-
-
 def _slope_ratio(statement: str, over: Line, under: Line, expected: float) -> Verdict:
     ratio = over.slope / under.slope
     u = ratio * np.hypot(over.slope_u / over.slope, under.slope_u / under.slope)
-    return Verdict(statement, f"{ratio:.2f} +- {u:.2f}", bool(abs(ratio - expected) < 2 * u))
+    return Verdict(statement, f"{ratio:.2f} +- {u:.2f}", abs(ratio - expected) < 2 * u)
 
 
 def figures_16_17() -> Experiment:
     """Mean and deviation of displacement and phase against force and frequency."""
     forces = by(result_of("muscle-repeats").shots, lambda shot: shot.force_fraction)
-    figure, axes = panels(4)
     force, four = np.array(list(forces)), slice(0, 4)
-    for index, (mark, colour) in zip(range(4), MARKS, strict=False):
-        columns = [[getattr(each, what)[index] for each in forces.values()] for what in _WHAT]
-        for panel, column in zip(axes, columns, strict=True):
-            panel.plot(force, column, marker=mark, color=colour, ms=4, label=f"{100 * (index + 1)} Hz")
-    _label(axes, "force F / F_0")
-    means = np.array([each.mean_nm[four] for each in forces.values()])
-    sds, phases = (np.array([getattr(each, what)[four] for each in forces.values()]) for what in ("sd_nm", "sd_deg"))
-    expected_nm = detection_floor(parse_scene("16", shipped_scenes()["muscle-repeats"]).scene).quadrature_m * 1e9
+    shown = np.array([[getattr(each, what)[four] for each in forces.values()] for what in WHAT])
+    figure = _four_panels("force F / F_0", {f"{100 * (k + 1)} Hz": (force, shown[..., k]) for k in range(4)})
+    means, sds, _, phases = shown
+    expected_nm = detection_floor(load_scene("muscle-repeats")).quadrature_m * 1e9
     over_f, over_force = (np.sqrt(np.mean(sds**2, axis=axis)) / expected_nm for axis in (0, 1))
     every = forces[1.0]
     # Five means about a line each: three degrees of freedom at four frequencies.
@@ -175,17 +168,17 @@ def figures_16_17() -> Experiment:
                 "standard deviation of displacement independent of F and f_v",
                 f"over the predicted {expected_nm:.0f} nm: {over_force.min():.2f} to {over_force.max():.2f} by force, "
                 f"{over_f.min():.2f} to {over_f.max():.2f} by frequency",
-                bool(CHI2_16[0] < over_force.min() and over_force.max() < CHI2_16[1]),
+                CHI2_16[0] < over_force.min() and over_force.max() < CHI2_16[1],
             ),
             Verdict(
                 "standard deviation of phase falls with amplitude, below 25 degrees",
                 f"largest {phases.max():.1f} degrees, correlation of the logarithms {trend:.2f}",
-                bool(phases.max() < 25 and trend < 0),
+                phases.max() < 25 and trend < 0,
             ),
             Verdict(
                 "displacement falls with frequency, 100 to 1000 Hz",
                 ", ".join(f"{value:.0f}" for value in every.mean_nm) + " nm",
-                bool((np.diff(every.true_m) < 0).all() and every.mean_nm[0] > every.mean_nm[-1]),
+                (np.diff(every.true_m) < 0).all() and every.mean_nm[0] > every.mean_nm[-1],
             ),
         ),
     )
@@ -194,14 +187,14 @@ def figures_16_17() -> Experiment:
 def figure_18() -> Experiment:
     """Mean and deviation against frequency for every pulse rate."""
     rates = by(result_of("muscle-pulse-rate").shots, lambda shot: shot.pulse_rate_hz)
-    figure = _over_frequency({f"{rate * 1e-3:g} kHz": each for rate, each in rates.items()})
+    table = {f"{rate * 1e-3:g} kHz": each for rate, each in rates.items()}
+    figure = _over_frequency(table)
     two, two_half, three, four = rates.values()
     amid = {rate: _amid(rate) for rate in rates}
     same = min(len(three.mean_nm), 4)
     apart = _apart(three, four, same)
     turned = (three.mean_deg - four.mean_deg)[:same]
     slow = np.array([(each.mean_deg - four.mean_deg)[:same] for each in (two, two_half)])
-    table = {f"{rate * 1e-3:g} kHz": each for rate, each in rates.items()}
     table |= {f"{rate * 1e-3:g} kHz, t_d = {_delay_s(rate) * 1e6:.0f} us": each for rate, each in amid.items()}
     return Experiment(
         "Fig. 18",
@@ -224,17 +217,17 @@ def figure_18() -> Experiment:
             Verdict(
                 "3 and 4 kHz agree in phase (within the paper's 10 degrees)",
                 f"largest difference {np.abs(turned).max():.1f} degrees",
-                bool(np.abs(turned).max() < 10),
+                np.abs(turned).max() < 10,
             ),
             Verdict(
                 "2.0 and 2.5 kHz differ in phase",
                 f"by {slow.min():.0f} to {slow.max():.0f} degrees",
-                bool(np.abs(slow).max() > np.abs(turned).max()),
+                np.abs(slow).max() > np.abs(turned).max(),
             ),
             Verdict(
                 "2.0 kHz has lower and 2.5 kHz higher phases",
                 f"on average by {slow[0].mean():+.1f} and {slow[1].mean():+.1f} degrees",
-                bool(slow[0].mean() < 0 < slow[1].mean()),
+                slow[0].mean() < 0 < slow[1].mean(),
             ),
             _matching("displacement matches at all pulse rates, t_d the same", list(rates.values())),
             _matching("displacement matches at all pulse rates, t_d adjusted to each", list(amid.values())),
@@ -242,40 +235,44 @@ def figure_18() -> Experiment:
     )
 
 
-def _delay_s(pulse_rate_hz: float, burst_length_s: float = 100e-6) -> float:
-    """Return the delay of the first pulse that puts the push amid two pulses, none of their gates in a toneburst."""
-    return min((burst_length_s + 1 / pulse_rate_hz) / 2, 1 / pulse_rate_hz - CLEAR_S)
+def _delay_s(pulse_rate_hz: float) -> float:
+    """Return the delay of the first pulse that puts a push of 100 us amid two pulses, no gate of theirs in it."""
+    return min((100e-6 + 1 / pulse_rate_hz) / 2, 1 / pulse_rate_hz - CLEAR_S)
 
 
 def _amid(pulse_rate_hz: float) -> Repeated:
-    text = shipped_scenes()["muscle-repeats"].replace("delay_s = 130e-6", f"delay_s = {_delay_s(pulse_rate_hz):.6f}")
-    text = text.replace("pulse_rate_hz = 4000.0", f"pulse_rate_hz = {pulse_rate_hz}")
-    result, _ = result_and_sampled_truth("amid", text.replace("[1.0, 0.81, 0.64, 0.49, 0.36]", "[1.0]"))
-    return repeated(result.shots)
+    scene = load_scene("muscle-repeats").with_(
+        {
+            "tracking.delay_s": round(_delay_s(pulse_rate_hz), 6),
+            "tracking.pulse_rate_hz": pulse_rate_hz,
+            "excitation.force_fraction": [1.0],
+        }
+    )
+    return repeated(result_of(scene).shots)
 
 
 def _matching(statement: str, rates: list[Repeated]) -> Verdict:
     """Return whether the slower rates have the displacement of the fastest, the last, from 100 to 400 Hz."""
     over = np.array([each.mean_nm[:4] / rates[-1].mean_nm[:4] - 1 for each in rates[:-1]])
     found = f"2.0 to 3 kHz over 4 kHz: {over.min() * 100:+.0f} to {over.max() * 100:+.0f} %"
-    return Verdict(statement, found, bool(np.abs(over).max() < 0.1))
+    return Verdict(statement, found, np.abs(over).max() < 0.1)
 
 
 def figure_19() -> Experiment:
     """Mean and deviation against frequency for every slow-time window."""
     windows = by(result_of("muscle-window").shots, lambda shot: shot.window_length_s)
-    figure = _over_frequency({f"{length_s * 1e3:g} ms": each for length_s, each in windows.items()})
+    table = {f"{length_s * 1e3:g} ms": each for length_s, each in windows.items()}
     pooled = [np.sqrt(np.mean(each.sd_nm**2)) for each in windows.values()]
     turned = [np.sqrt(np.mean(each.sd_deg**2)) for each in windows.values()]
     first, *_, last = windows.values()
-    expected_nm = detection_floor(parse_scene("19", shipped_scenes()["muscle-repeats"]).scene).quadrature_m * 1e9
+    expected_nm = detection_floor(load_scene("muscle-repeats")).quadrature_m * 1e9
     apart = _apart(first, last, len(last.mean_nm))
     return Experiment(
         "Fig. 19",
         "displacement and phase for every slow-time window",
         "Scene `muscle-window`: the windows are taken from the same records, five repeats, 4 kHz, T_b = 100 us.",
-        _table("T_s", {f"{length_s * 1e3:g} ms": each for length_s, each in windows.items()}),
-        figure,
+        _table("T_s", table),
+        _over_frequency(table),
         (
             Verdict(
                 "longer T_s lowers the deviation of displacement",
@@ -301,32 +298,21 @@ def figure_19() -> Experiment:
 
 def table_2() -> Experiment:
     """Table II: what each experimental parameter is in the simulation, and what of the jitter follows."""
-    scene = parse_scene("table-2", shipped_scenes()["muscle-repeats"]).scene
-    hz, tracking, rows, points = 200.0, scene.tracking, [], []
+    scene, hz, rows, points = load_scene("muscle-repeats"), 200.0, [], []
     for rate_hz in (2000.0, 2500.0, 3000.0, 4000.0, 5000.0):
-        for length_s in (50e-3, 100e-3, 150e-3, 200e-3):
-            if rate_hz != 4000.0 and length_s != 100e-3:
-                continue
-            processing = scene.processing.model_copy(update={"window_length_s": length_s, "window_start_s": 0.0})
-            other = tracking.model_copy(update={"pulse_rate_hz": rate_hz})
-            floor = detection_floor(scene.model_copy(update={"processing": processing, "tracking": other}))
-            cycles, points_a_cycle = length_s * hz, rate_hz / hz
-            points.append((cycles * points_a_cycle, floor.quadrature_m * 1e9))
-            rows.append(
-                (
-                    f"{rate_hz * 1e-3:g} kHz",
-                    f"{points_a_cycle:g}",
-                    f"{length_s * 1e3:g} ms",
-                    f"{cycles:g}",
-                    f"{floor.quadrature_m * 1e9:.0f} nm",
-                )
-            )
+        for length_s in (50e-3, 100e-3, 150e-3, 200e-3) if rate_hz == 4000.0 else (100e-3,):
+            window = {"processing.window_length_s": length_s, "processing.window_start_s": 0.0}
+            floor = detection_floor(scene.with_({"tracking.pulse_rate_hz": rate_hz, **window}))
+            cycles, points_a_cycle, nm = length_s * hz, rate_hz / hz, floor.quadrature_m * 1e9
+            points.append((cycles * points_a_cycle, nm))
+            rate, length = f"{rate_hz * 1e-3:g} kHz", f"{length_s * 1e3:g} ms"
+            rows.append((rate, f"{points_a_cycle:g}", length, f"{cycles:g}", f"{nm:.0f} nm"))
     figure, (panel,) = panels(1)
     panel.loglog(*np.array(sorted(points)).T, "o-", ms=4, color=MARKS[0][1])
     panel.minorticks_off()
     for ticks, numbers in ((panel.set_xticks, (200, 300, 400, 600, 800)), (panel.set_yticks, (40, 50, 60, 80))):
         ticks(numbers, [str(number) for number in numbers])
-    panel.set(xlabel="pulses N_c N_p", ylabel="deviation of displacement (nm)")
+    label(panel, "pulses N_c N_p", "deviation of displacement (nm)")
     return Experiment(
         "Table II",
         "experimental and simulation parameters",
@@ -336,9 +322,6 @@ def table_2() -> Experiment:
         figure,
         (),
     )
-
-
-_WHAT = ("mean_nm", "sd_nm", "mean_deg", "sd_deg")
 
 
 def _falls(length_s: list[float], deviation: list[float]) -> bool:
@@ -358,36 +341,32 @@ def _apart(one: Repeated, other: Repeated, count: int) -> float:
     return float(np.abs(one.mean_nm[:count] - other.mean_nm[:count]).max() / u)
 
 
-def _label(axes: list[Axes], x: str) -> None:
-    names = ("mean displacement (nm)", "its deviation (nm)", "mean phase (degrees)", "its deviation (degrees)")
-    for panel, name in zip(axes, names, strict=True):
-        panel.set(xlabel=x, ylabel=name)
+def _four_panels(x_name: str, curves: Mapping[str, tuple[Floats, Sequence[Floats] | Floats]]) -> Figure:
+    """Return what `WHAT` lists, a panel each, of every curve: x and the panels' values."""
+    figure, axes = panels(4)
+    for (name, (x, columns)), (mark, colour) in zip(curves.items(), MARKS, strict=False):
+        for panel, column in zip(axes, columns, strict=True):
+            panel.plot(x, column, marker=mark, color=colour, ms=4, label=name)
+    for panel, y_name in zip(axes, WHAT.values(), strict=True):
+        panel.set(xlabel=x_name, ylabel=y_name)
     axes[0].set_ylim(0, None)
     axes[0].legend(frameon=False, fontsize=7)
-
-
-def _over_frequency(settings: dict[str, Repeated]) -> Figure:
-    figure, axes = panels(4)
-    for (name, each), (mark, colour) in zip(settings.items(), MARKS, strict=False):
-        for panel, what in zip(axes, _WHAT, strict=True):
-            panel.plot(each.frequency_hz, getattr(each, what), marker=mark, color=colour, ms=4, label=name)
-    _label(axes, "frequency (Hz)")
     return figure
 
 
+def _over_frequency(settings: Mapping[str, Repeated]) -> Figure:
+    curves = {key: (each.frequency_hz, [getattr(each, what) for what in WHAT]) for key, each in settings.items()}
+    return _four_panels("frequency (Hz)", curves)
+
+
 def _table(name: str, settings: dict[str, Repeated], truth: Repeated | None = None) -> tuple[tuple[str, ...], ...]:
+    def cells(each: Repeated) -> Iterator[str]:
+        for nm, nm_sd, deg, deg_sd in zip(*(getattr(each, what)[:4] for what in WHAT), strict=True):
+            yield f"{nm:.0f} +- {nm_sd:.0f}, {deg:.0f} +- {deg_sd:.0f}"
+
     header = (name, *(f"{hz} Hz: nm, degrees" for hz in (100, 200, 300, 400)))
-    rows = [
-        (
-            key,
-            *(
-                f"{each.mean_nm[k]:.0f} +- {each.sd_nm[k]:.0f}, {each.mean_deg[k]:.0f} +- {each.sd_deg[k]:.0f}"
-                for k in range(4)
-            ),
-        )
-        for key, each in settings.items()
-    ]
+    rows = [(key, *cells(each)) for key, each in settings.items()]
     if truth is not None:
-        tracked_nm = truth.true_m * truth.averaging * 1e9
-        rows.append(("true peak, tracked", *(f"{tracked_nm[k]:.0f}" for k in range(4))))
+        tracked_nm = truth.true_m[:4] * truth.averaging[:4] * 1e9
+        rows.append(("true peak, tracked", *(f"{nm:.0f}" for nm in tracked_nm)))
     return (header, *rows)

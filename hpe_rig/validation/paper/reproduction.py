@@ -6,21 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hpe_rig.study import Part, StudyResult, table
-from hpe_rig.validation.paper.claims import (
-    at_highest_snr,
-    difference_at,
-    differences_fall,
-    falls_by_20_db,
-    hundred,
-    lateral_theory,
-    levels_out,
-    map_ratio,
-    map_trend,
-    no_phase_bias,
-    phase_limit,
-    phase_over_w_z,
-    wider_axially,
-)
+from hpe_rig.validation.paper import claims
 from hpe_rig.validation.paper.judgement import ABSENT, AGREES, Judge, flat, judged, slight, trend
 
 READINGS = ("physical", "literal")
@@ -28,27 +14,31 @@ READINGS = ("physical", "literal")
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """One statement: where it stands, what it says, which study tells, how it is judged."""
+    """One statement: where it stands, what it says, which study tells, how it is judged.
+
+    ``physical``, ``literal`` and ``both`` say why it is missed in that reading; shown only where it is.
+    """
 
     where: str
     says: str
     study: str
     judge: Judge
+    physical: str = ""
+    literal: str = ""
+    both: str = ""
 
 
 def rows(results: Mapping[str, StudyResult]) -> list[dict[str, str]]:
     """Return a row a claim, for studies by name; readings that were not run say so."""
     out = []
     for claim in CLAIMS:
-        found = {reading: judged(results, claim.study, reading, claim.judge) for reading in READINGS}
-        why: dict[str, list[str]] = {}
-        for name, one in found.items():
-            reason = WHY.get(claim.says, {}).get(name)
-            if reason is not None and one.verdict not in (AGREES, ABSENT):
-                why.setdefault(reason, []).append(name)
-        row = {"where": claim.where, "the paper": claim.says}
-        for name, one in found.items():
-            row |= {name: one.found, f"verdict, {name}": one.verdict}
+        row, why = {"where": claim.where, "the paper": claim.says}, dict[str, list[str]]()
+        for reading in READINGS:
+            one = judged(results, claim.study, reading, claim.judge)
+            row |= {reading: one.found, f"verdict, {reading}": one.verdict}
+            reason = claim.both or (claim.physical if reading == "physical" else claim.literal)
+            if reason and one.verdict not in (AGREES, ABSENT):
+                why.setdefault(reason, []).append(reading)
         out.append({**row, "why": "; ".join(f"{' and '.join(names)}: {text}" for text, names in why.items())})
     return out
 
@@ -76,61 +66,11 @@ def reproduction_part(results: Sequence[StudyResult]) -> Part | None:
         f"Verdicts: {counts(told)}.",
     ]
     if len(told) < len(found):
-        words.append(
-            f"{len(found) - len(told)} statements need other studies: hpe-rig study reproduction has them all."
-        )
-    caption = "Reproduction of the paper."
-    return Part("reproduction-part", "Reproduction", tuple(words), (), (table("reproduction", caption, told, False),))
+        rest = len(found) - len(told)
+        words.append(f"{rest} statements need other studies: hpe-rig study reproduction has them all.")
+    shown = table("reproduction", "Reproduction of the paper.", told, folded=False)
+    return Part("reproduction-part", "Reproduction", tuple(words), (), (shown,))
 
-
-CLAIMS: tuple[Claim, ...] = (
-    Claim("Sec. V.A", "error at high SNR 18.5 %", "fig-4", at_highest_snr("bias", 18.5, 0.05, -100, unit=" %")),
-    Claim("Sec. V.A", "error's deviation at high SNR 3.4 %", "fig-4",
-          at_highest_snr("jitter", 3.4, 0.05, 100, unit=" %")),
-    Claim("Sec. V.A", "tracked over peak displacement 0.815", "fig-4",
-          at_highest_snr("bias", 0.815, 0.0005, offset=1.0)),
-    Claim("Sec. IV.A", "about 0.82 at W_x = W_y = 2.19", "fig-12", map_ratio),
-    Claim("Sec. II.B", "92 % by McAleavey's formula at W = 2.19", "fig-12", lateral_theory),
-    Claim("Fig. 4", "displacement levels out as SNR increases", "fig-4", levels_out),
-    Claim("Fig. 4", "no bias of the phase", "fig-4", no_phase_bias),
-    Claim("Sec. V.A", "errors reduced significantly for SNR of 20 dB and more", "fig-4", falls_by_20_db),
-    Claim("Sec. V.A", "100 realisations very similar to 1000", "fig-4", hundred),
-    Claim("Fig. 5", "displacement bias decreases as D_0 decreases", "fig-5", trend("amplitude_bias", falls=False)),
-    Claim("Fig. 5", "displacement jitter decreases as D_0 decreases", "fig-5", trend("amplitude_jitter", falls=False)),
-    Claim("Fig. 5", "phase bias decreases as D_0 increases", "fig-5", trend("phase_bias", falls=True)),
-    Claim("Fig. 5", "phase jitter decreases as D_0 increases", "fig-5", trend("phase_jitter", falls=True)),
-    Claim("Fig. 6", "displacement jitter decreases as N_c increases", "fig-6", trend("amplitude_jitter", falls=True)),
-    Claim("Fig. 6", "phase jitter decreases as N_c increases", "fig-6", trend("phase_jitter", falls=True)),
-    Claim("Fig. 6", "displacement bias not affected significantly by N_c", "fig-6", flat("amplitude_bias", 10.0)),
-    Claim("Fig. 6", "phase bias not affected significantly by N_c", "fig-6", flat("phase_bias", 1.0)),
-    Claim("Fig. 7", "displacement bias decreases as N_p increases", "fig-7", trend("amplitude_bias", falls=True)),
-    Claim("Fig. 7", "displacement jitter decreases as N_p increases", "fig-7", trend("amplitude_jitter", falls=True)),
-    Claim("Fig. 7", "phase jitter decreases as N_p increases", "fig-7", trend("phase_jitter", falls=True)),
-    Claim("Fig. 7", "minimal effects of N_p on the phase bias", "fig-7", flat("phase_bias", 1.0)),
-    Claim("Fig. 8", "displacement error decreases with N_s", "fig-8", trend("amplitude_jitter", falls=True)),
-    Claim("Fig. 8", "phase error decreases with N_s", "fig-8", trend("phase_jitter", falls=True)),
-    Claim("Fig. 8", "the variation with N_s is fairly small", "fig-8", slight("amplitude_jitter", 0.2)),
-    Claim("Fig. 9", "a longer gate improves the displacement", "fig-9", trend("amplitude_jitter", falls=True)),
-    Claim("Fig. 9", "a longer gate improves the phase", "fig-9", trend("phase_jitter", falls=True)),
-    Claim("Fig. 10", "displacement jitter decreases with F_s", "fig-10", trend("amplitude_jitter", falls=True)),
-    Claim("Fig. 10", "phase jitter decreases with F_s", "fig-10", trend("phase_jitter", falls=True)),
-    Claim("Fig. 11", "displacement error increases with BW", "fig-11", trend("amplitude_jitter", falls=False)),
-    Claim("Fig. 11", "phase error increases with BW", "fig-11", trend("phase_jitter", falls=False)),
-    Claim("Fig. 11", "displacement jitter changes significantly only at low SNR", "fig-11",
-          flat("amplitude_jitter", 5.0, from_db=30.0)),
-    Claim("Fig. 12", "displacement increases with W_x and W_y", "fig-12", map_trend("amplitude_bias", falls=True)),
-    Claim("Fig. 12", "displacement jitter decreases with W_x and W_y", "fig-12",
-          map_trend("amplitude_jitter", falls=True)),
-    Claim("Fig. 12", "phase bias decreases with W_x and W_y", "fig-12", map_trend("phase_bias", falls=True)),
-    Claim("Fig. 12", "phase jitter decreases with W_x and W_y", "fig-12", map_trend("phase_jitter", falls=True)),
-    Claim("Fig. 12", "phase bias below 5 degrees for W_x, W_y > 0.5", "fig-12", phase_limit("phase_bias")),
-    Claim("Fig. 12", "phase jitter below 5 degrees for W_x, W_y > 0.5", "fig-12", phase_limit("phase_jitter")),
-    Claim("Fig. 13", "differences up to and above 0.5 at W_z = 0.1", "fig-13", difference_at(0, 0.5)),
-    Claim("Fig. 13", "differences decrease as W_z increases", "fig-13", differences_fall),
-    Claim("Fig. 13", "differences still as high as 0.15 at W_z = 2.18", "fig-13", difference_at(-1, 0.15)),
-    Claim("Sec. V.A", "phase jitter about constant for W_z of 0.5 and more", "fig-13", phase_over_w_z),
-    Claim("Sec. V.A", "no significant change for W_z = 5 and 10", "w-z", wider_axially),
-)  # fmt: skip
 
 SPECKLE = (
     "scatterers at their own depths make speckle: the mean weights by intensity and is larger, and where an echo fades "
@@ -141,48 +81,70 @@ RESOLVED = (
     "takes in more noise"
 )
 
-
-def _both(text: str) -> dict[str, str]:
-    return dict.fromkeys(READINGS, text)
-
-
-WHY: Mapping[str, Mapping[str, str]] = {
-    "error at high SNR 18.5 %": {"physical": SPECKLE},
-    "error's deviation at high SNR 3.4 %": {
-        "physical": SPECKLE,
-        "literal": "how many scatterers the gate holds is not said: eleven in an ellipsoid of -6 dB (here), or eleven "
-        "in a box of the FWHM, half as many (3.6 %)",
-    },
-    "tracked over peak displacement 0.815": {"physical": SPECKLE},
-    "about 0.82 at W_x = W_y = 2.19": {
-        "physical": f"{SPECKLE}; interpolation between eleven points a side loses 0.007, the rest is chance",
-    },
-    "92 % by McAleavey's formula at W = 2.19": _both(
-        "the product formula for speckle gives 90.6 %; that work itself could not be read"
-    ),
-    "phase bias decreases as D_0 increases": _both(
-        "none is left to fall: the half pulse interval and the 90 degrees of a difference of pulses are taken off"
-    ),
-    "displacement bias not affected significantly by N_c": _both(
-        "at 0 dB noise alone makes an amplitude, the smaller the more cycles"
-    ),
-    "displacement bias decreases as N_p increases": _both(
-        "the gain sinc(f_v/f_prf) of a difference of pulses, 0.94 at N_p = 5, is taken off; at 0 dB noise is left"
-    ),
-    "displacement error decreases with N_s": {
-        "physical": "from eleven on speckle is fully developed: more scatterers make the same speckle"
-    },
-    "phase error decreases with N_s": _both("noise makes it, and its level is that of the SNR, for any N_s"),
-    "the variation with N_s is fairly small": {
-        "literal": "at high SNR the jitter is that of a mean over the gate's scatterers and goes with 1/sqrt(N_s)"
-    },
-    "displacement error increases with BW": {"physical": RESOLVED},
-    "displacement jitter changes significantly only at low SNR": {"physical": RESOLVED},
-    "displacement jitter decreases with W_x and W_y": _both(
-        "below W = 0.6 next to nothing moves, so next to nothing scatters"
-    ),
-    "phase bias decreases with W_x and W_y": {"literal": "at W = 0.1 next to nothing moves: its phase is chance"},
-    "phase bias below 5 degrees for W_x, W_y > 0.5": {"physical": SPECKLE},
-    "phase jitter below 5 degrees for W_x, W_y > 0.5": {"physical": SPECKLE},
-}
-"""Why a statement is missed, by statement and reading; shown only where it is."""
+CLAIMS: tuple[Claim, ...] = (
+    Claim("Sec. V.A", "error at high SNR 18.5 %", "fig-4",
+          claims.at_highest_snr("bias", 18.5, 0.05, -100, unit=" %"), physical=SPECKLE),
+    Claim("Sec. V.A", "error's deviation at high SNR 3.4 %", "fig-4",
+          claims.at_highest_snr("jitter", 3.4, 0.05, 100, unit=" %"), physical=SPECKLE,
+          literal="how many scatterers the gate holds is not said: eleven in an ellipsoid of -6 dB (here), or eleven "
+          "in a box of the FWHM, half as many (3.6 %)"),
+    Claim("Sec. V.A", "tracked over peak displacement 0.815", "fig-4",
+          claims.at_highest_snr("bias", 0.815, 0.0005, offset=1.0), physical=SPECKLE),
+    Claim("Sec. IV.A", "about 0.82 at W_x = W_y = 2.19", "fig-12", claims.map_ratio,
+          physical=f"{SPECKLE}; interpolation between eleven points a side loses 0.007, the rest is chance"),
+    Claim("Sec. II.B", "92 % by McAleavey's formula at W = 2.19", "fig-12", claims.lateral_theory,
+          both="the product formula for speckle gives 90.6 %; that work itself could not be read"),
+    Claim("Fig. 4", "displacement levels out as SNR increases", "fig-4", claims.levels_out),
+    Claim("Fig. 4", "no bias of the phase", "fig-4", claims.no_phase_bias),
+    Claim("Sec. V.A", "errors reduced significantly for SNR of 20 dB and more", "fig-4", claims.falls_by_20_db),
+    Claim("Sec. V.A", "100 realisations very similar to 1000", "fig-4", claims.hundred),
+    Claim("Fig. 5", "displacement bias decreases as D_0 decreases", "fig-5", trend("amplitude_bias", falls=False)),
+    Claim("Fig. 5", "displacement jitter decreases as D_0 decreases", "fig-5", trend("amplitude_jitter", falls=False)),
+    Claim("Fig. 5", "phase bias decreases as D_0 increases", "fig-5", trend("phase_bias", falls=True),
+          both="none is left to fall: the half pulse interval and the 90 degrees of a difference of pulses are taken "
+          "off"),
+    Claim("Fig. 5", "phase jitter decreases as D_0 increases", "fig-5", trend("phase_jitter", falls=True)),
+    Claim("Fig. 6", "displacement jitter decreases as N_c increases", "fig-6", trend("amplitude_jitter", falls=True)),
+    Claim("Fig. 6", "phase jitter decreases as N_c increases", "fig-6", trend("phase_jitter", falls=True)),
+    Claim("Fig. 6", "displacement bias not affected significantly by N_c", "fig-6", flat("amplitude_bias", 10.0),
+          both="at 0 dB noise alone makes an amplitude, the smaller the more cycles"),
+    Claim("Fig. 6", "phase bias not affected significantly by N_c", "fig-6", flat("phase_bias", 1.0)),
+    Claim("Fig. 7", "displacement bias decreases as N_p increases", "fig-7", trend("amplitude_bias", falls=True),
+          both="the gain sinc(f_v/f_prf) of a difference of pulses, 0.94 at N_p = 5, is taken off; at 0 dB noise is "
+          "left"),
+    Claim("Fig. 7", "displacement jitter decreases as N_p increases", "fig-7", trend("amplitude_jitter", falls=True)),
+    Claim("Fig. 7", "phase jitter decreases as N_p increases", "fig-7", trend("phase_jitter", falls=True)),
+    Claim("Fig. 7", "minimal effects of N_p on the phase bias", "fig-7", flat("phase_bias", 1.0)),
+    Claim("Fig. 8", "displacement error decreases with N_s", "fig-8", trend("amplitude_jitter", falls=True),
+          physical="from eleven on speckle is fully developed: more scatterers make the same speckle"),
+    Claim("Fig. 8", "phase error decreases with N_s", "fig-8", trend("phase_jitter", falls=True),
+          both="noise makes it, and its level is that of the SNR, for any N_s"),
+    Claim("Fig. 8", "the variation with N_s is fairly small", "fig-8", slight("amplitude_jitter", 0.2),
+          literal="at high SNR the jitter is that of a mean over the gate's scatterers and goes with 1/sqrt(N_s)"),
+    Claim("Fig. 9", "a longer gate improves the displacement", "fig-9", trend("amplitude_jitter", falls=True)),
+    Claim("Fig. 9", "a longer gate improves the phase", "fig-9", trend("phase_jitter", falls=True)),
+    Claim("Fig. 10", "displacement jitter decreases with F_s", "fig-10", trend("amplitude_jitter", falls=True)),
+    Claim("Fig. 10", "phase jitter decreases with F_s", "fig-10", trend("phase_jitter", falls=True)),
+    Claim("Fig. 11", "displacement error increases with BW", "fig-11", trend("amplitude_jitter", falls=False),
+          physical=RESOLVED),
+    Claim("Fig. 11", "phase error increases with BW", "fig-11", trend("phase_jitter", falls=False)),
+    Claim("Fig. 11", "displacement jitter changes significantly only at low SNR", "fig-11",
+          flat("amplitude_jitter", 5.0, from_db=30.0), physical=RESOLVED),
+    Claim("Fig. 12", "displacement increases with W_x and W_y", "fig-12",
+          claims.map_trend("amplitude_bias", falls=True)),
+    Claim("Fig. 12", "displacement jitter decreases with W_x and W_y", "fig-12",
+          claims.map_trend("amplitude_jitter", falls=True),
+          both="below W = 0.6 next to nothing moves, so next to nothing scatters"),
+    Claim("Fig. 12", "phase bias decreases with W_x and W_y", "fig-12", claims.map_trend("phase_bias", falls=True),
+          literal="at W = 0.1 next to nothing moves: its phase is chance"),
+    Claim("Fig. 12", "phase jitter decreases with W_x and W_y", "fig-12", claims.map_trend("phase_jitter", falls=True)),
+    Claim("Fig. 12", "phase bias below 5 degrees for W_x, W_y > 0.5", "fig-12", claims.phase_limit("phase_bias"),
+          physical=SPECKLE),
+    Claim("Fig. 12", "phase jitter below 5 degrees for W_x, W_y > 0.5", "fig-12", claims.phase_limit("phase_jitter"),
+          physical=SPECKLE),
+    Claim("Fig. 13", "differences up to and above 0.5 at W_z = 0.1", "fig-13", claims.difference_at(0, 0.5)),
+    Claim("Fig. 13", "differences decrease as W_z increases", "fig-13", claims.differences_fall),
+    Claim("Fig. 13", "differences still as high as 0.15 at W_z = 2.18", "fig-13", claims.difference_at(-1, 0.15)),
+    Claim("Sec. V.A", "phase jitter about constant for W_z of 0.5 and more", "fig-13", claims.phase_over_w_z),
+    Claim("Sec. V.A", "no significant change for W_z = 5 and 10", "w-z", claims.wider_axially),
+)  # fmt: skip
