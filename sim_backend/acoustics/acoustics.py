@@ -24,9 +24,17 @@ from sim_backend.echoes import (
     noticeable,
     rectangular_burst,
 )
-from sim_backend.receiver import echo_gain_v, leak_per_vpp_v, leak_v, noise_v, pulse_strength, toneburst_echo_strength
+from sim_backend.receiver import (
+    RecordStream,
+    echo_gain_v,
+    leak_per_vpp_v,
+    leak_v,
+    noise_v,
+    pulse_strength,
+    toneburst_echo_strength,
+)
 from sim_backend.settings import SimulationSettings
-from sim_backend.wiring import PS_PER_S, Bursts, Capture, Picoseconds, to_ps
+from sim_backend.wiring import PS_PER_S, Bursts, Capture, Picoseconds, near, to_ps
 
 if TYPE_CHECKING:
     from sim_backend.motion import MediumMotion
@@ -51,7 +59,9 @@ class Acoustics:
     def __init__(self, settings: SimulationSettings) -> None:
         self._settings = settings
         self._travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
-        self._field = draw_field(settings.scatterers, settings.beams, _stream(settings, _SCATTERER_STREAM))
+        placing = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_SCATTERER_STREAM,)))
+        self._field = draw_field(settings.scatterers, settings.beams, placing)
+        self._noise = RecordStream(settings.seed, _NOISE_STREAM)
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._gain_v = echo_gain_v(settings, self._delay_s, self._field.tracking_weight)
         self._focus_motion = _focus_motion(settings, self._travel_s)
@@ -73,14 +83,15 @@ class Acoustics:
         """Return what reaches the digitizer's input, float64 (record, sample), V.
 
         Echoes of every tracking pulse and toneburst that fall into a record, toneburst leak, and noise. The noise
-        depends on seed and ``capture.index`` alone, the scatterers on the seed alone. Records must ascend in time.
+        depends on seed, ``capture.index`` and the record's number in the capture alone, the scatterers on the seed alone.
+        Records must ascend in time; ``pulses`` may lack those that no record hears.
         """
         receiver = self._settings.receiver
         shape = (len(capture.first_sample_ps), capture.samples)
         if receiver.snr_db is None:
             volts = np.zeros(shape)
         else:
-            volts = noise_v(receiver, *shape, _stream(self._settings, _NOISE_STREAM, capture.index))
+            volts = noise_v(receiver, *shape, self._noise.begin(capture, capture.samples))
         self._add_tracking_echoes(volts, tonebursts, pulses, capture)
         self._add_toneburst_echoes(volts, tonebursts, capture)
         self._add_leak(volts, tonebursts, capture)
@@ -97,14 +108,15 @@ class Acoustics:
 
     def _add_toneburst_echoes(self, volts: Floats, tonebursts: Bursts, capture: Capture) -> None:
         """Add the echoes of the tonebursts; a scatterer's motion during its burst is left out."""
-        strength_v = self._gain_v * toneburst_echo_strength(tonebursts, self._settings.receiver)
-        kinds = np.stack([tonebursts.carrier_hz, (tonebursts.end_ps - tonebursts.onset_ps) / PS_PER_S], axis=1)
+        heard = near(tonebursts, capture)
+        strength_v = self._gain_v * toneburst_echo_strength(heard, self._settings.receiver)
+        kinds = np.stack([heard.carrier_hz, (heard.end_ps - heard.onset_ps) / PS_PER_S], axis=1)
         for kind in np.unique(kinds, axis=0):
             alike = (kinds == kind).all(axis=1)
             shape = attenuated_to_focus(self._settings, rectangular_burst(*kind.tolist()))
-            motion_m = self._motion_sensed_m(tonebursts, tonebursts.onset_ps[alike], capture)
+            motion_m = self._motion_sensed_m(tonebursts, heard.onset_ps[alike], capture)
             weight = self._field.excitation_weight
-            self._add_echoes(volts, capture, shape, weight, tonebursts.onset_ps[alike], strength_v[alike], motion_m)
+            self._add_echoes(volts, capture, shape, weight, heard.onset_ps[alike], strength_v[alike], motion_m)
 
     def _add_leak(self, volts: Floats, tonebursts: Bursts, capture: Capture) -> None:
         leak_per_vpp = leak_per_vpp_v(self._settings)
@@ -193,10 +205,6 @@ def sample_span(start_ps: int, end_ps: int, capture: Capture) -> slice:
     first = max(0, -(-start_ps // capture.sample_period_ps))
     last = min(capture.samples, end_ps // capture.sample_period_ps + 1)
     return slice(first, max(first, last))
-
-
-def _stream(settings: SimulationSettings, *key: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))
 
 
 def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion | None:
