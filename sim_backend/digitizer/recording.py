@@ -90,7 +90,7 @@ class Recording:
             volts = self._record_volts(captured.tonebursts, near(captured.pulses, wanted), wanted)
             self._made[number, begin] = volts
             while len(self._made) > BLOCKS_KEPT:
-                del self._made[min(self._made)]
+                del self._made[next(iter(self._made))]
         return self._made[number, begin]
 
 

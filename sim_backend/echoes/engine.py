@@ -44,6 +44,7 @@ Floats = NDArray[np.float64]
 DEFAULT_TOLERANCE = 1e-6
 CANCELLED = 0.25
 """Share of what independent echoes add up to, below which scatterers cancel each other."""
+_ECHOES_LOOKED_AT = 256
 # Delays held at once: 64 MB.
 _PAIRS_AT_ONCE = 1 << 23
 
@@ -102,7 +103,7 @@ def _synthesise(
     made = _evaluate(delays, weight, strong, pulse, sample_time_s, tolerance, method)
     made = _within_what_is_left(made, delays, weight, strong, pulse, sample_time_s, tolerance, method)
     if len(strong) < len(near):
-        rms = _rms(made)
+        rms = _rms(made.echo)
         left_out = float(np.abs(weight[near]).sum() - np.abs(weight[strong]).sum()) * float(
             np.abs(pulse.amplitude).sum()
         )
@@ -129,10 +130,11 @@ def _within_what_is_left(
     finer, and exactly where it cannot be. Every other evaluation is exact or has been checked.
     """
     expected, share = incoherent_rms(weight[part], pulse, sample_time_s), 1.0
+    some = slice(None, None, max(1, delays.echo_count // _ECHOES_LOOKED_AT))
     finer = tolerance
     # The first sum may be all error and so too large: until it no longer falls.
-    while made.method == "series" and _rms(made) < CANCELLED * share * expected:
-        share, before = _rms(made) / expected, finer
+    while made.method == "series" and _rms(made.echo[some]) < CANCELLED * share * expected:
+        share, before = _rms(made.echo[some]) / expected, finer
         finer = tolerance * share if method is None else max(tolerance * share, FINEST_TOLERANCE)
         if finer == before:
             break
@@ -140,8 +142,8 @@ def _within_what_is_left(
     return made
 
 
-def _rms(made: Synthesis) -> float:
-    return math.sqrt(float(np.vdot(made.echo, made.echo)) / made.echo.size)
+def _rms(echo: Floats) -> float:
+    return math.sqrt(float(np.vdot(echo, echo)) / echo.size)
 
 
 def _evaluate(
