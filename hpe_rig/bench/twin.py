@@ -85,7 +85,7 @@ class TwinDeclaration:
         return tuple((each.frequency_hz, each.amplitude_m) for each in self.settings.motion or ())
 
     def background_m(self, time_s: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return how far the whole specimen has moved at ``time_s`` (time,) after the master trigger; None: it rests."""
+        """Return how far the whole specimen has moved ``time_s`` (time,) after the master trigger; None: it rests."""
         if not self.settings.background:
             return None
         from sim_backend.motion import background_at

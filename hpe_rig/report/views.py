@@ -108,8 +108,8 @@ def grey_limit_v(image_v: FloatArray) -> float:
 def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequence[Estimate]) -> MotionView:
     """Return displacement and fit of ``shot``; raises ``ValueError`` where the echoes carry no displacement.
 
-    ``gated`` holds of each record the ``samples_needed``. The displacement is that of the estimator "coherent", whichever one
-    ``estimates`` come from.
+    ``gated`` holds of each record the ``samples_needed``. The displacement is that of the estimator "coherent",
+    whichever one ``estimates`` come from.
     """
     shown = shown_pulses(scene, shot)
     motion = shot_motion(scene, shot, shot_echoes(scene, shot, gated, shown), coherent)

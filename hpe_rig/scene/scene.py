@@ -171,7 +171,6 @@ class Processing(Section):
     synchronous: Annotated[bool, Field(strict=True)] = False
     """Require a burst period that is a whole multiple of the pulse period."""
 
-
     @model_validator(mode="after")
     def _one_that_follows(self) -> Processing:
         if self.follow_gate and self.estimator == "joint":

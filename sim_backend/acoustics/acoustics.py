@@ -97,8 +97,8 @@ class Acoustics:
         """Return what reaches the digitizer's input, float64 (record, sample), V.
 
         Echoes of every tracking pulse and toneburst that fall into a record, toneburst leak, and noise. The noise
-        depends on seed, ``capture.index`` and the record's number in the capture alone, the scatterers on the seed alone.
-        Records must ascend in time; ``pulses`` may lack those that no record hears.
+        depends on seed, ``capture.index`` and the record's number in the capture alone, the scatterers on the seed
+        alone. Records must ascend in time; ``pulses`` may lack those that no record hears.
         """
         receiver = self._settings.receiver
         shape = (len(capture.first_sample_ps), capture.samples)
@@ -221,7 +221,6 @@ class Acoustics:
         else:
             np.add.at(volts[:, span], record, block)
 
-
     def _add_shifted_echoes(
         self,
         volts: Floats,
@@ -238,6 +237,7 @@ class Acoustics:
         Every echo is worked out whole, on a grid of samples that moves with the specimen, and lands in its record as
         many samples later; what is left of the shift, less than half a sample, is a shape of ones.
         """
+        assert passage.delay_s is not None  # noqa: S101
         period_ps, delay_ps = capture.sample_period_ps, passage.delay_s * PS_PER_S
         late_ps = np.rint(delay_ps).astype(np.int64) + passage.onset_ps
         burst, record = burst_record_pairs(late_ps + heard_ps.start, late_ps + heard_ps.stop, capture)

@@ -124,7 +124,10 @@ class BufferQueue:
 def packed(
     transfer: Transfer, arming: Arming, taken: Taken, volts: NDArray[np.float64], records: slice, reset_ps: int
 ) -> bytes:
-    """Return the bytes of consecutive records, whose volts are (record, sample): R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ..."""
+    """Return the bytes of consecutive ``records``, whose ``volts`` are (record, sample).
+
+    R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
+    """
     # One block a channel, uint8 (record, byte); the axis along which they are stacked makes the order.
     blocks = []
     for channel in transfer.channels:
@@ -137,9 +140,7 @@ def packed(
     return np.stack(blocks, axis=0 if transfer.npt else 1).tobytes()
 
 
-def headers(
-    arming: Arming, taken: Taken, channel: int, records: slice, reset_ps: int
-) -> NDArray[np.uint8]:
+def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps: int) -> NDArray[np.uint8]:
     """Return record headers as uint8 (record, 16): four little-endian words (docs/theory/instruments.md, 2.6).
 
     Assumed: records count from 0, resolution code 2 and format 0 for 14-bit unsigned, "this channel" on channel A only.

@@ -12,8 +12,8 @@ from drivers.alazar import BoardModel, mistakes
 from drivers.interfaces import Capture
 from hpe_rig.bench import BenchFile, twin_of
 from hpe_rig.plan.checks.check_result import CheckResult, Level, judged
-from hpe_rig.plan.shots import Plan, reference_gate
 from hpe_rig.plan.selection import select
+from hpe_rig.plan.shots import Plan, reference_gate
 from hpe_rig.scene import Scene
 
 SPARE_SAMPLES = 16

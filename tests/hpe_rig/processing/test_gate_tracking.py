@@ -82,7 +82,9 @@ def test_check_says_that_a_gate_at_rest_loses_moving_tissue() -> None:
 
 
 @pytest.mark.parametrize(
-    "values", [{"processing.estimator": "joint"}, {"processing.reference_gate_depth_m": 60e-3}], ids=["joint", "reference"]
+    "values",
+    [{"processing.estimator": "joint"}, {"processing.reference_gate_depth_m": 60e-3}],
+    ids=["joint", "reference"],
 )
 def test_what_cannot_follow_is_refused(values: dict[str, object]) -> None:
     with pytest.raises(SettingsError, match="follow"):

@@ -57,7 +57,9 @@ def test_echoes_are_the_plain_sum_over_scatterers_that_the_background_carries_al
 def test_a_background_that_rests_changes_no_echo():
     pulses, capture = pulses_and_capture()
     still = BackgroundMotion(frequency_hz=1.0, amplitude_m=0.0)
-    resting, with_it = (Acoustics(each).record_volts(no_bursts(), pulses, capture) for each in (settings(), settings(still)))
+    resting, with_it = (
+        Acoustics(each).record_volts(no_bursts(), pulses, capture) for each in (settings(), settings(still))
+    )
     assert np.abs(with_it - resting).max() < 1e-6 * np.abs(resting).max()
 
 
