@@ -18,6 +18,8 @@ SOURCE_OHM = 50.0
 """Output impedance of every source (33250A: manual; AUX output: assumed)."""
 DRIVE_INPUT_OHM = 50.0
 """Input impedance of the transducer's amplifier (assumed)."""
+HEARD_PS = 10_000_000_000
+"""After this time nothing echoes any more: 10 ms, 7.7 m of tissue and back."""
 
 
 def to_ps(time_s: float) -> int:
@@ -55,15 +57,22 @@ class Bursts:
     amplitude_vpp: NDArray[np.float64]
 
 
+BURST_FIELDS = ("onset_ps", "end_ps", "carrier_hz", "cycles", "amplitude_vpp")
+
+
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """What the digitizer was triggered to record: one record an entry of ``first_sample_ps`` (record,)."""
+    """What the digitizer was triggered to record: one record an entry of ``first_sample_ps`` (record,).
+
+    Of a long capture these may be some consecutive records alone, ``first_record`` the number of those before them.
+    """
 
     index: int
     origin_ps: int
     first_sample_ps: Picoseconds
     sample_period_ps: int
     samples: int
+    first_record: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,8 +132,18 @@ def joined_bursts(parts: Iterable[Bursts]) -> Bursts:
     if not parts:
         return no_bursts()
     order = np.argsort(np.concatenate([part.onset_ps for part in parts]), kind="stable")
-    names = ("onset_ps", "end_ps", "carrier_hz", "cycles", "amplitude_vpp")
-    return Bursts(*(np.concatenate([getattr(part, name) for part in parts])[order] for name in names))
+    return Bursts(*(np.concatenate([getattr(part, name) for part in parts])[order] for name in BURST_FIELDS))
+
+
+def near(bursts: Bursts, capture: Capture) -> Bursts:
+    """Return the bursts that a record of ``capture`` could hear, and some more; both by time."""
+    if not capture.first_sample_ps.size or not bursts.onset_ps.size:
+        return bursts
+    longest_ps = int((bursts.end_ps - bursts.onset_ps).max())
+    begin_ps = capture.first_sample_ps[0] - longest_ps - HEARD_PS
+    end_ps = capture.first_sample_ps[-1] + capture.samples * capture.sample_period_ps + HEARD_PS
+    some = slice(*bursts.onset_ps.searchsorted([begin_ps, end_ps]).tolist())
+    return Bursts(*(getattr(bursts, name)[some] for name in BURST_FIELDS))
 
 
 def crossings(steps: Steps, level_v: float, rising: bool, input_ohm: float) -> Picoseconds:

@@ -20,10 +20,10 @@ from sim_backend.digitizer import (
     Board,
     BoardSettings,
     CaptureSnapshot,
+    Recording,
     Taken,
     latencies_of,
     pulse_of_each_record,
-    same_inputs,
 )
 from sim_backend.generator import MODELS, TRIGGER_INPUT_OHM, TRIGGER_LEVEL_V, Generator33250A
 from sim_backend.settings import SimulationSettings
@@ -53,7 +53,7 @@ KEPT_CAPTURES = 16
 
 
 class Physics(Protocol):
-    """From what was transmitted to what was received."""
+    """From what was transmitted to what was received; a capture is asked for in blocks of consecutive records."""
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> NDArray[np.float64]: ...
 
@@ -135,7 +135,7 @@ class World:
         )
         self.board = Board(latencies, count=first_capture)
         self._evaluated: tuple[int, Evaluation] | None = None
-        self._recorded: tuple[CaptureSnapshot, NDArray[np.float64], int] | None = None
+        self._recording: Recording | None = None
         self._past: deque[CaptureSnapshot] = deque(maxlen=KEPT_CAPTURES - 1)
 
     def connect(self, role: str, over_serial: bool = False) -> GeneratorConnection:
@@ -216,25 +216,25 @@ class World:
                 generator.forget_past()
             self.board.armings.clear()
         self.board.arm(self.clock.now_ps, settings)
-        self._recorded = None
+        self._recording = None
 
     def taken(self, until_ps: int) -> Taken:
         """Return the records of the last arming, as far as known at least to ``until_ps``."""
         return self._captured(until_ps).taken
 
-    def volts(self, until_ps: int) -> NDArray[np.float64]:
-        """Return the voltage at channel A for the records of ``taken``: (record, sample)."""
-        captured = self._captured(until_ps)
-        if self._recorded is not None and same_inputs(self._recorded[0], captured):
-            volts = self._recorded[1]
-        else:
-            volts = self._acoustics().record_volts(captured.tonebursts, captured.pulses, captured.capture)
-            if self._recorded is not None:
-                # What has been recorded stays, whatever is programmed later.
-                _, before, complete = self._recorded
-                volts = np.concatenate([before[:complete], volts[complete:]])
-        self._recorded = (captured, volts, captured.taken.complete(self.clock.now_ps))
-        return volts
+    def volts(self, until_ps: int, records: slice) -> NDArray[np.float64]:
+        """Return the voltage at channel A for consecutive ``records`` of ``taken``: (record, sample)."""
+        return self._recorded(until_ps).volts(records)
+
+    def highest_v(self, until_ps: int, count: int) -> float:
+        """Return the largest voltage at channel A, of either sign, in the first ``count`` records of ``taken``."""
+        return self._recorded(until_ps).highest_v(count)
+
+    def _recorded(self, until_ps: int) -> Recording:
+        if self._recording is None:
+            self._recording = Recording(self._acoustics().record_volts)
+        self._recording.update(self._captured(until_ps), self.clock.now_ps)
+        return self._recording
 
     def _acoustics(self) -> Physics:
         if self._physics is None:

@@ -65,9 +65,10 @@ class Run:
         the record is missing or the pulse is omitted. Raises ``IndexError`` for a shot that is none, ``ValueError``
         where the echoes carry no displacement.
         """
-        from hpe_rig.processing import coherent, relative_to, spec_of
+        from hpe_rig.processing import coherent, relative_to, shot_motion, spec_of
 
-        motion = (spec_of(self.scene.processing.estimator).motion or coherent)(self._echoes(shot))
+        chosen = spec_of(self.scene.processing.estimator).motion or coherent
+        motion = shot_motion(self.scene, self.plan.shots[shot], self._echoes(shot), chosen)
         reference = reference_gate(self.scene, self.plan.shots[shot])
         if reference is not None:
             motion = relative_to(motion, coherent(self._echoes(shot, reference)))
@@ -107,13 +108,13 @@ class Run:
 
     def _echoes(self, shot: int, gate: slice | None = None) -> EchoGate:
         """Return the echoes of every pulse of ``shot``, (pulse, sample), also outside the processing window."""
-        from hpe_rig.processing import shot_echoes
+        from hpe_rig.processing import samples_needed, shot_echoes
 
         whole_train = {"window_start_s": 0.0, "window_length_s": None}
         processing = self.scene.processing.model_copy(update=whole_train)
         whole = self.scene.model_copy(update={"processing": processing})
         planned_shot = self.plan.shots[shot]
-        records = self.records.gated(shot, gate or planned_shot.gate)
+        records = self.records.gated(shot, gate or samples_needed(self.scene, planned_shot))
         return shot_echoes(whole, planned_shot, records, select(whole, planned_shot))
 
     def refreshed(self) -> Run:

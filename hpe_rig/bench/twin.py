@@ -69,6 +69,14 @@ class TwinDeclaration:
         """Frequency, Hz, and amplitude, m, of every prescribed sinusoid; empty where no motion is prescribed."""
         return tuple((each.frequency_hz, each.amplitude_m) for each in self.settings.motion or ())
 
+    def background_m(self, time_s: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return how far the whole specimen has moved ``time_s`` (time,) after the master trigger; None: it rests."""
+        if not self.settings.background:
+            return None
+        from sim_backend.motion import background_at
+
+        return background_at(self.settings.background, np.rint(time_s * 1e12).astype(np.int64))
+
     def medium(self, frequency_hz: NDArray[np.float64]) -> tuple[NDArray[np.complex128], float] | None:
         """Return the specimen's complex shear modulus (frequency,), Pa, and density, kg/m^3.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hpe_rig.acquire import Run, estimates_of, open_run, request_stop, stop_path
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
-from hpe_rig.processing import estimate, options_of, shot_echoes
+from hpe_rig.processing import coherent, fit_motion, options_of, samples_needed, shot_echoes, shot_motion
 from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
 from hpe_rig.store import StoredRun, StoreError
 
@@ -107,10 +107,10 @@ class RunSource:
             "image": image_state(echoes.image_v, echoes.image_depth_m, float(echoes.image_time_s[-1]) * 1e3, "ms"),
         }
         try:
-            gated = gate_alone(records, shot.gate)
+            gated = gate_alone(records, samples_needed(scene, shot))
             shown = shown_pulses(scene, shot)
-            arrived = shot_echoes(scene, shot, gated, shown)
-            fit = estimate(arrived, shown.wanted_hz, "coherent", shown.driven_hz, options_of(scene.processing))
+            motion = shot_motion(scene, shot, shot_echoes(scene, shot, gated, shown), coherent)
+            fit = fit_motion(motion, shown.wanted_hz, "coherent", shown.driven_hz, options_of(scene.processing))
             # The same selection and the same fit as the result's, over the pulses that have arrived.
             estimates = estimates_of(fit)
             state["motion"] = motion_state(motion_view(scene, shot, gated, estimates))

@@ -52,8 +52,10 @@ from .prior import (
 from .shots import (
     estimate_run as estimate_run,
     options_of as options_of,
+    samples_needed as samples_needed,
     shot_echoes as shot_echoes,
     shot_model as shot_model,
+    shot_motion as shot_motion,
 )
 from .stationarity import Drift as Drift, drift_between_halves as drift_between_halves
 from .velocity_chain import Steps as Steps, velocity_to_harmonics as velocity_to_harmonics

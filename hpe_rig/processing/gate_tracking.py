@@ -1,49 +1,100 @@
-"""Gate tracking: a gate that follows the echoes through background motion as long as itself."""
+"""Gate tracking: a gate that stays on the tissue it holds at first, however far background motion carries that."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.fft import ifft, irfft, rfft
 
-from hpe_rig.processing.echoes import EchoGate, Motion, valid_volts
-from hpe_rig.processing.motion import kasai
+from hpe_rig.processing.echoes import BAND, ComplexArray, EchoGate, FloatArray, Motion, Volts, scatter, valid_volts
+
+LARGEST_STEP = 0.95
+"""Quarter wavelengths between pulses from which on a step may be one in the other direction."""
+_RECORDS_AT_ONCE = 256
 
 
 def follow(records: EchoGate, gate: slice) -> tuple[EchoGate, Motion]:
-    """Return the gate cut out of whole records where the echoes have gone, and how far each cut was moved.
+    """Return the gate cut out of whole records where its echoes have gone, and how far each cut was moved.
 
-    ``records`` (pulse, sample) hold what moves into and out of the ``gate``; the motion of every cut is a whole number
-    of samples, exactly known, without variance. Add it to the displacement found in the cut echoes (``added``). The
-    first look is the sum of consecutive steps in the resting gate. Raises ``ValueError`` for more than one train, where
-    a step passes a quarter wavelength, and where the echoes leave the records.
+    ``records`` (pulse, sample) hold what moves into and out of the ``gate``, which stays with what it holds in the
+    first valid pulse. The cuts' motion is known exactly, without variance, also between samples: a record is shifted
+    by its Fourier transform. Add it to the displacement found in the cut echoes (``added``). What has moved away is
+    reached later, and the times of the cut echoes say so. Raises ``ValueError`` for more than one train, where a step
+    passes a quarter wavelength, and where the echoes leave the records.
     """
     if records.volts.ndim != 2:
         raise ValueError(f"volts {records.volts.shape}: one train (pulse, sample) at a time can be followed")
-    looked = kasai(replace(records, volts=records.volts[:, gate]), divide_by="centre")
-    coarse_m = looked.displacement_m[records.valid]
-    if float(looked.largest_step) > 0.95:
-        raise ValueError(
-            f"a step of {float(looked.largest_step):.2f} quarter wavelengths is ambiguous with one in the other "
-            "direction: raise the pulse rate"
-        )
-    metre_samples = 2 / records.sound_speed_m_per_s * records.sample_rate_hz
-    shift = np.round((coarse_m - np.median(coarse_m)) * metre_samples).astype(np.int64)
-    first, last = gate.start + int(shift.min()), gate.stop + int(shift.max())
-    if first < 0 or last > records.volts.shape[1]:
-        raise ValueError(
-            f"the echoes of the gate move through samples {first} to {last}, a record has {records.volts.shape[1]}: "
-            "take longer records (acquisition.record_samples) or a shorter window"
-        )
-    place = shift[:, None] + np.arange(gate.start, gate.stop)
-    volts = np.zeros((records.valid.size, place.shape[1]))
-    volts[records.valid] = np.take_along_axis(valid_volts(records), place, axis=1)
-    moved_m = np.full(records.valid.size, np.nan)
-    moved_m[records.valid] = shift / metre_samples
+    volts = valid_volts(records)
+    moved = _moved_samples(volts, gate, records)
+    cut = np.zeros((records.valid.size, gate.stop - gate.start), volts.dtype)
+    cut[records.valid] = _cut_where_moved(volts, gate, moved)
+    moved_m = moved * records.sound_speed_m_per_s / (2 * records.sample_rate_hz)
+    time_s = records.pulse_time_s
+    later_s = np.interp(time_s, time_s[records.valid], moved_m / records.sound_speed_m_per_s)
+    followed = replace(records, volts=cut, pulse_time_s=time_s + later_s)
     still = np.zeros(records.valid.size)
-    return replace(records, volts=volts), Motion(records.pulse_time_s, moved_m, still, records.valid)
+    return followed, Motion(followed.pulse_time_s, scatter(moved_m, records.valid), still, records.valid)
 
 
 def added(motion: Motion, cuts: Motion) -> Motion:
     """Return the displacement found in followed echoes plus that of the cuts."""
     return replace(motion, displacement_m=motion.displacement_m + cuts.displacement_m)
+
+
+def _moved_samples(volts: Volts, gate: slice, records: EchoGate) -> FloatArray:
+    """Return how many samples later than in the first pulse the gate's echo comes, (valid pulse,).
+
+    The sum of steps between consecutive pulses, each by the phase of their correlation in the gate where it is by then.
+    """
+    length, most = gate.stop - gate.start, volts.shape[1]
+    moved, phase, before = np.zeros(len(volts)), np.zeros(len(volts)), None
+    turn = _turn_a_sample(volts, records)
+    for pulse, echo in enumerate(_analytic(volts, records)):
+        first = gate.start + round(moved[pulse - 1]) if pulse else gate.start
+        if first < 0 or first + length > most:
+            raise ValueError(
+                f"the echoes of the gate move through samples {first} to {first + length}, a record has {most}: "
+                "take longer records (acquisition.record_samples) or a shorter window"
+            )
+        here = slice(first, first + length)
+        if before is not None:
+            phase[pulse] = np.angle(np.vdot(before[here], echo[here]))
+            moved[pulse] = moved[pulse - 1] - phase[pulse] / turn
+        before = echo
+    largest = float(np.abs(phase).max()) / np.pi
+    if largest > LARGEST_STEP:
+        raise ValueError(
+            f"a step of {largest:.2f} quarter wavelengths is ambiguous with one in the other direction: raise the "
+            "pulse rate"
+        )
+    return moved
+
+
+def _analytic(volts: Volts, records: EchoGate) -> Iterator[ComplexArray]:
+    """Yield the analytic signal of each record in the transmitted band, (sample,)."""
+    samples = volts.shape[1]
+    frequency_hz = np.arange(samples // 2 + 1) * records.sample_rate_hz / samples
+    outside = (frequency_hz < BAND[0] * records.carrier_hz) | (frequency_hz > BAND[1] * records.carrier_hz)
+    for first in range(0, len(volts), _RECORDS_AT_ONCE):
+        spectrum = rfft(volts[first : first + _RECORDS_AT_ONCE], axis=1)
+        spectrum[:, outside] = 0.0
+        yield from ifft(spectrum, samples, axis=1)
+
+
+def _turn_a_sample(volts: Volts, records: EchoGate) -> float:
+    """Return by what angle the echoes turn from sample to sample: their mean frequency."""
+    return float(np.angle(sum(np.vdot(echo[:-1], echo[1:]) for echo in _analytic(volts[:_RECORDS_AT_ONCE], records))))
+
+
+def _cut_where_moved(volts: Volts, gate: slice, moved: FloatArray) -> Volts:
+    """Return the gate of each record shifted back by ``moved`` samples (pulse,), (pulse, sample)."""
+    samples = volts.shape[1]
+    omega = 2 * np.pi * np.arange(samples // 2 + 1) / samples
+    out = np.empty((len(volts), gate.stop - gate.start), volts.dtype)
+    for first in range(0, len(volts), _RECORDS_AT_ONCE):
+        some = slice(first, first + _RECORDS_AT_ONCE)
+        spectrum = rfft(volts[some], axis=1) * np.exp(1j * moved[some, None] * omega)
+        out[some] = irfft(spectrum, samples, axis=1)[:, gate]
+    return out

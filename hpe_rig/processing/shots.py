@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
 from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlike_pulses
 from hpe_rig.processing.echoes import EchoGate, Motion, relative_to
 from hpe_rig.processing.estimators import EstimatorSpec, Options, estimate, fit_motion, spec_of
+from hpe_rig.processing.gate_tracking import added, follow
 from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
@@ -36,8 +37,8 @@ def estimate_run(
     """
     spec, results = spec_of(estimator), []
     for shot in plan.shots:
-        # Of a long record only the gate comes into memory.
-        records = stored.records.gated(shot.index, shot.gate)
+        # Of a long record only the gate comes into memory, unless the gate follows.
+        records = stored.records.gated(shot.index, samples_needed(scene, shot))
         if not records.valid.any():
             continue
         true_m = None
@@ -65,18 +66,21 @@ def _estimate_shot(
     averaging: tuple[Averaging | None, ...],
 ) -> ShotResult:
     chosen = select(scene, shot)
+    if spec.motion is None and scene.processing.follow_gate:
+        raise ValueError(f"{spec.name} has no displacements to add those of processing.follow_gate to: take coherent")
     full_scale = clipped_pulses(records.codes, records.code_limits)
     echoes = shot_echoes(scene, shot, records, chosen, full_scale)
     recorded = records.valid[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
     options = options_of(scene.processing)
-    motion = None if spec.motion is None else spec.motion(echoes)
+    motion = None if spec.motion is None else shot_motion(scene, shot, echoes, spec.motion)
     fit, largest_step = _fit(echoes, motion, reference, chosen, spec, options)
     clipped = int((full_scale[chosen.window] & recorded & chosen.used).sum())
     drift = None
     if reference is None:
         # It tells of the bench, not of the estimator: the one with the least noise looks.
-        steady = motion if motion is not None and spec.motion is coherent else coherent(echoes)
+        steady = motion if motion is not None and spec.motion is coherent else None
+        steady = steady or shot_motion(scene, shot, echoes, coherent)
         drift = _drift(steady, chosen, options)
     return ShotResult(
         shot=shot.index,
@@ -122,7 +126,7 @@ def shot_echoes(
     chosen: Selection,
     full_scale: NDArray[np.bool_] | None = None,
 ) -> EchoGate:
-    """Return the gated echoes of the ``chosen`` pulses.
+    """Return the echoes of the ``chosen`` pulses, of the ``records``' samples: see ``samples_needed``.
 
     ``full_scale`` (pulse of the shot,), which records reach the digitizer's full scale, is found where not given.
     """
@@ -143,6 +147,19 @@ def shot_echoes(
     if not scene.processing.flag_pulses or scene.tracking.disturbed == "keep" or not valid.any():
         return echoes
     return echoes.without(unlike_pulses(echoes))
+
+
+def samples_needed(scene: Scene, shot: Shot) -> slice:
+    """Return the samples of each record in which motion is found: the gate, or all of them where the gate follows."""
+    return slice(0, shot.capture.record_samples) if scene.processing.follow_gate else shot.gate
+
+
+def shot_motion(scene: Scene, shot: Shot, echoes: EchoGate, motion: Callable[[EchoGate], Motion]) -> Motion:
+    """Return what ``motion`` finds in ``echoes``, in a gate that follows them where the scene says so."""
+    if not scene.processing.follow_gate:
+        return motion(echoes)
+    cut, cuts = follow(echoes, shot.gate)
+    return added(motion(cut), cuts)
 
 
 def _fit(

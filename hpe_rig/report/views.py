@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.plan import Selection, Shot, select
-from hpe_rig.processing import aliased_hz, codes_to_volts, coherent, linear_model, shot_echoes
+from hpe_rig.processing import aliased_hz, codes_to_volts, coherent, linear_model, shot_echoes, shot_motion
 from hpe_rig.result import Estimate
 from hpe_rig.scene import Scene
 from hpe_rig.store import ShotRecords
@@ -103,11 +103,11 @@ def grey_limit_v(image_v: FloatArray) -> float:
 def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequence[Estimate]) -> MotionView:
     """Return displacement and fit of ``shot``; raises ``ValueError`` where the echoes carry no displacement.
 
-    ``gated`` holds of each record the gate. The displacement is that of the estimator "coherent", whichever one
-    ``estimates`` come from.
+    ``gated`` holds of each record the ``samples_needed``. The displacement is that of the estimator "coherent",
+    whichever one ``estimates`` come from.
     """
     shown = shown_pulses(scene, shot)
-    motion = coherent(shot_echoes(scene, shot, gated, shown))
+    motion = shot_motion(scene, shot, shot_echoes(scene, shot, gated, shown), coherent)
     kept = motion.valid
     frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
     also_hz = shown.driven_hz

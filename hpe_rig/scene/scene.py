@@ -149,6 +149,9 @@ class Processing(Section):
     """Background fitted along: 0 constant, 1 velocity, 2 acceleration, more: drift; not by cross_spectrum."""
     flag_pulses: Annotated[bool, Field(strict=True)] = True
     """Leave pulses out whose gate holds an energy unlike the others': leaked tonebursts, spikes, lost echoes."""
+    follow_gate: Annotated[bool, Field(strict=True)] = False
+    """Let the gate follow background motion longer than itself, such as heart beat or breathing, through the record;
+    fit the background with background_order. Not with joint or a reference gate."""
     reference_gate_depth_m: Positive | None = None
     """Middle of a second gate, inside the record, whose echoes do not move: its apparent motion, the trigger jitter, is
     subtracted. Not with joint."""
@@ -166,6 +169,14 @@ class Processing(Section):
     """Length T_s of the slow-time window; absent: to the last pulse."""
     synchronous: Annotated[bool, Field(strict=True)] = False
     """Require a burst period that is a whole multiple of the pulse period."""
+
+    @model_validator(mode="after")
+    def _one_that_follows(self) -> Processing:
+        if self.follow_gate and self.estimator == "joint":
+            raise ValueError('joint has no displacements to follow: set estimator = "coherent", or follow_gate = false')
+        if self.follow_gate and self.reference_gate_depth_m is not None:
+            raise ValueError("a reference gate stands still where follow_gate moves: remove one of them")
+        return self
 
 
 class Sweep(Section):

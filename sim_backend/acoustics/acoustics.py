@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.echoes import (
+    EchoDelays,
     Pulse,
     attenuated_to_focus,
     depth_delay_s,
@@ -24,9 +26,17 @@ from sim_backend.echoes import (
     noticeable,
     rectangular_burst,
 )
-from sim_backend.receiver import echo_gain_v, leak_per_vpp_v, leak_v, noise_v, pulse_strength, toneburst_echo_strength
+from sim_backend.receiver import (
+    RecordStream,
+    echo_gain_v,
+    leak_per_vpp_v,
+    leak_v,
+    noise_v,
+    pulse_strength,
+    toneburst_echo_strength,
+)
 from sim_backend.settings import SimulationSettings
-from sim_backend.wiring import PS_PER_S, Bursts, Capture, Picoseconds, to_ps
+from sim_backend.wiring import PS_PER_S, Bursts, Capture, Picoseconds, near, to_ps
 
 if TYPE_CHECKING:
     from sim_backend.motion import MediumMotion
@@ -45,17 +55,31 @@ _ECHO_TOLERANCE = 1e-8
 _FIELD_ECHO_TOLERANCE = 2e-7
 
 
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """Bursts on their way through the focus; every array (burst,)."""
+
+    onset_ps: Picoseconds
+    time_ps: Picoseconds
+    """When they pass the focus."""
+    delay_s: Floats | None
+    """By how much the background delays their echoes; None without background."""
+
+
 class Acoustics:
     """The specimen, its scatterers and the receive chain of one world; the scatterers stay for all captures."""
 
     def __init__(self, settings: SimulationSettings) -> None:
         self._settings = settings
         self._travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
-        self._field = draw_field(settings.scatterers, settings.beams, _stream(settings, _SCATTERER_STREAM))
+        placing = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_SCATTERER_STREAM,)))
+        self._field = draw_field(settings.scatterers, settings.beams, placing)
+        self._noise = RecordStream(settings.seed, _NOISE_STREAM)
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._gain_v = echo_gain_v(settings, self._delay_s, self._field.tracking_weight)
         self._focus_motion = _focus_motion(settings, self._travel_s)
         self._medium = _medium_motion(settings, self._field.offset_m, self._travel_s)
+        self._background_m = _background_motion(settings)
 
     def focus_displacement_m(
         self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
@@ -73,14 +97,15 @@ class Acoustics:
         """Return what reaches the digitizer's input, float64 (record, sample), V.
 
         Echoes of every tracking pulse and toneburst that fall into a record, toneburst leak, and noise. The noise
-        depends on seed and ``capture.index`` alone, the scatterers on the seed alone. Records must ascend in time.
+        depends on seed, ``capture.index`` and the record's number in the capture alone, the scatterers on the seed
+        alone. Records must ascend in time; ``pulses`` may lack those that no record hears.
         """
         receiver = self._settings.receiver
         shape = (len(capture.first_sample_ps), capture.samples)
         if receiver.snr_db is None:
             volts = np.zeros(shape)
         else:
-            volts = noise_v(receiver, *shape, _stream(self._settings, _NOISE_STREAM, capture.index))
+            volts = noise_v(receiver, *shape, self._noise.begin(capture, capture.samples))
         self._add_tracking_echoes(volts, tonebursts, pulses, capture)
         self._add_toneburst_echoes(volts, tonebursts, capture)
         self._add_leak(volts, tonebursts, capture)
@@ -91,20 +116,23 @@ class Acoustics:
         for carrier_hz in np.unique(pulses.carrier_hz):
             alike = pulses.carrier_hz == carrier_hz
             shape = echo_pulse(self._settings, float(carrier_hz))
-            motion_m = self._motion_sensed_m(tonebursts, pulses.onset_ps[alike], capture)
+            passage = self._passage(pulses.onset_ps[alike], capture)
+            motion_m = self._motion_sensed_m(tonebursts, passage.time_ps, capture)
             weight = self._field.tracking_weight
-            self._add_echoes(volts, capture, shape, weight, pulses.onset_ps[alike], strength_v[alike], motion_m)
+            self._add_echoes(volts, capture, shape, weight, passage, strength_v[alike], motion_m)
 
     def _add_toneburst_echoes(self, volts: Floats, tonebursts: Bursts, capture: Capture) -> None:
         """Add the echoes of the tonebursts; a scatterer's motion during its burst is left out."""
-        strength_v = self._gain_v * toneburst_echo_strength(tonebursts, self._settings.receiver)
-        kinds = np.stack([tonebursts.carrier_hz, (tonebursts.end_ps - tonebursts.onset_ps) / PS_PER_S], axis=1)
+        heard = near(tonebursts, capture)
+        strength_v = self._gain_v * toneburst_echo_strength(heard, self._settings.receiver)
+        kinds = np.stack([heard.carrier_hz, (heard.end_ps - heard.onset_ps) / PS_PER_S], axis=1)
         for kind in np.unique(kinds, axis=0):
             alike = (kinds == kind).all(axis=1)
             shape = attenuated_to_focus(self._settings, rectangular_burst(*kind.tolist()))
-            motion_m = self._motion_sensed_m(tonebursts, tonebursts.onset_ps[alike], capture)
+            passage = self._passage(heard.onset_ps[alike], capture)
+            motion_m = self._motion_sensed_m(tonebursts, passage.time_ps, capture)
             weight = self._field.excitation_weight
-            self._add_echoes(volts, capture, shape, weight, tonebursts.onset_ps[alike], strength_v[alike], motion_m)
+            self._add_echoes(volts, capture, shape, weight, passage, strength_v[alike], motion_m)
 
     def _add_leak(self, volts: Floats, tonebursts: Bursts, capture: Capture) -> None:
         leak_per_vpp = leak_per_vpp_v(self._settings)
@@ -119,9 +147,20 @@ class Acoustics:
             amplitude_v = leak_per_vpp * tonebursts.amplitude_vpp[burst]
             volts[record, span] += leak_v(amplitude_v, tonebursts.carrier_hz[burst], age_ps)
 
-    def _motion_sensed_m(self, tonebursts: Bursts, onset_ps: Picoseconds, capture: Capture) -> Floats:
-        """Return the amplitude of every motion shape when a pulse of ``onset_ps`` (burst,) passes: (burst, shape)."""
-        passage_ps = onset_ps + to_ps(self._travel_s)
+    def _passage(self, onset_ps: Picoseconds, capture: Capture) -> Passage:
+        """Return when bursts of ``onset_ps`` (burst,) pass the focus, which the background has moved."""
+        time_ps = onset_ps + to_ps(self._travel_s)
+        if self._background_m is None:
+            return Passage(onset_ps, time_ps, None)
+        # A focus farther away is reached later, by some us, in which the background moves by less than a sample.
+        moved_m = self._background_m(time_ps - capture.origin_ps)
+        later_s = moved_m / self._settings.sound_speed_m_per_s
+        time_ps = time_ps + np.rint(later_s * PS_PER_S).astype(np.int64)
+        moved_m = self._background_m(time_ps - capture.origin_ps)
+        return Passage(onset_ps, time_ps, moved_m * (2 / self._settings.sound_speed_m_per_s))
+
+    def _motion_sensed_m(self, tonebursts: Bursts, passage_ps: Picoseconds, capture: Capture) -> Floats:
+        """Return the amplitude of every motion shape when pulses pass, at ``passage_ps`` (burst,): (burst, shape)."""
         if self._medium is not None:
             return self._medium.amplitudes_m(tonebursts, passage_ps)
         return self.focus_displacement_m(tonebursts, passage_ps, capture.origin_ps)[:, None]
@@ -132,11 +171,11 @@ class Acoustics:
         capture: Capture,
         shape: Pulse,
         weight: Floats,
-        onset_ps: Picoseconds,
+        passage: Passage,
         strength_v: Floats,
         motion_m: Floats,
     ) -> None:
-        """Add the echoes of like pulses, everything from ``onset_ps`` on (burst,), to the records they meet."""
+        """Add the echoes of like pulses, everything from their onset on, to the records they meet."""
         seen = noticeable(weight)
         if not (strength_v.any() and seen.any()):
             return
@@ -148,6 +187,12 @@ class Acoustics:
         arrival_s = 2 * self._travel_s
         early_ps = math.floor((arrival_s + delay_s.min() + shape.start_s - margin_s) * PS_PER_S)
         late_ps = math.ceil((arrival_s + delay_s.max() + shape.end_s + margin_s) * PS_PER_S)
+        if passage.delay_s is not None:
+            delays = EchoDelays(delay_s, shapes, motion_m * (2 / self._settings.sound_speed_m_per_s))
+            heard = slice(early_ps, late_ps)
+            self._add_shifted_echoes(volts, capture, shape, weight[seen], delays, passage, strength_v, heard)
+            return
+        onset_ps = passage.onset_ps
         # Pairs of burst and record whose echo falls into a sample; each is one echo of the engine, all on one grid of
         # sample times: that of the first pair, from which the others are shifted by up to some ns.
         burst, record = burst_record_pairs(onset_ps + early_ps, onset_ps + late_ps, capture)
@@ -168,10 +213,57 @@ class Acoustics:
             shift_s=(age_ps - age_ps[0]) / PS_PER_S,
         )
         block *= strength_v[burst, None]
-        if len(np.unique(record)) == len(record):
+        if np.array_equal(record, np.arange(len(volts))):
+            # One echo a record: no copy of the samples on the way.
+            volts[:, span] += block
+        elif len(np.unique(record)) == len(record):
             volts[record, span] += block
         else:
             np.add.at(volts[:, span], record, block)
+
+    def _add_shifted_echoes(
+        self,
+        volts: Floats,
+        capture: Capture,
+        shape: Pulse,
+        weight: Floats,
+        delays: EchoDelays,
+        passage: Passage,
+        strength_v: Floats,
+        heard_ps: slice,
+    ) -> None:
+        """Add echoes that the background shifts as a whole, by any number of samples.
+
+        Every echo is worked out whole, on a grid of samples that moves with the specimen, and lands in its record as
+        many samples later; what is left of the shift, less than half a sample, is a shape of ones.
+        """
+        assert passage.delay_s is not None  # noqa: S101
+        period_ps, delay_ps = capture.sample_period_ps, passage.delay_s * PS_PER_S
+        late_ps = np.rint(delay_ps).astype(np.int64) + passage.onset_ps
+        burst, record = burst_record_pairs(late_ps + heard_ps.start, late_ps + heard_ps.stop, capture)
+        if len(burst) == 0:
+            return
+        # The grid's sample times after a pulse's onset are whole periods, those of a record's samples anything.
+        age_ps = capture.first_sample_ps[record] - passage.onset_ps[burst] - delay_ps[burst]
+        place = np.rint(age_ps / period_ps).astype(np.int64)
+        grid = np.arange(heard_ps.start // period_ps, heard_ps.stop // period_ps + 2)
+        block = echoes(
+            delays.rest_s,
+            weight,
+            delays.shape,
+            delays.amplitude_s[burst] * (self._settings.sound_speed_m_per_s / 2),
+            shape,
+            _after_arrival_s(grid * period_ps, 2 * self._travel_s),
+            self._settings.sound_speed_m_per_s,
+            _FIELD_ECHO_TOLERANCE,
+            shift_s=(age_ps - place * period_ps) / PS_PER_S,
+        )
+        block *= strength_v[burst, None]
+        for echo, into, first in zip(block, record.tolist(), (grid[0] - place).tolist(), strict=True):
+            # Of the echo, whose first sample falls on the record's sample ``first``, what the record holds.
+            begin, end = max(0, first), min(capture.samples, first + len(echo))
+            if begin < end:
+                volts[into, begin:end] += echo[begin - first : end - first]
 
 
 def burst_record_pairs(start_ps: Picoseconds, end_ps: Picoseconds, capture: Capture) -> tuple[Indices, Indices]:
@@ -195,10 +287,6 @@ def sample_span(start_ps: int, end_ps: int, capture: Capture) -> slice:
     return slice(first, max(first, last))
 
 
-def _stream(settings: SimulationSettings, *key: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=key))
-
-
 def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion | None:
     """Return what moves the focus, or None; the medium's transient is tabulated once, here."""
     if settings.specimen is not None:
@@ -215,6 +303,15 @@ def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion 
         components = settings.motion
         return lambda _tonebursts, time_ps, origin_ps: motion_at(components, time_ps - origin_ps)
     return None
+
+
+def _background_motion(settings: SimulationSettings) -> Callable[[Picoseconds], Floats] | None:
+    """Return how far the whole specimen has moved at times after the master trigger, or None."""
+    if not settings.background:
+        return None
+    from sim_backend.motion import background_at
+
+    return lambda time_ps: background_at(settings.background, time_ps)
 
 
 def _medium_motion(settings: SimulationSettings, offset_m: Floats, travel_s: float) -> MediumMotion | None:

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.receiver import STENCIL, jittered, sampled_late, samples_late
+from sim_backend.receiver import STENCIL, RecordStream, jittered, sampled_late, samples_late
 from sim_backend.settings import ReceiveChain, SimulationSettings, Specimen
 from sim_backend.wiring import PS_PER_S, Bursts, Capture, Picoseconds, joined_bursts, no_bursts
 
@@ -49,6 +49,8 @@ class Reception:
     def __init__(self, acoustics: Physics, settings: SimulationSettings) -> None:
         self._acoustics = acoustics
         self._settings = settings
+        self._chain_noise = RecordStream(settings.seed, _CHAIN_NOISE_STREAM)
+        self._lateness = RecordStream(settings.seed, _CLOCK_STREAM)
 
     def focus_displacement_m(
         self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
@@ -68,7 +70,7 @@ class Reception:
         if not samples_late(self._settings.instruments):
             return volts[:, kept]
         period_s = capture.sample_period_ps / PS_PER_S
-        rng = self._stream(_CLOCK_STREAM, capture.index)
+        rng = self._lateness.begin(capture, capture.samples)
         return sampled_late(volts, kept, period_s, self._settings.instruments, rng)
 
     def _received(
@@ -82,7 +84,7 @@ class Reception:
         switch = None
         if chain.recovery_time_s is not None:
             switch = switch_gain(joined_bursts([tonebursts, pulses]), wide, chain.recovery_time_s)
-        rng = self._stream(_CHAIN_NOISE_STREAM, wide.index) if chain.noise_v_per_sqrt_hz else None
+        rng = self._chain_noise.begin(wide, wide.samples) if chain.noise_v_per_sqrt_hz else None
         return receive(volts, chain, wide.sample_period_ps / PS_PER_S, switch, rng)
 
     def _pushed(self, tonebursts: Bursts, origin_ps: int, index: int) -> Bursts:
@@ -94,9 +96,6 @@ class Reception:
         # The tracking train's jitter moves trigger and pulse together; only the pulser's own comes between them.
         rms_s = self._settings.instruments.trigger_jitter_s
         return jittered(pulses, rms_s, self._settings.seed * 4 + _PULSER_SALT, origin_ps, index)
-
-    def _stream(self, *key: int) -> np.random.Generator:
-        return np.random.default_rng(np.random.SeedSequence(self._settings.seed, spawn_key=key))
 
 
 def widened(settings: SimulationSettings, capture: Capture) -> tuple[Capture, slice]:

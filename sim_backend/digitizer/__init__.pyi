@@ -6,3 +6,4 @@ from .capture_snapshot import (
     same_inputs as same_inputs,
 )
 from .library import AlazarLibrary as AlazarLibrary
+from .recording import Recording as Recording

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.board import Arming, BoardSettings, Taken, is_clipped, words
 from sim_backend.digitizer.codes import Code
+from sim_backend.wiring import Picoseconds
 
 ADDRESS_MULTIPLE, ADDRESS_MULTIPLE_NPT = 32, 64
 
@@ -106,11 +107,15 @@ class BufferQueue:
         needed = (self.delivered + 1) * self.transfer.records_per_buffer
         return int(taken.end_ps[needed - 1]) if taken.end_ps.size >= needed else None
 
-    def deliver(self, arming: Arming, taken: Taken, volts: NDArray[np.float64], reset_ps: int) -> None:
-        """Write the next records into the buffer at the head and let go of it."""
+    @property
+    def next_records(self) -> slice:
+        """The records that go into the buffer at the head."""
         count = self.transfer.records_per_buffer
-        records = slice(self.delivered * count, (self.delivered + 1) * count)
-        data = packed(self.transfer, arming, taken, volts, records, reset_ps)
+        return slice(self.delivered * count, (self.delivered + 1) * count)
+
+    def deliver(self, arming: Arming, taken: Taken, volts: NDArray[np.float64], reset_ps: int) -> None:
+        """Write the ``volts`` (record, sample) of `next_records` into the buffer at the head and let go of it."""
+        data = packed(self.transfer, arming, taken, volts, self.next_records, reset_ps)
         # As DMA would: straight into the program's memory, which posting has checked to be large enough.
         ctypes.memmove(self.posted.popleft(), data, len(data))
         self.delivered += 1
@@ -119,29 +124,30 @@ class BufferQueue:
 def packed(
     transfer: Transfer, arming: Arming, taken: Taken, volts: NDArray[np.float64], records: slice, reset_ps: int
 ) -> bytes:
-    """Return the bytes of consecutive records: R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ..."""
+    """Return the bytes of consecutive ``records``, whose ``volts`` are (record, sample).
+
+    R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
+    """
     # One block a channel, uint8 (record, byte); the axis along which they are stacked makes the order.
     blocks = []
     for channel in transfer.channels:
         settings = arming.settings.inputs[channel]
-        at_input = volts[records] if channel == 0 else np.zeros_like(volts[records])
+        at_input = volts if channel == 0 else np.zeros_like(volts)
         data = words(at_input, settings, arming.settings.signed).view(np.uint8)
         if transfer.headers:
-            data = np.concatenate([headers(arming, taken, volts, channel, records, reset_ps), data], axis=1)
+            data = np.concatenate([headers(arming, taken, channel, records, reset_ps), data], axis=1)
         blocks.append(data)
     return np.stack(blocks, axis=0 if transfer.npt else 1).tobytes()
 
 
-def headers(
-    arming: Arming, taken: Taken, volts: NDArray[np.float64], channel: int, records: slice, reset_ps: int
-) -> NDArray[np.uint8]:
+def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps: int) -> NDArray[np.uint8]:
     """Return record headers as uint8 (record, 16): four little-endian words (docs/theory/instruments.md, 2.6).
 
     Assumed: records count from 0, resolution code 2 and format 0 for 14-bit unsigned, "this channel" on channel A only.
     """
     settings = arming.settings
-    count = timestamps(arming, taken, reset_ps)[records]
-    number = np.arange(taken.tick_ps.size)[records]
+    count = timestamps(arming, taken.tick_ps[records], reset_ps)
+    number = np.arange(records.start, records.stop)
     external = (taken.by[records] == codes.TRIGGERED_BY_EXTERNAL).astype(np.int64)
     rate_id = next(rate_id for rate_id, rate_hz in codes.SAMPLE_RATES_HZ.items() if rate_hz == settings.sample_rate_hz)
     channel_input = settings.inputs[channel]
@@ -159,12 +165,12 @@ def headers(
     return quad.astype("<u4").view(np.uint8)
 
 
-def timestamps(arming: Arming, taken: Taken, reset_ps: int) -> NDArray[np.int64]:
-    """Return the 40-bit trigger time stamps, one count two samples: int64 (record,)."""
+def timestamps(arming: Arming, tick_ps: Picoseconds, reset_ps: int) -> NDArray[np.int64]:
+    """Return the 40-bit time stamps of triggers at ``tick_ps`` (record,), one count two samples: int64 (record,)."""
     period_ps = codes.SAMPLES_PER_TIMESTAMP * arming.settings.sample_period_ps
-    return (taken.tick_ps - reset_ps) // period_ps & 0xFFFFFFFFFF
+    return (tick_ps - reset_ps) // period_ps & 0xFFFFFFFFFF
 
 
-def clipped_channels(arming: Arming, volts: NDArray[np.float64]) -> int:
-    """Return the clipped bits of the status: 2 for channel A; channel B sees nothing."""
-    return 2 if is_clipped(volts, arming.settings.inputs[0]) else 0
+def clipped_channels(arming: Arming, highest_v: float) -> int:
+    """Return the clipped bits of the status: 2 for channel A, at which ``highest_v`` was the most; B sees nothing."""
+    return 2 if is_clipped(highest_v, arming.settings.inputs[0]) else 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_backend.digitizer.board import Arming, Taken
-from sim_backend.wiring import Bursts, Capture, Picoseconds
+from sim_backend.wiring import BURST_FIELDS, Bursts, Capture, Picoseconds
 
 FAR_PS = 1 << 60
 
@@ -45,9 +45,8 @@ def same_inputs(one: CaptureSnapshot, other: CaptureSnapshot) -> bool:
         return True
     same = one.origin_ps == other.origin_ps and one.arming.index == other.arming.index
     same = same and np.array_equal(one.taken.first_sample_ps, other.taken.first_sample_ps)
-    names = ("onset_ps", "end_ps", "carrier_hz", "cycles", "amplitude_vpp")
     return same and all(
         np.array_equal(getattr(getattr(one, bursts), name), getattr(getattr(other, bursts), name))
         for bursts in ("tonebursts", "pulses")
-        for name in names
+        for name in BURST_FIELDS
     )

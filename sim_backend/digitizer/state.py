@@ -31,7 +31,9 @@ class Recorder(Protocol):
 
     def taken(self, until_ps: int) -> Taken: ...
 
-    def volts(self, until_ps: int) -> NDArray[np.float64]: ...
+    def volts(self, until_ps: int, records: slice) -> NDArray[np.float64]: ...
+
+    def highest_v(self, until_ps: int, count: int) -> float: ...
 
 
 class AlazarState:
@@ -126,8 +128,11 @@ class AlazarState:
         complete = self._complete()
         if not complete:
             return 0
-        timed_out = np.any(self._recorder.taken(self._clock.now_ps).by[:complete] == codes.TRIGGERED_BY_TIMEOUT)
-        return int(timed_out) | clipped_channels(self._arming, self._recorder.volts(self._clock.now_ps)[:complete])
+        timed_out = self._arming.settings.timeout_ticks and np.any(
+            self._recorder.taken(self._clock.now_ps).by[:complete] == codes.TRIGGERED_BY_TIMEOUT
+        )
+        highest_v = self._recorder.highest_v(self._clock.now_ps, complete)
+        return int(timed_out) | clipped_channels(self._arming, highest_v)
 
     def refuse_record(self, record: int) -> Code:
         """Return whether ``record``, counted from 1, can be read from the memory."""
@@ -149,14 +154,14 @@ class AlazarState:
         start = settings.pre_samples + offset
         if start < 0 or start + count > settings.record_samples:
             return None
-        volts = self._recorder.volts(self._clock.now_ps)[record - 1, start : start + count]
+        volts = self._recorder.volts(self._clock.now_ps, slice(record - 1, record))[0, start : start + count]
         at_input = volts if channel == 1 else np.zeros_like(volts)
         return words(at_input, settings.inputs[channel - 1], settings.signed).tobytes()
 
     def timestamp(self, record: int) -> int:
         """Return the trigger counter of a record."""
         taken = self._recorder.taken(self._clock.now_ps)
-        return int(timestamps(self._arming, taken, self._reset_ps)[record - 1])
+        return int(timestamps(self._arming, taken.tick_ps[record - 1 : record], self._reset_ps)[0])
 
     def begin_transfer(self, transfer: Transfer, offset: int) -> Code:
         """Prepare AutoDMA, and start it at once where the program does not do so itself."""
@@ -198,7 +203,7 @@ class AlazarState:
         if filled_ps is None or filled_ps > deadline_ps:
             self._clock.advance_to(deadline_ps)
             return Code.WAIT_TIMEOUT
-        volts = self._recorder.volts(deadline_ps)
+        volts = self._recorder.volts(deadline_ps, self._queue.next_records)
         self._clock.advance_to(filled_ps)
         self._queue.deliver(self._arming, taken, volts, self._reset_ps)
         return Code.SUCCESS

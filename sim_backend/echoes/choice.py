@@ -117,7 +117,11 @@ def left_out_below(weight: Floats, pulse: Pulse, sample_time_s: Floats, toleranc
     if len(weight) < _FEWEST_TO_SORT_OUT or tolerance <= 0:
         return 0.0
     largest = float(np.abs(pulse.amplitude).sum())
+    return LEFT_OUT_SHARE * tolerance * incoherent_rms(weight, pulse, sample_time_s) / (largest * len(weight))
+
+
+def incoherent_rms(weight: Floats, pulse: Pulse, sample_time_s: Floats) -> float:
+    """Return the rms in the gate of echoes whose phases are independent; what cancels stays far below it."""
     power = float(np.square(np.abs(pulse.amplitude)).sum()) / 2
     pulse_s, gate_s = pulse.end_s - pulse.start_s, float(sample_time_s[-1] - sample_time_s[0])
-    rms = math.sqrt(float(weight @ weight) * power * min(1.0, pulse_s / (pulse_s + gate_s)))
-    return LEFT_OUT_SHARE * tolerance * rms / (largest * len(weight))
+    return math.sqrt(float(weight @ weight) * power * min(1.0, pulse_s / (pulse_s + gate_s)))

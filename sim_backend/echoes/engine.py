@@ -23,7 +23,15 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.echoes.choice import LEFT_OUT_SHARE, Method, choices, in_reach, left_out_below
+from sim_backend.echoes.choice import (
+    FINEST_TOLERANCE,
+    LEFT_OUT_SHARE,
+    Method,
+    choices,
+    in_reach,
+    incoherent_rms,
+    left_out_below,
+)
 from sim_backend.echoes.combined import combined
 from sim_backend.echoes.delays import EchoDelays, refuse_aliasing, refuse_unusable
 from sim_backend.echoes.exact_sums import blocks, local_origin_s, running_sum
@@ -34,6 +42,9 @@ from sim_backend.echoes.series import ScattererRows, series
 Floats = NDArray[np.float64]
 
 DEFAULT_TOLERANCE = 1e-6
+CANCELLED = 0.25
+"""Share of what independent echoes add up to, below which scatterers cancel each other."""
+_ECHOES_LOOKED_AT = 256
 # Delays held at once: 64 MB.
 _PAIRS_AT_ONCE = 1 << 23
 
@@ -90,15 +101,49 @@ def _synthesise(
     limit = left_out_below(weight[near], pulse, sample_time_s, tolerance)
     strong = near[np.abs(weight[near]) > limit]
     made = _evaluate(delays, weight, strong, pulse, sample_time_s, tolerance, method)
+    made = _within_what_is_left(made, delays, weight, strong, pulse, sample_time_s, tolerance, method)
     if len(strong) < len(near):
-        rms = math.sqrt(float(np.vdot(made.echo, made.echo)) / made.echo.size)
+        rms = _rms(made.echo)
         left_out = float(np.abs(weight[near]).sum() - np.abs(weight[strong]).sum()) * float(
             np.abs(pulse.amplitude).sum()
         )
         # The rms was estimated too high (scatterers that cancel each other): the bound does not hold, so take them all.
         if left_out > 2 * LEFT_OUT_SHARE * tolerance * rms:
-            return _evaluate(delays, weight, near, pulse, sample_time_s, tolerance, method)
+            made = _evaluate(delays, weight, near, pulse, sample_time_s, tolerance, method)
+            return _within_what_is_left(made, delays, weight, near, pulse, sample_time_s, tolerance, method)
     return made
+
+
+def _within_what_is_left(
+    made: Synthesis,
+    delays: EchoDelays,
+    weight: Floats,
+    part: NDArray[np.int64],
+    pulse: Pulse,
+    sample_time_s: Floats,
+    tolerance: float,
+    method: Method | None,
+) -> Synthesis:
+    """Return the echoes to ``tolerance`` of their own rms also where scatterers nearly cancel each other.
+
+    The series errs in proportion to what each scatterer adds; where their sum is far less, it is made anew so much
+    finer, and exactly where it cannot be. Every other evaluation is exact or has been checked.
+    """
+    expected, share = incoherent_rms(weight[part], pulse, sample_time_s), 1.0
+    some = slice(None, None, max(1, delays.echo_count // _ECHOES_LOOKED_AT))
+    finer = tolerance
+    # The first sum may be all error and so too large: until it no longer falls.
+    while made.method == "series" and _rms(made.echo[some]) < CANCELLED * share * expected:
+        share, before = _rms(made.echo[some]) / expected, finer
+        finer = tolerance * share if method is None else max(tolerance * share, FINEST_TOLERANCE)
+        if finer == before:
+            break
+        made = _evaluate(delays, weight, part, pulse, sample_time_s, finer, method)
+    return made
+
+
+def _rms(echo: Floats) -> float:
+    return math.sqrt(float(np.vdot(echo, echo)) / echo.size)
 
 
 def _evaluate(

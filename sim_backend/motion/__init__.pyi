@@ -7,7 +7,7 @@ from .force import (
     transmit_response as transmit_response,
 )
 from .inverse_laplace import AXIS_CONTOUR as AXIS_CONTOUR, Contour as Contour, Panels as Panels, panels_of as panels_of
-from .prescribed import motion_at as motion_at
+from .prescribed import background_at as background_at, motion_at as motion_at
 from .specimen import (
     StepResponse as StepResponse,
     frequency_response as frequency_response,

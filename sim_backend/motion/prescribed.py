@@ -1,16 +1,19 @@
-"""Prescribed motion of the focus, eq. (1) and (13)."""
+"""Prescribed motion: of the focus, eq. (1) and (13), and of the whole specimen."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.settings import MotionComponent
+from sim_backend.settings import BackgroundMotion, MotionComponent
 from sim_backend.wiring import PS_PER_S, Picoseconds
 
 Floats = NDArray[np.float64]
+
+_TIMES_AT_ONCE = 1 << 16
 
 
 def motion_at(components: Sequence[MotionComponent], time_ps: Picoseconds) -> Floats:
@@ -19,10 +22,26 @@ def motion_at(components: Sequence[MotionComponent], time_ps: Picoseconds) -> Fl
     The phase is right to 1e-12 rad after 1e5 s.
     """
     displacement_m = np.zeros(time_ps.shape)
-    for component in components:
-        phase_rad = 2 * np.pi * turns(component.frequency_hz, time_ps) + component.phase_rad
-        displacement_m += component.amplitude_m * np.sin(phase_rad)
+    for first in range(0, len(time_ps), _TIMES_AT_ONCE):
+        some = slice(first, first + _TIMES_AT_ONCE)
+        for component in components:
+            phase_rad = 2 * np.pi * turns(component.frequency_hz, time_ps[some]) + component.phase_rad
+            displacement_m[some] += component.amplitude_m * np.sin(phase_rad)
     return displacement_m
+
+
+def background_at(background: Sequence[BackgroundMotion], time_ps: Picoseconds) -> Floats:
+    """Return how far the whole specimen has moved, m, at ``time_ps`` (time,) after the master trigger."""
+    return motion_at([part for each in background for part in _components(each)], time_ps)
+
+
+def _components(background: BackgroundMotion) -> Iterator[MotionComponent]:
+    for order, share in enumerate((1.0, *background.harmonics), 1):
+        yield MotionComponent(
+            frequency_hz=order * background.frequency_hz,
+            amplitude_m=abs(share) * background.amplitude_m,
+            phase_rad=order * background.phase_rad + (math.pi if share < 0 else 0.0),
+        )
 
 
 def turns(frequency_hz: float, time_ps: Picoseconds) -> Floats:

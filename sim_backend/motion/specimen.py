@@ -161,7 +161,8 @@ def transients(response: StepResponse, force: ForcePulses, time_ps: Picoseconds)
     first = np.searchsorted(ascending_ps, force.onset_ps)
     last = np.searchsorted(ascending_ps, force.end_ps + memory_ps, side="right")
     # Each pulse is added to the slice of times that lie between its onset and the end of its memory.
-    for index, strength in enumerate(force.force_density_n_per_m3):
+    for index in np.flatnonzero(first < last).tolist():
+        strength = force.force_density_n_per_m3[index]
         felt = slice(first[index], last[index])
         up_s = (ascending_ps[felt] - force.onset_ps[index]) / PS_PER_S
         down_s = (ascending_ps[felt] - force.end_ps[index]) / PS_PER_S

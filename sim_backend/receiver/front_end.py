@@ -58,7 +58,7 @@ def noise_v(receiver: Receiver, records: int, samples: int, rng: np.random.Gener
     A stronger pulse therefore gains signal over noise, as on the bench. The caller skips it where ``snr_db`` is None.
     """
     level_v = 0.0 if receiver.snr_db is None else receiver.echo_rms_v * 10 ** (-receiver.snr_db / 20)
-    noise = rng.standard_normal((records, samples))
+    noise: Floats = rng.standard_normal((records, samples))
     noise *= level_v
     return noise
 

@@ -1,4 +1,5 @@
 from .simulation import (
+    BackgroundMotion as BackgroundMotion,
     BandFilter as BandFilter,
     Beams as Beams,
     Instruments as Instruments,

@@ -94,6 +94,24 @@ class MotionComponent(Section):
     """Vibration phase."""
 
 
+class BackgroundMotion(Section):
+    """A periodic motion of the whole specimen along the beam, such as that of a heart beat or of breathing.
+
+    ``b(t) = amplitude (sin a + sum_n h_n sin n a)``, ``a = 2 pi f t + phase``, t from the master trigger's edge. All
+    scatterers move alike, by any number of wavelengths, and foci and beam widths with them (assumed: the motion stays
+    within the depth of field). Not part of the true displacement.
+    """
+
+    frequency_hz: Positive
+    """Repetition rate f (heart: about 1.2 Hz; breathing: about 0.25 Hz)."""
+    amplitude_m: NonNegative
+    """Peak displacement of the fundamental, positive away from the transducer."""
+    phase_rad: Finite = 0.0
+    """Phase of the fundamental."""
+    harmonics: tuple[Finite, ...] = ()
+    """Amplitudes h of the second, third and further harmonics over the fundamental's."""
+
+
 Ratio = Annotated[float, Field(gt=0, allow_inf_nan=True)]
 
 
@@ -279,6 +297,8 @@ class SimulationSettings(Section):
     """What stands between the generators and the transducer."""
     motion: tuple[MotionComponent, ...] | None = None
     """Prescribed motion (eq. 13); exclusive with ``specimen``."""
+    background: tuple[BackgroundMotion, ...] = ()
+    """Motion of the whole specimen besides, which a gate must follow."""
     beams: Beams = Beams()
     """Excitation and tracking beams."""
     scatterers: Scatterers = Scatterers()

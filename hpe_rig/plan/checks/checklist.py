@@ -9,7 +9,7 @@ from typing import Final
 from hpe_rig.bench import BenchFile
 from hpe_rig.plan.checks.acoustic_output import acoustic_output
 from hpe_rig.plan.checks.check_result import CheckResult
-from hpe_rig.plan.checks.digitizer import board, capture_mode, gate_in_record, memory
+from hpe_rig.plan.checks.digitizer import background, board, capture_mode, gate_in_record, memory
 from hpe_rig.plan.checks.excitation import excitation, interference
 from hpe_rig.plan.checks.output import drive, generators
 from hpe_rig.plan.checks.sampling import driven_harmonics, resolution, wanted_frequencies
@@ -34,6 +34,7 @@ CHECKS: Final[tuple[Check, ...]] = (
     driven_harmonics,
     resolution,
     gate_in_record,
+    background,
     board,
     capture_mode,
     memory,

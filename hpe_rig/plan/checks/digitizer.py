@@ -6,12 +6,18 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from drivers.alazar import BoardModel, mistakes
 from drivers.interfaces import Capture
-from hpe_rig.bench import BenchFile
-from hpe_rig.plan.checks.check_result import CheckResult, judged
+from hpe_rig.bench import BenchFile, twin_of
+from hpe_rig.plan.checks.check_result import CheckResult, Level, judged
+from hpe_rig.plan.selection import select
 from hpe_rig.plan.shots import Plan, reference_gate
 from hpe_rig.scene import Scene
+
+SPARE_SAMPLES = 16
+"""Samples at either end of a record that a following gate does not need to reach."""
 
 
 def gate_in_record(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
@@ -33,6 +39,36 @@ def gate_in_record(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Check
     length = gate.stop - gate.start
     text = f"the gate holds {length} samples"
     yield judged("gate samples", length >= 8, text, "a longer acquisition.gate_length_m or a higher sample rate")
+
+
+def background(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
+    """Yield whether the gate, or the record in which it follows, holds the background motion that is declared."""
+    shot, acquisition = plan.shots[0], scene.acquisition
+    gate, samples, follows = shot.gate, shot.capture.record_samples, scene.processing.follow_gate
+    per_metre = 2 / acquisition.sound_speed_m_per_s * shot.capture.sample_rate_hz
+    room_m = min(gate.start, samples - gate.stop) / per_metre
+    text = f"acquisition.record_samples = {samples} lets the gate follow by {room_m * 1e3:.3g} mm"
+    twin = twin_of(scene) if bench.simulated else None
+    moved_m = None if twin is None else twin.background_m(shot.timeline.sensing_s[select(scene, shot).window])
+    if moved_m is None or not moved_m.size:
+        if follows:
+            yield CheckResult("gate follows", "passed", text)
+        return
+    farthest_m = float(np.abs(moved_m - moved_m[0]).max())
+    moves = f"the background moves by {farthest_m * 1e3:.3g} mm in the processing window"
+    if not follows:
+        text = f"{moves}, the gate is {acquisition.gate_length_m * 1e3:.3g} mm long"
+        good = farthest_m < acquisition.gate_length_m / 4
+        level: Level = "passed" if good else "warning"
+        yield CheckResult("background", level, text, "" if good else "processing.follow_gate = true")
+        return
+    longest = gate.stop - gate.start + 2 * math.ceil(farthest_m * per_metre) + 2 * SPARE_SAMPLES
+    needed = _allowed_record_samples(longest, bench.digitizer.board_model)
+    remedy = f"acquisition.record_samples = {needed}, or a shorter processing.window_length_s"
+    yield judged("gate follows", farthest_m <= room_m, f"{text}, {moves}", remedy)
+    text = f"the background stands {abs(moved_m[0]) * 1e3:.3g} mm off the focus at the first pulse"
+    remedy = "another simulation.background phase_rad or processing.window_start_s: the gate begins at the focus"
+    yield judged("gate at focus", abs(moved_m[0]) < acquisition.gate_length_m / 2, text, remedy)
 
 
 def board(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:

@@ -52,7 +52,8 @@ class ClosedForm:
         self.amplitude_v = amplitude_v
 
     def record_volts(self, tonebursts, pulses, capture) -> np.ndarray:
-        return volts(len(capture.first_sample_ps), capture.samples, self.amplitude_v)
+        last = capture.first_record + len(capture.first_sample_ps)
+        return volts(last, capture.samples, self.amplitude_v)[capture.first_record :]
 
 
 class Spy:

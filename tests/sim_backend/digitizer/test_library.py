@@ -21,7 +21,7 @@ class Ramps:
         self.gain = gain
 
     def record_volts(self, tonebursts, pulses, capture):
-        record = np.arange(capture.first_sample_ps.size)[:, None]
+        record = capture.first_record + np.arange(capture.first_sample_ps.size)[:, None]
         return self.gain * np.sin(0.01 * np.arange(capture.samples) + record)
 
 

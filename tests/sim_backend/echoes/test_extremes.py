@@ -304,3 +304,18 @@ def test_scatterers_left_out_of_a_nearly_cancelling_scene_are_taken_back(strengt
     pulse = replace(HANN, amplitude=tuple(strength * amplitude for amplitude in HANN.amplitude))
     made = synthesise(resting(tau), weight, pulse, GATE_S, 1e-6)
     assert made.scatterers == 502
+
+
+@pytest.mark.parametrize("method", [None, "series"])
+@pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-8])
+@pytest.mark.parametrize(("share", "rest"), [(1.0, 1e-6), (0.999, 1e-6), (0.999, 1e-9), (0.5, 1e-6), (0.0, 1e-3)])
+def test_moving_scatterers_that_nearly_cancel_keep_the_tolerance_of_what_they_leave(method, tolerance, share, rest):
+    """Two in one place, of weights 1 and -1 but for a rest, that move by 0.1 nm and by a share of that."""
+    amplitude_s = 2 * 1e-10 / 1540 * np.sin(np.arange(400))[:, None]
+    delays = EchoDelays(np.zeros(2), np.array([[1.0, share]]), amplitude_s)
+    weight = np.array([1.0, -1.0 + rest])
+    made = synthesise(delays, weight, HANN, GATE_S, tolerance, method)
+    exact = running_sum(delays.delay_s(), weight, HANN, GATE_S)
+    size = np.sqrt(np.mean(exact**2))
+    # Either sum rounds to some 1e-16 of the two before they cancel.
+    assert np.sqrt(np.mean((made.echo - exact) ** 2)) <= tolerance * size + 3e-15

@@ -1,0 +1,92 @@
+"""A capture made block by block: the same volts, in whatever order and blocks they are asked for."""
+
+import numpy as np
+import pytest
+
+from sim_backend.acoustics.acoustics import Acoustics
+from sim_backend.acoustics.reception import with_reception
+from sim_backend.digitizer import recording
+from sim_backend.digitizer.board import Arming, BoardSettings, Taken
+from sim_backend.digitizer.capture_snapshot import CaptureSnapshot
+from sim_backend.digitizer.recording import Recording
+from sim_backend.settings import BandFilter, Instruments, MotionComponent, ReceiveChain, Receiver, SimulationSettings
+from sim_backend.wiring import Bursts, no_bursts
+
+RECORDS, SAMPLES = 50, 256
+MOTION = (MotionComponent(frequency_hz=200.0, amplitude_m=1e-6),)
+NOISY = SimulationSettings(motion=MOTION, receiver=Receiver(snr_db=20.0))
+EVERYTHING = SimulationSettings(
+    motion=MOTION,
+    receive_chain=ReceiveChain(
+        band_pass=BandFilter(centre_hz=9e6, bandwidth=0.33), noise_v_per_sqrt_hz=1e-6, oversampling=2
+    ),
+    instruments=Instruments(trigger_jitter_s=1e-10, sample_clock_jitter_s=1e-11),
+)
+
+
+def snapshot(records=RECORDS, amplitude_vpp=1.0):
+    onset_ps = 10**9 + np.arange(records, dtype=np.int64) * 250_000_000
+    ones = np.ones(records)
+    pulses = Bursts(onset_ps, onset_ps + 333_333, 9e6 * ones, 3 * ones, amplitude_vpp * ones)
+    first_ps = onset_ps + 89_600_000
+    taken = Taken(onset_ps, first_ps, first_ps + SAMPLES * 10_000, np.ones(records, np.int64), 0)
+    arming = Arming(0, 0, BoardSettings(post_samples=SAMPLES, record_count=records))
+    return CaptureSnapshot(arming, taken, no_bursts(), pulses, 0)
+
+
+def whole(settings, captured):
+    physics = with_reception(Acoustics(settings), settings)
+    return physics.record_volts(captured.tonebursts, captured.pulses, captured.capture)
+
+
+@pytest.fixture
+def blocks_of_eight(monkeypatch):
+    monkeypatch.setattr(recording, "BLOCK_VALUES", 8 * SAMPLES)
+    monkeypatch.setattr(recording, "BLOCKS_KEPT", 2)
+
+
+@pytest.mark.parametrize("settings", [NOISY, EVERYTHING], ids=["noise", "chain, jitter and clock"])
+def test_blocks_hold_the_volts_of_the_whole_capture(settings, blocks_of_eight):
+    captured, expected = snapshot(), whole(settings, snapshot())
+    made = Recording(with_reception(Acoustics(settings), settings).record_volts)
+    made.update(captured, 0)
+    # Onwards, then back to what is no longer held, then across blocks. Noise is the same; echoes are to 1e-8.
+    for records in (slice(0, 20), slice(20, 50), slice(3, 4), slice(47, 50), slice(5, 29)):
+        error = np.abs(made.volts(records) - expected[records]).max()
+        assert error < 2e-7 * np.abs(expected).max()
+
+
+def test_the_largest_voltage_is_that_of_the_records_so_far(blocks_of_eight):
+    expected = np.abs(whole(NOISY, snapshot())).max(axis=1)
+    made = Recording(Acoustics(NOISY).record_volts)
+    made.update(snapshot(), 0)
+    assert made.highest_v(0) == 0.0
+    for count in (50, 1, 8, 9, 33):
+        assert made.highest_v(count) == pytest.approx(expected[:count].max(), rel=1e-6)
+
+
+def test_what_is_complete_stays_when_the_rest_is_programmed_anew(blocks_of_eight):
+    before, after = snapshot(), snapshot(amplitude_vpp=2.0)
+    made = Recording(Acoustics(NOISY).record_volts)
+    made.update(before, int(before.taken.end_ps[19]))
+    highest_v = made.highest_v(20)
+    made.update(after, int(after.taken.end_ps[30]))
+    expected = np.concatenate([whole(NOISY, before)[:20], whole(NOISY, after)[20:]])
+    assert np.abs(made.volts(slice(0, 50)) - expected).max() < 2e-7 * np.abs(expected).max()
+    assert made.highest_v(20) == highest_v
+    assert made.highest_v(50) == pytest.approx(np.abs(expected).max(), rel=1e-6)
+
+
+def test_a_block_asks_for_the_pulses_near_it_alone(blocks_of_eight):
+    asked = []
+
+    def record_volts(tonebursts, pulses, capture):
+        asked.append((len(pulses.onset_ps), capture.first_record, len(capture.first_sample_ps)))
+        return np.zeros((len(capture.first_sample_ps), capture.samples))
+
+    made = Recording(record_volts)
+    made.update(snapshot(1000), 0)
+    made.volts(slice(500, 508))
+    # Records 496 to 503 and 504 to 511, and pulses up to 10 ms, 40 periods, before and after them.
+    assert [each[1:] for each in asked] == [(496, 8), (504, 8)]
+    assert all(8 + 2 * 39 <= pulses <= 8 + 2 * 42 for pulses, _, _ in asked)
