@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +13,7 @@ from hpe_rig.bench import twin_settings
 from hpe_rig.design.model import Baseline, echo_power
 from hpe_rig.plan import Plan, driven_frequencies_hz, select
 from hpe_rig.prediction import Conditions, beam_widths
-from hpe_rig.processing import EchoGate, estimate, options_of
+from hpe_rig.processing import EchoGate, estimate, options_of, shot_prior
 from hpe_rig.scene import Scene
 from hpe_rig.study import Errors, errors
 
@@ -98,10 +98,9 @@ def _deviations(
     pulse, settings = hann_pulse(setting.carrier_hz, bandwidth), _twin(scene, setting)
     frequencies_hz, also_hz = np.array(scene.wanted_frequencies_hz), driven_frequencies_hz(scene)
     estimator = scene.processing.estimator
-    options = options_of(scene, plan.shots[0], estimator, beam_widths(scene, estimator))
-    if options.prior is not None:
+    if shot_prior(scene, plan.shots[0], estimator, beam_widths(scene, estimator)) is not None:
         # One sinusoid is no medium's answer; it costs as little noise as the prior to fit the wanted ones alone.
-        also_hz, options = np.zeros(0), replace(options, harmonic="least_squares", prior=None)
+        also_hz = np.zeros(0)
     first = 0
     for echoes in drawn_echoes(settings, moved_m, pulse, train.sample_s, echo_rng, draws, TOLERANCE):
         power = np.mean(np.square(echoes[:, 0, train.reference]), axis=-1)[:, None, None]
@@ -116,7 +115,7 @@ def _deviations(
             setting.sound_speed_m_per_s,
             train.valid,
         )
-        fit = estimate(gated, frequencies_hz, estimator, also_hz, options)
+        fit = estimate(gated, frequencies_hz, estimator, also_hz, options_of(scene.processing))
         turned = fit.phase_rad[:, 0] - phase_rad[first : first + len(echoes)]
         yield np.stack([fit.amplitude_m[:, 0] - setting.amplitude_m, np.angle(np.exp(1j * turned))], axis=-1)
         first += len(echoes)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
 from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, speckle_spread
-from hpe_rig.processing import BeamWidths, Window, displacement, medium_ensemble, spec_of
+from hpe_rig.processing import BeamWidths, Window, displacement, harmonic_range_hz, medium_ensemble, spec_of
 from hpe_rig.result import Averaging
 from hpe_rig.scene import Scene
 
@@ -50,15 +50,19 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     uncertain = np.abs(ratio) * deviation.real, deviation.imag
     return tuple(
         Averaging(1 - share * (1 - gaussian), lag, share * spread, *doubt)
-        for share, lag, *doubt in zip(lost.tolist(), np.angle(ratio).tolist(), *np.stack(uncertain).tolist(), strict=True)
+        for share, lag, *doubt in zip(
+            lost.tolist(), np.angle(ratio).tolist(), *np.stack(uncertain).tolist(), strict=True
+        )
     )
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Return tracked over peak motion (frequency,), and the standard deviations of its logarithm, over all media."""
     assert scene.excitation is not None  # noqa: S101 (as its caller knows)
-    lowest_hz, highest_hz = frequency_hz.min(), frequency_hz.max()
-    ensemble = medium_ensemble(beams, float(0.9 * lowest_hz), float(1.1 * highest_hz))
+    lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz)
+    # that of the prior, unless a frequency lies outside
+    lowest_hz, highest_hz = min(lowest_hz, float(frequency_hz.min())), max(highest_hz, float(frequency_hz.max()))
+    ensemble = medium_ensemble(beams, lowest_hz, highest_hz)
     to_wanted = ensemble.interpolation(frequency_hz)
     ratio = np.log((ensemble.tracked @ to_wanted.T) / (ensemble.peak @ to_wanted.T))
     return np.exp(ratio.mean(axis=0)), ratio.real.std(axis=0) + 1j * ratio.imag.std(axis=0)

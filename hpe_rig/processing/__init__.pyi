@@ -50,6 +50,7 @@ from .prior import (
     Evidence as Evidence,
     MediumFit as MediumFit,
     MediumPrior as MediumPrior,
+    harmonic_range_hz as harmonic_range_hz,
     medium_fit as medium_fit,
     medium_kalman as medium_kalman,
     medium_prior as medium_prior,

@@ -25,13 +25,15 @@ class Innovations:
     ``normalised`` (..., pulse): innovations over their own standard deviation, NaN where no pulse; ``nis`` (...): their
     mean square with the noise that the echoes themselves state (NaN where they state none), 1 when that is true;
     ``nis_tolerance``: three standard deviations of it by chance; ``autocorrelation`` (...) from one pulse to the next,
-    0 when the noise is white; ``outliers`` (..., pulse): beyond 5 robust standard deviations.
+    0 when the noise is white, ``autocorrelation_tolerance``: four standard deviations of it by chance; ``outliers``
+    (..., pulse): beyond 5 robust standard deviations.
     """
 
     normalised: FloatArray
     nis: FloatArray
     nis_tolerance: float
     autocorrelation: FloatArray
+    autocorrelation_tolerance: float
     outliers: BoolArray
 
 
@@ -128,7 +130,7 @@ def steps_freedom(columns: FloatArray, taken: FloatArray, walk: FloatArray) -> F
 def step_covariance(
     residual: FloatArray, walk: FloatArray, rows: FloatArray, freedom: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the pulse variance (...) and the covariance (..., row, row) of ``rows`` (..., row, pulse) over summed steps.
+    """Return the pulse variance (...) and the covariance (..., row, row) of ``rows`` (..., row, pulse) over steps.
 
     The scale comes from the ``residual``'s changes between pulses (..., pulse) and their ``steps_freedom``.
     """

@@ -56,9 +56,10 @@ def kalman(
 
     ``process_noise``, ``background_noise`` and ``prior`` are variances of a harmonic state's change per pulse, of a
     change per pulse of the background's highest derivative (time in half lengths of the train), and of a state's start,
-    all in units of the measurement noise, which itself follows from the innovations. Without process noise this is recursive least squares. ``background_order`` 0, 1, 2: constant,
-    velocity, acceleration. Raises ``ValueError`` as ``least_squares``. Source: harmonic state of Zheng et al. (2007),
-    background states of Zheng et al. (2006); information form without, Potter's form with process noise.
+    all in units of the measurement noise, which itself follows from the innovations. Without process noise this is
+    recursive least squares. ``background_order`` 0, 1, 2: constant, velocity, acceleration. Raises ``ValueError`` as
+    ``least_squares``. Source: harmonic state of Zheng et al. (2007), background states of Zheng et al. (2006);
+    information form without, Potter's form with process noise.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     times = motion.time_s, motion.valid
@@ -217,4 +218,5 @@ def innovation_test(motion: Motion, normalised: FloatArray, states: int) -> Inno
     placed[..., used] = later / np.maximum(robust, tiny)
     outliers = np.zeros(placed.shape, dtype=bool)
     outliers[..., used] = size > 5 * robust
-    return Innovations(placed, nis, 3 * np.sqrt(2 / degrees), neighbours / np.maximum(energy, tiny), outliers)
+    correlation, tolerance = neighbours / np.maximum(energy, tiny), 4 / np.sqrt(degrees)
+    return Innovations(placed, nis, 3 * np.sqrt(2 / degrees), correlation, tolerance, outliers)

@@ -167,8 +167,9 @@ def medium_prior(
     Times count from a burst's onset at the focus. A ``known`` medium narrows the ensemble to Voigt media near it. The
     force's spectrum is that of rectangular pulses, paper eq. (18).
     """
-    harmonic = np.arange(1.0, int(HIGHEST_HZ / burst_rate_hz * (1 + 1e-9)) + 1)
-    ensemble = medium_ensemble(beams, burst_rate_hz, float(burst_rate_hz * harmonic[-1]), known, density_kg_per_m3)
+    lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
+    harmonic = np.arange(1.0, round(highest_hz / burst_rate_hz) + 1)
+    ensemble = medium_ensemble(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
     duty = burst_rate_hz * burst_length_s
     # A sin(w t + phase) has A exp(j phase) = j times the amplitude of exp(jwt), which is twice the coefficient
     force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
@@ -187,6 +188,11 @@ def medium_prior(
     for array in (prior.spectrum, prior.root, prior.members, prior.misfit, prior.averaging):
         array.flags.writeable = False
     return prior
+
+
+def harmonic_range_hz(burst_rate_hz: float) -> tuple[float, float]:
+    """Return the first and the last of the bursts' harmonics that are part of the model."""
+    return burst_rate_hz, burst_rate_hz * max(1, int(HIGHEST_HZ / burst_rate_hz * (1 + 1e-9)))
 
 
 def medium_fit(
@@ -257,9 +263,7 @@ def medium_kalman(
     return replace(whole, fit=replace(fit, medium=whole.fit.medium))
 
 
-def _averaging(
-    likelihood: FloatArray, prior: MediumPrior, frequency_hz: FloatArray
-) -> tuple[ComplexArray, FloatArray]:
+def _averaging(likelihood: FloatArray, prior: MediumPrior, frequency_hz: FloatArray) -> tuple[ComplexArray, FloatArray]:
     """Return peak over tracked motion, complex (..., frequency), and its covariance (..., frequency, 2, 2).
 
     The mean of its logarithm over the ensemble, every member as likely as the data have it; covariance of (relative

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +13,14 @@ from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
 from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlike_pulses
 from hpe_rig.processing.echoes import EchoGate, Motion, relative_to
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium
-from hpe_rig.processing.estimators import EstimatorSpec, Options, estimate, fit_motion, spec_of
+from hpe_rig.processing.estimators import EstimatorSpec, Harmonic, Options, estimate, fit_motion, spec_of
 from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.prior import MediumPrior, medium_prior
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.result import Averaging, Estimate, ShotResult
-from hpe_rig.scene import Scene
+from hpe_rig.scene import Processing, Scene
 from hpe_rig.store import ShotRecords, StoredRun
 
 LARGE_STEP = 0.8
@@ -57,18 +58,16 @@ def estimate_run(
         reference = reference_gate(scene, shot)
         still = None if reference is None else stored.records.gated(shot.index, reference)
         for window in scene.windows:
-            options = options_of(window, shot, estimator, beams)
+            options = options_of(window.processing, shot_prior(window, shot, estimator, beams))
             unlikely = UNLIKELY / len(plan.shots) / len(scene.windows)
             results.append(_estimate_shot(window, shot, records, still, true_m, spec, averaging, options, unlikely))
     return tuple(results)
 
 
-def options_of(scene: Scene, shot: Shot, estimator: str, beams: BeamWidths | None) -> Options:
-    """Return what of the estimation the scene chooses, apart from the estimator; without ``beams`` no prior of media."""
-    processing, prior = scene.processing, shot_prior(scene, shot, estimator, beams)
-    chosen = processing.harmonic or "medium_prior"
-    if prior is None and chosen == "medium_prior":
-        chosen = "least_squares"
+def options_of(processing: Processing, prior: MediumPrior | None = None) -> Options:
+    """Return what of the estimation the scene chooses, apart from the estimator; without ``prior`` least squares."""
+    default: Harmonic = "least_squares" if prior is None else "medium_prior"
+    chosen = default if processing.harmonic in (None, "medium_prior") else processing.harmonic
     return Options(processing.background_order, chosen, processing.process_noise, prior)
 
 
@@ -210,8 +209,13 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
     ratio = 1 / complex(fit.medium.peak_over_tracked[index])
     factor, (relative, phase_rad) = abs(ratio), np.sqrt(np.diag(fit.medium.peak_covariance[index])).tolist()
     lost = max(0.0, 1 - factor) / max(1 - predicted.factor, np.finfo(np.float64).tiny)
-    return Averaging(
-        factor, float(np.angle(ratio)), predicted.speckle_relative * lost, factor * relative, float(phase_rad)
+    return replace(
+        predicted,
+        factor=factor,
+        phase_rad=float(np.angle(ratio)),
+        speckle_relative=predicted.speckle_relative * lost,
+        factor_uncertainty=factor * relative,
+        phase_uncertainty_rad=phase_rad,
     )
 
 
@@ -238,9 +242,10 @@ def _estimate(
 
 def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
     order = options.background_order
-    others = {"also_hz": chosen.driven_hz, "background_order": order, "prior": options.prior}
     try:
-        return drift_between_halves(motion, chosen.wanted_hz, **others)
+        return drift_between_halves(
+            motion, chosen.wanted_hz, also_hz=chosen.driven_hz, background_order=order, prior=options.prior
+        )
     except ValueError:
         # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
         return None
@@ -284,12 +289,13 @@ def _fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
             f"{DETECTED:g} u; ignore its phase, or take more cycles, pulses or drive"
         )
     found = fit.innovations
-    # Below 1 there is nothing wrong: where the motion changes over the gate, echoes change their shape with it, and
-    # what they state as noise holds that as well.
-    if found is not None and float(found.nis) - 1 > max(found.nis_tolerance, 0.5):
+    # White innovations are noise, however large: trigger jitter is no part of what echoes state, and where the motion
+    # changes over the gate they state more.
+    if found is not None and abs(float(found.autocorrelation)) > found.autocorrelation_tolerance:
         yield (
-            f"the Kalman filter's innovations are {float(found.nis):.2f} times what the echoes' noise explains (NIS): "
-            "motion that the model lacks (processing.background_order, process_noise), trigger jitter, or bad pulses"
+            f"the Kalman filter's innovations follow from each other (correlation {float(found.autocorrelation):+.2f} "
+            "from pulse to pulse, 0 is best): motion that the model lacks; raise processing.background_order or "
+            "process_noise"
         )
 
 

@@ -39,9 +39,9 @@ def drift_between_halves(
 ) -> Drift:
     """Return the change of amplitude between both halves: suspicious where bursts are missing or motion decays.
 
-    The wanted states may change by a step in the middle, the rest of the model is that of all pulses: ``least_squares``'
-    or, with a ``prior``, what the motion has of it. Raises ``ValueError`` as these do, and where half the pulses cannot
-    resolve the frequencies.
+    The wanted states may change by a step in the middle, the rest of the model is that of all pulses: that of
+    ``least_squares`` or, with a ``prior``, what the motion has of it. Raises ``ValueError`` as these do, and where half
+    the pulses cannot resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     if prior is None:
@@ -58,10 +58,8 @@ def drift_between_halves(
     return _drift(motion, frequency_hz, columns, q, mean)
 
 
-def _drift(
-    motion: Motion, frequency_hz: FloatArray, columns: FloatArray, q: FloatArray, mean: FloatArray
-) -> Drift:
-    """Return the drift by steps of ``columns`` (valid pulse, state), off the orthonormal model ``q`` (valid pulse, ...).
+def _drift(motion: Motion, frequency_hz: FloatArray, columns: FloatArray, q: FloatArray, mean: FloatArray) -> Drift:
+    """Return the drift by steps of ``columns`` (valid pulse, state), off the orthonormal ``q`` (valid pulse, column).
 
     ``mean`` (..., state): the states over all pulses.
     """
