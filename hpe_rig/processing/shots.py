@@ -302,10 +302,10 @@ def _fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
 def _medium_warnings(fit: HarmonicFit, unlikely: float) -> Iterator[str]:
     if fit.medium is not None and float(fit.medium.significance) < unlikely:
         yield (
-            f"the medium lies outside the ensemble that the prior knows (significance "
-            f"{float(fit.medium.significance):.1g}): reflections, layers, another force than [beams] and the burst "
-            "length say, or motion that is not periodic; check these and the start-up (processing.window_start_s), or "
-            'compare with processing.harmonic = "least_squares"'
+            f"the medium lies outside the ensemble that the prior knows (significance {fit.medium.significance:.1g}): "
+            "reflections, layers, another force than [beams] and the burst length say, another medium than [medium], "
+            "or motion that is not periodic; check these and the start-up (processing.window_start_s), or compare with "
+            'processing.harmonic = "least_squares"'
         )
 
 
