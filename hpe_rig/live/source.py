@@ -9,7 +9,16 @@ import numpy as np
 
 from hpe_rig.acquire import Run, estimates_of, open_run, request_stop, stop_path
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
-from hpe_rig.processing import coherent, fit_motion, options_of, samples_needed, shot_echoes, shot_motion
+from hpe_rig.prediction import beam_widths
+from hpe_rig.processing import (
+    coherent,
+    fit_motion,
+    options_of,
+    samples_needed,
+    shot_echoes,
+    shot_motion,
+    shot_prior,
+)
 from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
 from hpe_rig.store import StoredRun, StoreError
 
@@ -110,7 +119,8 @@ class RunSource:
             gated = gate_alone(records, samples_needed(scene, shot))
             shown = shown_pulses(scene, shot)
             motion = shot_motion(scene, shot, shot_echoes(scene, shot, gated, shown), coherent)
-            fit = fit_motion(motion, shown.wanted_hz, "coherent", shown.driven_hz, options_of(scene.processing))
+            options = options_of(scene.processing, shot_prior(scene, shot, "coherent", beam_widths(scene, "coherent")))
+            fit = fit_motion(motion, shown.wanted_hz, "coherent", shown.driven_hz, options)
             # The same selection and the same fit as the result's, over the pulses that have arrived.
             estimates = estimates_of(fit)
             state["motion"] = motion_state(motion_view(scene, shot, gated, estimates))
