@@ -5,7 +5,8 @@ from .beam_averaging import (
     pulse_length_m as pulse_length_m,
 )
 from .bounds import echo_bound as echo_bound
-from .detection import detection_floor as detection_floor, fit_gain as fit_gain
+from .amplitude import expected_snr_db as expected_snr_db, relative_drive as relative_drive
+from .detection import detection_floor as detection_floor
 from .error_model import (
     LATERAL as LATERAL,
     Conditions as Conditions,
@@ -19,9 +20,10 @@ from .error_model import (
 from .forecast import (
     LEAST_POINTS as LEAST_POINTS,
     conditions_of as conditions_of,
-    expected_snr_db as expected_snr_db,
+    forecast as forecast,
     predict as predict,
 )
+from .linear_fit import noise_gain as noise_gain
 from .text import (
     aliasing_text as aliasing_text,
     averaging_text as averaging_text,

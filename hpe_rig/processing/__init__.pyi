@@ -41,6 +41,7 @@ from .motion import (
     peak_phase as peak_phase,
 )
 from .prior import (
+    WEIGHT as WEIGHT,
     MediumFit as MediumFit,
     MediumPrior as MediumPrior,
     medium_fit as medium_fit,
