@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -72,22 +73,30 @@ def _evolution(problem: Problem, seed: int, generations: int) -> NDArray[np.floa
 
 
 def _pattern_search(problem: Problem, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the best place by steps along single variables, halved whenever none is better."""
+    """Return the best place by steps along single variables and pairs of them, halved whenever none is better.
+
+    A limit that two variables share, such as pulse rate and number of pulses in a given time, lets neither move alone.
+    """
     last = np.array([variable.last for variable in problem.space])
     discrete = np.array([variable.discrete for variable in problem.space])
     cost, share = problem.cost(problem.values_at(place)), 0.1
     while share >= FINEST:
         better = False
-        for index in range(len(place)):
-            step = max(1.0, round(share * last[index])) if discrete[index] else share
-            for sign in (1, -1):
-                moved = place.copy()
-                moved[index] = min(max(place[index] + sign * step, 0.0), last[index])
-                trial = problem.cost(problem.values_at(moved))
-                if trial < cost:
-                    place, cost, better = moved, trial, True
+        step = np.where(discrete, np.maximum(1.0, np.round(share * last)), share)
+        for direction in _directions(len(place)):
+            moved = np.clip(place + direction * step, 0.0, last)
+            trial = problem.cost(problem.values_at(moved))
+            if trial < cost:
+                place, cost, better = moved, trial, True
         share = share if better else share / 2
     return place
+
+
+def _directions(variables: int) -> list[NDArray[np.float64]]:
+    """Return both ways along every variable, then those of every pair in which both grow, or shrink, or trade."""
+    axes = np.eye(variables)
+    pairs = [one + sign * other for one, other in itertools.combinations(axes, 2) for sign in (1, -1)]
+    return [sign * axis for axis in (*axes, *pairs) for sign in (1, -1)]
 
 
 def _without_the_needless(problem: Problem, place: NDArray[np.float64]) -> Candidate:

@@ -1,11 +1,11 @@
 from .aliasing import fitted_over_true as fitted_over_true
+from .amplitude import expected_snr_db as expected_snr_db, relative_drive as relative_drive
 from .beam_averaging import (
     medium_motion as medium_motion,
     predicted_averaging as predicted_averaging,
     pulse_length_m as pulse_length_m,
 )
 from .bounds import echo_bound as echo_bound
-from .amplitude import expected_snr_db as expected_snr_db, relative_drive as relative_drive
 from .detection import detection_floor as detection_floor
 from .error_model import (
     LATERAL as LATERAL,

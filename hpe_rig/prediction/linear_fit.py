@@ -2,8 +2,8 @@
 
     in-phase and quadrature of a wanted frequency = weights @ displacement
 
-The weights are those of the model that the estimate really uses, least squares or the prior of media, at the pulses that
-it really uses. Every prediction of noise and aliasing goes through here, so that all print the same numbers.
+The weights are those of the model that the estimate really uses, least squares or the prior of media, at the pulses
+that it really uses. Every prediction of noise and aliasing goes through here, so that all print the same numbers.
 """
 
 from __future__ import annotations
