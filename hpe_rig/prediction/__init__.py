@@ -13,7 +13,7 @@
     Cramer-Rao bounds                                                  bounds.py
     all of it as lines of text                                         text.py
 
-Others use ``forecast(scene, shot)``, ``predicted_averaging``, ``detection_floor`` and what ends in ``_text``.
+Others use ``forecast_of(scene, shot)``, ``predicted_averaging``, ``detection_floor`` and what ends in ``_text``.
 Theory: docs/theory/prediction.md.
 """
 

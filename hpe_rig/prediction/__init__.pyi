@@ -20,7 +20,7 @@ from .error_model import (
 from .forecast import (
     LEAST_POINTS as LEAST_POINTS,
     conditions_of as conditions_of,
-    forecast as forecast,
+    forecast_of as forecast_of,
     predict as predict,
 )
 from .linear_fit import noise_gain as noise_gain

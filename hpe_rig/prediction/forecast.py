@@ -21,6 +21,8 @@ from hpe_rig.scene import Scene
 
 SPECKLE_PER_CELL = 11.0
 """Scatterers per resolution cell where nothing says otherwise: fully developed speckle (paper, Table I)."""
+PEAK_DRAWS = 4
+"""How many times the draws are needed where the phase is read at a peak."""
 LEAST_CYCLES = 1.0
 LEAST_POINTS = 2.5
 """Cycles and pulses a cycle below which no estimate is made, however little noise there is."""
@@ -86,7 +88,7 @@ def _fit_gain(scene: Scene, shot: Shot, frequency_hz: float, pulses: int, estima
     return 1.0
 
 
-def forecast(
+def forecast_of(
     scene: Scene,
     shot: Shot,
     frequency_hz: float | None = None,
@@ -110,10 +112,17 @@ def forecast(
 
 
 def predict(conditions: Conditions, estimators: tuple[str, ...] = ESTIMATORS, draws: int = 1000) -> Prediction:
-    """Return bias and jitter of every estimator; the seeds are fixed, so equal conditions give equal figures."""
-    speckle = draw_speckle(conditions, np.random.default_rng(0), draws)
-    each = (expected(conditions, name, speckle, np.random.default_rng(1)) for name in estimators)
-    return Prediction(conditions, tuple(each))
+    """Return bias and jitter of every estimator; the seeds are fixed, so equal conditions give equal figures.
+
+    Where noise moves the peak that is read, its variance comes from the draws too: it takes more of them.
+    """
+    return Prediction(conditions, tuple(_expected(conditions, name, draws) for name in estimators))
+
+
+def _expected(conditions: Conditions, estimator: str, draws: int) -> Expected:
+    many = PEAK_DRAWS * draws if spec_of(estimator).reads_peak else draws
+    speckle = draw_speckle(conditions, np.random.default_rng(0), many)
+    return expected(conditions, estimator, speckle, np.random.default_rng(1))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from hpe_rig.prediction.aliasing import fitted_over_true
 from hpe_rig.prediction.beam_averaging import predicted_averaging, pulse_length_m
 from hpe_rig.prediction.detection import FALSE_ALARMS, detection_floor
 from hpe_rig.prediction.error_model import Expected
-from hpe_rig.prediction.forecast import Prediction, Remedy, forecast, remedies
+from hpe_rig.prediction.forecast import Prediction, Remedy, forecast_of, remedies
 from hpe_rig.prediction.theory import beam_averaging_factor
 from hpe_rig.processing import spec_of
 from hpe_rig.scene import Scene
@@ -111,7 +111,7 @@ def averaging_text(scene: Scene, simulated: bool = True) -> Iterator[str]:
 
 def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, simulated: bool = True) -> Iterator[str]:
     """Yield the lines that ``hpe-rig check`` prints: the table, the best estimator, what reaches ``target_m``."""
-    prediction = forecast(scene, shot, simulated=simulated)
+    prediction = forecast_of(scene, shot, simulated=simulated)
     if prediction is None:
         yield "prediction: left out, it needs [beams], a frequency and processing.expected_snr_db"
         return

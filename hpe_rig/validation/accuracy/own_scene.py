@@ -247,8 +247,8 @@ def _verdict(rows: Sequence[SceneRow]) -> Iterator[str]:
     # Of n seeds and Gaussian errors a root mean square is known to one part in sqrt(2 n).
     known = own.error / math.sqrt(2 * own.seeds)
     yield (
-        f"{own.seeds} seeds; rms errors are known to {100 / math.sqrt(2 * own.seeds):.2g} % of themselves, times are of "
-        "the processor"
+        f"{own.seeds} seeds; rms errors are known to {100 / math.sqrt(2 * own.seeds):.2g} % of themselves, times are "
+        "of the processor"
     )
     if own.on_front:
         yield "the scene's own settings lie on the Pareto front: nothing tried is as good in less time"
