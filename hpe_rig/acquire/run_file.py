@@ -185,12 +185,12 @@ def estimates_of(fit: HarmonicFit) -> tuple[Estimate, ...]:
 
 
 def _shots(run: Run, estimator: Estimator) -> tuple[ShotResult, ...]:
-    from hpe_rig.prediction import predicted_averaging
+    from hpe_rig.prediction import beam_widths, predicted_averaging
     from hpe_rig.processing import estimate_run
 
     try:
-        averaging = predicted_averaging(run.scene, estimator, run.stored.simulated)
-        shots = estimate_run(run.scene, run.plan, run.stored, estimator, averaging)
+        averaging, beams = predicted_averaging(run.scene, estimator), beam_widths(run.scene, estimator)
+        shots = estimate_run(run.scene, run.plan, run.stored, estimator, averaging, beams)
     except ValueError as error:
         raise StoreError(
             f"{run.path} cannot be estimated ({error}). Try: another estimator, or more records."

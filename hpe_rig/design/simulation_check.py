@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from hpe_rig.bench import twin_settings
 from hpe_rig.design.model import Baseline, echo_power
 from hpe_rig.plan import Plan, driven_frequencies_hz, select
-from hpe_rig.prediction import Conditions
-from hpe_rig.processing import EchoGate, estimate, options_of
+from hpe_rig.prediction import Conditions, beam_widths
+from hpe_rig.processing import EchoGate, estimate, options_of, shot_prior
 from hpe_rig.scene import Scene
 from hpe_rig.study import Errors, errors
 
@@ -45,7 +45,7 @@ def simulate(scene: Scene, plan: Plan, setting: Conditions, start: Baseline, dra
     train = _train(scene, plan, setting, start)
     if train.values > MOST_VALUES:
         return None
-    amplitude_m, phase_rad = np.concatenate(list(_deviations(scene, setting, train, draws, seed))).T
+    amplitude_m, phase_rad = np.concatenate(list(_deviations(scene, plan, setting, train, draws, seed))).T
     return Simulated(errors(amplitude_m[:, None]), errors(phase_rad[:, None]))
 
 
@@ -83,7 +83,9 @@ def _train(scene: Scene, plan: Plan, setting: Conditions, start: Baseline) -> _T
     )
 
 
-def _deviations(scene: Scene, setting: Conditions, train: _Train, draws: int, seed: int) -> Iterator[Floats]:
+def _deviations(
+    scene: Scene, plan: Plan, setting: Conditions, train: _Train, draws: int, seed: int
+) -> Iterator[Floats]:
     """Yield the deviations of amplitude, m, and phase, rad, of 16 draws at a time: (draw, 2)."""
     from sim_backend.echoes import drawn_echoes, hann_pulse
 
@@ -95,6 +97,10 @@ def _deviations(scene: Scene, setting: Conditions, train: _Train, draws: int, se
     bandwidth = setting.sound_speed_m_per_s / 2 / (setting.pulse_length_m * setting.carrier_hz)
     pulse, settings = hann_pulse(setting.carrier_hz, bandwidth), _twin(scene, setting)
     frequencies_hz, also_hz = np.array(scene.wanted_frequencies_hz), driven_frequencies_hz(scene)
+    estimator = scene.processing.estimator
+    if shot_prior(scene, plan.shots[0], estimator, beam_widths(scene, estimator)) is not None:
+        # One sinusoid is no medium's answer; it costs as little noise as the prior to fit the wanted ones alone.
+        also_hz = np.zeros(0)
     first = 0
     for echoes in drawn_echoes(settings, moved_m, pulse, train.sample_s, echo_rng, draws, TOLERANCE):
         power = np.mean(np.square(echoes[:, 0, train.reference]), axis=-1)[:, None, None]
@@ -109,7 +115,7 @@ def _deviations(scene: Scene, setting: Conditions, train: _Train, draws: int, se
             setting.sound_speed_m_per_s,
             train.valid,
         )
-        fit = estimate(gated, frequencies_hz, scene.processing.estimator, also_hz, options_of(scene.processing))
+        fit = estimate(gated, frequencies_hz, estimator, also_hz, options_of(scene.processing))
         turned = fit.phase_rad[:, 0] - phase_rad[first : first + len(echoes)]
         yield np.stack([fit.amplitude_m[:, 0] - setting.amplitude_m, np.angle(np.exp(1j * turned))], axis=-1)
         first += len(echoes)

@@ -9,7 +9,8 @@ import numpy as np
 
 from hpe_rig.acquire import Run, estimates_of, open_run, request_stop, stop_path
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
-from hpe_rig.processing import estimate, options_of, shot_echoes
+from hpe_rig.prediction import beam_widths
+from hpe_rig.processing import estimate, options_of, shot_echoes, shot_prior
 from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
 from hpe_rig.store import StoredRun, StoreError
 
@@ -110,7 +111,9 @@ class RunSource:
             gated = gate_alone(records, shot.gate)
             shown = shown_pulses(scene, shot)
             arrived = shot_echoes(scene, shot, gated, shown)
-            fit = estimate(arrived, shown.wanted_hz, "coherent", shown.driven_hz, options_of(scene.processing))
+            prior = shot_prior(scene, shot, "coherent", beam_widths(scene, "coherent"))
+            options = options_of(scene.processing, prior)
+            fit = estimate(arrived, shown.wanted_hz, "coherent", shown.driven_hz, options)
             # The same selection and the same fit as the result's, over the pulses that have arrived.
             estimates = estimates_of(fit)
             state["motion"] = motion_state(motion_view(scene, shot, gated, estimates))

@@ -22,12 +22,24 @@ def left_out(scene: Scene, bench: BenchFile) -> list[LeftOut]:
     out: list[LeftOut] = []
     if scene.excitation is None:
         out.append(LeftOut("generators burst_train and toneburst", "the scene has no [excitation]"))
+    if scene.excitation is not None and (why := _without_prior(scene)):
+        out.append(
+            LeftOut("prior of media", f"{why}: the tonebursts' other harmonics are fitted as far as pulses tell")
+        )
     if scene.beams is None:
         out.append(LeftOut("predicted beam averaging", "the scene has no [beams]"))
     if bench.simulated:
         return [*out, *_left_out_of_twin(twin_of(scene))]
     unread = ", [simulation] is not read" if declares_twin(scene) else ""
     return [*out, LeftOut("the twin", "the bench is real" + unread)]
+
+
+def _without_prior(scene: Scene) -> str | None:
+    """Return why other harmonics than the wanted are free instead of the prior's; None where the prior holds them."""
+    processing = scene.processing
+    if processing.harmonic == "least_squares":
+        return 'processing.harmonic = "least_squares"'
+    return "process_noise is not 0" if processing.process_noise else scene.without_prior
 
 
 def _left_out_of_twin(twin: TwinDeclaration | None) -> Iterator[LeftOut]:

@@ -6,15 +6,12 @@ the Gaussian of eq. (12), and what is tracked lags.
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import wofz
 
 from hpe_rig.bench import twin_of
 from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, speckle_spread
-from hpe_rig.processing import Window, spec_of
+from hpe_rig.processing import BeamWidths, Window, displacement, harmonic_range_hz, medium_ensemble, spec_of
 from hpe_rig.result import Averaging
 from hpe_rig.scene import Scene
 
@@ -27,13 +24,14 @@ SCALES = (0.05, 1e3)
 """Between which a Gaussian's widths are scaled; the upper end tracks the peak to 1e-7."""
 
 
-def predicted_averaging(scene: Scene, estimator: str, simulated: bool = True) -> tuple[Averaging | None, ...]:
+def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None, ...]:
     """Return the averaging over the tracking beam at every wanted frequency; None without beams.
 
-    The motion's shape is the field of the medium, ``scene.medium``'s or the twin's own; without either, eq. (12).
+    The motion's shape is the field of the declared medium. Where none is, it is that of the ensemble of media, with the
+    spread of the ensemble as uncertainty; without tonebursts that of eq. (12).
     """
-    frequency_hz = np.array(scene.wanted_frequencies_hz)
-    if scene.beams is None:
+    frequency_hz, beams = np.array(scene.wanted_frequencies_hz), beam_widths(scene, estimator)
+    if scene.beams is None or beams is None:
         return (None,) * frequency_hz.size
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
     gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
@@ -41,16 +39,42 @@ def predicted_averaging(scene: Scene, estimator: str, simulated: bool = True) ->
     # A fixed seed: a prediction is a function of the scene alone.
     spread = speckle_spread(*widths, *gate, np.random.default_rng(0), gate_window=window)
     gaussian = beam_averaging_factor(*widths, *gate, gate_window=window)
-    motion = motion_of_medium(scene, frequency_hz, window, simulated)
-    if motion is None:
+    if scene.excitation is None:
         return (Averaging(gaussian, 0.0, spread),) * frequency_hz.size
-    depth_m, ratio = depth_spread(widths[1], *gate, window), motion[0] / motion[1]
+    motion = motion_of_medium(scene, frequency_hz, window, simulated=False)
+    ratio, deviation = _ensemble_ratio(scene, beams, frequency_hz)
+    if motion is not None:
+        ratio, deviation = motion[0] / motion[1], 0 * deviation
     # To first order in how far the motion changes over the beam, all that speckle does is in proportion to the loss.
-    lost = (1 - np.abs(ratio)) / (1 - gaussian_averaging(*widths, depth_m))
+    lost = (1 - np.abs(ratio)) / (1 - gaussian_averaging(*widths, beams.axial_spread_m))
+    uncertain = np.abs(ratio) * deviation.real, deviation.imag
     return tuple(
-        Averaging(1 - share * (1 - gaussian), lag, share * spread)
-        for share, lag in zip(lost.tolist(), np.angle(ratio).tolist(), strict=True)
+        Averaging(1 - share * (1 - gaussian), lag, share * spread, *doubt)
+        for share, lag, *doubt in zip(
+            lost.tolist(), np.angle(ratio).tolist(), *np.stack(uncertain).tolist(), strict=True
+        )
     )
+
+
+def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return tracked over peak motion (frequency,), and the standard deviations of its logarithm, over all media."""
+    assert scene.excitation is not None  # noqa: S101 (as its caller knows)
+    lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz)
+    # that of the prior, unless a frequency lies outside
+    lowest_hz, highest_hz = min(lowest_hz, float(frequency_hz.min())), max(highest_hz, float(frequency_hz.max()))
+    ensemble = medium_ensemble(beams, lowest_hz, highest_hz)
+    to_wanted = ensemble.interpolation(frequency_hz)
+    ratio = np.log((ensemble.tracked @ to_wanted.T) / (ensemble.peak @ to_wanted.T))
+    return np.exp(ratio.mean(axis=0)), ratio.real.std(axis=0) + 1j * ratio.imag.std(axis=0)
+
+
+def beam_widths(scene: Scene, estimator: str) -> BeamWidths | None:
+    """Return the widths of the force and of what is tracked, for the ensemble of media; None without beams."""
+    if scene.beams is None:
+        return None
+    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
+    return BeamWidths(*widths, depth_spread(widths[1], *gate, spec_of(estimator).gate_window))
 
 
 def motion_of_medium(
@@ -108,31 +132,10 @@ def medium_motion(
     """
     shear_k2 = density_kg_per_m3 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa
     lateral, axial = force_width_m[0] ** 2, force_width_m[2] ** 2
-    tracked = _displacement(shear_k2, lateral + tracking_width_m[0] ** 2 / 2, axial + axial_spread_m**2)
-    return tracked / modulus_pa, _displacement(shear_k2, lateral, axial) / modulus_pa
-
-
-@functools.lru_cache(maxsize=1)
-def _nodes() -> tuple[FloatArray, FloatArray]:
-    return np.polynomial.legendre.leggauss(DIRECTIONS)
-
-
-def _displacement(shear_k2: ComplexArray, lateral: float, axial: float) -> ComplexArray:
-    """Return the displacement at the focus but for a factor: the sum over wave numbers done, that over directions here.
-
-    Only the part 1 - m^2 of the force that has no divergence moves an incompressible medium, m the cosine to the beam.
-    """
-    node, weight = _nodes()
-    # In the variable that makes a needle's spectrum smooth: m = tan(angle) / slope.
-    slope = np.sqrt(max(axial / lateral - 1, 1e-12))
-    angle = np.arctan(slope) * (node + 1) / 2
-    m = np.tan(angle) / slope
-    weight = weight * np.arctan(slope) / 2 / (slope * np.cos(angle) ** 2)
-    a = (lateral * (1 - m**2) + axial * m**2) / 2
-    q = np.sqrt(shear_k2)
-    q = np.where(q.imag < 0, -q, q)[:, None]
-    waves = np.sqrt(np.pi / a) / 2 + 0.5j * np.pi * q * wofz(q * np.sqrt(a))
-    return np.asarray(waves @ (weight * 2 * (1 - m**2)))
+    across = np.array([lateral + tracking_width_m[0] ** 2 / 2, lateral])
+    along = np.array([axial + axial_spread_m**2, axial])
+    tracked, peak = displacement(np.stack([shear_k2, shear_k2]), across, along, DIRECTIONS) / modulus_pa
+    return tracked, peak
 
 
 def depth_spread(tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, window: Window) -> float:

@@ -16,19 +16,17 @@ from numpy.typing import NDArray
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot, select
 from hpe_rig.prediction.amplitude import expected_amplitude_m, expected_snr_db
-from hpe_rig.prediction.beam_averaging import depth_spread, pulse_length_m
+from hpe_rig.prediction.beam_averaging import beam_widths
 from hpe_rig.processing import (
     WEIGHT,
-    BeamWidths,
     EstimatorSpec,
-    KnownMedium,
     MediumPrior,
     Motion,
     fit_motion,
-    medium_prior,
     options_of,
     seen_by,
     shot_model,
+    shot_prior,
     spec_of,
 )
 from hpe_rig.scene import Scene
@@ -54,8 +52,9 @@ def noise_gain(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatA
 def fit_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> tuple[FloatArray, FloatArray]:
     """Return weights (frequency, 2, pulse) of the used pulses' displacement, and when these sense it (pulse,)."""
     chosen = select(scene, shot)
-    if uses_prior(scene, spec):
-        weights = _prior_weights(scene, shot, spec)
+    prior = shot_prior(scene, shot, spec.name, beam_widths(scene, spec.name))
+    if prior is not None:
+        weights = _prior_weights(scene, shot, spec, prior)
         return weights.reshape(chosen.wanted_hz.size, 2, -1), chosen.time_s[chosen.used]
     time_s, model = shot_model(scene, shot)
     rows = (model.root @ model.root.T)[: 2 * chosen.wanted_hz.size] @ model.matrix.T
@@ -77,33 +76,18 @@ def fitted(scene: Scene, shot: Shot, spec: EstimatorSpec, displacement_m: FloatA
     return np.asarray(fit.amplitude_m * np.exp(1j * fit.phase_rad))
 
 
-def uses_prior(scene: Scene, spec: EstimatorSpec) -> bool:
-    """Return whether the prior of media fits the harmonics: it is chosen, something pushes, and displacements exist."""
-    chosen = str(scene.processing.harmonic) == "medium_prior"
-    return chosen and scene.excitation is not None and scene.beams is not None and spec.motion is not None
-
-
-def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> FloatArray:
+def _prior_weights(scene: Scene, shot: Shot, spec: EstimatorSpec, prior: MediumPrior) -> FloatArray:
     """Return the weights (2 * frequency, pulse) of the prior, its scale and the noise those that are expected."""
-    chosen, prior = select(scene, shot), _prior(scene, shot)
+    chosen = select(scene, shot)
     seen = seen_by(prior, chosen.time_s, chosen.used, chosen.wanted_hz, scene.processing.background_order)
     unit_m = math.sqrt(float(np.mean(np.sum(seen.wanted_members[:, :2] ** 2, axis=1))))
-    start = (WEIGHT * expected_amplitude_m(scene, float(chosen.wanted_hz[0]), shot) / unit_m) ** 2
-    gain = start * seen.value / (pulse_noise_m(scene, spec) ** 2 + start * seen.value**2)
+    noise_m = pulse_noise_m(scene, spec)
+    # Of less than its noise alone the fit would make as much: the evidence knows no smaller scale.
+    least_m = noise_m * math.sqrt(2 / len(seen.left))
+    expected_m = max(expected_amplitude_m(scene, float(chosen.wanted_hz[0]), shot), least_m)
+    start = (WEIGHT * expected_m / unit_m) ** 2
+    gain = start * seen.value / (noise_m**2 + start * seen.value**2)
     return np.asarray((seen.rows * gain) @ seen.left.T)
-
-
-def _prior(scene: Scene, shot: Shot) -> MediumPrior:
-    assert scene.excitation is not None  # noqa: S101 (as uses_prior says)
-    assert scene.beams is not None  # noqa: S101
-    gate_m, tracking_m = scene.acquisition.gate_length_m, scene.beams.tracking_width_m
-    spread_m = depth_spread(tracking_m, gate_m, pulse_length_m(scene), "none")
-    known = None
-    if scene.medium is not None:
-        known = KnownMedium(scene.medium.shear_modulus_pa, scene.medium.shear_viscosity_pa_s)
-    beams = BeamWidths(scene.beams.excitation_width_m, tracking_m, spread_m)
-    density = 1000.0 if scene.medium is None else scene.medium.density_kg_per_m3
-    return medium_prior(beams, scene.excitation.burst_rate_hz, shot.timeline.burst_length_s, known, density)
 
 
 def pulse_noise_m(scene: Scene, spec: EstimatorSpec, simulated: bool = True) -> float:

@@ -87,9 +87,9 @@ def aliasing_text(scene: Scene, shot: Shot, simulated: bool = True) -> Iterator[
         )
 
 
-def averaging_text(scene: Scene, simulated: bool = True) -> Iterator[str]:
-    """Yield how much of the peak is tracked, by the medium's field and by the Gaussian of eq. (12)."""
-    each = [item for item in predicted_averaging(scene, scene.processing.estimator, simulated) if item is not None]
+def averaging_text(scene: Scene) -> Iterator[str]:
+    """Yield how much of the peak is tracked, by what is known of the medium and by the Gaussian of eq. (12)."""
+    each = [item for item in predicted_averaging(scene, scene.processing.estimator) if item is not None]
     if not each or scene.beams is None:
         return
     gaussian = beam_averaging_factor(
@@ -103,9 +103,13 @@ def averaging_text(scene: Scene, simulated: bool = True) -> Iterator[str]:
         yield f"beam averaging: {gaussian:.3f} of the peak is tracked, the motion being the Gaussian of eq. (12)"
         return
     span = " to ".join(f"{each[at].factor:.3f} ({math.degrees(each[at].phase_rad):.1f} deg)" for at in (0, -1))
+    known = "in the declared medium's own field"
+    if scene.medium is None:
+        doubt = max(item.factor_uncertainty for item in each)
+        known = f"over all media of the ensemble, give or take {doubt:.2g}, before the motion itself tells more"
     yield (
-        f"beam averaging: {span} of the peak is tracked from the lowest frequency to the highest in the medium's own "
-        f"field; by the Gaussian of eq. (12) {gaussian:.3f}, {(gaussian / each[0].factor - 1) * 100:+.1f} %"
+        f"beam averaging: {span} of the peak is tracked from the lowest frequency to the highest {known}; "
+        f"by the Gaussian of eq. (12) {gaussian:.3f}, {(gaussian / each[0].factor - 1) * 100:+.1f} %"
     )
 
 

@@ -7,7 +7,8 @@
     coherent           u_k = -c arg<mean of others, r_k> / (4 pi f_mean)    motion.py
     kasai, loupas      u_k = sum of -c arg<r_n, r_n+1> / (4 pi f)           motion.py
     cross_correlation  u_k = c/2 argmax_tau <mean of others(t - tau), r_k>  correlation.py
-                       A_i, phi_i, background at once: least squares        harmonic.py, or kalman_filter.py
+                       all harmonics at once, with a prior of media         prior.py, of ensemble.py
+                       or A_i, phi_i, background: least squares             harmonic.py, or kalman_filter.py
     joint              A_i, phi_i that make all echoes one echo, delayed    maximum_likelihood.py
 
     cross_spectrum     v_n = -c dtheta_n(f_c) / (4 pi f_c T_prf)            motion.py, eqs. (5) (6)

@@ -12,6 +12,7 @@ from .ensemble import (
     BeamWidths as BeamWidths,
     Ensemble as Ensemble,
     KnownMedium as KnownMedium,
+    displacement as displacement,
     medium_ensemble as medium_ensemble,
 )
 from .estimators import (
@@ -28,7 +29,12 @@ from .estimators import (
 )
 from .gate_tracking import added as added, follow as follow
 from .ground_truth import true_harmonics_m as true_harmonics_m
-from .harmonic import HarmonicFit as HarmonicFit, Innovations as Innovations, least_squares as least_squares
+from .harmonic import (
+    HarmonicFit as HarmonicFit,
+    Innovations as Innovations,
+    MediumPosterior as MediumPosterior,
+    least_squares as least_squares,
+)
 from .kalman_filter import kalman as kalman
 from .maximum_likelihood import joint as joint
 from .model import aliased_hz as aliased_hz, harmonic_columns as harmonic_columns, linear_model as linear_model
@@ -42,12 +48,13 @@ from .motion import (
 )
 from .prior import (
     WEIGHT as WEIGHT,
+    Evidence as Evidence,
     MediumFit as MediumFit,
     MediumPrior as MediumPrior,
+    harmonic_range_hz as harmonic_range_hz,
     medium_fit as medium_fit,
     medium_kalman as medium_kalman,
     medium_prior as medium_prior,
-    peak_over_tracked as peak_over_tracked,
     seen_by as seen_by,
 )
 from .shots import (
@@ -55,6 +62,7 @@ from .shots import (
     options_of as options_of,
     shot_echoes as shot_echoes,
     shot_model as shot_model,
+    shot_prior as shot_prior,
 )
 from .stationarity import Drift as Drift, drift_between_halves as drift_between_halves
 from .velocity_chain import Steps as Steps, velocity_to_harmonics as velocity_to_harmonics

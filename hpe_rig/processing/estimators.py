@@ -12,11 +12,12 @@ from hpe_rig.processing.harmonic import HarmonicFit, least_squares
 from hpe_rig.processing.kalman_filter import kalman
 from hpe_rig.processing.maximum_likelihood import joint
 from hpe_rig.processing.motion import coherent, coherent_phase, cross_spectrum, kasai, loupas
+from hpe_rig.processing.prior import MediumPrior, medium_fit, medium_kalman
 from hpe_rig.processing.velocity_chain import velocity_to_harmonics
 from hpe_rig.scene import Estimator as Estimator
 
 ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
-Harmonic = Literal["least_squares", "kalman"]
+Harmonic = Literal["medium_prior", "least_squares", "kalman"]
 Window = Literal["none", "hann"]
 Frequencies = FloatArray | Sequence[float]
 
@@ -29,13 +30,15 @@ class Options:
     """What of the estimation can be chosen, apart from the estimator.
 
     ``background_order``: polynomial fitted along (0 constant, 1 velocity, 2 acceleration, more: drift);
-    ``process_noise``: variance of a harmonic state's change per pulse over that of the noise, for "kalman" alone.
-    The paper's chain has its own Kalman filter and band-pass and takes neither.
+    ``process_noise``: variance of a harmonic state's change per pulse over that of the noise, for "kalman" alone;
+    ``prior``: of what media make of the tonebursts, for "medium_prior", and for "kalman" without process noise.
+    ``joint`` fits by least squares whatever is chosen; the paper's chain has its own Kalman filter and band-pass.
     """
 
     background_order: int = 0
     harmonic: Harmonic = "least_squares"
     process_noise: float = 0.0
+    prior: MediumPrior | None = None
 
 
 PLAIN = Options()
@@ -60,8 +63,15 @@ class FitMotion(Protocol):
 def fit_displacement(
     motion: Motion, frequencies_hz: Frequencies, also_hz: Frequencies, options: Options
 ) -> HarmonicFit:
-    """Return amplitude and phase by least squares or the Kalman filter, as ``options`` say."""
-    order = options.background_order
+    """Return amplitude and phase by the prior of media, least squares or the Kalman filter, as ``options`` say.
+
+    The prior holds every harmonic of the bursts, so that it takes no ``also_hz``.
+    """
+    order, prior = options.background_order, options.prior
+    if prior is not None and options.harmonic == "medium_prior":
+        return medium_fit(motion, frequencies_hz, prior, background_order=order).fit
+    if prior is not None and options.harmonic == "kalman" and not options.process_noise:
+        return medium_kalman(motion, frequencies_hz, prior, background_order=order).fit
     if options.harmonic == "kalman":
         noise = options.process_noise
         return kalman(motion, frequencies_hz, also_hz=also_hz, background_order=order, process_noise=noise)
@@ -113,6 +123,11 @@ class EstimatorSpec:
     def slow_time_noise(self) -> float:
         """By how much the taper over the pulses raises a quadrature's variance."""
         return WINDOW_NOISE[self.slow_time_window]
+
+    @property
+    def takes_prior(self) -> bool:
+        """Whether the displacement is fitted as the options say, with a prior of media where there is one."""
+        return self.motion is not None and self.fit_motion is fit_displacement
 
     @property
     def fits_all_at_once(self) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hpe_rig.processing.echoes import BoolArray, FloatArray, Motion
+from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model
 
 PHASE_VARIANCE_LIMIT = np.pi**2 / 3
@@ -25,14 +25,30 @@ class Innovations:
     ``normalised`` (..., pulse): innovations over their own standard deviation, NaN where no pulse; ``nis`` (...): their
     mean square with the noise that the echoes themselves state (NaN where they state none), 1 when that is true;
     ``nis_tolerance``: three standard deviations of it by chance; ``autocorrelation`` (...) from one pulse to the next,
-    0 when the noise is white; ``outliers`` (..., pulse): beyond 5 robust standard deviations.
+    0 when the noise is white, ``autocorrelation_tolerance``: four standard deviations of it by chance; ``outliers``
+    (..., pulse): beyond 5 robust standard deviations.
     """
 
     normalised: FloatArray
     nis: FloatArray
     nis_tolerance: float
     autocorrelation: FloatArray
+    autocorrelation_tolerance: float
     outliers: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class MediumPosterior:
+    """What the motion says of the medium, where the fit had a prior of media.
+
+    ``significance`` (...): probability that a medium of the ensemble gives data as unlikely as these.
+    ``peak_over_tracked``, complex (..., frequency): the motion's peak over what the beam tracks of it, and
+    ``peak_covariance`` (..., frequency, 2, 2) of its relative amplitude and its phase.
+    """
+
+    significance: FloatArray
+    peak_over_tracked: ComplexArray
+    peak_covariance: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +59,9 @@ class HarmonicFit:
     ``covariance`` (..., frequency, 2, 2) of (amplitude, phase); ``state`` (..., state) and ``state_covariance``
     (..., state, state) in m and m^2; ``background_m`` (...), its mean, 0 where the chain removes it;
     ``residual_rms_m`` (...), displacement noise of one pulse; ``pulses``: how many were used; ``condition``: of the
-    model, 1 when every state is seen on its own; ``innovations`` where a filter was asked for them.
+    model, 1 when every state is seen on its own; ``innovations`` where a filter was asked for them. With a prior of
+    media ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` that harmonics which the pulses cannot tell
+    apart and shrinkage leave, and ``medium`` what is known of the medium afterwards.
     """
 
     frequency_hz: FloatArray
@@ -57,6 +75,8 @@ class HarmonicFit:
     pulses: int
     condition: float = np.nan
     innovations: Innovations | None = None
+    aliasing: FloatArray | None = None
+    medium: MediumPosterior | None = None
 
 
 def least_squares(
@@ -81,24 +101,45 @@ def least_squares(
     state, residual = model.solve(motion.displacement_m[..., motion.valid])
     variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
     if motion.walk is not None:
-        rows = model.root[wanted] @ (model.matrix @ model.root).T
-        variance, covariance = _step_covariance(residual, motion.walk, rows)
+        q = model.matrix @ model.root
+        freedom = steps_freedom(q, np.ones(states), np.asarray(motion.walk))
+        variance, covariance = step_covariance(residual, np.asarray(motion.walk), model.root[wanted] @ q.T, freedom)
     else:
         covariance = variance[..., None, None] * (model.root[wanted] @ model.root[wanted].T)
     return fit_from_state(frequency_hz, state[..., wanted], covariance, variance, pulses, model.condition)
 
 
-def _step_covariance(residual: FloatArray, walk: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pulse variance (...) and the covariance (..., row, row) of ``rows`` (row, pulse) over summed steps.
+def steps_freedom(columns: FloatArray, taken: FloatArray, walk: FloatArray) -> FloatArray:
+    """Return the energy (...) of a residual's changes between pulses, over that of one pulse's noise.
 
-    The scale comes from the residual's changes between pulses: two pulses' noise and one step's own.
+    The noise is a sum of steps: white, and ``walk`` (...) times as much variance that a step adds to all later pulses.
+    The fit has taken the share ``taken`` (..., column) of what lies along each of the orthonormal ``columns`` (pulse,
+    column).
+    """
+    changes = np.diff(columns, axis=0)
+    onwards = np.cumsum(columns[:0:-1], axis=0)[::-1]
+    count, energy = len(changes), np.einsum("ij,ij->j", changes, changes)
+    white = 2 * count - (taken * (2 - taken)) @ energy
+    # |D (1 - Q h Q') L|^2: D takes the changes, L adds steps up, D L = 1
+    along = np.einsum("ij,ij->j", onwards, changes)
+    products = (changes.T @ changes) * (onwards.T @ onwards)
+    steps = count - 2 * taken @ along + np.einsum("...i,ij,...j->...", taken, products, taken)
+    return np.asarray(white + walk * steps)
+
+
+def step_covariance(
+    residual: FloatArray, walk: FloatArray, rows: FloatArray, freedom: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the pulse variance (...) and the covariance (..., row, row) of ``rows`` (..., row, pulse) over steps.
+
+    The scale comes from the ``residual``'s changes between pulses (..., pulse) and their ``steps_freedom``.
     """
     changes = np.diff(residual, axis=-1)
-    pulse = np.einsum("...i,...i->...", changes, changes) / (changes.shape[-1] - len(rows)) / (2 + walk)
+    pulse = np.einsum("...i,...i->...", changes, changes) / freedom
     # a step shifts every later pulse
-    over_steps = np.cumsum(rows[:, :0:-1], axis=1)[:, ::-1]
-    covariance = pulse[..., None, None] * (rows @ rows.T)
-    return pulse, covariance + (walk * pulse)[..., None, None] * (over_steps @ over_steps.T)
+    over_steps = np.cumsum(rows[..., :0:-1], axis=-1)
+    white, random_walk = (each @ np.swapaxes(each, -1, -2) for each in (rows, over_steps))
+    return pulse, np.asarray(pulse[..., None, None] * (white + walk[..., None, None] * random_walk))
 
 
 def fit_from_state(
@@ -109,25 +150,24 @@ def fit_from_state(
     pulses: int,
     condition: float = np.nan,
     innovations: Innovations | None = None,
+    aliasing_m2: FloatArray | None = None,
 ) -> HarmonicFit:
-    """Return amplitude and phase with their covariance, from in-phase, quadrature and (if there) the constant."""
+    """Return amplitude and phase with their covariance, from in-phase, quadrature and (if there) the constant.
+
+    ``aliasing_m2``: the part of ``state_covariance`` that is aliasing.
+    """
     count = frequency_hz.size
     in_phase, quadrature = state[..., 0 : 2 * count : 2], state[..., 1 : 2 * count : 2]
     amplitude = np.hypot(in_phase, quadrature)
     phase = np.arctan2(quadrature, in_phase)
-    turn = np.empty((*phase.shape, 2, 2))
-    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(phase)
-    turn[..., 0, 1] = np.sin(phase)
-    turn[..., 1, 0] = -turn[..., 0, 1]
-    pairs = np.arange(2 * count).reshape(count, 2)
-    blocks = state_covariance[..., pairs[:, :, None], pairs[:, None, :]]
-    turned = turn @ blocks @ np.swapaxes(turn, -1, -2)
-    radial = (turned + np.swapaxes(turned, -1, -2)) / 2
+    radial = _along_phasor(state_covariance, phase)
+    weights = _polar_weights(radial, amplitude)
+    aliasing = None if aliasing_m2 is None else np.asarray(_along_phasor(aliasing_m2, phase) * weights)
     return HarmonicFit(
         frequency_hz,
         amplitude,
         phase,
-        _polar_covariance(radial, amplitude),
+        np.asarray(radial * weights),
         state,
         state_covariance,
         state[..., 2 * count] if state.shape[-1] > 2 * count else np.zeros(state.shape[:-1]),
@@ -135,11 +175,25 @@ def fit_from_state(
         pulses,
         condition,
         innovations,
+        aliasing,
     )
 
 
-def _polar_covariance(radial: FloatArray, amplitude: FloatArray) -> FloatArray:
-    """Return the covariance of (amplitude, phase) from that along and across the phasor.
+def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray:
+    """Return the covariance (..., frequency, 2, 2) along and across each phasor."""
+    count = phase.shape[-1]
+    turn = np.empty((*phase.shape, 2, 2))
+    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(phase)
+    turn[..., 0, 1] = np.sin(phase)
+    turn[..., 1, 0] = -turn[..., 0, 1]
+    pairs = np.arange(2 * count).reshape(count, 2)
+    blocks = state_covariance[..., pairs[:, :, None], pairs[:, None, :]]
+    turned = turn @ blocks @ np.swapaxes(turn, -1, -2)
+    return np.asarray((turned + np.swapaxes(turned, -1, -2)) / 2)
+
+
+def _polar_weights(radial: FloatArray, amplitude: FloatArray) -> FloatArray:
+    """Return the factors (..., frequency, 2, 2) from covariance along and across the phasor to (amplitude, phase).
 
     The phase's variance stops at that of an unknown phase, so that a vanishing amplitude stays finite.
     """
@@ -147,4 +201,4 @@ def _polar_covariance(radial: FloatArray, amplitude: FloatArray) -> FloatArray:
     # variance of phase is across / amplitude^2 unless that passes the limit: one scale covers both
     scale = 1 / np.sqrt(np.maximum(amplitude**2, across / PHASE_VARIANCE_LIMIT).clip(min=np.finfo(np.float64).tiny))
     weights = np.stack([np.ones_like(scale), scale], axis=-1)
-    return np.asarray(radial * weights[..., :, None] * weights[..., None, :])
+    return np.asarray(weights[..., :, None] * weights[..., None, :])

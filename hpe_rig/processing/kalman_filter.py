@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import comb
+from math import comb, factorial
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -55,11 +55,11 @@ def kalman(
     """Return all amplitudes and phases from a square-root Kalman filter over the valid pulses, others skipped.
 
     ``process_noise``, ``background_noise`` and ``prior`` are variances of a harmonic state's change per pulse, of a
-    change per pulse of the background's highest derivative (in the train's half length: what it adds to the end of a
-    train that it starts), and of a state's start, all in units of the measurement noise, which itself follows from the
-    innovations. Without process noise this is recursive least squares. ``background_order`` 0, 1, 2: constant,
-    velocity, acceleration. Raises ``ValueError`` as ``least_squares``. Source: harmonic state of Zheng et al. (2007),
-    background states of Zheng et al. (2006); information form without, Potter's form with process noise.
+    change per pulse of the background's highest derivative (time in half lengths of the train), and of a state's start,
+    all in units of the measurement noise, which itself follows from the innovations. Without process noise this is
+    recursive least squares. ``background_order`` 0, 1, 2: constant, velocity, acceleration. Raises ``ValueError`` as
+    ``least_squares``. Source: harmonic state of Zheng et al. (2007), background states of Zheng et al. (2006);
+    information form without, Potter's form with process noise.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     times = motion.time_s, motion.valid
@@ -77,7 +77,7 @@ def kalman(
     covariance = variance[..., None, None] * (found.root @ found.root.T)
     wanted = model.wanted
     state, covariance = found.state[..., wanted], covariance[..., wanted, wanted]
-    report = None if not found.innovations.size else _report(motion, found.innovations, model.matrix.shape[1])
+    report = None if not found.innovations.size else innovation_test(motion, found.innovations, model.matrix.shape[1])
     return fit_from_state(frequency_hz, state, covariance, variance, len(model.matrix), model.condition, report)
 
 
@@ -193,14 +193,17 @@ def _process_roots(motion: Motion, states: int, harmonic: int, order: int) -> tu
     jump = np.zeros((used.size, states, 1))
     if order >= 0:
         start = scaled_time(motion.time_s)[used]
-        powers = np.stack([comb(order, i) * (-start) ** (order - i) for i in range(order + 1)])
+        powers = np.stack([comb(order, i) * (-start) ** (order - i) for i in range(order + 1)]) / factorial(order)
         turn = np.stack([np.pad(legendre.poly2leg(row), (0, order + 1))[: order + 1] for row in np.eye(order + 1)])
         jump[:, harmonic : harmonic + order + 1, 0] = (turn.T @ powers).T * gaps[:, None]
     return alone, jump
 
 
-def _report(motion: Motion, normalised: FloatArray, states: int) -> Innovations:
-    """Return the test of the innovations; those of the first pulses belong to the prior and are left out."""
+def innovation_test(motion: Motion, normalised: FloatArray, states: int) -> Innovations:
+    """Return the test of the innovations (..., valid pulse), each over its deviation in units of a pulse's noise.
+
+    Those of the first ``states`` pulses belong to the prior and are left out.
+    """
     later = normalised[..., states:]
     degrees = later.shape[-1]
     energy = np.einsum("...i,...i->...", later, later)
@@ -215,4 +218,5 @@ def _report(motion: Motion, normalised: FloatArray, states: int) -> Innovations:
     placed[..., used] = later / np.maximum(robust, tiny)
     outliers = np.zeros(placed.shape, dtype=bool)
     outliers[..., used] = size > 5 * robust
-    return Innovations(placed, nis, 3 * np.sqrt(2 / degrees), neighbours / np.maximum(energy, tiny), outliers)
+    correlation, tolerance = neighbours / np.maximum(energy, tiny), 4 / np.sqrt(degrees)
+    return Innovations(placed, nis, 3 * np.sqrt(2 / degrees), correlation, tolerance, outliers)

@@ -23,8 +23,8 @@ from scipy.special import fdtrc
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, medium_ensemble
-from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
-from hpe_rig.processing.kalman_filter import filter_constant
+from hpe_rig.processing.harmonic import HarmonicFit, MediumPosterior, fit_from_state, step_covariance, steps_freedom
+from hpe_rig.processing.kalman_filter import filter_constant, innovation_test
 from hpe_rig.processing.model import background_columns, harmonic_columns
 
 HIGHEST_HZ = 4e4
@@ -120,13 +120,15 @@ class Evidence:
 class MediumFit:
     """Wanted harmonics with their total covariance, its two parts, and the evidence.
 
-    ``noise_m2`` and ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) add up to ``fit.state_covariance``.
+    ``noise_m2`` and ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) add up to ``fit.state_covariance``; ``taken``
+    (..., seen) is the share of the data that the estimate takes in each direction that the pulses see.
     """
 
     fit: HarmonicFit
     noise_m2: FloatArray
     aliasing_m2: FloatArray
     evidence: Evidence
+    taken: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,8 +167,9 @@ def medium_prior(
     Times count from a burst's onset at the focus. A ``known`` medium narrows the ensemble to Voigt media near it. The
     force's spectrum is that of rectangular pulses, paper eq. (18).
     """
-    harmonic = np.arange(1.0, int(HIGHEST_HZ / burst_rate_hz * (1 + 1e-9)) + 1)
-    ensemble = medium_ensemble(beams, burst_rate_hz, float(burst_rate_hz * harmonic[-1]), known, density_kg_per_m3)
+    lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
+    harmonic = np.arange(1.0, round(highest_hz / burst_rate_hz) + 1)
+    ensemble = medium_ensemble(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
     duty = burst_rate_hz * burst_length_s
     # A sin(w t + phase) has A exp(j phase) = j times the amplitude of exp(jwt), which is twice the coefficient
     force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
@@ -185,6 +188,11 @@ def medium_prior(
     for array in (prior.spectrum, prior.root, prior.members, prior.misfit, prior.averaging):
         array.flags.writeable = False
     return prior
+
+
+def harmonic_range_hz(burst_rate_hz: float) -> tuple[float, float]:
+    """Return the first and the last of the bursts' harmonics that are part of the model."""
+    return burst_rate_hz, burst_rate_hz * max(1, int(HIGHEST_HZ / burst_rate_hz * (1 + 1e-9)))
 
 
 def medium_fit(
@@ -210,15 +218,20 @@ def medium_fit(
     start = (WEIGHT * evidence.scale_m[..., None]) ** 2
     gain = start * seen.value / (evidence.variance_m2[..., None] + start * seen.value**2)
     weights = seen.rows * gain[..., None, :]
+    taken = gain * seen.value
     if motion.walk is None:
         noise = evidence.variance_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
     else:
-        residual = data - (gain * seen.value * along) @ seen.left.T
-        noise = _step_noise(residual, weights @ seen.left.T, np.asarray(motion.walk), np.sum(gain * seen.value, -1))
+        residual, walk = data - (taken * along) @ seen.left.T, np.asarray(motion.walk)
+        columns = np.hstack([seen.background, seen.left])
+        shares = np.concatenate([np.ones((*taken.shape[:-1], seen.background.shape[1])), taken], axis=-1)
+        noise = step_covariance(residual, walk, weights @ seen.left.T, steps_freedom(columns, shares, walk))[1]
     aliasing = _aliasing(seen, weights, evidence)
     state = (gain * along) @ seen.rows.T
-    fit = fit_from_state(frequency_hz, state, noise + aliasing, evidence.variance_m2, len(seen.left))
-    return MediumFit(fit, noise, aliasing, evidence)
+    variance, used = evidence.variance_m2, len(seen.left)
+    fit = fit_from_state(frequency_hz, state, noise + aliasing, variance, used, aliasing_m2=aliasing)
+    medium = MediumPosterior(evidence.significance, *_averaging(evidence.likelihood, prior, frequency_hz))
+    return MediumFit(replace(fit, medium=medium), noise, aliasing, evidence, taken)
 
 
 def medium_kalman(
@@ -227,11 +240,10 @@ def medium_kalman(
     prior: MediumPrior,
     *,
     background_order: int = 0,
-) -> tuple[MediumFit, FloatArray]:
-    """Return the same by the square-root Kalman filter, its start covariance P; and innovations (..., valid pulse).
+) -> MediumFit:
+    """Return the same by the square-root Kalman filter, its start covariance P, with the test of its innovations.
 
     The filter runs on x = F a, a of covariance (k s)^2 I at the start. Scale and noise are those of ``medium_fit``.
-    The innovations are normalised: white and of unit variance where prior and noise are right.
     """
     whole = medium_fit(motion, frequencies_hz, prior, background_order=background_order)
     seen = seen_by(prior, motion.time_s, motion.valid, whole.fit.frequency_hz, background_order)
@@ -243,21 +255,21 @@ def medium_kalman(
         matrix = np.hstack([start * seen.factor, BROAD * seen.background])
         found = filter_constant(matrix, each / sigma, 1.0, innovations=True)
         states.append(WEIGHT * s * seen.wanted @ found.state[: seen.wanted.shape[1]])
-        innovations.append(found.innovations)
-    state = np.reshape(states, (*data.shape[:-1], -1))
+        innovations.append(found.innovations * sigma)
+    test = innovation_test(motion, np.reshape(innovations, data.shape), seen.background.shape[1])
     known = whole.fit.state_covariance, whole.evidence.variance_m2, whole.fit.pulses
-    fit = fit_from_state(whole.fit.frequency_hz, state, *known)
-    return replace(whole, fit=fit), np.reshape(innovations, data.shape)
+    state = np.reshape(states, (*data.shape[:-1], -1))
+    fit = fit_from_state(whole.fit.frequency_hz, state, *known, np.nan, test, whole.aliasing_m2)
+    return replace(whole, fit=replace(fit, medium=whole.fit.medium))
 
 
-def peak_over_tracked(found: MediumFit, prior: MediumPrior) -> tuple[ComplexArray, FloatArray]:
-    """Return peak over tracked motion of the wanted harmonics, complex (..., frequency), and its covariance.
+def _averaging(likelihood: FloatArray, prior: MediumPrior, frequency_hz: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """Return peak over tracked motion, complex (..., frequency), and its covariance (..., frequency, 2, 2).
 
-    The mean of its logarithm over the ensemble, every member as likely as the data have it; covariance (..., frequency,
-    2, 2) of (relative amplitude, phase in rad).
+    The mean of its logarithm over the ensemble, every member as likely as the data have it; covariance of (relative
+    amplitude, phase in rad).
     """
-    ratio = np.log(prior.averaging[:, list(prior.places(found.fit.frequency_hz))])
-    likelihood = found.evidence.likelihood
+    ratio = np.log(prior.averaging[:, list(prior.places(frequency_hz))])
     mean = likelihood @ ratio
     off = ratio - mean[..., None, :]
     parts = np.stack([off.real, off.imag], axis=-1)
@@ -374,19 +386,6 @@ def _aliasing(seen: Seen, weights: FloatArray, evidence: Evidence) -> FloatArray
         missed = wanted - part @ np.swapaxes(weights, -1, -2)
         total += np.swapaxes(missed, -1, -2) @ (share[..., None] * missed)
     return total
-
-
-def _step_noise(residual: FloatArray, weights: FloatArray, walk: FloatArray, states: FloatArray) -> FloatArray:
-    """Return the covariance (..., state, state) of sums with ``weights`` (..., state, pulse) over accumulated steps.
-
-    A step's own noise, ``walk`` times a pulse's, shifts every later pulse. The scale comes from the residual's changes
-    between pulses, ``states`` of them taken by the fit.
-    """
-    changes = np.diff(residual, axis=-1)
-    pulse = np.einsum("...i,...i->...", changes, changes) / (changes.shape[-1] - states) / (2 + walk)
-    over_steps = np.cumsum(weights[..., :0:-1], axis=-1)
-    white, random_walk = (each @ np.swapaxes(each, -1, -2) for each in (weights, over_steps))
-    return np.asarray(pulse[..., None, None] * (white + walk[..., None, None] * random_walk))
 
 
 def _powers(turn: ComplexArray, count: int) -> ComplexArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +12,12 @@ from numpy.typing import NDArray
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
 from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlike_pulses
 from hpe_rig.processing.echoes import EchoGate, Motion, relative_to
-from hpe_rig.processing.estimators import EstimatorSpec, Options, estimate, fit_motion, spec_of
+from hpe_rig.processing.ensemble import BeamWidths, KnownMedium
+from hpe_rig.processing.estimators import EstimatorSpec, Harmonic, Options, estimate, fit_motion, spec_of
 from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
+from hpe_rig.processing.prior import MediumPrior, medium_prior
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.result import Averaging, Estimate, ShotResult
 from hpe_rig.scene import Processing, Scene
@@ -23,16 +26,25 @@ from hpe_rig.store import ShotRecords, StoredRun
 LARGE_STEP = 0.8
 """Quarter wavelengths a pulse from which on the next period of the carrier is close."""
 LARGE_CONDITION = 10.0
+UNLIKELY = 0.01
+"""Probability, over the shots of a run, below which a motion is of no medium of the ensemble."""
 DETECTED = 3.0
 """Amplitude over its uncertainty below which a harmonic may be noise: it exceeds that by chance in 1 % of cases."""
 
 
 def estimate_run(
-    scene: Scene, plan: Plan, stored: StoredRun, estimator: str, averaging: tuple[Averaging | None, ...]
+    scene: Scene,
+    plan: Plan,
+    stored: StoredRun,
+    estimator: str,
+    averaging: tuple[Averaging | None, ...],
+    beams: BeamWidths | None = None,
 ) -> tuple[ShotResult, ...]:
     """Return the estimates of every shot that has records, with the ``averaging`` at each wanted frequency beside them.
 
-    Raises ``ValueError`` where they cannot be made.
+    With ``beams`` a prior of media stands for the harmonics of the tonebursts, where scene and estimator take one, and
+    where the scene declares no medium, the averaging is what the motion itself says of it. Raises ``ValueError`` where
+    estimates cannot be made.
     """
     spec, results = spec_of(estimator), []
     for shot in plan.shots:
@@ -46,13 +58,32 @@ def estimate_run(
         reference = reference_gate(scene, shot)
         still = None if reference is None else stored.records.gated(shot.index, reference)
         for window in scene.windows:
-            results.append(_estimate_shot(window, shot, records, still, true_m, spec, averaging))
+            options = options_of(window.processing, shot_prior(window, shot, estimator, beams))
+            unlikely = UNLIKELY / len(plan.shots) / len(scene.windows)
+            results.append(_estimate_shot(window, shot, records, still, true_m, spec, averaging, options, unlikely))
     return tuple(results)
 
 
-def options_of(processing: Processing) -> Options:
-    """Return what of the estimation the scene chooses, apart from the estimator."""
-    return Options(processing.background_order, processing.harmonic, processing.process_noise)
+def options_of(processing: Processing, prior: MediumPrior | None = None) -> Options:
+    """Return what of the estimation the scene chooses, apart from the estimator; without ``prior`` least squares."""
+    default: Harmonic = "least_squares" if prior is None else "medium_prior"
+    chosen = default if processing.harmonic in (None, "medium_prior") else processing.harmonic
+    return Options(processing.background_order, chosen, processing.process_noise, prior)
+
+
+def shot_prior(scene: Scene, shot: Shot, estimator: str, beams: BeamWidths | None) -> MediumPrior | None:
+    """Return the prior of what media make of the shot's tonebursts; None where scene or estimator take none."""
+    length_s, excitation, medium = shot.timeline.burst_length_s, scene.excitation, scene.medium
+    if beams is None or excitation is None or not length_s or not spec_of(estimator).takes_prior:
+        return None
+    if scene.without_prior is not None:
+        return None
+    if scene.processing.harmonic == "least_squares" or scene.processing.process_noise:
+        return None
+    if medium is None:
+        return medium_prior(beams, excitation.burst_rate_hz, length_s)
+    known = KnownMedium(medium.shear_modulus_pa, medium.shear_viscosity_pa_s)
+    return medium_prior(beams, excitation.burst_rate_hz, length_s, known, medium.density_kg_per_m3)
 
 
 def _estimate_shot(
@@ -63,16 +94,19 @@ def _estimate_shot(
     true_m: NDArray[np.float64] | None,
     spec: EstimatorSpec,
     averaging: tuple[Averaging | None, ...],
+    options: Options,
+    unlikely: float,
 ) -> ShotResult:
     chosen = select(scene, shot)
     full_scale = clipped_pulses(records.codes, records.code_limits)
     echoes = shot_echoes(scene, shot, records, chosen, full_scale)
     recorded = records.valid[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
-    options = options_of(scene.processing)
     motion = None if spec.motion is None else spec.motion(echoes)
     fit, largest_step = _fit(echoes, motion, reference, chosen, spec, options)
     clipped = int((full_scale[chosen.window] & recorded & chosen.used).sum())
+    if scene.medium is None:
+        averaging = tuple(averaging_seen(fit, index, each) for index, each in enumerate(averaging))
     drift = None
     if reference is None:
         # It tells of the bench, not of the estimator: the one with the least noise looks.
@@ -92,6 +126,7 @@ def _estimate_shot(
         warnings=(
             *_record_warnings(recorded, recorded & chosen.used & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
+            *_medium_warnings(fit, unlikely),
             *_setting_warnings(scene, echoes.pulse_time_s, reference),
             *_drift_warnings(fit, drift),
         ),
@@ -164,6 +199,26 @@ def _fit(
     return fit_motion(motion, *frequencies, options), float(motion.largest_step)
 
 
+def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) -> Averaging | None:
+    """Return the averaging of one frequency in the media that the motion leaves likely; else as ``predicted``.
+
+    What speckle does is, to first order in how far the motion changes over the beam, in proportion to what is lost.
+    """
+    if predicted is None or fit.medium is None:
+        return predicted
+    ratio = 1 / complex(fit.medium.peak_over_tracked[index])
+    factor, (relative, phase_rad) = abs(ratio), np.sqrt(np.diag(fit.medium.peak_covariance[index])).tolist()
+    lost = max(0.0, 1 - factor) / max(1 - predicted.factor, np.finfo(np.float64).tiny)
+    return replace(
+        predicted,
+        factor=factor,
+        phase_rad=float(np.angle(ratio)),
+        speckle_relative=predicted.speckle_relative * lost,
+        factor_uncertainty=factor * relative,
+        phase_uncertainty_rad=phase_rad,
+    )
+
+
 def _estimate(
     fit: HarmonicFit,
     true_m: NDArray[np.float64] | None,
@@ -188,7 +243,9 @@ def _estimate(
 def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
     order = options.background_order
     try:
-        return drift_between_halves(motion, chosen.wanted_hz, also_hz=chosen.driven_hz, background_order=order)
+        return drift_between_halves(
+            motion, chosen.wanted_hz, also_hz=chosen.driven_hz, background_order=order, prior=options.prior
+        )
     except ValueError:
         # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
         return None
@@ -232,10 +289,23 @@ def _fit_warnings(fit: HarmonicFit, largest_step: float) -> Iterator[str]:
             f"{DETECTED:g} u; ignore its phase, or take more cycles, pulses or drive"
         )
     found = fit.innovations
-    if found is not None and abs(float(found.nis) - 1) > max(found.nis_tolerance, 0.5):
+    # White innovations are noise, however large: trigger jitter is no part of what echoes state, and where the motion
+    # changes over the gate they state more.
+    if found is not None and abs(float(found.autocorrelation)) > found.autocorrelation_tolerance:
         yield (
-            f"the Kalman filter's innovations are {float(found.nis):.2f} times what the echoes' noise explains (NIS): "
-            "motion that the model lacks (processing.background_order, process_noise), trigger jitter, or bad pulses"
+            f"the Kalman filter's innovations follow from each other (correlation {float(found.autocorrelation):+.2f} "
+            "from pulse to pulse, 0 is best): motion that the model lacks; raise processing.background_order or "
+            "process_noise"
+        )
+
+
+def _medium_warnings(fit: HarmonicFit, unlikely: float) -> Iterator[str]:
+    if fit.medium is not None and float(fit.medium.significance) < unlikely:
+        yield (
+            f"the medium lies outside the ensemble that the prior knows (significance {fit.medium.significance:.1g}): "
+            "reflections, layers, another force than [beams] and the burst length say, another medium than [medium], "
+            "or motion that is not periodic; check these and the start-up (processing.window_start_s), or compare with "
+            'processing.harmonic = "least_squares"'
         )
 
 

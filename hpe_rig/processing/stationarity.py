@@ -8,7 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, FloatArray, Motion
-from hpe_rig.processing.model import LARGEST_CONDITION, linear_model
+from hpe_rig.processing.model import LARGEST_CONDITION, harmonic_columns, linear_model
+from hpe_rig.processing.prior import MediumPrior, medium_fit, seen_by
+
+TAKEN = 0.01
+"""Share of the data along a direction from which on a fit with a prior has taken it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,30 +35,46 @@ def drift_between_halves(
     *,
     also_hz: FloatArray | Sequence[float] = (),
     background_order: int = 0,
+    prior: MediumPrior | None = None,
 ) -> Drift:
     """Return the change of amplitude between both halves: suspicious where bursts are missing or motion decays.
 
-    The wanted states may change by a step in the middle, the rest of ``least_squares``' model is that of all pulses.
-    Raises ``ValueError`` as that does, and where half the pulses cannot resolve the frequencies.
+    The wanted states may change by a step in the middle, the rest of the model is that of all pulses: that of
+    ``least_squares`` or, with a ``prior``, what the motion has of it. Raises ``ValueError`` as these do, and where half
+    the pulses cannot resolve the frequencies.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
-    valid, wanted = motion.valid, 2 * frequency_hz.size
-    model = linear_model(motion.time_s, valid, frequency_hz, background_order=background_order, also_hz=also_hz)
+    if prior is None:
+        times = motion.time_s, motion.valid
+        model = linear_model(*times, frequency_hz, background_order=background_order, also_hz=also_hz)
+        columns, q = model.matrix[:, : 2 * frequency_hz.size], model.matrix @ model.root
+        mean = model.solve(motion.displacement_m[..., motion.valid])[0][..., : 2 * frequency_hz.size]
+    else:
+        seen = seen_by(prior, motion.time_s, motion.valid, frequency_hz, background_order)
+        found = medium_fit(motion, frequency_hz, prior, background_order=background_order)
+        taken = np.any(found.taken.reshape(-1, seen.value.size) > TAKEN, axis=0)
+        columns, q = harmonic_columns(motion.time_s, frequency_hz), np.hstack([seen.background, seen.left[:, taken]])
+        columns, mean = columns[motion.valid], found.fit.state
+    return _drift(motion, frequency_hz, columns, q, mean)
+
+
+def _drift(motion: Motion, frequency_hz: FloatArray, columns: FloatArray, q: FloatArray, mean: FloatArray) -> Drift:
+    """Return the drift by steps of ``columns`` (valid pulse, state), off the orthonormal ``q`` (valid pulse, column).
+
+    ``mean`` (..., state): the states over all pulses.
+    """
+    valid = motion.valid
     side = np.where(np.arange(valid.size) < valid.size // 2, -1.0, 1.0)[valid]
-    # one solution for the steps and the motion
-    motions = motion.displacement_m[..., valid]
-    states, left = model.solve(np.vstack([side * model.matrix[:, :wanted].T, motions.reshape(-1, side.size)]))
-    common, step = states[:wanted], left[:wanted]
-    state, residual = (part[wanted:].reshape(*motions.shape[:-1], -1) for part in (states, left))
+    step, residual = side * columns.T, motion.displacement_m[..., valid]
+    step, residual = (each - (each @ q) @ q.T for each in (step, residual))
     products = step @ step.T
     smallest, *_, largest = np.linalg.eigvalsh(products)
-    free = len(model.matrix) - model.matrix.shape[1] - wanted
+    free = len(q) - q.shape[1] - len(step)
     if free < 1 or not smallest * LARGEST_CONDITION**2 > largest:
         raise ValueError("half the pulses cannot resolve the frequencies: use a longer window")
     covariance = np.linalg.inv(products)
     change = residual @ step.T @ covariance
     rest = residual - change @ step
-    mean = (state - change @ common)[..., :wanted]
     first, second = (np.hypot(half[..., ::2], half[..., 1::2]) for half in (mean - change, mean + change))
     # of a difference of lengths, each uncertain by the mean of its quadratures
     quadratures = np.diag(covariance).reshape(-1, 2).sum(axis=-1) / 2

@@ -20,11 +20,16 @@ MOST_NUMBERS = 12
 
 @dataclass(frozen=True, slots=True)
 class Averaging:
-    """Predicted tracked over peak displacement at one frequency, its lag, and its relative spread over speckle."""
+    """Tracked over peak displacement at one frequency, its lag, and its relative spread over speckle.
+
+    ``factor_uncertainty`` and ``phase_uncertainty_rad``: standard uncertainties because the medium is not known.
+    """
 
     factor: float
     phase_rad: float
     speckle_relative: float
+    factor_uncertainty: float = 0.0
+    phase_uncertainty_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

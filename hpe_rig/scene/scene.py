@@ -124,9 +124,9 @@ class Beams(Section):
 
 
 class Medium(Section):
-    """What is known of the specimen, a Voigt medium; without it, the motion is taken to be the Gaussian of eq. (12).
+    """What is known of the specimen, a Voigt medium; it narrows the ensemble of media that the prior is made of.
 
-    The twin's own specimen takes its place where this section is absent.
+    Without it the motion itself tells, as far as it can, how much of the peak is tracked.
     """
 
     shear_modulus_pa: Positive
@@ -142,8 +142,10 @@ class Processing(Section):
 
     estimator: Estimator = "coherent"
     """Motion estimator; cross_spectrum is the paper's chain, joint the maximum likelihood over all pulses."""
-    harmonic: Literal["least_squares", "kalman"] = "least_squares"
-    """How displacement becomes amplitude and phase; joint and cross_spectrum have their own way."""
+    harmonic: Literal["medium_prior", "least_squares", "kalman"] | None = None
+    """How displacement becomes amplitude and phase; joint and cross_spectrum have their own way. Absent: medium_prior,
+    all harmonics of the tonebursts with a prior of media, where there is a train of them, [beams], and the wanted
+    frequencies are multiples of its rate; else least_squares."""
     process_noise: NonNegative = 0.0
     """Change per pulse of a harmonic state that harmonic = "kalman" follows, variance over that of a pulse's noise."""
     background_order: Annotated[int, Field(ge=0, le=20, strict=True)] = 0
@@ -192,7 +194,7 @@ class Scene(Section):
     beams: Beams | None = None
     """What is known of the beams."""
     medium: Medium | None = None
-    """What is known of the specimen, for the predicted beam averaging."""
+    """What is known of the specimen, for beam averaging and the prior of media."""
     processing: Processing = Processing()
     """How records become amplitude and phase."""
     sweep: Sweep = Sweep()
@@ -226,6 +228,20 @@ class Scene(Section):
         return tuple(n * rate_hz for n in range(1, 11) if n * rate_hz < slowest_hz / 2)
 
     @property
+    def without_prior(self) -> str | None:
+        """Why no prior of media can stand for the harmonics of the tonebursts; None where one can."""
+        if self.excitation is None:
+            return "the scene has no [excitation]"
+        if self.excitation.burst_count == 1:
+            return "excitation.burst_count is 1, and one toneburst makes no periodic motion"
+        if self.beams is None:
+            return "the scene has no [beams]"
+        number = [hz / self.excitation.burst_rate_hz for hz in self.wanted_frequencies_hz]
+        if any(round(n) == 0 or not math.isclose(n, round(n), rel_tol=1e-6) for n in number):
+            return "processing.frequencies_hz are not all multiples of excitation.burst_rate_hz"
+        return None
+
+    @property
     def pulse_rates_hz(self) -> tuple[float, ...]:
         """Pulse rates that are measured in turn."""
         return self.sweep.pulse_rate_hz or (self.tracking.pulse_rate_hz,)
@@ -253,6 +269,14 @@ class Scene(Section):
             for rate_hz in self.sweep.pulse_rate_hz
         )
         return tuple(self.model_copy(update={**alike, "tracking": tracking}) for tracking in each)
+
+    @model_validator(mode="after")
+    def _prior_only_of_tonebursts(self) -> Scene:
+        if self.processing.harmonic == "medium_prior" and self.without_prior is not None:
+            raise ValueError(
+                f'processing.harmonic = "medium_prior" cannot be: {self.without_prior}; try "least_squares"'
+            )
+        return self
 
     @model_validator(mode="after")
     def _windows_within_slow_trains(self) -> Scene:

@@ -261,7 +261,7 @@ def _train(scene: Scene) -> Train:
         sample_rate_hz=acquisition.sample_rate_hz,
         samples=round(two_way_s * acquisition.sample_rate_hz),
         frequencies_hz=processing.frequencies_hz or tuple(hz for hz, _ in (twin.prescribed if twin else ())),
-        options=Options(processing.background_order, processing.harmonic, processing.process_noise),
+        options=Options(processing.background_order, processing.harmonic or "least_squares", processing.process_noise),
     )
 
 

@@ -258,3 +258,34 @@ def test_frequencies_fitted_along_give_way_when_the_pulses_cannot_tell_them_apar
     # 99 frequencies would have a condition of 1e9 and more here; those kept cost the wanted ones no accuracy
     np.testing.assert_allclose(fit.amplitude_m[1], 1.0, rtol=1e-9)
     assert np.sqrt(fit.covariance[1, 0, 0]) < 1e-9
+
+
+@pytest.mark.parametrize("driven", [0, 40, 68])
+def test_accumulated_steps_count_every_state_that_is_fitted(driven: int) -> None:
+    """Mean squares of 20 wanted quadratures over their stated variance; other frequencies take up to 69 states along.
+
+    Over 4000 trials each is known to 2.2 %, the worst of twenty to about three of that, all together to a fourth.
+    """
+    generator, walk, trials = np.random.default_rng(driven), 0.5, 4000
+    time_s = np.arange(160) / 16e3
+    noise = 1e-9 * generator.standard_normal((trials, 160))
+    noise += np.cumsum(np.sqrt(walk) * 1e-9 * generator.standard_normal((trials, 160)), axis=1)
+    motion = Motion(time_s, noise, np.full(noise.shape, 1e-18), np.ones(160, dtype=bool), walk=np.full(trials, walk))
+    fit = least_squares(motion, HARMONICS, also_hz=100.0 * np.arange(11, 11 + driven))
+    stated = np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[:, :20]
+    # of means, not the mean of the ratio, which few degrees of freedom would raise
+    assert np.mean(fit.state[:, :20] ** 2, axis=0) / stated.mean(axis=0) == pytest.approx(np.ones(20), abs=0.08)
+    assert np.mean(fit.state[:, :20] ** 2) / stated.mean() == pytest.approx(1, abs=0.03)
+
+
+def test_one_pulse_more_than_states_states_an_uncertainty() -> None:
+    time_s = np.arange(22) / 4e3
+    walk = np.full(500, 0.2)
+    noise = np.random.default_rng(1).standard_normal((500, 22)) * 1e-9
+    noise += np.cumsum(np.random.default_rng(2).standard_normal((500, 22)) * np.sqrt(0.2) * 1e-9, axis=1)
+    motion = Motion(time_s, noise, np.full(noise.shape, 1e-18), np.ones(22, dtype=bool), walk=walk)
+    fit = least_squares(motion, 190.0 * np.arange(1, 11), largest_condition=np.inf)
+    stated = np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[:, :20]
+    assert np.isfinite(stated).all()
+    # chi-square of one degree of freedom: its mean over 500 is known to 6 %, three of these; the state's as well
+    assert np.mean(fit.state[:, :20] ** 2 / stated.mean(axis=0)) == pytest.approx(1, abs=0.4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -142,6 +143,25 @@ def test_background_noise_follows_an_acceleration_that_changes() -> None:
     assert abs(stiff.amplitude_m[0] - 1e-7) > 2e-8
     assert abs(soft.amplitude_m[0] - 1e-7) < 4 * np.sqrt(soft.covariance[0, 0, 0])
     assert soft.amplitude_m[0] == pytest.approx(1e-7, rel=0.1)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_background_noise_is_that_of_the_highest_derivative(order: int) -> None:
+    """Least squares with the covariance of the polynomials (t - s)^p / p! that start at every pulse, written out."""
+    pulses, strength = 60, 0.3
+    data = _wave(pulses, 1.0) + np.random.default_rng(order).standard_normal(pulses)
+    found = kalman(_motion(data, 1.0), [200.0], background_order=order, background_noise=strength, prior=1e12)
+    scaled = np.linspace(-1, 1, pulses)
+    after = np.maximum(scaled[:, None] - scaled[1:], 0.0) ** order / math.factorial(order)
+    noise = np.eye(pulses) + strength * after @ after.T
+    matrix = linear_model(np.arange(pulses) / RATE_HZ, np.ones(pulses, bool), np.array([200.0]), background_order=order)
+    weighted = np.linalg.solve(noise, matrix.matrix)
+    covariance = np.linalg.inv(matrix.matrix.T @ weighted)
+    state = covariance @ weighted.T @ data
+    np.testing.assert_allclose(found.state[:2], state[:2], rtol=1e-6)
+    rest = data - matrix.matrix @ state
+    variance = rest @ np.linalg.solve(noise, rest) / (pulses - 3 - order)
+    np.testing.assert_allclose(found.state_covariance[:2, :2], variance * covariance[:2, :2], rtol=1e-6)
 
 
 def test_nis_is_one_for_true_noise_and_tells_a_model_that_lacks_something() -> None:

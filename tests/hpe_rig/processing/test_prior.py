@@ -22,7 +22,6 @@ from hpe_rig.processing.prior import (
     medium_fit,
     medium_kalman,
     medium_prior,
-    peak_over_tracked,
     seen_by,
 )
 from sim_backend.motion.specimen import frequency_response
@@ -128,6 +127,12 @@ def largest_bias(found: MediumFit, wave: ComplexArray) -> tuple[float, float]:
     return float(np.abs(np.abs(ratio) - 1).max() * 100), float(np.degrees(np.abs(np.angle(ratio)).max()))
 
 
+def peak_of(found: MediumFit) -> tuple[ComplexArray, FloatArray]:
+    """Return peak over tracked motion and its covariance."""
+    assert found.fit.medium is not None
+    return found.fit.medium.peak_over_tracked, found.fit.medium.peak_covariance
+
+
 PRIOR = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
 IN_RANGE = {
     "2 kPa": voigt(2e3, 1.0),
@@ -173,7 +178,7 @@ def test_columns_are_those_of_every_harmonic() -> None:
 def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(watched: Pulses, noise_m: float) -> None:
     motion = noisy(watched, harmonics(voigt(9e3, 2.0))[0], noise_m, 1)
     found = medium_fit(motion, WANTED_HZ, PRIOR)
-    filtered, innovations = medium_kalman(motion, WANTED_HZ, PRIOR)
+    filtered = medium_kalman(motion, WANTED_HZ, PRIOR)
     used = watched.valid
     columns = harmonic_columns(watched.time_s[used], PRIOR.frequency_hz)
     states = PRIOR.states(range(400)) @ PRIOR.root
@@ -195,8 +200,10 @@ def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(watched: Pu
         np.testing.assert_allclose(found.noise_m2[index], variance * gain @ gain.T, atol=1e-8 * variance)
     np.testing.assert_allclose(found.noise_m2 + found.aliasing_m2, found.fit.state_covariance)
     # white and of unit variance but for the sharper start that weights of three times the scale deserve
-    assert 0.85 < np.mean(innovations**2) < 1.1
-    assert np.abs(np.mean(innovations[:, 1:] * innovations[:, :-1])) < 0.15
+    test = filtered.fit.innovations
+    assert test is not None
+    assert 0.85 < np.mean(test.nis / found.evidence.variance_m2) < 1.1
+    assert np.abs(test.autocorrelation.mean()) < 0.15
 
 
 @pytest.mark.parametrize("name", IN_RANGE)
@@ -336,7 +343,7 @@ def test_a_known_medium_narrows_what_pulses_that_stand_still_cannot_see() -> Non
     ratio = np.trace(narrow.aliasing_m2.mean(axis=0)) / np.trace(open_fit.aliasing_m2.mean(axis=0))
     assert ratio < 0.3
     assert np.mean(errors(narrow, wave) ** 2) < 1.25
-    mean, covariance = peak_over_tracked(narrow, known)
+    mean, covariance = peak_of(narrow)
     off = np.log(mean * wave[:10] / peak[:10])
     assert np.all(np.abs(off.real) < 2 * np.sqrt(covariance[..., 0, 0]))
 
@@ -344,7 +351,7 @@ def test_a_known_medium_narrows_what_pulses_that_stand_still_cannot_see() -> Non
 @pytest.mark.parametrize("name", [*IN_RANGE, *FLUID])
 def test_the_peak_follows_from_the_media_that_fit(name: str) -> None:
     wave, peak = harmonics({**IN_RANGE, **FLUID}[name])
-    mean, covariance = peak_over_tracked(medium_fit(noisy(SHIFTING, wave, 77e-9, 3), WANTED_HZ, PRIOR), PRIOR)
+    mean, covariance = peak_of(medium_fit(noisy(SHIFTING, wave, 77e-9, 3), WANTED_HZ, PRIOR))
     off = np.log(mean * wave[:10] / peak[:10])
     assert np.all(np.abs(off.real) < 2.5 * np.sqrt(covariance[..., 0, 0]))
     assert np.all(np.abs(off.imag) < 2.5 * np.sqrt(covariance[..., 1, 1]))

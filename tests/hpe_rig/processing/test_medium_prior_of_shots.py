@@ -1,0 +1,193 @@
+"""The prior of media in the estimates of a run: what noise costs, what it says of the medium, where it is left out."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hpe_rig as hpe
+from hpe_rig.acquire import Run
+from hpe_rig.plan import Shot, select
+from hpe_rig.plan.omitted import left_out
+from hpe_rig.prediction import beam_widths, predicted_averaging
+from hpe_rig.processing import (
+    HarmonicFit,
+    MediumPrior,
+    coherent,
+    drift_between_halves,
+    fit_motion,
+    options_of,
+    shot_echoes,
+    shot_prior,
+)
+from hpe_rig.processing.echoes import Motion
+from hpe_rig.processing.shots import _medium_warnings, averaging_seen
+from hpe_rig.result import Result
+from hpe_rig.scene import Scene, SettingsError
+
+JITTER = "simulation.instruments.trigger_jitter_s"
+
+
+FOLDER = TemporaryDirectory()
+
+
+@cache
+def run(trigger_jitter_s: float = 0.0) -> Run:
+    scene = hpe.load_scene("bovine-muscle")
+    scene = scene.with_({JITTER: trigger_jitter_s}) if trigger_jitter_s else scene
+    return hpe.measure(scene, path=Path(FOLDER.name) / f"{trigger_jitter_s:g}.h5")
+
+
+def motion_of(scene: Scene, shot: Shot) -> Motion:
+    records = run().stored.records.gated(shot.index, shot.gate)
+    return coherent(shot_echoes(scene, shot, records, select(scene, shot)))
+
+
+def fitted(scene: Scene, estimator: str = "coherent") -> HarmonicFit:
+    shot = run().plan.shots[0]
+    chosen, options = select(scene, shot), options_of(scene.processing, prior_of(scene, shot, estimator))
+    return fit_motion(motion_of(scene, shot), chosen.wanted_hz, estimator, chosen.driven_hz, options)
+
+
+def prior_of(scene: Scene, shot: Shot, estimator: str = "coherent") -> MediumPrior | None:
+    return shot_prior(scene, shot, estimator, beam_widths(scene, estimator))
+
+
+def quadratures_m(fit: HarmonicFit) -> NDArray[np.float64]:
+    """Return the uncertainties (frequency, 2) along and across the phasor."""
+    along, across = fit.covariance[:, 0, 0], fit.covariance[:, 1, 1] * fit.amplitude_m**2
+    return np.sqrt(np.stack([along, across], axis=-1))
+
+
+def test_all_harmonics_cost_hardly_more_than_one_sinusoid() -> None:
+    fit, plain = fitted(run().scene), fitted(run().scene.with_({"processing.harmonic": "least_squares"}))
+    sinusoid_m = float(fit.residual_rms_m) * np.sqrt(2 / fit.pulses)
+    stated = quadratures_m(fit) / sinusoid_m
+    assert np.sqrt(np.mean(stated**2)) < 1.12
+    assert stated.max() < 1.2
+    assert quadratures_m(plain).max() > 10 * sinusoid_m
+    assert fit.aliasing is not None
+    noise = fit.covariance - fit.aliasing
+    assert np.all(np.linalg.eigvalsh(noise) > 0)
+    assert np.all(np.linalg.eigvalsh(fit.aliasing) > -1e-12 * fit.covariance.max())
+
+
+def test_the_kalman_filter_says_the_same_and_raises_no_alarm() -> None:
+    batch = fitted(run().scene)
+    filtered = fitted(run().scene.with_({"processing.harmonic": "kalman"}))
+    largest = np.abs(batch.state).max()
+    np.testing.assert_allclose(filtered.state, batch.state, atol=1e-9 * largest)
+    found = filtered.innovations
+    assert found is not None
+    assert abs(found.autocorrelation) < found.autocorrelation_tolerance
+
+
+def test_the_smallest_amplitude_that_stands_out_of_trigger_jitter_falls_fivefold() -> None:
+    """The floor is in proportion to the noise of the worst quadrature."""
+
+    def worst_m(harmonic: str) -> float:
+        measured = run(1e-9)
+        scene, shot = measured.scene.with_({"processing.harmonic": harmonic}), measured.plan.shots[0]
+        chosen = select(scene, shot)
+        motion = coherent(shot_echoes(scene, shot, measured.stored.records.gated(0, shot.gate), chosen))
+        options = options_of(scene.processing, prior_of(scene, shot))
+        return float(quadratures_m(fit_motion(motion, chosen.wanted_hz, "coherent", chosen.driven_hz, options)).max())
+
+    assert worst_m("least_squares") > 5 * worst_m("medium_prior")
+
+
+def test_the_motion_tells_how_much_of_the_peak_is_tracked() -> None:
+    """Two of the posterior's standard deviations; most of them is the force's width, which one spot cannot tell."""
+    scene = run().scene
+    own = scene.with_({"medium.shear_modulus_pa": 9e3, "medium.shear_viscosity_pa_s": 2.0})
+    fit = fitted(scene)
+    for index, (before, true) in enumerate(
+        zip(predicted_averaging(scene, "coherent"), predicted_averaging(own, "coherent"), strict=True)
+    ):
+        after = averaging_seen(fit, index, before)
+        assert before is not None
+        assert after is not None
+        assert true is not None
+        assert abs(after.factor - true.factor) < 2 * after.factor_uncertainty
+        assert abs(after.phase_rad - true.phase_rad) < 2 * after.phase_uncertainty_rad
+        assert after.factor_uncertainty < 0.03
+        assert after.speckle_relative == pytest.approx(true.speckle_relative, rel=0.25)
+
+
+def test_the_result_takes_the_medium_from_the_motion_not_from_the_twin() -> None:
+    result: Result = run().estimate("coherent")
+    factors = [each.averaging_factor for each in result.shots[0].estimates]
+    fit, before = fitted(run().scene), predicted_averaging(run().scene, "coherent")
+    after = [averaging_seen(fit, index, each) for index, each in enumerate(before)]
+    assert factors == pytest.approx([each.factor for each in after if each is not None], rel=1e-9)
+    assert result.shots[0].warnings == ()
+
+
+def test_a_declared_medium_narrows_the_ensemble_and_a_wrong_one_is_told() -> None:
+    def declared(modulus_pa: float, viscosity_pa_s: float) -> HarmonicFit:
+        medium = {"medium.shear_modulus_pa": modulus_pa, "medium.shear_viscosity_pa_s": viscosity_pa_s}
+        return fitted(run().scene.with_(medium))
+
+    right, wrong, unknown = declared(9e3, 2.0), declared(1e3, 10.0), fitted(run().scene)
+    assert right.aliasing is not None
+    assert unknown.aliasing is not None
+    assert np.trace(right.aliasing.sum(axis=0)) < np.trace(unknown.aliasing.sum(axis=0))
+    assert list(_medium_warnings(right, 0.01)) == list(_medium_warnings(unknown, 0.01)) == []
+    (line,) = _medium_warnings(wrong, 0.01)
+    for word in ("outside the ensemble", "[medium]", "[beams]", "window_start_s", '"least_squares"'):
+        assert word in line
+
+
+def without(section: str) -> Scene:
+    return hpe.load_scene("bovine-muscle").model_copy(update={section: None})
+
+
+@pytest.mark.parametrize(
+    ("scene", "why"),
+    [
+        (without("beams"), "[beams]"),
+        (hpe.load_scene("bovine-muscle").with_({"processing.frequencies_hz": [100.0, 250.0]}), "multiples"),
+        (hpe.load_scene("bovine-muscle").with_({"excitation.burst_count": 1}), "one toneburst"),
+        (hpe.load_scene("bovine-muscle").with_({"processing.harmonic": "least_squares"}), "least_squares"),
+    ],
+)
+def test_where_no_prior_holds_least_squares_fit_and_check_says_why(scene: Scene, why: str) -> None:
+    shot = run().plan.shots[0]
+    assert prior_of(scene, shot) is None
+    assert options_of(scene.processing).harmonic == "least_squares"
+    (reason,) = [item.why for item in left_out(scene, run().bench) if item.what == "prior of media"]
+    assert why in reason
+
+
+def test_estimators_with_a_fit_of_their_own_take_none() -> None:
+    shot = run().plan.shots[0]
+    taking = {each: prior_of(run().scene, shot, each) is not None for each in ("kasai", "joint", "cross_spectrum")}
+    assert taking == {"kasai": True, "joint": False, "cross_spectrum": False}
+
+
+def test_a_prior_that_cannot_be_is_refused_with_a_remedy() -> None:
+    with pytest.raises(SettingsError, match="beams"):
+        without("beams").with_({"processing.harmonic": "medium_prior"})
+    with pytest.raises(SettingsError, match='try "least_squares"'):
+        hpe.load_scene("table-1").with_({"processing.harmonic": "medium_prior"})
+
+
+def test_motion_that_halves_is_told_apart_from_one_that_stays() -> None:
+    """Noise of 11 nm over 600 pulses tells a hundredth of 700 nm: the change is right to three uncertainties."""
+    scene, shot = run().scene, run().plan.shots[0]
+    motion, prior = motion_of(scene, shot), prior_of(scene, shot)
+    wanted_hz = select(scene, shot).wanted_hz
+    steady = drift_between_halves(motion, wanted_hz, prior=prior)
+    assert not steady.suspicious.any()
+    assert np.all(np.abs(steady.significance) < 4)
+    late = np.arange(motion.time_s.size) >= motion.time_s.size // 2
+    weaker = motion.displacement_m - 0.2 * late * (motion.displacement_m - motion.displacement_m[motion.valid].mean())
+    changed = Motion(motion.time_s, weaker, motion.variance_m2, motion.valid, motion.largest_step)
+    drift = drift_between_halves(changed, wanted_hz, prior=prior)
+    assert drift.suspicious[:5].all()
+    assert np.all(drift.relative_change[:5] == pytest.approx(-0.2 / 0.9, rel=0.25))
