@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import prepare
+from hpe_rig.acquire.run import prepare, prepare_text
 from hpe_rig.plan import select
 from hpe_rig.prediction.bounds import harmonic_bound
 from hpe_rig.prediction.error_model import Conditions, draw_speckle, expected
@@ -111,7 +111,8 @@ def test_check_prints_every_estimator_and_what_reaches_the_target() -> None:
 def test_harmonics_fitted_along_over_skipped_pulses_cost_what_the_fit_says() -> None:
     gains = {}
     for name in ("bovine-muscle", "bovine-muscle-synchronous"):
-        setup = prepare(name, refuse=False)
+        text = scene_text(name)[1].replace("[processing]\n", '[processing]\nharmonic = "least_squares"\n')
+        setup = prepare_text(name, text, refuse=False)
         shot = setup.plan.shots[0]
         alone = math.sqrt(2 / select(setup.scene.scene, shot).used.sum())
         gains[name] = float(noise_gain(setup.scene.scene, shot).max()) / alone

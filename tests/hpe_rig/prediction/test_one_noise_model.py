@@ -35,7 +35,7 @@ def test_every_page_prints_the_same_floor_and_the_same_noise(name: str, tmp_path
     floor = printed(r"detection floor: (\S+) nm", checked)
     page = tmp_path / "report.html"
     run = measure(scene, path=tmp_path / "run.h5")
-    write_report(run.path, page)
+    write_report(run.path, output=page)
     html = page.read_text(encoding="utf-8")
     assert printed(r"<dt>detection floor</dt><dd>(\S+) nm", html) == floor
     if "prediction: left out" in checked:
