@@ -5,6 +5,8 @@ Where ``[simulation]`` is silent about sound speed and beams, the scene's own [a
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -76,6 +78,43 @@ class TwinDeclaration:
         from sim_backend.motion import background_at
 
         return background_at(self.settings.background, np.rint(time_s * 1e12).astype(np.int64))
+    @property
+    def focus_depth_m(self) -> float:
+        """Distance from the transducer to the common focus of the beams, in the middle of the scatterers."""
+        return self.settings.beams.focus_depth_m
+
+    @property
+    def echo_reach_m(self) -> float:
+        """Distance from the focus, along the beam, beyond which nothing echoes."""
+        scatterers = self.settings.scatterers
+        reach = [scatterers.volume_m[2] / 2] if scatterers.per_cell > 0 else [0.0]
+        return max(reach + [abs(each.position_m[2]) for each in scatterers.reflectors])
+
+    def prescribed_phasor_m(self, frequency_hz: float, start_s: float = 0.0) -> complex:
+        """Return A exp(j phase), m, of the prescribed motion at exactly ``frequency_hz``, as A sin(2 pi f t + phase).
+
+        ``t`` from ``start_s`` after the master trigger's edge, from which the components' own phases count; components
+        of the same frequency add up, all others leave no trace.
+        """
+        alike = (each for each in self.settings.motion or () if math.isclose(each.frequency_hz, frequency_hz))
+        return sum(
+            (
+                each.amplitude_m * cmath.exp(1j * (each.phase_rad + 2 * math.pi * (each.frequency_hz * start_s % 1)))
+                for each in alike
+            ),
+            0j,
+        )
+
+    def steady_response_m(self, frequency_hz: float) -> float:
+        """Return the amplitude at the focus, m, under a sinusoidal force of amplitude F_0; 0 without specimen."""
+        specimen = self.settings.specimen
+        if specimen is None:
+            return 0.0
+        from sim_backend.motion import frequency_response
+
+        width_m = self.settings.beams.excitation_width_m
+        response = frequency_response(specimen, width_m, np.array([frequency_hz]))[0]
+        return float(abs(response) * specimen.force_density_n_per_m3)
 
     def medium(self, frequency_hz: NDArray[np.float64]) -> tuple[NDArray[np.complex128], float] | None:
         """Return the specimen's complex shear modulus (frequency,), Pa, and density, kg/m^3.

@@ -30,15 +30,33 @@ def accuracy(
     most_echoes: Annotated[int, typer.Option(help="Largest number of echoes.")] = 10_000,
     longest_s: Annotated[float, typer.Option(help="Skip cases expected to take longer, in s.")] = 5.0,
     draws: Annotated[int, typer.Option(min=2, help="Draws per case in motion; ten times as many end to end.")] = 100,
+    scene: Annotated[
+        str | None,
+        typer.Option(metavar="SCENE", help="Measure on this scene what it leaves open: estimator, fit, gate, field."),
+    ] = None,
+    bench: BenchPath = None,
+    seeds: Annotated[int | None, typer.Option(min=2, help="Draws of scatterers and noise with --scene.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="With --scene: within a minute, by fewer seeds.")] = False,
 ) -> None:
-    """Measure error against run time. Of the simulated physics, of the estimators, and end to end."""
-    from hpe_rig.validation import Effort, write_accuracy, write_accuracy_report
+    """Measure error against run time. Of the simulated physics, of the estimators, end to end, or on a scene."""
+    from hpe_rig.validation import Effort, write_accuracy, write_accuracy_report, write_own_scene
 
+    if scene is not None:
+        _refuse_part(part)
+        write_own_scene(scene, bench, seeds, quick, output, figure, typer.echo, announce)
+        return
     effort = Effort(largest, most_echoes, longest_s, draws)
     if part is None:
         write_accuracy_report(output or Path("accuracy.html"), figure, effort, announce)
     else:
         write_accuracy(part, output, figure, effort, typer.echo)
+
+
+def _refuse_part(part: str | None) -> None:
+    from hpe_rig.scene import Mistake, SettingsError
+
+    if part is not None:
+        raise SettingsError("command line", [Mistake("PART", f"{part} is not studied on a scene", "--scene alone")])
 
 
 @studies.command()

@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import TypeVar
 
 from hpe_rig.acquire import prepare
-from hpe_rig.design.model import baseline
+from hpe_rig.design.model import baseline, effective_pulses
 from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Constraints, Problem
 from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import Simulated, simulate
 from hpe_rig.design.variables import variables
+from hpe_rig.prediction import detection_text, predict
 from hpe_rig.result import text_table
 from hpe_rig.scene import Mistake, SettingsError, edited_text, length_m, parse_toml
 from hpe_rig.study import Errors
@@ -147,14 +148,15 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
     amplitude, phase = (simulated.amplitude_m, simulated.phase_rad) if simulated else (None, None)
     rows = {
         "amplitude": _nm(setting.amplitude_m),
-        "effective number of pulses": f"{setting.pulses}",
+        "effective number of pulses": f"{effective_pulses(scene, plan)}",
         "SNR in the gate": f"{10 * math.log10(setting.snr):.1f} dB",
         "bias, predicted": _nm(expected.bias_m),
         "bias, simulated": _simulated(amplitude, "bias", 1e9, "nm"),
         "jitter, predicted": _nm(expected.jitter_m),
         "jitter, simulated": _simulated(amplitude, "jitter", 1e9, "nm"),
-        "  of it noise": _nm(expected.noise_jitter_m),
-        "  of it speckle": _nm(expected.speckle_jitter_m),
+        "noise of a quadrature": _quadrature(candidate),
+        "speckle": _nm(expected.speckle_jitter_m),
+        "detection floor": next(iter(detection_text(scene, problem.bench.simulated, plan.shots[0]))).split()[2] + " nm",
         "jitter over amplitude": f"{100 * expected.jitter_m / setting.amplitude_m:.3g} %",
         "phase jitter, predicted": f"{math.degrees(expected.phase_jitter_rad):.3g} deg",
         "phase jitter, simulated": _simulated(phase, "jitter", math.degrees(1), "deg"),
@@ -164,6 +166,14 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
         "I_spta": "not calibrated" if output is None else f"{output.spta_w_per_m2 / 10:.3g} mW/cm2",
     }
     return rows if draws else {name: text for name, text in rows.items() if "simulated" not in name and name != "model"}
+
+
+def _quadrature(candidate: Candidate) -> str:
+    """Return the noise as ``hpe-rig check`` prints it: from the same draws."""
+    assert candidate.scene is not None  # noqa: S101
+    assert candidate.setting is not None  # noqa: S101
+    found = predict(candidate.setting, (candidate.scene.processing.estimator,)).expected[0]
+    return f"{found.quadrature_m * 1e9:.3g} nm"
 
 
 def _nm(value_m: float) -> str:

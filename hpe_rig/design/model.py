@@ -21,9 +21,10 @@ from hpe_rig.prediction import (
     draw_scattering,
     expected,
     expected_snr_db,
-    force_spectrum,
+    noise_gain,
+    relative_drive,
 )
-from hpe_rig.processing import EchoGate, band_grid, shot_model, spec_of
+from hpe_rig.processing import EchoGate, band_grid
 from hpe_rig.scene import Mistake, Scene, SettingsError
 
 CELLS = 256
@@ -62,26 +63,27 @@ def baseline(scene: Scene) -> Baseline:
     if scene.processing.expected_snr_db is None:
         # What the twin simulates holds in a gate of its own.
         gate_m = twin_settings(scene).receiver.reference_gate_m
-    return Baseline(gate_m, scene.tracking.cycles, _drive(scene))
+    return Baseline(gate_m, scene.tracking.cycles, relative_drive(scene, scene.wanted_frequencies_hz[0]))
 
 
 def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Conditions:
     """Return what bias and jitter of the scene's first shot and first frequency depend on.
 
     Beyond ``conditions_of``: noise is fixed, so the SNR follows the echo's strength and its depth profile in the gate;
-    the amplitude follows the force; pulses count by their effective number. Raises ``ValueError`` where they cannot
+    the amplitude follows the force. Raises ``ValueError`` where they cannot
     tell the frequencies, or the gate is too short for the estimators' band.
     """
     _require_band(plan.shots[0], scene)
-    setting = conditions_of(scene)
+    noise_gain(scene, plan.shots[0])  # raises where conditions_of would leave the fit's cost out
+    setting = conditions_of(scene, plan.shots[0])
     assert setting is not None  # noqa: S101 (baseline has refused such a scene)
     profile = [echo_power(setting, gate_m) for gate_m in (setting.gate_length_m, start.gate_length_m)]
     snr = setting.snr * echo_strength(scene, start) * profile[0] / profile[1]
     amplitude_m = setting.amplitude_m
-    driven = _drive(scene)
-    if driven > 0 and start.drive > 0:
-        amplitude_m = driven if _simulates_specimen(scene) else amplitude_m * driven / start.drive
-    return replace(setting, pulses=effective_pulses(scene, plan), snr=snr, amplitude_m=max(amplitude_m, 1e-15))
+    driven = relative_drive(scene, setting.frequency_hz, plan.shots[0])
+    if driven > 0 and start.drive > 0 and not _simulates_specimen(scene):
+        amplitude_m *= driven / start.drive
+    return replace(setting, snr=snr, amplitude_m=max(amplitude_m, 1e-15))
 
 
 def effective_pulses(scene: Scene, plan: Plan) -> int:
@@ -90,9 +92,7 @@ def effective_pulses(scene: Scene, plan: Plan) -> int:
     Skipped pulses, and frequencies and background that are fitted along and hard to tell apart, cost as many. Raises
     ``ValueError`` where the pulses cannot tell the frequencies.
     """
-    _, model = shot_model(scene, plan.shots[0], spec_of(scene.processing.estimator).fits_all_at_once)
-    variance = np.sum(model.root[:2] ** 2, axis=1)
-    return max(1, round(2 / float(variance.mean())))
+    return max(1, round(2 / float(noise_gain(scene, plan.shots[0])[0]) ** 2))
 
 
 def _require_band(shot: Shot, scene: Scene) -> None:
@@ -144,31 +144,6 @@ def _beams(setting: Conditions, logarithm: float) -> Conditions:
     return replace(setting, **_UNSEEN, excitation_width_m=(x, y, z))
 
 
-def _drive(scene: Scene) -> float:
-    """Return what drives the first wanted frequency in the first shot: m of a simulated specimen, else relative."""
-    excitation = scene.excitation
-    if excitation is None:
-        return 0.0
-    frequency_hz = scene.wanted_frequencies_hz[0]
-    harmonic = round(frequency_hz / excitation.burst_rate_hz)
-    if harmonic == 0 or not math.isclose(harmonic * excitation.burst_rate_hz, frequency_hz, rel_tol=1e-6):
-        return 0.0
-    peak = 2 * abs(complex(force_spectrum(harmonic, excitation.burst_rate_hz, excitation.burst_length_s[0])))
-    return float(peak * excitation.force_fraction[0] * _response(scene, frequency_hz))
-
-
-def _response(scene: Scene, frequency_hz: float) -> float:
-    """Return the displacement at full force, m, of the simulated specimen; 1 where there is none."""
-    twin = twin_of(scene)
-    if twin is None or twin.settings.specimen is None:
-        return 1.0
-    from sim_backend.motion import frequency_response
-
-    specimen, beams = twin.settings.specimen, twin.settings.beams
-    moved = frequency_response(specimen, beams.excitation_width_m, np.array([frequency_hz]))
-    return float(abs(moved[0]) * specimen.force_density_n_per_m3)
-
-
 @functools.lru_cache(maxsize=16)
 def _speckle(beams: Conditions, gate_length_m: float, pulse_length_m: float, draws: int, seed: int) -> Speckle:
     return _scattering(beams, draws, seed).speckle(gate_length_m, pulse_length_m)
@@ -182,5 +157,6 @@ def _scattering(beams: Conditions, draws: int, seed: int) -> Scattering:
 
 
 def _simulates_specimen(scene: Scene) -> bool:
+    """Return whether the expected amplitude is the simulated specimen's, which follows the force already."""
     twin = twin_of(scene)
     return scene.processing.expected_amplitude_m is None and twin is not None and twin.has_specimen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.design.problem import OUTSIDE, Candidate, Problem
+from hpe_rig.design.variables import Variable
 from hpe_rig.scene import Mistake, SettingsError
 
 NEEDLESS = 1e-4
@@ -72,22 +74,30 @@ def _evolution(problem: Problem, seed: int, generations: int) -> NDArray[np.floa
 
 
 def _pattern_search(problem: Problem, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the best place by steps along single variables, halved whenever none is better."""
+    """Return the best place by steps along single variables and pairs of them, halved whenever none is better.
+
+    A limit that two variables share, such as pulse rate and number of pulses in a given time, lets neither move alone.
+    """
     last = np.array([variable.last for variable in problem.space])
     discrete = np.array([variable.discrete for variable in problem.space])
     cost, share = problem.cost(problem.values_at(place)), 0.1
     while share >= FINEST:
         better = False
-        for index in range(len(place)):
-            step = max(1.0, round(share * last[index])) if discrete[index] else share
-            for sign in (1, -1):
-                moved = place.copy()
-                moved[index] = min(max(place[index] + sign * step, 0.0), last[index])
-                trial = problem.cost(problem.values_at(moved))
-                if trial < cost:
-                    place, cost, better = moved, trial, True
+        step = np.where(discrete, np.maximum(1.0, np.round(share * last)), share)
+        for direction in _directions(len(place)):
+            moved = np.clip(place + direction * step, 0.0, last)
+            trial = problem.cost(problem.values_at(moved))
+            if trial < cost:
+                place, cost, better = moved, trial, True
         share = share if better else share / 2
     return place
+
+
+def _directions(variables: int) -> list[NDArray[np.float64]]:
+    """Return both ways along every variable, then those of every pair in which both grow, or shrink, or trade."""
+    axes = np.eye(variables)
+    pairs = [one + sign * other for one, other in itertools.combinations(axes, 2) for sign in (1, -1)]
+    return [sign * axis for axis in (*axes, *pairs) for sign in (1, -1)]
 
 
 def _without_the_needless(problem: Problem, place: NDArray[np.float64]) -> Candidate:
@@ -110,18 +120,38 @@ def _held(problem: Problem, best: Candidate) -> Iterator[str]:
         if variable.key.path not in best.values:
             continue
         for sign, word in ((1, "more"), (-1, "less")):
-            step = 1.0 if variable.discrete else 0.01
-            moved = min(max(place[index] + sign * step, 0.0), variable.last)
-            if moved == place[index]:
+            if place[index] == (variable.last if sign > 0 else 0.0):
                 yield f"{variable.key} = {best.values[variable.key.path]:.6g}: its bound"
                 continue
-            values = {**best.values, variable.key.path: variable.value(moved)}
-            trial = problem.judged(problem.candidate(values))
-            inside = problem.cost(values) < OUTSIDE
-            if trial.setting is None or inside or problem.measure(trial) >= problem.measure(best):
-                continue
-            reasons = [finding.check for finding in trial.conflicts] or list(problem.excess(trial))
-            yield f"{word} {variable.key}: {', '.join(reasons)}"
+            reasons = next(filter(None, (_refused(problem, best, m) for m in _moves(problem, place, index, sign))), ())
+            if reasons:
+                yield f"{word} {variable.key}: {', '.join(reasons)}"
+
+
+def _moves(problem: Problem, place: NDArray[np.float64], index: int, sign: int) -> Iterator[NDArray[np.float64]]:
+    """Yield places a step further along one variable, alone, then with every other along: some gain only together."""
+    alone = place.copy()
+    alone[index] = min(max(place[index] + sign * _step(problem.space[index]), 0.0), problem.space[index].last)
+    yield alone
+    for other, variable in enumerate(problem.space):
+        step = max(1.0, round(0.01 * variable.last)) if variable.discrete else 0.01
+        if other != index and place[other] + step <= variable.last:
+            along = alone.copy()
+            along[other] += step
+            yield along
+
+
+def _refused(problem: Problem, best: Candidate, place: NDArray[np.float64]) -> list[str]:
+    """Return what refuses the scene at ``place``; empty where nothing does, or it would be no better."""
+    values = {path: value for path, value in problem.values_at(place).items() if path in best.values}
+    trial = problem.judged(problem.candidate(values))
+    if trial.setting is None or problem.cost(values) < OUTSIDE or problem.measure(trial) >= problem.measure(best):
+        return []
+    return [finding.check for finding in trial.conflicts] or list(problem.excess(trial))
+
+
+def _step(variable: Variable) -> float:
+    return 1.0 if variable.discrete else 0.01
 
 
 def _why_none(problem: Problem, closest: Candidate) -> Iterator[Mistake]:

@@ -5,13 +5,15 @@
     force of the bursts, Gaussian averaging, speckle                   theory.py
     the same in the medium's own field                                 beam_averaging.py
     bias and jitter of an estimator under given conditions             error_model.py
+    the noise gain of the fit that is really made                      linear_fit.py
+    what a scene expects of amplitude and SNR                          amplitude.py
     a scene's conditions, its forecast, what reaches a target          forecast.py
     the smallest amplitude that stands out                             detection.py
     harmonics that alias onto the wanted ones                          aliasing.py
     Cramer-Rao bounds                                                  bounds.py
     all of it as lines of text                                         text.py
 
-Others use ``predict(conditions_of(scene))``, ``predicted_averaging``, ``detection_floor`` and what ends in ``_text``.
+Others use ``forecast_of(scene, shot)``, ``predicted_averaging``, ``detection_floor`` and what ends in ``_text``.
 Theory: docs/theory/prediction.md.
 """
 

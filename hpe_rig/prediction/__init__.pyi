@@ -1,4 +1,5 @@
 from .aliasing import fitted_over_true as fitted_over_true
+from .amplitude import expected_snr_db as expected_snr_db, relative_drive as relative_drive
 from .beam_averaging import (
     beam_widths as beam_widths,
     medium_motion as medium_motion,
@@ -6,7 +7,7 @@ from .beam_averaging import (
     pulse_length_m as pulse_length_m,
 )
 from .bounds import echo_bound as echo_bound
-from .detection import detection_floor as detection_floor, fit_gain as fit_gain
+from .detection import detection_floor as detection_floor
 from .error_model import (
     LATERAL as LATERAL,
     Conditions as Conditions,
@@ -20,9 +21,10 @@ from .error_model import (
 from .forecast import (
     LEAST_POINTS as LEAST_POINTS,
     conditions_of as conditions_of,
-    expected_snr_db as expected_snr_db,
+    forecast_of as forecast_of,
     predict as predict,
 )
+from .linear_fit import noise_gain as noise_gain
 from .text import (
     aliasing_text as aliasing_text,
     averaging_text as averaging_text,

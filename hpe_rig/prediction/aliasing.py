@@ -5,19 +5,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.plan import Shot
+from hpe_rig.plan import Shot, select
 from hpe_rig.prediction.beam_averaging import motion_of_medium
+from hpe_rig.prediction.linear_fit import fitted
 from hpe_rig.prediction.theory import force_spectrum
-from hpe_rig.processing import harmonic_columns, shot_model
+from hpe_rig.processing import harmonic_columns, spec_of
 from hpe_rig.scene import Scene
 
 LOBES = 10
 """Lobes of the force spectrum, each 1/T_b wide, whose harmonics are taken along; what moves falls as their square."""
 
 
-def fitted_over_true(scene: Scene, shot: Shot, simulated: bool = True) -> NDArray[np.complex128] | None:
-    """Return what least squares make of each wanted harmonic over what it is (frequency,), without noise.
+def fitted_over_true(
+    scene: Scene, shot: Shot, simulated: bool = True, estimator: str | None = None
+) -> NDArray[np.complex128] | None:
+    """Return what the estimator's fit makes of each wanted harmonic over what it is (frequency,), without noise.
 
+    ``estimator``: absent, the scene's.
     From the medium's steady motion under the bursts, tracked at the pulses that the estimate uses; None where no
     medium is known, nothing pushes, or the wanted frequencies are no multiples of the burst rate.
     """
@@ -33,12 +37,12 @@ def fitted_over_true(scene: Scene, shot: Shot, simulated: bool = True) -> NDArra
         return None
     # the sinusoid A sin(w t + phase) has the coefficient A exp(j phase) = j times that of exp(j w t)
     true = 1j * motion[0] * force_spectrum(harmonic, rate_hz, length_s)
+    parts = np.stack([true.real, true.imag], axis=-1).ravel()
+    time_s, spec = select(scene, shot).time_s, spec_of(estimator or scene.processing.estimator)
+    displacement_m = harmonic_columns(time_s, frequency_hz) @ parts
     try:
-        time_s, model = shot_model(scene, shot)
+        found = fitted(scene, shot, spec, displacement_m)
     except ValueError:
         # a plan with conflicts may have no fit at all
         return None
-    parts = np.stack([true.real, true.imag], axis=-1).ravel()
-    state = model.solve(harmonic_columns(time_s, frequency_hz) @ parts)[0]
-    fitted = state[: 2 * wanted_hz.size].reshape(-1, 2) @ np.array([1, 1j])
-    return np.asarray(fitted / true[place - 1])
+    return np.asarray(found / true[place - 1])

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot, window_pulse_count
-from hpe_rig.prediction.forecast import expected_snr_db
-from hpe_rig.processing import shot_model, spec_of
+from hpe_rig.prediction.forecast import conditions_of, predict
+from hpe_rig.prediction.linear_fit import echo_noise_m, noise_gain, trigger_noise_m
+from hpe_rig.processing import spec_of
 from hpe_rig.scene import Scene
+
+FloatArray = NDArray[np.float64]
 
 FALSE_ALARMS = 0.05
 """Share of measurements without motion in which noise alone exceeds the floor."""
@@ -37,41 +40,29 @@ class Floor:
 
 
 def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = None) -> Floor:
-    """Return the floor of an amplitude: echo noise, and the trigger jitter between pulse and sampling clock.
+    """Return the floor of an amplitude at the worst wanted frequency: echo noise, and trigger jitter.
 
-    ``shot`` says which pulses the estimate skips, and so what it costs to fit the other driven harmonics along.
-
-    A pulse's phase in white noise has the variance 1 / (samples in the gate x SNR), its time of flight that of the
-    trigger jitter (twin alone; a real bench's is not known); over N pulses a quadrature has 2/N of either. See
-    docs/theory/prediction.md, "Detection floor".
+    ``shot`` says which pulses the estimate uses, and so what it costs to fit the other driven harmonics along; absent,
+    every frequency counts as fitted alone to all pulses. Echo noise is the error model's (`predict`) for echoes that
+    hardly move, where the beams are declared, else that of the whole gate; trigger jitter that of the twin, a real
+    bench's is not known. See docs/theory/prediction.md, "Detection floor".
     """
-    acquisition, snr_db = scene.acquisition, expected_snr_db(scene)
-    samples = 2 * acquisition.gate_length_m / acquisition.sound_speed_m_per_s * acquisition.sample_rate_hz
-    metres_per_radian = acquisition.sound_speed_m_per_s / (4 * math.pi * scene.tracking.carrier_hz)
-    spec, twin = spec_of(scene.processing.estimator), twin_of(scene) if simulated else None
-    over_pulses = math.sqrt(2 * spec.slow_time_noise / window_pulse_count(scene))
-    if shot is not None and spec.fits_all_at_once:
+    spec, gain, worst = spec_of(scene.processing.estimator), _worst_gain(scene, shot), None
+    if scene.wanted_frequencies_hz:
+        worst = scene.wanted_frequencies_hz[int(np.argmax(gain))]
+    conditions = conditions_of(scene, shot, worst)
+    noise_m = echo_noise_m(scene, spec) * float(gain.max())
+    if conditions is not None:
+        still = replace(conditions, amplitude_m=0.0, trigger_jitter_s=0.0)
+        noise_m = predict(still, (spec.name,)).expected[0].quadrature_m
+    return Floor(noise_m, trigger_noise_m(scene, simulated) * float(gain.max()))
+
+
+def _worst_gain(scene: Scene, shot: Shot | None) -> FloatArray:
+    """Return the noise gain (frequency,), that of a sinusoid fitted alone where no plan or no fit is known."""
+    if shot is not None:
         # A plan with conflicts may have no fit at all.
         with suppress(ValueError):
-            over_pulses = _quadrature_gain(scene, shot)
-    noise_m = 0.0
-    if snr_db is not None:
-        noise_m = metres_per_radian * math.sqrt(spec.gate_noise / (samples * 10 ** (snr_db / 10)))
-    jitter_s = 0.0 if twin is None else twin.trigger_jitter_s
-    return Floor(noise_m * over_pulses, jitter_s * acquisition.sound_speed_m_per_s / 2 * over_pulses)
-
-
-def fit_gain(scene: Scene, shot: Shot) -> float:
-    """Return the noise of the worst wanted quadrature over that of a sinusoid fitted alone to all pulses; else 1.
-
-    Above 1 where pulses are skipped and barely resolve the wanted from the other driven harmonics, fitted along.
-    """
-    with suppress(ValueError):
-        return _quadrature_gain(scene, shot) / math.sqrt(2 / window_pulse_count(scene))
-    return 1.0
-
-
-def _quadrature_gain(scene: Scene, shot: Shot) -> float:
-    """Return the noise of the worst wanted quadrature over that of a pulse, by the least squares that are fitted."""
-    _, model = shot_model(scene, shot)
-    return float(np.linalg.norm(model.root[: 2 * len(scene.wanted_frequencies_hz)], axis=1).max())
+            return noise_gain(scene, shot)
+    alone = 2 * spec_of(scene.processing.estimator).slow_time_noise / window_pulse_count(scene)
+    return np.full(max(1, len(scene.wanted_frequencies_hz)), math.sqrt(alone))

@@ -70,10 +70,15 @@ class Conditions:
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Predicted for one estimator: all against the peak displacement and its phase; standard deviations."""
+    """Predicted for one estimator: all against the peak displacement and its phase; standard deviations.
+
+    ``quadrature_m``: noise of each quadrature, which the stated uncertainty is about; ``noise_jitter_m``: what it makes
+    of the amplitude, less where that is small.
+    """
 
     estimator: str
     bias_m: float
+    quadrature_m: float
     noise_jitter_m: float
     speckle_jitter_m: float
     phase_bias_rad: float
@@ -223,6 +228,7 @@ def _with_noise(conditions: Conditions, estimator: str, ratio: FloatArray, devia
     return Expected(
         estimator,
         float(mean.mean() - conditions.amplitude_m),
+        deviation,
         float(np.sqrt(spread.mean())),
         float(mean.std()),
         0.0,

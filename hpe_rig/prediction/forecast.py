@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from hpe_rig.bench import twin_of
-from hpe_rig.plan import window_pulse_count
+from hpe_rig.plan import Shot, select, window_pulse_count
+from hpe_rig.prediction.aliasing import fitted_over_true
+from hpe_rig.prediction.amplitude import expected_amplitude_m, expected_snr_db
 from hpe_rig.prediction.beam_averaging import motion_width_m, pulse_length_m
 from hpe_rig.prediction.error_model import Conditions, Expected, draw_speckle, expected
+from hpe_rig.prediction.linear_fit import noise_gain
 from hpe_rig.prediction.theory import scatterer_density
 from hpe_rig.processing import ESTIMATORS, spec_of
 from hpe_rig.scene import Scene
 
 SPECKLE_PER_CELL = 11.0
 """Scatterers per resolution cell where nothing says otherwise: fully developed speckle (paper, Table I)."""
+PEAK_DRAWS = 4
+"""How many times the draws are needed where the phase is read at a peak."""
 LEAST_CYCLES = 1.0
 LEAST_POINTS = 2.5
 """Cycles and pulses a cycle below which no estimate is made, however little noise there is."""
-FLOOR_M = 100e-9
-"""Amplitude predicted for where none is known: the lower end of what the paper's bench detects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,14 +34,28 @@ class Prediction:
 
     conditions: Conditions
     expected: tuple[Expected, ...]
+    aliasing: tuple[complex, ...] = ()
+    """Fitted over true of every estimator, without noise, less 1; empty where no medium is known or nothing pushes."""
+
+    def error_m(self, place: int) -> float:
+        """Return what the stated uncertainty of an estimator is to cover: its noise, and what aliasing adds, m."""
+        aliased = abs(self.aliasing[place]) * self.conditions.amplitude_m if self.aliasing else 0.0
+        return math.hypot(self.expected[place].quadrature_m, aliased)
 
 
-def conditions_of(scene: Scene) -> Conditions | None:
-    """Return what bias and jitter of the scene's first wanted frequency depend on; None without beams or SNR."""
+def conditions_of(
+    scene: Scene, shot: Shot | None = None, frequency_hz: float | None = None, estimator: str | None = None
+) -> Conditions | None:
+    """Return what bias and jitter of a wanted frequency, absent: the first, depend on; None without beams or SNR.
+
+    ``shot`` says which pulses the estimate uses, by what force they were moved, and what it costs to fit the other
+    driven harmonics along; where its plan resolves no frequencies that cost is left out.
+    """
     snr_db = expected_snr_db(scene)
     if scene.beams is None or snr_db is None or not scene.wanted_frequencies_hz:
         return None
-    frequency_hz = scene.wanted_frequencies_hz[0]
+    frequency_hz = scene.wanted_frequencies_hz[0] if frequency_hz is None else frequency_hz
+    pulses = window_pulse_count(scene) if shot is None else max(1, int(select(scene, shot).used.sum()))
     acquisition, tracking, beams, twin = scene.acquisition, scene.tracking, scene.beams, twin_of(scene)
     per_cell, trigger_jitter_s = (0.0, 0.0) if twin is None else (twin.scatterers_per_cell, twin.trigger_jitter_s)
     return Conditions(
@@ -50,38 +68,61 @@ def conditions_of(scene: Scene) -> Conditions | None:
         sound_speed_m_per_s=acquisition.sound_speed_m_per_s,
         sample_rate_hz=acquisition.sample_rate_hz,
         pulse_rate_hz=tracking.pulse_rate_hz,
-        pulses=window_pulse_count(scene),
+        pulses=pulses,
         frequency_hz=frequency_hz,
-        amplitude_m=expected_amplitude_m(scene, frequency_hz),
+        amplitude_m=expected_amplitude_m(scene, frequency_hz, shot),
         snr=10 ** (snr_db / 10),
         trigger_jitter_s=trigger_jitter_s,
+        fit_gain=1.0 if shot is None else _fit_gain(scene, shot, frequency_hz, pulses, estimator),
     )
 
 
-def expected_snr_db(scene: Scene) -> float | None:
-    """Return the SNR that the scene expects or that its twin simulates; None where neither says."""
-    if scene.processing.expected_snr_db is not None:
-        return scene.processing.expected_snr_db
-    twin = twin_of(scene)
-    return None if twin is None else twin.snr_db
+def _fit_gain(scene: Scene, shot: Shot, frequency_hz: float, pulses: int, estimator: str | None) -> float:
+    """Return the noise of a quadrature over that of a sinusoid fitted alone to all used pulses, 1 for windows."""
+    if not spec_of(estimator or scene.processing.estimator).fits_all_at_once:
+        return 1.0
+    # A plan with conflicts may have no fit at all.
+    with suppress(ValueError):
+        index = scene.wanted_frequencies_hz.index(frequency_hz)
+        return float(noise_gain(scene, shot, estimator)[index]) / math.sqrt(2 / pulses)
+    return 1.0
 
 
-def expected_amplitude_m(scene: Scene, frequency_hz: float) -> float:
-    """Return the amplitude that the scene expects or that its twin prescribes at ``frequency_hz``."""
-    if scene.processing.expected_amplitude_m is not None:
-        return scene.processing.expected_amplitude_m
-    twin = twin_of(scene)
-    for prescribed_hz, amplitude_m in () if twin is None else twin.prescribed:
-        if math.isclose(prescribed_hz, frequency_hz) and amplitude_m > 0:
-            return amplitude_m
-    return FLOOR_M
+def forecast_of(
+    scene: Scene,
+    shot: Shot,
+    frequency_hz: float | None = None,
+    estimators: tuple[str, ...] = ESTIMATORS,
+    simulated: bool = True,
+) -> Prediction | None:
+    """Return bias, jitter and aliasing of every estimator at one wanted frequency, absent: the first.
+
+    The one forecast that ``check``, report and design print; None without beams or SNR.
+    """
+    each = [conditions_of(scene, shot, frequency_hz, name) for name in estimators]
+    known = [conditions for conditions in each if conditions is not None]
+    if not known:
+        return None
+    found = [predict(conditions, (name,)).expected[0] for name, conditions in zip(estimators, known, strict=True)]
+    ratios = [fitted_over_true(scene, shot, simulated, name) for name in estimators]
+    place = scene.wanted_frequencies_hz.index(known[0].frequency_hz)
+    aliasing = tuple(complex(ratio[place]) - 1 for ratio in ratios if ratio is not None)
+    own = known[estimators.index(scene.processing.estimator)] if scene.processing.estimator in estimators else known[0]
+    return Prediction(own, tuple(found), aliasing if len(aliasing) == len(estimators) else ())
 
 
 def predict(conditions: Conditions, estimators: tuple[str, ...] = ESTIMATORS, draws: int = 1000) -> Prediction:
-    """Return bias and jitter of every estimator; the seeds are fixed, so equal conditions give equal figures."""
-    speckle = draw_speckle(conditions, np.random.default_rng(0), draws)
-    each = (expected(conditions, name, speckle, np.random.default_rng(1)) for name in estimators)
-    return Prediction(conditions, tuple(each))
+    """Return bias and jitter of every estimator; the seeds are fixed, so equal conditions give equal figures.
+
+    Where noise moves the peak that is read, its variance comes from the draws too: it takes more of them.
+    """
+    return Prediction(conditions, tuple(_expected(conditions, name, draws) for name in estimators))
+
+
+def _expected(conditions: Conditions, estimator: str, draws: int) -> Expected:
+    many = PEAK_DRAWS * draws if spec_of(estimator).reads_peak else draws
+    speckle = draw_speckle(conditions, np.random.default_rng(0), many)
+    return expected(conditions, estimator, speckle, np.random.default_rng(1))
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +12,8 @@ from hpe_rig.plan import Shot, drive_output
 from hpe_rig.prediction.aliasing import fitted_over_true
 from hpe_rig.prediction.beam_averaging import predicted_averaging, pulse_length_m
 from hpe_rig.prediction.detection import FALSE_ALARMS, detection_floor
-from hpe_rig.prediction.forecast import Prediction, Remedy, conditions_of, predict, remedies
+from hpe_rig.prediction.error_model import Expected
+from hpe_rig.prediction.forecast import Prediction, Remedy, forecast_of, remedies
 from hpe_rig.prediction.theory import beam_averaging_factor
 from hpe_rig.processing import spec_of
 from hpe_rig.scene import Scene
@@ -34,7 +34,7 @@ def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = Non
     else:
         yield (
             f"detection floor: {floor.detected_m * 1e9:.3g} nm ({100 * FALSE_ALARMS:g} % false alarms), from noise "
-            f"({floor.noise_m * 1e9:.3g} nm in each quadrature) and trigger jitter "
+            f"({floor.noise_m * 1e9:.3g} nm in each quadrature of the worst wanted frequency) and trigger jitter "
             f"({floor.trigger_jitter_m * 1e9:.3g} nm)"
         )
     if scene.excitation is None:
@@ -83,7 +83,7 @@ def aliasing_text(scene: Scene, shot: Shot, simulated: bool = True) -> Iterator[
         amplitude, phase = np.abs(np.abs(ratio) - 1).max(), np.degrees(np.abs(np.angle(ratio)).max())
         yield (
             f"aliasing in this medium: unresolved harmonics change the wanted ones by at most "
-            f"{100 * amplitude:.2g} % and {phase:.2g} deg (least squares, no noise; not part of the uncertainties)"
+            f"{100 * amplitude:.2g} % and {phase:.2g} deg ({scene.processing.estimator}, no noise)"
         )
 
 
@@ -113,31 +113,42 @@ def averaging_text(scene: Scene) -> Iterator[str]:
     )
 
 
-def prediction_text(scene: Scene, target_m: float | None = None, fit_gain: float = 1.0) -> Iterator[str]:
-    """Yield the lines that ``hpe-rig check`` prints: the table, and what reaches ``target_m``.
-
-    ``fit_gain``: what skipped pulses and harmonics fitted along cost (`hpe_rig.prediction.detection.fit_gain`).
-    """
-    conditions = conditions_of(scene)
-    if conditions is None:
+def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, simulated: bool = True) -> Iterator[str]:
+    """Yield the lines that ``hpe-rig check`` prints: the table, the best estimator, what reaches ``target_m``."""
+    prediction = forecast_of(scene, shot, simulated=simulated)
+    if prediction is None:
         yield "prediction: left out, it needs [beams], a frequency and processing.expected_snr_db"
         return
-    prediction = predict(replace(conditions, fit_gain=fit_gain))
+    conditions = prediction.conditions
     jitter = f"{conditions.trigger_jitter_s * 1e9:g} ns trigger jitter, " if conditions.trigger_jitter_s else ""
     yield (
-        f"prediction at {conditions.frequency_hz:g} Hz for {conditions.amplitude_m * 1e9:g} nm, "
-        f"{10 * math.log10(conditions.snr):g} dB SNR, {jitter}{conditions.pulses} pulses (standard deviations):"
+        f"prediction at {conditions.frequency_hz:g} Hz for {conditions.amplitude_m * 1e9:.4g} nm, "
+        f"{10 * math.log10(conditions.snr):g} dB SNR, {jitter}{conditions.pulses} pulses (standard deviations; "
+        "noise of a quadrature):"
     )
-    yield f"  {'estimator':18}{'bias':>10}{'noise':>10}{'speckle':>10}{'phase':>10}"
-    for each in prediction.expected:
-        figures = (each.bias_m * 1e9, each.noise_jitter_m * 1e9, each.speckle_jitter_m * 1e9)
-        words = "".join(f"{value:>+7.3g} nm" if k == 0 else f"{value:>7.3g} nm" for k, value in enumerate(figures))
-        yield f"  {each.estimator:18}{words}{math.degrees(each.phase_jitter_rad):>6.2g} deg"
+    yield f"  {'estimator':18}{'bias':>10}{'noise':>10}{'aliasing':>10}{'speckle':>10}{'phase':>10}"
+    for place, each in enumerate(prediction.expected):
+        yield _estimator_line(prediction, place, each)
+    if prediction.aliasing:
+        best = min(range(len(prediction.expected)), key=prediction.error_m)
+        yield (
+            f"  least noise and aliasing together: {prediction.expected[best].estimator}, "
+            f"{prediction.error_m(best) * 1e9:.3g} nm"
+        )
     if target_m is not None:
         chosen = scene.processing.estimator
         yield _target_line(
             remedies(prediction, target_m, scene.acquisition.gate_depth_m, chosen), prediction, target_m, chosen
         )
+
+
+def _estimator_line(prediction: Prediction, place: int, each: Expected) -> str:
+    aliasing = "-"
+    if prediction.aliasing:
+        aliasing = f"{abs(prediction.aliasing[place]) * prediction.conditions.amplitude_m * 1e9:.3g} nm"
+    figures = f"{each.bias_m * 1e9:>+7.3g} nm", f"{each.quadrature_m * 1e9:>7.3g} nm", f"{aliasing:>10}"
+    phase = f"{math.degrees(each.phase_jitter_rad):>6.2g} deg"
+    return f"  {each.estimator:18}{''.join(figures)}{each.speckle_jitter_m * 1e9:>7.3g} nm{phase}"
 
 
 def _target_line(remedy: Remedy, prediction: Prediction, target_m: float, estimator: str) -> str:

@@ -47,6 +47,7 @@ from .motion import (
     peak_phase as peak_phase,
 )
 from .prior import (
+    WEIGHT as WEIGHT,
     Evidence as Evidence,
     MediumFit as MediumFit,
     MediumPrior as MediumPrior,

@@ -1,7 +1,9 @@
-"""Ground truth: amplitude and phase at the focus, from the twin's motion at every instant and not only at the pulses.
+"""Ground truth: amplitude and phase at the focus at exactly the wanted frequencies, whatever else moves.
 
-Tonebursts are short, so they move the specimen at frequencies far above half the pulse rate too. Sampled at the pulses,
-these alias onto the wanted ones, in the truth as in the measurement, and no comparison would show it.
+Of a prescribed motion they are those of its own components. Of a specimen they come from its motion at every instant
+and not only at the pulses: tonebursts are short, so they move it at frequencies far above half the pulse rate too.
+Sampled at the pulses, these alias onto the wanted ones, in the truth as in the measurement, and no comparison would
+show it.
 """
 
 from __future__ import annotations
@@ -12,7 +14,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.plan import Shot, select
+from hpe_rig.bench import twin_of
+from hpe_rig.plan import Shot, driven_frequencies_hz, select
 from hpe_rig.scene import Scene
 
 INSTANTS_A_PULSE = 16
@@ -23,10 +26,21 @@ def true_harmonics_m(
 ) -> NDArray[np.float64]:
     """Return A cos(phase) and A sin(phase) of the peak displacement at every wanted frequency, m, (frequency, 2).
 
-    Over the whole burst periods of the processing window, where every driven harmonic is orthogonal to every other, or
-    over the window where nothing pushes; ``motion_m`` gives the displacement at times after the master trigger's edge.
-    Phases as in the result: sine, from ``Timeline.reference_s``.
+    Of a specimen over the whole burst periods of the processing window, where every driven harmonic is orthogonal to
+    every other, the driven ones fitted along where a wanted frequency is none of them; ``motion_m`` gives the
+    displacement at times after the master trigger's edge. Phases as in the result: sine, from ``Timeline.reference_s``.
     """
+    twin = twin_of(scene)
+    if twin is not None and twin.prescribes_motion:
+        start_s = shot.timeline.reference_s
+        each = np.array([twin.prescribed_phasor_m(hz, start_s) for hz in scene.wanted_frequencies_hz], dtype=complex)
+        return np.stack([each.real, each.imag], axis=-1)
+    return _of_specimen_m(scene, shot, motion_m)
+
+
+def _of_specimen_m(
+    scene: Scene, shot: Shot, motion_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> NDArray[np.float64]:
     # They bring scipy along: the measurement, which imports this file, does without until its first shot is done.
     from hpe_rig.processing.echoes import Motion
     from hpe_rig.processing.harmonic import least_squares
@@ -36,8 +50,18 @@ def true_harmonics_m(
     motion = Motion(
         time_s - shot.timeline.reference_s, motion_m(time_s), np.zeros(time_s.size), np.ones(time_s.size, bool)
     )
-    fit = least_squares(motion, list(scene.wanted_frequencies_hz))
+    also_hz = _also_hz(scene, float(sensing_s[-1] - sensing_s[0]))
+    fit = least_squares(motion, list(scene.wanted_frequencies_hz), also_hz=also_hz)
     return np.stack([fit.amplitude_m * np.cos(fit.phase_rad), fit.amplitude_m * np.sin(fit.phase_rad)], axis=-1)
+
+
+def _also_hz(scene: Scene, length_s: float) -> NDArray[np.float64]:
+    """Return the frequencies to fit along (frequency,): none where the instants make them orthogonal to the wanted."""
+    if scene.excitation is None:
+        return np.zeros(0)
+    number = np.array(scene.wanted_frequencies_hz) / scene.excitation.burst_rate_hz
+    orthogonal = length_s * scene.excitation.burst_rate_hz >= 1 and np.allclose(number, np.rint(number), 1e-9, 1e-9)
+    return np.zeros(0) if orthogonal else driven_frequencies_hz(scene)
 
 
 def _instants_s(scene: Scene, length_s: float) -> NDArray[np.float64]:

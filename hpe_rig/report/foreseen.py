@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from hpe_rig.plan import Shot
 from hpe_rig.prediction import conditions_of, predict
 from hpe_rig.result import Estimate, ShotResult
 from hpe_rig.scene import Estimator, Scene
 
-DRAWS = 300
-"""Speckles drawn for a prediction: its standard deviations are good to 4 %, 1 / sqrt(2 DRAWS)."""
-
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """Predicted and stated for one frequency: bias and standard deviations from noise and from speckle."""
+    """Predicted and stated for one frequency: bias, noise of a quadrature, standard deviation from speckle."""
 
     estimate: Estimate
     bias_m: float
@@ -24,22 +22,20 @@ class Foreseen:
     phase_rad: float
 
 
-def foreseen(scene: Scene, shot: ShotResult, estimator: Estimator) -> tuple[Foreseen, ...]:
-    """Return the prediction for each estimate of ``shot``, for its amplitude and the number of its pulses.
+def foreseen(scene: Scene, planned: Shot, shot: ShotResult, estimator: Estimator) -> tuple[Foreseen, ...]:
+    """Return the prediction for each estimate of ``shot``, for its amplitude and the pulses ``planned``.
 
     Empty where the scene has no [beams] or nothing says how strong the noise is.
     """
-    return tuple(_each(scene, shot, estimator))
+    return tuple(_each(scene, planned, shot, estimator))
 
 
-def _each(scene: Scene, shot: ShotResult, estimator: Estimator) -> Iterator[Foreseen]:
+def _each(scene: Scene, planned: Shot, shot: ShotResult, estimator: Estimator) -> Iterator[Foreseen]:
     for item in shot.estimates:
         if not item.amplitude_m > 0:
             continue
-        # The prediction is for a scene's first frequency, at the amplitude that it expects.
-        asked = {"frequencies_hz": (item.frequency_hz,), "expected_amplitude_m": item.amplitude_m}
-        conditions = conditions_of(scene.model_copy(update={"processing": scene.processing.model_copy(update=asked)}))
+        conditions = conditions_of(scene, planned, item.frequency_hz, estimator)
         if conditions is None:
             return
-        (found,) = predict(replace(conditions, pulses=shot.pulses_used), (estimator,), DRAWS).expected
-        yield Foreseen(item, found.bias_m, found.noise_jitter_m, found.speckle_jitter_m, found.phase_jitter_rad)
+        (found,) = predict(replace(conditions, amplitude_m=item.amplitude_m), (estimator,)).expected
+        yield Foreseen(item, found.bias_m, found.quadrature_m, found.speckle_jitter_m, found.phase_jitter_rad)

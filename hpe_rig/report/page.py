@@ -24,6 +24,7 @@ from hpe_rig.report.svg import Picture
 from hpe_rig.report.sweep import Sweep, make_sweep
 from hpe_rig.report.views import MotionView, echo_view, gate_alone, motion_view
 from hpe_rig.result import Estimate, Result, ShotResult, Stages, shot_warnings
+from hpe_rig.scene import Scene
 from hpe_rig.store import StoreError, reason
 
 MOST_ROWS = 1000
@@ -100,11 +101,11 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
         checks=checks,
         errors=error_stages(shown, motion),
         findings=run.findings,
-        foreseen=foreseen(run.scene, shown, result.estimator),
+        foreseen=foreseen(_scene_of(run, shown), run.plan.shots[shown.shot], shown, result.estimator),
         settings=report_provenance.settings(path, shown.shot),
         attributes=report_provenance.attributes(path, [f"version_{name}" for name in result.versions]),
         fingerprint=report_provenance.fingerprint(path),
-        facts=[*_facts(run, result), *_dose(run)],
+        facts=[*_facts(run, result), *_dose(run, shown)],
         strongest=strongest(shown),
         most_rows=MOST_ROWS,
         longest_text=LONGEST_TEXT,
@@ -201,10 +202,19 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
     ]
 
 
-def _dose(run: Run) -> list[tuple[str, str]]:
+def _scene_of(run: Run, shown: ShotResult) -> Scene:
+    """Return the scene at the pulse rate and with the slow-time window of the shown shot."""
+    rates = [rate for rate in run.scene.rates if rate.tracking.pulse_rate_hz == shown.pulse_rate_hz]
+    windows = [window for rate in rates for window in rate.windows]
+    own = [window for window in windows if window.processing.window_length_s == shown.window_length_s]
+    return (own or [run.scene])[0]
+
+
+def _dose(run: Run, shown: ShotResult) -> list[tuple[str, str]]:
     """Return the acoustic output by the bench file's calibration, the detection floor, and what the limits let move."""
     output = [("acoustic output", finding.text) for finding in run.findings if finding.check == "acoustic output"]
-    lines = [text.partition(": ") for text in detection_text(run.scene, run.stored.simulated)]
+    scene, shot = _scene_of(run, shown), run.plan.shots[shown.shot]
+    lines = [text.partition(": ") for text in detection_text(scene, run.stored.simulated, shot)]
     return output + [(name, text) for name, _, text in lines]
 
 

@@ -6,6 +6,7 @@ from .accuracy.motion import (
     gate as gate,
     twin_echoes as twin_echoes,
 )
+from .accuracy.own_scene import write_own_scene as write_own_scene
 from .accuracy.report import (
     Effort as Effort,
     write_accuracy as write_accuracy,

@@ -209,7 +209,8 @@ class Acoustics:
             shape,
             _after_arrival_s(sample_ps, arrival_s),
             self._settings.sound_speed_m_per_s,
-            _ECHO_TOLERANCE if self._medium is None else _FIELD_ECHO_TOLERANCE,
+            self._settings.scatterers.echo_tolerance
+            or (_ECHO_TOLERANCE if self._medium is None else _FIELD_ECHO_TOLERANCE),
             shift_s=(age_ps - age_ps[0]) / PS_PER_S,
         )
         block *= strength_v[burst, None]

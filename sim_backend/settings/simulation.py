@@ -179,6 +179,8 @@ class Scatterers(Section):
     """Reflectivity of each scatterer: 1 (paper), +1 or -1, or standard normal."""
     reflectors: tuple[Reflector, ...] = ()
     """Point and plane reflectors besides the scatterers."""
+    echo_tolerance: Annotated[float, Field(gt=0, lt=1)] | None = None
+    """Relative rms error allowed in the echoes; absent: 1e-8, or 2e-7 where the medium's own field moves them."""
     attenuation_db_per_cm_mhz: NonNegative = 0.0
     """Loss one way; echoes from the focus lose their high frequencies (assumed: none; soft tissue 0.5)."""
 

@@ -1,24 +1,70 @@
-"""Check that a simulated bench has something to measure, and at which sound speed."""
+"""Checks of a simulated bench: a specimen in the gate, of the sound speed assumed, and no motion that aliases."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hpe_rig.bench import BenchFile, twin_of
+from hpe_rig.bench import BenchFile, TwinDeclaration, twin_of
 from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import DEFAULT_SPECIMEN, Scene, has_default_specimen
 
 
 def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
-    """Yield whether the twin has a specimen, and its sound speed is the one assumed."""
-    if not bench.simulated:
+    """Yield whether the twin has a specimen, in the gate, whose sound speed and motion are what the scene assumes."""
+    twin = twin_of(scene) if bench.simulated else None
+    if twin is None:
         return
     if has_default_specimen(scene):
         text = f"{DEFAULT_SPECIMEN}, in focus at the gate: the scene has no [simulation]"
         yield CheckResult("simulated specimen", "passed", text)
-    twin, assumed = twin_of(scene), scene.acquisition.sound_speed_m_per_s
-    if twin is not None and twin.sound_speed_m_per_s != assumed:
+    assumed = scene.acquisition.sound_speed_m_per_s
+    if twin.sound_speed_m_per_s != assumed:
         text = f"simulation.sound_speed_m_per_s = {twin.sound_speed_m_per_s:g} m/s, "
         text += f"the gate assumes acquisition.sound_speed_m_per_s = {assumed:g} m/s"
         yield CheckResult("sound speed", "warning", text, "equal values, unless the mismatch is what is studied")
+    yield from _focus(scene, twin)
+    yield from _unwanted_motion(scene, twin, plan)
+
+
+def _focus(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
+    """Yield whether the gate, at the depth that its echoes really come from, holds the focus and anything at all."""
+    acquisition = scene.acquisition
+    # The gate is a time after the pulse: another sound speed moves it in depth.
+    depth_m = acquisition.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s
+    off_m, half_m = abs(depth_m - twin.focus_depth_m), acquisition.gate_length_m / 2
+    if off_m <= half_m * (1 + 1e-9):
+        return
+    text = f"the gate's middle lies {depth_m * 1e3:.4g} mm deep in the twin's medium "
+    text += f"(acquisition.gate_depth_m = {acquisition.gate_depth_m:g} m), its focus at simulation.beams.focus_depth_m "
+    text += f"= {twin.focus_depth_m:g} m"
+    remedy = "equal depths and sound speeds, unless the offset is what is studied"
+    pulse_m = scene.tracking.cycles / scene.tracking.carrier_hz * acquisition.sound_speed_m_per_s / 2
+    declared_m = None if scene.beams is None else scene.beams.pulse_length_m
+    if off_m > twin.echo_reach_m + half_m + (declared_m or pulse_m):
+        text += f": nothing echoes more than {twin.echo_reach_m * 1e3:g} mm from the focus, the gate would hold noise"
+        yield CheckResult("gate in focus", "refused", text, remedy)
+        return
+    text += ": the gate does not hold the focus, so echo, motion and beams in it are not those assumed"
+    yield CheckResult("gate in focus", "warning", text, remedy)
+
+
+def _unwanted_motion(scene: Scene, twin: TwinDeclaration, plan: Plan) -> Iterator[CheckResult]:
+    """Yield which prescribed motion the pulses cannot tell from a wanted frequency."""
+    rate_hz = scene.tracking.pulse_rate_hz
+    train_s = plan.shots[0].capture.record_count / rate_hz - scene.processing.window_start_s
+    apart_hz = 1 / min(scene.processing.window_length_s or train_s, train_s) if train_s > 0 else 0.0
+    for moving_hz, amplitude_m in twin.prescribed:
+        seen_hz = abs(moving_hz - rate_hz * round(moving_hz / rate_hz))
+        near = [
+            hz for hz in scene.wanted_frequencies_hz if abs(seen_hz - hz) < apart_hz * (1 - 1e-9) and hz != moving_hz
+        ]
+        if not near or amplitude_m == 0:
+            continue
+        text = f"[[simulation.motion]] moves {amplitude_m * 1e9:g} nm at {moving_hz:g} Hz, which "
+        text += (
+            f"tracking.pulse_rate_hz = {rate_hz:g} Hz shows at {seen_hz:g} Hz, less than {apart_hz:.3g} Hz (one over "
+        )
+        text += f"the window) from the wanted {', '.join(f'{hz:g}' for hz in near)} Hz: amplitude and phase hold both"
+        remedy = "another pulse rate, processing.frequencies_hz with that frequency as well, or a longer window"
+        yield CheckResult("motion aliased", "warning", text, remedy)

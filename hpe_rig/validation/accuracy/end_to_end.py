@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from hpe_rig.prediction import beam_averaging_factor, force_spectrum, scatterer_density
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, spec_of
 from hpe_rig.report import MARKS, label_decades, mark
+from hpe_rig.validation.accuracy.work_precision import pareto
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
@@ -103,15 +104,6 @@ def rows(
     found = [row for varied, way in chosen or ways() for row in _of_way(varied, way, realisations, seed)]
     front = set(pareto([row.time_s for row in found], [row.error for row in found]))
     return [replace(row, on_front=index in front) for index, row in enumerate(found)]
-
-
-def pareto(times_s: Sequence[float], errors: Sequence[float]) -> list[int]:
-    """Return the indices, by ascending time, of the points that no other beats in both time and error."""
-    front: list[int] = []
-    for index in sorted(range(len(times_s)), key=lambda k: (times_s[k], errors[k])):
-        if not math.isnan(errors[index]) and (not front or errors[index] < errors[front[-1]]):
-            front.append(index)
-    return front
 
 
 def amplitudes(way: Way, realisations: int, seed: int) -> Floats:

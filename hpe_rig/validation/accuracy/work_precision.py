@@ -64,6 +64,15 @@ def grouped(rows: Iterable[Row], key: Callable[[Row], Group]) -> dict[Group, lis
     return found
 
 
+def pareto(times_s: Sequence[float], errors: Sequence[float]) -> list[int]:
+    """Return the indices, by ascending time, of the points that no other beats in both time and error."""
+    front: list[int] = []
+    for index in sorted(range(len(times_s)), key=lambda k: (times_s[k], errors[k])):
+        if not math.isnan(errors[index]) and (not front or errors[index] < errors[front[-1]]):
+            front.append(index)
+    return front
+
+
 def file_mistakes(output: Path | None, figure: Path | None) -> list[Mistake]:
     """Return what is wrong with the names of a table, ``.csv`` or ``.json``, and of a figure; absent ones are right."""
     found = []

@@ -49,6 +49,8 @@ expected_snr_db = 20.0
 expected_amplitude_m = 1e-7
 [simulation]
 seed = 1
+[simulation.beams]
+focus_depth_m = 20.0e-3
 """
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from hpe_rig.acquire.run import prepare, prepare_text
+from hpe_rig.plan import select
 from hpe_rig.prediction.bounds import harmonic_bound
 from hpe_rig.prediction.error_model import Conditions, draw_speckle, expected
 from hpe_rig.prediction.forecast import conditions_of, predict, remedies
+from hpe_rig.prediction.linear_fit import noise_gain
 from hpe_rig.prediction.text import prediction_text
 from hpe_rig.processing import Estimator
 from hpe_rig.scene.scene import parse_scene, scene_text
@@ -98,19 +102,20 @@ def test_trigger_jitter_adds_to_the_noise_and_no_snr_takes_it_away(table_one: Co
 
 
 def test_check_prints_every_estimator_and_what_reaches_the_target() -> None:
-    text = "\n".join(prediction_text(parse_scene(*scene_text("table-1")).scene, 1e-9))
+    setup = prepare("table-1")
+    text = "\n".join(prediction_text(setup.scene.scene, setup.plan.shots[0], 1e-9))
     for word in ("joint", "cross_spectrum", "target 1 nm with coherent: not reached", "N_c = 14", "beyond c/2z"):
         assert word in text
 
 
 def test_harmonics_fitted_along_over_skipped_pulses_cost_what_the_fit_says() -> None:
-    from hpe_rig.acquire.run import prepare
-    from hpe_rig.prediction.detection import fit_gain
-
     gains = {}
     for name in ("bovine-muscle", "bovine-muscle-synchronous"):
-        setup = prepare(name, refuse=False)
-        gains[name] = fit_gain(setup.scene.scene, setup.plan.shots[0])
+        text = scene_text(name)[1].replace("[processing]\n", '[processing]\nharmonic = "least_squares"\n')
+        setup = prepare_text(name, text, refuse=False)
+        shot = setup.plan.shots[0]
+        alone = math.sqrt(2 / select(setup.scene.scene, shot).used.sum())
+        gains[name] = float(noise_gain(setup.scene.scene, shot).max()) / alone
     # 40 instants a period and none left out: all columns are at right angles
     assert gains["bovine-muscle-synchronous"] == pytest.approx(1.0, abs=1e-3)
     # a tenth of the period is never seen: high harmonics stand in for what happens there
@@ -128,4 +133,4 @@ def test_without_beams_or_snr_the_prediction_says_what_it_needs() -> None:
     scene = parse_scene(*scene_text("table-1")).scene
     bare = scene.model_copy(update={"beams": None})
     assert conditions_of(bare) is None
-    assert "needs [beams]" in "\n".join(prediction_text(bare))
+    assert "needs [beams]" in "\n".join(prediction_text(bare, prepare("table-1").plan.shots[0]))

@@ -1,0 +1,51 @@
+"""Expected amplitude and SNR of a scene: as it says, else as its twin simulates."""
+
+from __future__ import annotations
+
+import math
+
+from hpe_rig.bench import twin_of
+from hpe_rig.plan import Shot
+from hpe_rig.prediction.theory import force_spectrum
+from hpe_rig.scene import Scene
+
+FLOOR_M = 100e-9
+"""Amplitude predicted for where none is known: the lower end of what the paper's bench detects."""
+
+
+def expected_snr_db(scene: Scene) -> float | None:
+    """Return the SNR that the scene expects or that its twin simulates; None where neither says."""
+    if scene.processing.expected_snr_db is not None:
+        return scene.processing.expected_snr_db
+    twin = twin_of(scene)
+    return None if twin is None else twin.snr_db
+
+
+def expected_amplitude_m(scene: Scene, frequency_hz: float, shot: Shot | None = None) -> float:
+    """Return the amplitude at ``frequency_hz`` that the scene expects, or its twin prescribes or moves its specimen by.
+
+    ``shot`` says by which force and burst length; absent, the scene's first.
+    """
+    if scene.processing.expected_amplitude_m is not None:
+        return scene.processing.expected_amplitude_m
+    twin = twin_of(scene)
+    if twin is None:
+        return FLOOR_M
+    if twin.has_specimen:
+        drive = relative_drive(scene, frequency_hz, shot)
+        return drive * twin.steady_response_m(frequency_hz) if drive > 0 else FLOOR_M
+    prescribed = abs(twin.prescribed_phasor_m(frequency_hz))
+    return prescribed if prescribed > 0 else FLOOR_M
+
+
+def relative_drive(scene: Scene, frequency_hz: float, shot: Shot | None = None) -> float:
+    """Return the amplitude of the force at ``frequency_hz`` over F_0; 0 where nothing drives it."""
+    excitation = scene.excitation
+    if excitation is None:
+        return 0.0
+    harmonic = round(frequency_hz / excitation.burst_rate_hz)
+    if harmonic == 0 or not math.isclose(harmonic * excitation.burst_rate_hz, frequency_hz, rel_tol=1e-6):
+        return 0.0
+    length_s = (shot.timeline.burst_length_s if shot is not None else 0.0) or excitation.burst_length_s[0]
+    fraction = (shot.force_fraction if shot is not None else None) or excitation.force_fraction[0]
+    return 2 * abs(complex(force_spectrum(harmonic, excitation.burst_rate_hz, length_s))) * fraction

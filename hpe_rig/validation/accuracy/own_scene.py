@@ -1,0 +1,286 @@
+"""Error against run time on one's own scene: estimators, harmonic fits, gates, echo tolerances and fields.
+
+One thing is varied at a time; all else, field, chain and jitter among it, is as the scene has it. Every seed draws new
+scatterers and new noise, the same for all ways, so that their differences are better known than each. Ways that differ
+in the estimation alone share the records: they are measured once a seed, through the same functions as
+``hpe-rig run``.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.acquire import Run, measure, planned, prepare
+from hpe_rig.bench import twin_of
+from hpe_rig.processing import ESTIMATORS
+from hpe_rig.result import Result, text_table
+from hpe_rig.scene import Mistake, Processing, Scene, SettingsError, with_default_specimen
+from hpe_rig.store import StoreError
+from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped, pareto, write_rows
+
+Floats = NDArray[np.float64]
+
+SEEDS, QUICK_SEEDS = 20, 8
+QUICK_S = 40.0
+"""Wall time after which no further seed is begun, at the pace of those before, where it has to be quick."""
+TOLERANCES = (1e-3, 1e-5, 1e-10)
+GATES = (0.5, 1.5, 2.0)
+"""Gate lengths over the scene's own."""
+OWN = "own settings"
+BUYS: Mapping[str, str] = {
+    "estimator": "least noise at any SNR, and motion of many wavelengths is followed",
+    "harmonic": "a fit that stays true for media, noise and gaps other than this scene's",
+    "gate": "resolution in depth: a longer gate averages over more of the medium",
+    "echo tolerance": "echoes good to a thousandth of a code of the digitizer, whatever is compared on them",
+    "field": "the medium's own field in the twin, which the Gaussian of eq. (12) replaces by an assumption",
+}
+"""What the scene's own choice is good for besides error and run time, by what is varied."""
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """One change of the scene; ``acquired``: of what is simulated, so that it needs records of its own."""
+
+    varied: str
+    setting: str
+    values: Mapping[str, Any]
+    acquired: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SceneRow:
+    """One way: errors of the amplitudes of all wanted frequencies together, relative to the true ones.
+
+    Of the amplitude corrected for the beams' averaging, where it is predicted. NaN where the way gives no estimate.
+    """
+
+    varied: str
+    setting: str
+    bias: float
+    """Length of the mean error over the seeds; known to ``sd`` over the root of their number."""
+    sd: float
+    """Standard deviation over the seeds."""
+    error: float
+    """Root mean square: bias and standard deviation together."""
+    time_s: float
+    """Mean processor time from scene to result."""
+    estimation_s: float
+    """Of it, from records to result."""
+    seeds: int
+    own: bool
+    """Whether this is the scene as it is."""
+    on_front: bool = False
+    """Whether no other way is as good in less time."""
+
+
+def write_own_scene(
+    source: str, bench: Path | None, seeds: int | None, quick: bool, output: Path | None, figure: Path | None,
+    show: Callable[[str], None], tell: Callable[[str], None],
+) -> None:  # fmt: skip
+    """Measure every way on the scene ``source`` and write or show the table; ``tell`` gets the progress.
+
+    Raises ``SettingsError`` for a scene with mistakes and a bench that is none of the simulated ones.
+    """
+    setup = prepare(source, bench)
+    if not setup.bench.bench.simulated:
+        mistake = Mistake("--bench", "errors are known where the truth is: on a simulated bench", "none, or another")
+        raise SettingsError("command line", [mistake])
+    scene = one_shot(setup.scene.scene)
+    most = seeds or (QUICK_SEEDS if quick else SEEDS)
+    rows = scene_rows(scene, bench, ways(scene), most, QUICK_S if quick else math.inf, tell)
+    write_rows(rows, output, figure, draw_scene, show, scene_text)
+
+
+def one_shot(scene: Scene) -> Scene:
+    """Return the scene with its first force, burst length, pulse rate and window alone, once."""
+    scene = with_default_specimen(scene).rates[0].windows[0].model_copy(update={"sweep": type(scene.sweep)()})
+    values: dict[str, Any] = {"acquisition.repeats": 1}
+    if scene.excitation is not None:
+        values["excitation.force_fraction"] = [scene.excitation.force_fraction[0]]
+        values["excitation.burst_length_s"] = [scene.excitation.burst_length_s[0]]
+    return scene.with_(values)
+
+
+def ways(scene: Scene) -> list[Way]:
+    """Return what is varied on ``scene``, itself first."""
+    twin, processing, gate_m = twin_of(scene), scene.processing, scene.acquisition.gate_length_m
+    found = [Way(OWN, processing.estimator, {})]
+    found += [Way("estimator", n, {"processing.estimator": n}) for n in ESTIMATORS if n != processing.estimator]
+    found += [
+        Way("harmonic", name, {"processing.harmonic": name})
+        for name in _choices(Processing.model_fields["harmonic"].annotation)
+        if name != processing.harmonic
+    ]
+    found += [
+        Way("gate", f"{gate_m * share * 1e3:g} mm", {"acquisition.gate_length_m": gate_m * share}) for share in GATES
+    ]
+    found += [
+        Way("echo tolerance", f"{value:g}", {"simulation.scatterers.echo_tolerance": value}, True)
+        for value in TOLERANCES
+    ]
+    if twin is not None and twin.settings.specimen is not None:
+        other = "gaussian" if twin.settings.specimen.field == "medium" else "medium"
+        found.append(Way("field", other, {"simulation.specimen.field": other}, True))
+    return found
+
+
+def scene_rows(
+    scene: Scene,
+    bench: Path | None,
+    chosen: Sequence[Way],
+    seeds: int,
+    longest_s: float = math.inf,
+    tell: Callable[[str], None] = lambda _: None,
+) -> list[SceneRow]:
+    """Return a row for every way over at most ``seeds`` seeds, at least two; fewer where ``longest_s`` would pass."""
+    found: list[list[_Trial]] = []
+    start_s = time.perf_counter()
+    for seed in range(1, seeds + 1):
+        pace_s = (time.perf_counter() - start_s) / max(len(found), 1)
+        if len(found) >= 2 and time.perf_counter() - start_s + pace_s > longest_s:
+            tell(f"no time for more than {len(found)} of {seeds} seeds")
+            break
+        found.append(list(_of_seed(scene, bench, chosen, seed, f"seed {seed} of {seeds}", tell)))
+    rows = [_row(way, [each[k] for each in found]) for k, way in enumerate(chosen)]
+    front = set(pareto([row.time_s for row in rows], [row.error for row in rows]))
+    return [replace(row, on_front=k in front) for k, row in enumerate(rows)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """One way at one seed: errors and true amplitudes (frequency,), m, and processor times."""
+
+    error_m: Floats
+    true_m: Floats
+    time_s: float
+    estimation_s: float
+
+
+def _of_seed(
+    scene: Scene, bench: Path | None, chosen: Sequence[Way], seed: int, name: str, tell: Callable[[str], None]
+) -> Iterator[_Trial]:
+    seeded = scene.with_({"simulation.seed": seed})
+    with tempfile.TemporaryDirectory() as folder:
+        if seed == 1:
+            # Once unmeasured: what is compiled, imported or kept is so by the first run.
+            measure(seeded, bench, Path(folder) / "first.h5").estimate()
+        shared, shared_s = _timed(lambda: measure(seeded, bench, Path(folder) / "shared.h5"))
+        for number, way in enumerate(chosen):
+            tell(f"{name}: {way.varied} {way.setting}")
+            run, run_s = shared, shared_s
+            if way.acquired:
+                changed, path = seeded.with_(way.values), Path(folder) / f"{number}.h5"
+                run, run_s = _timed(lambda changed=changed, path=path: measure(changed, bench, path))  # type: ignore[misc]
+            elif way.values:
+                run = _changed(shared, seeded.with_(way.values))
+            yield _trial(run, run_s)
+
+
+def _changed(run: Run, scene: Scene) -> Run:
+    """Return the run as if ``scene`` had asked for it: the same records, estimated in another way."""
+    plan, findings = planned(scene, run.bench)
+    return replace(run, scene=scene, plan=plan, findings=findings)
+
+
+def _trial(run: Run, run_s: float) -> _Trial:
+    try:
+        result, estimation_s = _timed(run.estimate)
+    except StoreError:
+        nothing = np.full(len(run.scene.wanted_frequencies_hz), np.nan)
+        return _Trial(nothing, nothing, run_s, math.nan)
+    found_m, true_m = _amplitudes_m(result)
+    return _Trial(found_m - true_m, true_m, run_s + estimation_s, estimation_s)
+
+
+def _amplitudes_m(result: Result) -> tuple[Floats, Floats]:
+    """Return found, corrected where that is predicted, and true amplitudes (frequency,)."""
+    each = result.shots[0].estimates
+    found = [e.amplitude_m if e.corrected_amplitude_m is None else e.corrected_amplitude_m for e in each]
+    return np.array(found), np.array([e.true_amplitude_m or 0.0 for e in each])
+
+
+def _row(way: Way, trials: Sequence[_Trial]) -> SceneRow:
+    error_m, scale_m = np.array([t.error_m for t in trials]), np.linalg.norm(trials[0].true_m)
+    bias, sd = np.linalg.norm(error_m.mean(axis=0)), np.linalg.norm(error_m.std(axis=0, ddof=1))
+    return SceneRow(
+        varied=way.varied,
+        setting=way.setting,
+        bias=float(bias / scale_m),
+        sd=float(sd / scale_m),
+        error=float(np.sqrt(np.mean(np.sum(error_m**2, axis=1))) / scale_m),
+        time_s=float(np.mean([t.time_s for t in trials])),
+        estimation_s=float(np.mean([t.estimation_s for t in trials])),
+        seeds=len(trials),
+        own=way.varied == OWN,
+    )
+
+
+def scene_text(rows: Sequence[SceneRow]) -> str:
+    """Return the table, and what the scene's own settings buy where they are not on the front."""
+    cells = (
+        (row.varied, row.setting, *_percents(row), f"{row.time_s:.3f}", f"{row.estimation_s:.3f}", _mark(row))
+        for row in rows
+    )
+    headers = ("varied", "setting", "bias %", "sd %", "rms error %", "time s", "estimation s", "")
+    return "\n".join([text_table(headers, cells, words=2), "", *_verdict(rows)])
+
+
+def _percents(row: SceneRow) -> tuple[str, ...]:
+    return tuple("gave up" if math.isnan(each) else f"{100 * each:.3g}" for each in (row.bias, row.sd, row.error))
+
+
+def _mark(row: SceneRow) -> str:
+    return ", ".join(word for word, true in (("own", row.own), ("front", row.on_front)) if true)
+
+
+def _verdict(rows: Sequence[SceneRow]) -> Iterator[str]:
+    own = next(row for row in rows if row.own)
+    # Of n seeds and Gaussian errors a root mean square is known to one part in sqrt(2 n).
+    known = own.error / math.sqrt(2 * own.seeds)
+    yield (
+        f"{own.seeds} seeds; rms errors are known to {100 / math.sqrt(2 * own.seeds):.2g} % of themselves, times are "
+        "of the processor"
+    )
+    if own.on_front:
+        yield "the scene's own settings lie on the Pareto front: nothing tried is as good in less time"
+        return
+    better = [row for row in rows if row.time_s <= own.time_s and row.error <= own.error and not row.own]
+    for row in better:
+        gain = own.error - row.error
+        words = "within what the seeds tell" if gain < known else f"{100 * gain:.2g} % of the amplitude less error"
+        yield (
+            f"{row.varied} {row.setting} beats the scene's own settings: {words}, {own.time_s - row.time_s:.2g} s "
+            f"faster; what they buy: {BUYS[row.varied]}"
+        )
+
+
+def draw_scene(rows: Sequence[SceneRow], path: Path) -> None:
+    """Draw error against run time, a panel a thing varied, the scene's own settings in each."""
+    own, known = next(row for row in rows if row.own), [row for row in rows if row.error > 0]
+    panels = {
+        varied: {row.setting: [(row.time_s, row.error)] for row in (own, *some)}
+        for varied, some in grouped((row for row in known if not row.own), lambda row: row.varied).items()
+    }
+    draw_panels(panels, path, "processor time (s)", "rms error / true amplitude")
+
+
+def _timed(run: Callable[[], Any]) -> tuple[Any, float]:
+    start_s = time.process_time()
+    found = run()
+    return found, time.process_time() - start_s
+
+
+def _choices(annotation: Any) -> list[str]:
+    """Return the words that an annotation of literals, optional or not, takes."""
+    if isinstance(annotation, str):
+        return [annotation]
+    return [word for part in get_args(annotation) for word in _choices(part)]

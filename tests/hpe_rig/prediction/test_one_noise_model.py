@@ -1,0 +1,81 @@
+"""`check`, report and design print the same detection floor and the same noise for the same scene."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from hpe_rig.acquire.api import check, measure
+from hpe_rig.acquire.run import prepare
+from hpe_rig.design.command import _column
+from hpe_rig.design.problem import Constraints, Problem
+from hpe_rig.prediction.detection import detection_floor
+from hpe_rig.prediction.forecast import forecast_of
+from hpe_rig.report.page import write_report
+from hpe_rig.scene.scene import load_scene, shipped_scenes
+from hpe_rig.validation.accuracy.own_scene import one_shot
+
+FAST = {"bovine-muscle", "table-1"}
+NAMES = [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in shipped_scenes()]
+
+
+def printed(pattern: str, text: str) -> str:
+    found = re.search(pattern, text)
+    assert found, (pattern, text[-2000:])
+    return found[1]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_page_prints_the_same_floor_and_the_same_noise(name: str, tmp_path: Path) -> None:
+    scene = one_shot(load_scene(name))
+    checked = str(check(scene))
+    floor = printed(r"detection floor: (\S+) nm", checked)
+    page = tmp_path / "report.html"
+    run = measure(scene, path=tmp_path / "run.h5")
+    write_report(run.path, output=page)
+    html = page.read_text(encoding="utf-8")
+    assert printed(r"<dt>detection floor</dt><dd>(\S+) nm", html) == floor
+    if "prediction: left out" in checked:
+        return
+    setup = prepare(scene, refuse=False)
+    problem = Problem(setup, tomllib.loads(setup.scene.text), (), "jitter", Constraints(1.0))
+    designed = _column(problem, problem.judged(problem.start), 0, 0)
+    assert designed["detection floor"] == f"{floor} nm"
+    estimator, hz = scene.processing.estimator, scene.wanted_frequencies_hz[0]
+    noise = printed(rf"\n  {estimator} +\S+ nm +(\S+) nm", checked)
+    assert designed["noise of a quadrature"] == f"{noise} nm"
+    row = printed(rf'<tr><th scope="row">{hz:g}</th>((?:<td>[^<]*</td>){{6}})\s*</tr>', html)
+    assert re.findall(r"<td>([^<]*)</td>", row)[2] == noise
+
+
+def test_the_floor_is_the_noise_of_the_worst_frequency() -> None:
+    setup = prepare("bovine-muscle", refuse=False)
+    scene, shot = setup.scene.scene, setup.plan.shots[0]
+    each = [forecast_of(scene, shot, hz, ("coherent",)) for hz in scene.wanted_frequencies_hz]
+    worst = max(found.expected[0].quadrature_m for found in each if found is not None)
+    assert detection_floor(scene, True, shot).noise_m == pytest.approx(worst, rel=1e-9)
+
+
+def test_the_stated_uncertainty_is_the_predicted_noise(tmp_path: Path) -> None:
+    run = measure("bovine-muscle", path=tmp_path / "run.h5")
+    found = forecast_of(run.scene, run.plan.shots[0], estimators=("coherent",))
+    assert found is not None
+    first = run.estimate().shots[0].estimates[0]
+    # SNR of this draw of scatterers, noise of 598 residuals, and 0.19 nm of aliasing on 0.77
+    assert first.amplitude_uncertainty_m == pytest.approx(found.error_m(0), rel=0.25)
+
+
+@pytest.mark.parametrize("name", ["bovine-muscle", "bovine-muscle-synchronous", "muscle-force"])
+def test_an_estimator_that_aliasing_biases_is_not_recommended(name: str) -> None:
+    setup = prepare(name, refuse=False)
+    found = forecast_of(setup.scene.scene, setup.plan.shots[0])
+    assert found is not None
+    names = [each.estimator for each in found.expected]
+    coherent, paper = (found.error_m(names.index(each)) for each in ("coherent", "cross_spectrum"))
+    assert coherent < paper
+    best = re.search(r"least noise and aliasing together: (\w+)", str(check(name)))
+    assert best is not None
+    assert best[1] not in ("cross_spectrum", "joint")
