@@ -78,6 +78,7 @@ class TwinDeclaration:
         from sim_backend.motion import background_at
 
         return background_at(self.settings.background, np.rint(time_s * 1e12).astype(np.int64))
+
     @property
     def focus_depth_m(self) -> float:
         """Distance from the transducer to the common focus of the beams, in the middle of the scatterers."""

@@ -31,7 +31,7 @@ def true_harmonics_m(
     displacement at times after the master trigger's edge. Phases as in the result: sine, from ``Timeline.reference_s``.
     """
     twin = twin_of(scene)
-    if twin is not None and twin.prescribes_motion:
+    if twin is not None and twin.prescribed:
         start_s = shot.timeline.reference_s
         each = np.array([twin.prescribed_phasor_m(hz, start_s) for hz in scene.wanted_frequencies_hz], dtype=complex)
         return np.stack([each.real, each.imag], axis=-1)
