@@ -7,9 +7,9 @@ from typing import Protocol, final
 
 import numpy as np
 
-from hpe_rig.acquire import Run, estimates_of, open_run, request_stop, stop_path
+from hpe_rig.acquire import Run, open_run, request_stop, stop_path
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
-from hpe_rig.processing import estimate, options_of, shot_echoes
+from hpe_rig.processing import estimate, estimates_of, options_of, shot_echoes
 from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
 from hpe_rig.store import StoredRun, StoreError
 

@@ -43,7 +43,8 @@ class HarmonicFit:
     ``covariance`` (..., frequency, 2, 2) of (amplitude, phase); ``state`` (..., state) and ``state_covariance``
     (..., state, state) in m and m^2; ``background_m`` (...), its mean, 0 where the chain removes it;
     ``residual_rms_m`` (...), displacement noise of one pulse; ``pulses``: how many were used; ``condition``: of the
-    model, 1 when every state is seen on its own; ``innovations`` where a filter was asked for them.
+    model, 1 when every state is seen on its own; ``innovations`` where a filter was asked for them; ``aliasing``
+    (..., frequency, 2, 2): what of ``covariance`` unresolved harmonics leave, None where it is noise alone.
     """
 
     frequency_hz: FloatArray
@@ -57,6 +58,7 @@ class HarmonicFit:
     pulses: int
     condition: float = np.nan
     innovations: Innovations | None = None
+    aliasing: FloatArray | None = None
 
 
 def least_squares(

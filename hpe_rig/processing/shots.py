@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
+from hpe_rig.processing.budget import Known, estimates_of, known_of
 from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlike_pulses
 from hpe_rig.processing.echoes import EchoGate, Motion, relative_to
 from hpe_rig.processing.estimators import EstimatorSpec, Options, estimate, fit_motion, spec_of
@@ -16,38 +17,59 @@ from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
-from hpe_rig.result import Averaging, Estimate, ShotResult
+from hpe_rig.result import Averaging, ShotResult
 from hpe_rig.scene import Processing, Scene
 from hpe_rig.store import ShotRecords, StoredRun
 
 LARGE_STEP = 0.8
 """Quarter wavelengths a pulse from which on the next period of the carrier is close."""
 LARGE_CONDITION = 10.0
+NO_RECORDS = "no record of it was acquired"
 DETECTED = 3.0
 """Amplitude over its uncertainty below which a harmonic may be noise: it exceeds that by chance in 1 % of cases."""
 
 
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """Results of the shots of a run, and of those that have none the reason, by the shot's index from 0."""
+
+    shots: tuple[ShotResult, ...]
+    without: Mapping[int, str]
+
+
 def estimate_run(
     scene: Scene, plan: Plan, stored: StoredRun, estimator: str, averaging: tuple[Averaging | None, ...]
-) -> tuple[ShotResult, ...]:
+) -> Estimates:
     """Return the estimates of every shot that has records, with the ``averaging`` at each wanted frequency beside them.
 
-    Raises ``ValueError`` where they cannot be made.
+    A shot that cannot be estimated, such as one in which the run stopped, costs no other its result.
     """
-    spec, results = spec_of(estimator), []
+    spec, results, without = spec_of(estimator), list[ShotResult](), dict[int, str]()
     for shot in plan.shots:
-        # Of a long record only the gate comes into memory.
-        records = stored.records.gated(shot.index, shot.gate)
-        if not records.valid.any():
-            continue
-        true_m = None
-        if stored.true_displacement_m is not None:
-            true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
-        reference = reference_gate(scene, shot)
-        still = None if reference is None else stored.records.gated(shot.index, reference)
-        for window in scene.windows:
-            results.append(_estimate_shot(window, shot, records, still, true_m, spec, averaging))
-    return tuple(results)
+        try:
+            results += _windows_of_shot(scene, shot, stored, spec, averaging)
+        except ValueError as error:
+            without[shot.index] = str(error)
+    return Estimates(tuple(results), without)
+
+
+def _windows_of_shot(
+    scene: Scene, shot: Shot, stored: StoredRun, spec: EstimatorSpec, averaging: tuple[Averaging | None, ...]
+) -> list[ShotResult]:
+    """Return the result of each window of one shot; raise ``ValueError`` where one cannot be estimated."""
+    # Of a long record only the gate comes into memory.
+    records = stored.records.gated(shot.index, shot.gate)
+    if not records.valid.any():
+        raise ValueError(NO_RECORDS)
+    true_m = None
+    if stored.true_displacement_m is not None:
+        true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
+    reference = reference_gate(scene, shot)
+    still = None if reference is None else stored.records.gated(shot.index, reference)
+    known = known_of(scene, stored.simulated)
+    each = (_estimate_shot(window, shot, records, still, true_m, spec, averaging, known) for window in scene.windows)
+    complete = bool(stored.shot_complete[shot.index])
+    return [result if complete else replace(result, complete=False) for result in each]
 
 
 def options_of(processing: Processing) -> Options:
@@ -63,6 +85,7 @@ def _estimate_shot(
     true_m: NDArray[np.float64] | None,
     spec: EstimatorSpec,
     averaging: tuple[Averaging | None, ...],
+    known: Known,
 ) -> ShotResult:
     chosen = select(scene, shot)
     full_scale = clipped_pulses(records.codes, records.code_limits)
@@ -88,7 +111,7 @@ def _estimate_shot(
         residual_m=float(fit.residual_rms_m),
         pulse_rate_hz=shot.tracking_train.rate_hz,
         window_length_s=scene.processing.window_length_s,
-        estimates=tuple(_estimate(fit, true_m, index, averaging[index]) for index in range(chosen.wanted_hz.size)),
+        estimates=estimates_of(fit, replace(known, subtracts_jitter=reference is not None), averaging, true_m),
         warnings=(
             *_record_warnings(recorded, recorded & chosen.used & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
@@ -162,27 +185,6 @@ def _fit(
     if reference is not None:
         motion = relative_to(motion, reference)
     return fit_motion(motion, *frequencies, options), float(motion.largest_step)
-
-
-def _estimate(
-    fit: HarmonicFit,
-    true_m: NDArray[np.float64] | None,
-    index: int,
-    averaging: Averaging | None,
-) -> Estimate:
-    known = true_m is not None and bool(np.isfinite(true_m[index]).all())
-    in_phase_m, quadrature_m = true_m[index] if true_m is not None and known else (0.0, 0.0)
-    return Estimate(
-        frequency_hz=float(fit.frequency_hz[index]),
-        amplitude_m=float(fit.amplitude_m[index]),
-        amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
-        phase_rad=float(fit.phase_rad[index]),
-        phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
-        averaging_factor=None if averaging is None else averaging.factor,
-        speckle_relative=None if averaging is None else averaging.speckle_relative,
-        true_amplitude_m=math.hypot(in_phase_m, quadrature_m) if known else None,
-        true_phase_rad=math.atan2(quadrature_m, in_phase_m) if known else None,
-    )
 
 
 def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
