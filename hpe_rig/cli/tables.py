@@ -78,7 +78,7 @@ def _mean_title(mean: RepeatMean) -> str:
 def _mean_row(mean: RepeatMean, known: bool) -> list[str]:
     row = [f"{mean.frequency_hz:g}", *_polar(mean.amplitude_m, mean.amplitude_uncertainty_m)]
     row += _angle(mean.phase_rad, mean.phase_uncertainty_rad)
-    row += [_or_dash(mean.amplitude_sd_m, 1e9, ".2g"), _or_dash(mean.phase_sd_rad, 180 / math.pi, ".2g")]
+    row += [_figure(mean.amplitude_sd_m * 1e9), _figure(math.degrees(mean.phase_sd_rad))]
     row += [f"{mean.chi_square:.1f} of {mean.degrees_of_freedom}", f"{mean.probability:.2g}"]
     if known and mean.true_amplitude_m and mean.true_phase_rad is not None:
         error_rad = math.remainder(mean.phase_rad - mean.true_phase_rad, 2 * math.pi)

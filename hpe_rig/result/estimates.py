@@ -22,7 +22,7 @@ MOST_NUMBERS = 12
 
 @dataclass(frozen=True, slots=True)
 class Averaging:
-    """Predicted tracked over peak displacement at one frequency: ratio ``factor``, phase, and what is not known of them.
+    """Predicted tracked over peak displacement at one frequency: ``factor`` and phase, and what is not known of them.
 
     Speckle changes the tracked amplitude by ``speckle_relative`` and its phase by ``speckle_phase_rad`` from place to
     place; ``factor_uncertainty`` and ``phase_uncertainty_rad`` come from what is not known of the medium, and

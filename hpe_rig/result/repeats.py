@@ -59,10 +59,7 @@ def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
         if shot.complete:
             groups.setdefault(_setting(shot), []).append(shot)
     return tuple(
-        _mean(group, index)
-        for group in groups.values()
-        if len(group) > 1
-        for index in range(len(group[0].estimates))
+        _mean(group, index) for group in groups.values() if len(group) > 1 for index in range(len(group[0].estimates))
     )
 
 

@@ -14,15 +14,33 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Value = str | int | float | bool | None
+FIRST = (
+    "frequency_hz",
+    "corrected_amplitude_m",
+    "corrected_uncertainty_m",
+    "corrected_phase_rad",
+    "corrected_phase_uncertainty_rad",
+)
 
 
 def result_rows(result: Result) -> list[dict[str, Value]]:
-    """Return one row a shot and frequency, in SI units with the unit in every name; unknown is None."""
+    """Return one row a shot and frequency, in SI units with the unit in every name; unknown is None.
+
+    The headline stands first, the components of its uncertainty last.
+    """
     rows: list[dict[str, Value]] = []
     for shot in result.as_dict()["shots"]:
         of_shot = _single_values(shot)
-        rows += [of_shot | _single_values(estimate) for estimate in shot["estimates"]]
+        rows += [of_shot | _estimate_row(estimate) for estimate in shot["estimates"]]
     return rows
+
+
+def _estimate_row(estimate: dict[str, Any]) -> dict[str, Value]:
+    values, row = _single_values(estimate), dict[str, Value]()
+    for each in estimate["components"]:
+        name = each["source"].replace(" ", "_")
+        row |= {f"u_{name}_m": each["amplitude_m"], f"u_{name}_rad": each["phase_rad"]}
+    return {name: values[name] for name in FIRST} | values | row
 
 
 def result_csv(result: Result) -> str:
