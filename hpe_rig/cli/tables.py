@@ -27,10 +27,12 @@ def print_result(result: Result) -> None:
     if result.simulated_specimen:
         console.print(f"simulated specimen: {result.simulated_specimen}")
     for _, means in groupby(result.means, key=lambda mean: mean.shots):
-        console.print()
-        console.print(_mean_table(list(means)))
+        group = list(means)
+        # A title of the table's own would be broken at the table's width.
+        console.print(f"\n{_mean_title(group[0])}", style="bold")
+        console.print(_mean_table(group))
     for shot in result.shots:
-        console.print()
+        console.print(f"\n{_shot_title(shot)}", style="bold")
         console.print(_shot_table(shot))
         if shot.estimates:
             console.print(_budget_line(shot))
@@ -57,7 +59,7 @@ def _shot_table(shot: ShotResult) -> Table:
     headers += ["tracked\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "SNR\ndB"]
     headers += ["true peak\nnm", "error\n%", "error\ndeg"] if known else []
     rows = [_row(estimate, known, corrected) for estimate in shot.estimates]
-    return rich_table(headers, rows, words=0, title=_shot_title(shot))
+    return rich_table(headers, rows, words=0)
 
 
 def _mean_table(means: Sequence[RepeatMean]) -> Table:
@@ -65,7 +67,7 @@ def _mean_table(means: Sequence[RepeatMean]) -> Table:
     name = "peak" if means[0].corrected else "tracked"
     headers = ["f\nHz", f"{name}\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "sd\nnm", "sd\ndeg", "chi-square\n", "p\n"]
     headers += ["true peak\nnm", "error\n%", "error\ndeg"] if known else []
-    return rich_table(headers, [_mean_row(mean, known) for mean in means], words=0, title=_mean_title(means[0]))
+    return rich_table(headers, [_mean_row(mean, known) for mean in means], words=0)
 
 
 def _mean_title(mean: RepeatMean) -> str:
@@ -100,6 +102,10 @@ def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:
         yield f"T_b = {of.burst_length_s * 1e6:g} us"
     if of.force_fraction is not None:
         yield f"F = {of.force_fraction:g} F_0"
+    if of.pulse_rate_hz is not None:
+        yield f"f_prf = {of.pulse_rate_hz:g} Hz"
+    if of.window_length_s is not None:
+        yield f"T_s = {of.window_length_s * 1e3:g} ms"
 
 
 def _row(estimate: Estimate, known: bool, corrected: bool) -> list[str]:

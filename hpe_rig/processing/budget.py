@@ -28,12 +28,13 @@ TRACKED = Averaging(1.0, 0.0, 0.0)
 class Known:
     """What is known of the errors besides a fit: of what the bench does, and of the scale of every displacement.
 
+    Where nothing is said of the sound speed it is as uncertain, relatively, as a scene takes it to be.
     ``trigger_jitter_s``, root mean square, is 0 where nobody states it: it is then within noise, as the residual holds
     both. ``subtracts_jitter``: a reference gate's motion has been subtracted, and the jitter with it.
     """
 
     sound_speed_m_per_s: float = 1540.0
-    sound_speed_uncertainty: float = 0.0
+    sound_speed_uncertainty: float = 0.005
     trigger_jitter_s: float = 0.0
     subtracts_jitter: bool = False
 

@@ -193,7 +193,7 @@ def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_be
     assert re.search(r"shot 1: (?:49|50) of \d+ records are missing", page)
     assert "Over force F / F_0" in page
     slopes = re.findall(r'<tr><th scope="row">100</th><td>T_b = 100 us</td><td>([\d.]+)</td>', page)
-    last = process(run_file).shots[-1].estimates[0].amplitude_m * 1e9
+    last = process(run_file).shots[-1].estimates[0].headline.amplitude_m * 1e9
     # the twin's force is linear: the slope is the amplitude at full force
     assert float(slopes[0]) == pytest.approx(last, rel=0.02)
 
