@@ -11,7 +11,7 @@ import hpe_rig as hpe
 from hpe_rig.result import PALETTE, Estimate
 
 FOLDER = Path(__file__).parent / "figures"
-_, ESTIMATE, *_, PREDICTED, _ = PALETTE
+TRACKED, ESTIMATE, *_ = PALETTE
 
 
 def main() -> None:
@@ -30,21 +30,21 @@ def draw(estimates: tuple[Estimate, ...]) -> Figure:
     figure = Figure(figsize=(8.4, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
     true_nm = np.array([item.true_amplitude_m or np.nan for item in estimates]) * 1e9
-    averaged = np.array([item.averaging_factor or np.nan for item in estimates])
-    spread = np.array([item.speckle_relative or np.nan for item in estimates])
     left.plot(frequency_hz, true_nm, color="0.45", label="true peak displacement")
-    band = (true_nm * averaged * (1 - 2 * spread), true_nm * averaged * (1 + 2 * spread))
-    left.fill_between(frequency_hz, *band, color=PREDICTED, alpha=0.35, lw=0, label="predicted, 2 speckle sd")
-    nm = np.array([(item.amplitude_m, 2 * item.amplitude_uncertainty_m) for item in estimates]).T * 1e9
-    left.errorbar(frequency_hz, *nm, fmt="o", ms=4, color=ESTIMATE, label="estimate, 2 u")
+    tracked_nm = np.array([item.amplitude_m for item in estimates]) * 1e9
+    left.plot(frequency_hz, tracked_nm, "D", ms=4, mfc="none", color=TRACKED, label="as tracked")
+    peak = [(item.headline.amplitude_m, 2 * item.headline.amplitude_uncertainty_m) for item in estimates]
+    left.errorbar(
+        frequency_hz, *(np.array(peak).T * 1e9), fmt="o", ms=4, color=ESTIMATE, label="peak displacement, 2 u"
+    )
     left.set(xlabel="vibration frequency (Hz)", ylabel="displacement amplitude (nm)", ylim=(0, None))
     left.legend(frameon=False, fontsize=8)
     truth = np.unwrap([item.true_phase_rad or 0.0 for item in estimates])
-    error = np.array([item.phase_error_rad or 0.0 for item in estimates])
+    error = np.array([item.corrected_phase_error_rad or 0.0 for item in estimates])
     right.plot(frequency_hz, np.degrees(truth), color="0.45", label="truth")
-    uncertainty = [2 * np.degrees(item.phase_uncertainty_rad) for item in estimates]
+    uncertainty = [2 * np.degrees(item.headline.phase_uncertainty_rad) for item in estimates]
     right.errorbar(
-        frequency_hz, np.degrees(truth + error), uncertainty, fmt="o", ms=4, color=ESTIMATE, label="estimate"
+        frequency_hz, np.degrees(truth + error), uncertainty, fmt="o", ms=4, color=ESTIMATE, label="estimate, 2 u"
     )
     right.set(xlabel="vibration frequency (Hz)", ylabel="phase (degrees)")
     right.legend(frameon=False, fontsize=8)

@@ -18,7 +18,6 @@ from .run import (
 from .run_file import (
     Run as Run,
     chosen_estimator as chosen_estimator,
-    estimates_of as estimates_of,
     open_run as open_run,
     process as process,
 )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpe_rig.acquire.run import Setup, prepare, record_run
-from hpe_rig.acquire.run_file import Run, chosen_estimator, estimates_of, open_run
+from hpe_rig.acquire.run_file import Run, chosen_estimator, open_run
 from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.plan import CheckResult
 from hpe_rig.result import Result, ShotResult, Stages
@@ -157,7 +157,7 @@ def _shot(
     frequencies_hz: Sequence[float],
     estimator: Estimator,
 ) -> ShotResult:
-    from hpe_rig.processing import EchoGate, estimate as estimate_motion
+    from hpe_rig.processing import EchoGate, estimate as estimate_motion, estimates_of
 
     valid = np.isfinite(volts).all(axis=-1)
     # A constant offset, such as a digitizer's, is no echo; one number for all pulses keeps their resting echo.

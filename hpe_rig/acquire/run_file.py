@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from hpe_rig.acquire.run import planned
 from hpe_rig.bench import BenchFile, parse_bench
 from hpe_rig.plan import CheckResult, Plan, reference_gate, select
-from hpe_rig.result import Estimate, Result, ShotResult, Stages
+from hpe_rig.result import Result, Stages
 from hpe_rig.scene import (
     DEFAULT_SPECIMEN,
     Estimator,
@@ -29,7 +28,7 @@ from hpe_rig.scene import (
 from hpe_rig.store import StoredRecords, StoredRun, StoreError, read_run, result_path, versions, write_result
 
 if TYPE_CHECKING:
-    from hpe_rig.processing import EchoGate, HarmonicFit
+    from hpe_rig.processing import EchoGate, Estimates
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +83,7 @@ class Run:
         stages.come_after(self.stored.run_time_s)
         chosen = chosen_estimator(estimator, self.scene)
         with stages("process"):
-            shots = _shots(self, chosen)
+            estimates = _shots(self, chosen)
         return Result(
             title=self.scene.title,
             run_file=self.path.name,
@@ -92,12 +91,13 @@ class Run:
             status=self.stored.status,
             estimator=chosen,
             phase_reference=phase_reference(self.scene),
-            shots=shots,
-            warnings=tuple(_warnings(self)),
+            shots=estimates.shots,
+            warnings=tuple(_warnings(self, estimates)),
             omitted=tuple((item.what, item.why) for item in self.plan.left_out),
             versions=versions(),
             run_time_s=stages.run_time_s,
             simulated_specimen=self.simulated_specimen,
+            shots_without_result=tuple(estimates.without.items()),
         )
 
     def save(self, result: Result) -> Path:
@@ -171,40 +171,31 @@ def phase_reference(scene: Scene) -> str:
     return f"of sin(2 pi f t + phase), the motion at the gate, with t from {start}"
 
 
-def estimates_of(fit: HarmonicFit) -> tuple[Estimate, ...]:
-    """Return the estimates of one fit, with nothing known or predicted beside them."""
-    return tuple(
-        Estimate(
-            frequency_hz=float(fit.frequency_hz[index]),
-            amplitude_m=float(fit.amplitude_m[index]),
-            amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
-            phase_rad=float(fit.phase_rad[index]),
-            phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
-        )
-        for index in range(fit.frequency_hz.size)
-    )
-
-
-def _shots(run: Run, estimator: Estimator) -> tuple[ShotResult, ...]:
+def _shots(run: Run, estimator: Estimator) -> Estimates:
     from hpe_rig.prediction import beam_widths, predicted_averaging
-    from hpe_rig.processing import estimate_run
+    from hpe_rig.processing import NO_RECORDS, estimate_run
 
     try:
         averaging, beams = predicted_averaging(run.scene, estimator), beam_widths(run.scene, estimator)
-        shots = estimate_run(run.scene, run.plan, run.stored, estimator, averaging, beams)
     except ValueError as error:
-        raise StoreError(
-            f"{run.path} cannot be estimated ({error}). Try: another estimator, or more records."
-        ) from error
-    if not shots:
-        raise StoreError(
-            f"{run.path} holds no records, the run is {run.stored.status}: it ended before the first came. "
-            f"Try: hpe-rig resume {run.path}."
-        )
-    return shots
+        raise _no_estimate(run, str(error)) from error
+    estimates = estimate_run(run.scene, run.plan, run.stored, estimator, averaging, beams)
+    if estimates.shots:
+        return estimates
+    for why in estimates.without.values():
+        if why != NO_RECORDS:
+            raise _no_estimate(run, why)
+    raise StoreError(
+        f"{run.path} holds no records, the run is {run.stored.status}: it ended before the first came. "
+        f"Try: hpe-rig resume {run.path}."
+    )
 
 
-def _warnings(run: Run) -> Iterator[str]:
+def _no_estimate(run: Run, why: str) -> StoreError:
+    return StoreError(f"{run.path} cannot be estimated ({why}). Try: another estimator, or more records.")
+
+
+def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
     """Yield what a reader of the result must know of the whole run."""
     yield from (str(finding) for finding in run.findings if finding.level != "passed")
     # The board cannot say which record it was; where some are skipped the gate's own codes decide.
@@ -214,4 +205,21 @@ def _warnings(run: Run) -> Iterator[str]:
             "the gate or outside it: raise acquisition.input_range_v"
         )
     if run.stored.status != "complete":
-        yield f"the run is {run.stored.status}: not every record was acquired"
+        complete = run.stored.shot_complete
+        yield f"the run is {run.stored.status}: {int(complete.sum())} of {complete.size} shots are complete"
+    yield from _incomplete(estimates)
+
+
+def _incomplete(estimates: Estimates) -> Iterator[str]:
+    """Yield which shots have no result, and why, and which have one from a part of their records."""
+    for why in dict.fromkeys(estimates.without.values()):
+        yield f"shot {_numbers(shot for shot, reason in estimates.without.items() if reason == why)} left out: {why}"
+    if partial := dict.fromkeys(shot.shot for shot in estimates.shots if not shot.complete):
+        yield f"shot {_numbers(partial)} is incomplete, estimated from the records that had arrived"
+
+
+def _numbers(shots: Iterable[int]) -> str:
+    """Return the numbers of ``shots`` for a reader, who counts from 1."""
+    numbers = [shot + 1 for shot in shots]
+    in_a_row = len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1
+    return f"{numbers[0]} to {numbers[-1]}" if in_a_row else ", ".join(map(str, numbers))

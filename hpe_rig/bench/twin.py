@@ -157,7 +157,7 @@ def twin_settings(scene: Scene) -> SimulationSettings:
 def twin_tables(scene: Scene) -> dict[str, Any]:
     """Return the tables of the twin's settings that a scene declares."""
     simulation = scene.simulation or {}
-    beams = {} if scene.beams is None else scene.beams.model_dump(exclude={"pulse_length_m"})
+    beams = {} if scene.beams is None else scene.beams.model_dump(exclude={"pulse_length_m"}, exclude_none=True)
     declared = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
     return declared | simulation | {"beams": beams | simulation.get("beams", {})}
 

@@ -3,30 +3,40 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 from rich.console import Console
 from rich.table import Table
 
-from hpe_rig.result import Estimate, Result, ShotResult, rich_table, shot_warnings
+from hpe_rig.result import Component, Estimate, RepeatMean, Result, ShotResult, rich_table, shot_warnings
 
-TABLE_WIDTH = 120
+TABLE_WIDTH = 110
 LEAST_S = 0.005
 """Shorter stages would show as 0.00."""
+LEAST_SHARE = 0.01
+"""Share of the variance below which a source of uncertainty is not named."""
 
 
 def print_result(result: Result) -> None:
-    """Print the table of each shot, the warnings, what was left out, and the run time by stage."""
+    """Print means over repeats, the table of each shot, the warnings, what was left out, and the run time by stage."""
     console = wide_console()
     source = "SIMULATED" if result.simulated else "measured"
     console.print(f"\n{result.title}", style="bold")
     console.print(f"{source}, {result.run_file}, estimator {result.estimator}")
     if result.simulated_specimen:
         console.print(f"simulated specimen: {result.simulated_specimen}")
+    for _, means in groupby(result.means, key=lambda mean: mean.shots):
+        group = list(means)
+        # A title of the table's own would be broken at the table's width.
+        console.print(f"\n{_mean_title(group[0])}", style="bold")
+        console.print(_mean_table(group))
     for shot in result.shots:
+        console.print(f"\n{_shot_title(shot)}", style="bold")
         console.print(_shot_table(shot))
-    console.print(
-        f"phase: {result.phase_reference}; uncertainties: standard, noise only, of corrected noise and speckle"
-    )
+        if shot.estimates:
+            console.print(_budget_line(shot))
+    console.print(f"\nphase: {result.phase_reference}\n{_legend(result)}")
     for warning in (*result.warnings, *shot_warnings(result.shots)):
         console.print(f"WARNING {warning}", style="bold")
     if result.omitted:
@@ -43,43 +53,118 @@ def wide_console() -> Console:
 
 def _shot_table(shot: ShotResult) -> Table:
     known = any(estimate.true_amplitude_m is not None for estimate in shot.estimates)
-    predicted = any(estimate.averaging_factor is not None for estimate in shot.estimates)
-    headers = ["f\nHz", "amplitude\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "SNR\ndB"]
-    headers += ["true peak\nnm", "error\n%", "phase error\ndeg"] if known else []
-    headers += ["averaging\npredicted", "speckle u\n%", "corrected\nnm", "u\nnm"] if predicted else []
-    rows = [_row(estimate, known, predicted) for estimate in shot.estimates]
-    return rich_table(headers, rows, words=0, title=_shot_title(shot))
+    corrected = any(estimate.headline.corrected for estimate in shot.estimates)
+    headers = ["f\nHz"]
+    headers += ["peak\nnm", "u\nnm", "phase\ndeg", "u\ndeg"] if corrected else []
+    headers += ["tracked\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "SNR\ndB"]
+    headers += ["true peak\nnm", "error\n%", "error\ndeg"] if known else []
+    rows = [_row(estimate, known, corrected) for estimate in shot.estimates]
+    return rich_table(headers, rows, words=0)
 
 
-def _shot_title(shot: ShotResult) -> str:
-    words = [f"shot {shot.shot + 1}"]
-    if shot.burst_length_s is not None:
-        words.append(f"T_b = {shot.burst_length_s * 1e6:g} us")
-    if shot.force_fraction is not None:
-        words.append(f"F = {shot.force_fraction:g} F_0")
-    words.append(f"{shot.pulses_used} pulses, residual {shot.residual_m * 1e9:.3g} nm rms")
-    if shot.pulses_missing:
-        words.append(f"{shot.pulses_missing} missing")
-    return ", ".join(words)
+def _mean_table(means: Sequence[RepeatMean]) -> Table:
+    known = any(mean.true_amplitude_m is not None for mean in means)
+    name = "peak" if means[0].corrected else "tracked"
+    headers = ["f\nHz", f"{name}\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "sd\nnm", "sd\ndeg", "chi-square\n", "p\n"]
+    headers += ["true peak\nnm", "error\n%", "error\ndeg"] if known else []
+    return rich_table(headers, [_mean_row(mean, known) for mean in means], words=0)
 
 
-def _row(estimate: Estimate, known: bool, predicted: bool) -> list[str]:
-    degrees, degrees_u = math.degrees(estimate.phase_rad), math.degrees(estimate.phase_uncertainty_rad)
-    row = [f"{estimate.frequency_hz:g}", _nm(estimate.amplitude_m), _nm(estimate.amplitude_uncertainty_m)]
-    row += [f"{degrees:.2f}", f"{degrees_u:.2f}", f"{estimate.snr_db:.1f}"]
-    if known:
-        row.append(_or_dash(estimate.true_amplitude_m, 1e9, ".4g"))
-        row.append(_or_dash(estimate.amplitude_error, 100, "+.1f"))
-        row.append(_or_dash(estimate.phase_error_rad, 180 / math.pi, "+.2f"))
-    if predicted:
-        row += [_or_dash(estimate.averaging_factor, 1, ".3f"), _or_dash(estimate.speckle_relative, 100, ".1f")]
-        row += [_or_dash(estimate.corrected_amplitude_m, 1e9, ".4g")]
-        row += [_or_dash(estimate.corrected_uncertainty_m, 1e9, ".2g")]
+def _mean_title(mean: RepeatMean) -> str:
+    shots = [shot + 1 for shot in mean.shots]
+    in_a_row = shots[-1] - shots[0] == len(shots) - 1
+    numbers = f"{shots[0]} to {shots[-1]}" if in_a_row else ", ".join(map(str, shots))
+    return ", ".join([f"MEAN of {len(shots)} repeats, shots {numbers}", *_settings(mean)])
+
+
+def _mean_row(mean: RepeatMean, known: bool) -> list[str]:
+    row = [f"{mean.frequency_hz:g}", *_polar(mean.amplitude_m, mean.amplitude_uncertainty_m)]
+    row += _angle(mean.phase_rad, mean.phase_uncertainty_rad)
+    row += [_figure(mean.amplitude_sd_m * 1e9), _figure(math.degrees(mean.phase_sd_rad))]
+    row += [f"{mean.chi_square:.1f} of {mean.degrees_of_freedom}", f"{mean.probability:.2g}"]
+    if known and mean.true_amplitude_m and mean.true_phase_rad is not None:
+        error_rad = math.remainder(mean.phase_rad - mean.true_phase_rad, 2 * math.pi)
+        row += [f"{mean.true_amplitude_m * 1e9:.4g}", f"{(mean.amplitude_m / mean.true_amplitude_m - 1) * 100:+.1f}"]
+        row += [f"{math.degrees(error_rad):+.2f}"]
     return row
 
 
-def _nm(length_m: float) -> str:
-    return f"{length_m * 1e9:.4g}"
+def _shot_title(shot: ShotResult) -> str:
+    words = [f"shot {shot.shot + 1}", *_settings(shot)]
+    words.append(f"{shot.pulses_used} pulses, residual {shot.residual_m * 1e9:.3g} nm rms")
+    if shot.pulses_missing:
+        words.append(f"{shot.pulses_missing} missing")
+    return ", ".join(words if shot.complete else [*words, "INCOMPLETE"])
+
+
+def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:
+    if of.burst_length_s is not None:
+        yield f"T_b = {of.burst_length_s * 1e6:g} us"
+    if of.force_fraction is not None:
+        yield f"F = {of.force_fraction:g} F_0"
+    if of.pulse_rate_hz is not None:
+        yield f"f_prf = {of.pulse_rate_hz:g} Hz"
+    if of.window_length_s is not None:
+        yield f"T_s = {of.window_length_s * 1e3:g} ms"
+
+
+def _row(estimate: Estimate, known: bool, corrected: bool) -> list[str]:
+    row, peak = [f"{estimate.frequency_hz:g}"], estimate.headline
+    if corrected:
+        row += _polar(peak.amplitude_m, peak.amplitude_uncertainty_m)
+        row += _angle(peak.phase_rad, peak.phase_uncertainty_rad)
+    row += _polar(estimate.amplitude_m, estimate.amplitude_uncertainty_m)
+    row += [*_angle(estimate.phase_rad, estimate.phase_uncertainty_rad), f"{estimate.snr_db:.1f}"]
+    if known:
+        row.append(_or_dash(estimate.true_amplitude_m, 1e9, ".4g"))
+        row.append(_or_dash(estimate.corrected_amplitude_error, 100, "+.1f"))
+        row.append(_or_dash(estimate.corrected_phase_error_rad, 180 / math.pi, "+.2f"))
+    return row
+
+
+def _budget_line(shot: ShotResult) -> str:
+    """Return where the uncertainty of the strongest frequency of ``shot`` comes from, largest source first."""
+    lead = max(shot.estimates, key=lambda item: item.amplitude_m)
+    parts = sorted(lead.budget, key=lambda each: _share(each, lead), reverse=True)
+    words = [
+        f"{each.source} {_figure(each.amplitude_m * 1e9)} nm {_figure(math.degrees(each.phase_rad))} deg"
+        for each in parts
+        if _share(each, lead) >= LEAST_SHARE
+    ]
+    return f"u at {lead.frequency_hz:g} Hz: {', '.join(words)}"
+
+
+def _share(component: Component, estimate: Estimate) -> float:
+    """Return the larger of the shares that ``component`` has in the variances of amplitude and phase."""
+    whole = estimate.headline
+    pairs = (
+        (component.amplitude_m, whole.amplitude_uncertainty_m),
+        (component.phase_rad, whole.phase_uncertainty_rad),
+    )
+    return max((part / u) ** 2 if u > 0 and math.isfinite(u) else 0.0 for part, u in pairs)
+
+
+def _legend(result: Result) -> str:
+    if not any(item.headline.corrected for shot in result.shots for item in shot.estimates):
+        return "u: standard uncertainties of the tracked values by noise; no [beams] says how much of the peak they are"
+    return (
+        "peak: corrected for the averaging over the beams, u combined from all sources; tracked: as it is, u by the fit"
+    )
+
+
+def _polar(amplitude_m: float, uncertainty_m: float) -> list[str]:
+    return [_figure(amplitude_m * 1e9, 4), _figure(uncertainty_m * 1e9)]
+
+
+def _angle(phase_rad: float, uncertainty_rad: float) -> list[str]:
+    return [f"{math.degrees(phase_rad):.2f}", f"{math.degrees(uncertainty_rad):.2f}"]
+
+
+def _figure(value: float, digits: int = 2) -> str:
+    """Return ``value`` with that many digits, without an exponent where a reader does not need one."""
+    if 10**digits <= abs(value) < 1e6:
+        return f"{value:.0f}"
+    return format(value, f"#.{digits}g").removesuffix(".")
 
 
 def _or_dash(value: float | None, factor: float, form: str) -> str:

@@ -7,11 +7,12 @@ from typing import Protocol, final
 
 import numpy as np
 
-from hpe_rig.acquire import Run, estimates_of, open_run, request_stop, stop_path
+from hpe_rig.acquire import Run, open_run, request_stop, stop_path
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
 from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import (
     coherent,
+    estimates_of,
     fit_motion,
     options_of,
     samples_needed,

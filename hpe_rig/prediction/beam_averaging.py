@@ -6,6 +6,8 @@ the Gaussian of eq. (12), and what is tracked lags.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,19 +42,19 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     spread = speckle_spread(*widths, *gate, np.random.default_rng(0), gate_window=window)
     gaussian = beam_averaging_factor(*widths, *gate, gate_window=window)
     if scene.excitation is None:
-        return (Averaging(gaussian, 0.0, spread),) * frequency_hz.size
+        return tuple(_off_focus(scene, Averaging(gaussian, 0.0, spread)) for _ in frequency_hz)
     motion = motion_of_medium(scene, frequency_hz, window, simulated=False)
     ratio, deviation = _ensemble_ratio(scene, beams, frequency_hz)
     if motion is not None:
         ratio, deviation = motion[0] / motion[1], 0 * deviation
     # To first order in how far the motion changes over the beam, all that speckle does is in proportion to the loss.
     lost = (1 - np.abs(ratio)) / (1 - gaussian_averaging(*widths, beams.axial_spread_m))
+    turned = speckle_phase(ratio, gaussian, spread)
     uncertain = np.abs(ratio) * deviation.real, deviation.imag
+    columns = np.stack([lost, np.angle(ratio), *uncertain, turned], axis=-1).tolist()
     return tuple(
-        Averaging(1 - share * (1 - gaussian), lag, share * spread, *doubt)
-        for share, lag, *doubt in zip(
-            lost.tolist(), np.angle(ratio).tolist(), *np.stack(uncertain).tolist(), strict=True
-        )
+        _off_focus(scene, Averaging(1 - share * (1 - gaussian), lag, share * spread, factor_u, phase_u, turn))
+        for share, lag, factor_u, phase_u, turn in columns
     )
 
 
@@ -75,6 +77,49 @@ def beam_widths(scene: Scene, estimator: str) -> BeamWidths | None:
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
     gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
     return BeamWidths(*widths, depth_spread(widths[1], *gate, spec_of(estimator).gate_window))
+
+
+def speckle_phase(ratio: ComplexArray, gaussian: float, spread: float) -> FloatArray:
+    """Return the standard deviation over speckle of the tracked phase, rad (frequency,).
+
+    ``ratio`` (frequency,) is tracked over peak displacement. The tracked displacement is a mean over the scatterers
+    with real weights that speckle draws, and to first order a draw scales the whole complex loss 1 - ratio by one
+    number, whose standard deviation is known from the Gaussian motion: its averaging is ``gaussian``, its relative
+    spread ``spread``. What of that loss lies across the mean phasor turns the phase.
+    """
+    scaled = spread * gaussian / (1 - gaussian)
+    return np.asarray(scaled * np.abs(((1 - ratio) / ratio).imag))
+
+
+def _off_focus(scene: Scene, averaging: Averaging) -> Averaging:
+    """Return ``averaging`` for a gate off the declared focus; as it is where no focus is declared.
+
+    A gate that was put on the focus by its echoes stays there whatever the sound speed; one that was put there by its
+    distance is off by what the sound speed is off.
+    """
+    if scene.beams is None or scene.beams.focus_depth_m is None:
+        return averaging
+    gate_m, relative = scene.acquisition.gate_depth_m, scene.acquisition.sound_speed_uncertainty
+    width_m = scene.beams.excitation_width_m[2]
+    factor, spread = off_focus(gate_m - scene.beams.focus_depth_m, gate_m * relative, width_m)
+    return replace(averaging, factor=averaging.factor * factor, offset_relative=spread, offset_factor=factor)
+
+
+def off_focus(offset_m: float, uncertainty_m: float, width_m: float) -> tuple[float, float]:
+    """Return displacement at ``offset_m`` along the beam over that at the focus, and its relative uncertainty.
+
+    The force, of sigma ``width_m`` along the beam, is much longer than wide, so that the displacement follows it:
+    d(z) = exp(-z^2 / 2 E_z^2). The uncertainty is the root mean square of d(z) / d(offset) - 1 over z normal about
+    ``offset_m`` with the standard deviation ``uncertainty_m``, which holds also at the focus, where the slope is none.
+    """
+    there = np.exp(-(offset_m**2) / (2 * width_m**2))
+
+    def moment(order: int) -> float:
+        broader = width_m**2 + order * uncertainty_m**2
+        return float(width_m / np.sqrt(broader) * np.exp(-order * offset_m**2 / (2 * broader)))
+
+    mean_square = moment(2) - 2 * there * moment(1) + there**2
+    return float(there), float(np.sqrt(max(mean_square, 0.0)) / there)
 
 
 def motion_of_medium(

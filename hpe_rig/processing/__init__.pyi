@@ -1,3 +1,4 @@
+from .budget import Known as Known, estimates_of as estimates_of, known_of as known_of
 from .conditioning import codes_to_volts as codes_to_volts, hann as hann, unlike_pulses as unlike_pulses
 from .correlation import cross_correlation as cross_correlation
 from .echoes import (
@@ -58,6 +59,8 @@ from .prior import (
     seen_by as seen_by,
 )
 from .shots import (
+    NO_RECORDS as NO_RECORDS,
+    Estimates as Estimates,
     estimate_run as estimate_run,
     options_of as options_of,
     samples_needed as samples_needed,

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
+from hpe_rig.processing.budget import Known, estimates_of, known_of
 from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlike_pulses
 from hpe_rig.processing.echoes import EchoGate, Motion, relative_to
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium
@@ -20,7 +20,7 @@ from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.prior import MediumPrior, medium_prior
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
-from hpe_rig.result import Averaging, Estimate, ShotResult
+from hpe_rig.result import Averaging, ShotResult
 from hpe_rig.scene import Processing, Scene
 from hpe_rig.store import ShotRecords, StoredRun
 
@@ -29,8 +29,17 @@ LARGE_STEP = 0.8
 LARGE_CONDITION = 10.0
 UNLIKELY = 0.01
 """Probability, over the shots of a run, below which a motion is of no medium of the ensemble."""
+NO_RECORDS = "no record of it was acquired"
 DETECTED = 3.0
 """Amplitude over its uncertainty below which a harmonic may be noise: it exceeds that by chance in 1 % of cases."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """Results of the shots of a run, and of those that have none the reason, by the shot's index from 0."""
+
+    shots: tuple[ShotResult, ...]
+    without: Mapping[int, str]
 
 
 def estimate_run(
@@ -40,29 +49,49 @@ def estimate_run(
     estimator: str,
     averaging: tuple[Averaging | None, ...],
     beams: BeamWidths | None = None,
-) -> tuple[ShotResult, ...]:
+) -> Estimates:
     """Return the estimates of every shot that has records, with the ``averaging`` at each wanted frequency beside them.
 
     With ``beams`` a prior of media stands for the harmonics of the tonebursts, where scene and estimator take one, and
-    where the scene declares no medium, the averaging is what the motion itself says of it. Raises ``ValueError`` where
-    estimates cannot be made.
+    where the scene declares no medium, the averaging is what the motion itself says of it. A shot that cannot be
+    estimated, such as one in which the run stopped, costs no other its result.
     """
-    spec, results = spec_of(estimator), []
+    spec, results, without = spec_of(estimator), list[ShotResult](), dict[int, str]()
     for shot in plan.shots:
-        # Of a long record only the gate comes into memory, unless the gate follows.
-        records = stored.records.gated(shot.index, samples_needed(scene, shot))
-        if not records.valid.any():
-            continue
-        true_m = None
-        if stored.true_displacement_m is not None:
-            true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
-        reference = reference_gate(scene, shot)
-        still = None if reference is None else stored.records.gated(shot.index, reference)
-        for window in scene.windows:
-            options = options_of(window.processing, shot_prior(window, shot, estimator, beams))
-            unlikely = UNLIKELY / len(plan.shots) / len(scene.windows)
-            results.append(_estimate_shot(window, shot, records, still, true_m, spec, averaging, options, unlikely))
-    return tuple(results)
+        try:
+            results += _windows_of_shot(scene, shot, stored, spec, averaging, beams, UNLIKELY / len(plan.shots))
+        except ValueError as error:
+            without[shot.index] = str(error)
+    return Estimates(tuple(results), without)
+
+
+def _windows_of_shot(
+    scene: Scene,
+    shot: Shot,
+    stored: StoredRun,
+    spec: EstimatorSpec,
+    averaging: tuple[Averaging | None, ...],
+    beams: BeamWidths | None,
+    unlikely: float,
+) -> list[ShotResult]:
+    """Return the result of each window of one shot; raise ``ValueError`` where one cannot be estimated."""
+    # Of a long record only the gate comes into memory, unless the gate follows.
+    records = stored.records.gated(shot.index, samples_needed(scene, shot))
+    if not records.valid.any():
+        raise ValueError(NO_RECORDS)
+    true_m = None
+    if stored.true_displacement_m is not None:
+        true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
+    reference = reference_gate(scene, shot)
+    still = None if reference is None else stored.records.gated(shot.index, reference)
+    known, complete = known_of(scene, stored.simulated), bool(stored.shot_complete[shot.index])
+    results = []
+    for window in scene.windows:
+        options = options_of(window.processing, shot_prior(window, shot, spec.name, beams))
+        share = unlikely / len(scene.windows)
+        result = _estimate_shot(window, shot, records, still, true_m, spec, averaging, known, options, share)
+        results.append(result if complete else replace(result, complete=False))
+    return results
 
 
 def options_of(processing: Processing, prior: MediumPrior | None = None) -> Options:
@@ -95,6 +124,7 @@ def _estimate_shot(
     true_m: NDArray[np.float64] | None,
     spec: EstimatorSpec,
     averaging: tuple[Averaging | None, ...],
+    known: Known,
     options: Options,
     unlikely: float,
 ) -> ShotResult:
@@ -126,7 +156,7 @@ def _estimate_shot(
         residual_m=float(fit.residual_rms_m),
         pulse_rate_hz=shot.tracking_train.rate_hz,
         window_length_s=scene.processing.window_length_s,
-        estimates=tuple(_estimate(fit, true_m, index, averaging[index]) for index in range(chosen.wanted_hz.size)),
+        estimates=estimates_of(fit, replace(known, subtracts_jitter=reference is not None), averaging, true_m),
         warnings=(
             *_record_warnings(recorded, recorded & chosen.used & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
@@ -223,37 +253,19 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
     """
     if predicted is None or fit.medium is None:
         return predicted
-    ratio = 1 / complex(fit.medium.peak_over_tracked[index])
+    ratio, tiny = 1 / complex(fit.medium.peak_over_tracked[index]), np.finfo(np.float64).tiny
+    expected = predicted.factor / predicted.offset_factor * np.exp(1j * predicted.phase_rad)
     factor, (relative, phase_rad) = abs(ratio), np.sqrt(np.diag(fit.medium.peak_covariance[index])).tolist()
-    lost = max(0.0, 1 - factor) / max(1 - predicted.factor, np.finfo(np.float64).tiny)
+    lost = max(0.0, 1 - factor) / max(1 - abs(expected), tiny)
+    turned = abs((1 / ratio).imag) / max(abs((1 / expected).imag), tiny)
     return replace(
         predicted,
-        factor=factor,
+        factor=factor * predicted.offset_factor,
         phase_rad=float(np.angle(ratio)),
         speckle_relative=predicted.speckle_relative * lost,
-        factor_uncertainty=factor * relative,
+        speckle_phase_rad=predicted.speckle_phase_rad * turned,
+        factor_uncertainty=factor * relative * predicted.offset_factor,
         phase_uncertainty_rad=phase_rad,
-    )
-
-
-def _estimate(
-    fit: HarmonicFit,
-    true_m: NDArray[np.float64] | None,
-    index: int,
-    averaging: Averaging | None,
-) -> Estimate:
-    known = true_m is not None and bool(np.isfinite(true_m[index]).all())
-    in_phase_m, quadrature_m = true_m[index] if true_m is not None and known else (0.0, 0.0)
-    return Estimate(
-        frequency_hz=float(fit.frequency_hz[index]),
-        amplitude_m=float(fit.amplitude_m[index]),
-        amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
-        phase_rad=float(fit.phase_rad[index]),
-        phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
-        averaging_factor=None if averaging is None else averaging.factor,
-        speckle_relative=None if averaging is None else averaging.speckle_relative,
-        true_amplitude_m=math.hypot(in_phase_m, quadrature_m) if known else None,
-        true_phase_rad=math.atan2(quadrature_m, in_phase_m) if known else None,
     )
 
 

@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from hpe_rig.plan import Shot
@@ -106,55 +105,40 @@ def displacement(view: MotionView, span_s: float | None, key: str, title: str) -
 
 
 def amplitude_spectrum(estimates: Sequence[Estimate]) -> Picture:
-    """Return amplitude over frequency with uncertainty and, on the twin, truth and prediction."""
+    """Return amplitude over frequency: the headline with its combined uncertainty, as tracked, and the twin's truth."""
     figure, axes = panel()
     frequency_hz = np.array([item.frequency_hz for item in estimates])
-    amplitude_nm = np.array([item.amplitude_m for item in estimates]) * 1e9
-    uncertainty_nm = np.array([item.amplitude_uncertainty_m for item in estimates]) * 1e9
-    true_nm, averaging, spread = (
-        np.array([math.nan if value is None else value for value in column])
-        for column in (
-            [item.true_amplitude_m for item in estimates],
-            [item.averaging_factor for item in estimates],
-            [item.speckle_relative for item in estimates],
-        )
-    )
-    predicted_nm = true_nm * 1e9 * averaging
+    amplitude_nm = np.array([item.headline.amplitude_m for item in estimates]) * 1e9
+    uncertainty_nm = np.array([item.headline.amplitude_uncertainty_m for item in estimates]) * 1e9
+    true_nm = np.array([_or_nan(item.true_amplitude_m) for item in estimates]) * 1e9
     known = bool(np.isfinite(true_nm).all())
     if known:
-        axes.plot(frequency_hz, true_nm * 1e9, "x", color=GREY, ms=5, label="true peak displacement")
-    if np.isfinite(predicted_nm).all():
-        band = predicted_nm * (1 - 2 * spread), predicted_nm * (1 + 2 * spread)
-        _band(axes, frequency_hz, *band, label="predicted, 2 speckle sd")
+        axes.plot(frequency_hz, true_nm, "x", color=GREY, ms=6, label="true peak displacement")
+    if corrected := all(item.headline.corrected for item in estimates):
+        tracked_nm = np.array([item.amplitude_m for item in estimates]) * 1e9
+        axes.plot(frequency_hz, tracked_nm, "D", ms=4, mfc="none", color=BLUE, label="as tracked")
     axes.errorbar(
-        frequency_hz, amplitude_nm, 2 * uncertainty_nm, fmt="o", ms=4, color=ORANGE, capsize=2, label="estimate, 2 u"
-    )
-    if not known and np.isfinite(averaging).all():
-        peak_nm = np.array([item.corrected_amplitude_m for item in estimates]) * 1e9
-        doubt_nm = np.array([item.corrected_uncertainty_m for item in estimates]) * 1e9
-        axes.errorbar(
-            frequency_hz, peak_nm, 2 * doubt_nm, fmt="D", ms=4, mfc="none", color=BLUE, capsize=2,
-            label="peak by predicted averaging, 2 u",
-        )  # fmt: skip
+        frequency_hz, amplitude_nm, 2 * uncertainty_nm, fmt="o", ms=4, color=ORANGE, capsize=2,
+        label="peak displacement, 2 u" if corrected else "as tracked, 2 u",
+    )  # fmt: skip
     axes.set(xlabel="vibration frequency (Hz)", ylabel="amplitude (nm)", ylim=(0, None))
     legend(axes, "best")
     pairs = ", ".join(f"{a:.4g} at {f:g} Hz" for f, a in zip(frequency_hz[:10], amplitude_nm[:10], strict=True))
     alt = f"Amplitude in nm: {pairs}; standard uncertainty {uncertainty_nm.min():.2g} to {uncertainty_nm.max():.2g} nm."
     if known:
-        ratio = amplitude_nm / np.maximum(true_nm * 1e9, np.finfo(np.float64).tiny)
+        ratio = amplitude_nm / np.maximum(true_nm, np.finfo(np.float64).tiny)
         alt += f" The estimates are {ratio.min():.3f} to {ratio.max():.3f} of the true peak displacement."
     return picture(figure, "amplitude", "Amplitude spectrum", alt)
 
 
 def phase_spectrum(estimates: Sequence[Estimate]) -> Picture:
-    """Return phase over frequency, unwrapped, with uncertainty and, on the twin, truth."""
+    """Return the headline's phase over frequency, unwrapped, with uncertainty and, on the twin, truth."""
     figure, axes = panel()
     frequency_hz = np.array([item.frequency_hz for item in estimates])
-    phase = np.unwrap([item.phase_rad for item in estimates])
-    uncertainty_deg = np.degrees([item.phase_uncertainty_rad for item in estimates])
-    errors = [item.phase_error_rad for item in estimates]
-    if all(error is not None for error in errors):
-        truth = phase - np.array(errors, dtype=np.float64)
+    phase = np.unwrap([item.headline.phase_rad for item in estimates])
+    uncertainty_deg = np.degrees([item.headline.phase_uncertainty_rad for item in estimates])
+    truth = phase - np.array([_or_nan(item.corrected_phase_error_rad) for item in estimates])
+    if np.isfinite(truth).all():
         axes.plot(frequency_hz, np.degrees(truth), "x-", color=GREY, lw=0.8, label="truth")
     axes.errorbar(
         frequency_hz, np.degrees(phase), 2 * uncertainty_deg, fmt="o", ms=4, color=ORANGE, capsize=2,
@@ -166,6 +150,10 @@ def phase_spectrum(estimates: Sequence[Estimate]) -> Picture:
     largest = uncertainty_deg.max()
     alt = f"Phase in degrees: {pairs}; standard uncertainty up to {largest:.2g} degrees."
     return picture(figure, "phase", "Phase spectrum", alt)
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def residual(view: MotionView) -> tuple[Picture, ...]:
@@ -201,14 +189,6 @@ def sweep_pictures(sweep: Sweep, most: int = 2) -> tuple[Picture, ...]:
         curves = [curve for curve in sweep.curves if curve.frequency_hz == frequency_hz]
         pictures += [_sweep_amplitude(sweep.label, curves), _sweep_phase(sweep.label, curves)]
     return tuple(pictures)
-
-
-def _band(axes: Axes, x: FloatArray, low: FloatArray, high: FloatArray, label: str) -> None:
-    """Shade between ``low`` and ``high``; a single point gets a bar."""
-    if x.size > 1:
-        axes.fill_between(x, low, high, color=SKY, alpha=0.4, lw=0, label=label)
-    else:
-        axes.vlines(x, low, high, color=SKY, lw=8, alpha=0.5, label=label)
 
 
 def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: str) -> Picture:

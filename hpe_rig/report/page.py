@@ -23,7 +23,7 @@ from hpe_rig.report.residual_tests import ResidualTest, residual_tests
 from hpe_rig.report.svg import Picture
 from hpe_rig.report.sweep import Sweep, make_sweep
 from hpe_rig.report.views import MotionView, echo_view, gate_alone, motion_view
-from hpe_rig.result import Estimate, Result, ShotResult, Stages, shot_warnings
+from hpe_rig.result import Estimate, RepeatMean, Result, ShotResult, Stages, shot_warnings
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoreError, reason
 
@@ -34,6 +34,8 @@ LONGEST_TEXT = 60_000
 LARGEST_SHOT_BYTES = 256_000_000
 """Records of a shot that are read whole; of more, the gate alone."""
 CLOSE_PERIODS = 2
+IN_THE_RESIDUAL = ("noise", "trigger jitter")
+"""Sources of uncertainty that the stage 'harmonic' holds."""
 PAGE_START = b"<!DOCTYPE html>"
 
 
@@ -107,6 +109,8 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
         fingerprint=report_provenance.fingerprint(path),
         facts=[*_facts(run, result), *_dose(run, shown)],
         strongest=strongest(shown),
+        lead_mean=_lead_mean(result, shot),
+        known=any(item.true_amplitude_m is not None for each in result.shots for item in each.estimates),
         most_rows=MOST_ROWS,
         longest_text=LONGEST_TEXT,
         stages=_bars(result),
@@ -116,6 +120,11 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
 def strongest(shot: ShotResult) -> Estimate:
     """Return the estimate of the largest amplitude."""
     return max(shot.estimates, key=lambda item: item.amplitude_m)
+
+
+def _lead_mean(result: Result, shot: int | None) -> RepeatMean | None:
+    """Return the mean of the largest amplitude; None without repeats or where the reader asked for one shot."""
+    return max(result.means, key=lambda mean: mean.amplitude_m, default=None) if shot is None else None
 
 
 def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage]:
@@ -131,14 +140,19 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage
         ErrorStage("harmonic", amplitude, f"standard uncertainty from that residual, {shot.pulses_used} pulses")
     )
     if lead.averaging_factor is not None:
-        bias = f"{(lead.averaging_factor - 1) * 100:+.1f} %"
-        rows.append(ErrorStage("beam averaging", bias, "predicted bias against the peak displacement, not corrected"))
-    if lead.speckle_relative is not None:
-        spread = f"{lead.speckle_relative * 100:.1f} %, {lead.speckle_relative * lead.amplitude_m * 1e9:.3g} nm"
-        rows.append(ErrorStage("speckle", spread, "predicted standard deviation from place to place"))
-    if lead.amplitude_error is not None and lead.phase_error_rad is not None:
-        error = f"{lead.amplitude_error * 100:+.1f} %, {math.degrees(lead.phase_error_rad):+.2f} degrees"
-        rows.append(ErrorStage("all together", error, "against the ground truth, which the twin knows"))
+        bias = f"{(lead.averaging_factor - 1) * 100:+.1f} %, {math.degrees(lead.averaging_phase_rad or 0):+.2f} degrees"
+        rows.append(ErrorStage("beam averaging", bias, "predicted, tracked against peak displacement; corrected"))
+    for each in lead.components:
+        if each.source not in IN_THE_RESIDUAL and (each.amplitude_m or each.phase_rad):
+            size = f"{each.amplitude_m * 1e9:.3g} nm, {math.degrees(each.phase_rad):.2g} degrees"
+            rows.append(ErrorStage(each.source, size, "standard uncertainty that remains"))
+    whole = lead.headline
+    total = f"{whole.amplitude_uncertainty_m * 1e9:.3g} nm, {math.degrees(whole.phase_uncertainty_rad):.2g} degrees"
+    rows.append(ErrorStage("combined", total, "standard uncertainty of the corrected values, all sources in squares"))
+    if lead.corrected_amplitude_error is not None and lead.corrected_phase_error_rad is not None:
+        error_deg = math.degrees(lead.corrected_phase_error_rad)
+        error = f"{lead.corrected_amplitude_error * 100:+.1f} %, {error_deg:+.2f} degrees"
+        rows.append(ErrorStage("error found", error, "against the ground truth, which the twin knows"))
     return rows
 
 
@@ -196,10 +210,16 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
         *facts,
         ("track", f"{shot.capture.record_count} pulses of {tracking.cycles} cycles at {tracking.pulse_rate_hz:g} Hz"),
         ("gate", f"{gate.gate_length_m * 1e3:g} mm at {gate.gate_depth_m * 1e3:g} mm depth"),
-        ("shots", f"{len(result.shots)} of {len(run.plan.shots)} planned"),
+        ("shots", _shot_count(run, result)),
         ("estimator", result.estimator),
         ("phase", result.phase_reference),
     ]
+
+
+def _shot_count(run: Run, result: Result) -> str:
+    complete = {shot.shot: shot.complete for shot in result.shots}
+    words = f"{len(complete)} of {len(run.plan.shots)} planned"
+    return words if all(complete.values()) else f"{words}, {list(complete.values()).count(False)} of them incomplete"
 
 
 def _scene_of(run: Run, shown: ShotResult) -> Scene:

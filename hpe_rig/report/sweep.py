@@ -28,7 +28,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class SweepCurve:
-    """One frequency's amplitude and phase over what was varied, repeats averaged.
+    """One frequency's headline amplitude and phase over what was varied, repeats averaged.
 
     ``x``, means and standard deviations over repeats (point,), deviations NaN where a point has one repeat only;
     ``line`` goes through every shot, None where fewer than two values of x were measured.
@@ -113,8 +113,8 @@ def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], g
 
 
 def _curve(index: int, group: str, shots: Sequence[ShotResult], x: FloatArray) -> SweepCurve:
-    amplitude = np.array([shot.estimates[index].amplitude_m for shot in shots])
-    phase = np.array([shot.estimates[index].phase_rad for shot in shots])
+    amplitude = np.array([shot.estimates[index].headline.amplitude_m for shot in shots])
+    phase = np.array([shot.estimates[index].headline.phase_rad for shot in shots])
     values = np.unique(x)
     each = [x == value for value in values]
     amplitudes = [_spread(amplitude[here]) for here in each]

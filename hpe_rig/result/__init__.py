@@ -1,6 +1,7 @@
 """Result of a measurement: amplitude and phase with covariance, units, provenance and run time.
 
     estimates.py   Estimate (one frequency) -> ShotResult -> Result
+    repeats.py     mean over repeats, tested against the stated uncertainties
     rows.py        one row a shot and frequency: CSV, pandas, printed
     figure.py      amplitude and phase over frequency
     html_repr.py   figure and tables, as a notebook shows a result

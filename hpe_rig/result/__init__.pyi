@@ -1,11 +1,14 @@
 from .estimates import (
     Averaging as Averaging,
+    Component as Component,
     Estimate as Estimate,
+    Headline as Headline,
     Result as Result,
     ShotResult as ShotResult,
     shot_warnings as shot_warnings,
 )
 from .palette import PALETTE as PALETTE
+from .repeats import RepeatMean as RepeatMean
 from .rows import result_csv as result_csv
 from .stages import Stages as Stages
 from .tables import csv_text as csv_text, mappings as mappings, rich_table as rich_table, text_table as text_table

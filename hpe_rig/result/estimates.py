@@ -14,15 +14,20 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
+    from hpe_rig.result.repeats import RepeatMean
+
 MOST_NUMBERS = 12
 """Shots that a warning names; of more it says how many."""
 
 
 @dataclass(frozen=True, slots=True)
 class Averaging:
-    """Tracked over peak displacement at one frequency, its lag, and its relative spread over speckle.
+    """Predicted tracked over peak displacement at one frequency: ``factor`` and phase, and what is not known of them.
 
-    ``factor_uncertainty`` and ``phase_uncertainty_rad``: standard uncertainties because the medium is not known.
+    Speckle changes the tracked amplitude by ``speckle_relative`` and its phase by ``speckle_phase_rad`` from place to
+    place; ``factor_uncertainty`` and ``phase_uncertainty_rad`` come from what is not known of the medium, and
+    ``offset_relative`` from what is not known of the gate's distance to the focus. All standard deviations.
+    ``offset_factor`` is what of ``factor`` a gate off the focus makes.
     """
 
     factor: float
@@ -30,15 +35,44 @@ class Averaging:
     speckle_relative: float
     factor_uncertainty: float = 0.0
     phase_uncertainty_rad: float = 0.0
+    speckle_phase_rad: float = 0.0
+    offset_relative: float = 0.0
+    offset_factor: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """One source of uncertainty: the standard uncertainties of amplitude and phase that it alone would leave."""
+
+    source: str
+    amplitude_m: float
+    phase_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """Amplitude and phase that a result leads with, and their combined standard uncertainties.
+
+    Those of the peak displacement where ``corrected``, else, where no beams are known, the tracked ones.
+    """
+
+    amplitude_m: float
+    amplitude_uncertainty_m: float
+    phase_rad: float
+    phase_uncertainty_rad: float
+    corrected: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """One vibration frequency of one shot; uncertainties are standard ones, from noise alone.
+    """One vibration frequency of one shot, as tracked and as corrected to the peak displacement.
 
+    ``amplitude_uncertainty_m`` and ``phase_uncertainty_rad`` are the standard uncertainties of the tracked values that
+    the fit states: of noise, and of aliasing where the fit knows it. ``averaging_factor`` and ``averaging_phase_rad``
+    are the predicted ratio and lag of tracked to peak displacement, None where no beams are given. ``components`` are
+    the independent sources of uncertainty of the headline, of which there is noise alone where none are listed.
     ``true_amplitude_m`` and ``true_phase_rad`` are the ground truth, the peak displacement at the focus, known on the
-    twin alone; ``averaging_factor`` is the predicted ratio of tracked to peak displacement, None where no beams are
-    given.
+    twin alone.
     """
 
     frequency_hz: float
@@ -50,6 +84,27 @@ class Estimate:
     speckle_relative: float | None = None
     true_amplitude_m: float | None = None
     true_phase_rad: float | None = None
+    averaging_phase_rad: float | None = None
+    components: tuple[Component, ...] = ()
+
+    @property
+    def headline(self) -> Headline:
+        """The corrected amplitude and phase where beams are known, else the tracked ones; u of all components."""
+        amplitude_m, phase_rad = self.corrected_amplitude_m, self.corrected_phase_rad
+        corrected = amplitude_m is not None and phase_rad is not None
+        return Headline(
+            amplitude_m=amplitude_m if amplitude_m is not None else self.amplitude_m,
+            amplitude_uncertainty_m=math.hypot(*(each.amplitude_m for each in self.budget)),
+            phase_rad=phase_rad if phase_rad is not None else self.phase_rad,
+            phase_uncertainty_rad=math.hypot(*(each.phase_rad for each in self.budget)),
+            corrected=corrected,
+        )
+
+    @property
+    def budget(self) -> tuple[Component, ...]:
+        """The components of the headline's uncertainty; noise, as the fit states it, where none are listed."""
+        noise_m = self.amplitude_uncertainty_m / (self.averaging_factor or 1.0)
+        return self.components or (Component("noise", noise_m, self.phase_uncertainty_rad),)
 
     @property
     def snr_db(self) -> float:
@@ -73,11 +128,32 @@ class Estimate:
 
     @property
     def corrected_uncertainty_m(self) -> float | None:
-        """Standard uncertainty of ``corrected_amplitude_m``, from noise and speckle together."""
+        """Combined standard uncertainty of ``corrected_amplitude_m``, from all components."""
+        return self.headline.amplitude_uncertainty_m if self.averaging_factor else None
+
+    @property
+    def corrected_phase_rad(self) -> float | None:
+        """The phase of the peak displacement, by the predicted lag of what is tracked; in [-pi, pi]."""
         if not self.averaging_factor:
             return None
-        speckle_m = self.amplitude_m * (self.speckle_relative or 0.0)
-        return math.hypot(self.amplitude_uncertainty_m, speckle_m) / self.averaging_factor
+        return math.remainder(self.phase_rad - (self.averaging_phase_rad or 0.0), 2 * math.pi)
+
+    @property
+    def corrected_phase_uncertainty_rad(self) -> float | None:
+        """Combined standard uncertainty of ``corrected_phase_rad``, from all components."""
+        return self.headline.phase_uncertainty_rad if self.averaging_factor else None
+
+    @property
+    def corrected_amplitude_error(self) -> float | None:
+        """Relative error of the headline's amplitude against the true peak displacement at the focus."""
+        return None if not self.true_amplitude_m else self.headline.amplitude_m / self.true_amplitude_m - 1
+
+    @property
+    def corrected_phase_error_rad(self) -> float | None:
+        """Error of the headline's phase against the ground truth, within half a turn."""
+        if self.true_phase_rad is None:
+            return None
+        return math.remainder(self.headline.phase_rad - self.true_phase_rad, 2 * math.pi)
 
     @property
     def amplitude_error(self) -> float | None:
@@ -94,7 +170,10 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class ShotResult:
-    """The estimates of one shot, with what was varied and what was missing."""
+    """The estimates of one shot, with what was varied and what was missing.
+
+    ``complete`` is False for a shot in which the run stopped.
+    """
 
     shot: int
     repeat: int
@@ -107,6 +186,7 @@ class ShotResult:
     warnings: tuple[str, ...]
     pulse_rate_hz: float | None = None
     window_length_s: float | None = None
+    complete: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +194,8 @@ class Result:
     """The result of a run, or of anybody's echoes (``hpe_rig.estimate``).
 
     ``run_file`` is "" where there is none; ``omitted``: what the scene did not need, and why; ``run_time_s``: wall time
-    by stage; ``simulated_specimen`` names the default one, None where the scene describes its own or none was needed.
+    by stage; ``simulated_specimen`` names the default one, None where the scene describes its own or none was needed;
+    ``shots_without_result``: the shots, counted from 0, that have no estimate, and why.
 
     >>> print(result)
     >>> result.shots[0].estimates[0].amplitude_m
@@ -134,18 +215,33 @@ class Result:
     versions: Mapping[str, str]
     run_time_s: Mapping[str, float]
     simulated_specimen: str | None = None
+    shots_without_result: tuple[tuple[int, str], ...] = ()
+
+    @property
+    def means(self) -> tuple[RepeatMean, ...]:
+        """The mean over repeats of each setting that was repeated, and of each frequency; empty without repeats."""
+        from hpe_rig.result.repeats import repeat_means
+
+        return repeat_means(self.shots)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values for JSON; numbers that JSON cannot hold become None."""
         tables = {_WRITTEN.get(name, name): value for name, value in asdict(self).items()}
         if self.simulated_specimen is None:
             del tables["simulated_specimen"]
+        if means := [asdict(each) for each in self.means]:
+            # What a reader should take first stands first.
+            tables = {"means": means, **tables}
         for shot, table in zip(self.shots, tables["shots"], strict=True):
             for estimate, row in zip(shot.estimates, table["estimates"], strict=True):
                 derived = (
                     "snr_db",
                     "corrected_amplitude_m",
                     "corrected_uncertainty_m",
+                    "corrected_phase_rad",
+                    "corrected_phase_uncertainty_rad",
+                    "corrected_amplitude_error",
+                    "corrected_phase_error_rad",
                     "predicted_amplitude_m",
                     "amplitude_error",
                     "phase_error_rad",

@@ -27,8 +27,8 @@ def result_figure(result: Result) -> Figure:
         for shot, colour in zip(result.shots, PALETTE, strict=False):
             panel.errorbar(
                 [item.frequency_hz for item in shot.estimates],
-                [getattr(item, value) * factor for item in shot.estimates],
-                yerr=[2 * getattr(item, uncertainty) * factor for item in shot.estimates],
+                [getattr(item.headline, value) * factor for item in shot.estimates],
+                yerr=[2 * getattr(item.headline, uncertainty) * factor for item in shot.estimates],
                 fmt="o",
                 color=colour,
                 label=f"shot {shot.shot + 1}",

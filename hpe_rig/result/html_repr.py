@@ -5,15 +5,17 @@ from __future__ import annotations
 import base64
 import io
 import math
+from collections.abc import Sequence
 from html import escape
+from itertools import groupby
 
-from hpe_rig.result.estimates import Estimate, Result, ShotResult, shot_warnings
+from hpe_rig.result.estimates import Headline, Result, shot_warnings
 from hpe_rig.result.figure import result_figure
+from hpe_rig.result.repeats import RepeatMean
 
 MOST_SHOTS = 6
 COLUMNS = (
-    ("frequency_hz", "f / Hz", 1.0, "g"),
-    ("amplitude_m", "amplitude / nm", 1e9, ".4g"),
+    ("amplitude_m", "{} / nm", 1e9, ".4g"),
     ("amplitude_uncertainty_m", "u / nm", 1e9, ".2g"),
     ("phase_rad", "phase / deg", 180 / math.pi, ".2f"),
     ("phase_uncertainty_rad", "u / deg", 180 / math.pi, ".2g"),
@@ -24,7 +26,11 @@ def result_html(result: Result) -> str:
     """Return HTML that needs nothing else: source, figure, tables of the first ``MOST_SHOTS`` shots, warnings."""
     source = ", ".join(text for text in (_origin(result), result.run_file, result.estimator) if text)
     parts = [f"<p><b>{escape(result.title)}</b><br>{escape(source)}</p>", _image(result)]
-    parts += [_table(shot) for shot in result.shots[:MOST_SHOTS]]
+    for shots, means in groupby(result.means, key=lambda mean: mean.shots):
+        rows = [(mean.frequency_hz, mean) for mean in means]
+        parts.append(_table(f"mean of {len(shots)} repeats from shot {shots[0] + 1} on", rows))
+    for shot in result.shots[:MOST_SHOTS]:
+        parts.append(_table(f"shot {shot.shot + 1}", [(item.frequency_hz, item.headline) for item in shot.estimates]))
     if len(result.shots) > MOST_SHOTS:
         parts.append(f"<p>and {len(result.shots) - MOST_SHOTS} more shots</p>")
     warnings = (*result.warnings, *shot_warnings(result.shots))
@@ -45,13 +51,14 @@ def _image(result: Result) -> str:
     return f'<img alt="{label}" src="data:image/svg+xml;base64,{data}">'
 
 
-def _table(shot: ShotResult) -> str:
-    head = "".join(f"<th>{title}</th>" for _, title, _, _ in COLUMNS)
-    body = "".join(f"<tr>{_cells(estimate)}</tr>" for estimate in shot.estimates)
-    caption = f"<caption>shot {shot.shot + 1}</caption>"
-    return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+def _table(caption: str, rows: Sequence[tuple[float, Headline | RepeatMean]]) -> str:
+    name = "peak" if all(value.corrected for _, value in rows) else "amplitude"
+    titles = ("f / Hz", *(title.format(name) for _, title, _, _ in COLUMNS))
+    head = "".join(f"<th>{title}</th>" for title in titles)
+    body = "".join(f"<tr><td>{frequency_hz:g}</td>{_cells(value)}</tr>" for frequency_hz, value in rows)
+    return f"<table><caption>{caption}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _cells(estimate: Estimate) -> str:
-    values = ((getattr(estimate, name) * factor, form) for name, _, factor, form in COLUMNS)
+def _cells(value: Headline | RepeatMean) -> str:
+    values = ((getattr(value, name) * factor, form) for name, _, factor, form in COLUMNS)
     return "".join(f"<td>{format(value, form) if math.isfinite(value) else '-'}</td>" for value, form in values)

@@ -3,24 +3,44 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from hpe_rig.result.estimates import Result
+from hpe_rig.result.estimates import Headline, Result
+from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.tables import csv_text, text_table
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Value = str | int | float | bool | None
+FIRST = (
+    "frequency_hz",
+    "corrected_amplitude_m",
+    "corrected_uncertainty_m",
+    "corrected_phase_rad",
+    "corrected_phase_uncertainty_rad",
+)
 
 
 def result_rows(result: Result) -> list[dict[str, Value]]:
-    """Return one row a shot and frequency, in SI units with the unit in every name; unknown is None."""
+    """Return one row a shot and frequency, in SI units with the unit in every name; unknown is None.
+
+    The headline stands first, the components of its uncertainty last.
+    """
     rows: list[dict[str, Value]] = []
     for shot in result.as_dict()["shots"]:
         of_shot = _single_values(shot)
-        rows += [of_shot | _single_values(estimate) for estimate in shot["estimates"]]
+        rows += [of_shot | _estimate_row(estimate) for estimate in shot["estimates"]]
     return rows
+
+
+def _estimate_row(estimate: dict[str, Any]) -> dict[str, Value]:
+    values, row = _single_values(estimate), dict[str, Value]()
+    for each in estimate["components"]:
+        name = each["source"].replace(" ", "_")
+        row |= {f"u_{name}_m": each["amplitude_m"], f"u_{name}_rad": each["phase_rad"]}
+    return {name: values[name] for name in FIRST} | values | row
 
 
 def result_csv(result: Result) -> str:
@@ -41,21 +61,35 @@ def result_frame(result: Result) -> pd.DataFrame:
     return frame
 
 
+def _text_row(shots: str, frequency_hz: float, value: Headline | RepeatMean) -> tuple[str, ...]:
+    return (
+        *(shots, f"{frequency_hz:g}"),
+        *(f"{value.amplitude_m * 1e9:.4g}", f"{value.amplitude_uncertainty_m * 1e9:.2g}"),
+        *(f"{math.degrees(value.phase_rad):.2f}", f"{math.degrees(value.phase_uncertainty_rad):.2g}"),
+    )
+
+
+def _numbers(shots: Sequence[int]) -> str:
+    return f"{shots[0] + 1}" if len(shots) == 1 else f"mean of {len(shots)} from {shots[0] + 1}"
+
+
 def _single_values(table: dict[str, Any]) -> dict[str, Value]:
     return {name: value for name, value in table.items() if not isinstance(value, dict | list)}
 
 
 def result_text(result: Result) -> str:
-    """Return title, source and a table for people: nm and degrees, a row a shot and frequency."""
+    """Return title, source and a table for people: nm and degrees of the headline, a row a shot and frequency.
+
+    Means over repeats stand first, each with the shots that it is of.
+    """
+    means = [_text_row(_numbers(mean.shots), mean.frequency_hz, mean) for mean in result.means]
     rows = [
-        (
-            *(f"{shot.shot + 1}", f"{item.frequency_hz:g}"),
-            *(f"{item.amplitude_m * 1e9:.4g}", f"{item.amplitude_uncertainty_m * 1e9:.2g}"),
-            *(f"{math.degrees(item.phase_rad):.2f}", f"{math.degrees(item.phase_uncertainty_rad):.2g}"),
-        )
+        _text_row(_numbers([shot.shot]), item.frequency_hz, item.headline)
         for shot in result.shots
         for item in shot.estimates
     ]
-    table = text_table(("shot", "f / Hz", "amplitude / nm", "u / nm", "phase / deg", "u / deg"), rows, words=0)
+    peak = all(item.headline.corrected for shot in result.shots for item in shot.estimates)
+    headers = ("shot", "f / Hz", f"{'peak' if peak else 'amplitude'} / nm", "u / nm", "phase / deg", "u / deg")
+    table = text_table(headers, [*means, *rows], words=0)
     source = ", ".join(text for text in ("SIMULATED" if result.simulated else "measured", result.run_file) if text)
     return f"{result.title}\n{source}, estimator {result.estimator}\n{table}"

@@ -33,13 +33,11 @@ def csv_text(rows: Iterable[Any]) -> str:
     return text.getvalue()
 
 
-def rich_table(
-    headers: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1, title: str | None = None
-) -> Table:
+def rich_table(headers: Sequence[str], rows: Iterable[Sequence[str]], words: int = 1) -> Table:
     """Return a table without rules: the first ``words`` columns aligned to the left, those of numbers to the right."""
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    table = Table(box=None, header_style="bold", pad_edge=False)
     for index, header in enumerate(headers):
         table.add_column(header, justify="left" if index < words else "right")
     for row in rows:

@@ -99,6 +99,8 @@ class Acquisition(Section):
     """Gate length l_g."""
     sound_speed_m_per_s: Positive = 1540.0
     """Longitudinal sound speed c assumed between transducer and gate."""
+    sound_speed_uncertainty: Annotated[float, Field(ge=0, le=0.5, allow_inf_nan=False, strict=True)] = 0.005
+    """Relative standard uncertainty of that sound speed; every displacement goes with it."""
     sample_rate_hz: Positive = 100.0e6
     """Sampling rate F_s of the digitizer."""
     record_samples: Annotated[int, Field(ge=1, le=10_000_000, strict=True)] = 512
@@ -120,6 +122,8 @@ class Beams(Section):
     """T_x, T_y, T_z: sigmas of the tracking beam's Gaussian, eq. (8)."""
     pulse_length_m: Positive | None = None
     """Axial length c T / 2 of the tracking pulse as received, T its full length; absent: that of its cycles."""
+    focus_depth_m: Positive | None = None
+    """Distance from the transducer to the common focus; absent: the middle of the gate, put there by its echoes."""
 
 
 class Medium(Section):

@@ -24,6 +24,11 @@ RESULT_UNITS: Final = {
     "speckle_relative": "1",
     "true_amplitude_m": "m",
     "true_phase_rad": "rad",
+    "averaging_phase_rad": "rad",
+    "corrected_amplitude_m": "m",
+    "corrected_uncertainty_m": "m",
+    "corrected_phase_rad": "rad",
+    "corrected_phase_uncertainty_rad": "rad",
 }
 
 

@@ -8,11 +8,13 @@ from hpe_rig.prediction.beam_averaging import (
     depth_spread,
     gaussian_averaging,
     medium_motion,
+    off_focus,
     predicted_averaging,
+    speckle_phase,
     width_scale,
 )
 from hpe_rig.prediction.text import averaging_text
-from hpe_rig.scene.scene import parse_scene, shipped_scenes
+from hpe_rig.scene.scene import load_scene, parse_scene, shipped_scenes
 from hpe_rig.scene.validation import SettingsError
 from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import hann_pulse
@@ -146,3 +148,41 @@ def test_twins_scatterers_are_tracked_as_predicted():
     assert np.angle(np.mean(tracked)) == pytest.approx(predicted.phase_rad, abs=3 * error)
     # The spread's heavy tail, speckle's dark spots, makes it known to 2/sqrt(draws) at best: three of them.
     assert size.std() == pytest.approx(predicted.speckle_relative, rel=6 / np.sqrt(draws) + 0.1)
+    assert np.angle(tracked).std() == pytest.approx(predicted.speckle_phase_rad, rel=6 / np.sqrt(draws) + 0.1)
+
+
+@pytest.mark.parametrize(("offset_m", "uncertainty_m"), [(0.0, 0.35e-3), (1.0e-3, 0.35e-3), (1.8e-3, 1e-3)])
+def test_a_gate_off_the_focus_moves_less_by_a_known_factor_and_a_spread(offset_m: float, uncertainty_m: float) -> None:
+    width_m, draws = 1.8e-3, 200_000
+    factor, spread = off_focus(offset_m, uncertainty_m, width_m)
+    depth_m = offset_m + uncertainty_m * np.random.default_rng(0).standard_normal(draws)
+    moved = np.exp(-(depth_m**2) / (2 * width_m**2))
+    assert factor == pytest.approx(np.exp(-(offset_m**2) / (2 * width_m**2)))
+    square = (moved / factor - 1) ** 2
+    assert spread**2 == pytest.approx(square.mean(), abs=4 * square.std() / np.sqrt(draws))
+
+
+def test_a_declared_focus_corrects_for_the_offset_and_takes_the_depths_uncertainty_along() -> None:
+    scene = load_scene("table-1")
+    (at_focus,) = predicted_averaging(scene, "coherent")
+    (off,) = predicted_averaging(scene.with_({"beams.focus_depth_m": 71.0e-3}), "coherent")
+    assert at_focus is not None
+    assert off is not None
+    assert at_focus.offset_relative == 0
+    factor, spread = off_focus(-1.0e-3, 0.005 * 70.0e-3, 1.8e-3)
+    assert (off.factor / at_focus.factor, off.offset_relative) == pytest.approx((factor, spread))
+
+
+def test_speckle_turns_the_phase_where_the_lag_varies_over_the_beam() -> None:
+    """Against speckle drawn in the plane across the beam, of a motion whose size and phase both fall off."""
+    generator, cells, draws = np.random.default_rng(3), 400, 4000
+    place = 3 * (2 * generator.random((2, cells)) - 1)
+    radius2 = np.sum(place**2, axis=0)
+    echo = np.exp(-radius2 / 2) * (generator.standard_normal((draws, cells, 2)) @ [1, 1j])
+    weight = np.abs(echo) ** 2
+    loss = (0.02 + 0.03j) * radius2
+    weight /= weight.sum(axis=1, keepdims=True)
+    tracked, gaussian = weight @ (1 - loss), weight @ np.exp(-0.05 * radius2)
+    ratio, spread = np.array([tracked.mean()]), gaussian.std() / gaussian.mean()
+    predicted = speckle_phase(ratio, float(gaussian.mean()), float(spread))[0]
+    assert np.angle(tracked).std() == pytest.approx(predicted, rel=0.1)

@@ -136,8 +136,11 @@ def test_the_table_holds_the_results_numbers(page: str, result: Result) -> None:
         row = re.search(rf'<tr><th scope="row">{estimate.frequency_hz:g}</th>(.*?)</tr>', page)
         assert row is not None
         cells = re.findall(r"<td>(.*?)</td>", row.group(1))
-        assert float(cells[0]) == pytest.approx(estimate.amplitude_m * 1e9, rel=1e-3)
-        assert float(cells[2]) == pytest.approx(estimate.phase_rad * 57.29577951308232, abs=0.006)
+        for first, value in ((0, estimate.headline), (4, estimate)):
+            assert float(cells[first]) == pytest.approx(value.amplitude_m * 1e9, rel=1e-3)
+            assert float(cells[first + 1]) == pytest.approx(value.amplitude_uncertainty_m * 1e9, rel=0.06)
+            assert float(cells[first + 2]) == pytest.approx(np.degrees(value.phase_rad), abs=0.006)
+            assert float(cells[first + 3]) == pytest.approx(np.degrees(value.phase_uncertainty_rad), rel=0.06)
     assert f"{strongest(result.shots[0]).frequency_hz:g} Hz</b>" in page
 
 
@@ -190,7 +193,7 @@ def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_be
     assert re.search(r"shot 1: (?:49|50) of \d+ records are missing", page)
     assert "Over force F / F_0" in page
     slopes = re.findall(r'<tr><th scope="row">100</th><td>T_b = 100 us</td><td>([\d.]+)</td>', page)
-    last = process(run_file).shots[-1].estimates[0].amplitude_m * 1e9
+    last = process(run_file).shots[-1].estimates[0].headline.amplitude_m * 1e9
     # the twin's force is linear: the slope is the amplitude at full force
     assert float(slopes[0]) == pytest.approx(last, rel=0.02)
 

@@ -262,7 +262,7 @@ def test_a_notebook_shows_figure_table_and_that_it_was_simulated(setup: Setup, t
     page = result._repr_html_()
     assert "SIMULATED" in page
     assert page.count('<img alt="amplitude and phase over frequency of 2 shots" src="data:image/svg+xml;base64,') == 1
-    assert f"{result.shots[0].estimates[0].amplitude_m * 1e9:.4g}" in page
+    assert f"{result.shots[0].estimates[0].headline.amplitude_m * 1e9:.4g}" in page
     hostile = result_html(replace(result, title="<script>alert(1)</script>"))
     assert "<script>" not in hostile
 

@@ -1,0 +1,119 @@
+"""Uncertainty budget of an estimate: the independent sources of error, each as standard uncertainties.
+
+u^2 = sum_i u_i^2 for amplitude and phase alike (Guide to the expression of uncertainty in measurement, 5.1.2), every
+u_i being that of the value corrected to the peak displacement. docs/numbers.md says what each source is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.bench import twin_of
+from hpe_rig.processing.harmonic import HarmonicFit
+from hpe_rig.result import Averaging, Component, Estimate
+from hpe_rig.scene import Scene
+
+GATE_EDGE_RELATIVE = 2e-4
+"""Error of a rigid motion that the ends of a 1 mm gate leave, relative; of the phase in rad."""
+TRACKED = Averaging(1.0, 0.0, 0.0)
+"""Averaging where no beams are known: what is tracked is taken as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What is known of the errors besides a fit: of what the bench does, and of the scale of every displacement.
+
+    Where nothing is said of the sound speed it is as uncertain, relatively, as a scene takes it to be.
+    ``trigger_jitter_s``, root mean square, is 0 where nobody states it: it is then within noise, as the residual holds
+    both. ``subtracts_jitter``: a reference gate's motion has been subtracted, and the jitter with it.
+    """
+
+    sound_speed_m_per_s: float = 1540.0
+    sound_speed_uncertainty: float = 0.005
+    trigger_jitter_s: float = 0.0
+    subtracts_jitter: bool = False
+
+    @property
+    def jitter_m(self) -> float:
+        """Displacement noise of one pulse by trigger jitter, u = c t / 2."""
+        return 0.0 if self.subtracts_jitter else self.sound_speed_m_per_s * self.trigger_jitter_s / 2
+
+
+def known_of(scene: Scene, simulated: bool) -> Known:
+    """Return what ``scene`` says of the errors; a real bench's trigger jitter is not known."""
+    twin = twin_of(scene) if simulated else None
+    return Known(
+        scene.acquisition.sound_speed_m_per_s,
+        scene.acquisition.sound_speed_uncertainty,
+        0.0 if twin is None else twin.trigger_jitter_s,
+    )
+
+
+def estimates_of(
+    fit: HarmonicFit,
+    known: Known | None = None,
+    averaging: Sequence[Averaging | None] | None = None,
+    true_m: NDArray[np.float64] | None = None,
+) -> tuple[Estimate, ...]:
+    """Return the estimates of one ``fit`` with their budgets.
+
+    ``averaging`` (frequency,) is what beams and medium make of the peak displacement, None where it is not known;
+    ``true_m`` (frequency, 2) the ground truth, A cos(phase) and A sin(phase), NaN or None where it is not known.
+    """
+    count = fit.frequency_hz.size
+    each = averaging if averaging is not None else (None,) * count
+    return tuple(_estimate(fit, index, known or Known(), each[index], true_m) for index in range(count))
+
+
+def _estimate(
+    fit: HarmonicFit, index: int, known: Known, averaging: Averaging | None, true_m: NDArray[np.float64] | None
+) -> Estimate:
+    is_known = true_m is not None and bool(np.isfinite(true_m[index]).all())
+    in_phase_m, quadrature_m = true_m[index] if true_m is not None and is_known else (0.0, 0.0)
+    return Estimate(
+        frequency_hz=float(fit.frequency_hz[index]),
+        amplitude_m=float(fit.amplitude_m[index]),
+        amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
+        phase_rad=float(fit.phase_rad[index]),
+        phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
+        averaging_factor=None if averaging is None else averaging.factor,
+        speckle_relative=None if averaging is None else averaging.speckle_relative,
+        true_amplitude_m=math.hypot(in_phase_m, quadrature_m) if is_known else None,
+        true_phase_rad=math.atan2(quadrature_m, in_phase_m) if is_known else None,
+        averaging_phase_rad=None if averaging is None else averaging.phase_rad,
+        components=components(fit, index, known, averaging or TRACKED),
+    )
+
+
+def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging) -> tuple[Component, ...]:
+    """Return the sources of uncertainty of frequency ``index`` of ``fit``, corrected by ``averaging``."""
+    peak_m = float(fit.amplitude_m[index]) / averaging.factor
+    # Variances of (amplitude, phase): what the pulses' residual says, of which trigger jitter explains a share.
+    total = np.diagonal(fit.covariance[index])
+    aliasing = np.zeros(2) if fit.aliasing is None else np.diagonal(fit.aliasing[index])
+    random = np.maximum(total - aliasing, 0.0)
+    residual_m2 = float(fit.residual_rms_m) ** 2
+    share = min(known.jitter_m**2 / residual_m2, 1.0) if residual_m2 > 0 else 0.0
+
+    def fitted(source: str, variance: NDArray[np.float64]) -> Component:
+        amplitude_m, phase_rad = np.sqrt(variance).tolist()
+        return Component(source, amplitude_m / averaging.factor, phase_rad)
+
+    def relative(source: str, amplitude: float, phase_rad: float = 0.0) -> Component:
+        return Component(source, amplitude * peak_m, phase_rad)
+
+    return (
+        fitted("noise", random * (1 - share)),
+        fitted("trigger jitter", random * share),
+        fitted("aliasing", aliasing),
+        relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad),
+        relative("beam averaging", averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad),
+        relative("gate edge", GATE_EDGE_RELATIVE, GATE_EDGE_RELATIVE),
+        relative("sound speed", known.sound_speed_uncertainty),
+        relative("gate off focus", averaging.offset_relative),
+    )

@@ -1,0 +1,147 @@
+"""Mean over repeats: shots that share every setting, taken together and tested against their stated uncertainties.
+
+Noise and trigger jitter differ from repeat to repeat; speckle, sound speed and what else a place and a bench have are
+the same in each, so that no number of repeats makes them less.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+
+from hpe_rig.result.estimates import Estimate, Headline, ShotResult
+
+INDEPENDENT = ("noise", "trigger jitter")
+"""Components that are drawn anew in every repeat; all others are common to them."""
+DISAGREE = 0.01
+"""Probability of as large a chi-square by chance below which the repeats disagree with their uncertainties."""
+
+
+@dataclass(frozen=True, slots=True)
+class RepeatMean:
+    """Mean of one frequency over the complete repeats of one setting.
+
+    ``amplitude_m`` and ``phase_rad`` are those of the mean phasor of the headline values (``corrected`` to the peak
+    displacement where beams are known), with combined standard uncertainties. ``amplitude_sd_m`` and ``phase_sd_rad``
+    are the standard deviations found between the repeats; ``chi_square`` compares them, both together, with what the
+    independent components state, over ``degrees_of_freedom``; as large a one comes by chance with ``probability``.
+    Where that is below 1 %, ``agrees`` is False and the uncertainties are enlarged to the scatter found.
+    """
+
+    shots: tuple[int, ...]
+    burst_length_s: float | None
+    force_fraction: float | None
+    pulse_rate_hz: float | None
+    window_length_s: float | None
+    frequency_hz: float
+    corrected: bool
+    amplitude_m: float
+    amplitude_uncertainty_m: float
+    phase_rad: float
+    phase_uncertainty_rad: float
+    amplitude_sd_m: float
+    phase_sd_rad: float
+    chi_square: float
+    degrees_of_freedom: int
+    probability: float
+    agrees: bool
+    true_amplitude_m: float | None = None
+    true_phase_rad: float | None = None
+
+
+def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
+    """Return the mean of every frequency over each group of complete shots that share all settings."""
+    groups: dict[tuple[float | None, ...], list[ShotResult]] = {}
+    for shot in shots:
+        if shot.complete:
+            groups.setdefault(_setting(shot), []).append(shot)
+    return tuple(
+        _mean(group, index) for group in groups.values() if len(group) > 1 for index in range(len(group[0].estimates))
+    )
+
+
+def _setting(shot: ShotResult) -> tuple[float | None, ...]:
+    return shot.burst_length_s, shot.force_fraction, shot.pulse_rate_hz, shot.window_length_s
+
+
+def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
+    from scipy.special import gammaincc
+
+    estimates = [shot.estimates[index] for shot in shots]
+    each = [item.headline for item in estimates]
+    count, freedom = len(each), 2 * (len(each) - 1)
+    mean = sum(cmath.rect(item.amplitude_m, item.phase_rad) for item in each) / count
+    along_m, turned_rad = _deviations(each, mean)
+    independent = [_parts(item, independent=True) for item in estimates]
+    chi_square = sum(
+        _squared_ratio(deviation, stated[axis])
+        for axis, deviations in enumerate((along_m, turned_rad))
+        for deviation, stated in zip(deviations, independent, strict=True)
+    )
+    probability = float(gammaincc(freedom / 2, chi_square / 2))
+    agrees = probability >= DISAGREE
+    common = [_parts(item, independent=False) for item in estimates]
+    u_m, u_rad = (
+        math.hypot(
+            # Scatter beyond what is stated has a cause that nobody listed: then what was found counts.
+            max(_root_mean_square(part[axis] for part in independent), 0.0 if agrees else _spread(deviations))
+            / math.sqrt(count),
+            sum(part[axis] for part in common) / count,
+        )
+        for axis, deviations in enumerate((along_m, turned_rad))
+    )
+    known = all(item.true_amplitude_m is not None for item in estimates)
+    truth = sum(cmath.rect(i.true_amplitude_m or 0.0, i.true_phase_rad or 0.0) for i in estimates) / count
+    first = shots[0]
+    return RepeatMean(
+        shots=tuple(shot.shot for shot in shots),
+        burst_length_s=first.burst_length_s,
+        force_fraction=first.force_fraction,
+        pulse_rate_hz=first.pulse_rate_hz,
+        window_length_s=first.window_length_s,
+        frequency_hz=estimates[0].frequency_hz,
+        corrected=all(item.corrected for item in each),
+        amplitude_m=abs(mean),
+        amplitude_uncertainty_m=u_m,
+        phase_rad=cmath.phase(mean),
+        phase_uncertainty_rad=u_rad,
+        amplitude_sd_m=_spread(along_m),
+        phase_sd_rad=_spread(turned_rad),
+        chi_square=chi_square,
+        degrees_of_freedom=freedom,
+        probability=probability,
+        agrees=agrees,
+        true_amplitude_m=abs(truth) if known else None,
+        true_phase_rad=cmath.phase(truth) if known else None,
+    )
+
+
+def _deviations(each: Sequence[Headline], mean: complex) -> tuple[list[float], list[float]]:
+    """Return by how much each amplitude, m, and phase, rad, differs from the mean amplitude and the mean's phase."""
+    middle_m = sum(item.amplitude_m for item in each) / len(each)
+    turned = [math.remainder(item.phase_rad - cmath.phase(mean), 2 * math.pi) for item in each]
+    middle_rad = sum(turned) / len(turned)
+    return [item.amplitude_m - middle_m for item in each], [angle - middle_rad for angle in turned]
+
+
+def _parts(estimate: Estimate, independent: bool) -> tuple[float, float]:
+    """Return u of amplitude, m, and phase, rad, from the components that are independent between repeats, or not."""
+    parts = [each for each in estimate.budget if (each.source in INDEPENDENT) is independent]
+    return math.hypot(*(each.amplitude_m for each in parts)), math.hypot(*(each.phase_rad for each in parts))
+
+
+def _squared_ratio(deviation: float, stated: float) -> float:
+    if stated > 0:
+        return (deviation / stated) ** 2
+    return 0.0 if deviation == 0 else math.inf
+
+
+def _root_mean_square(values: Iterable[float]) -> float:
+    return math.sqrt(fmean(value**2 for value in values))
+
+
+def _spread(deviations: Sequence[float]) -> float:
+    return math.hypot(*deviations) / math.sqrt(len(deviations) - 1)

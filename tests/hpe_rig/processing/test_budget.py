@@ -1,0 +1,78 @@
+"""Budget of an estimate: its components in squares are its uncertainty, each from what is known of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hpe_rig.processing.budget import GATE_EDGE_RELATIVE, Known, estimates_of
+from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
+from hpe_rig.result import Averaging, Component, Estimate
+
+AVERAGING = Averaging(0.9, -0.02, 0.03, 0.018, 0.004, speckle_phase_rad=0.002, offset_relative=0.01)
+
+
+def fit(residual_m: float = 1e-8) -> HarmonicFit:
+    """Return a fit of 100 nm and 0.3 rad with 1 nm of noise in either quadrature."""
+    state = 1e-7 * np.array([math.cos(0.3), math.sin(0.3)])
+    return fit_from_state(np.array([200.0]), state, 1e-18 * np.eye(2), np.asarray(residual_m**2), 100)
+
+
+def parts(estimate: Estimate) -> dict[str, Component]:
+    return {each.source: each for each in estimate.budget}
+
+
+def test_components_in_squares_are_the_headlines_uncertainty_and_each_is_what_it_says() -> None:
+    (estimate,) = estimates_of(fit(), Known(1540.0, 0.005), (AVERAGING,))
+    lead, found = estimate.headline, parts(estimate)
+    peak_m = 1e-7 / 0.9
+    assert lead.corrected
+    assert lead.amplitude_m == pytest.approx(peak_m)
+    assert lead.phase_rad == pytest.approx(0.32)
+    assert lead.amplitude_uncertainty_m == pytest.approx(math.hypot(*(each.amplitude_m for each in found.values())))
+    assert lead.phase_uncertainty_rad == pytest.approx(math.hypot(*(each.phase_rad for each in found.values())))
+    stated = {
+        "noise": (1e-9 / 0.9, 0.01),
+        "trigger jitter": (0, 0),
+        "aliasing": (0, 0),
+        "speckle": (0.03 * peak_m, 0.002),
+        "beam averaging": (0.02 * peak_m, 0.004),
+        "gate edge": (GATE_EDGE_RELATIVE * peak_m, GATE_EDGE_RELATIVE),
+        "sound speed": (0.005 * peak_m, 0),
+        "gate off focus": (0.01 * peak_m, 0),
+    }
+    assert list(found) == list(stated)
+    for name, pair in stated.items():
+        assert (found[name].amplitude_m, found[name].phase_rad) == pytest.approx(pair), name
+
+
+def test_aliasing_is_taken_out_of_noise_and_nothing_is_counted_twice() -> None:
+    of_noise = fit()
+    aliasing = np.array([[[3e-18, 0], [0, 5e-4]]])
+    whole = replace(of_noise, covariance=of_noise.covariance + aliasing, aliasing=aliasing)
+    (plain,), (total,) = estimates_of(of_noise), estimates_of(whole)
+    assert parts(total)["noise"].amplitude_m == pytest.approx(parts(plain)["noise"].amplitude_m)
+    assert parts(total)["aliasing"].phase_rad == pytest.approx(math.sqrt(5e-4))
+    assert total.amplitude_uncertainty_m == pytest.approx(2e-9)
+
+
+@pytest.mark.parametrize(("jitter_s", "share"), [(5e-12, 0.148), (1e-10, 1.0)])
+def test_trigger_jitter_takes_its_share_of_the_residual(jitter_s: float, share: float) -> None:
+    # 1540 m/s * 5 ps / 2 is 3.85 nm, of a residual of 10 nm; 100 ps would be more than there is.
+    (estimate,) = estimates_of(fit(), Known(1540.0, 0.0, jitter_s))
+    noise, jitter = parts(estimate)["noise"], parts(estimate)["trigger jitter"]
+    assert jitter.amplitude_m**2 == pytest.approx(share * 1e-18, rel=2e-3)
+    assert noise.amplitude_m**2 + jitter.amplitude_m**2 == pytest.approx(1e-18)
+    (still,) = estimates_of(fit(), Known(1540.0, 0.0, jitter_s, subtracts_jitter=True))
+    assert parts(still)["trigger jitter"].amplitude_m == 0
+
+
+def test_without_beams_the_headline_is_what_is_tracked() -> None:
+    (estimate,) = estimates_of(fit(), Known(1540.0, 0.005))
+    lead = estimate.headline
+    assert (lead.amplitude_m, lead.phase_rad, lead.corrected) == (estimate.amplitude_m, estimate.phase_rad, False)
+    assert estimate.corrected_amplitude_m is None
+    assert lead.amplitude_uncertainty_m == pytest.approx(math.hypot(1e-9, 0.005 * 1e-7, GATE_EDGE_RELATIVE * 1e-7))

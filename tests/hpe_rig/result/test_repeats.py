@@ -1,0 +1,73 @@
+"""Means over repeats: as certain as stated, tested by chi-square, and never the luckiest shot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hpe_rig.result.estimates import Component, Estimate, ShotResult
+from hpe_rig.result.repeats import DISAGREE, RepeatMean, repeat_means
+
+AMPLITUDE_M, PHASE_RAD = 1e-7, 3.1
+NOISE_M, SPECKLE_M, NOISE_RAD, SPECKLE_RAD = 2e-9, 1e-9, 0.02, 0.01
+
+
+def shot(index: int, error_m: float, error_rad: float, force: float = 1.0) -> ShotResult:
+    budget = (Component("noise", NOISE_M, NOISE_RAD), Component("speckle", SPECKLE_M, SPECKLE_RAD))
+    phase_rad = math.remainder(PHASE_RAD + error_rad, 2 * math.pi)
+    estimate = Estimate(100.0, AMPLITUDE_M + error_m, NOISE_M, phase_rad, NOISE_RAD, components=budget)
+    return ShotResult(index, index, 1e-4, force, 100, 0, 1e-9, (estimate,), ())
+
+
+def repeats(generator: np.random.Generator, count: int, scatter: float = 1.0) -> list[ShotResult]:
+    """Draw ``count`` repeats of one place: noise in each, speckle common to all."""
+    common = generator.standard_normal(2) * (SPECKLE_M, SPECKLE_RAD)
+    each = common + generator.standard_normal((count, 2)) * (NOISE_M * scatter, NOISE_RAD * scatter)
+    return [shot(index, *errors) for index, errors in enumerate(each.tolist())]
+
+
+def mean_of(shots: list[ShotResult]) -> RepeatMean:
+    (mean,) = repeat_means(shots)
+    return mean
+
+
+def test_the_mean_is_as_uncertain_as_noise_over_repeats_and_speckle_in_full() -> None:
+    mean = mean_of([shot(0, NOISE_M, 0.01), shot(1, -NOISE_M, -0.01)])
+    assert mean.shots == (0, 1)
+    assert mean.amplitude_m == pytest.approx(AMPLITUDE_M, rel=1e-3)
+    assert mean.amplitude_uncertainty_m == pytest.approx(math.hypot(NOISE_M / math.sqrt(2), SPECKLE_M))
+    assert mean.phase_uncertainty_rad == pytest.approx(math.hypot(NOISE_RAD / math.sqrt(2), SPECKLE_RAD))
+    # About the half turn a plain mean of the phases would be 0.
+    assert mean.phase_rad == pytest.approx(PHASE_RAD, abs=1e-3)
+    assert (mean.chi_square, mean.degrees_of_freedom) == (pytest.approx(2 + 2 * 0.25), 2)
+
+
+def test_means_are_off_by_as_much_as_they_state_and_chi_square_is_noticed_as_often_as_it_should() -> None:
+    trials = 2000
+    generator = np.random.default_rng(5)
+    means = [mean_of(repeats(generator, 5)) for _ in range(trials)]
+    ratio = [(mean.amplitude_m - AMPLITUDE_M) / mean.amplitude_uncertainty_m for mean in means]
+    turned = [math.remainder(mean.phase_rad - PHASE_RAD, 2 * math.pi) / mean.phase_uncertainty_rad for mean in means]
+    # The mean of n squares of normal errors has the standard deviation sqrt(2 / n).
+    assert np.mean(np.square(ratio)) == pytest.approx(1, abs=4 * math.sqrt(2 / trials))
+    assert np.mean(np.square(turned)) == pytest.approx(1, abs=4 * math.sqrt(2 / trials))
+    alarms = sum(not mean.agrees for mean in means)
+    assert alarms == pytest.approx(DISAGREE * trials, abs=4 * math.sqrt(DISAGREE * trials))
+    assert np.mean([mean.chi_square for mean in means]) == pytest.approx(8, abs=4 * math.sqrt(16 / trials))
+
+
+def test_repeats_that_scatter_more_than_stated_disagree_and_state_their_scatter() -> None:
+    mean = mean_of(repeats(np.random.default_rng(1), 6, scatter=8.0))
+    assert not mean.agrees
+    assert mean.probability < DISAGREE
+    assert mean.amplitude_uncertainty_m == pytest.approx(math.hypot(mean.amplitude_sd_m / math.sqrt(6), SPECKLE_M))
+
+
+def test_only_complete_shots_of_equal_settings_are_repeats() -> None:
+    assert repeat_means([shot(0, 0, 0), shot(1, 0, 0, force=0.5), shot(2, 0, 0, force=0.25)]) == ()
+    stopped = replace(shot(2, 0, 0), complete=False)
+    (mean,) = repeat_means([shot(0, 0, 0), shot(1, 0, 0), stopped, shot(3, 0, 0, force=0.5)])
+    assert mean.shots == (0, 1)

@@ -1,0 +1,61 @@
+"""Stated intervals hold the truth as often as they say: subsets of what ``scripts/coverage.py`` measures."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "scripts" / "coverage.py"
+HEAVY = 2.0
+"""Kurtosis of the errors over that of normal ones: speckle has dark spots."""
+
+
+@pytest.fixture(scope="module")
+def coverage() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("coverage_script", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    # Its dataclass asks for the module by name.
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def check(coverage: ModuleType, scene: str, estimators: list[str], seeds: int, deviations: float) -> None:
+    """Compare coverage and NEV with what they should be, within ``deviations`` standard deviations of so many seeds.
+
+    The errors of a run share their speckle, so that a run counts as one trial; beyond chance, the goal's own tolerance.
+    """
+    for row in coverage.coverage(scene, estimators, range(seeds)):
+        for axis, name in enumerate(("amplitude", "phase")):
+            found = f"{scene}, {row.estimator}, {name}: {row}"
+            for share, within, tolerance in ((0.6827, row.within_68, 0.07), (0.95, row.within_95, 0.03)):
+                chance = math.sqrt(share * (1 - share) / seeds)
+                assert within[axis] == pytest.approx(share, abs=deviations * chance + tolerance), found
+            spread = math.sqrt(2 * HEAVY / seeds)
+            assert 0.8 - deviations * spread < row.nev[axis] < 1.25 + deviations * spread, found
+
+
+def test_a_coverage_page_has_a_row_for_each_estimator(coverage: ModuleType) -> None:
+    rows = coverage.coverage("table-1", ["coherent", "kasai"], range(2))
+    page = coverage.page(rows, 2)
+    assert "| table-1 | coherent |" in page
+    assert "| table-1 | kasai |" in page
+
+
+def test_intervals_of_the_prescribed_motion_hold_the_truth(coverage: ModuleType) -> None:
+    check(coverage, "table-1", ["coherent", "cross_spectrum"], seeds=24, deviations=3.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scene", ["table-1", "bovine-muscle"])
+def test_intervals_of_every_estimator_hold_the_truth(coverage: ModuleType, scene: str) -> None:
+    from hpe_rig.processing import ESTIMATORS
+
+    check(coverage, scene, list(ESTIMATORS), seeds=60, deviations=3.0)

@@ -1,0 +1,95 @@
+"""A run stopped in any shot has the results of its complete shots, and says what the others lack."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.acquire.run import Setup, record_run
+from hpe_rig.acquire.run_file import process
+from hpe_rig.acquire.sequencer import Progress, Step
+from hpe_rig.cli.app import app
+from hpe_rig.report.page import render
+from hpe_rig.store import StoreError, read_run
+
+Prepare = Callable[..., Setup]
+SHOTS = 3
+THREE_FORCES = (
+    ("burst_count = 20", "burst_count = 6\nforce_fraction = [1.0, 0.7, 0.4]"),
+    ("window_start_s = 50e-3", ""),
+)
+
+
+def stopped_in(setup: Setup, path: Path, shot: int, records: int) -> Path:
+    """Measure until ``records`` records of ``shot`` have arrived, and stop as Ctrl-C does."""
+
+    def stop(progress: Progress) -> None:
+        step = Step.COLLECT if records else Step.ARM
+        if progress.shot.index == shot and progress.step is step and progress.records >= records:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        record_run(setup, path, stop)
+    return path
+
+
+@pytest.mark.parametrize("shot", range(SHOTS))
+def test_a_run_stopped_while_records_arrive_keeps_every_complete_shot(
+    prepared: Prepare, tmp_path: Path, shot: int
+) -> None:
+    setup = prepared("bovine-muscle-synchronous", *THREE_FORCES)
+    whole = process(record_run(setup, tmp_path / "whole.h5"))
+    path = stopped_in(setup, tmp_path / "run.h5", shot, records=60)
+    arrived = read_run(path).records.gated(shot, setup.plan.shots[shot].gate).valid
+    assert arrived.sum() >= 60
+    assert not read_run(path).shot_complete[shot]
+    found = process(path)
+    assert [each.estimates for each in found.shots if each.complete] == [each.estimates for each in whole.shots[:shot]]
+    # What had come of the stopped shot is an estimate of its own where it resolves the harmonics, and marked.
+    partial = [each for each in found.shots if not each.complete]
+    without = [index for index, _ in found.shots_without_result]
+    assert [*(each.shot for each in partial), *without] == list(range(shot, SHOTS))
+    assert f"the run is aborted: {shot} of {SHOTS} shots are complete" in found.warnings
+    for index in without:
+        assert any("left out" in text and f"{index + 1}" in text for text in found.warnings)
+    page = render(path)
+    assert f"{shot} of {SHOTS} shots are complete" in page
+
+
+@pytest.mark.parametrize("shot", range(1, SHOTS))
+def test_a_run_stopped_before_a_shots_first_record_is_processed_and_printed(
+    prepared: Prepare, tmp_path: Path, shot: int
+) -> None:
+    path = stopped_in(prepared("bovine-muscle-synchronous", *THREE_FORCES), tmp_path / "run.h5", shot, records=0)
+    done = CliRunner().invoke(app, ["process", str(path), "--json"])
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    assert [each["shot"] for each in result["shots"]] == list(range(shot))
+    assert [index for index, _ in result["shots_without_result"]] == list(range(shot, SHOTS))
+    done = CliRunner().invoke(app, ["report", str(path)])
+    assert done.exit_code == 0, done.output
+    assert f"{shot} of {SHOTS} planned" in path.with_suffix(".html").read_text(encoding="utf-8")
+    assert "left out: no record of it was acquired" in CliRunner().invoke(app, ["process", str(path)]).stdout
+
+
+def test_too_few_records_of_one_shot_cost_no_other_its_result(prepared: Prepare, tmp_path: Path) -> None:
+    path = record_run(prepared("bovine-muscle-synchronous", *THREE_FORCES), tmp_path / "run.h5")
+    whole = process(path)
+    with h5py.File(path, "r+") as file:
+        file["records/recorded"][1, 5:] = 0
+    found = process(path)
+    assert [shot.estimates for shot in found.shots] == [whole.shots[0].estimates, whole.shots[2].estimates]
+    assert [index for index, _ in found.shots_without_result] == [1]
+    assert any(text.startswith("shot 2 left out: ") for text in found.warnings)
+
+
+def test_a_run_stopped_before_its_first_record_has_nothing_to_say(prepared: Prepare, tmp_path: Path) -> None:
+    path = stopped_in(prepared("bovine-muscle-synchronous", *THREE_FORCES), tmp_path / "run.h5", 0, records=0)
+    with pytest.raises(StoreError, match="holds no records"):
+        process(path)
