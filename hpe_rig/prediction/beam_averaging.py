@@ -24,6 +24,8 @@ ComplexArray = NDArray[np.complex128]
 Triple = tuple[float, float, float]
 
 DIRECTIONS = 96
+AREA_STEP = 0.05
+"""Relative step in the tracking beam's area over which a derivative is taken."""
 SCALES = (0.05, 1e3)
 """Between which a Gaussian's widths are scaled; the upper end tracks the peak to 1e-7."""
 
@@ -46,25 +48,54 @@ def predicted_averaging(scene: Scene, estimator: str, simulated: bool = True) ->
     if motion is None:
         return tuple(_off_focus(scene, Averaging(gaussian, 0.0, spread)) for _ in frequency_hz)
     depth_m, ratio = depth_spread(widths[1], *gate, window), motion[0] / motion[1]
-    # To first order in how far the motion changes over the beam, all that speckle does is in proportion to the loss.
+    # To first order in how far the motion changes over the beam, its loss is in proportion to the Gaussian's.
     lost = (1 - np.abs(ratio)) / (1 - gaussian_averaging(*widths, depth_m))
-    turned = speckle_phase(ratio, gaussian, spread)
+    share = speckle_share(scene, frequency_hz, window, simulated)
     return tuple(
-        _off_focus(scene, Averaging(1 - share * (1 - gaussian), lag, share * spread, speckle_phase_rad=phase_rad))
-        for share, lag, phase_rad in zip(lost.tolist(), np.angle(ratio).tolist(), turned.tolist(), strict=True)
+        _off_focus(scene, Averaging(1 - loss * (1 - gaussian), lag, amplitude, speckle_phase_rad=phase_rad))
+        for loss, lag, amplitude, phase_rad in zip(
+            lost.tolist(),
+            np.angle(ratio).tolist(),
+            (spread * np.abs(share.real)).tolist(),
+            (spread * np.abs(share.imag)).tolist(),
+            strict=True,
+        )
     )
 
 
-def speckle_phase(ratio: ComplexArray, gaussian: float, spread: float) -> FloatArray:
-    """Return the standard deviation over speckle of the tracked phase, rad (frequency,).
+def speckle_share(
+    scene: Scene, frequency_hz: FloatArray, window: Window = "none", simulated: bool = True
+) -> ComplexArray:
+    """Return what speckle does to the tracked displacement over what it does to a Gaussian motion's, (frequency,).
 
-    ``ratio`` (frequency,) is tracked over peak displacement. The tracked displacement is a mean over the scatterers
-    with real weights that speckle draws, and to first order a draw scales the whole complex loss 1 - ratio by one
-    number, whose standard deviation is known from the Gaussian motion: its averaging is ``gaussian``, its relative
-    spread ``spread``. What of that loss lies across the mean phasor turns the phase.
+    Relative changes: the real part that of the amplitude, the imaginary part that of the phase. The tracked
+    displacement is a mean over the scatterers with real weights that speckle draws about a Gaussian of variance s. Its
+    variance is the sum of |a_n|^2 over the motion's Laguerre modes, a_n = (-s)^n / n! d^n M / ds^n for the mean M(s),
+    and the first mode is nearly all of it: what counts is how steeply the averaging falls with the beam's area.
     """
-    scaled = spread * gaussian / (1 - gaussian)
-    return np.asarray(scaled * np.abs(((1 - ratio) / ratio).imag))
+    steps = [_wider(scene, 1 + step) for step in (-AREA_STEP, AREA_STEP)]
+    motions = [motion_of_medium(each, frequency_hz, window, simulated) for each in steps]
+    tracked = [motion[0] for motion in motions if motion is not None]
+    means = [_gaussian_of(each, window) for each in steps]
+    return np.asarray(
+        (tracked[1] - tracked[0]) / (tracked[1] + tracked[0]) / ((means[1] - means[0]) / (means[1] + means[0]))
+    )
+
+
+def _wider(scene: Scene, area: float) -> Scene:
+    """Return ``scene`` with a tracking beam of ``area`` times its cross section."""
+    assert scene.beams is not None  # noqa: S101 (as its caller knows)
+    x, y, z = scene.beams.tracking_width_m
+    beams = scene.beams.model_copy(update={"tracking_width_m": (x * area**0.5, y * area**0.5, z)})
+    return scene.model_copy(update={"beams": beams})
+
+
+def _gaussian_of(scene: Scene, window: Window) -> float:
+    """Return the averaging of the Gaussian motion of eq. (12) over the scene's beams."""
+    assert scene.beams is not None  # noqa: S101 (as its caller knows)
+    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), window)
+    return gaussian_averaging(*widths, depth_m)
 
 
 def _off_focus(scene: Scene, averaging: Averaging) -> Averaging:
