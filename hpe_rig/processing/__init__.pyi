@@ -10,6 +10,7 @@ from .echoes import (
     velocity_between_pulses as velocity_between_pulses,
 )
 from .ensemble import (
+    MEMBERS as MEMBERS,
     BeamWidths as BeamWidths,
     Ensemble as Ensemble,
     KnownMedium as KnownMedium,
