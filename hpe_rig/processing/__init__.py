@@ -15,6 +15,7 @@
                        then off with sinc(f_i / f_prf), T_prf / 2, 90 deg
 
     what distinguishes them, one row each                                   estimators.py
+    the uncertainty of each estimate, source by source                      budget.py
     a stored run, shot by shot, with its warnings                           shots.py, stationarity.py
     the same from the twin's motion, at every instant                       ground_truth.py
 
