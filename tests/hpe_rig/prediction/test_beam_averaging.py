@@ -179,7 +179,7 @@ def test_speckle_turns_the_phase_where_the_lag_varies_over_the_beam():
     # In a nearly elastic, quasi-static medium all of it lies along the motion; a wave that lags turns with speckle.
     stiff = MUSCLE + "\n[medium]\nshear_modulus_pa = 9e7\nshear_viscosity_pa_s = 1e-3\n"
     still = speckle_share(parse_scene("a", stiff).scene, "coherent")
-    assert np.abs(still.imag).max() < 1e-2 * np.abs(still.real).min()
+    assert np.abs(still.imag).max() < 2e-2 * np.abs(still.real).min()
     assert np.abs(share.imag[1]) > 3 * np.abs(share.imag[0]) > 30 * np.abs(still.imag[0])
     # Against 3000 draws of the twin's scatterers, moved by its own field: 1.28 and 1.86 % of amplitude, 0.093 and
     # 0.487 degrees, known to a tenth with speckle's dark spots.
