@@ -1,10 +1,11 @@
+from .band import Band as Band, band_grid as band_grid, band_of as band_of
 from .conditioning import codes_to_volts as codes_to_volts, hann as hann, unlike_pulses as unlike_pulses
 from .correlation import cross_correlation as cross_correlation
 from .echoes import (
     EchoGate as EchoGate,
     Motion as Motion,
     Velocity as Velocity,
-    band_grid as band_grid,
+    margin_samples as margin_samples,
     relative_to as relative_to,
     velocity_between_pulses as velocity_between_pulses,
 )
