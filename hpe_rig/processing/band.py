@@ -16,7 +16,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import rfft
+from scipy.fft import next_fast_len, rfft
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Volts, margin_samples
 
@@ -29,11 +29,11 @@ FFT_WORTH = 6.0
 """Products a point and doubling from which on a whole FFT costs less than the wanted bins one by one, measured."""
 TAPER_PERIODS = 1.45
 """Carrier periods at an end of the record that are faded at least, where no margin is left: into the gate."""
-LEAST_OUTSIDE = 1e-6
+LEAST_OUTSIDE = 1e-5
 """Share of a direction's energy in the margins above which it is taken off."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Band:
     """What a gate fixes of its spectra: their bins, and how to weight them over the gate's samples.
 
@@ -49,21 +49,20 @@ class Band:
     root: FloatArray
     noise: ComplexArray
 
-    @property
+    @functools.cached_property
     def gated_noise(self) -> ComplexArray:
         """G times the covariance of the noise, (bin, bin)."""
-        return self.noise - self.root @ (self.root.T @ self.noise)
+        return np.asarray(self.noise - self.root @ (self.root.T @ self.noise))
 
-    @property
+    @functools.cached_property
     def noise_energy(self) -> float:
         """Energy of white noise in the gate."""
         return float(np.trace(self.gated_noise).real)
 
-    @property
+    @functools.cached_property
     def independent(self) -> float:
         """Number of independent complex numbers of white noise in the gate."""
-        gated = self.gated_noise
-        return self.noise_energy**2 / float(np.einsum("ij,ji->", gated, gated).real)
+        return self.noise_energy**2 / float(np.einsum("ij,ji->", self.gated_noise, self.gated_noise).real)
 
     def noise_along(self, gated: ComplexArray, energy: FloatArray) -> FloatArray:
         """Return the energy (...) of white noise along an echo of that ``energy`` (...), ``gated`` (..., bin)."""
@@ -96,13 +95,16 @@ def band_of(echoes: EchoGate) -> Band:
 @functools.lru_cache(maxsize=32)
 def _band(before: int, gate: int, behind: int, sample_rate_hz: float, carrier_hz: float) -> Band:
     samples = before + gate + behind
+    # the taper has faded to nothing: zeros behind it, for a faster FFT, are more of the margin
+    bins = next_fast_len(samples, real=True) if behind else samples
     middle = before + (gate - 1) / 2
     least = min(round(TAPER_PERIODS * sample_rate_hz / carrier_hz), gate // 4)
     taper = _faded(samples, max(before, least), max(behind, least))
-    frequency_hz = _grid(sample_rate_hz, carrier_hz, samples)
-    turn = 2 * np.pi * np.outer(np.arange(samples) - middle, frequency_hz / sample_rate_hz)
-    signal = np.exp(1j * turn) / np.sqrt(samples)
-    noise = (signal.conj().T * taper**2) @ signal
+    frequency_hz = _grid(sample_rate_hz, carrier_hz, bins)
+    turn = 2 * np.pi * np.outer(np.arange(bins) - middle, frequency_hz / sample_rate_hz)
+    signal = np.exp(1j * turn) / np.sqrt(bins)
+    noise = (signal[:samples].conj().T * taper**2) @ signal[:samples]
+    # about the gate's middle E^H E is real, over the gate and so over what is left of all samples
     outside = np.concatenate([signal[:before], signal[before + gate :]])
     share, vectors = np.linalg.eigh((outside.conj().T @ outside).real)
     kept = share > LEAST_OUTSIDE

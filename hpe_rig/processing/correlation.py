@@ -9,7 +9,7 @@ import numpy as np
 
 from hpe_rig.processing.band import band_spectrum, turned
 from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, scatter
-from hpe_rig.processing.motion import accumulated_phase, against_others
+from hpe_rig.processing.motion import against_others, pulse_steps
 
 Peak = Literal["parabolic", "spline"]
 
@@ -27,25 +27,24 @@ def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: in
     Source: the usual time-domain estimator (Viola and Walker 2003 compare several).
     """
     spectrum, band = band_spectrum(echoes, 2)
-    phase, mean_hz = accumulated_phase(spectrum, band)
-    guess_s = -phase / (2 * np.pi * mean_hz[..., None])
-    guess_s -= guess_s.mean(axis=-1, keepdims=True)
-    found = against_others(spectrum, band, guess_s)
+    steps = pulse_steps(spectrum, band)
+    guess_s = steps.delay_s - steps.delay_s.mean(axis=-1, keepdims=True)
+    found = against_others(spectrum, band, steps, guess_s)
     rate_hz = echoes.sample_rate_hz * upsampling
     whole = np.round(guess_s * rate_hz)
     # the reference stays where the first guess put it, so lags count from there and not from the pulse before
     others = found.gated[..., None, :] - band.gated(found.aligned)
     cross = np.conj(others) * turned(spectrum, whole / rate_hz, band.frequency_hz)
-    half = math.ceil(rate_hz / np.nanmin(mean_hz) / 2)
+    half = math.ceil(rate_hz / np.nanmin(steps.mean_hz) / 2)
     lag = _peak_lag(_correlation(cross, band.frequency_hz / rate_hz, half + MARGIN), half, peak)
     metres = echoes.sound_speed_m_per_s / 2
-    variance = found.variance / (2 * np.pi * mean_hz[..., None]) ** 2 * metres**2
+    variance = found.variance / (2 * np.pi * steps.mean_hz[..., None]) ** 2 * metres**2
     return Motion(
         echoes.pulse_time_s,
         scatter((whole + lag) / rate_hz * metres, echoes.valid),
         scatter(variance, echoes.valid),
         echoes.valid,
-        np.abs(np.diff(phase, axis=-1)).max(axis=-1) / np.pi,
+        np.abs(np.diff(steps.phase, axis=-1)).max(axis=-1) / np.pi,
     )
 
 

@@ -43,12 +43,12 @@ def coherent(echoes: EchoGate) -> Motion:
 
 def coherent_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...)."""
-    phase, mean_hz = accumulated_phase(spectrum, band)
+    steps = pulse_steps(spectrum, band)
     # the first pass aligns with single-echo noise, the second with the noise of the mean echo
-    for _ in range(2):
-        found = against_others(spectrum, band, -phase / (2 * np.pi * mean_hz[..., None]))
-        phase, mean_hz = phase + np.angle(found.product), found.mean_hz
-    return phase, found.variance, mean_hz
+    first = against_others(spectrum, band, steps, steps.delay_s, steps.energy)
+    phase = steps.phase + np.angle(first.product)
+    second = against_others(spectrum, band, steps, -phase / (2 * np.pi * first.mean_hz[..., None]))
+    return phase + np.angle(second.product), second.variance, second.mean_hz
 
 
 def kasai(echoes: EchoGate, *, divide_by: DivideBy = "carrier") -> Motion:
@@ -58,10 +58,10 @@ def kasai(echoes: EchoGate, *, divide_by: DivideBy = "carrier") -> Motion:
     train's mean frequency. Raises ``ValueError`` as ``coherent``. Source: Kasai et al. (1985).
     """
     spectrum, band = band_spectrum(echoes, 2)
-    phase, mean_hz = accumulated_phase(spectrum, band)
-    divisor_hz = mean_hz if divide_by == "centre" else np.full_like(mean_hz, echoes.carrier_hz)
-    variance, walk = _noise_of_steps(spectrum, band)
-    return motion_of_phase(echoes, phase, variance, divisor_hz[..., None], walk)
+    steps = pulse_steps(spectrum, band)
+    divisor_hz = steps.mean_hz if divide_by == "centre" else np.full_like(steps.mean_hz, echoes.carrier_hz)
+    variance, walk = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
+    return motion_of_phase(echoes, steps.phase, variance, divisor_hz[..., None], walk)
 
 
 def loupas(echoes: EchoGate) -> Motion:
@@ -73,8 +73,9 @@ def loupas(echoes: EchoGate) -> Motion:
     spectrum, band = band_spectrum(echoes, 2)
     turn = _sample_turn(spectrum, band, 2 * np.pi * band.frequency_hz / echoes.sample_rate_hz)
     centre_hz = np.angle(turn[..., :-1] + turn[..., 1:]) / (2 * np.pi) * echoes.sample_rate_hz
-    step = np.angle(_consecutive(spectrum, band)[0])
-    return motion_of_steps(echoes, step, centre_hz, *_noise_of_steps(spectrum, band))
+    steps = pulse_steps(spectrum, band)
+    noise = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
+    return motion_of_steps(echoes, np.angle(steps.product), centre_hz, *noise)
 
 
 def cross_spectrum(
@@ -101,7 +102,7 @@ def cross_spectrum(
     # the padded bins hold no more than the unpadded ones, and the Hann window leaves two thirds of those
     independent = frequency_hz.size * samples / bins / (1.5 if gate_window == "hann" else 1.0)
     product = np.einsum("...i,...i->...", np.conj(spectrum[..., :-1, :]), spectrum[..., 1:, :])
-    noise = _noise_of_correlation(np.abs(product), energy_of(spectrum), independent)
+    noise = noise_of_steps(np.abs(product), energy_of(spectrum), independent)
     return motion_of_steps(echoes, step, divisor_hz, *noise)
 
 
@@ -139,6 +140,58 @@ def motion_of_steps(
 
 
 @dataclass(frozen=True, slots=True)
+class PulseSteps:
+    """Echoes of every train from pulse to pulse, over the gate, none of them aligned.
+
+    ``product`` (..., pulse - 1) of each with the next; ``phase`` (..., pulse) against the first by adding theirs;
+    ``mean_hz`` (...) of what neighbours have in common. ``energy`` (..., pulse) and ``moment`` (...), energy times
+    frequency of all; ``whole`` (..., pulse): energy with the margins.
+    """
+
+    product: ComplexArray
+    phase: FloatArray
+    mean_hz: FloatArray
+    energy: FloatArray
+    moment: FloatArray
+    whole: FloatArray
+
+    @property
+    def delay_s(self) -> FloatArray:
+        """By how much each echo (..., pulse) is late."""
+        return np.asarray(-self.phase / (2 * np.pi * self.mean_hz[..., None]))
+
+
+def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
+    """Return how echoes (..., pulse, bin) step from pulse to pulse."""
+    outside, weighted = band.outside(spectrum), band.outside(spectrum, band.frequency_hz)
+    cross = np.conj(spectrum[..., :-1, :])
+    cross *= spectrum[..., 1:, :]
+    product = cross.sum(axis=-1) - _neighbours(outside, outside)
+    step = np.angle(product)
+    phase = np.concatenate([np.zeros((*step.shape[:-1], 1)), np.cumsum(step, axis=-1)], axis=-1)
+    # what neighbours have in common is in phase once their step is undone
+    aligning = np.exp(-1j * step)
+    common = (aligning[..., None, :] @ cross)[..., 0, :].real @ band.frequency_hz
+    either = _neighbours(outside, weighted) + _neighbours(weighted, outside)
+    common -= (aligning * either).real.sum(axis=-1) / 2
+    power = spectrum.real**2 + spectrum.imag**2
+    whole = power.sum(axis=-1)
+    return PulseSteps(
+        product,
+        phase,
+        mean_frequency(common, np.abs(product).sum(axis=-1), band),
+        whole - energy_of(outside),
+        power.sum(axis=-2) @ band.frequency_hz - inner(outside, weighted).sum(axis=-1),
+        whole,
+    )
+
+
+def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:
+    """Return the product (..., pulse - 1) of every echo (..., pulse, column) with the next of the others."""
+    return np.asarray(np.einsum("...i,...i->...", np.conj(before[..., :-1, :]), after[..., 1:, :]))
+
+
+@dataclass(frozen=True, slots=True)
 class Compared:
     """Aligned echoes of every train against the sum of its other echoes, over the gate.
 
@@ -153,13 +206,17 @@ class Compared:
     mean_hz: FloatArray
 
 
-def against_others(spectrum: ComplexArray, band: Band, delay_s: FloatArray) -> Compared:
-    """Return how echoes (..., pulse, bin) compare with their others once advanced by ``delay_s`` (..., pulse)."""
+def against_others(
+    spectrum: ComplexArray, band: Band, steps: PulseSteps, delay_s: FloatArray, energy: FloatArray | None = None
+) -> Compared:
+    """Return how echoes (..., pulse, bin) compare with their others once advanced by ``delay_s`` (..., pulse).
+
+    ``energy`` (..., pulse), that of each echo in the gate once it is aligned, is found where not given.
+    """
     # echoes meet in the middle of their motion: what the gate cuts is then nearest to what all of them hold
     aligned = turned(spectrum, delay_s - delay_s.mean(axis=-1, keepdims=True), band.frequency_hz)
-    outside = band.outside(aligned)
-    power = spectrum.real**2 + spectrum.imag**2
-    energy = power.sum(axis=-1) - energy_of(outside)
+    if energy is None:
+        energy = steps.whole - energy_of(band.outside(aligned))
     total = aligned.sum(axis=-2)
     gated = band.gated(total)
     total_energy = inner(gated, total)
@@ -173,38 +230,10 @@ def against_others(spectrum: ComplexArray, band: Band, delay_s: FloatArray) -> C
     along = band.noise_along(gated, total_energy)[..., None]
     others = spectrum.shape[-2] - 1
     variance = misfit * along / (band.noise_energy - along) / (2 * reference) * others**2
-    own_moment = power.sum(axis=-2) @ band.frequency_hz
-    own_moment -= inner(outside, band.outside(aligned, band.frequency_hz)).sum(axis=-1)
-    moment = inner(gated, total * band.frequency_hz) - own_moment
+    # the moment of single echoes changes in second order only as they move about their middle
+    moment = inner(gated, total * band.frequency_hz) - steps.moment
     mean_hz = mean_frequency(moment, total_energy - energy.sum(axis=-1), band)
     return Compared(aligned, gated, product, variance, mean_hz)
-
-
-def accumulated_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, FloatArray]:
-    """Return phase (..., pulse) against the first pulse by adding consecutive phases, and the mean frequency (...)."""
-    product, cross = _consecutive(spectrum, band)
-    step = np.angle(product)
-    start = np.zeros((*step.shape[:-1], 1))
-    phase = np.concatenate([start, np.cumsum(step, axis=-1)], axis=-1)
-    aligning = np.exp(-1j * step)
-    moment = (aligning[..., None, :] @ cross)[..., 0, :].real @ band.frequency_hz
-    outside, weighted = band.outside(spectrum), band.outside(spectrum, band.frequency_hz)
-    either = _neighbours(outside, weighted) + _neighbours(weighted, outside)
-    moment -= (aligning * either).real.sum(axis=-1) / 2
-    return phase, mean_frequency(moment, np.abs(product).sum(axis=-1), band)
-
-
-def _consecutive(spectrum: ComplexArray, band: Band) -> tuple[ComplexArray, ComplexArray]:
-    """Return inner products (..., pulse - 1) of consecutive echoes, and their cross-spectra (..., pulse - 1, bin)."""
-    cross = np.conj(spectrum[..., :-1, :])
-    cross *= spectrum[..., 1:, :]
-    outside = band.outside(spectrum)
-    return cross.sum(axis=-1) - _neighbours(outside, outside), cross
-
-
-def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:
-    """Return the product (..., pulse - 1) of every echo (..., pulse, column) with the next of the others."""
-    return np.asarray(np.einsum("...i,...i->...", np.conj(before[..., :-1, :]), after[..., 1:, :]))
 
 
 def _sample_turn(spectrum: ComplexArray, band: Band, angle: FloatArray) -> ComplexArray:
@@ -234,13 +263,7 @@ def mean_frequency(moment: FloatArray, energy: FloatArray, band: Band) -> FloatA
     return np.where(usable, mean_hz, np.nan)
 
 
-def _noise_of_steps(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, FloatArray]:
-    """Return a pulse's phase variance (..., pulse) and the walk (...) of steps between echoes (..., pulse, bin)."""
-    energy = energy_of(spectrum) - energy_of(band.outside(spectrum))
-    return _noise_of_correlation(np.abs(_consecutive(spectrum, band)[0]), energy, band.independent)
-
-
-def _noise_of_correlation(
+def noise_of_steps(
     cross: FloatArray, energy: FloatArray, independent: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the phase variance (..., pulse) that the correlation of consecutive echoes implies, and its walk (...).
