@@ -107,7 +107,7 @@ class RunSource:
             "image": image_state(echoes.image_v, echoes.image_depth_m, float(echoes.image_time_s[-1]) * 1e3, "ms"),
         }
         try:
-            gated = gate_alone(records, shot.gate)
+            gated = gate_alone(scene, shot, records)
             shown = shown_pulses(scene, shot)
             arrived = shot_echoes(scene, shot, gated, shown)
             fit = estimate(arrived, shown.wanted_hz, "coherent", shown.driven_hz, options_of(scene.processing))

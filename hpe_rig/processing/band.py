@@ -37,15 +37,19 @@ LEAST_OUTSIDE = 1e-5
 class Band:
     """What a gate fixes of its spectra: their bins, and how to weight them over the gate's samples.
 
-    ``margin``: samples before and behind the gate that are used; ``taper`` (sample,) over them and the gate; the phases
-    of the spectra count from the gate's ``middle``, a sample of these. ``frequency_hz`` (bin,), evenly spaced. ``root``
-    (bin, column), real: B. ``noise`` (bin, bin): covariance of white noise, which the taper colours.
+    ``margin``: samples before and behind the gate that are used; ``taper`` (sample,) over them and the gate.
+    ``frequency_hz`` (bin,), evenly spaced. ``analysis`` (sample, bin): from a record to its tapered spectrum, phases
+    counted from the gate's middle; ``turn`` and ``offset`` (bin,): the same as a factor to an FFT, and what of a
+    record's mean the taper spreads into the band, which is taken off. ``root`` (bin, column), real: B. ``noise`` (bin,
+    bin): covariance of white noise, which the taper colours.
     """
 
     margin: tuple[int, int]
     taper: FloatArray
-    middle: float
     frequency_hz: FloatArray
+    analysis: ComplexArray
+    turn: ComplexArray
+    offset: ComplexArray
     root: FloatArray
     noise: ComplexArray
 
@@ -103,12 +107,17 @@ def _band(before: int, gate: int, behind: int, sample_rate_hz: float, carrier_hz
     frequency_hz = _grid(sample_rate_hz, carrier_hz, bins)
     turn = 2 * np.pi * np.outer(np.arange(bins) - middle, frequency_hz / sample_rate_hz)
     signal = np.exp(1j * turn) / np.sqrt(bins)
-    noise = (signal[:samples].conj().T * taper**2) @ signal[:samples]
+    analysis = signal[:samples].conj() * taper[:, None]
+    offset = analysis.sum(axis=0)
+    analysis -= offset / samples
+    noise = analysis.T @ analysis.conj()
     # about the gate's middle E^H E is real, over the gate and so over what is left of all samples
     outside = np.concatenate([signal[:before], signal[before + gate :]])
     share, vectors = np.linalg.eigh((outside.conj().T @ outside).real)
     kept = share > LEAST_OUTSIDE
-    return Band((before, behind), taper, middle, frequency_hz, vectors[:, kept] * np.sqrt(share[kept]), noise)
+    root = vectors[:, kept] * np.sqrt(share[kept])
+    factor = np.exp(2j * np.pi * middle / sample_rate_hz * frequency_hz) / np.sqrt(bins)
+    return Band((before, behind), taper, frequency_hz, analysis, factor, offset, root, noise)
 
 
 def _faded(samples: int, before: int, behind: int) -> FloatArray:
@@ -122,9 +131,8 @@ def _faded(samples: int, before: int, behind: int) -> FloatArray:
 def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, Band]:
     """Return the spectrum (..., valid pulse, bin) around the gate, NaN for trains without an echo, and its band.
 
-    A train's mean, such as a digitizer's offset, is taken off before the taper would spread it into the band. Raises
-    ``ValueError`` for too few valid pulses, a gate too short to hold two frequencies of the band, and where no train
-    has an echo in it.
+    Raises ``ValueError`` for too few valid pulses, a gate too short to hold two frequencies of the band, and where no
+    train has an echo in it.
     """
     require_pulses(echoes, least_pulses)
     band = band_of(echoes)
@@ -134,15 +142,35 @@ def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, Ba
 
 
 def _tapered_spectrum(echoes: EchoGate, band: Band) -> ComplexArray:
+    """Return the spectrum (..., pulse, bin) around the gate, bins first in memory."""
     first = echoes.gate.start - band.margin[0]
-    volts = echoes.volts[..., first : first + band.taper.size]
+    samples, count = band.analysis.shape
+    volts = echoes.volts[..., first : first + samples]
+    bins = round(echoes.sample_rate_hz / (band.frequency_hz[1] - band.frequency_hz[0]))
     with np.errstate(invalid="ignore"):
-        spectrum = spectrum_at(volts, echoes.sample_rate_hz, band.frequency_hz, band.taper, band.middle)
-        level = volts @ np.full(volts.shape[-1], 1 / volts.shape[-1], volts.dtype)
-    offset = np.compress(echoes.valid, level, axis=-1).mean(axis=-1)
-    faded = spectrum_at(np.ones((1, band.taper.size)), echoes.sample_rate_hz, band.frequency_hz, band.taper, band.middle)
-    np.swapaxes(spectrum, -1, -2)[...] -= faded[0][:, None] * offset[..., None, None]
-    return spectrum
+        if samples * count <= FFT_WORTH * bins * np.log2(bins):
+            return _projected(volts, band.analysis)
+        start = round(band.frequency_hz[0] * bins / echoes.sample_rate_hz)
+        whole = rfft(volts * band.taper.astype(volts.dtype), bins, axis=-1)
+        level = volts @ np.full(samples, 1 / samples, volts.dtype)
+        spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
+        np.swapaxes(spectrum, -1, -2)[...] = whole[..., start : start + count]
+        spectrum *= band.turn[:, None]
+        spectrum -= band.offset[:, None] * level[..., None, :]
+    return np.swapaxes(spectrum, -1, -2)
+
+
+def _projected(volts: Volts, columns: ComplexArray) -> ComplexArray:
+    """Return volts (..., pulse, sample) times columns (sample, bin), bins first in memory."""
+    # one real product: numpy would turn the volts into complex numbers for a complex one
+    both = volts.reshape(-1, volts.shape[-1]) @ np.hstack([columns.real, columns.imag]).astype(volts.dtype)
+    both = both.reshape(*volts.shape[:-1], -1)
+    count = columns.shape[1]
+    # what follows works on whole rows of pulses
+    spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
+    by_pulse = np.swapaxes(spectrum, -1, -2)
+    by_pulse.real, by_pulse.imag = both[..., :count], both[..., count:]
+    return by_pulse
 
 
 def gate_spectrum(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray) -> ComplexArray:
@@ -156,7 +184,7 @@ def gate_spectrum(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray
         plain = spectrum_at(volts, echoes.sample_rate_hz, band_grid(echoes, volts.shape[-1]))
         spectrum = spectrum_at(volts * window.astype(volts.dtype), echoes.sample_rate_hz, frequency_hz)
     spectrum = _valid(echoes, spectrum)
-    spectrum[~has_echo(_valid(echoes, plain), echoes)] = np.nan
+    spectrum[~has_echo(_valid(echoes, plain) / np.sqrt(volts.shape[-1]), echoes)] = np.nan
     return spectrum
 
 
@@ -180,7 +208,7 @@ def has_echo(spectrum: ComplexArray, echoes: EchoGate) -> BoolArray:
     Raises ``ValueError`` where none does.
     """
     in_band = energy_of(spectrum).sum(axis=-1)
-    total = echoes.energy[..., echoes.valid].sum(axis=-1) * echoes.gate_volts.shape[-1]
+    total = echoes.energy[..., echoes.valid].sum(axis=-1)
     least = LEAST_IN_FLOAT32 if echoes.volts.dtype == np.float32 else LEAST_IN_BAND
     found = np.asarray(in_band > least * total)
     if not found.any():
@@ -221,39 +249,21 @@ def _grid(sample_rate_hz: float, carrier_hz: float, bins: int) -> FloatArray:
     return grid_hz[(grid_hz >= low) & (grid_hz <= high)]
 
 
-def spectrum_at(
-    volts: Volts,
-    sample_rate_hz: float,
-    frequency_hz: FloatArray,
-    window: FloatArray | None = None,
-    middle: float = 0.0,
-) -> ComplexArray:
+def spectrum_at(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray) -> ComplexArray:
     """Return the Fourier transform (..., bin) of ``volts`` (..., sample) at the wanted, evenly spaced frequencies only.
 
-    Under a ``window`` (sample,) where wanted; phases count from the sample ``middle``. In the precision of ``volts``:
-    of float32, 1e-7 of the largest bin.
+    In the precision of ``volts``: of float32, 1e-7 of the largest bin.
     """
     samples, count = volts.shape[-1], frequency_hz.size
     spacing = sample_rate_hz / (frequency_hz[1] - frequency_hz[0])
     bins, first = round(spacing), round(frequency_hz[0] * spacing / sample_rate_hz)
-    # bins first in memory: what follows works on whole rows of pulses
-    spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
-    by_pulse = np.swapaxes(spectrum, -1, -2)
     if samples * count > FFT_WORTH * bins * np.log2(bins):
-        whole = rfft(volts if window is None else volts * window.astype(volts.dtype), bins, axis=-1)
-        by_pulse[...] = whole[..., first : first + count]
-        if middle:
-            spectrum *= np.exp(2j * np.pi * middle / sample_rate_hz * frequency_hz)[:, None]
+        spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
+        by_pulse = np.swapaxes(spectrum, -1, -2)
+        by_pulse[...] = rfft(volts, bins, axis=-1)[..., first : first + count]
         return by_pulse
-    angle = 2 * np.pi * np.outer((np.arange(samples) - middle) / sample_rate_hz, frequency_hz)
-    # one real product: numpy would turn the volts into complex numbers for a complex one
-    columns = np.hstack([np.cos(angle), -np.sin(angle)])
-    if window is not None:
-        columns *= window[:, None]
-    both = volts.reshape(-1, samples) @ columns.astype(volts.dtype)
-    both = both.reshape(*volts.shape[:-1], 2 * count)
-    by_pulse.real, by_pulse.imag = both[..., :count], both[..., count:]
-    return by_pulse
+    angle = 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, frequency_hz)
+    return _projected(volts, np.cos(angle) - 1j * np.sin(angle))
 
 
 def turned(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray) -> ComplexArray:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
 from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlike_pulses
-from hpe_rig.processing.echoes import EchoGate, Motion, relative_to
+from hpe_rig.processing.echoes import EchoGate, Motion, margin_samples, relative_to
 from hpe_rig.processing.estimators import EstimatorSpec, Options, estimate, fit_motion, spec_of
 from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
@@ -36,15 +36,16 @@ def estimate_run(
     """
     spec, results = spec_of(estimator), []
     for shot in plan.shots:
-        # Of a long record only the gate comes into memory.
-        records = stored.records.gated(shot.index, shot.gate)
+        # Of a long record only the gate and what its edges need comes into memory.
+        margin = margin_samples(shot.capture.sample_rate_hz, scene.tracking.carrier_hz)
+        records = stored.records.gated(shot.index, shot.gate, margin=margin)
         if not records.valid.any():
             continue
         true_m = None
         if stored.true_displacement_m is not None:
             true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
         reference = reference_gate(scene, shot)
-        still = None if reference is None else stored.records.gated(shot.index, reference)
+        still = None if reference is None else stored.records.gated(shot.index, reference, margin=margin)
         for window in scene.windows:
             results.append(_estimate_shot(window, shot, records, still, true_m, spec, averaging))
     return tuple(results)
@@ -65,7 +66,7 @@ def _estimate_shot(
     averaging: tuple[Averaging | None, ...],
 ) -> ShotResult:
     chosen = select(scene, shot)
-    full_scale = clipped_pulses(records.codes, records.code_limits)
+    full_scale = clipped_pulses(records.gate_codes, records.code_limits)
     echoes = shot_echoes(scene, shot, records, chosen, full_scale)
     recorded = records.valid[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
@@ -127,18 +128,20 @@ def shot_echoes(
     ``full_scale`` (pulse of the shot,), which records reach the digitizer's full scale, is found where not given.
     """
     if full_scale is None:
-        full_scale = clipped_pulses(records.codes, records.code_limits)
+        full_scale = clipped_pulses(records.gate_codes, records.code_limits)
     window = chosen.window
     valid = records.valid[window] & chosen.used
     codes = records.codes if window.all() else records.codes[window]
     sound = valid & ~full_scale[window]
+    gate = slice(records.margin[0], codes.shape[1] - records.margin[1])
     echoes = EchoGate(
-        volts=centred_volts(codes, records.volts_per_code, sound),
+        volts=centred_volts(codes, records.volts_per_code, sound, gate),
         sample_rate_hz=shot.capture.sample_rate_hz,
         pulse_time_s=chosen.time_s,
         carrier_hz=scene.tracking.carrier_hz,
         sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
         valid=valid,
+        margin=records.margin,
     )
     if not scene.processing.flag_pulses or scene.tracking.disturbed == "keep" or not valid.any():
         return echoes

@@ -24,11 +24,13 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from hpe_rig.processing import (
+    Band,
     EchoGate,
     Estimator,
     Motion,
     Options,
     band_grid,
+    band_of,
     estimate,
     fit_motion,
     hann,
@@ -87,8 +89,12 @@ class SpectralKernels:
 
     numbers: int
     """How many numbers say all that any estimator sees of a gate."""
+    peak_numbers: int
+    """How many of these, the first, say all that the paper's chain sees."""
     grid_hz: dict[Form, Floats]
     """(bin,)"""
+    band: Band
+    """The plain spectrum's."""
     of_volts: dict[Form, Floats]
     """(sample, 2 * bin), from samples to spectra: real parts, then imaginary parts."""
     of_numbers: dict[Form, Floats]
@@ -104,22 +110,36 @@ def spectral_kernels(train: Train) -> SpectralKernels:
 def _spectral_kernels(carrier_hz: float, sample_rate_hz: float, samples: int) -> SpectralKernels:
     # The grids are those of one pulse, whenever it is fired and whatever the sound speed.
     one = EchoGate(np.zeros((1, samples)), sample_rate_hz, np.zeros(1), carrier_hz, 1.0, np.ones(1, dtype=bool))
+    band = band_of(one)
     grid_hz: dict[Form, Floats] = {
         "peak": band_grid(one, 1 << (PADDING * samples - 1).bit_length()),
-        "plain": band_grid(one, samples),
+        "plain": band.frequency_hz,
     }
     # The Fourier transform on each grid as a real matrix: cosines make the real parts, minus sines the imaginary ones.
     angle = {form: 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, hz) for form, hz in grid_hz.items()}
     of_volts = {form: np.hstack([np.cos(turn), -np.sin(turn)]) for form, turn in angle.items()}
     of_volts["peak"] *= hann(samples)[:, None]
-    # One basis for both spectra, so that noise drawn once serves every estimator of a batch.
+    # One basis for all spectra, so that noise drawn once serves every estimator of a batch; what only the tapered one
+    # sees comes last, so that the paper's chain has the same noise with or without other estimators.
     basis = _basis(np.hstack([of_volts["plain"], of_volts["peak"]]))
+    of_volts["plain"] = np.hstack([band.analysis.real, band.analysis.imag])
+    basis, numbers = _extended(basis, of_volts["plain"]), len(basis)
     of_numbers: dict[Form, Floats] = {form: basis @ columns for form, columns in of_volts.items()}
-    return SpectralKernels(len(basis), grid_hz, of_volts, of_numbers | {"volts": basis})
+    return SpectralKernels(len(basis), numbers, grid_hz, band, of_volts, of_numbers | {"volts": basis})
 
 
-def _basis(columns: Floats) -> Floats:
-    """Return orthonormal rows (number, sample) that span ``columns`` (sample, column).
+def _extended(basis: Floats, columns: Floats) -> Floats:
+    """Return orthonormal rows (number, sample), first those of ``basis``, that span ``columns`` as well."""
+    rest = columns
+    # twice: what is left after once is orthogonal to rounding of the columns, not of itself
+    for _ in range(2):
+        rest = rest - basis.T @ (basis @ rest)
+        rest = _basis(rest, NEGLIGIBLE * np.linalg.norm(columns, 2)).T
+    return np.concatenate([basis, rest.T])
+
+
+def _basis(columns: Floats, least: float = 0.0) -> Floats:
+    """Return orthonormal rows (number, sample) that span ``columns`` (sample, column), but for what is below ``least``.
 
     The random numbers multiply them, so they must not hang on rounding, as singular vectors of nearly equal values do.
     Elimination by the largest column hangs on it where two are equally large: a slope keeps them apart.
@@ -127,7 +147,7 @@ def _basis(columns: Floats) -> Floats:
     slope = np.linspace(1.0, 0.7, columns.shape[1])
     orthonormal, triangle, _ = qr(columns * slope, mode="economic", pivoting=True)
     pivot = np.diagonal(triangle)
-    kept = np.abs(pivot) > NEGLIGIBLE * np.abs(pivot[0])
+    kept = np.abs(pivot) > max(least, NEGLIGIBLE * np.abs(pivot[0]))
     # A decomposition leaves the sign of each row open: that of its pivot settles it.
     return np.ascontiguousarray((orthonormal[:, kept] * np.sign(pivot[kept])).T)
 
@@ -159,12 +179,11 @@ def states(train: Train, estimator: Estimator, clean: Floats, which: Places, lev
     if spec_of(estimator).reads_peak:
         return _peaks_states(train, clean, which, level, noise)
     noisy = clean[:, None, which] + level[:, None, None, None] * noise
-    # An estimator refuses a whole array for one of its realisations; then each is tried alone, which is slow but rare.
+    # A realisation without an echo is NaN; an estimator refuses an array that has no other.
     try:
         return _states(train, estimator, noisy)
     except ValueError:
-        each = [_states_or_nan(train, estimator, one) for one in noisy.reshape(-1, *noisy.shape[2:])]
-        return np.reshape(each, (*noisy.shape[:2], -1))
+        return np.full((*noisy.shape[:2], 2 * len(train.frequencies_hz)), np.nan)
 
 
 def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
@@ -173,16 +192,9 @@ def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
         fit = estimate(train.gate(noisy), train.frequencies_hz, estimator, options=train.options)
         return fit.state[..., : 2 * len(train.frequencies_hz)]
     if spec.band_phase is not None:
-        phase, _, mean_hz = spec.band_phase(_complex(noisy), spectral_kernels(train).grid_hz["plain"])
+        phase, _, mean_hz = spec.band_phase(_complex(noisy), spectral_kernels(train).band)
         return np.asarray((phase * _metres(train) / mean_hz[..., None]) @ functional(train, estimator))
     return np.asarray(motion_of(train.gate(noisy), estimator).displacement_m @ functional(train, estimator))
-
-
-def _states_or_nan(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
-    try:
-        return _states(train, estimator, noisy)
-    except ValueError:
-        return np.full(2 * len(train.frequencies_hz), np.nan)
 
 
 def _peaks_states(train: Train, clean: Floats, which: Places, level: Floats, noise: Floats) -> Floats:
