@@ -5,6 +5,7 @@ from .echoes import (
     EchoGate as EchoGate,
     Motion as Motion,
     Velocity as Velocity,
+    gate_edge_relative as gate_edge_relative,
     margin_samples as margin_samples,
     relative_to as relative_to,
     velocity_between_pulses as velocity_between_pulses,

@@ -116,11 +116,12 @@ def _has_common_part(aligned: ComplexArray, band: Band, states: int) -> BoolArra
 
     Raises ``ValueError`` where none has.
     """
-    # Noise alone sums to its own energy times a gamma variable of as many degrees as there are independent numbers; the
-    # states that were chosen for the largest sum add theirs.
-    own = _gate_energy(aligned, band).sum(axis=-1)
+    # Every echo at unit energy, so that one spike does not count for a train. Noise alone sums to the number of pulses
+    # times a gamma variable of as many degrees as there are independent numbers; the states chosen for the largest sum
+    # add theirs.
+    energy = np.maximum(_gate_energy(aligned, band), np.finfo(np.float64).tiny)
     chance = gammaincinv(band.independent + states, 1 - ALIKE_BY_CHANCE) / band.independent
-    found = _likelihood(aligned, band) > own * chance
+    found = _likelihood(aligned / np.sqrt(energy)[..., None], band) > aligned.shape[-2] * chance
     if not found.any():
         raise ValueError(
             f"echoes of all {found.size} trains have nothing in common that noise alone would not have: noise without "

@@ -52,9 +52,10 @@ def test_the_band_is_far_smaller_than_the_gate_and_its_numbers_are_white(train: 
 @pytest.mark.parametrize("train", [TRAIN, *OTHERS])
 def test_what_multiplies_the_random_numbers_does_not_hang_on_rounding(train: Train) -> None:
     seen = spectral_kernels(train)
-    columns = np.hstack([seen.of_volts["plain"], seen.of_volts["peak"]])
+    angle = 2 * np.pi * np.outer(np.arange(train.samples) / train.sample_rate_hz, seen.grid_hz["plain"])
+    columns = np.hstack([np.cos(angle), -np.sin(angle), seen.of_volts["peak"]])
     rounded = columns * (1 + 1e-15 * np.random.default_rng(8).standard_normal(columns.shape))
-    basis = kernels._basis(rounded)
+    basis = kernels._extended(kernels._basis(rounded), seen.of_volts["plain"])
     for form in ("plain", "peak"):
         np.testing.assert_allclose(basis @ seen.of_volts[form], seen.of_numbers[form], rtol=0, atol=1e-13)
 
