@@ -17,7 +17,7 @@ MARGIN = 3
 """Samples of the correlation beyond half a period on either side: the spline's ends are then far from its peak."""
 
 
-def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: int = 4) -> Motion:
+def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: int = 6) -> Motion:
     """Return the displacement of every pulse from the peak of its correlation with the sum of all other echoes.
 
     The correlation is sampled ``upsampling`` times as finely as the echoes (band-limited) and searched within half a
@@ -94,4 +94,3 @@ def _second_derivatives(count: int) -> FloatArray:
     matrix = np.zeros((count, count))
     matrix[1:-1] = np.linalg.solve(system, difference)
     return matrix
-

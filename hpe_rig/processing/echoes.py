@@ -16,7 +16,7 @@ BoolArray = NDArray[np.bool_]
 Volts = NDArray[np.floating[Any]]
 
 
-MARGIN_PERIODS = 5.0
+MARGIN_PERIODS = 6.0
 """Carrier periods before and behind a gate that are read with it, if they are there."""
 
 EDGE_PERIODS = 11.7

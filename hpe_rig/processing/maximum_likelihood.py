@@ -121,7 +121,8 @@ def _has_common_part(aligned: ComplexArray, band: Band, states: int) -> BoolArra
     # add theirs.
     energy = np.maximum(_gate_energy(aligned, band), np.finfo(np.float64).tiny)
     chance = gammaincinv(band.independent + states, 1 - ALIKE_BY_CHANCE) / band.independent
-    found = _likelihood(aligned / np.sqrt(energy)[..., None], band) > aligned.shape[-2] * chance
+    with np.errstate(invalid="ignore"):
+        found = _likelihood(aligned / np.sqrt(energy)[..., None], band) > aligned.shape[-2] * chance
     if not found.any():
         raise ValueError(
             f"echoes of all {found.size} trains have nothing in common that noise alone would not have: noise without "

@@ -263,9 +263,7 @@ def mean_frequency(moment: FloatArray, energy: FloatArray, band: Band) -> FloatA
     return np.where(usable, mean_hz, np.nan)
 
 
-def noise_of_steps(
-    cross: FloatArray, energy: FloatArray, independent: float
-) -> tuple[FloatArray, FloatArray]:
+def noise_of_steps(cross: FloatArray, energy: FloatArray, independent: float) -> tuple[FloatArray, FloatArray]:
     """Return the phase variance (..., pulse) that the correlation of consecutive echoes implies, and its walk (...).
 
     Two echoes that correlate by rho over M independent numbers differ in phase by (1/rho^2 - 1) / (2 M); half of that

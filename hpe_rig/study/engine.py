@@ -34,7 +34,7 @@ LEAST_DRAWS = 64
 """Draws before a standard error is believed."""
 _NOISE_VALUES = 200_000
 """Noise values made at once: what fits the cache."""
-_DRAWS, _NOISE, _MORE_NOISE = 0, 1, 2
+_DRAWS, _NOISE, _TAPERED_NOISE = 0, 1, 2
 
 
 @dataclass(slots=True)
@@ -90,15 +90,13 @@ def _run_block(active: list[_Running], block: int, draws: slice) -> None:
         since = _charge(own, since)
     # All cases of a batch have the same noise but for its level: drawn once, at unit level, in parts that fit a cache.
     case = active[0].case
-    seen = spectral_kernels(case.train)
-    rng, more = (
+    rngs = [
         np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(stream, block)))
-        for stream in (_NOISE, _MORE_NOISE)
-    )
+        for stream in (_NOISE, _TAPERED_NOISE)
+    ]
     for some, repeats in _parts(case, draws.stop - draws.start):
         shape = (some.stop - some.start, repeats.stop - repeats.start, case.train.pulses)
-        numbers = rng.standard_normal((*shape, seen.peak_numbers))
-        noise = _in_forms(active, numbers, more.standard_normal((*shape, seen.numbers - seen.peak_numbers)))
+        noise = _in_forms(active, shape, *rngs)
         since = _charge(active, since)
         place = (slice(draws.start + some.start, draws.start + some.stop), repeats)
         for made in echoes:
@@ -134,16 +132,18 @@ def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
             yield slice(draw, min(draw + step, draws)), slice(first, min(first + at_once, case.noise))
 
 
-def _in_forms(active: list[_Running], numbers: Floats, more: Floats) -> dict[Form, Floats]:
+def _in_forms(
+    active: list[_Running], shape: tuple[int, ...], peak: np.random.Generator, others: np.random.Generator
+) -> dict[Form, Floats]:
     """Return unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes.
 
-    From the ``numbers`` (draw, noise, pulse, number) that the paper's chain sees, and those that only others do.
+    Drawn by ``peak`` for the paper's chain and by ``others`` for all that see the tapered gate.
     """
     wanted = {form_of(name) for one in active for name in one.case.estimators}
-    rows = spectral_kernels(active[0].case.train).of_numbers
-    first = numbers.shape[-1]
-    noise = {form: numbers @ rows[form][:first] for form in wanted}
-    return {form: part if form == "peak" else part + more @ rows[form][first:] for form, part in noise.items()}
+    seen = spectral_kernels(active[0].case.train)
+    of_peak = peak.standard_normal((*shape, len(seen.basis["peak"])))
+    of_others = others.standard_normal((*shape, len(seen.basis["plain"])))
+    return {form: (of_peak if form == "peak" else of_others) @ seen.of_numbers[form] for form in wanted}
 
 
 def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[Form, Floats], since: float) -> float:

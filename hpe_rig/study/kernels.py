@@ -87,10 +87,8 @@ def form_of(estimator: Estimator) -> Form:
 class SpectralKernels:
     """What a train fixes of the spectra; `spectral_kernels` makes it."""
 
-    numbers: int
-    """How many numbers say all that any estimator sees of a gate."""
-    peak_numbers: int
-    """How many of these, the first, say all that the paper's chain sees."""
+    basis: dict[Form, Floats]
+    """(number, sample), orthonormal rows: how many numbers say all that an estimator of a form sees of a gate."""
     grid_hz: dict[Form, Floats]
     """(bin,)"""
     band: Band
@@ -119,27 +117,16 @@ def _spectral_kernels(carrier_hz: float, sample_rate_hz: float, samples: int) ->
     angle = {form: 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, hz) for form, hz in grid_hz.items()}
     of_volts = {form: np.hstack([np.cos(turn), -np.sin(turn)]) for form, turn in angle.items()}
     of_volts["peak"] *= hann(samples)[:, None]
-    # One basis for all spectra, so that noise drawn once serves every estimator of a batch; what only the tapered one
-    # sees comes last, so that the paper's chain has the same noise with or without other estimators.
-    basis = _basis(np.hstack([of_volts["plain"], of_volts["peak"]]))
+    basis: dict[Form, Floats] = {"peak": _basis(np.hstack([of_volts["plain"], of_volts["peak"]]))}
+    # All others see the tapered spectrum, from numbers of their own: the chain's noise does not hang on who else runs.
     of_volts["plain"] = np.hstack([band.analysis.real, band.analysis.imag])
-    basis, numbers = _extended(basis, of_volts["plain"]), len(basis)
-    of_numbers: dict[Form, Floats] = {form: basis @ columns for form, columns in of_volts.items()}
-    return SpectralKernels(len(basis), numbers, grid_hz, band, of_volts, of_numbers | {"volts": basis})
+    basis["plain"] = basis["volts"] = _basis(of_volts["plain"])
+    of_numbers: dict[Form, Floats] = {form: basis[form] @ columns for form, columns in of_volts.items()}
+    return SpectralKernels(basis, grid_hz, band, of_volts, of_numbers | {"volts": basis["volts"]})
 
 
-def _extended(basis: Floats, columns: Floats) -> Floats:
-    """Return orthonormal rows (number, sample), first those of ``basis``, that span ``columns`` as well."""
-    rest = columns
-    # twice: what is left after once is orthogonal to rounding of the columns, not of itself
-    for _ in range(2):
-        rest = rest - basis.T @ (basis @ rest)
-        rest = _basis(rest, NEGLIGIBLE * np.linalg.norm(columns, 2)).T
-    return np.concatenate([basis, rest.T])
-
-
-def _basis(columns: Floats, least: float = 0.0) -> Floats:
-    """Return orthonormal rows (number, sample) that span ``columns`` (sample, column), but for what is below ``least``.
+def _basis(columns: Floats) -> Floats:
+    """Return orthonormal rows (number, sample) that span ``columns`` (sample, column).
 
     The random numbers multiply them, so they must not hang on rounding, as singular vectors of nearly equal values do.
     Elimination by the largest column hangs on it where two are equally large: a slope keeps them apart.
@@ -147,7 +134,7 @@ def _basis(columns: Floats, least: float = 0.0) -> Floats:
     slope = np.linspace(1.0, 0.7, columns.shape[1])
     orthonormal, triangle, _ = qr(columns * slope, mode="economic", pivoting=True)
     pivot = np.diagonal(triangle)
-    kept = np.abs(pivot) > max(least, NEGLIGIBLE * np.abs(pivot[0]))
+    kept = np.abs(pivot) > NEGLIGIBLE * np.abs(pivot[0])
     # A decomposition leaves the sign of each row open: that of its pivot settles it.
     return np.ascontiguousarray((orthonormal[:, kept] * np.sign(pivot[kept])).T)
 
