@@ -22,8 +22,9 @@ def centred_volts(
     """Return the records (pulse, sample) in volts without their offset, float32: 1/1000 of a code step is lost.
 
     The offset is the mean of the ``sound`` records (pulse,) in the ``gate``, those that are there and within full scale
-    there: one number for all, since a mean of each record would add its noise to that record, and a mean over pulses at each sample would
-    remove the resting echo, which is what carries the phase. Without any sound record nothing is taken off.
+    there: one number for all, since a mean of each record would add its noise to that record, and a mean over pulses at
+    each sample would remove the resting echo, which is what carries the phase. Without any sound record nothing is
+    taken off.
     """
     volts = codes.astype(np.float32)
     if sound.any():

@@ -13,10 +13,10 @@ from hpe_rig.processing.motion import kasai
 def follow(records: EchoGate, gate: slice) -> tuple[EchoGate, Motion]:
     """Return the gate cut out of whole records where the echoes have gone, and how far each cut was moved.
 
-    ``records`` (pulse, sample), whole and without margins, hold what moves into and out of the ``gate``; the motion of every cut is a whole number
-    of samples, exactly known, without variance. Add it to the displacement found in the cut echoes (``added``). The
-    first look is the sum of consecutive steps in the resting gate. Raises ``ValueError`` for more than one train, where
-    a step passes a quarter wavelength, and where the echoes leave the records.
+    ``records`` (pulse, sample), whole and without margins, hold what moves into and out of the ``gate``; the motion of
+    every cut is a whole number of samples, exactly known, without variance. Add it to the displacement found in the cut
+    echoes (``added``). The first look is the sum of consecutive steps in the resting gate. Raises ``ValueError`` for
+    more than one train, where a step passes a quarter wavelength, and where the echoes leave the records.
     """
     if records.volts.ndim != 2:
         raise ValueError(f"volts {records.volts.shape}: one train (pulse, sample) at a time can be followed")

@@ -58,7 +58,7 @@ class StoredRecords(Sequence[ShotRecords]):
         return self.gated(shot, slice(0, self.shape[2]), "monitor")
 
     def gated(self, shot: int, gate: slice, name: str = "echo", margin: int = 0) -> ShotRecords:
-        """Return the samples in ``gate`` of each record of ``shot``, (pulse, sample), and up to ``margin`` around it."""
+        """Return the samples in ``gate`` and up to ``margin`` around it of each record of ``shot``, (pulse, sample)."""
         shot = _within(shot, self.shape[0])
         if not 0 <= gate.start < gate.stop <= self.shape[2]:
             raise StoreError(
