@@ -175,7 +175,7 @@ def gate_edge_relative(echoes: EchoGate, gate_window: str = "none") -> float:
     """
     periods = echoes.gate_volts.shape[-1] / echoes.sample_rate_hz * echoes.carrier_hz
     if gate_window != "none":
-        return EDGE_WINDOWED * EDGE_PERIODS / periods
+        return float(EDGE_WINDOWED * EDGE_PERIODS / periods)
     wanted = margin_samples(echoes.sample_rate_hz, echoes.carrier_hz)
     share = min(min(echoes.margin) / wanted, 1.0)
     # between no margin and all that is wanted the error falls about as a geometric series
