@@ -60,7 +60,7 @@ def test_what_is_farther_away_is_sensed_later() -> None:
     left_m = (moved_m - cuts.displacement_m)[:, None]
     wanted_s = 1e-8 * (np.arange(447, 577) - 512) - 2 * left_m / 1540.0
     expected = np.exp(-((wanted_s / 0.3e-6) ** 2)) * np.cos(2 * np.pi * 9e6 * wanted_s)
-    assert np.abs(cut.volts - expected).max() < 1e-9
+    assert np.abs(cut.gate_volts - expected).max() < 1e-9
 
 
 def test_check_names_the_record_that_the_background_needs() -> None:

@@ -26,7 +26,7 @@ from hpe_rig.processing import (
     shot_prior,
 )
 from hpe_rig.processing.echoes import Motion
-from hpe_rig.processing.shots import _medium_warnings, averaging_seen
+from hpe_rig.processing.shots import _medium_warnings, averaging_seen, margin_needed
 from hpe_rig.result import Result
 from hpe_rig.scene import Scene, SettingsError
 
@@ -44,7 +44,7 @@ def run(trigger_jitter_s: float = 0.0) -> Run:
 
 
 def motion_of(scene: Scene, shot: Shot) -> Motion:
-    records = run().stored.records.gated(shot.index, shot.gate)
+    records = run().stored.records.gated(shot.index, shot.gate, margin=margin_needed(scene, shot))
     return coherent(shot_echoes(scene, shot, records, select(scene, shot)))
 
 
