@@ -50,7 +50,7 @@ def run_study(
     try:
         _compute([case for key, case in cases.items() if key not in records], store, records, open_pool, ahead, watch)
     except BaseException as error:
-        error.add_note(f"{len(records)} of {len(cases)} cases are kept in {output}: the same command goes on")
+        error.add_note(f"{len(records)} of {len(cases)} cases are kept in {output}: the same command continues")
         raise
     results = [result_of(own, definition, points, records) for own, (definition, points) in studies.items()]
     for result in results:
