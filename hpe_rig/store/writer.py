@@ -330,9 +330,7 @@ def _publish(image: bytes, path: Path, overwrite: bool) -> None:
             file.flush()
             os.fsync(file.fileno())
     except FileExistsError:
-        raise StoreError(
-            f"{path} already exists. Try: another file, or overwrite it (--overwrite; WriteOptions(overwrite=True))."
-        ) from None
+        raise StoreError(f"{path} already exists. Try: another path, or --overwrite on the command line.") from None
     except OSError as error:
         raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder.") from None
 

@@ -204,8 +204,9 @@ def figure_18() -> Experiment:
         "the pulses stand to the push, so on t_d: the scene keeps 130 us at all rates, and the slower, the longer no "
         "pulse looks before the push. The lower rows put the push amid two pulses, as far as their gates stay clear "
         "of it, and nearly nothing aliases. The paper adjusted t_d and does not state it. It has phases below the "
-        "others at 2.0 kHz and above at 2.5 kHz; here aliasing turns them to the same side. The muscle's moduli are assumed too: "
-        "with 10 Pa s instead of 2 a third as much would alias. The last row is what would be tracked without.",
+        "others at 2.0 kHz and above at 2.5 kHz; here aliasing turns them to the same side. The muscle's moduli are "
+        "assumed too: with 10 Pa s instead of 2 a third as much would alias. The last row is what would be tracked "
+        "without.",
         _table("f_prf", table, truth=four),
         figure,
         (

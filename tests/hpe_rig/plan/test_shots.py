@@ -165,3 +165,13 @@ def test_aliasing_harmonics_are_warned_of_unless_the_pulses_shift_from_burst_to_
 
     assert found(4000.0) == "warning"
     assert found(3990.0) == "passed"
+
+
+def test_aliasing_harmonics_are_those_of_the_shortest_toneburst() -> None:
+    def text(*burst_length_s: float) -> str:
+        scene = muscle(130e-6, 4000.0).with_({"excitation.burst_length_s": list(burst_length_s)})
+        results = check_plan(scene, BENCH, make_plan(scene, BENCH))
+        return next(item.text for item in results if item.check == "aliasing harmonics")
+
+    assert "up to 1/T_b = 20000 Hz" in text(50e-6)
+    assert text(50e-6, 100e-6) == text(100e-6, 50e-6) == text(50e-6)
