@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpe_rig.bench import check_simulation, twin_of, twin_settings
+from hpe_rig.bench import check_declared, check_simulation, twin_of, twin_settings
 from hpe_rig.processing import Estimator, Options
 from hpe_rig.scene import (
     Mistake,
@@ -182,10 +182,12 @@ def _checked(tables: Tables, reading: Reading) -> tuple[Scene, SimulationSetting
     mistakes = mistakes_of(Scene, tables) + check_simulation(tables)
     if not mistakes:
         scene = Scene.model_validate(tables)
+        mistakes = check_declared(scene)
+    if not mistakes:
         twin = twin_settings(scene)
         mistakes = list(_unfit(scene, twin))
-        if not mistakes:
-            return scene, twin if reading == "physical" else _literal(scene, twin)
+    if not mistakes:
+        return scene, twin if reading == "physical" else _literal(scene, twin)
     raise SettingsError("study", mistakes)
 
 
