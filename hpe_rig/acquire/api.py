@@ -153,7 +153,7 @@ def _shot(
     index: int,
     volts: NDArray[np.floating[Any]],
     pulse_rate_hz: float,
-    acquired: dict[str, float],
+    acquired: dict[str, Any],
     frequencies_hz: Sequence[float],
     estimator: Estimator,
 ) -> ShotResult:

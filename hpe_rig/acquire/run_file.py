@@ -109,13 +109,14 @@ class Run:
 
     def _echoes(self, shot: int, gate: slice | None = None) -> EchoGate:
         """Return the echoes of every pulse of ``shot``, (pulse, sample), also outside the processing window."""
-        from hpe_rig.processing import samples_needed, shot_echoes
+        from hpe_rig.processing import margin_needed, samples_needed, shot_echoes
 
         whole_train = {"window_start_s": 0.0, "window_length_s": None}
         processing = self.scene.processing.model_copy(update=whole_train)
         whole = self.scene.model_copy(update={"processing": processing})
         planned_shot = self.plan.shots[shot]
-        records = self.records.gated(shot, gate or samples_needed(self.scene, planned_shot))
+        needed = gate or samples_needed(self.scene, planned_shot)
+        records = self.records.gated(shot, needed, margin=margin_needed(self.scene, planned_shot))
         return shot_echoes(whole, planned_shot, records, select(whole, planned_shot))
 
     def refreshed(self) -> Run:

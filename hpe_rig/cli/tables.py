@@ -91,9 +91,8 @@ def _mean_row(mean: RepeatMean, known: bool) -> list[str]:
 
 def _shot_title(shot: ShotResult) -> str:
     words = [f"shot {shot.shot + 1}", *_settings(shot)]
-    words.append(f"{shot.pulses_used} pulses, residual {shot.residual_m * 1e9:.3g} nm rms")
-    if shot.pulses_missing:
-        words.append(f"{shot.pulses_missing} missing")
+    missing = f" ({shot.pulses_missing} missing)" if shot.pulses_missing else ""
+    words.append(f"{shot.pulses_used} pulses{missing}, residual {_figure(shot.residual_m * 1e9, 3)} nm rms")
     return ", ".join(words if shot.complete else [*words, "INCOMPLETE"])
 
 

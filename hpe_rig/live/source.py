@@ -15,7 +15,6 @@ from hpe_rig.processing import (
     estimates_of,
     fit_motion,
     options_of,
-    samples_needed,
     shot_echoes,
     shot_motion,
     shot_prior,
@@ -117,7 +116,7 @@ class RunSource:
             "image": image_state(echoes.image_v, echoes.image_depth_m, float(echoes.image_time_s[-1]) * 1e3, "ms"),
         }
         try:
-            gated = gate_alone(records, samples_needed(scene, shot))
+            gated = gate_alone(scene, shot, records)
             shown = shown_pulses(scene, shot)
             motion = shot_motion(scene, shot, shot_echoes(scene, shot, gated, shown), coherent)
             options = options_of(scene.processing, shot_prior(scene, shot, "coherent", beam_widths(scene, "coherent")))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
 from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, speckle_spread
-from hpe_rig.processing import BeamWidths, Window, displacement, harmonic_range_hz, medium_ensemble, spec_of
+from hpe_rig.processing import MEMBERS, BeamWidths, Window, displacement, harmonic_range_hz, medium_ensemble, spec_of
 from hpe_rig.result import Averaging
 from hpe_rig.scene import Scene
 
@@ -22,6 +22,10 @@ ComplexArray = NDArray[np.complex128]
 Triple = tuple[float, float, float]
 
 DIRECTIONS = 96
+FEW_MEMBERS = 40
+"""Media that tell how steeply the averaging falls with the beam's area, which hardly hangs on the medium."""
+AREA_STEP = 0.05
+"""Relative step in the tracking beam's area over which a derivative is taken."""
 SCALES = (0.05, 1e3)
 """Between which a Gaussian's widths are scaled; the upper end tracks the peak to 1e-7."""
 
@@ -47,27 +51,32 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     ratio, deviation = _ensemble_ratio(scene, beams, frequency_hz)
     if motion is not None:
         ratio, deviation = motion[0] / motion[1], 0 * deviation
-    # To first order in how far the motion changes over the beam, all that speckle does is in proportion to the loss.
+    # To first order in how far the motion changes over the beam, its loss is in proportion to the Gaussian's.
     lost = (1 - np.abs(ratio)) / (1 - gaussian_averaging(*widths, beams.axial_spread_m))
-    turned = speckle_phase(ratio, gaussian, spread)
     uncertain = np.abs(ratio) * deviation.real, deviation.imag
-    columns = np.stack([lost, np.angle(ratio), *uncertain, turned], axis=-1).tolist()
-    return tuple(
-        _off_focus(scene, Averaging(1 - share * (1 - gaussian), lag, share * spread, factor_u, phase_u, turn))
-        for share, lag, factor_u, phase_u, turn in columns
-    )
+    share = spread * speckle_share(scene, estimator)
+    columns = np.stack([lost, np.angle(ratio), np.abs(share.real), *uncertain, np.abs(share.imag)], axis=-1).tolist()
+    return tuple(_off_focus(scene, Averaging(1 - loss * (1 - gaussian), *each)) for loss, *each in columns)
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Return tracked over peak motion (frequency,), and the standard deviations of its logarithm, over all media."""
+    tracked, peak = _ensemble_motion(scene, beams, frequency_hz, MEMBERS)
+    ratio = np.log(tracked / peak)
+    return np.exp(ratio.mean(axis=0)), ratio.real.std(axis=0) + 1j * ratio.imag.std(axis=0)
+
+
+def _ensemble_motion(
+    scene: Scene, beams: BeamWidths, frequency_hz: FloatArray, members: int
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return tracked and peak motion (member, frequency) of the ensemble of media."""
     assert scene.excitation is not None  # noqa: S101 (as its caller knows)
     lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz)
     # that of the prior, unless a frequency lies outside
     lowest_hz, highest_hz = min(lowest_hz, float(frequency_hz.min())), max(highest_hz, float(frequency_hz.max()))
-    ensemble = medium_ensemble(beams, lowest_hz, highest_hz)
+    ensemble = medium_ensemble(beams, lowest_hz, highest_hz, members=members)
     to_wanted = ensemble.interpolation(frequency_hz)
-    ratio = np.log((ensemble.tracked @ to_wanted.T) / (ensemble.peak @ to_wanted.T))
-    return np.exp(ratio.mean(axis=0)), ratio.real.std(axis=0) + 1j * ratio.imag.std(axis=0)
+    return ensemble.tracked @ to_wanted.T, ensemble.peak @ to_wanted.T
 
 
 def beam_widths(scene: Scene, estimator: str) -> BeamWidths | None:
@@ -79,16 +88,45 @@ def beam_widths(scene: Scene, estimator: str) -> BeamWidths | None:
     return BeamWidths(*widths, depth_spread(widths[1], *gate, spec_of(estimator).gate_window))
 
 
-def speckle_phase(ratio: ComplexArray, gaussian: float, spread: float) -> FloatArray:
-    """Return the standard deviation over speckle of the tracked phase, rad (frequency,).
+def speckle_share(scene: Scene, estimator: str) -> ComplexArray:
+    """Return what speckle does to the tracked displacement over what it does to a Gaussian motion's, (frequency,).
 
-    ``ratio`` (frequency,) is tracked over peak displacement. The tracked displacement is a mean over the scatterers
-    with real weights that speckle draws, and to first order a draw scales the whole complex loss 1 - ratio by one
-    number, whose standard deviation is known from the Gaussian motion: its averaging is ``gaussian``, its relative
-    spread ``spread``. What of that loss lies across the mean phasor turns the phase.
+    Relative changes: the real part that of the amplitude, the imaginary part that of the phase. The tracked
+    displacement is a mean over the scatterers with real weights that speckle draws about a Gaussian of variance s. Its
+    variance is the sum of |a_n|^2 over the motion's Laguerre modes, a_n = (-s)^n / n! d^n M / ds^n for the mean M(s),
+    and the first mode is nearly all of it: what counts is how steeply the averaging falls with the beam's area.
     """
-    scaled = spread * gaussian / (1 - gaussian)
-    return np.asarray(scaled * np.abs(((1 - ratio) / ratio).imag))
+    window = spec_of(estimator).gate_window
+    steps = [_wider(scene, 1 + step) for step in (-AREA_STEP, AREA_STEP)]
+    lower, upper = (_log_tracked(each, estimator) for each in steps)
+    means = [_gaussian_of(each, window) for each in steps]
+    return np.asarray((upper - lower).mean(axis=0) / np.log(means[1] / means[0]))
+
+
+def _log_tracked(scene: Scene, estimator: str) -> ComplexArray:
+    """Return the logarithm of the tracked motion (member, frequency): of the declared medium alone, or of all."""
+    frequency_hz, beams = np.array(scene.wanted_frequencies_hz), beam_widths(scene, estimator)
+    motion = motion_of_medium(scene, frequency_hz, spec_of(estimator).gate_window, simulated=False)
+    if motion is not None:
+        return np.asarray(np.log(motion[0])[None])
+    assert beams is not None  # noqa: S101 (as its caller knows)
+    return np.asarray(np.log(_ensemble_motion(scene, beams, frequency_hz, FEW_MEMBERS)[0]))
+
+
+def _wider(scene: Scene, area: float) -> Scene:
+    """Return ``scene`` with a tracking beam of ``area`` times its cross section."""
+    assert scene.beams is not None  # noqa: S101 (as its caller knows)
+    x, y, z = scene.beams.tracking_width_m
+    beams = scene.beams.model_copy(update={"tracking_width_m": (x * area**0.5, y * area**0.5, z)})
+    return scene.model_copy(update={"beams": beams})
+
+
+def _gaussian_of(scene: Scene, window: Window) -> float:
+    """Return the averaging of the Gaussian motion of eq. (12) over the scene's beams."""
+    assert scene.beams is not None  # noqa: S101 (as its caller knows)
+    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), window)
+    return gaussian_averaging(*widths, depth_m)
 
 
 def _off_focus(scene: Scene, averaging: Averaging) -> Averaging:

@@ -17,7 +17,7 @@
 
     what a medium can do of tonebursts, as a prior of the fit               ensemble.py, prior.py
     what distinguishes them, one row each                                   estimators.py
-    what every error contributes to u, u^2 = sum_j u_j^2                    budget.py
+    the uncertainty of each estimate, source by source                      budget.py
     a stored run, shot by shot, with its warnings                           shots.py, stationarity.py
     the same from the twin's motion, at every instant                       ground_truth.py
 

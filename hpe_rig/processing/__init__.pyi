@@ -1,3 +1,4 @@
+from .band import Band as Band, band_grid as band_grid, band_of as band_of
 from .budget import Known as Known, estimates_of as estimates_of, known_of as known_of
 from .conditioning import codes_to_volts as codes_to_volts, hann as hann, unlike_pulses as unlike_pulses
 from .correlation import cross_correlation as cross_correlation
@@ -5,11 +6,13 @@ from .echoes import (
     EchoGate as EchoGate,
     Motion as Motion,
     Velocity as Velocity,
-    band_grid as band_grid,
+    gate_edge_relative as gate_edge_relative,
+    margin_samples as margin_samples,
     relative_to as relative_to,
     velocity_between_pulses as velocity_between_pulses,
 )
 from .ensemble import (
+    MEMBERS as MEMBERS,
     BeamWidths as BeamWidths,
     Ensemble as Ensemble,
     KnownMedium as KnownMedium,
@@ -62,6 +65,7 @@ from .shots import (
     NO_RECORDS as NO_RECORDS,
     Estimates as Estimates,
     estimate_run as estimate_run,
+    margin_needed as margin_needed,
     options_of as options_of,
     samples_needed as samples_needed,
     shot_echoes as shot_echoes,

@@ -18,8 +18,6 @@ from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.result import Averaging, Component, Estimate
 from hpe_rig.scene import Scene
 
-GATE_EDGE_RELATIVE = 2e-4
-"""Error of a rigid motion that the ends of a 1 mm gate leave, relative; of the phase in rad."""
 TRACKED = Averaging(1.0, 0.0, 0.0)
 """Averaging where no beams are known: what is tracked is taken as it is."""
 
@@ -30,13 +28,15 @@ class Known:
 
     Where nothing is said of the sound speed it is as uncertain, relatively, as a scene takes it to be.
     ``trigger_jitter_s``, root mean square, is 0 where nobody states it: it is then within noise, as the residual holds
-    both. ``subtracts_jitter``: a reference gate's motion has been subtracted, and the jitter with it.
+    both. ``subtracts_jitter``: a reference gate's motion has been subtracted, and the jitter with it. ``gate_edge``:
+    relative error of a rigid motion that the gate's ends leave; of the phase in rad.
     """
 
     sound_speed_m_per_s: float = 1540.0
     sound_speed_uncertainty: float = 0.005
     trigger_jitter_s: float = 0.0
     subtracts_jitter: bool = False
+    gate_edge: float = 0.0
 
     @property
     def jitter_m(self) -> float:
@@ -113,7 +113,7 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
         fitted("aliasing", aliasing),
         relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad),
         relative("beam averaging", averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad),
-        relative("gate edge", GATE_EDGE_RELATIVE, GATE_EDGE_RELATIVE),
+        relative("gate edge", known.gate_edge, known.gate_edge),
         relative("sound speed", known.sound_speed_uncertainty),
         relative("gate off focus", averaging.offset_relative),
     )

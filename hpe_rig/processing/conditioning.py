@@ -16,16 +16,20 @@ def codes_to_volts(codes: NDArray[np.int16], volts_per_code: float, volts_offset
     return codes * np.float64(volts_per_code) + volts_offset
 
 
-def centred_volts(codes: NDArray[np.int16], volts_per_code: float, sound: NDArray[np.bool_]) -> NDArray[np.float32]:
+def centred_volts(
+    codes: NDArray[np.int16], volts_per_code: float, sound: NDArray[np.bool_], gate: slice = slice(None)
+) -> NDArray[np.float32]:
     """Return the records (pulse, sample) in volts without their offset, float32: 1/1000 of a code step is lost.
 
-    The offset is the mean of the ``sound`` records (pulse,), those that are there and within full scale: one number for
-    all, since a mean of each record would add its noise to that record, and a mean over pulses at each sample would
-    remove the resting echo, which is what carries the phase. Without any sound record nothing is taken off.
+    The offset is the mean of the ``sound`` records (pulse,) in the ``gate``, those that are there and within full scale
+    there: one number for all, since a mean of each record would add its noise to that record, and a mean over pulses at
+    each sample would remove the resting echo, which is what carries the phase. Without any sound record nothing is
+    taken off.
     """
     volts = codes.astype(np.float32)
     if sound.any():
-        volts -= (volts @ np.full(codes.shape[-1], 1 / codes.shape[-1], np.float32))[sound].mean()
+        gated = volts[:, gate]
+        volts -= (gated @ np.full(gated.shape[-1], 1 / gated.shape[-1], np.float32))[sound].mean()
     volts *= np.float32(volts_per_code)
     return volts
 

@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, band_spectrum, scatter, turned
-from hpe_rig.processing.motion import accumulated_phase
+from hpe_rig.processing.band import band_spectrum, turned
+from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, scatter
+from hpe_rig.processing.motion import against_others, pulse_steps
 
 Peak = Literal["parabolic", "spline"]
 
@@ -16,7 +17,7 @@ MARGIN = 3
 """Samples of the correlation beyond half a period on either side: the spline's ends are then far from its peak."""
 
 
-def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: int = 4) -> Motion:
+def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: int = 6) -> Motion:
     """Return the displacement of every pulse from the peak of its correlation with the sum of all other echoes.
 
     The correlation is sampled ``upsampling`` times as finely as the echoes (band-limited) and searched within half a
@@ -25,25 +26,25 @@ def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: in
     upsampling, 6 % by a parabola. Raises ``ValueError`` as ``coherent``.
     Source: the usual time-domain estimator (Viola and Walker 2003 compare several).
     """
-    spectrum, frequency_hz = band_spectrum(echoes, 2)
-    phase, mean_hz = accumulated_phase(spectrum, frequency_hz)
-    guess_s = -phase / (2 * np.pi * mean_hz[..., None])
-    aligned = turned(spectrum, guess_s, frequency_hz)
-    others = aligned.sum(axis=-2, keepdims=True) - aligned
+    spectrum, band = band_spectrum(echoes, 2)
+    steps = pulse_steps(spectrum, band)
+    guess_s = steps.delay_s - steps.delay_s.mean(axis=-1, keepdims=True)
+    found = against_others(spectrum, band, steps, guess_s)
     rate_hz = echoes.sample_rate_hz * upsampling
     whole = np.round(guess_s * rate_hz)
     # the reference stays where the first guess put it, so lags count from there and not from the pulse before
-    cross = np.conj(others) * turned(spectrum, whole / rate_hz, frequency_hz)
-    half = math.ceil(rate_hz / mean_hz.min() / 2)
-    lag = _peak_lag(_correlation(cross, frequency_hz / rate_hz, half + MARGIN), half, peak)
+    others = found.gated[..., None, :] - band.gated(found.aligned)
+    cross = np.conj(others) * turned(spectrum, whole / rate_hz, band.frequency_hz)
+    half = math.ceil(rate_hz / np.nanmin(steps.mean_hz) / 2)
+    lag = _peak_lag(_correlation(cross, band.frequency_hz / rate_hz, half + MARGIN), half, peak)
     metres = echoes.sound_speed_m_per_s / 2
-    variance = _phase_variance(others, aligned) / (2 * np.pi * mean_hz[..., None]) ** 2 * metres**2
+    variance = found.variance / (2 * np.pi * steps.mean_hz[..., None]) ** 2 * metres**2
     return Motion(
         echoes.pulse_time_s,
         scatter((whole + lag) / rate_hz * metres, echoes.valid),
         scatter(variance, echoes.valid),
         echoes.valid,
-        np.abs(np.diff(phase, axis=-1)).max(axis=-1) / np.pi,
+        np.abs(np.diff(steps.phase, axis=-1)).max(axis=-1) / np.pi,
     )
 
 
@@ -93,12 +94,3 @@ def _second_derivatives(count: int) -> FloatArray:
     matrix = np.zeros((count, count))
     matrix[1:-1] = np.linalg.solve(system, difference)
     return matrix
-
-
-def _phase_variance(others: ComplexArray, aligned: ComplexArray) -> FloatArray:
-    """Return the phase variance (..., pulse) from what of a pulse does not fit the sum of the others."""
-    pulses, bins = aligned.shape[-2:]
-    power = np.maximum(np.sum(np.abs(others) ** 2, axis=-1), np.finfo(np.float64).tiny)
-    product = np.sum(np.conj(others) * aligned, axis=-1)
-    misfit = np.sum(np.abs(aligned - others * (product / power)[..., None]) ** 2, axis=-1)
-    return np.asarray(misfit / (bins - 1) / (2 * power) * (pulses - 1) ** 2)

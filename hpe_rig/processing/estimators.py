@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, get_args
 
+from hpe_rig.processing.band import Band
 from hpe_rig.processing.correlation import cross_correlation
 from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, velocity_between_pulses
 from hpe_rig.processing.harmonic import HarmonicFit, least_squares
@@ -106,7 +107,7 @@ class EstimatorSpec:
     motion: Callable[[EchoGate], Motion] | None = None
     fit_echoes: FitEchoes | None = None
     fit_motion: FitMotion = fit_displacement
-    band_phase: Callable[[ComplexArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]] | None = None
+    band_phase: Callable[[ComplexArray, Band], tuple[FloatArray, FloatArray, FloatArray]] | None = None
     gate_window: Window = "none"
     slow_time_window: Window = "none"
     reads_peak: bool = False

@@ -8,7 +8,17 @@ from dataclasses import replace
 import numpy as np
 from scipy.fft import ifft, irfft, rfft
 
-from hpe_rig.processing.echoes import BAND, ComplexArray, EchoGate, FloatArray, Motion, Volts, scatter, valid_volts
+from hpe_rig.processing.band import BAND
+from hpe_rig.processing.echoes import (
+    ComplexArray,
+    EchoGate,
+    FloatArray,
+    Motion,
+    Volts,
+    margin_samples,
+    scatter,
+    valid_volts,
+)
 
 LARGEST_STEP = 0.95
 """Quarter wavelengths between pulses from which on a step may be one in the other direction."""
@@ -18,22 +28,28 @@ _RECORDS_AT_ONCE = 256
 def follow(records: EchoGate, gate: slice) -> tuple[EchoGate, Motion]:
     """Return the gate cut out of whole records where its echoes have gone, and how far each cut was moved.
 
-    ``records`` (pulse, sample) hold what moves into and out of the ``gate``, which stays with what it holds in the
-    first valid pulse. The cuts' motion is known exactly, without variance, also between samples: a record is shifted
-    by its Fourier transform. Add it to the displacement found in the cut echoes (``added``). What has moved away is
-    reached later, and the times of the cut echoes say so. Raises ``ValueError`` for more than one train, where a step
-    passes a quarter wavelength, and where the echoes leave the records.
+    ``records`` (pulse, sample), whole and without margins, hold what moves into and out of the ``gate``, which stays
+    with what it holds in the first valid pulse. The cuts' motion is known exactly, without variance, also between
+    samples: a record is shifted by its Fourier transform. Add it to the displacement found in the cut echoes
+    (``added``). What has moved away is reached later, and the times of the cut echoes say so. Cuts have margins as far
+    as every record reaches. Raises ``ValueError`` for more than one train, where a step passes a quarter wavelength,
+    and where the echoes leave the records.
     """
     if records.volts.ndim != 2:
         raise ValueError(f"volts {records.volts.shape}: one train (pulse, sample) at a time can be followed")
     volts = valid_volts(records)
     moved = _moved_samples(volts, gate, records)
-    cut = np.zeros((records.valid.size, gate.stop - gate.start), volts.dtype)
-    cut[records.valid] = _cut_where_moved(volts, gate, moved)
+    wanted, reach = margin_samples(records.sample_rate_hz, records.carrier_hz), (moved.min(), moved.max())
+    before = min(wanted, int(gate.start + min(reach[0], 0)))
+    behind = min(wanted, int(volts.shape[1] - gate.stop - max(reach[1], 0)))
+    margin = max(before, 0), max(behind, 0)
+    wide = slice(gate.start - margin[0], gate.stop + margin[1])
+    cut = np.zeros((records.valid.size, wide.stop - wide.start), volts.dtype)
+    cut[records.valid] = _cut_where_moved(volts, wide, moved)
     moved_m = moved * records.sound_speed_m_per_s / (2 * records.sample_rate_hz)
     time_s = records.pulse_time_s
     later_s = np.interp(time_s, time_s[records.valid], moved_m / records.sound_speed_m_per_s)
-    followed = replace(records, volts=cut, pulse_time_s=time_s + later_s)
+    followed = replace(records, volts=cut, pulse_time_s=time_s + later_s, margin=margin)
     still = np.zeros(records.valid.size)
     return followed, Motion(followed.pulse_time_s, scatter(moved_m, records.valid), still, records.valid)
 

@@ -12,8 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import gammaincinv
 
-from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, band_spectrum, turned
+from hpe_rig.processing.band import Band, band_spectrum, energy_of, inner, turned
+from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model, triangular_root
 from hpe_rig.processing.motion import coherent
@@ -21,6 +23,9 @@ from hpe_rig.processing.motion import coherent
 STEPS = 12
 ENOUGH = 1e-12
 """Metres of change in the displacements, relative to a wavelength, below which steps end."""
+
+ALIKE_BY_CHANCE = 1e-3
+"""Share of trains of noise alone that pass for echoes."""
 
 
 def joint(
@@ -46,8 +51,8 @@ def joint(
     matrix = np.delete(model.matrix, constant, axis=1) if background_order >= 0 else model.matrix
     matrix = matrix - matrix.mean(axis=0)
     root = triangular_root(matrix, model.condition if not len(also_hz) else largest_condition)
-    spectrum, band_hz = band_spectrum(echoes, 2)
-    reduced, residual = _most_likely(spectrum, band_hz, echoes, matrix, root @ (matrix @ root).T)
+    spectrum, band = band_spectrum(echoes, 2)
+    reduced, residual = _most_likely(spectrum, band, echoes, matrix, root @ (matrix @ root).T)
     variance = np.einsum("...i,...i->...", residual, residual) / (len(matrix) - matrix.shape[1] - 1)
     covariance = variance[..., None, None] * (root @ root.T)
     wanted = 2 * frequency_hz.size
@@ -62,42 +67,85 @@ def joint(
 
 
 def _most_likely(
-    spectrum: ComplexArray, band_hz: FloatArray, echoes: EchoGate, matrix: FloatArray, solver: FloatArray
+    spectrum: ComplexArray, band: Band, echoes: EchoGate, matrix: FloatArray, solver: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the states (..., state) and the residual displacement (..., pulse) at the largest likelihood."""
     seconds = 2 / echoes.sound_speed_m_per_s
-    try:
-        moved = coherent(echoes).displacement_m[..., echoes.valid] @ solver.T
-    except ValueError:
-        # single echoes drown in noise; all of them together may not
-        moved = np.zeros((*spectrum.shape[:-2], matrix.shape[1]))
+
+    def still(state: FloatArray) -> ComplexArray:
+        """Return the echoes without the motion of a state."""
+        return turned(spectrum, state @ matrix.T * seconds, band.frequency_hz)
+
+    moved = np.nan_to_num(_seed(echoes, spectrum.shape[:-1]) @ solver.T)
     # Noise can lead the seed astray; no motion at all is the other start, and each train takes the likelier one.
-    likely = [_likelihood(turned(spectrum, x @ matrix.T * seconds, band_hz)) for x in (moved, 0 * moved)]
+    likely = [_likelihood(still(x), band) for x in (moved, 0 * moved)]
     state = np.where((likely[0] >= likely[1])[..., None], moved, 0.0)
     for _ in range(STEPS):
         # One Gauss-Newton step: undo the motion found so far, see what little each echo still moves, fit that.
-        rest = _residual(turned(spectrum, state @ matrix.T * seconds, band_hz), band_hz, seconds)
+        aligned = still(state)
+        rest = _residual(aligned, band, seconds)
         change = rest @ solver.T
         state = state + change
-        if np.abs(change).max() < ENOUGH * echoes.sound_speed_m_per_s / echoes.carrier_hz:
+        if np.nanmax(np.abs(change)) < ENOUGH * echoes.sound_speed_m_per_s / echoes.carrier_hz:
             break
-    return state, rest - change @ matrix.T
+    common = _has_common_part(aligned, band, matrix.shape[1])[..., None]
+    return np.where(common, state, np.nan), np.where(common, rest - change @ matrix.T, np.nan)
 
 
-def _likelihood(aligned: ComplexArray) -> FloatArray:
-    """Return the energy (...) of the sum of aligned echoes, which grows with the likelihood."""
+def _seed(echoes: EchoGate, shape: tuple[int, ...]) -> FloatArray:
+    """Return a first displacement (..., valid pulse), 0 or NaN where single echoes drown in noise: all may not."""
+    try:
+        return coherent(echoes).displacement_m[..., echoes.valid]
+    except ValueError:
+        return np.zeros(shape)
+
+
+def _likelihood(aligned: ComplexArray, band: Band) -> FloatArray:
+    """Return the energy (...) of the sum of aligned echoes in the gate, which grows with the likelihood."""
     total = aligned.sum(axis=-2)
-    return np.asarray(np.sum(np.abs(total) ** 2, axis=-1))
+    return inner(band.gated(total), total)
 
 
-def _residual(aligned: ComplexArray, band_hz: FloatArray, seconds: float) -> FloatArray:
+def _gate_energy(aligned: ComplexArray, band: Band) -> FloatArray:
+    """Return the energy (..., pulse) of aligned echoes in the gate."""
+    return energy_of(aligned) - energy_of(band.outside(aligned))
+
+
+def _has_common_part(aligned: ComplexArray, band: Band, states: int) -> BoolArray:
+    """Return which trains (...) have more in common, once aligned, than noise that is aligned as well as can be.
+
+    Raises ``ValueError`` where none has.
+    """
+    # Every echo at unit energy, so that one spike does not count for a train. Noise alone sums to the number of pulses
+    # times a gamma variable of as many degrees as there are independent numbers; the states chosen for the largest sum
+    # add theirs.
+    energy = np.maximum(_gate_energy(aligned, band), np.finfo(np.float64).tiny)
+    chance = gammaincinv(band.independent + states, 1 - ALIKE_BY_CHANCE) / band.independent
+    with np.errstate(invalid="ignore"):
+        found = _likelihood(aligned / np.sqrt(energy)[..., None], band) > aligned.shape[-2] * chance
+    if not found.any():
+        raise ValueError(
+            f"echoes of all {found.size} trains have nothing in common that noise alone would not have: noise without "
+            "echo, or too few pulses; check gate, tracking pulser and input range"
+        )
+    return np.asarray(found)
+
+
+def _residual(aligned: ComplexArray, band: Band, seconds: float) -> FloatArray:
     """Return the displacement (..., pulse) by which each echo still departs from their mean."""
-    # To first order an echo off by u is mean(f) (1 - j per_metre u): u follows from the projection on that slope.
-    per_metre = 2 * np.pi * band_hz * seconds
+    # To first order an echo off by u is mean(f) (1 - j per_hz f u): u follows from the projection on that slope.
+    per_hz, pulses = 2 * np.pi * seconds, aligned.shape[-2]
     mean = aligned.mean(axis=-2)
-    slope = -((aligned @ (np.conj(mean) * per_metre)[..., :, None])[..., 0]).imag
-    power = np.abs(mean) ** 2 @ per_metre**2
+    gated, turning = band.gated(mean), mean * band.frequency_hz
+    along = (gated * band.frequency_hz + band.gated(turning)) / 2
+    slope = -((aligned @ np.conj(along)[..., :, None])[..., 0]).imag
+    power = inner(along, turning)
     # noise of the mean adds to its power, not to the slope
-    noise = (np.sum(np.abs(aligned) ** 2, axis=-2) / aligned.shape[-2] - np.abs(mean) ** 2) / (aligned.shape[-2] - 1)
-    power = np.maximum(power - noise @ per_metre**2, power / 10)
+    noise = (_gate_energy(aligned, band).mean(axis=-1) - inner(gated, mean)) / (pulses - 1)
+    power = np.maximum(power - noise * _noise_square_hz2(band), power / 10) * per_hz
     return np.asarray(slope / np.maximum(power, np.finfo(np.float64).tiny)[..., None])
+
+
+def _noise_square_hz2(band: Band) -> float:
+    """Return the mean square frequency of white noise in the gate."""
+    return float(np.diagonal(band.gated_noise).real @ band.frequency_hz**2 / band.noise_energy)

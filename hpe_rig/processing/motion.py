@@ -6,24 +6,23 @@ changes by -2 pi f tau. Derivations and sources: docs/theory/estimation.md.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
-from hpe_rig.processing.conditioning import hann
-from hpe_rig.processing.echoes import (
-    ComplexArray,
-    EchoGate,
-    FloatArray,
-    Motion,
+from hpe_rig.processing.band import (
+    Band,
     band_grid,
     band_spectrum,
-    require_echo,
+    energy_of,
+    gate_spectrum,
+    inner,
     require_pulses,
-    scatter,
     turned,
-    valid_spectrum,
 )
+from hpe_rig.processing.conditioning import hann
+from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, scatter
 
 DivideBy = Literal["centre", "carrier"]
 
@@ -31,25 +30,25 @@ DivideBy = Literal["centre", "carrier"]
 def coherent(echoes: EchoGate) -> Motion:
     """Return the displacement of every pulse from its phase against the mean of all other, aligned echoes.
 
-    The phase is that of the inner product over the whole transmitted band, without a gate window, divided by the
-    energy-weighted mean frequency. A first guess from accumulated consecutive phases aligns the echoes, so motion of
-    many wavelengths is followed as long as one step stays below a quarter wavelength. Raises ``ValueError`` for fewer
-    than two valid pulses or no echo in the band. Source: maximum likelihood for a known echo in white noise.
+    The phase is that of the inner product over the gate and the whole transmitted band, without a gate window, divided
+    by the energy-weighted mean frequency. A first guess from accumulated consecutive phases aligns the echoes, so
+    motion of many wavelengths is followed as long as one step stays below a quarter wavelength; the gate cuts them
+    after that. Raises ``ValueError`` for fewer than two valid pulses and where no train has an echo in the band; a
+    train that has none is NaN. Source: maximum likelihood for a known echo in white noise.
     """
-    spectrum, frequency_hz = band_spectrum(echoes, 2)
-    phase, variance, mean_hz = coherent_phase(spectrum, frequency_hz)
+    spectrum, band = band_spectrum(echoes, 2)
+    phase, variance, mean_hz = coherent_phase(spectrum, band)
     return motion_of_phase(echoes, phase, variance, mean_hz[..., None])
 
 
-def coherent_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def coherent_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...)."""
-    phase, mean_hz = accumulated_phase(spectrum, frequency_hz)
-    power = spectrum.real**2 + spectrum.imag**2
-    energy = power.sum(axis=-1), power.sum(axis=-2)
+    steps = pulse_steps(spectrum, band)
     # the first pass aligns with single-echo noise, the second with the noise of the mean echo
-    for _ in range(2):
-        phase, mean_hz, variance = _phase_against_others(spectrum, energy, frequency_hz, phase, mean_hz)
-    return phase, variance, mean_hz
+    first = against_others(spectrum, band, steps, steps.delay_s, steps.energy)
+    phase = steps.phase + np.angle(first.product)
+    second = against_others(spectrum, band, steps, -phase / (2 * np.pi * first.mean_hz[..., None]))
+    return phase + np.angle(second.product), second.variance, second.mean_hz
 
 
 def kasai(echoes: EchoGate, *, divide_by: DivideBy = "carrier") -> Motion:
@@ -58,11 +57,11 @@ def kasai(echoes: EchoGate, *, divide_by: DivideBy = "carrier") -> Motion:
     The phase is that of the complex echoes' lag-one correlation, divided by the carrier, as published, or by the
     train's mean frequency. Raises ``ValueError`` as ``coherent``. Source: Kasai et al. (1985).
     """
-    spectrum, frequency_hz = band_spectrum(echoes, 2)
-    phase, mean_hz = accumulated_phase(spectrum, frequency_hz)
-    divisor_hz = mean_hz if divide_by == "centre" else np.full_like(mean_hz, echoes.carrier_hz)
-    variance = _pulse_variance(spectrum)
-    return motion_of_phase(echoes, phase, variance, divisor_hz[..., None], _walk(spectrum))
+    spectrum, band = band_spectrum(echoes, 2)
+    steps = pulse_steps(spectrum, band)
+    divisor_hz = steps.mean_hz if divide_by == "centre" else np.full_like(steps.mean_hz, echoes.carrier_hz)
+    variance, walk = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
+    return motion_of_phase(echoes, steps.phase, variance, divisor_hz[..., None], walk)
 
 
 def loupas(echoes: EchoGate) -> Motion:
@@ -71,12 +70,12 @@ def loupas(echoes: EchoGate) -> Motion:
     The centre frequency is that of the correlation over one sample in depth. Raises ``ValueError`` as ``coherent``.
     Source: Loupas et al. (1995), two-dimensional autocorrelation with two pulses.
     """
-    spectrum, frequency_hz = band_spectrum(echoes, 2)
-    step, _ = consecutive_phase(spectrum)
-    energy = np.abs(spectrum[..., :-1, :]) ** 2 + np.abs(spectrum[..., 1:, :]) ** 2
-    turn = energy @ np.exp(2j * np.pi * frequency_hz / echoes.sample_rate_hz)
-    centre_hz = np.angle(turn) / (2 * np.pi) * echoes.sample_rate_hz
-    return motion_of_steps(echoes, step, centre_hz, _pulse_variance(spectrum), _walk(spectrum))
+    spectrum, band = band_spectrum(echoes, 2)
+    turn = _sample_turn(spectrum, band, 2 * np.pi * band.frequency_hz / echoes.sample_rate_hz)
+    centre_hz = np.angle(turn[..., :-1] + turn[..., 1:]) / (2 * np.pi) * echoes.sample_rate_hz
+    steps = pulse_steps(spectrum, band)
+    noise = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
+    return motion_of_steps(echoes, np.angle(steps.product), centre_hz, *noise)
 
 
 def cross_spectrum(
@@ -93,18 +92,18 @@ def cross_spectrum(
     Raises ``ValueError`` for fewer than two valid pulses or no echo. Source: paper eqs. (5) and (6).
     """
     require_pulses(echoes, 2)
-    samples = echoes.volts.shape[-1]
+    samples = echoes.gate_volts.shape[-1]
     bins = samples if padding == 1 else 1 << (padding * samples - 1).bit_length()
     frequency_hz = band_grid(echoes, bins)
     window = hann(samples) if gate_window == "hann" else np.ones(samples)
-    # the window's side lobes let a constant into the band, which must not pass for an echo: look without
-    require_echo(valid_spectrum(echoes, band_grid(echoes, samples)), echoes)
-    spectrum = valid_spectrum(echoes, frequency_hz, window)
+    spectrum = gate_spectrum(echoes, frequency_hz, window)
     step, peak_hz = peak_phase(spectrum, frequency_hz)
     divisor_hz = peak_hz if divide_by == "centre" else np.full_like(peak_hz, echoes.carrier_hz)
     # the padded bins hold no more than the unpadded ones, and the Hann window leaves two thirds of those
     independent = frequency_hz.size * samples / bins / (1.5 if gate_window == "hann" else 1.0)
-    return motion_of_steps(echoes, step, divisor_hz, _pulse_variance(spectrum, independent), _walk(spectrum))
+    product = np.einsum("...i,...i->...", np.conj(spectrum[..., :-1, :]), spectrum[..., 1:, :])
+    noise = noise_of_steps(np.abs(product), energy_of(spectrum), independent)
+    return motion_of_steps(echoes, step, divisor_hz, *noise)
 
 
 def motion_of_phase(
@@ -140,95 +139,144 @@ def motion_of_steps(
     )
 
 
-def consecutive_phase(spectrum: ComplexArray) -> tuple[FloatArray, ComplexArray]:
-    """Return phase steps (..., pulse - 1) averaged over the band, and the cross-spectra (..., pulse - 1, bin)."""
+@dataclass(frozen=True, slots=True)
+class PulseSteps:
+    """Echoes of every train from pulse to pulse, over the gate, none of them aligned.
+
+    ``product`` (..., pulse - 1) of each with the next; ``phase`` (..., pulse) against the first by adding theirs;
+    ``mean_hz`` (...) of what neighbours have in common. ``energy`` (..., pulse) and ``moment`` (...), energy times
+    frequency of all; ``whole`` (..., pulse): energy with the margins.
+    """
+
+    product: ComplexArray
+    phase: FloatArray
+    mean_hz: FloatArray
+    energy: FloatArray
+    moment: FloatArray
+    whole: FloatArray
+
+    @property
+    def delay_s(self) -> FloatArray:
+        """By how much each echo (..., pulse) is late."""
+        return np.asarray(-self.phase / (2 * np.pi * self.mean_hz[..., None]))
+
+
+def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
+    """Return how echoes (..., pulse, bin) step from pulse to pulse."""
+    outside, weighted = band.outside(spectrum), band.outside(spectrum, band.frequency_hz)
     cross = np.conj(spectrum[..., :-1, :])
     cross *= spectrum[..., 1:, :]
-    return np.angle(cross.sum(axis=-1)), cross
+    product = cross.sum(axis=-1) - _neighbours(outside, outside)
+    step = np.angle(product)
+    phase = np.concatenate([np.zeros((*step.shape[:-1], 1)), np.cumsum(step, axis=-1)], axis=-1)
+    # what neighbours have in common is in phase once their step is undone
+    aligning = np.exp(-1j * step)
+    common = (aligning[..., None, :] @ cross)[..., 0, :].real @ band.frequency_hz
+    either = _neighbours(outside, weighted) + _neighbours(weighted, outside)
+    common -= (aligning * either).real.sum(axis=-1) / 2
+    power = spectrum.real**2 + spectrum.imag**2
+    whole = power.sum(axis=-1)
+    return PulseSteps(
+        product,
+        phase,
+        mean_frequency(common, np.abs(product).sum(axis=-1), band),
+        whole - energy_of(outside),
+        power.sum(axis=-2) @ band.frequency_hz - inner(outside, weighted).sum(axis=-1),
+        whole,
+    )
 
 
-def accumulated_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return phase (..., pulse) against the first pulse by adding consecutive phases, and the mean frequency (...)."""
-    step, cross = consecutive_phase(spectrum)
-    start = np.zeros((*step.shape[:-1], 1))
-    phase = np.concatenate([start, np.cumsum(step, axis=-1)], axis=-1)
-    energy = (np.exp(-1j * step)[..., None, :] @ cross)[..., 0, :].real
-    return phase, mean_frequency(energy, frequency_hz)
+def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:
+    """Return the product (..., pulse - 1) of every echo (..., pulse, column) with the next of the others."""
+    return np.asarray(np.einsum("...i,...i->...", np.conj(before[..., :-1, :]), after[..., 1:, :]))
 
 
-def mean_frequency(energy: FloatArray, frequency_hz: FloatArray) -> FloatArray:
-    """Return the mean frequency (...) of the energy (..., bin) that aligned echoes have in common.
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """Aligned echoes of every train against the sum of its other echoes, over the gate.
 
-    Real parts of cross-spectra, not magnitudes: noise then averages to zero instead of pulling the mean to the middle
-    of the band.
+    ``aligned`` (..., pulse, bin) and the ``gated`` sum of all (..., bin); ``product`` (..., pulse) of the others with
+    each; ``variance`` (..., pulse) of its phase; ``mean_hz`` (...) of what they have in common.
     """
-    total = energy.sum(axis=-1)
-    mean_hz: FloatArray = (energy @ frequency_hz) / np.where(total > 0, total, 1.0)
-    usable = (total > 0) & (mean_hz >= frequency_hz[0]) & (mean_hz <= frequency_hz[-1])
-    if not usable.all():
-        raise ValueError(
-            f"echoes of {np.count_nonzero(~usable)} of {usable.size} trains have no common part between "
-            f"{frequency_hz[0]:g} and {frequency_hz[-1]:g} Hz: noise without echo, or the wrong carrier; check both"
-        )
-    return mean_hz
+
+    aligned: ComplexArray
+    gated: ComplexArray
+    product: ComplexArray
+    variance: FloatArray
+    mean_hz: FloatArray
 
 
-def _phase_against_others(
-    spectrum: ComplexArray,
-    energies: tuple[FloatArray, FloatArray],
-    frequency_hz: FloatArray,
-    phase: FloatArray,
-    mean_hz: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the improved phase, the mean frequency (...), and the phase's variance (..., pulse).
+def against_others(
+    spectrum: ComplexArray, band: Band, steps: PulseSteps, delay_s: FloatArray, energy: FloatArray | None = None
+) -> Compared:
+    """Return how echoes (..., pulse, bin) compare with their others once advanced by ``delay_s`` (..., pulse).
 
-    From ``spectrum`` (..., pulse, bin) and its ``energies``, of every pulse (..., pulse) and bin (..., bin).
+    ``energy`` (..., pulse), that of each echo in the gate once it is aligned, is found where not given.
     """
-    pulses, (energy, energy_of_bin) = spectrum.shape[-2], energies
-    aligned = turned(spectrum, -phase / (2 * np.pi * mean_hz[..., None]), frequency_hz)
+    # echoes meet in the middle of their motion: what the gate cuts is then nearest to what all of them hold
+    aligned = turned(spectrum, delay_s - delay_s.mean(axis=-1, keepdims=True), band.frequency_hz)
+    if energy is None:
+        energy = steps.whole - energy_of(band.outside(aligned))
     total = aligned.sum(axis=-2)
+    gated = band.gated(total)
+    total_energy = inner(gated, total)
     # a pulse's own noise in its reference would pull its phase to zero: the reference is the total less the pulse
-    with_total = (aligned @ np.conj(total)[..., None])[..., 0]
+    with_total = (aligned @ np.conj(gated)[..., None])[..., 0]
     product = with_total - energy
     tiny = np.finfo(np.float64).tiny
-    reference = np.maximum(_energy(total)[..., None] - 2 * with_total.real + energy, tiny)
+    reference = np.maximum(total_energy[..., None] - 2 * with_total.real + energy, tiny)
     misfit = np.maximum(energy - np.abs(product) ** 2 / reference, 0.0)
-    variance = misfit / (frequency_hz.size - 1) / (2 * reference) * (pulses - 1) ** 2
-    common = np.abs(total) ** 2 - energy_of_bin
-    return phase + np.angle(product), mean_frequency(common, frequency_hz), variance
+    # of the noise in the gate, what lies along the echo turns its phase, the rest is misfit
+    along = band.noise_along(gated, total_energy)[..., None]
+    others = spectrum.shape[-2] - 1
+    variance = misfit * along / (band.noise_energy - along) / (2 * reference) * others**2
+    # the moment of single echoes changes in second order only as they move about their middle
+    moment = inner(gated, total * band.frequency_hz) - steps.moment
+    mean_hz = mean_frequency(moment, total_energy - energy.sum(axis=-1), band)
+    return Compared(aligned, gated, product, variance, mean_hz)
 
 
-def _energy(spectrum: ComplexArray) -> FloatArray:
-    energy: FloatArray = np.einsum("...i,...i->...", spectrum.real, spectrum.real)
-    energy += np.einsum("...i,...i->...", spectrum.imag, spectrum.imag)
-    return energy
+def _sample_turn(spectrum: ComplexArray, band: Band, angle: FloatArray) -> ComplexArray:
+    """Return the correlation (..., pulse) of every echo over one sample, with ``angle`` (bin,) a sample."""
+    turn = np.exp(1j * angle)
+    # half of it with the next sample and half with the one before: the gate's two ends then count alike
+    outside, next_, last = (band.outside(spectrum * each) for each in (1.0, turn, np.conj(turn)))
+    margins = np.conj(outside) * next_ + np.conj(last) * outside
+    return np.asarray((spectrum.real**2 + spectrum.imag**2) @ turn - margins.sum(axis=-1) / 2)
 
 
-def _pulse_variance(spectrum: ComplexArray, independent: float | None = None) -> FloatArray:
-    """Return the phase variance (..., pulse) that the correlation of consecutive echoes implies.
+def mean_frequency(moment: FloatArray, energy: FloatArray, band: Band) -> FloatArray:
+    """Return the mean frequency (...) of the ``energy`` (...) that aligned echoes have in common, from its ``moment``.
 
-    Two echoes that correlate by rho over M independent bins differ in phase by (1/rho^2 - 1) / (2 M); half of that is
-    one pulse's. A pulse takes the better of its two neighbours.
+    Real parts of inner products between pulses, not magnitudes: noise then averages to zero instead of pulling the mean
+    to the middle of the band. NaN for trains that have nothing in common in the band; raises ``ValueError`` where no
+    train has.
     """
-    cross = np.abs(np.sum(np.conj(spectrum[..., :-1, :]) * spectrum[..., 1:, :], axis=-1)) ** 2
-    energy = _energy(spectrum)
+    low_hz, high_hz = band.frequency_hz[[0, -1]]
+    mean_hz = moment / np.where(energy > 0, energy, 1.0)
+    usable = (energy > 0) & (mean_hz >= low_hz) & (mean_hz <= high_hz)
+    if not usable.any():
+        raise ValueError(
+            f"echoes of all {usable.size} trains have no common part between {low_hz:g} and {high_hz:g} Hz: noise "
+            "without echo, or the wrong carrier; check both"
+        )
+    return np.where(usable, mean_hz, np.nan)
+
+
+def noise_of_steps(cross: FloatArray, energy: FloatArray, independent: float) -> tuple[FloatArray, FloatArray]:
+    """Return the phase variance (..., pulse) that the correlation of consecutive echoes implies, and its walk (...).
+
+    Two echoes that correlate by rho over M independent numbers differ in phase by (1/rho^2 - 1) / (2 M); half of that
+    is one pulse's. A pulse takes the better of its two neighbours. The walk is the variance of a step's own noise over
+    that of a pulse: noise times noise of two pulses does not return with the other sign in the next step; it is noise
+    over signal power, and rho is signal over signal plus noise.
+    """
     tiny = np.finfo(np.float64).tiny
-    ratio = np.maximum(energy[..., :-1] * energy[..., 1:], tiny) / np.maximum(cross, tiny)
-    step = np.maximum(ratio - 1, 0.0) / (4 * (independent or spectrum.shape[-1]))
-    both = np.concatenate([step[..., :1], step], -1), np.concatenate([step, step[..., -1:]], -1)
-    return np.asarray(np.minimum(*both))
-
-
-def _walk(spectrum: ComplexArray) -> FloatArray:
-    """Return the variance (...) of a step's own noise over that of a pulse, from the correlation of neighbours.
-
-    Noise times noise of two pulses does not return with the other sign in the next step; it is noise over signal
-    power, and rho is signal over signal plus noise.
-    """
-    cross = np.abs(np.sum(np.conj(spectrum[..., :-1, :]) * spectrum[..., 1:, :], axis=-1)).sum(axis=-1)
-    energy = _energy(spectrum)
-    whole = np.sqrt(energy[..., :-1] * energy[..., 1:]).sum(axis=-1)
-    return np.asarray(np.maximum(whole / np.maximum(cross, np.finfo(np.float64).tiny) - 1, 0.0))
+    both = energy[..., :-1] * energy[..., 1:]
+    step = np.maximum(np.maximum(both, tiny) / np.maximum(cross**2, tiny) - 1, 0.0) / (4 * independent)
+    variance = np.minimum(np.concatenate([step[..., :1], step], -1), np.concatenate([step, step[..., -1:]], -1))
+    walk = np.sqrt(both).sum(axis=-1) / np.maximum(cross.sum(axis=-1), tiny) - 1
+    return np.asarray(variance), np.asarray(np.maximum(walk, 0.0))
 
 
 def peak_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:

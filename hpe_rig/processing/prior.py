@@ -42,6 +42,8 @@ LEAST_MEMBERS = 15.0
 """Members that carry the error's mean at least: the ensemble has no more where the data narrow it down."""
 BROAD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
+UNTOLD = 1e-3
+"""Noise that the test takes a pulse to have at least, relative to the rms motion: less is the ensemble's own error."""
 UNSEEN = 1e-10
 """Singular value over the largest up to which pulses see nothing of a direction."""
 SCAN = np.arange(0.0, 9.0, 0.1) * np.log(10)
@@ -344,9 +346,10 @@ def _evidence(seen: Seen, data: FloatArray, along: FloatArray) -> Evidence:
     kept = 1 / (1 + (ratio * seen.value) ** 2)
     freedom = count - np.sum(1 - kept, axis=-1)
     noise = np.maximum(np.sum((along * kept) ** 2, axis=-1) + rest.clip(min=0), tiny) / freedom
-    statistic = np.sum(along**2 * kept, axis=-1) / noise / seen.value.size
+    scale = ratio[..., 0] * np.sqrt(noise)
+    statistic = np.sum(along**2 * kept, axis=-1) / np.maximum(noise, (UNTOLD * scale) ** 2) / seen.value.size
     significance = fdtrc(seen.value.size, freedom, statistic)
-    return Evidence(ratio[..., 0] * np.sqrt(noise), noise, significance, *_likelihood(seen, along, noise))
+    return Evidence(scale, noise, significance, *_likelihood(seen, along, noise))
 
 
 def _likelihood(seen: Seen, along: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
 from hpe_rig.processing.budget import Known, estimates_of, known_of
 from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlike_pulses
-from hpe_rig.processing.echoes import EchoGate, Motion, relative_to
+from hpe_rig.processing.echoes import EchoGate, Motion, gate_edge_relative, margin_samples, relative_to
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium
 from hpe_rig.processing.estimators import EstimatorSpec, Harmonic, Options, estimate, fit_motion, spec_of
 from hpe_rig.processing.gate_tracking import added, follow
@@ -75,15 +75,16 @@ def _windows_of_shot(
     unlikely: float,
 ) -> list[ShotResult]:
     """Return the result of each window of one shot; raise ``ValueError`` where one cannot be estimated."""
-    # Of a long record only the gate comes into memory, unless the gate follows.
-    records = stored.records.gated(shot.index, samples_needed(scene, shot))
+    # Of a long record only the gate and what its edges need come into memory, unless the gate follows.
+    margin = margin_needed(scene, shot)
+    records = stored.records.gated(shot.index, samples_needed(scene, shot), margin=margin)
     if not records.valid.any():
         raise ValueError(NO_RECORDS)
     true_m = None
     if stored.true_displacement_m is not None:
         true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
     reference = reference_gate(scene, shot)
-    still = None if reference is None else stored.records.gated(shot.index, reference)
+    still = None if reference is None else stored.records.gated(shot.index, reference, margin=margin)
     known, complete = known_of(scene, stored.simulated), bool(stored.shot_complete[shot.index])
     results = []
     for window in scene.windows:
@@ -131,7 +132,7 @@ def _estimate_shot(
     chosen = select(scene, shot)
     if spec.motion is None and scene.processing.follow_gate:
         raise ValueError(f"{spec.name} has no displacements to add those of processing.follow_gate to: take coherent")
-    full_scale = clipped_pulses(records.codes, records.code_limits)
+    full_scale = clipped_pulses(records.gate_codes, records.code_limits)
     echoes = shot_echoes(scene, shot, records, chosen, full_scale)
     recorded = records.valid[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
@@ -140,6 +141,9 @@ def _estimate_shot(
     clipped = int((full_scale[chosen.window] & recorded & chosen.used).sum())
     if scene.medium is None:
         averaging = tuple(averaging_seen(fit, index, each) for index, each in enumerate(averaging))
+    here = replace(
+        known, subtracts_jitter=reference is not None, gate_edge=gate_edge_relative(echoes, spec.gate_window)
+    )
     drift = None
     if reference is None:
         # It tells of the bench, not of the estimator: the one with the least noise looks.
@@ -156,7 +160,7 @@ def _estimate_shot(
         residual_m=float(fit.residual_rms_m),
         pulse_rate_hz=shot.tracking_train.rate_hz,
         window_length_s=scene.processing.window_length_s,
-        estimates=estimates_of(fit, replace(known, subtracts_jitter=reference is not None), averaging, true_m),
+        estimates=estimates_of(fit, here, averaging, true_m),
         warnings=(
             *_record_warnings(recorded, recorded & chosen.used & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
@@ -196,18 +200,20 @@ def shot_echoes(
     ``full_scale`` (pulse of the shot,), which records reach the digitizer's full scale, is found where not given.
     """
     if full_scale is None:
-        full_scale = clipped_pulses(records.codes, records.code_limits)
+        full_scale = clipped_pulses(records.gate_codes, records.code_limits)
     window = chosen.window
     valid = records.valid[window] & chosen.used
     codes = records.codes if window.all() else records.codes[window]
     sound = valid & ~full_scale[window]
+    gate = slice(records.margin[0], codes.shape[1] - records.margin[1])
     echoes = EchoGate(
-        volts=centred_volts(codes, records.volts_per_code, sound),
+        volts=centred_volts(codes, records.volts_per_code, sound, gate),
         sample_rate_hz=shot.capture.sample_rate_hz,
         pulse_time_s=chosen.time_s,
         carrier_hz=scene.tracking.carrier_hz,
         sound_speed_m_per_s=scene.acquisition.sound_speed_m_per_s,
         valid=valid,
+        margin=records.margin,
     )
     if not scene.processing.flag_pulses or scene.tracking.disturbed == "keep" or not valid.any():
         return echoes
@@ -217,6 +223,12 @@ def shot_echoes(
 def samples_needed(scene: Scene, shot: Shot) -> slice:
     """Return the samples of each record in which motion is found: the gate, or all of them where the gate follows."""
     return slice(0, shot.capture.record_samples) if scene.processing.follow_gate else shot.gate
+
+
+def margin_needed(scene: Scene, shot: Shot) -> int:
+    """Return how many samples around ``samples_needed`` the gate's edges need; a gate that follows has them inside."""
+    rate_hz, carrier_hz = shot.capture.sample_rate_hz, scene.tracking.carrier_hz
+    return 0 if scene.processing.follow_gate else margin_samples(rate_hz, carrier_hz)
 
 
 def shot_motion(scene: Scene, shot: Shot, echoes: EchoGate, motion: Callable[[EchoGate], Motion]) -> Motion:

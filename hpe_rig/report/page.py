@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from hpe_rig.acquire import Run, open_run
 from hpe_rig.prediction import detection_text
-from hpe_rig.processing import samples_needed
+from hpe_rig.processing import margin_needed, samples_needed
 from hpe_rig.report import figures, provenance as report_provenance
 from hpe_rig.report.foreseen import foreseen
 from hpe_rig.report.residual_tests import ResidualTest, residual_tests
@@ -170,8 +170,9 @@ def _look(run: Run, result: ShotResult) -> tuple[list[Picture], list[ResidualTes
     """Return the pictures of one shot, the tests of its residual and its motion, None where there is none."""
     scene, shot = run.scene, run.plan.shots[result.shot]
     whole = 2 * shot.capture.record_count * shot.capture.record_samples <= LARGEST_SHOT_BYTES
-    needed = samples_needed(scene, shot)
-    part = slice(0, shot.capture.record_samples) if whole else needed
+    needed, margin, most = samples_needed(scene, shot), margin_needed(scene, shot), shot.capture.record_samples
+    around = slice(max(0, needed.start - margin), min(most, needed.stop + margin))
+    part = slice(0, most) if whole else around
     records = run.records.gated(result.shot, part)
     pictures = list(figures.timing(shot))
     echoes = echo_view(scene, shot, records, first_sample=part.start)
@@ -180,7 +181,7 @@ def _look(run: Run, result: ShotResult) -> tuple[list[Picture], list[ResidualTes
     if result.estimates:
         pictures += [figures.amplitude_spectrum(result.estimates), figures.phase_spectrum(result.estimates)]
     try:
-        motion = motion_view(scene, shot, gate_alone(records, needed, part.start), result.estimates)
+        motion = motion_view(scene, shot, gate_alone(scene, shot, records, part.start), result.estimates)
     except ValueError as error:
         return pictures, [ResidualTest("displacement", "not possible", str(error), "")], None
     periods_s = CLOSE_PERIODS / min((item.frequency_hz for item in result.estimates), default=math.inf)

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.plan import Selection, Shot, select
-from hpe_rig.processing import aliased_hz, codes_to_volts, coherent, linear_model, shot_echoes, shot_motion
+from hpe_rig.processing import (
+    aliased_hz,
+    codes_to_volts,
+    coherent,
+    linear_model,
+    margin_needed,
+    samples_needed,
+    shot_echoes,
+    shot_motion,
+)
 from hpe_rig.result import Estimate
 from hpe_rig.scene import Scene
 from hpe_rig.store import ShotRecords
@@ -134,9 +143,11 @@ def shown_pulses(scene: Scene, shot: Shot) -> Selection:
     return select(scene, shot, MOST_PULSES)
 
 
-def gate_alone(records: ShotRecords, gate: slice, first_sample: int = 0) -> ShotRecords:
-    """Return of ``records``, which begin with the sample ``first_sample``, the gate alone."""
-    return replace(records, codes=records.codes[:, gate.start - first_sample : gate.stop - first_sample])
+def gate_alone(scene: Scene, shot: Shot, records: ShotRecords, first_sample: int = 0) -> ShotRecords:
+    """Return of ``records``, which begin with the sample ``first_sample``, the gate and what its edges need."""
+    needed = samples_needed(scene, shot)
+    gate = slice(needed.start - first_sample, needed.stop - first_sample)
+    return records.cut(gate, margin_needed(scene, shot))
 
 
 def _depth_m(scene: Scene, shot: Shot, first_sample: int, samples: int) -> FloatArray:

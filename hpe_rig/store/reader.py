@@ -17,7 +17,7 @@ from drivers.interfaces import Setting
 from hpe_rig.plan import Plan
 from hpe_rig.store.format import MOST_STAGES, SNAPSHOT_BYTES, STAGE_BYTES, StoreError
 from hpe_rig.store.layout import TRUE_HARMONICS, volts_of_codes
-from hpe_rig.store.records import MISSING, ShotRecords
+from hpe_rig.store.records import MISSING, ShotRecords, with_margin
 from hpe_rig.store.validation import Trusted, UntrustedError, trusted
 
 Shape = tuple[int, int, int]
@@ -57,23 +57,24 @@ class StoredRecords(Sequence[ShotRecords]):
                 return None
         return self.gated(shot, slice(0, self.shape[2]), "monitor")
 
-    def gated(self, shot: int, gate: slice, name: str = "echo") -> ShotRecords:
-        """Return the samples in ``gate`` of each record of ``shot``, (pulse, sample)."""
+    def gated(self, shot: int, gate: slice, name: str = "echo", margin: int = 0) -> ShotRecords:
+        """Return the samples in ``gate`` and up to ``margin`` around it of each record of ``shot``, (pulse, sample)."""
         shot = _within(shot, self.shape[0])
         if not 0 <= gate.start < gate.stop <= self.shape[2]:
             raise StoreError(
                 f"{self.path}: the gate takes samples {gate.start} to {gate.stop}, a record has {self.shape[2]}. "
                 "Try: a run whose scene passes hpe-rig check."
             )
+        around, margins = with_margin(gate, margin, self.shape[2])
         with trusted(self.path) as trust:
             echo = _echo(trust, self.shape, name)
-            recorded = self._recorded(trust, echo, shot, gate.stop - gate.start)
-            codes = echo[shot, :, gate]
+            recorded = self._recorded(trust, echo, shot, around.stop - around.start)
+            codes = echo[shot, :, around]
             codes[~recorded] = MISSING
             trigger_time_s = _rows(trust, "records/trigger_time_s", self.shape)[shot]
             scale, offset = (trust.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset"))
             limits = _code_limits(trust, f"records/{name}")
-        return ShotRecords(codes, np.where(recorded, trigger_time_s, np.nan), scale, offset, limits)
+        return ShotRecords(codes, np.where(recorded, trigger_time_s, np.nan), scale, offset, limits, margins)
 
     def chunks(self, shot: int, pulses: int, name: str = "echo") -> Iterator[tuple[int, NDArray[np.int16]]]:
         """Yield the codes of ``shot`` as (first pulse, codes) in steps of ``pulses``, opening the file once."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ class ShotRecords:
 
     ``codes`` int16 (pulse, sample), ``MISSING`` where nothing arrived; ``trigger_time_s`` float64 (pulse,), NaN there
     and where the way to capture states no time. ``code_limits`` are the digitizer's lowest and highest code, at which a
-    sample is clipped.
+    sample is clipped. ``margin``: how many of the samples come before and behind the gate, where it is a gate's.
     """
 
     codes: NDArray[np.int16]
@@ -29,12 +29,29 @@ class ShotRecords:
     volts_per_code: float
     volts_offset: float
     code_limits: tuple[int, int]
+    margin: tuple[int, int] = (0, 0)
+
+    @property
+    def gate_codes(self) -> NDArray[np.int16]:
+        """The codes without the margins, int16 (pulse, sample)."""
+        return self.codes[:, self.margin[0] : self.codes.shape[1] - self.margin[1]]
+
+    def cut(self, gate: slice, margin: int = 0) -> ShotRecords:
+        """Return the samples in ``gate`` and up to ``margin`` on either side, as far as there are."""
+        around, margins = with_margin(gate, margin, self.codes.shape[1])
+        return replace(self, codes=self.codes[:, around], margin=margins)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
         """Which pulses have a record, shape (pulse,)."""
         valid: NDArray[np.bool_] = self.codes[:, 0] != MISSING
         return valid
+
+
+def with_margin(gate: slice, margin: int, samples: int) -> tuple[slice, tuple[int, int]]:
+    """Return a gate with up to ``margin`` samples of a record of ``samples`` on either side, and how many these are."""
+    around = slice(max(0, gate.start - margin), min(samples, gate.stop + margin))
+    return around, (gate.start - around.start, around.stop - gate.stop)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ LEAST_DRAWS = 64
 """Draws before a standard error is believed."""
 _NOISE_VALUES = 200_000
 """Noise values made at once: what fits the cache."""
-_DRAWS, _NOISE = 0, 1
+_DRAWS, _NOISE, _TAPERED_NOISE = 0, 1, 2
 
 
 @dataclass(slots=True)
@@ -107,14 +107,13 @@ def _run_block(active: list[_Running], block: int, draws: slice) -> None:
         since = _charge(own, since)
     # All cases of a batch have the same noise but for its level: drawn once, at unit level, in parts that fit a cache.
     case = active[0].case
-    kernels = spectral_kernels(case.train)
-    forms = {form_of(name) for one in active for name in one.case.estimators}
-    rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_NOISE, block)))
+    rngs = [
+        np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(stream, block)))
+        for stream in (_NOISE, _TAPERED_NOISE)
+    ]
     for some, repeats in _parts(case, draws.stop - draws.start):
-        shape = (some.stop - some.start, repeats.stop - repeats.start, case.train.pulses, kernels.numbers)
-        unit = rng.standard_normal(shape)
-        # Unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes.
-        noise = {form: unit @ kernels.of_numbers[form] for form in forms}
+        shape = (some.stop - some.start, repeats.stop - repeats.start, case.train.pulses)
+        noise = _in_forms(active, shape, *rngs)
         since = _charge(active, since)
         place = (slice(draws.start + some.start, draws.start + some.stop), repeats)
         for made in echoes:
@@ -148,6 +147,20 @@ def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
     for draw in range(0, draws, step := max(1, at_once // case.noise)):
         for first in range(0, case.noise, at_once):
             yield slice(draw, min(draw + step, draws)), slice(first, min(first + at_once, case.noise))
+
+
+def _in_forms(
+    active: list[_Running], shape: tuple[int, ...], peak: np.random.Generator, others: np.random.Generator
+) -> dict[Form, Floats]:
+    """Return unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes.
+
+    Drawn by ``peak`` for the paper's chain and by ``others`` for all that see the tapered gate.
+    """
+    wanted = {form_of(name) for one in active for name in one.case.estimators}
+    seen = spectral_kernels(active[0].case.train)
+    of_peak = peak.standard_normal((*shape, len(seen.basis["peak"])))
+    of_others = others.standard_normal((*shape, len(seen.basis["plain"])))
+    return {form: (of_peak if form == "peak" else of_others) @ seen.of_numbers[form] for form in wanted}
 
 
 def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[Form, Floats], since: float) -> float:

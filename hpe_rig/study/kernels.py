@@ -23,11 +23,13 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from hpe_rig.processing import (
+    Band,
     EchoGate,
     Estimator,
     Motion,
     Options,
     band_grid,
+    band_of,
     estimate,
     fit_motion,
     hann,
@@ -84,10 +86,12 @@ def form_of(estimator: Estimator) -> Form:
 class SpectralKernels:
     """What a train fixes of the spectra; `spectral_kernels` makes it."""
 
-    numbers: int
-    """How many numbers say all that any estimator sees of a gate."""
+    basis: dict[Form, Floats]
+    """(number, sample), orthonormal rows: how many numbers say all that an estimator of a form sees of a gate."""
     grid_hz: dict[Form, Floats]
     """(bin,)"""
+    band: Band
+    """The plain spectrum's."""
     of_volts: dict[Form, Floats]
     """(sample, 2 * bin), from samples to spectra: real parts, then imaginary parts."""
     of_numbers: dict[Form, Floats]
@@ -103,18 +107,21 @@ def spectral_kernels(train: Train) -> SpectralKernels:
 def _spectral_kernels(carrier_hz: float, sample_rate_hz: float, samples: int) -> SpectralKernels:
     # The grids are those of one pulse, whenever it is fired and whatever the sound speed.
     one = EchoGate(np.zeros((1, samples)), sample_rate_hz, np.zeros(1), carrier_hz, 1.0, np.ones(1, dtype=bool))
+    band = band_of(one)
     grid_hz: dict[Form, Floats] = {
         "peak": band_grid(one, 1 << (PADDING * samples - 1).bit_length()),
-        "plain": band_grid(one, samples),
+        "plain": band.frequency_hz,
     }
     # The Fourier transform on each grid as a real matrix: cosines make the real parts, minus sines the imaginary ones.
     angle = {form: 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, hz) for form, hz in grid_hz.items()}
     of_volts = {form: np.hstack([np.cos(turn), -np.sin(turn)]) for form, turn in angle.items()}
     of_volts["peak"] *= hann(samples)[:, None]
-    # One basis for both spectra, so that noise drawn once serves every estimator of a batch.
-    basis = _basis(np.hstack([of_volts["plain"], of_volts["peak"]]))
-    of_numbers: dict[Form, Floats] = {form: basis @ columns for form, columns in of_volts.items()}
-    return SpectralKernels(len(basis), grid_hz, of_volts, of_numbers | {"volts": basis})
+    basis: dict[Form, Floats] = {"peak": _basis(np.hstack([of_volts["plain"], of_volts["peak"]]))}
+    # All others see the tapered spectrum, from numbers of their own: the chain's noise does not hang on who else runs.
+    of_volts["plain"] = np.hstack([band.analysis.real, band.analysis.imag])
+    basis["plain"] = basis["volts"] = _basis(of_volts["plain"])
+    of_numbers: dict[Form, Floats] = {form: basis[form] @ columns for form, columns in of_volts.items()}
+    return SpectralKernels(basis, grid_hz, band, of_volts, of_numbers | {"volts": basis["volts"]})
 
 
 def _basis(columns: Floats) -> Floats:
@@ -158,12 +165,11 @@ def states(train: Train, estimator: Estimator, clean: Floats, which: Places, lev
     if spec_of(estimator).reads_peak:
         return _peaks_states(train, clean, which, level, noise)
     noisy = clean[:, None, which] + level[:, None, None, None] * noise
-    # An estimator refuses a whole array for one of its realisations; then each is tried alone, which is slow but rare.
+    # A realisation without an echo is NaN; an estimator refuses an array that has no other.
     try:
         return _states(train, estimator, noisy)
     except ValueError:
-        each = [_states_or_nan(train, estimator, one) for one in noisy.reshape(-1, *noisy.shape[2:])]
-        return np.reshape(each, (*noisy.shape[:2], -1))
+        return np.full((*noisy.shape[:2], 2 * len(train.frequencies_hz)), np.nan)
 
 
 def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
@@ -172,16 +178,9 @@ def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
         fit = estimate(train.gate(noisy), train.frequencies_hz, estimator, options=train.options)
         return fit.state[..., : 2 * len(train.frequencies_hz)]
     if spec.band_phase is not None:
-        phase, _, mean_hz = spec.band_phase(_complex(noisy), spectral_kernels(train).grid_hz["plain"])
+        phase, _, mean_hz = spec.band_phase(_complex(noisy), spectral_kernels(train).band)
         return np.asarray((phase * _metres(train) / mean_hz[..., None]) @ functional(train, estimator))
     return np.asarray(motion_of(train.gate(noisy), estimator).displacement_m @ functional(train, estimator))
-
-
-def _states_or_nan(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
-    try:
-        return _states(train, estimator, noisy)
-    except ValueError:
-        return np.full(2 * len(train.frequencies_hz), np.nan)
 
 
 def _peaks_states(train: Train, clean: Floats, which: Places, level: Floats, noise: Floats) -> Floats:

@@ -115,11 +115,7 @@ def ways(scene: Scene) -> list[Way]:
     twin, processing, gate_m = twin_of(scene), scene.processing, scene.acquisition.gate_length_m
     found = [Way(OWN, processing.estimator, {})]
     found += [Way("estimator", n, {"processing.estimator": n}) for n in ESTIMATORS if n != processing.estimator]
-    found += [
-        Way("harmonic", name, {"processing.harmonic": name})
-        for name in _choices(Processing.model_fields["harmonic"].annotation)
-        if name != processing.harmonic
-    ]
+    found += [Way("harmonic", name, {"processing.harmonic": name}) for name in _other_fits(scene)]
     found += [
         Way("gate", f"{gate_m * share * 1e3:g} mm", {"acquisition.gate_length_m": gate_m * share}) for share in GATES
     ]
@@ -277,6 +273,15 @@ def _timed(run: Callable[[], Any]) -> tuple[Any, float]:
     start_s = time.process_time()
     found = run()
     return found, time.process_time() - start_s
+
+
+def _other_fits(scene: Scene) -> list[str]:
+    """Return the fits of the harmonics that the scene could have and has not."""
+    default, impossible = "medium_prior", set()
+    if scene.without_prior is not None:
+        default, impossible = "least_squares", {"medium_prior"}
+    own = scene.processing.harmonic or default
+    return [n for n in _choices(Processing.model_fields["harmonic"].annotation) if n not in {own, *impossible}]
 
 
 def _choices(annotation: Any) -> list[str]:

@@ -14,7 +14,7 @@ BUDGET = (Component("noise", 1.234e-6, 0.0456), Component("speckle", 1.1e-6, 0.0
 ESTIMATE = Estimate(
     1000.0, 1.23456e-5, 1.1e-6, -3.1, 0.0456, 0.89, 0.06, 1.45678e-5, 3.1, averaging_phase_rad=-0.02, components=BUDGET
 )
-SHOT = ShotResult(0, 0, 1e-4, 0.81, 12345, 7, 1.2345e-6, (ESTIMATE,), (), 4000.0, 0.1)
+SHOT = ShotResult(0, 0, 1e-4, 0.8, 588, 7, 1.2345e-6, (ESTIMATE,), (), 4000.0, 0.1)
 
 
 def result_of(*shots: ShotResult) -> Result:

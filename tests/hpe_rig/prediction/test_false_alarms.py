@@ -58,4 +58,4 @@ def test_one_in_twenty_at_any_snr_exceeds_the_floor(snr_db: float, estimator: st
     # Where a peak is read its noise is drawn as well and known to 10 %: 2 ln(20) times that of the share.
     drawn = 0.1 * 2 * np.log(1 / FALSE_ALARMS) * FALSE_ALARMS if estimator == "cross_spectrum" else 0.0
     found = share_above_the_floor(snr_db, estimator, 4000)
-    assert found == pytest.approx(FALSE_ALARMS, abs=float(np.hypot(within(4000), 3 * drawn / 3)))
+    assert found == pytest.approx(FALSE_ALARMS, abs=float(np.hypot(within(4000), drawn)))

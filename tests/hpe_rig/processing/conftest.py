@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpe_rig.processing import EchoGate
+from hpe_rig.processing import EchoGate, margin_samples
 
 FloatArray = NDArray[np.float64]
+MARGIN = margin_samples(100e6, 9e6)
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class TableOne:
     pulses: int = 100
     pulse_rate_hz: float = 4000.0
     samples: int = 130
+    margin: int = 0
     excitation_width_m: tuple[float, float, float] = (0.17e-3, 0.17e-3, 1.80e-3)
     tracking_width_m: tuple[float, float, float] = (0.078e-3, 0.078e-3, 0.83e-3)
     scatterers_per_m3: float = 11 / 0.03452e-9
@@ -44,6 +46,7 @@ class TableOne:
             self.carrier_hz,
             self.sound_speed_m_per_s,
             everything if valid is None else valid,
+            (self.margin, self.margin),
         )
 
     def pulse(self, time_s: FloatArray, bandwidth: float) -> FloatArray:
@@ -53,7 +56,8 @@ class TableOne:
         return np.asarray(inside * (0.5 + 0.5 * np.cos(bandwidth * carrier)) * np.cos(carrier), dtype=np.float64)
 
     def gate_time_s(self) -> FloatArray:
-        return np.asarray((np.arange(self.samples) - (self.samples - 1) / 2) / self.sample_rate_hz, dtype=np.float64)
+        samples = self.samples + 2 * self.margin
+        return np.asarray((np.arange(samples) - (samples - 1) / 2) / self.sample_rate_hz, dtype=np.float64)
 
     def rigid(self, displacement_m: FloatArray, bandwidth: float = 0.2) -> FloatArray:
         """One target in the middle of the gate, its pulse wholly inside: (pulse, sample)."""
@@ -90,6 +94,18 @@ class TableOne:
 @pytest.fixture(scope="session")
 def table_one() -> TableOne:
     return TableOne()
+
+
+@pytest.fixture(scope="session")
+def wide() -> TableOne:
+    """Table I, each record reaching beyond the gate on both sides."""
+    return TableOne(margin=MARGIN)
+
+
+@pytest.fixture(scope="session")
+def wide_draws(wide: TableOne) -> FloatArray:
+    """The echoes of ``speckle_draws`` with their margins: (draw, pulse, sample)."""
+    return wide.speckle(np.random.default_rng(20), 30)
 
 
 @pytest.fixture(scope="session")

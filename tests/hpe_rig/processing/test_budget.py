@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpe_rig.processing.budget import GATE_EDGE_RELATIVE, Known, estimates_of
+from hpe_rig.processing.budget import Known, estimates_of
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.result import Averaging, Component, Estimate
 
@@ -26,7 +26,7 @@ def parts(estimate: Estimate) -> dict[str, Component]:
 
 
 def test_components_in_squares_are_the_headlines_uncertainty_and_each_is_what_it_says() -> None:
-    (estimate,) = estimates_of(fit(), Known(1540.0, 0.005), (AVERAGING,))
+    (estimate,) = estimates_of(fit(), Known(1540.0, 0.005, gate_edge=2e-4), (AVERAGING,))
     lead, found = estimate.headline, parts(estimate)
     peak_m = 1e-7 / 0.9
     assert lead.corrected
@@ -40,7 +40,7 @@ def test_components_in_squares_are_the_headlines_uncertainty_and_each_is_what_it
         "aliasing": (0, 0),
         "speckle": (0.03 * peak_m, 0.002),
         "beam averaging": (0.02 * peak_m, 0.004),
-        "gate edge": (GATE_EDGE_RELATIVE * peak_m, GATE_EDGE_RELATIVE),
+        "gate edge": (2e-4 * peak_m, 2e-4),
         "sound speed": (0.005 * peak_m, 0),
         "gate off focus": (0.01 * peak_m, 0),
     }
@@ -75,4 +75,4 @@ def test_without_beams_the_headline_is_what_is_tracked() -> None:
     lead = estimate.headline
     assert (lead.amplitude_m, lead.phase_rad, lead.corrected) == (estimate.amplitude_m, estimate.phase_rad, False)
     assert estimate.corrected_amplitude_m is None
-    assert lead.amplitude_uncertainty_m == pytest.approx(math.hypot(1e-9, 0.005 * 1e-7, GATE_EDGE_RELATIVE * 1e-7))
+    assert lead.amplitude_uncertainty_m == pytest.approx(math.hypot(1e-9, 0.005 * 1e-7))

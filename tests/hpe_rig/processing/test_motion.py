@@ -122,14 +122,14 @@ def test_dividing_by_the_carrier_scales_by_peak_over_carrier(table_one: TableOne
 
 @pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
 def test_a_strong_offset_and_3_mhz_leak_outside_the_band_are_not_tracked(
-    table_one: TableOne, speckle_draws: FloatArray, estimator: Estimator
+    wide: TableOne, wide_draws: FloatArray, estimator: Estimator
 ) -> None:
-    samples = np.arange(130)
-    # 3.077 MHz is the 4th bin of the gate, so neither leaks into the coherent band; the Hann gate bounds the other
-    unwanted = 50 + 50 * np.cos(2 * np.pi * 4 * samples / 130)
+    samples = np.arange(wide_draws.shape[-1]) - wide.margin
+    # an offset of ten times the echo, a leak as strong as it: the tapers of record and gate bound what they spread
+    unwanted = 50 + 5 * np.cos(2 * np.pi * 4 * samples / 130)
     clean, dirty = (
-        estimate(table_one.gate(volts), [200.0], estimator).amplitude_m[0]
-        for volts in (speckle_draws[1], speckle_draws[1] + unwanted)
+        estimate(wide.gate(volts), [200.0], estimator).amplitude_m[0]
+        for volts in (wide_draws[1], wide_draws[1] + unwanted)
     )
     assert dirty == pytest.approx(clean, rel=2e-2)
 

@@ -38,17 +38,33 @@ def _noisy(echo: FloatArray, draws: int, snr_db: float, seed: int = 24) -> Float
 @pytest.mark.parametrize("snr_db", [0.0, 20.0, 60.0])
 @pytest.mark.parametrize("estimator", ["coherent", "joint"])
 def test_jitter_is_within_five_percent_of_the_bound_of_the_scenes_own_echoes(
-    table_one: TableOne, speckle_draws: FloatArray, estimator: Estimator, snr_db: float
+    wide: TableOne, wide_draws: FloatArray, estimator: Estimator, snr_db: float
 ) -> None:
-    columns = harmonic_columns(table_one.pulse_time_s, np.array([200.0]))
+    columns = harmonic_columns(wide.pulse_time_s, np.array([200.0]))
     ratios = []
-    for index, echo in enumerate(speckle_draws):
-        volts = _noisy(echo, 30, snr_db, index)
-        noise_v = np.sqrt(np.mean(echo**2) / 10 ** (snr_db / 10))
-        bound = echo_bound(echo[0], 100e6, noise_v, columns, 1540.0)
-        ratios.append(np.var(estimate(table_one.gate(volts), [200.0], estimator).amplitude_m, ddof=1) / bound[0, 0])
+    for index, echo in enumerate(wide_draws):
+        resting = echo[0, wide.margin : -wide.margin]
+        noise_v = np.sqrt(np.mean(resting**2) / 10 ** (snr_db / 10))
+        volts = echo + noise_v * np.random.default_rng(index).standard_normal((30, *echo.shape))
+        bound = echo_bound(resting, 100e6, noise_v, columns, 1540.0)
+        ratios.append(np.var(estimate(wide.gate(volts), [200.0], estimator).amplitude_m, ddof=1) / bound[0, 0])
     # 30 x 29 degrees of freedom: the jitter is known to 2.4 %
     assert np.sqrt(np.mean(ratios)) < 1.05
+
+
+@pytest.mark.parametrize("estimator", ["coherent", *PAIRWISE, "joint", "cross_correlation"])
+@pytest.mark.parametrize("snr_db", [5.0, 30.0])
+def test_stated_uncertainties_are_true_with_margins(
+    wide: TableOne, wide_draws: FloatArray, estimator: Estimator, snr_db: float
+) -> None:
+    clean = estimate(wide.gate(wide_draws), [200.0], estimator)
+    squares = []
+    for index, echo in enumerate(wide_draws):
+        fit = estimate(wide.gate(_noisy(echo, 20, snr_db, index)), [200.0], estimator)
+        error = np.stack([fit.amplitude_m - clean.amplitude_m[index], fit.phase_rad - clean.phase_rad[index]], -1)
+        squares.append(error[:, 0] ** 2 / np.diagonal(fit.covariance[:, 0], axis1=-2, axis2=-1))
+    # 600 draws: sqrt(2 / 600) = 0.058, three of them, around 1.02 (95 degrees of freedom)
+    np.testing.assert_allclose(np.mean(squares, axis=(0, 1)), 1.02, atol=0.18)
 
 
 @pytest.mark.parametrize("estimator", [*PAIRWISE, "joint", "cross_correlation"])

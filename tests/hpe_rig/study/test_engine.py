@@ -91,7 +91,7 @@ def test_draws_and_noise_of_every_block_have_random_numbers_of_their_own(monkeyp
 
     monkeypatch.setattr(np.random, "SeedSequence", watched)
     run_batch(cases_of(scatterers=48)[:1])
-    assert len(seeds) == len(set(seeds)) == 2 * 3
+    assert len(seeds) == len(set(seeds)) == 3 * 3
 
 
 def test_the_echo_of_the_focus_comes_earlier_in_a_gate_beyond_it() -> None:

@@ -32,9 +32,9 @@ def _echoes(train: Train, draws: int) -> np.ndarray:
 def test_an_estimator_sees_of_white_noise_what_the_band_holds(train: Train, estimator: Estimator) -> None:
     seen, echoes = spectral_kernels(train), _echoes(train, 1)
     noise = np.random.default_rng(6).standard_normal((1, 2, train.pulses, train.samples))
-    numbers = noise @ seen.of_numbers["volts"].T
     fit = estimate(train.gate(echoes[:, None] + 0.3 * noise), train.frequencies_hz, estimator, options=train.options)
     form = form_of(estimator)
+    numbers = noise @ seen.basis[form].T
     clean = echoes @ seen.of_volts[form] if form in seen.of_volts else echoes
     found = states(train, estimator, clean, np.arange(train.pulses), np.array([0.3]), numbers @ seen.of_numbers[form])
     # Rounding (7e-15 measured) and the band's cut at 1e-13, tenfold.
@@ -44,26 +44,29 @@ def test_an_estimator_sees_of_white_noise_what_the_band_holds(train: Train, esti
 
 @pytest.mark.parametrize("train", [TRAIN, *OTHERS])
 def test_the_band_is_far_smaller_than_the_gate_and_its_numbers_are_white(train: Train) -> None:
-    basis = spectral_kernels(train).of_numbers["volts"]
-    assert len(basis) < 0.95 * train.samples
-    np.testing.assert_allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-13)
+    for basis in spectral_kernels(train).basis.values():
+        assert len(basis) < 0.95 * train.samples
+        np.testing.assert_allclose(basis @ basis.T, np.eye(len(basis)), atol=1e-13)
 
 
 @pytest.mark.parametrize("train", [TRAIN, *OTHERS])
 def test_what_multiplies_the_random_numbers_does_not_hang_on_rounding(train: Train) -> None:
     seen = spectral_kernels(train)
-    columns = np.hstack([seen.of_volts["plain"], seen.of_volts["peak"]])
+    angle = 2 * np.pi * np.outer(np.arange(train.samples) / train.sample_rate_hz, seen.grid_hz["plain"])
+    columns = np.hstack([np.cos(angle), -np.sin(angle), seen.of_volts["peak"]])
     rounded = columns * (1 + 1e-15 * np.random.default_rng(8).standard_normal(columns.shape))
     basis = kernels._basis(rounded)
-    for form in ("plain", "peak"):
-        np.testing.assert_allclose(basis @ seen.of_volts[form], seen.of_numbers[form], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(basis @ seen.of_volts["peak"], seen.of_numbers["peak"], rtol=0, atol=1e-13)
+    tapered = seen.of_volts["plain"]
+    basis = kernels._basis(tapered * (1 + 1e-15 * np.random.default_rng(8).standard_normal(tapered.shape)))
+    np.testing.assert_allclose(basis @ tapered, seen.of_numbers["plain"], rtol=0, atol=1e-13)
 
 
 def test_the_compiled_peak_search_is_that_of_the_paper_s_chain(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("numba")
     seen, rng = spectral_kernels(TRAIN), np.random.default_rng(7)
     clean = _echoes(TRAIN, 3) @ seen.of_volts["peak"]
-    noise = rng.standard_normal((3, 4, TRAIN.pulses, seen.numbers)) @ seen.of_numbers["peak"]
+    noise = rng.standard_normal((3, 4, TRAIN.pulses, len(seen.basis["peak"]))) @ seen.of_numbers["peak"]
     arguments = clean, rng.integers(0, TRAIN.pulses, TRAIN.pulses), np.array([0.0, 0.3, 3.0]), noise
     fast = states(TRAIN, "cross_spectrum", *arguments)
     monkeypatch.setattr(kernels, "compiled", lambda: False)

@@ -1,0 +1,281 @@
+"""Echo spectra in the transmitted band, and inner products of aligned echoes over the samples of the gate.
+
+An echo that the gate cuts before it is aligned has lost at one edge what it gained at the other. So the spectrum S_k(f)
+is that of the record around the gate, tapered where it ends; echoes are aligned, and only then the gate cuts them: the
+analytic signal at sample t is E S_k, E[t, f] = exp(2 pi j f t) / sqrt(bins), and the inner product over the gate
+
+    <S_k, S_l> = S_k^H G S_l,    G = E^H W E = 1 - B B^H,
+
+W one in the gate and zero in its margins. The margins hold few independent samples of the band, so that B has few
+columns, none where the record ends with the gate. Derivation: docs/theory/estimation.md.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import next_fast_len, rfft
+
+from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Volts, margin_samples
+
+BAND = (0.5, 1.5)
+"""The transmitted band in units of the carrier: DC and the tonebursts' band stay outside, 75 % bandwidth inside."""
+LEAST_IN_BAND = 1e-20
+LEAST_IN_FLOAT32 = 1e-12
+"""Share of a train's energy that must lie in the band: below it there is nothing but rounding."""
+FFT_WORTH = 6.0
+"""Products a point and doubling from which on a whole FFT costs less than the wanted bins one by one, measured."""
+TAPER_PERIODS = 1.45
+"""Carrier periods at an end of the record that are faded at least, where no margin is left: into the gate."""
+LEAST_OUTSIDE = 1e-5
+"""Share of a direction's energy in the margins above which it is taken off."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """What a gate fixes of its spectra: their bins, and how to weight them over the gate's samples.
+
+    ``margin``: samples before and behind the gate that are used; ``taper`` (sample,) over them and the gate.
+    ``frequency_hz`` (bin,), evenly spaced. ``analysis`` (sample, bin): from a record to its tapered spectrum, phases
+    counted from the gate's middle; ``turn`` and ``offset`` (bin,): the same as a factor to an FFT, and what of a
+    record's mean the taper spreads into the band, which is taken off. ``root`` (bin, column), real: B. ``noise`` (bin,
+    bin): covariance of white noise, which the taper colours.
+    """
+
+    margin: tuple[int, int]
+    taper: FloatArray
+    frequency_hz: FloatArray
+    analysis: ComplexArray
+    turn: ComplexArray
+    offset: ComplexArray
+    root: FloatArray
+    noise: ComplexArray
+
+    @functools.cached_property
+    def gated_noise(self) -> ComplexArray:
+        """G times the covariance of the noise, (bin, bin)."""
+        return np.asarray(self.noise - self.root @ (self.root.T @ self.noise))
+
+    @functools.cached_property
+    def noise_energy(self) -> float:
+        """Energy of white noise in the gate."""
+        return float(np.trace(self.gated_noise).real)
+
+    @functools.cached_property
+    def independent(self) -> float:
+        """Number of independent complex numbers of white noise in the gate."""
+        return self.noise_energy**2 / float(np.einsum("ij,ji->", self.gated_noise, self.gated_noise).real)
+
+    def noise_along(self, gated: ComplexArray, energy: FloatArray) -> FloatArray:
+        """Return the energy (...) of white noise along an echo of that ``energy`` (...), ``gated`` (..., bin)."""
+        return inner(gated, gated @ self.noise.T) / np.maximum(energy, np.finfo(np.float64).tiny)
+
+    def gated(self, echo: ComplexArray) -> ComplexArray:
+        """Return G times an echo (..., bin): its product with another echo is that over the gate."""
+        return np.asarray(echo - (echo @ self.root) @ self.root.T)
+
+    def outside(self, spectrum: ComplexArray, weight: FloatArray | float = 1.0) -> ComplexArray:
+        """Return what of spectra (..., pulse, bin), bins weighted, lies in the margins, (..., pulse, column)."""
+        # as one real product: complex numbers are pairs of neighbours, and B is real
+        by_bin = np.ascontiguousarray(np.swapaxes(spectrum, -1, -2)).view(np.float64)
+        columns = (self.root.T * weight) @ by_bin
+        return np.swapaxes(columns.view(np.complex128), -1, -2)
+
+
+def band_of(echoes: EchoGate) -> Band:
+    """Return the band of a gate, with as much of its margins as is of use.
+
+    Raises ``ValueError`` for a gate too short to hold two frequencies of the band.
+    """
+    wanted = margin_samples(echoes.sample_rate_hz, echoes.carrier_hz)
+    before, behind = (min(margin, wanted) for margin in echoes.margin)
+    gate = echoes.gate_volts.shape[-1]
+    band_grid(echoes, gate)
+    return _band(before, gate, behind, echoes.sample_rate_hz, echoes.carrier_hz)
+
+
+@functools.lru_cache(maxsize=32)
+def _band(before: int, gate: int, behind: int, sample_rate_hz: float, carrier_hz: float) -> Band:
+    samples = before + gate + behind
+    # the taper has faded to nothing: zeros behind it, for a faster FFT, are more of the margin
+    bins = next_fast_len(samples, real=True) if behind else samples
+    middle = before + (gate - 1) / 2
+    least = min(round(TAPER_PERIODS * sample_rate_hz / carrier_hz), gate // 4)
+    taper = _faded(samples, max(before, least), max(behind, least))
+    frequency_hz = _grid(sample_rate_hz, carrier_hz, bins)
+    turn = 2 * np.pi * np.outer(np.arange(bins) - middle, frequency_hz / sample_rate_hz)
+    signal = np.exp(1j * turn) / np.sqrt(bins)
+    analysis = signal[:samples].conj() * taper[:, None]
+    offset = analysis.sum(axis=0)
+    analysis -= offset / samples
+    noise = analysis.T @ analysis.conj()
+    # about the gate's middle E^H E is real, over the gate and so over what is left of all samples
+    outside = np.concatenate([signal[:before], signal[before + gate :]])
+    share, vectors = np.linalg.eigh((outside.conj().T @ outside).real)
+    kept = share > LEAST_OUTSIDE
+    root = vectors[:, kept] * np.sqrt(share[kept])
+    factor = np.exp(2j * np.pi * middle / sample_rate_hz * frequency_hz) / np.sqrt(bins)
+    return Band((before, behind), taper, frequency_hz, analysis, factor, offset, root, noise)
+
+
+def _faded(samples: int, before: int, behind: int) -> FloatArray:
+    """Return a window (sample,) of ones with raised cosines over its first and last samples."""
+    taper = np.ones(samples)
+    for count, part in ((before, taper), (behind, taper[::-1])):
+        part[:count] *= np.sin(np.pi / 2 * (np.arange(count) + 0.5) / count) ** 2
+    return taper
+
+
+def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, Band]:
+    """Return the spectrum (..., valid pulse, bin) around the gate, NaN for trains without an echo, and its band.
+
+    Raises ``ValueError`` for too few valid pulses, a gate too short to hold two frequencies of the band, and where no
+    train has an echo in it.
+    """
+    require_pulses(echoes, least_pulses)
+    band = band_of(echoes)
+    spectrum = _valid(echoes, _tapered_spectrum(echoes, band))
+    spectrum[~has_echo(spectrum, echoes)] = np.nan
+    return spectrum, band
+
+
+def _tapered_spectrum(echoes: EchoGate, band: Band) -> ComplexArray:
+    """Return the spectrum (..., pulse, bin) around the gate, bins first in memory."""
+    first = echoes.gate.start - band.margin[0]
+    samples, count = band.analysis.shape
+    volts = echoes.volts[..., first : first + samples]
+    bins = round(echoes.sample_rate_hz / (band.frequency_hz[1] - band.frequency_hz[0]))
+    with np.errstate(invalid="ignore"):
+        if samples * count <= FFT_WORTH * bins * np.log2(bins):
+            return _projected(volts, band.analysis)
+        start = round(band.frequency_hz[0] * bins / echoes.sample_rate_hz)
+        whole = rfft(volts * band.taper.astype(volts.dtype), bins, axis=-1)
+        level = volts @ np.full(samples, 1 / samples, volts.dtype)
+        spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
+        np.swapaxes(spectrum, -1, -2)[...] = whole[..., start : start + count]
+        spectrum *= band.turn[:, None]
+        spectrum -= band.offset[:, None] * level[..., None, :]
+    return np.swapaxes(spectrum, -1, -2)
+
+
+def _projected(volts: Volts, columns: ComplexArray) -> ComplexArray:
+    """Return volts (..., pulse, sample) times columns (sample, bin), bins first in memory."""
+    # one real product: numpy would turn the volts into complex numbers for a complex one
+    both = volts.reshape(-1, volts.shape[-1]) @ np.hstack([columns.real, columns.imag]).astype(volts.dtype)
+    both = both.reshape(*volts.shape[:-1], -1)
+    count = columns.shape[1]
+    # what follows works on whole rows of pulses
+    spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
+    by_pulse = np.swapaxes(spectrum, -1, -2)
+    by_pulse.real, by_pulse.imag = both[..., :count], both[..., count:]
+    return by_pulse
+
+
+def gate_spectrum(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray) -> ComplexArray:
+    """Return the spectrum (..., valid pulse, bin) of the gate alone times a window (sample,), NaN without an echo.
+
+    Raises ``ValueError`` where no train has an echo.
+    """
+    volts = echoes.gate_volts
+    # the window's side lobes let a constant into the band, which must not pass for an echo: look without
+    with np.errstate(invalid="ignore"):
+        plain = spectrum_at(volts, echoes.sample_rate_hz, band_grid(echoes, volts.shape[-1]))
+        spectrum = spectrum_at(volts * window.astype(volts.dtype), echoes.sample_rate_hz, frequency_hz)
+    spectrum = _valid(echoes, spectrum)
+    spectrum[~has_echo(_valid(echoes, plain) / np.sqrt(volts.shape[-1]), echoes)] = np.nan
+    return spectrum
+
+
+def _valid(echoes: EchoGate, spectrum: ComplexArray) -> ComplexArray:
+    # a few bins of what is not valid cost less than a copy of all samples that are; they may hold anything
+    if echoes.valid.all():
+        return spectrum
+    return np.swapaxes(np.compress(echoes.valid, np.swapaxes(spectrum, -1, -2), axis=-1), -1, -2)
+
+
+def require_pulses(echoes: EchoGate, least: int) -> None:
+    """Raise ``ValueError`` for fewer than ``least`` valid pulses."""
+    found = int(echoes.valid.sum())
+    if found < least:
+        raise ValueError(f"{found} valid pulses, {least} needed: records are missing; try more tracking pulses")
+
+
+def has_echo(spectrum: ComplexArray, echoes: EchoGate) -> BoolArray:
+    """Return which trains (...) hold more in the band (..., valid pulse, bin) than the rounding of their volts.
+
+    Raises ``ValueError`` where none does.
+    """
+    in_band = energy_of(spectrum).sum(axis=-1)
+    total = echoes.energy[..., echoes.valid].sum(axis=-1)
+    least = LEAST_IN_FLOAT32 if echoes.volts.dtype == np.float32 else LEAST_IN_BAND
+    found = np.asarray(in_band > least * total)
+    if not found.any():
+        raise ValueError(
+            "no echo: the gate is constant or zero in the transmitted band; check gate, input range and tracking pulser"
+        )
+    return found
+
+
+def inner(one: ComplexArray, other: ComplexArray) -> FloatArray:
+    """Return the real part of the inner product (...) of spectra (..., bin)."""
+    product: FloatArray = np.einsum("...i,...i->...", one.real, other.real)
+    product += np.einsum("...i,...i->...", one.imag, other.imag)
+    return product
+
+
+def energy_of(spectrum: ComplexArray) -> FloatArray:
+    """Return the energy (...) of spectra (..., bin)."""
+    return inner(spectrum, spectrum)
+
+
+def band_grid(echoes: EchoGate, bins: int) -> FloatArray:
+    """Return the frequencies (bin,) of a ``bins``-point FFT inside the transmitted band, below half the sample rate."""
+    inside = _grid(echoes.sample_rate_hz, echoes.carrier_hz, bins)
+    if inside.size < 2:
+        low, high = (edge * echoes.carrier_hz for edge in BAND)
+        raise ValueError(
+            f"a gate of {echoes.gate_volts.shape[-1]} samples at {echoes.sample_rate_hz:g} Hz has {inside.size} "
+            f"frequencies between {low:g} and {high:g} Hz, 2 needed: the gate is too short or the carrier wrong; try a "
+            "longer gate"
+        )
+    return inside
+
+
+def _grid(sample_rate_hz: float, carrier_hz: float, bins: int) -> FloatArray:
+    grid_hz = np.arange(bins // 2) * sample_rate_hz / bins
+    low, high = (edge * carrier_hz for edge in BAND)
+    return grid_hz[(grid_hz >= low) & (grid_hz <= high)]
+
+
+def spectrum_at(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray) -> ComplexArray:
+    """Return the Fourier transform (..., bin) of ``volts`` (..., sample) at the wanted, evenly spaced frequencies only.
+
+    In the precision of ``volts``: of float32, 1e-7 of the largest bin.
+    """
+    samples, count = volts.shape[-1], frequency_hz.size
+    spacing = sample_rate_hz / (frequency_hz[1] - frequency_hz[0])
+    bins, first = round(spacing), round(frequency_hz[0] * spacing / sample_rate_hz)
+    if samples * count > FFT_WORTH * bins * np.log2(bins):
+        spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
+        by_pulse = np.swapaxes(spectrum, -1, -2)
+        by_pulse[...] = rfft(volts, bins, axis=-1)[..., first : first + count]
+        return by_pulse
+    angle = 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, frequency_hz)
+    return _projected(volts, np.cos(angle) - 1j * np.sin(angle))
+
+
+def turned(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
+    """Return spectra (..., pulse, bin) of evenly spaced bins with every pulse advanced by ``delay_s`` (..., pulse).
+
+    Two exponentials a pulse and a running product in place of one exponential a bin.
+    """
+    step_hz = (frequency_hz[-1] - frequency_hz[0]) / (frequency_hz.size - 1)
+    factor = np.exp(2j * np.pi * frequency_hz[0] * delay_s)
+    step = np.exp(2j * np.pi * step_hz * delay_s)
+    out = np.empty_like(spectrum)
+    for index in range(frequency_hz.size):
+        np.multiply(spectrum[..., index], factor, out=out[..., index])
+        factor *= step
+    return out
