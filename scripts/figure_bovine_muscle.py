@@ -1,4 +1,4 @@
-"""Draw the README's figure: bovine muscle on the twin, beside the truth."""
+"""Draw the README's figure: bovine muscle on the twin, beside the ground truth."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -19,7 +19,7 @@ LEAST_SHARE = 0.01
 
 
 def print_result(result: Result) -> None:
-    """Print means over repeats, the table of each shot, the warnings, what was left out, and the run time by stage."""
+    """Print means over repeats, the table of each shot, the warnings, what was omitted, and the run time by stage."""
     console = wide_console()
     source = "SIMULATED" if result.simulated else "measured"
     console.print(f"\n{result.title}", style="bold")

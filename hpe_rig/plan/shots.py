@@ -121,7 +121,7 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
 
 
 def _joined(plans: list[Plan]) -> Plan:
-    """Return one plan of the shots of all; what is left out is the same in each."""
+    """Return one plan of the shots of all; what is omitted is the same in each."""
     shots = tuple(replace(shot, index=index) for index, shot in enumerate(s for plan in plans for s in plan.shots))
     return Plan(plans[0].roles, shots, max(plan.shot_period_s for plan in plans), plans[0].omitted)
 
