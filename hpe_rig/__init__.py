@@ -8,7 +8,7 @@
 >>> run.estimate("coherent").to_frame()                  # amplitude and phase; .figure(); both in a notebook
 >>> hpe.open_run("muscle.h5").estimate("kasai")
 >>> hpe.estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
->>> hpe.run_study("fig-7", Path("results"))
+>>> hpe.run_study("fig-7", "results")
 
 A scene is a name, a path or a ``Scene`` wherever one is taken. The map:
 

@@ -1,6 +1,9 @@
-"""Run the paper's experiments on the twin and write scripts/figures/beside-the-paper.md: all, or those named."""
+"""Run the paper's experiments on the twin and write scripts/figures/beside-the-paper.md: all, or those named.
 
-import sys
+Usage: python scripts/beside_the_paper.py [EXPERIMENT ...]
+"""
+
+import argparse
 from pathlib import Path
 
 from hpe_rig.validation import (
@@ -19,13 +22,16 @@ from hpe_rig.validation import (
 EXPERIMENTS = (figure_1, figure_14, figure_15, figures_16_17, figure_18, figure_19, table_2, interference, dose)
 
 
-def main(*names: str) -> None:
+def main() -> None:
     """Run every experiment (some minutes), print its verdicts, and write the page; with names, print those alone."""
-    chosen = [run for run in EXPERIMENTS if not names or run.__name__ in names]
-    if len(chosen) < len(names):
-        raise SystemExit(f"experiments are {', '.join(run.__name__ for run in EXPERIMENTS)}")
+    known = {run.__name__: run for run in EXPERIMENTS}
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("experiments", nargs="*", metavar="EXPERIMENT", help=f"one of {', '.join(known)}")
+    names = parser.parse_args().experiments
+    if wrong := [name for name in names if name not in known]:
+        parser.error(f"no experiment is called {', '.join(wrong)}: try one of {', '.join(known)}")
     found = []
-    for run in chosen:
+    for run in [known[name] for name in names] or EXPERIMENTS:
         experiment = run()
         found.append(experiment)
         print(f"{experiment.key}: {experiment.title}")
@@ -38,4 +44,4 @@ def main(*names: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

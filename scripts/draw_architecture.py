@@ -1,7 +1,10 @@
-"""Picture of the architecture, drawn from the packages' imports: docs/figures/architecture.svg."""
+"""Picture of the architecture, drawn from the packages' imports: docs/figures/architecture.svg.
 
+Usage: python scripts/draw_architecture.py [OUTPUT]
+"""
+
+import argparse
 import ast
-import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -216,11 +219,14 @@ def draw() -> Figure:
     return figure
 
 
-def main(output: str = str(OUTPUT)) -> None:
-    """Draw the picture into ``output``, whose ending says the format."""
+def main() -> None:
+    """Draw the picture into the file asked for, whose ending says the format."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("output", nargs="?", default=str(OUTPUT), help="its ending says the format")
+    output = parser.parse_args().output
     with rc_context({"svg.hashsalt": "hpe_rig", "svg.fonttype": "none"}):
         draw().savefig(output, metadata={"Date": None} if output.endswith(".svg") else {}, dpi=110)
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

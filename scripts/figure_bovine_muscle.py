@@ -1,4 +1,4 @@
-"""Draw the README's figure: bovine muscle on the twin, beside the truth."""
+"""Draw the README's figure: bovine muscle on the twin, beside the ground truth."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -41,7 +41,7 @@ def draw(estimates: tuple[Estimate, ...]) -> Figure:
     left.legend(frameon=False, fontsize=8)
     truth = np.unwrap([item.true_phase_rad or 0.0 for item in estimates])
     error = np.array([item.corrected_phase_error_rad or 0.0 for item in estimates])
-    right.plot(frequency_hz, np.degrees(truth), color="0.45", label="truth")
+    right.plot(frequency_hz, np.degrees(truth), color="0.45", label="ground truth")
     uncertainty = [2 * np.degrees(item.headline.phase_uncertainty_rad) for item in estimates]
     right.errorbar(
         frequency_hz, np.degrees(truth + error), uncertainty, fmt="o", ms=4, color=ESTIMATE, label="estimate, 2 u"

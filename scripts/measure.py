@@ -1,13 +1,20 @@
-"""Measurement of a scene from Python, as ``hpe-rig run`` does it: SCENE [BENCH.toml]."""
+"""Measurement of a scene from Python, as ``hpe-rig run`` does it.
 
-import sys
+Usage: python scripts/measure.py [SCENE [BENCH.toml]]
+"""
+
+import argparse
 
 import hpe_rig as hpe
 
 
-def main(scene: str = "table-1", bench: str | None = None) -> None:
+def main() -> None:
     """Measure, estimate and print; an exception or Ctrl-C leaves every output off."""
-    run = hpe.measure(scene, bench)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("scene", nargs="?", default="table-1", help="a shipped scene's name or a TOML file")
+    parser.add_argument("bench", nargs="?", help="the bench's TOML file; absent: the simulated bench")
+    asked = parser.parse_args()
+    run = hpe.measure(asked.scene, asked.bench)
     result = run.estimate()
     print(f"{result.title}: {run.path}")
     for item in result.shots[0].estimates:
@@ -17,4 +24,4 @@ def main(scene: str = "table-1", bench: str | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

@@ -8,7 +8,7 @@ harmonics, of the mean over noise and its negative; gain and u are over those of
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -190,15 +190,18 @@ def draw() -> Figure:
     return figure
 
 
-def main(folder: str = "") -> None:
+def main() -> None:
     """Print the table and the cost, and write medium-prior.svg."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    default = Path(__file__).parents[1] / "docs" / "figures"
+    parser.add_argument("folder", nargs="?", type=Path, default=default, help="where the figure is written")
+    path = parser.parse_args().folder
     for line in (*rows(), "", *cost()):
         print(line)
-    path = Path(folder) if folder else Path(__file__).parents[1] / "docs" / "figures"
     path.mkdir(parents=True, exist_ok=True)
     with rc_context({"svg.hashsalt": "hpe_rig", "svg.fonttype": "none"}):
         draw().savefig(path / "medium-prior.svg", metadata={"Date": None})
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

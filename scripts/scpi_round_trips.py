@@ -1,10 +1,13 @@
-"""Count SCPI messages and round trips, and what the sequencer costs a shot, over every transport: [SCENE].
+"""Count SCPI messages and round trips, and what the sequencer costs a shot, over every transport.
+
+Usage: python scripts/scpi_round_trips.py [SCENE]
 
 A round trip is a reply that was waited for. The twin's train takes no wall time and its echoes are worked out while
 records are collected, so that every other step's wall time is the sequencer's, the drivers' and the transport's own;
 verifying includes the snapshot and its way into the run file.
 """
 
+import argparse
 import sys
 import tempfile
 import time
@@ -105,8 +108,12 @@ def print_overhead(ledgers: dict[str, Ledger]) -> None:
         print(f"{name:22}" + "".join(f"{value:16.2f}" for value in ms) + f"{sum(ms):10.2f}")
 
 
-def main(scene: str = "bovine-muscle") -> None:
+def main() -> None:
     """Measure a sweep over burst lengths in process and over every transport, and print both tables."""
+    scenes = [name for name, text in shipped_scenes().items() if SWEEP[0] in text]
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("scene", nargs="?", default="bovine-muscle", choices=scenes, help="a shipped scene")
+    scene = parser.parse_args().scene
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         path = folder / "sweep.toml"
@@ -118,4 +125,4 @@ def main(scene: str = "bovine-muscle") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

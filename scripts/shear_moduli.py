@@ -1,19 +1,30 @@
-"""Shear wave speed and Voigt moduli from several runs, each tracked at another distance from the push: RUN.h5=MM ..."""
+"""Shear wave speed and Voigt moduli from several runs, each tracked at another distance from the push.
+
+Usage: python scripts/shear_moduli.py RUN.h5=MM RUN.h5=MM ...
+"""
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 from hpe_rig.acquire import process
 from hpe_rig.moduli import fit_voigt, speed_of_runs
 
 
-def main(arguments: list[str]) -> None:
+def run_at(text: str) -> tuple[Path, float]:
+    """Return the run file and the distance from the push, m, of an argument such as ``near.h5=2.5``, in mm."""
+    path, _, distance_mm = text.rpartition("=")
+    return Path(path), float(distance_mm) * 1e-3
+
+
+def main() -> None:
     """Print speed by frequency and both moduli, with standard uncertainties from the phases' noise."""
-    pairs = [argument.rsplit("=", 1) for argument in arguments]
-    runs = [process(Path(path)).shots[0].estimates for path, _ in pairs]
-    speed = speed_of_runs(runs, [float(place) * 1e-3 for _, place in pairs])
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("runs", nargs="+", type=run_at, metavar="RUN.h5=MM", help="a run file and its distance in mm")
+    paths, distances_m = zip(*parser.parse_args().runs, strict=True)
+    runs = [process(path).shots[0].estimates for path in paths]
+    speed = speed_of_runs(runs, distances_m)
     for row in zip(speed.frequency_hz, speed.speed_m_per_s, speed.uncertainty_m_per_s, speed.misfit, strict=True):
         print("{:6g} Hz  {:.3f} m/s  u {:.3f}  misfit {:.3g}".format(*row))
     fit = fit_voigt(speed)
@@ -24,4 +35,4 @@ def main(arguments: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

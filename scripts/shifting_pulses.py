@@ -3,6 +3,7 @@
 Usage: python scripts/shifting_pulses.py [SCENE [DELAY_US ...]]
 """
 
+import argparse
 import sys
 
 import numpy as np
@@ -12,11 +13,16 @@ from hpe_rig.prediction import fitted_over_true
 from hpe_rig.scene import scene_text
 
 
-def main(scene: str = "bovine-muscle", *delays_us: str) -> None:
+def main() -> None:
     """Print the largest errors over the wanted frequencies for each delay, by default around the scene's own."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("scene", nargs="?", default="bovine-muscle", help="a shipped scene's name or a TOML file")
+    parser.add_argument("delays_us", nargs="*", type=float, metavar="DELAY_US", help="delays t_d of the tracking train")
+    asked = parser.parse_args()
+    scene = asked.scene
     name, text = scene_text(scene)
     own_s = prepare(scene).scene.scene.tracking.delay_s
-    tried_s = [float(delay) * 1e-6 for delay in delays_us] or [own_s + step * 1e-6 for step in (-1, 0, 1, 5, 10)]
+    tried_s = [delay * 1e-6 for delay in asked.delays_us] or [own_s + step * 1e-6 for step in (-1, 0, 1, 5, 10)]
     print("delay (us)  amplitude (%)  phase (degrees), largest of the wanted frequencies")
     for delay_s in tried_s:
         lines = [f"delay_s = {delay_s!r}" if line.startswith("delay_s") else line for line in text.splitlines()]
@@ -29,4 +35,4 @@ def main(scene: str = "bovine-muscle", *delays_us: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

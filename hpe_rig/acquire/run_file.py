@@ -16,7 +16,6 @@ from hpe_rig.bench import BenchFile, parse_bench
 from hpe_rig.plan import CheckResult, Plan, reference_gate, select
 from hpe_rig.result import Result, Stages
 from hpe_rig.scene import (
-    DEFAULT_SPECIMEN,
     Estimator,
     Processing,
     Scene,
@@ -36,7 +35,7 @@ class Run:
     """A stored run; its records are read when they are asked for, so that a long one takes no memory.
 
     ``findings``: what the checks of its plan found; ``stored``: what the file held when it was opened, scene and bench
-    file verbatim among it; ``simulated_specimen``: the name of the default one, None where none was needed.
+    file verbatim among it.
 
     >>> run = open_run("bovine-muscle.h5")
     >>> run.scene.tracking.pulse_rate_hz, run.records[0].codes.shape
@@ -49,7 +48,6 @@ class Run:
     plan: Plan
     findings: tuple[CheckResult, ...]
     stored: StoredRun
-    simulated_specimen: str | None = None
 
     @property
     def records(self) -> StoredRecords:
@@ -66,6 +64,9 @@ class Run:
         """
         from hpe_rig.processing import coherent, relative_to, shot_motion, spec_of
 
+        count = len(self.plan.shots)
+        if not -count <= shot < count:
+            raise IndexError(f"shot {shot} does not exist: the run has {count}, counted from 0")
         chosen = spec_of(self.scene.processing.estimator).motion or coherent
         motion = shot_motion(self.scene, self.plan.shots[shot], self._echoes(shot), chosen)
         reference = reference_gate(self.scene, self.plan.shots[shot])
@@ -93,10 +94,10 @@ class Run:
             phase_reference=phase_reference(self.scene),
             shots=estimates.shots,
             warnings=tuple(_warnings(self, estimates)),
-            omitted=tuple((item.what, item.why) for item in self.plan.left_out),
+            omitted=tuple((item.what, item.why) for item in self.plan.omitted),
             versions=versions(),
             run_time_s=stages.run_time_s,
-            simulated_specimen=self.simulated_specimen,
+            simulated_specimen=self.scene.default_specimen,
             shots_without_result=tuple(estimates.without.items()),
         )
 
@@ -136,12 +137,11 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     stored = read_run(Path(path))
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench
     scene = parse_scene(stored.scene_name, stored.scene_toml).scene
-    specimen = DEFAULT_SPECIMEN if bench.simulated and scene.simulation is None else None
-    if specimen is not None:
+    if bench.simulated:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)
     stored.refuse_unlike(plan)
-    return Run(stored.path, scene, bench, plan, found, stored, specimen)
+    return Run(stored.path, scene, bench, plan, found, stored)
 
 
 def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:

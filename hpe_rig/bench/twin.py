@@ -175,15 +175,17 @@ def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.floa
 
 
 def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
-    """Return the mistakes of a ``[simulation]`` section, by the twin's own rules."""
+    """Return the mistakes of ``[simulation]`` in a scene's ``tables``, by the twin's own rules."""
     from sim_backend.settings import SimulationSettings
 
-    return mistakes_of(SimulationSettings, tables, ("simulation",))
+    simulation = tables.get("simulation", {})
+    # What is no table at all is the scene's own mistake.
+    return mistakes_of(SimulationSettings, simulation, ("simulation",)) if isinstance(simulation, Mapping) else []
 
 
 def check_declared(scene: Scene) -> list[Mistake]:
     """Return the mistakes of ``[simulation]`` together with what the scene declares of beams and sound speed."""
-    return check_simulation(twin_tables(scene)) if declares_twin(scene) else []
+    return check_simulation({"simulation": twin_tables(scene)}) if declares_twin(scene) else []
 
 
 def simulation_schema() -> dict[str, Any]:

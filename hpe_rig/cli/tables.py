@@ -19,7 +19,7 @@ LEAST_SHARE = 0.01
 
 
 def print_result(result: Result) -> None:
-    """Print means over repeats, the table of each shot, the warnings, what was left out, and the run time by stage."""
+    """Print means over repeats, the table of each shot, the warnings, what was omitted, and the run time by stage."""
     console = wide_console()
     source = "SIMULATED" if result.simulated else "measured"
     console.print(f"\n{result.title}", style="bold")
@@ -40,7 +40,7 @@ def print_result(result: Result) -> None:
     for warning in (*result.warnings, *shot_warnings(result.shots)):
         console.print(f"WARNING {warning}", style="bold")
     if result.omitted:
-        console.print("left out: " + "; ".join(f"{what} ({why})" for what, why in result.omitted))
+        console.print("omitted: " + "; ".join(f"{what} ({why})" for what, why in result.omitted))
     total_s = sum(result.run_time_s.values())
     stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.run_time_s.items() if seconds >= LEAST_S)
     console.print(f"run time: {total_s:.2f} s ({stages})")

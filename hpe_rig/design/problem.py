@@ -146,7 +146,7 @@ class Problem:
         tables = with_values(self._tables, values)
         mistakes = mistakes_of(Scene, tables)
         if self._twin:
-            mistakes += check_simulation(tables.get("simulation", {}))
+            mistakes += check_simulation(tables)
         if mistakes:
             return Candidate(values, tuple(_conflict(mistake) for mistake in mistakes))
         scene = Scene.model_validate(tables)

@@ -13,7 +13,7 @@ from typing import Any
 
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
-from hpe_rig.store import StoreError
+from hpe_rig.store import StoreError, read_run
 
 START_S = 20.0
 """How long a page may take to start before the run goes on without it."""
@@ -24,8 +24,12 @@ GRACE_S = 15.0
 def serve_run(run_file: Path, port: int = 0, attached: bool = False) -> None:
     """Print the address of the live page of ``run_file`` and serve it until Ctrl-C.
 
-    ``attached``: until standard input ends, which is when the process that started this one does.
+    ``attached``: until standard input ends, which is when the process that started this one does. A file that is not
+    there yet is waited for; raises ``StoreError`` where there is one that is no run file.
     """
+    # A run that starts its own page may be about to replace the file.
+    if run_file.exists() and not attached:
+        read_run(run_file)
     page = LivePage(RunSource(run_file), port)
     print(page.address, flush=True)
     if attached:

@@ -10,28 +10,28 @@ from hpe_rig.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOut:
+class Omission:
     """Something this scene does not need, and why."""
 
     what: str
     why: str
 
 
-def left_out(scene: Scene, bench: BenchFile) -> list[LeftOut]:
+def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
     """Return what a measurement of ``scene`` on ``bench`` opens, draws and sums nothing for, with the reasons."""
-    out: list[LeftOut] = []
+    out: list[Omission] = []
     if scene.excitation is None:
-        out.append(LeftOut("generators burst_train and toneburst", "the scene has no [excitation]"))
+        out.append(Omission("generators burst_train and toneburst", "the scene has no [excitation]"))
     if scene.excitation is not None and (why := _without_prior(scene)):
         out.append(
-            LeftOut("prior of media", f"{why}: the tonebursts' other harmonics are fitted as far as pulses tell")
+            Omission("prior of media", f"{why}: the tonebursts' other harmonics are fitted as far as pulses tell")
         )
     if scene.beams is None:
-        out.append(LeftOut("predicted beam averaging", "the scene has no [beams]"))
+        out.append(Omission("predicted beam averaging", "the scene has no [beams]"))
     if bench.simulated:
-        return [*out, *_left_out_of_twin(twin_of(scene))]
+        return [*out, *_omitted_of_twin(twin_of(scene))]
     unread = ", [simulation] is not read" if declares_twin(scene) else ""
-    return [*out, LeftOut("the twin", "the bench is real" + unread)]
+    return [*out, Omission("the twin", "the bench is real" + unread)]
 
 
 def _without_prior(scene: Scene) -> str | None:
@@ -42,15 +42,15 @@ def _without_prior(scene: Scene) -> str | None:
     return "process_noise is not 0" if processing.process_noise else scene.without_prior
 
 
-def _left_out_of_twin(twin: TwinDeclaration | None) -> Iterator[LeftOut]:
+def _omitted_of_twin(twin: TwinDeclaration | None) -> Iterator[Omission]:
     chain = twin is not None and twin.has_receive_chain
     if not chain:
-        yield LeftOut("receive chain", "the scene has no [simulation.receive_chain]: filters and switch are ideal")
+        yield Omission("receive chain", "the scene has no [simulation.receive_chain]: filters and switch are ideal")
     if twin is None or not twin.has_noise:
         noise = "receive_chain.noise_v_per_sqrt_hz" if chain else "receiver.snr_db"
-        yield LeftOut("receiver noise", f"simulation.{noise} is absent")
+        yield Omission("receiver noise", f"simulation.{noise} is absent")
     if twin is None or not twin.trigger_jitter_s:
-        yield LeftOut("trigger jitter", "simulation.instruments.trigger_jitter_s is absent or 0")
+        yield Omission("trigger jitter", "simulation.instruments.trigger_jitter_s is absent or 0")
     if twin is None or not twin.has_specimen:
         motion = "the motion is prescribed" if twin is not None and twin.prescribed else "nothing moves"
-        yield LeftOut("specimen response", f"{motion}: the scene has no [simulation.specimen]")
+        yield Omission("specimen response", f"{motion}: the scene has no [simulation.specimen]")

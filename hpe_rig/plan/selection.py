@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.plan.interference import disturbed_pulses
 from hpe_rig.plan.shots import Shot, pulse_count
-from hpe_rig.scene import Scene
+from hpe_rig.scene import Excitation, Scene
 
 HIGHEST_DRIVEN_HZ = 2e4
 """A specimen follows no further: at 20 kHz a shear wave is far shorter than the beam is wide."""
@@ -59,8 +59,13 @@ def driven_frequencies_hz(scene: Scene) -> NDArray[np.float64]:
     if scene.excitation is None:
         return np.zeros(0)
     rate_hz = scene.excitation.burst_rate_hz
-    count = math.floor(min(HIGHEST_DRIVEN_HZ, 1 / min(scene.excitation.burst_length_s)) / rate_hz)
+    count = math.floor(min(HIGHEST_DRIVEN_HZ, burst_bandwidth_hz(scene.excitation)) / rate_hz)
     return rate_hz * np.arange(1.0, count + 1)
+
+
+def burst_bandwidth_hz(excitation: Excitation) -> float:
+    """Return 1/T_b of the shortest toneburst, which drives the most harmonics: its spectrum's first zero, in Hz."""
+    return 1 / min(excitation.burst_length_s)
 
 
 def window_pulse_count(scene: Scene) -> int:

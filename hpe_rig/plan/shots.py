@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import Capture, PulseTrain, Toneburst, TriggerPulse
 from hpe_rig.bench import EXCITATION_ROLES, GENERATOR_ROLES, BenchFile
-from hpe_rig.plan.omitted import LeftOut, left_out
+from hpe_rig.plan.omitted import Omission, omissions
 from hpe_rig.scene import Mistake, Scene, SettingsError
 
 TTL_HIGH_V = 4.0
@@ -91,7 +91,7 @@ class Plan:
     roles: tuple[str, ...]
     shots: tuple[Shot, ...]
     shot_period_s: float
-    left_out: tuple[LeftOut, ...]
+    omitted: tuple[Omission, ...]
 
     @property
     def duration_s(self) -> float:
@@ -117,13 +117,13 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
     shots = tuple(_shots(scene, bench))
     period_s = scene.acquisition.shot_period_s or max(shot.train_end_s for shot in shots)
     roles = tuple(role for role in GENERATOR_ROLES if scene.excitation or role not in EXCITATION_ROLES)
-    return Plan((*roles, "digitizer"), shots, period_s, tuple(left_out(scene, bench)))
+    return Plan((*roles, "digitizer"), shots, period_s, tuple(omissions(scene, bench)))
 
 
 def _joined(plans: list[Plan]) -> Plan:
-    """Return one plan of the shots of all; what is left out is the same in each."""
+    """Return one plan of the shots of all; what is omitted is the same in each."""
     shots = tuple(replace(shot, index=index) for index, shot in enumerate(s for plan in plans for s in plan.shots))
-    return Plan(plans[0].roles, shots, max(plan.shot_period_s for plan in plans), plans[0].left_out)
+    return Plan(plans[0].roles, shots, max(plan.shot_period_s for plan in plans), plans[0].omitted)
 
 
 def pulse_count(scene: Scene) -> int:

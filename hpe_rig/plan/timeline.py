@@ -13,10 +13,10 @@ WIDTH = 96
 
 
 def plan_text(title: str, plan: Plan, found: Sequence[CheckResult]) -> str:
-    """Return the plan of a measurement as text: drawing, table, what is left out, checks."""
+    """Return the plan of a measurement as text: drawing, table, what is omitted, checks."""
     shot = max(plan.shots, key=lambda item: item.timeline.burst_length_s)
-    lines = [title, "", *_drawing(shot), "", *_table(plan, shot), "", "left out:"]
-    lines += [f"  {item.what}: {item.why}" for item in plan.left_out] or ["  nothing"]
+    lines = [title, "", *_drawing(shot), "", *_table(plan, shot), "", "omitted:"]
+    lines += [f"  {item.what}: {item.why}" for item in plan.omitted] or ["  nothing"]
     lines += ["", "checks:"]
     lines += [f"  {_MARK[finding.level]} {finding}" for finding in sorted(found, key=lambda item: _ORDER[item.level])]
     return "\n".join(lines)

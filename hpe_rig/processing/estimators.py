@@ -99,11 +99,11 @@ class EstimatorSpec:
     ``by_carrier``: phase is divided by the carrier, not by the echo's mean frequency. ``steps_add_up``: displacement is
     a sum of steps between pulses whose own noise stays in every later one.
 
-    ``label``: what figures and tables call it; ``published``: the paper's own, which they show first.
+    ``label``: what figures and tables call it, by default its name; ``published``: the paper's own, which they show
+    first.
     """
 
     name: str
-    label: str
     motion: Callable[[EchoGate], Motion] | None = None
     fit_echoes: FitEchoes | None = None
     fit_motion: FitMotion = fit_displacement
@@ -113,7 +113,12 @@ class EstimatorSpec:
     reads_peak: bool = False
     by_carrier: bool = False
     steps_add_up: bool = False
+    label: str = ""
     published: bool = False
+
+    def __post_init__(self) -> None:
+        """Take the name as the label where none is given."""
+        object.__setattr__(self, "label", self.label or self.name)
 
     @property
     def gate_noise(self) -> float:
@@ -137,19 +142,19 @@ class EstimatorSpec:
 
 
 _SPECS = (
-    EstimatorSpec("coherent", "coherent", coherent, band_phase=coherent_phase),
-    EstimatorSpec("joint", "joint", fit_echoes=joint),
-    EstimatorSpec("cross_correlation", "cross_correlation", cross_correlation),
-    EstimatorSpec("kasai", "kasai", kasai, by_carrier=True, steps_add_up=True),
-    EstimatorSpec("loupas", "loupas", loupas, steps_add_up=True),
+    EstimatorSpec("coherent", coherent, band_phase=coherent_phase),
+    EstimatorSpec("joint", fit_echoes=joint),
+    EstimatorSpec("cross_correlation", cross_correlation),
+    EstimatorSpec("kasai", kasai, by_carrier=True, steps_add_up=True),
+    EstimatorSpec("loupas", loupas, steps_add_up=True),
     EstimatorSpec(
         "cross_spectrum",
-        "the paper's chain",
         cross_spectrum,
         fit_motion=fit_velocity,
         gate_window="hann",
         slow_time_window="hann",
         reads_peak=True,
+        label="the paper's chain",
         published=True,
     ),
 )

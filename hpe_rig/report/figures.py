@@ -105,7 +105,7 @@ def displacement(view: MotionView, span_s: float | None, key: str, title: str) -
 
 
 def amplitude_spectrum(estimates: Sequence[Estimate]) -> Picture:
-    """Return amplitude over frequency: the headline with its combined uncertainty, as tracked, and the twin's truth."""
+    """Return amplitude over frequency: the headline with its combined uncertainty, as tracked, and the ground truth."""
     figure, axes = panel()
     frequency_hz = np.array([item.frequency_hz for item in estimates])
     amplitude_nm = np.array([item.headline.amplitude_m for item in estimates]) * 1e9
@@ -132,14 +132,14 @@ def amplitude_spectrum(estimates: Sequence[Estimate]) -> Picture:
 
 
 def phase_spectrum(estimates: Sequence[Estimate]) -> Picture:
-    """Return the headline's phase over frequency, unwrapped, with uncertainty and, on the twin, truth."""
+    """Return the headline's phase over frequency, unwrapped, with uncertainty and, on the twin, ground truth."""
     figure, axes = panel()
     frequency_hz = np.array([item.frequency_hz for item in estimates])
     phase = np.unwrap([item.headline.phase_rad for item in estimates])
     uncertainty_deg = np.degrees([item.headline.phase_uncertainty_rad for item in estimates])
     truth = phase - np.array([_or_nan(item.corrected_phase_error_rad) for item in estimates])
     if np.isfinite(truth).all():
-        axes.plot(frequency_hz, np.degrees(truth), "x-", color=GREY, lw=0.8, label="truth")
+        axes.plot(frequency_hz, np.degrees(truth), "x-", color=GREY, lw=0.8, label="ground truth")
     axes.errorbar(
         frequency_hz, np.degrees(phase), 2 * uncertainty_deg, fmt="o", ms=4, color=ORANGE, capsize=2,
         label="estimate, 2 u",

@@ -2,7 +2,6 @@ from .editing import edited_text as edited_text
 from .keys import (
     Key as Key,
     Number as Number,
-    container_at as container_at,
     number_keys as number_keys,
     path_of as path_of,
     resolve as resolve,
@@ -12,6 +11,7 @@ from .scene import (
     DEFAULT_SPECIMEN as DEFAULT_SPECIMEN,
     Count as Count,
     Estimator as Estimator,
+    Excitation as Excitation,
     NonNegative as NonNegative,
     Positive as Positive,
     Processing as Processing,
@@ -20,7 +20,6 @@ from .scene import (
     SceneText as SceneText,
     Section as Section,
     Title as Title,
-    has_default_specimen as has_default_specimen,
     load_scene as load_scene,
     parse_scene as parse_scene,
     scene_text as scene_text,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from hpe_rig.scene.scene import Scene, Section
-from hpe_rig.scene.validation import KeyPath, Mistake, dotted
+from hpe_rig.scene.validation import KeyPath, Mistake, SettingsError, dotted
 
 Number = int | float
 
@@ -58,11 +58,25 @@ def resolve(name: str, keys: Sequence[Key]) -> Key | Mistake:
     return Mistake(name, "no number of the scene has that name", remedy)
 
 
-def with_values(tables: Mapping[str, Any], values: Mapping[KeyPath, Number]) -> dict[str, Any]:
-    """Return a copy of the scene's tables with ``values``; sections that are absent are made."""
+def with_values(tables: Mapping[str, Any], values: Mapping[KeyPath, Any]) -> dict[str, Any]:
+    """Return a copy of the scene's tables with ``values``; sections that are absent are made.
+
+    Raises ``SettingsError`` naming every value that the tables have no place for, such as one beyond a list's end.
+    """
     changed: dict[str, Any] = copy.deepcopy(dict(tables))
+    mistakes = []
     for path, value in values.items():
-        container_at(changed, path[:-1])[path[-1]] = value
+        try:
+            *sections, last = path
+            container = container_at(changed, tuple(sections))
+            if isinstance(last, int) != isinstance(container, list):
+                raise TypeError
+            container[last] = copy.deepcopy(value)
+        except (LookupError, TypeError, ValueError):
+            remedy = "a key of the scene, [0] for the first of a list that is written out"
+            mistakes.append(Mistake(dotted(path), "the scene has no such entry", remedy))
+    if mistakes:
+        raise SettingsError("the scene", mistakes)
     return changed
 
 

@@ -10,7 +10,7 @@ from functools import cache
 from importlib import resources
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
 from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, named_text, parse_toml, validated
 
@@ -215,16 +215,27 @@ class Scene(Section):
     """Pulse rates and windows that are taken in turn."""
     simulation: dict[str, Any] | None = None
     """What the twin simulates, in the twin's own words; a real bench leaves it out."""
+    _default_specimen: str | None = PrivateAttr(default=None)
+
+    @property
+    def default_specimen(self) -> str | None:
+        """Name of the specimen that ``with_default_specimen`` filled in; None where the scene's own settings hold."""
+        return self._default_specimen
 
     def with_(self, values: Mapping[str, Any]) -> Scene:
         """Return the scene with ``values`` by their full path; sections that are absent are made.
 
         ``scene.with_({"tracking.pulse_rate_hz": 4000.0, "excitation.force_fraction": [0.5, 1.0]})``; an entry of a list
-        is ``"excitation.force_fraction[0]"``. Raises ``SettingsError`` with every mistake.
+        is ``"excitation.force_fraction[0]"``. Raises ``SettingsError`` with every mistake, ``TypeError`` for what is no
+        mapping from text to values.
         """
         # keys.py describes a scene and so imports this file.
         from hpe_rig.scene.keys import path_of, with_values
 
+        if not isinstance(values, Mapping):
+            raise TypeError(f"settings are taken as a mapping from path to value, not as {type(values).__name__}")
+        if wrong := [name for name in values if not isinstance(name, str)]:
+            raise TypeError(f"a setting is named by its path in text, not by {type(wrong[0]).__name__} {wrong[0]!r}")
         tables = with_values(_tables(self), {path_of(name): value for name, value in values.items()})
         return validated(Scene, tables, "the scene")
 
@@ -315,13 +326,12 @@ SimulationCheck = Callable[[Mapping[str, Any]], list[Mistake]]
 def parse_scene(name: str, text: str, simulation_check: SimulationCheck | None = None) -> SceneText:
     """Return the scene in ``text``; raise ``SettingsError`` with every mistake.
 
-    ``simulation_check`` is the twin's own check of ``[simulation]``; None leaves that section unread.
+    ``simulation_check`` is the twin's own check of ``[simulation]`` in the scene's tables; None leaves it unread.
     """
     tables = parse_toml(text, f"scene {name}")
     mistakes = mistakes_of(Scene, tables)
-    simulation = tables.get("simulation")
-    if simulation_check is not None and isinstance(simulation, Mapping):
-        mistakes += simulation_check(simulation)
+    if simulation_check is not None:
+        mistakes += simulation_check(tables)
     if mistakes:
         raise SettingsError(f"scene {name}", mistakes)
     return SceneText(name, text, Scene.model_validate(tables))
@@ -367,18 +377,12 @@ DEFAULT_SPECIMEN_SCENE = "bovine-muscle"
 
 def with_default_specimen(scene: Scene) -> Scene:
     """Return ``scene`` with the default muscle, in focus at the gate, where it has no [simulation]."""
-    return (
-        scene if scene.simulation is not None else scene.model_copy(update={"simulation": _default_simulation(scene)})
-    )
-
-
-def has_default_specimen(scene: Scene) -> bool:
-    """Return whether the twin of ``scene`` is the default muscle."""
-    return scene.simulation is not None and scene.simulation == _default_simulation(scene)
-
-
-def _default_simulation(scene: Scene) -> dict[str, Any]:
-    return {**_default_specimen(), "beams": {"focus_depth_m": scene.acquisition.gate_depth_m}}
+    if scene.simulation is not None:
+        return scene
+    simulation = {**_default_specimen(), "beams": {"focus_depth_m": scene.acquisition.gate_depth_m}}
+    filled = scene.model_copy(update={"simulation": simulation})
+    filled._default_specimen = DEFAULT_SPECIMEN
+    return filled
 
 
 @cache
@@ -401,4 +405,8 @@ def _plain(value: Any) -> Any:
 def _toml(scene: Scene) -> str:
     import tomlkit
 
-    return tomlkit.dumps(_tables(scene))
+    tables = _tables(scene)
+    if scene.default_specimen is not None:
+        # What was filled in is nobody's setting: it is filled in again where a twin needs it.
+        del tables["simulation"]
+    return tomlkit.dumps(tables)

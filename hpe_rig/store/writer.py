@@ -330,9 +330,9 @@ def _publish(image: bytes, path: Path, overwrite: bool) -> None:
             file.flush()
             os.fsync(file.fileno())
     except FileExistsError:
-        raise StoreError(f"{path} already exists. Try: another --output, or --overwrite.") from None
+        raise StoreError(f"{path} already exists. Try: another path, or --overwrite on the command line.") from None
     except OSError as error:
-        raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder with --output.") from None
+        raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder.") from None
 
 
 def open_for_readers(path: Path) -> h5py.File:

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import itertools
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpe_rig.bench import check_simulation, twin_of
+from hpe_rig.bench import check_declared, check_simulation, twin_of, twin_settings
 from hpe_rig.processing import Estimator, Options
 from hpe_rig.scene import (
     Mistake,
     Scene,
     SettingsError,
-    container_at,
     mistakes_of,
     parse_toml,
     path_of,
     scene_text,
     shipped_scenes,
+    with_values,
 )
 from hpe_rig.study.definition import Definition, Reading
 from hpe_rig.study.kernels import Train, refuse_unusable
@@ -169,38 +168,26 @@ def _stream(grid: _Grid, reading: Reading, place: tuple[int, ...], own: Tables, 
 
 
 def _tables_at(grid: _Grid, place: tuple[int, ...]) -> Tables:
-    tables = copy.deepcopy(grid.base)
-    for key, value in grid.definition.set.items():
-        _put(tables, key, copy.deepcopy(value))
-    for columns, n in zip(grid.columns, place, strict=True):
-        for key, values in columns.items():
-            _put(tables, key, copy.deepcopy(values[n]))
-    return tables
-
-
-def _put(tables: Tables, key: str, value: Any) -> None:
-    """Write ``value`` where ``key``, such as ``simulation.motion[0].amplitude_m``, points to."""
-    *sections, last = path_of(key)
-    try:
-        container_at(tables, tuple(sections))[last] = value
-    except (LookupError, TypeError):
-        mistake = Mistake(key, "the base scene has no such entry", "a key of the scene, [0] for the first of a list")
-        raise SettingsError("study", [mistake]) from None
+    everywhere = {path_of(key): value for key, value in grid.definition.set.items()}
+    here = {
+        path_of(key): values[n]
+        for columns, n in zip(grid.columns, place, strict=True)
+        for key, values in columns.items()
+    }
+    return with_values(with_values(grid.base, everywhere), here)
 
 
 def _checked(tables: Tables, reading: Reading) -> tuple[Scene, SimulationSettings]:
     """Return the scene and the twin's settings under a reading of eq. (11); raise with every mistake."""
-    from sim_backend.settings import SimulationSettings
-
-    simulation = tables.get("simulation", {})
-    mistakes = mistakes_of(Scene, tables)
-    if isinstance(simulation, Mapping):
-        mistakes += check_simulation(simulation)
+    mistakes = mistakes_of(Scene, tables) + check_simulation(tables)
     if not mistakes:
-        scene, twin = Scene.model_validate(tables), SimulationSettings.model_validate(simulation)
+        scene = Scene.model_validate(tables)
+        mistakes = check_declared(scene)
+    if not mistakes:
+        twin = twin_settings(scene)
         mistakes = list(_unfit(scene, twin))
-        if not mistakes:
-            return scene, twin if reading == "physical" else _literal(scene, twin)
+    if not mistakes:
+        return scene, twin if reading == "physical" else _literal(scene, twin)
     raise SettingsError("study", mistakes)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from importlib import resources
@@ -154,12 +155,17 @@ def shipped_studies() -> dict[str, str]:
     return dict(sorted(texts.items(), key=lambda item: [part.zfill(3) for part in item[0].split("-")]))
 
 
-def read_studies(name_or_path: str, replaced: Mapping[str, Any] | None = None) -> dict[str, tuple[Definition, Path]]:
+def read_studies(
+    name_or_path: str | os.PathLike[str], replaced: Mapping[str, Any] | None = None
+) -> dict[str, tuple[Definition, Path]]:
     """Return the definitions by name, each with the folder of its file, of a study or of a collection's studies.
 
     ``replaced`` are top-level keys given on the command line; ``points`` among them is the count of every range.
-    Raises ``SettingsError`` with every mistake.
+    Raises ``SettingsError`` with every mistake, and ``TypeError`` for what is neither name nor path.
     """
+    if not isinstance(name_or_path, str | os.PathLike):
+        taken = "the name of a shipped one or the path of a TOML file"
+        raise TypeError(f"a study is taken as {taken}, not as {type(name_or_path).__name__}")
     shipped, folder = shipped_studies(), Path(name_or_path).parent
     name, text = named_text(name_or_path, shipped, "study")
     tables = parse_toml(text, f"study {name}")

@@ -1,4 +1,4 @@
-"""Results on disk: a file for each finished case, so that a study can go on, and a table for each finished study."""
+"""Results on disk: a file for each finished case, so that a study can continue, and a table for each finished one."""
 
 from __future__ import annotations
 

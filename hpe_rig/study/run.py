@@ -24,8 +24,8 @@ OnProgress = Callable[[int, int], None]
 
 
 def run_study(
-    name: str,
-    output: Path,
+    name: str | os.PathLike[str],
+    output: str | os.PathLike[str],
     open_pool: OpenPool | None = None,
     ahead: int = 0,
     replaced: Mapping[str, Any] | None = None,
@@ -35,10 +35,13 @@ def run_study(
 
     ``output``/cases holds a file a finished case, ``output``/NAME the results; cases finished before, by whichever
     study, are not computed again. ``open_pool`` opens the workers, one a processor of this machine by default. Raises
-    ``SettingsError`` with every mistake before anything is computed.
+    ``SettingsError`` with every mistake before anything is computed, and ``TypeError`` for a wrong type.
 
-    >>> (result,) = run_study("fig-7", Path("results"))
+    >>> (result,) = run_study("fig-7", "results")
     """
+    if not isinstance(output, str | os.PathLike):
+        raise TypeError(f"a study's output is taken as the path of a folder, not as {type(output).__name__}")
+    output = Path(output)
     open_pool = open_pool or partial(processes, os.cpu_count() or 1)
     studies = {
         own: (definition, points_of(own, definition, folder))
@@ -50,7 +53,7 @@ def run_study(
     try:
         _compute([case for key, case in cases.items() if key not in records], store, records, open_pool, ahead, watch)
     except BaseException as error:
-        error.add_note(f"{len(records)} of {len(cases)} cases are kept in {output}: the same command goes on")
+        error.add_note(f"{len(records)} of {len(cases)} cases are kept in {output}: the same command continues")
         raise
     results = [result_of(own, definition, points, records) for own, (definition, points) in studies.items()]
     for result in results:

@@ -69,7 +69,8 @@ def views(result: StudyResult) -> list[View]:
 
 def view(result: StudyResult, reading: str) -> View | None:
     """Return the first view of the paper's chain in that reading; None where the study has none."""
-    return next((one for one in views(result) if (one.reading, one.estimator) == (reading, "cross_spectrum")), None)
+    ours = (one for one in views(result) if one.reading == reading and spec_of(one.estimator).published)
+    return next(ours, None)
 
 
 def axis_label(axis: Axis) -> str:

@@ -6,7 +6,7 @@ In the order of the flow:
     settings           what each function changes
     state              one board between the calls
     board              settings and trigger edges -> records and AUX edges
-    recording          volts of the records, made in blocks on demand
+    recording          the volts of a capture, made block by block as they are asked for
     auto_dma           posted buffers, and records as the board writes them
     capture_snapshot   one arming with everything that its records depend on
 

@@ -22,7 +22,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.plan import disturbed_pulses
 from hpe_rig.report.page import render
 from hpe_rig.scene import SettingsError, shipped_scenes
-from hpe_rig.scene.scene import DEFAULT_SPECIMEN, with_default_specimen
+from hpe_rig.scene.scene import DEFAULT_SPECIMEN, parse_scene, scene_text, with_default_specimen
 
 ROOT = Path(__file__).parents[2]
 ECHOES: dict[str, Any] = {
@@ -105,9 +105,15 @@ def test_with_changes_numbers_lists_and_sections_that_are_absent_and_refuses_all
     with pytest.raises(SettingsError, match=r"(?s)2 mistakes.*pulse_rate_hz.*gate_dept.*gate_depth_m") as caught:
         scene.with_({"tracking.pulse_rate_hz": -1.0, "acquisition.gate_dept": 1.0})
     assert len(caught.value.mistakes) == 2
+    with pytest.raises(
+        SettingsError, match=r"(?s)2 mistakes.*title\.x: .*no such entry.*force_fraction\[9\]: .*no such"
+    ):
+        scene.with_({"title.x": 1, "excitation.force_fraction[9]": 1.0})
+    with pytest.raises(SettingsError, match=r"force_fraction\[2\]: .*no such entry"):
+        changed.with_({"excitation.force_fraction[2]": 1.0})
 
 
-def test_what_is_no_scene_bench_or_echo_is_refused_with_what_is_taken() -> None:
+def test_what_is_no_scene_bench_or_echo_is_refused_with_what_is_taken(tmp_path: Path) -> None:
     for taken in (hpe.load_scene, hpe.check, hpe.measure):
         with pytest.raises(TypeError, match="name of a shipped one, the path of a TOML file or a Scene, not as int"):
             taken(3)  # type: ignore[operator]
@@ -115,6 +121,14 @@ def test_what_is_no_scene_bench_or_echo_is_refused_with_what_is_taken() -> None:
         hpe.check("table-1", bench={})  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="a run file is taken as its path or None, not as bytes"):
         hpe.measure("table-1", path=b"run.h5")  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="mapping from path to value, not as int"):
+        hpe.load_scene("table-1").with_(3)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="named by its path in text, not by int 3"):
+        hpe.load_scene("table-1").with_({3: 1.0})  # type: ignore[dict-item]
+    with pytest.raises(TypeError, match="name of a shipped one or the path of a TOML file, not as int"):
+        hpe.run_study(3, tmp_path)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="path of a folder, not as int"):
+        hpe.run_study("fig-7", 3)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="path of a run file, not as int"):
         hpe.open_run(3)  # type: ignore[arg-type]
     for wrong in (moving_echo().astype(complex), np.array([["a"]]), np.array([[None]])):
@@ -136,6 +150,13 @@ def test_the_displacement_is_the_prescribed_one_averaged_over_the_beam(run: hpe.
     (estimate,) = run.estimate("coherent").shots[0].estimates
     assert np.hypot(in_phase, quadrature) == pytest.approx(estimate.amplitude_m, rel=1e-6)
     assert 0.8e-6 < estimate.amplitude_m < 1e-6
+
+
+def test_a_shot_that_the_run_does_not_have_is_refused_with_how_many_there_are(run: hpe.Run) -> None:
+    for shot in (7, -2):
+        with pytest.raises(IndexError, match=f"shot {shot} does not exist: the run has 1"):
+            run.displacement_m(shot)
+    np.testing.assert_array_equal(run.displacement_m(-1), run.displacement_m(0))
 
 
 def test_a_pulse_that_is_missing_or_omitted_has_no_displacement(run: hpe.Run, tmp_path: Path) -> None:
@@ -259,6 +280,18 @@ def test_only_a_simulated_bench_without_a_described_specimen_takes_the_default_o
     (tmp_path / "metal.toml").write_text(metal, encoding="utf-8")
     assert prepare(plain, tmp_path / "metal.toml", refuse=False).scene.scene.simulation is None
     assert DEFAULT_SPECIMEN not in hpe.check(plain, tmp_path / "metal.toml").text
+
+
+def test_a_scene_that_writes_the_default_specimen_out_describes_its_own() -> None:
+    plain = parse_scene("plain", first_scene()).scene
+    filled = with_default_specimen(plain)
+    written = plain.with_({"simulation": filled.simulation})
+    assert written.simulation == filled.simulation
+    assert (plain.default_specimen, filled.default_specimen, written.default_specimen) == (None, DEFAULT_SPECIMEN, None)
+    assert DEFAULT_SPECIMEN not in hpe.check(written).text
+    # A scene out of a run is that of its file: its specimen is filled in anew.
+    assert parse_scene(*scene_text(filled)).scene == plain
+    assert DEFAULT_SPECIMEN in hpe.check(filled).text
 
 
 def test_the_default_muscle_echoes_at_the_gate_where_nothing_pushes(tmp_path: Path) -> None:

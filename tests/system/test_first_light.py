@@ -86,7 +86,7 @@ def test_bovine_muscle_finds_every_harmonic_of_the_specimen_within_the_speckle_s
         assert abs(error_rad) < 3 * np.hypot(estimate.phase_uncertainty_rad, tracked.phase_uncertainty_rad)
 
 
-def test_synchronous_pulses_fold_higher_harmonics_and_the_result_says_so(measured: Measure) -> None:
+def test_synchronous_pulses_alias_higher_harmonics_and_the_result_says_so(measured: Measure) -> None:
     free = ("[processing]", '[processing]\nharmonic = "least_squares"')
     result = measured("bovine-muscle-synchronous", free)
     assert any("aliasing harmonics" in warning for warning in result.warnings)

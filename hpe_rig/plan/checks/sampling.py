@@ -10,6 +10,7 @@ import numpy as np
 from hpe_rig.bench import BenchFile
 from hpe_rig.plan.checks.check_result import CheckResult, is_whole, judged
 from hpe_rig.plan.interference import effective_rate_hz
+from hpe_rig.plan.selection import burst_bandwidth_hz
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
 
@@ -34,7 +35,7 @@ def wanted_frequencies(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[C
 
 
 def driven_harmonics(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
-    """Yield whether the harmonics that tonebursts drive, up to 1/T_b, alias onto the wanted ones.
+    """Yield whether the harmonics that tonebursts drive, up to 1/T_b of the shortest, alias onto the wanted.
 
     Tonebursts are short, so that 1/T_b lies far above half the pulse rate. Pulses that shift from burst to burst sample
     the burst period at a higher effective rate.
@@ -44,7 +45,7 @@ def driven_harmonics(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
     rate_hz, burst_rate_hz = scene.tracking.pulse_rate_hz, scene.excitation.burst_rate_hz
     bursts = int(plan.shots[0].capture.record_count / rate_hz * burst_rate_hz)
     effective_hz = effective_rate_hz(rate_hz, burst_rate_hz, bursts)
-    driven_hz = 1 / max(scene.excitation.burst_length_s)
+    driven_hz = burst_bandwidth_hz(scene.excitation)
     text = f"tonebursts drive every multiple of {burst_rate_hz:g} Hz up to 1/T_b = {driven_hz:g} Hz, the pulses sample "
     text += f"the burst period at {effective_hz:g} Hz in all"
     if effective_hz > 1.5 * driven_hz:

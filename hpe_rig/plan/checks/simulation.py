@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from hpe_rig.bench import BenchFile, TwinDeclaration, twin_of
 from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.shots import Plan
-from hpe_rig.scene import DEFAULT_SPECIMEN, Scene, has_default_specimen
+from hpe_rig.scene import Scene
 
 
 def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
@@ -15,8 +15,8 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     twin = twin_of(scene) if bench.simulated else None
     if twin is None:
         return
-    if has_default_specimen(scene):
-        text = f"{DEFAULT_SPECIMEN}, in focus at the gate: the scene has no [simulation]"
+    if scene.default_specimen is not None:
+        text = f"{scene.default_specimen}, in focus at the gate: the scene has no [simulation]"
         yield CheckResult("simulated specimen", "passed", text)
     assumed = scene.acquisition.sound_speed_m_per_s
     if twin.sound_speed_m_per_s != assumed:

@@ -3,7 +3,7 @@
 Scene: bovine muscle, 15 tonebursts at 100 Hz, pulses at 3990 Hz, the last 100 ms used, noise 40 dB below the echo. The
 final amplitude is the mean over realisations (new scatterers, new noise) of the estimate at 200 Hz over the beams'
 averaging factor; the truth is the steady state in closed form, so nothing that is tabulated, drawn or fitted enters it.
-(At 4000 Hz every burst period is sampled at the same instants and harmonics near 3.8 kHz fold onto 200 Hz: 9 %.)
+(At 4000 Hz every burst period is sampled at the same instants and harmonics near 3.8 kHz alias onto 200 Hz: 9 %.)
 """
 
 from __future__ import annotations

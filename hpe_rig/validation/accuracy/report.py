@@ -127,8 +127,8 @@ def end_to_end_part(rows: Sequence[EndToEnd]) -> Part:
         "From tonebursts through medium, echoes and noise (40 dB) to the mean amplitude at 200 Hz over its beam "
         "averaging, against the steady state in closed form. Error: bias and standard error together, rms; "
         f"the bias is known to its own uncertainty, from {max(row.realisations for row in rows)} realisations.",
-        "The bias of cross_spectrum, the paper's chain, is its Hann window's: pulses at 3990 Hz fold what moves at 3.8 "
-        "kHz onto 190 Hz, of which the window lets half into 200 Hz.",
+        "The bias of cross_spectrum, the paper's chain, is its Hann window's: pulses at 3990 Hz alias what moves at "
+        "3.8 kHz onto 190 Hz, of which the window lets half into 200 Hz.",
     )
     title = "Error of the final amplitude against seconds"
     caption = "End to end: errors relative to the true amplitude; on front: nothing else is as good in less time."

@@ -75,7 +75,7 @@ def result_of(scene: SceneSource) -> Result:
 
 
 def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, Floats]:
-    """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what folds is in them."""
+    """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what aliases is in them."""
     setup = prepare(scene)
     with TemporaryDirectory() as folder:
         run_file = record_run(setup, Path(folder) / "run.h5")

@@ -91,7 +91,7 @@ def figure_15() -> Experiment:
     label(left, "force F / F_0", "displacement (nm)")
     short, middle, long = (lines[length_s] for length_s in HIGHEST)
     header = "T_b|slope (nm per F_0)|the paper's|offset (nm)|R^2|R^2 of each repeat|at F <= 0.04 (nm)"
-    header += "|truth, at the pulses (nm)"
+    header += "|ground truth, at the pulses (nm)"
     return Experiment(
         "Fig. 15",
         "displacement at 200 Hz against force",
@@ -99,7 +99,7 @@ def figure_15() -> Experiment:
         "repeats, bars one standard deviation; lines through the 9, 11 and 13 highest points. The force density is "
         "assumed, so that 100 us give about the paper's slope: ratios and floor are the test. The last column is the "
         "true amplitude at F_0 as it would be tracked, at every instant and at the pulses: what moves between them "
-        "folds, most of all for 200 us at 2.5 kHz, and lifts that slope. Without averaging, 54 nm of jitter in each "
+        "aliases, most of all for 200 us at 2.5 kHz, and lifts that slope. Without averaging, 54 nm of jitter in each "
         "quadrature and the paper's slope of 409 nm leave R^2 = 0.75 at 50 us; the paper's 0.942 means 24 nm, half a "
         "nanosecond of jitter, with which the floor would lie near 60 nm: white jitter cannot give both. With these "
         "forces the paper's three R^2 mean 24, 33 and 80 nm about its lines, 4 to 6 % of each slope: that is no noise, "
@@ -200,12 +200,13 @@ def figure_18() -> Experiment:
         "Fig. 18",
         "displacement and phase for every pulse rate",
         "Scene `muscle-pulse-rate`: five repeats, T_b = 100 us, T_s = 100 ms. Every burst period is sampled at the "
-        "same instants, so harmonics above half the pulse rate fold onto the wanted ones. How much depends on where "
+        "same instants, so harmonics above half the pulse rate alias onto the wanted ones. How much depends on where "
         "the pulses stand to the push, so on t_d: the scene keeps 130 us at all rates, and the slower, the longer no "
         "pulse looks before the push. The lower rows put the push amid two pulses, as far as their gates stay clear "
-        "of it, and nearly nothing folds. The paper adjusted t_d and does not state it. It has phases below the "
-        "others at 2.0 kHz and above at 2.5 kHz; here they fold to the same side. The muscle's moduli are assumed too: "
-        "with 10 Pa s instead of 2 a third as much would fold. The last row is what would be tracked without.",
+        "of it, and nearly nothing aliases. The paper adjusted t_d and does not state it. It has phases below the "
+        "others at 2.0 kHz and above at 2.5 kHz; here aliasing turns them to the same side. The muscle's moduli are "
+        "assumed too: with 10 Pa s instead of 2 a third as much would alias. The last row is what would be tracked "
+        "without.",
         _table("f_prf", table, truth=four),
         figure,
         (

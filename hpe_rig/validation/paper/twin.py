@@ -97,7 +97,7 @@ def figure_14() -> Experiment:
         "frequency responses of gelatin",
         "Scenes `gelatin-8`, `gelatin-12`, `gelatin-15`: five repeats at 4 kHz. Lines: the true motion at every "
         "instant as it would be tracked; dotted, the same at the pulses' instants, which miss the push itself, so that "
-        "its higher harmonics fold onto these. In brackets: over the value at 100 Hz.",
+        "its higher harmonics alias onto these. In brackets: over the value at 100 Hz.",
         (("frequency", *(f"{name}: nm" for name in GELATINS.values())), *rows),
         figure,
         (

@@ -240,7 +240,7 @@ def test_noise_of_a_longer_gate_is_predicted_from_the_echo_left_in_it(gate_m: fl
     assert found is not None
     # the model's 15 %, and three standard errors of a standard deviation
     assert found.amplitude_m.jitter == pytest.approx(start.predict(50, 0).jitter_m, rel=0.15 + 3 / math.sqrt(2 * draws))
-    # Faded echoes make the tails heavy: excess kurtosis k raises a normal law's error by sqrt(1 + k / 2), k up to 6 here.
+    # Faded echoes make heavy tails: an excess kurtosis k, up to 6 here, raises the normal error by sqrt(1 + k / 2).
     assert 0.5 < found.amplitude_m.jitter_se / (found.amplitude_m.jitter / math.sqrt(2 * draws)) < 2
 
 

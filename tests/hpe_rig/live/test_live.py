@@ -15,6 +15,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from typer.testing import CliRunner
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -22,6 +23,7 @@ from hpe_rig.acquire.run import prepare, prepare_text, record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress, Step, unobserved
 from hpe_rig.acquire.stop_request import StopRequested, clear_stop, request_stop, stop_path, stoppable
+from hpe_rig.cli.app import app
 from hpe_rig.live.alignment import AlignSource, align, without_pushing
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
@@ -168,6 +170,15 @@ def test_a_file_that_is_not_there_yet_is_waited_for(tmp_path: Path, run_file: Pa
     state = source.poll()
     assert state is not None
     assert state["status"] == "complete"
+
+
+def test_the_command_refuses_a_file_that_is_no_run_file(tmp_path: Path) -> None:
+    path = tmp_path / "first.toml"
+    path.write_text(scene_text("table-1")[1], encoding="utf-8")
+    done = CliRunner().invoke(app, ["live", str(path)])
+    assert done.exit_code != 0
+    assert "http" not in done.output
+    assert "first.toml" in done.output
 
 
 def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ CHAIN = shipped_scenes()["gelatin-8"]
 PLAIN = shipped_scenes()["bovine-muscle"]
 
 
-def left_out(text: str) -> dict[str, str]:
-    return {item.what: item.why for item in prepare_text("a", text).plan.left_out}
+def omitted(text: str) -> dict[str, str]:
+    return {item.what: item.why for item in prepare_text("a", text).plan.omitted}
 
 
 @pytest.mark.parametrize(
@@ -25,12 +25,12 @@ def left_out(text: str) -> dict[str, str]:
     ],
 )
 def test_noise_chain_and_jitter_are_left_out_where_the_scene_has_none(text, there, absent):
-    said = left_out(text)
+    said = omitted(text)
     assert set(there) <= said.keys()
     assert not set(absent) & said.keys()
 
 
 def test_reason_names_the_key_that_would_bring_the_noise():
     text = CHAIN.replace('preset = "paper"', "").replace("noise_v_per", "#")
-    assert "simulation.receive_chain.noise_v_per_sqrt_hz" in left_out(text)["receiver noise"]
-    assert "simulation.receiver.snr_db" in left_out(PLAIN.replace("snr_db = 40.0", ""))["receiver noise"]
+    assert "simulation.receive_chain.noise_v_per_sqrt_hz" in omitted(text)["receiver noise"]
+    assert "simulation.receiver.snr_db" in omitted(PLAIN.replace("snr_db = 40.0", ""))["receiver noise"]

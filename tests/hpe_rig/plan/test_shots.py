@@ -122,7 +122,7 @@ def test_a_sweep_takes_every_length_force_and_repeat() -> None:
 def test_a_scene_without_excitation_needs_no_excitation_generator() -> None:
     plan = make_plan(TABLE_1, BENCH)
     assert plan.roles == ("master", "tracking_train", "tracking_pulser", "digitizer")
-    assert any("burst_train and toneburst" in item.what for item in plan.left_out)
+    assert any("burst_train and toneburst" in item.what for item in plan.omitted)
     assert plan.shots[0].timeline.reference_s == 0.0
 
 
@@ -165,3 +165,13 @@ def test_aliasing_harmonics_are_warned_of_unless_the_pulses_shift_from_burst_to_
 
     assert found(4000.0) == "warning"
     assert found(3990.0) == "passed"
+
+
+def test_aliasing_harmonics_are_those_of_the_shortest_toneburst() -> None:
+    def text(*burst_length_s: float) -> str:
+        scene = muscle(130e-6, 4000.0).with_({"excitation.burst_length_s": list(burst_length_s)})
+        results = check_plan(scene, BENCH, make_plan(scene, BENCH))
+        return next(item.text for item in results if item.check == "aliasing harmonics")
+
+    assert "up to 1/T_b = 20000 Hz" in text(50e-6)
+    assert text(50e-6, 100e-6) == text(100e-6, 50e-6) == text(50e-6)

@@ -30,5 +30,9 @@ def test_noise_of_a_window_is_that_of_its_samples() -> None:
     assert WINDOW_NOISE["none"] == 1.0
 
 
+def test_a_label_is_the_name_unless_another_is_given() -> None:
+    assert [spec_of(name).label for name in ("coherent", "cross_spectrum")] == ["coherent", "the paper's chain"]
+
+
 def test_one_estimator_is_the_papers_own() -> None:
     assert [name for name in ESTIMATORS if spec_of(name).published] == ["cross_spectrum"]

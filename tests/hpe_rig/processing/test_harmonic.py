@@ -243,7 +243,7 @@ def test_harmonics_above_half_the_pulse_rate_are_told_apart_when_the_pulses_shif
         displacement = np.sin(2 * np.pi * np.outer(time_s, harmonics) + 0.3) @ amplitudes
         fit = least_squares(_motion(displacement, time_s), HARMONICS, also_hz=harmonics)
         error = np.abs(fit.amplitude_m / amplitudes[:10] - 1).max()
-        # 399 instants a burst period against 40: in the one case rounding is left, in the other all that folds
+        # 399 instants a burst period against 40: in the one case rounding is left, in the other all that aliases
         assert error < bound
         if rate_hz == 4000.0:
             assert error > 0.05

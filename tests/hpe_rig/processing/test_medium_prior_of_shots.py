@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import hpe_rig as hpe
 from hpe_rig.acquire import Run
 from hpe_rig.plan import Shot, select
-from hpe_rig.plan.omitted import left_out
+from hpe_rig.plan.omitted import omissions
 from hpe_rig.prediction import beam_widths, predicted_averaging
 from hpe_rig.processing import (
     HarmonicFit,
@@ -160,7 +160,7 @@ def test_where_no_prior_holds_least_squares_fit_and_check_says_why(scene: Scene,
     shot = run().plan.shots[0]
     assert prior_of(scene, shot) is None
     assert options_of(scene.processing).harmonic == "least_squares"
-    (reason,) = [item.why for item in left_out(scene, run().bench) if item.what == "prior of media"]
+    (reason,) = [item.why for item in omissions(scene, run().bench) if item.what == "prior of media"]
     assert why in reason
 
 

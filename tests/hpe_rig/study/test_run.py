@@ -86,7 +86,7 @@ def test_results_read_back_and_stand_in_the_table(study: str, tmp_path: Path) ->
     assert len(list((tmp_path / "out" / "cases").rglob("*.json"))) == 6
 
 
-def test_an_interrupted_study_goes_on_where_it_stopped(study: str, tmp_path: Path) -> None:
+def test_an_interrupted_study_continues_where_it_stopped(study: str, tmp_path: Path) -> None:
     whole = run_study(study, tmp_path / "whole", threads)
 
     def interrupt(done: int, total: int) -> None:
@@ -281,7 +281,7 @@ def test_a_killed_worker_of_a_dask_cluster_changes_nothing(tmp_path: Path) -> No
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="interrupts the POSIX way")
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_ends_cleanly_and_the_same_command_goes_on(sent: signal.Signals, tmp_path: Path) -> None:
+def test_ctrl_c_ends_cleanly_and_the_same_command_continues(sent: signal.Signals, tmp_path: Path) -> None:
     study = _larger(tmp_path)
     command = [sys.executable, "-m", "hpe_rig", "study", study, "--workers", "1", "--output", str(tmp_path / "out")]
     running = subprocess.Popen(
