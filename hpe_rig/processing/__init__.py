@@ -1,6 +1,7 @@
 """Estimation of displacement amplitude and phase from gated echoes: pure functions, leading axes are realisations.
 
     codes -> volts, gate; pulses unlike the others are flagged              conditioning.py, echoes.py
+    spectra in the band, aligned before the gate cuts them                  band.py
     a gate that follows large motion                                        gate_tracking.py
     D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background(t)       eq. (1)  model.py
 
