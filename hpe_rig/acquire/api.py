@@ -113,14 +113,17 @@ def estimate(
     frequencies_hz: Sequence[float],
     sound_speed_m_per_s: float = 1540.0,
     estimator: str = "coherent",
+    margin: tuple[int, int] = (0, 0),
 ) -> Result:
     """Return amplitude and phase of the motion in anybody's gated echoes.
 
     ``rf`` (..., pulse, sample), real: the samples of the gate, pulses ``1 / pulse_rate_hz`` apart; integers of a
-    digitizer do as well as volts. A pulse with a sample that is not finite counts as missing; where there are leading
-    axes each of their entries becomes a shot of the result, in C order. Phases are those of sin(2 pi f t + phase) with
-    t from the first pulse; displacement is positive away from the transducer. Raises ``TypeError`` where ``rf`` is not
-    real, ``SettingsError`` for an unknown estimator, ``ValueError`` where the echoes carry no estimate.
+    digitizer do as well as volts. ``margin``: how many of the samples come before the gate and how many behind it; with
+    six carrier periods on either side the gate's edges cost nothing. A pulse with a sample that is not finite counts as
+    missing; where there are leading axes each of their entries becomes a shot of the result, in C order. Phases are
+    those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive away from the transducer.
+    Raises ``TypeError`` where ``rf`` is not real, ``SettingsError`` for an unknown estimator, ``ValueError`` where the
+    echoes carry no estimate.
 
     >>> rf = np.load("echoes.npy")
     >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
@@ -128,7 +131,8 @@ def estimate(
     volts = _real(rf)
     stages = Stages()
     chosen = chosen_estimator(estimator)
-    acquired = {"sample_rate_hz": sample_rate_hz, "carrier_hz": carrier_hz, "sound_speed_m_per_s": sound_speed_m_per_s}
+    acquired: dict[str, Any] = {"sample_rate_hz": sample_rate_hz, "carrier_hz": carrier_hz, "margin": margin}
+    acquired["sound_speed_m_per_s"] = sound_speed_m_per_s
     with stages("process"):
         shots = tuple(
             _shot(index, one, pulse_rate_hz, acquired, frequencies_hz, chosen)
@@ -157,15 +161,22 @@ def _shot(
     frequencies_hz: Sequence[float],
     estimator: Estimator,
 ) -> ShotResult:
-    from hpe_rig.processing import EchoGate, estimate as estimate_motion, estimates_of
+    from hpe_rig.processing import (
+        EchoGate,
+        Known,
+        estimate as estimate_motion,
+        estimates_of,
+        gate_edge_relative,
+        spec_of,
+    )
 
     valid = np.isfinite(volts).all(axis=-1)
     # A constant offset, such as a digitizer's, is no echo; one number for all pulses keeps their resting echo.
     centred = volts - volts[valid].mean() if valid.any() else volts
     pulse_time_s = np.arange(valid.size) / pulse_rate_hz
-    fit = estimate_motion(
-        EchoGate(volts=centred, pulse_time_s=pulse_time_s, valid=valid, **acquired), frequencies_hz, estimator
-    )
+    echoes = EchoGate(volts=centred, pulse_time_s=pulse_time_s, valid=valid, **acquired)
+    edge = gate_edge_relative(echoes, spec_of(estimator).gate_window)
+    fit = estimate_motion(echoes, frequencies_hz, estimator)
     return ShotResult(
         shot=index,
         repeat=0,
@@ -174,7 +185,7 @@ def _shot(
         pulses_used=fit.pulses,
         pulses_missing=int((~valid).sum()),
         residual_m=float(fit.residual_rms_m),
-        estimates=estimates_of(fit),
+        estimates=estimates_of(fit, Known(acquired["sound_speed_m_per_s"], gate_edge=edge)),
         warnings=(),
         pulse_rate_hz=pulse_rate_hz,
     )
