@@ -197,11 +197,10 @@ def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:
 class Compared:
     """Aligned echoes of every train against the sum of its other echoes, over the gate.
 
-    ``aligned`` (..., pulse, bin) and the ``gated`` sum of all (..., bin); ``product`` (..., pulse) of the others with
-    each; ``variance`` (..., pulse) of its phase; ``mean_hz`` (...) of what they have in common.
+    ``gated`` sum of all (..., bin); ``product`` (..., pulse) of the others with each; ``variance`` (..., pulse) of its
+    phase; ``mean_hz`` (...) of what they have in common.
     """
 
-    aligned: ComplexArray
     gated: ComplexArray
     product: ComplexArray
     variance: FloatArray
@@ -235,7 +234,7 @@ def against_others(
     # the moment of single echoes changes in second order only as they move about their middle
     moment = inner(gated, total * band.frequency_hz) - steps.moment
     mean_hz = mean_frequency(moment, total_energy - energy.sum(axis=-1), band)
-    return Compared(aligned, gated, product, variance, mean_hz)
+    return Compared(gated, product, variance, mean_hz)
 
 
 def _sample_turn(spectrum: ComplexArray, band: Band, angle: FloatArray) -> ComplexArray:
