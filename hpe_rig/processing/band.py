@@ -154,8 +154,8 @@ def _tapered_spectrum(echoes: EchoGate, band: Band) -> ComplexArray:
         taper, mean = band.taper.astype(volts.dtype), np.full(samples, 1 / samples, volts.dtype)
         spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
         for train in np.ndindex(volts.shape[:-2]):
-            for first in range(0, volts.shape[-2], BLOCK):
-                pulses = slice(first, first + BLOCK)
+            for pulse in range(0, volts.shape[-2], BLOCK):
+                pulses = slice(pulse, pulse + BLOCK)
                 some = volts[train][pulses]
                 level = some @ mean
                 tapered = (some - level[:, None]) * taper

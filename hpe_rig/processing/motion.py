@@ -197,8 +197,8 @@ def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:
 class Compared:
     """Aligned echoes of every train against the sum of its other echoes, over the gate.
 
-    ``gated`` sum of all (..., bin); ``product`` (..., pulse) of the others with each; ``variance`` (..., pulse) of its
-    phase; ``mean_hz`` (...) of what they have in common.
+    The ``gated`` sum of all (..., bin); ``product`` (..., pulse) of the others with each; ``variance`` (..., pulse) of
+    its phase; ``mean_hz`` (...) of what they have in common.
     """
 
     gated: ComplexArray
