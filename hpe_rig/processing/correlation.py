@@ -33,7 +33,7 @@ def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: in
     rate_hz = echoes.sample_rate_hz * upsampling
     whole = np.round(guess_s * rate_hz)
     # the reference stays where the first guess put it, so lags count from there and not from the pulse before
-    others = found.gated[..., None, :] - band.gated(found.aligned)
+    others = found.gated[..., None, :] - band.gated(turned(spectrum, guess_s, band.frequency_hz))
     cross = np.conj(others) * turned(spectrum, whole / rate_hz, band.frequency_hz)
     half = math.ceil(rate_hz / np.nanmin(steps.mean_hz) / 2)
     lag = _peak_lag(_correlation(cross, band.frequency_hz / rate_hz, half + MARGIN), half, peak)

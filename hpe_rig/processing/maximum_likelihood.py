@@ -18,7 +18,7 @@ from hpe_rig.processing.band import Band, band_spectrum, energy_of, inner, turne
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model, triangular_root
-from hpe_rig.processing.motion import coherent
+from hpe_rig.processing.motion import coherent_phase, motion_of_phase
 
 STEPS = 12
 ENOUGH = 1e-12
@@ -76,7 +76,7 @@ def _most_likely(
         """Return the echoes without the motion of a state."""
         return turned(spectrum, state @ matrix.T * seconds, band.frequency_hz)
 
-    moved = np.nan_to_num(_seed(echoes, spectrum.shape[:-1]) @ solver.T)
+    moved = np.nan_to_num(_seed(spectrum, band, echoes) @ solver.T)
     # Noise can lead the seed astray; no motion at all is the other start, and each train takes the likelier one.
     likely = [_likelihood(still(x), band) for x in (moved, 0 * moved)]
     state = np.where((likely[0] >= likely[1])[..., None], moved, 0.0)
@@ -92,12 +92,13 @@ def _most_likely(
     return np.where(common, state, np.nan), np.where(common, rest - change @ matrix.T, np.nan)
 
 
-def _seed(echoes: EchoGate, shape: tuple[int, ...]) -> FloatArray:
+def _seed(spectrum: ComplexArray, band: Band, echoes: EchoGate) -> FloatArray:
     """Return a first displacement (..., valid pulse), 0 or NaN where single echoes drown in noise: all may not."""
     try:
-        return coherent(echoes).displacement_m[..., echoes.valid]
+        phase, variance, mean_hz = coherent_phase(spectrum, band)
     except ValueError:
-        return np.zeros(shape)
+        return np.zeros(spectrum.shape[:-1])
+    return motion_of_phase(echoes, phase, variance, mean_hz[..., None]).displacement_m[..., echoes.valid]
 
 
 def _likelihood(aligned: ComplexArray, band: Band) -> FloatArray:

@@ -164,24 +164,26 @@ class PulseSteps:
 def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
     """Return how echoes (..., pulse, bin) step from pulse to pulse."""
     outside, weighted = band.outside(spectrum), band.outside(spectrum, band.frequency_hz)
-    cross = np.conj(spectrum[..., :-1, :])
-    cross *= spectrum[..., 1:, :]
-    product = cross.sum(axis=-1) - _neighbours(outside, outside)
+    product = -_neighbours(outside, outside)
+    moment = -(_neighbours(outside, weighted) + _neighbours(weighted, outside)) / 2
+    # bin by bin: the products of all bins at once would not stay in the cache
+    for index, frequency_hz in enumerate(band.frequency_hz):
+        cross = np.conj(spectrum[..., :-1, index])
+        cross *= spectrum[..., 1:, index]
+        product += cross
+        cross *= frequency_hz
+        moment += cross
     step = np.angle(product)
     phase = np.concatenate([np.zeros((*step.shape[:-1], 1)), np.cumsum(step, axis=-1)], axis=-1)
     # what neighbours have in common is in phase once their step is undone
-    aligning = np.exp(-1j * step)
-    common = (aligning[..., None, :] @ cross)[..., 0, :].real @ band.frequency_hz
-    either = _neighbours(outside, weighted) + _neighbours(weighted, outside)
-    common -= (aligning * either).real.sum(axis=-1) / 2
-    power = spectrum.real**2 + spectrum.imag**2
-    whole = power.sum(axis=-1)
+    common = (np.exp(-1j * step) * moment).real.sum(axis=-1)
+    whole = energy_of(spectrum)
     return PulseSteps(
         product,
         phase,
         mean_frequency(common, np.abs(product).sum(axis=-1), band),
         whole - energy_of(outside),
-        power.sum(axis=-2) @ band.frequency_hz - inner(outside, weighted).sum(axis=-1),
+        energy_of(np.swapaxes(spectrum, -1, -2)) @ band.frequency_hz - inner(outside, weighted).sum(axis=-1),
         whole,
     )
 
@@ -195,11 +197,10 @@ def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:
 class Compared:
     """Aligned echoes of every train against the sum of its other echoes, over the gate.
 
-    ``aligned`` (..., pulse, bin) and the ``gated`` sum of all (..., bin); ``product`` (..., pulse) of the others with
-    each; ``variance`` (..., pulse) of its phase; ``mean_hz`` (...) of what they have in common.
+    The ``gated`` sum of all (..., bin); ``product`` (..., pulse) of the others with each; ``variance`` (..., pulse) of
+    its phase; ``mean_hz`` (...) of what they have in common.
     """
 
-    aligned: ComplexArray
     gated: ComplexArray
     product: ComplexArray
     variance: FloatArray
@@ -233,7 +234,7 @@ def against_others(
     # the moment of single echoes changes in second order only as they move about their middle
     moment = inner(gated, total * band.frequency_hz) - steps.moment
     mean_hz = mean_frequency(moment, total_energy - energy.sum(axis=-1), band)
-    return Compared(aligned, gated, product, variance, mean_hz)
+    return Compared(gated, product, variance, mean_hz)
 
 
 def _sample_turn(spectrum: ComplexArray, band: Band, angle: FloatArray) -> ComplexArray:
