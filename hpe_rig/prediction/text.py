@@ -109,7 +109,7 @@ def averaging_text(scene: Scene) -> Iterator[str]:
         known = f"over all media of the ensemble, give or take {doubt:.2g}, before the motion itself tells more"
     yield (
         f"beam averaging: {span} of the peak is tracked from the lowest frequency to the highest {known}; "
-        f"by the Gaussian of eq. (12) {gaussian:.3f}, {(gaussian / each[0].factor - 1) * 100:+.1f} %"
+        f"by the Gaussian of eq. (12) {gaussian:.3f}"
     )
 
 
