@@ -113,7 +113,7 @@ def _row(estimate: Estimate, known: bool, corrected: bool) -> list[str]:
         row += _polar(peak.amplitude_m, peak.amplitude_uncertainty_m)
         row += _angle(peak.phase_rad, peak.phase_uncertainty_rad)
     row += _polar(estimate.amplitude_m, estimate.amplitude_uncertainty_m)
-    row += [*_angle(estimate.phase_rad, estimate.phase_uncertainty_rad), f"{estimate.snr_db:.1f}"]
+    row += [*_angle(estimate.phase_rad, estimate.phase_uncertainty_rad), f"{estimate.snr_db:z.1f}"]
     if known:
         row.append(_or_dash(estimate.true_amplitude_m, 1e9, ".4g"))
         row.append(_or_dash(estimate.corrected_amplitude_error, 100, "+z.1f"))
