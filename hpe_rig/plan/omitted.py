@@ -24,7 +24,9 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
         out.append(Omission("generators burst_train and toneburst", "the scene has no [excitation]"))
     if scene.excitation is not None and (why := _without_prior(scene)):
         out.append(
-            Omission("prior of media", f"{why}: only the pulses tell the tonebursts' other harmonics from the wanted ones")
+            Omission(
+                "prior of media", f"{why}: only the pulses tell the tonebursts' other harmonics from the wanted ones"
+            )
         )
     if scene.beams is None:
         out.append(Omission("predicted beam averaging", "the scene has no [beams]"))
