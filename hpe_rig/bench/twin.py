@@ -46,6 +46,11 @@ class TwinDeclaration:
         return self.settings.receiver.snr_db
 
     @property
+    def reference_gate_m(self) -> float:
+        """Length of the gate around the focus in which ``snr_db`` holds."""
+        return self.settings.receiver.reference_gate_m
+
+    @property
     def has_receive_chain(self) -> bool:
         """Whether filters, switch and amplifiers between transducer and digitizer are simulated."""
         return self.settings.receive_chain is not None

@@ -84,8 +84,8 @@ def _mean_row(mean: RepeatMean, known: bool) -> list[str]:
     row += [f"{mean.chi_square:.1f} of {mean.degrees_of_freedom}", f"{mean.probability:.2g}"]
     if known and mean.true_amplitude_m and mean.true_phase_rad is not None:
         error_rad = math.remainder(mean.phase_rad - mean.true_phase_rad, 2 * math.pi)
-        row += [f"{mean.true_amplitude_m * 1e9:.4g}", f"{(mean.amplitude_m / mean.true_amplitude_m - 1) * 100:+.1f}"]
-        row += [f"{math.degrees(error_rad):+.2f}"]
+        row += [f"{mean.true_amplitude_m * 1e9:.4g}", f"{(mean.amplitude_m / mean.true_amplitude_m - 1) * 100:+z.1f}"]
+        row += [f"{math.degrees(error_rad):+z.2f}"]
     return row
 
 
@@ -113,11 +113,11 @@ def _row(estimate: Estimate, known: bool, corrected: bool) -> list[str]:
         row += _polar(peak.amplitude_m, peak.amplitude_uncertainty_m)
         row += _angle(peak.phase_rad, peak.phase_uncertainty_rad)
     row += _polar(estimate.amplitude_m, estimate.amplitude_uncertainty_m)
-    row += [*_angle(estimate.phase_rad, estimate.phase_uncertainty_rad), f"{estimate.snr_db:.1f}"]
+    row += [*_angle(estimate.phase_rad, estimate.phase_uncertainty_rad), f"{estimate.snr_db:z.1f}"]
     if known:
         row.append(_or_dash(estimate.true_amplitude_m, 1e9, ".4g"))
-        row.append(_or_dash(estimate.corrected_amplitude_error, 100, "+.1f"))
-        row.append(_or_dash(estimate.corrected_phase_error_rad, 180 / math.pi, "+.2f"))
+        row.append(_or_dash(estimate.corrected_amplitude_error, 100, "+z.1f"))
+        row.append(_or_dash(estimate.corrected_phase_error_rad, 180 / math.pi, "+z.2f"))
     return row
 
 
@@ -126,7 +126,8 @@ def _budget_line(shot: ShotResult) -> str:
     lead = max(shot.estimates, key=lambda item: item.amplitude_m)
     parts = sorted(lead.budget, key=lambda each: _share(each, lead), reverse=True)
     words = [
-        f"{each.source} {_figure(each.amplitude_m * 1e9)} nm {_figure(math.degrees(each.phase_rad))} deg"
+        f"{each.source} {_figure(each.amplitude_m * 1e9)} nm"
+        + (f" {_figure(math.degrees(each.phase_rad))} deg" if each.phase_rad else "")
         for each in parts
         if _share(each, lead) >= LEAST_SHARE
     ]
@@ -156,7 +157,7 @@ def _polar(amplitude_m: float, uncertainty_m: float) -> list[str]:
 
 
 def _angle(phase_rad: float, uncertainty_rad: float) -> list[str]:
-    return [f"{math.degrees(phase_rad):.2f}", f"{math.degrees(uncertainty_rad):.2f}"]
+    return [f"{math.degrees(phase_rad):z.2f}", f"{math.degrees(uncertainty_rad):.2f}"]
 
 
 def _figure(value: float, digits: int = 2) -> str:

@@ -19,6 +19,7 @@ from hpe_rig.prediction import (
     Speckle,
     conditions_of,
     draw_scattering,
+    echo_power,
     expected,
     expected_snr_db,
     noise_gain,
@@ -29,7 +30,6 @@ from hpe_rig.scene import Mistake, Scene, SettingsError
 
 CELLS = 256
 """Cells of depth in which scatterers are summed: 23 um for the paper's beam, a tenth of a three-cycle pulse."""
-POINTS = 96
 WIDTH_STEP = 0.05
 """Step of the grid of widths, in logarithms: interpolated on it, a displacement is off by 1e-4 of the peak."""
 _BEAMS = ("excitation_width_m", "tracking_width_m", "scatterers_per_m3")
@@ -69,16 +69,18 @@ def baseline(scene: Scene) -> Baseline:
 def design_setting(scene: Scene, plan: Plan, start: Baseline) -> Conditions:
     """Return what bias and jitter of the scene's first shot and first frequency depend on.
 
-    Beyond ``conditions_of``: noise is fixed, so the SNR follows the echo's strength and its depth profile in the gate;
-    the amplitude follows the force. Raises ``ValueError`` where they cannot
-    tell the frequencies, or the gate is too short for the estimators' band.
+    Beyond ``conditions_of``: noise is fixed, so the SNR follows the echo's strength, and a declared one its depth
+    profile in the gate too; the amplitude follows the force. Raises ``ValueError`` where the pulses cannot tell the
+    frequencies, or the gate is too short for the estimators' band.
     """
     _require_band(plan.shots[0], scene)
     noise_gain(scene, plan.shots[0])  # raises where conditions_of would leave the fit's cost out
     setting = conditions_of(scene, plan.shots[0])
     assert setting is not None  # noqa: S101 (baseline has refused such a scene)
-    profile = [echo_power(setting, gate_m) for gate_m in (setting.gate_length_m, start.gate_length_m)]
-    snr = setting.snr * echo_strength(scene, start) * profile[0] / profile[1]
+    snr = setting.snr * echo_strength(scene, start)
+    if scene.processing.expected_snr_db is not None:
+        profile = [echo_power_of(setting, gate_m) for gate_m in (setting.gate_length_m, start.gate_length_m)]
+        snr *= profile[0] / profile[1]
     amplitude_m = setting.amplitude_m
     driven = relative_drive(scene, setting.frequency_hz, plan.shots[0])
     if driven > 0 and start.drive > 0 and not _simulates_specimen(scene):
@@ -113,14 +115,9 @@ def echo_strength(scene: Scene, start: Baseline) -> float:
     return float((scene.tracking.cycles / start.cycles) ** (2 if declared else 1))
 
 
-def echo_power(setting: Conditions, gate_length_m: float) -> float:
+def echo_power_of(setting: Conditions, gate_length_m: float) -> float:
     """Return the mean echo power in a gate around the focus, relative to that at the focus."""
-    pulse_m = setting.pulse_length_m
-    places = (np.arange(POINTS) + 0.5) / POINTS - 0.5
-    depth = places * gate_length_m + places[:, None] * pulse_m
-    blur = np.cos(np.pi * places[:, None]) ** 4
-    weight = np.exp(-np.square(depth / setting.tracking_width_m[2]))
-    return float((blur * weight).sum() / (POINTS * blur.sum()))
+    return echo_power(gate_length_m, setting.pulse_length_m, setting.tracking_width_m[2])
 
 
 def predicted(setting: Conditions, estimator: str, draws: int, seed: int = 0) -> Expected:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_settings
-from hpe_rig.design.model import Baseline, echo_power
+from hpe_rig.design.model import Baseline, echo_power_of
 from hpe_rig.plan import Plan, driven_frequencies_hz, select
 from hpe_rig.prediction import Conditions, beam_widths
 from hpe_rig.processing import EchoGate, estimate, options_of, shot_prior
@@ -79,7 +79,7 @@ def _train(scene: Scene, plan: Plan, setting: Conditions, start: Baseline) -> _T
         (np.arange(most) - (most - 1) / 2) / setting.sample_rate_hz,
         gate,
         still,
-        setting.snr * echo_power(setting, gate_m) / echo_power(setting, setting.gate_length_m),
+        setting.snr * echo_power_of(setting, gate_m) / echo_power_of(setting, setting.gate_length_m),
     )
 
 

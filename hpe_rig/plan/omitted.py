@@ -24,7 +24,9 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
         out.append(Omission("generators burst_train and toneburst", "the scene has no [excitation]"))
     if scene.excitation is not None and (why := _without_prior(scene)):
         out.append(
-            Omission("prior of media", f"{why}: the tonebursts' other harmonics are fitted as far as pulses tell")
+            Omission(
+                "prior of media", f"{why}: only the pulses tell the tonebursts' other harmonics from the wanted ones"
+            )
         )
     if scene.beams is None:
         out.append(Omission("predicted beam averaging", "the scene has no [beams]"))
@@ -37,6 +39,8 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
 def _without_prior(scene: Scene) -> str | None:
     """Return why other harmonics than the wanted are free instead of the prior's; None where the prior holds them."""
     processing = scene.processing
+    if processing.estimator in ("joint", "cross_spectrum"):
+        return f'processing.estimator = "{processing.estimator}", which takes none'
     if processing.harmonic == "least_squares":
         return 'processing.harmonic = "least_squares"'
     return "process_noise is not 0" if processing.process_noise else scene.without_prior

@@ -6,7 +6,8 @@ import math
 
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot
-from hpe_rig.prediction.theory import force_spectrum
+from hpe_rig.prediction.beam_averaging import pulse_length_m
+from hpe_rig.prediction.theory import echo_power, force_spectrum
 from hpe_rig.scene import Scene
 
 FLOOR_M = 100e-9
@@ -14,11 +15,15 @@ FLOOR_M = 100e-9
 
 
 def expected_snr_db(scene: Scene) -> float | None:
-    """Return the SNR that the scene expects or that its twin simulates; None where neither says."""
+    """Return the SNR in the gate that the scene expects or that its twin simulates; None where neither says."""
     if scene.processing.expected_snr_db is not None:
         return scene.processing.expected_snr_db
     twin = twin_of(scene)
-    return None if twin is None else twin.snr_db
+    if twin is None or twin.snr_db is None or scene.beams is None:
+        return None if twin is None else twin.snr_db
+    pulse = pulse_length_m(scene), scene.beams.tracking_width_m[2]
+    power = [echo_power(gate_m, *pulse) for gate_m in (scene.acquisition.gate_length_m, twin.reference_gate_m)]
+    return twin.snr_db + 10 * math.log10(power[0] / power[1])
 
 
 def expected_amplitude_m(scene: Scene, frequency_hz: float, shot: Shot | None = None) -> float:

@@ -109,7 +109,7 @@ def averaging_text(scene: Scene) -> Iterator[str]:
         known = f"over all media of the ensemble, give or take {doubt:.2g}, before the motion itself tells more"
     yield (
         f"beam averaging: {span} of the peak is tracked from the lowest frequency to the highest {known}; "
-        f"by the Gaussian of eq. (12) {gaussian:.3f}, {(gaussian / each[0].factor - 1) * 100:+.1f} %"
+        f"by the Gaussian of eq. (12) {gaussian:.3f}"
     )
 
 
@@ -123,7 +123,7 @@ def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, sim
     jitter = f"{conditions.trigger_jitter_s * 1e9:g} ns trigger jitter, " if conditions.trigger_jitter_s else ""
     yield (
         f"prediction at {conditions.frequency_hz:g} Hz for {conditions.amplitude_m * 1e9:.4g} nm, "
-        f"{10 * math.log10(conditions.snr):g} dB SNR, {jitter}{conditions.pulses} pulses (standard deviations; "
+        f"{10 * math.log10(conditions.snr):.3g} dB SNR, {jitter}{conditions.pulses} pulses (standard deviations; "
         "noise of a quadrature):"
     )
     yield f"  {'estimator':18}{'bias':>10}{'noise':>10}{'aliasing':>10}{'speckle':>10}{'phase':>10}"

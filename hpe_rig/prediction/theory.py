@@ -19,6 +19,18 @@ DEPTHS = 256
 INSTANTS = 96
 
 
+def echo_power(gate_length_m: float, pulse_length_m: float, tracking_depth_m: float) -> float:
+    """Return the mean echo power in a gate around the focus, relative to that at the focus.
+
+    Of a Hann pulse and scatterers weighted by the tracking beam, whose width along the axis is ``tracking_depth_m``.
+    """
+    places = (np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5
+    depth = places * gate_length_m + places[:, None] * pulse_length_m
+    blur = np.cos(np.pi * places[:, None]) ** 4
+    weight = np.exp(-np.square(depth / tracking_depth_m))
+    return float((blur * weight).sum() / (INSTANTS * blur.sum()))
+
+
 def force_spectrum(
     harmonic: NDArray[np.int64] | int, burst_rate_hz: float, burst_length_s: float, amplitude: float = 1.0
 ) -> ComplexArray:

@@ -90,8 +90,9 @@ def _windows_of_shot(
     for window in scene.windows:
         options = options_of(window.processing, shot_prior(window, shot, spec.name, beams))
         share = unlikely / len(scene.windows)
-        result = _estimate_shot(window, shot, records, still, true_m, spec, averaging, known, options, share)
-        results.append(result if complete else replace(result, complete=False))
+        results.append(
+            _estimate_shot(window, shot, records, still, true_m, spec, averaging, known, options, share, complete)
+        )
     return results
 
 
@@ -128,6 +129,7 @@ def _estimate_shot(
     known: Known,
     options: Options,
     unlikely: float,
+    complete: bool,
 ) -> ShotResult:
     chosen = select(scene, shot)
     if spec.motion is None and scene.processing.follow_gate:
@@ -162,12 +164,14 @@ def _estimate_shot(
         window_length_s=scene.processing.window_length_s,
         estimates=estimates_of(fit, here, averaging, true_m),
         warnings=(
+            *(_missing_warnings(recorded) if complete else ()),
             *_record_warnings(recorded, recorded & chosen.used & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
             *_medium_warnings(fit, unlikely),
             *_setting_warnings(scene, echoes.pulse_time_s, reference),
             *_drift_warnings(fit, drift),
         ),
+        complete=complete,
     )
 
 
@@ -292,8 +296,9 @@ def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
         return None
 
 
-def _record_warnings(recorded: NDArray[np.bool_], unlike: NDArray[np.bool_], clipped: int) -> Iterator[str]:
-    missing, left_out = int((~recorded).sum()), int(unlike.sum())
+def _missing_warnings(recorded: NDArray[np.bool_]) -> Iterator[str]:
+    """Yield what missing records of a complete shot mean; where a run stopped they never came."""
+    missing = int((~recorded).sum())
     if missing and not recorded[-1]:
         yield (
             "the last record is missing: were the first triggers lost instead of the last, every phase is off by "
@@ -303,6 +308,10 @@ def _record_warnings(recorded: NDArray[np.bool_], unlike: NDArray[np.bool_], cli
         yield (
             f"{missing} of {recorded.size} records are missing: triggers were lost or came while the digitizer was busy"
         )
+
+
+def _record_warnings(recorded: NDArray[np.bool_], unlike: NDArray[np.bool_], clipped: int) -> Iterator[str]:
+    left_out = int(unlike.sum())
     if left_out:
         yield (
             f"{left_out} of {recorded.size} pulses are left out, their energy is unlike the others': something "

@@ -140,7 +140,9 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage
         ErrorStage("harmonic", amplitude, f"standard uncertainty from that residual, {shot.pulses_used} pulses")
     )
     if lead.averaging_factor is not None:
-        bias = f"{(lead.averaging_factor - 1) * 100:+.1f} %, {math.degrees(lead.averaging_phase_rad or 0):+.2f} degrees"
+        bias = (
+            f"{(lead.averaging_factor - 1) * 100:+z.1f} %, {math.degrees(lead.averaging_phase_rad or 0):+z.2f} degrees"
+        )
         rows.append(ErrorStage("beam averaging", bias, "predicted, tracked against peak displacement; corrected"))
     for each in lead.components:
         if each.source not in IN_THE_RESIDUAL and (each.amplitude_m or each.phase_rad):
@@ -151,7 +153,7 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage
     rows.append(ErrorStage("combined", total, "standard uncertainty of the corrected values, all sources in squares"))
     if lead.corrected_amplitude_error is not None and lead.corrected_phase_error_rad is not None:
         error_deg = math.degrees(lead.corrected_phase_error_rad)
-        error = f"{lead.corrected_amplitude_error * 100:+.1f} %, {error_deg:+.2f} degrees"
+        error = f"{lead.corrected_amplitude_error * 100:+z.1f} %, {error_deg:+z.2f} degrees"
         rows.append(ErrorStage("error found", error, "against the ground truth, which the twin knows"))
     return rows
 
@@ -266,5 +268,5 @@ def _deg(angle_rad: float | None, form: str = ".2f") -> str:
     return "–" if angle_rad is None or not math.isfinite(angle_rad) else format(math.degrees(angle_rad), form)
 
 
-def _percent(ratio: float | None, form: str = "+.1f") -> str:
+def _percent(ratio: float | None, form: str = "+z.1f") -> str:
     return "–" if ratio is None or not math.isfinite(ratio) else format(ratio * 100, form)

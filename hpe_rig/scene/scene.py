@@ -296,7 +296,7 @@ class Scene(Section):
     def _prior_only_of_tonebursts(self) -> Scene:
         if self.processing.harmonic == "medium_prior" and self.without_prior is not None:
             raise ValueError(
-                f'processing.harmonic = "medium_prior" cannot be: {self.without_prior}; try "least_squares"'
+                f'processing.harmonic = "medium_prior" needs more, {self.without_prior}: set harmonic = "least_squares"'
             )
         return self
 

@@ -53,7 +53,8 @@ def driven_harmonics(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
         return
     remedy = f'tracking.pulse_rate_hz = {rate_hz - burst_rate_hz / 10:g} with disturbed = "skip", '
     remedy += "so that the pulses shift from burst to burst"
-    text += ": higher harmonics alias onto the wanted ones and change amplitude and phase"
+    text += ": higher harmonics alias onto the wanted ones; least squares take them for these, a prior of media tells "
+    text += "them apart as well as media in general allow, and u covers the rest"
     yield CheckResult("aliasing harmonics", "warning", text, remedy)
 
 

@@ -168,12 +168,16 @@ def test_estimators_with_a_fit_of_their_own_take_none() -> None:
     shot = run().plan.shots[0]
     taking = {each: prior_of(run().scene, shot, each) is not None for each in ("kasai", "joint", "cross_spectrum")}
     assert taking == {"kasai": True, "joint": False, "cross_spectrum": False}
+    for each, takes in taking.items():
+        scene = run().scene.with_({"processing.estimator": each})
+        reasons = [item.why for item in omissions(scene, run().bench) if item.what == "prior of media"]
+        assert [each in why for why in reasons] == ([] if takes else [True])
 
 
 def test_a_prior_that_cannot_be_is_refused_with_a_remedy() -> None:
     with pytest.raises(SettingsError, match="beams"):
         without("beams").with_({"processing.harmonic": "medium_prior"})
-    with pytest.raises(SettingsError, match='try "least_squares"'):
+    with pytest.raises(SettingsError, match='set harmonic = "least_squares"'):
         hpe.load_scene("table-1").with_({"processing.harmonic": "medium_prior"})
 
 
