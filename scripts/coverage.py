@@ -140,6 +140,8 @@ def _row(name: str, estimator: str, runs: Sequence[NDArray[np.float64] | None]) 
 
 def page(rows: Sequence[Row], seeds: int) -> str:
     """Return the page in Markdown."""
+    scenes = dict.fromkeys(row.scene for row in rows)
+    some = "" if len(scenes) == len(shipped_scenes()) else f" --scenes {' '.join(scenes)}"
     error = 100 * np.sqrt(np.array([0.68 * 0.32, 0.95 * 0.05]) / seeds)
     lines = [
         "# Coverage",
@@ -151,7 +153,8 @@ def page(rows: Sequence[Row], seeds: int) -> str:
         "width of the force by 30 %. Frequencies and shots of a run share their speckle: with "
         f"{seeds} seeds, coverage is known to about {error[0]:.1f} and {error[1]:.1f} percentage points.",
         "",
-        f"Made by `python scripts/coverage.py --seeds {seeds}`.",
+        f"Made by `python scripts/coverage.py --seeds {seeds}{some}`. Where an interval holds the truth less often than it "
+        "says, u is short of something: the estimator's own aliasing, or a medium whose field the beam averages more.",
         "",
         "| scene | estimator | amplitude 68 % | 95 % | NEV | phase 68 % | 95 % | NEV | runs |",
         "|---|---|---:|---:|---:|---:|---:|---:|---:|",

@@ -9,11 +9,7 @@ from numpy.typing import NDArray
 from hpe_rig.acquire.run import prepare
 from hpe_rig.plan import select
 from hpe_rig.prediction.detection import FALSE_ALARMS, detection_floor
-<<<<<<< HEAD
-from hpe_rig.processing import EchoGate, estimate, margin_needed
-=======
 from hpe_rig.processing import EchoGate, estimate, margin_samples
->>>>>>> wu
 from hpe_rig.scene.scene import load_scene
 from sim_backend.echoes import drawn_echoes, hann_pulse
 from sim_backend.settings import SimulationSettings
@@ -28,16 +24,9 @@ def share_above_the_floor(snr_db: float, estimator: str, trials: int) -> float:
     scene, shot = setup.scene.scene, setup.plan.shots[0]
     floor_m = detection_floor(scene, True, shot).detected_m
     time_s, speed_m_per_s = select(scene, shot).time_s, scene.acquisition.sound_speed_m_per_s
-<<<<<<< HEAD
-    # With what of a record the gate's edges need, as a run has it.
-    margin = margin_needed(scene, shot)
-    samples = shot.gate.stop - shot.gate.start + 2 * margin
-    inner = slice(margin, samples - margin)
-=======
     # As in a record, echo goes on at both ends of the gate.
     margin = margin_samples(100e6, 9e6)
     samples = shot.gate.stop - shot.gate.start + 2 * margin
->>>>>>> wu
     gate_s = (np.arange(samples) - (samples - 1) / 2) / 100e6
     settings, pulse = SimulationSettings(), hann_pulse(9e6, 0.065)
     scatterers, noise = np.random.default_rng([7, 0]), np.random.default_rng([7, 1])
@@ -45,19 +34,12 @@ def share_above_the_floor(snr_db: float, estimator: str, trials: int) -> float:
     # At rest all pulses bring the same echo.
     for still in drawn_echoes(settings, np.zeros(1), pulse, gate_s, scatterers, trials, 1e-6):
         for some in np.array_split(still, max(1, len(still) // AT_ONCE)):
-<<<<<<< HEAD
-            rms = np.sqrt(np.mean(some[..., inner] ** 2, axis=(-2, -1), keepdims=True) / 10 ** (snr_db / 10))
-            volts = some + rms * noise.standard_normal((len(some), time_s.size, samples))
-            valid = np.ones(time_s.size, dtype=bool)
-            gate = EchoGate(volts, 100e6, time_s, 9e6, speed_m_per_s, valid, (margin, margin))
-=======
             held = some[..., margin : samples - margin]
             rms = np.sqrt(np.mean(held**2, axis=(-2, -1), keepdims=True) / 10 ** (snr_db / 10))
             volts = some + rms * noise.standard_normal((len(some), time_s.size, samples))
             gate = EchoGate(
                 volts, 100e6, time_s, 9e6, speed_m_per_s, np.ones(time_s.size, dtype=bool), margin=(margin, margin)
             )
->>>>>>> wu
             found.append(estimate(gate, [200.0], estimator).amplitude_m[:, 0])
     amplitude_m = np.concatenate(found)
     assert amplitude_m.size == trials
