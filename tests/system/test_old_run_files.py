@@ -45,6 +45,9 @@ def assert_alike(found: Any, expected: Any, relative: float, where: str = "") ->
         case dict():
             for key, value in expected.items():
                 assert key in found, f"{where}.{key} is gone"
+                if key == "warnings" and found.get("complete") is False:
+                    # Of a shot in which the run stopped it was once said that its triggers were lost.
+                    continue
                 assert_alike(found[key], value, relative, f"{where}.{key}")
         case list():
             assert len(found) == len(expected), where
