@@ -153,9 +153,7 @@ def page(rows: Sequence[Row], seeds: int) -> str:
         "width of the force by 30 %. Frequencies and shots of a run share their speckle: with "
         f"{seeds} seeds, coverage is known to about {error[0]:.1f} and {error[1]:.1f} percentage points.",
         "",
-        f"Made by `python scripts/coverage.py --seeds {seeds}{some}`. Where an interval holds the truth less often "
-        "than it says, u is short of something: the estimator's own aliasing, or a medium whose field the beam "
-        "averages more.",
+        f"Made by `python scripts/coverage.py --seeds {seeds}{some}`.",
         "",
         "| scene | estimator | amplitude 68 % | 95 % | NEV | phase 68 % | 95 % | NEV | runs |",
         "|---|---|---:|---:|---:|---:|---:|---:|---:|",
