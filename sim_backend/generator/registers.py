@@ -7,7 +7,8 @@ nothing else.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 from sim_backend.generator.models import AGILENT_33250A, Model
 
@@ -60,14 +61,18 @@ class Registers:
     burst_period_s: float = 10e-3
     burst_phase_deg: float = 0.0
     gate_polarity: str = "NORM"
-    modulation: str = ""
+    phase_deg: float = 0.0
+    pulse_hold: str = "WIDT"
     trigger_source: str = "IMM"
     trigger_slope: str = "POS"
     delay_s: float = 0.0
+    timer_s: float = 1.0
     angle_unit: str = "DEG"
     display: bool = True
     display_text: str = ""
     beeper: bool = True
+    inactive: Mapping[str, float | str] = field(default_factory=dict)
+    """Settings of functions that are off, as far as they were changed (`inactive`)."""
 
     @property
     def amplitude_v(self) -> float:
@@ -91,6 +96,11 @@ class Coerced:
 
     registers: Registers
     errors: tuple[Error, ...] = ()
+
+    def then(self, put: Callable[[Registers], Coerced]) -> Coerced:
+        """Return what ``put`` makes of these, and the errors of both."""
+        after = put(self.registers)
+        return Coerced(after.registers, self.errors + after.errors)
 
     def changed(self, conflict: str = "", **settings: object) -> Coerced:
         """Return these with ``settings``, and the settings conflict that forced them if there was one."""
