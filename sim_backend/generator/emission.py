@@ -115,6 +115,8 @@ def _onsets(
 
 
 def _idle_v(registers: Registers) -> float:
+    if registers.output and registers.function == "DC":
+        return registers.offset_v
     if not registers.output or registers.function not in ("PULS", "SQU"):
         return 0.0
     return registers.low_v if registers.polarity == "NORM" else registers.high_v

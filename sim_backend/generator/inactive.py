@@ -64,7 +64,11 @@ def _sweep_end(
 
     def limits(state: Registers) -> tuple[float, float]:
         low, high = frequency_limits_hz(state)
-        return (low, high) if quantity == "centre frequency" else (0.0, high)
+        start_hz, stop_hz = _ends_hz(state)
+        room_hz, middle_hz = abs(stop_hz - start_hz) / 2, (start_hz + stop_hz) / 2
+        if quantity == "centre frequency":
+            return low + room_hz, high - room_hz
+        return 0.0, 2 * min(high - middle_hz, middle_hz - low)
 
     def put(state: Registers, value: float) -> Coerced:
         value, errors = clipped(value, *limits(state), quantity)

@@ -10,7 +10,7 @@ from sim_backend.generator.emission import is_endless, respond, shapes_output
 from sim_backend.generator.headers import Command
 from sim_backend.generator.kinds import SettingCommand
 from sim_backend.generator.models import AGILENT_33250A, Model
-from sim_backend.generator.registers import Coerced, Registers
+from sim_backend.generator.registers import Coerced, Registers, power_on
 from sim_backend.generator.scpi_text import ScpiError
 from sim_backend.generator.status import Status
 from sim_backend.generator.stored_states import StoredStates, learn_string
@@ -37,7 +37,7 @@ class Generator33250A:
         self._latency_ps = to_ps(latency_s)
         self._replies: list[str] = []
         self._table = TABLES[model.name]
-        self.registers: Registers = Registers(model)
+        self.registers: Registers = power_on(model)
         # Of the channels beyond the first no output is wired on any bench: they keep settings and put out nothing.
         self._others = (self.registers,) * (model.channels - 1)
         self.states: StoredStates = StoredStates()
@@ -123,7 +123,7 @@ class Generator33250A:
 
     def reset(self) -> None:
         """Return to the power-on state; the beeper keeps its setting."""
-        state = Registers(self.registers.model, beeper=self.registers.beeper)
+        state = power_on(self.registers.model, self.registers.beeper)
         self.program(state, *(state for _ in self._others))
 
     def save(self, place: int) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from operator import attrgetter
 from typing import Any
 
-from sim_backend.generator.registers import Coerced, Registers, clipped
+from sim_backend.generator.registers import Coerced, Registers, clipped, power_on
 from sim_backend.generator.scpi_text import INFINITE, ScpiError, boolean, keyword, none_of, number, one, real_reply
 
 Write = Callable[[Registers, tuple[str, ...]], Coerced]
@@ -59,7 +59,7 @@ def numeric(
         text = one(arguments)
         value = extreme(text, limits(state))
         if value is None and text.upper() in ("DEF", "DEFAULT"):
-            value = get(Registers(state.model, angle_unit=state.angle_unit))
+            value = get(replace(power_on(state.model), angle_unit=state.angle_unit))
         if value is None and infinite and text.upper() in ("INF", "INFINITY"):
             value = float("inf")
         if value is None:

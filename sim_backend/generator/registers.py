@@ -20,6 +20,7 @@ SMALLEST_VPP = 2e-3
 """Smallest open-circuit amplitude: 1 mVpp into 50 ohm (a driver's argument limits, taken from the manual)."""
 LEVEL_GAP_V = 1e-3
 """Least distance of the high from the low level, as displayed."""
+EDGE_S = 5e-9
 LOAD_LIMITS_OHM = (1.0, 10_000.0)
 
 # Assumed: no source was found for these.
@@ -48,7 +49,7 @@ class Registers:
     duty_percent: float = 50.0
     symmetry_percent: float = 100.0
     width_s: float = 100e-6
-    edge_s: float = 5e-9
+    edge_s: float = EDGE_S
     output: bool = False
     load_ohm: float = 50.0
     polarity: str = "NORM"
@@ -88,6 +89,11 @@ class Registers:
     def burst_s(self) -> float:
         """Duration of a burst; inf where it never ends."""
         return self.cycles / self.frequency_hz
+
+
+def power_on(model: Model, beeper: bool = True) -> Registers:
+    """Return what ``model`` wakes up with; its edges are no faster than it can make them."""
+    return Registers(model, edge_s=max(EDGE_S, model.edge_limits_s[0]), beeper=beeper)
 
 
 @dataclass(frozen=True, slots=True)

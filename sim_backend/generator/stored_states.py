@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from sim_backend.generator.arbitrary import waveform_name
 from sim_backend.generator.registers import Registers
-from sim_backend.generator.scpi_text import ScpiError, one, real_reply, whole_number
+from sim_backend.generator.scpi_text import ScpiError, one, whole_number
 
 PLACES = 5
 DEFAULT_NAMES = ("AUTO_RECALL", *(f"STATE_{place}" for place in range(1, PLACES)))
@@ -98,7 +98,7 @@ def _settings(state: Registers) -> Iterator[tuple[str, str | None]]:
     yield "TRIG<n>:SOUR", "BUS"
     yield "SOUR<n>:FREQ", "MAX"
     yield from ((header, None) for header in BURST_AND_TRIGGER)
-    yield "SOUR<n>:FREQ", real_reply(1 / (2 * state.width_s + 4 * state.edge_s))
+    yield "SOUR<n>:FREQ", f"{1 / (2 * state.width_s + 4 * state.edge_s):.2E}"
     yield from ((header, None) for header in PULSE)
     yield from ((f"SOUR<n>:{header}", None) for header in INACTIVE)
     yield from ((header, None) for header in WAVEFORM)

@@ -31,7 +31,7 @@ def width_limits_s(registers: Registers) -> tuple[float, float]:
     narrowest_s, widest_s = registers.model.width_limits_s
     period_s = 1 / registers.frequency_hz
     lowest = next((width for longest, width in registers.model.narrowest_s if period_s > longest), narrowest_s)
-    return lowest, min(widest_s, period_s - EDGES_IN_PERIOD * registers.edge_s)
+    return lowest, max(lowest, min(widest_s, period_s - EDGES_IN_PERIOD * registers.edge_s))
 
 
 def edge_limits_s(registers: Registers) -> tuple[float, float]:
@@ -192,6 +192,10 @@ def settle_burst(state: Coerced) -> Coerced:
     if needed_s > registers.model.burst_period_limits_s[1]:
         most = math.floor((registers.model.burst_period_limits_s[1] - BURST_MARGIN_S) * state.registers.frequency_hz)
         state = state.changed("burst count reduced to fit entire burst", cycles=float(max(1, most)))
+        longest_s = registers.model.burst_period_limits_s[1] - BURST_MARGIN_S
+        if most < 1:
+            # Not even one cycle fits: 2 mHz is the slowest burst that triggers itself.
+            state = state.changed("frequency increased for burst mode", frequency_hz=1 / longest_s)
     room_s = max(0.0, state.registers.burst_period_s - state.registers.burst_s - BURST_MARGIN_S)
     if registers.delay_s > room_s + ROUNDING:
         state = state.changed("trigger delay reduced to fit entire burst", delay_s=room_s)
