@@ -42,8 +42,9 @@ class Band:
     ``margin``: samples before and behind the gate that are used; ``taper`` (sample,) over them and the gate.
     ``frequency_hz`` (bin,), evenly spaced. ``analysis`` (sample, bin): from a record to its tapered spectrum, phases
     counted from the gate's middle, the record's mean taken off, which the taper would spread into the band; ``turn``
-    (bin,): its phases and scale as a factor to an FFT. ``root`` (bin, column), real: B. ``noise`` (bin, bin):
-    covariance of white noise, which the taper colours.
+    (bin,): its phases and scale as a factor to an FFT, and ``level`` (bin,): the spectrum of a record of ones, which is
+    what the mean is taken off by. ``root`` (bin, column), real: B. ``noise`` (bin, bin): covariance of white noise,
+    which the taper colours.
     """
 
     margin: tuple[int, int]
@@ -51,6 +52,7 @@ class Band:
     frequency_hz: FloatArray
     analysis: ComplexArray
     turn: ComplexArray
+    level: ComplexArray
     root: FloatArray
     noise: ComplexArray
 
@@ -77,12 +79,15 @@ class Band:
         """Return G times an echo (..., bin): its product with another echo is that over the gate."""
         return np.asarray(echo - (echo @ self.root) @ self.root.T)
 
-    def outside(self, spectrum: ComplexArray, weight: FloatArray | float = 1.0) -> ComplexArray:
-        """Return what of spectra (..., pulse, bin), bins weighted, lies in the margins, (..., pulse, column)."""
-        # as one real product: complex numbers are pairs of neighbours, and B is real
-        by_bin = np.ascontiguousarray(np.swapaxes(spectrum, -1, -2)).view(np.float64)
-        columns = (self.root.T * weight) @ by_bin
-        return np.swapaxes(columns.view(np.complex128), -1, -2)
+    def outside(self, spectrum: ComplexArray) -> ComplexArray:
+        """Return what of spectra (..., pulse, bin) lies in the margins, (..., pulse, column)."""
+        return np.swapaxes(real_product(self.root.T, np.swapaxes(spectrum, -1, -2)), -1, -2)
+
+
+def real_product(matrix: FloatArray, columns: ComplexArray) -> ComplexArray:
+    """Return a real ``matrix`` (row, bin) times complex ``columns`` (..., bin, pulse): pairs of neighbours, half the work."""
+    both = matrix @ np.ascontiguousarray(columns, dtype=np.complex128).view(np.float64)
+    return both.view(np.complex128)
 
 
 def band_of(echoes: EchoGate) -> Band:
@@ -109,7 +114,8 @@ def _band(before: int, gate: int, behind: int, sample_rate_hz: float, carrier_hz
     turn = 2 * np.pi * np.outer(np.arange(bins) - middle, frequency_hz / sample_rate_hz)
     signal = np.exp(1j * turn) / np.sqrt(bins)
     analysis = signal[:samples].conj() * taper[:, None]
-    analysis -= analysis.mean(axis=0)
+    level = analysis.sum(axis=0)
+    analysis -= level / samples
     noise = analysis.T @ analysis.conj()
     # about the gate's middle E^H E is real, over the gate and so over what is left of all samples
     outside = np.concatenate([signal[:before], signal[before + gate :]])
@@ -117,7 +123,7 @@ def _band(before: int, gate: int, behind: int, sample_rate_hz: float, carrier_hz
     kept = share > LEAST_OUTSIDE
     root = vectors[:, kept] * np.sqrt(share[kept])
     factor = np.exp(2j * np.pi * middle / sample_rate_hz * frequency_hz) / np.sqrt(bins)
-    return Band((before, behind), taper, frequency_hz, analysis, factor, root, noise)
+    return Band((before, behind), taper, frequency_hz, analysis, factor, level, root, noise)
 
 
 def _faded(samples: int, before: int, behind: int) -> FloatArray:
@@ -142,7 +148,7 @@ def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, Ba
 
 
 def _tapered_spectrum(echoes: EchoGate, band: Band) -> ComplexArray:
-    """Return the spectrum (..., pulse, bin) around the gate, bins first in memory."""
+    """Return the spectrum (..., pulse, bin) around the gate, bins first in memory, in the precision of the volts."""
     first = echoes.gate.start - band.margin[0]
     samples, count = band.analysis.shape
     volts = echoes.volts[..., first : first + samples]
@@ -152,27 +158,27 @@ def _tapered_spectrum(echoes: EchoGate, band: Band) -> ComplexArray:
             return _projected(volts, band.analysis)
         start = round(band.frequency_hz[0] * bins / echoes.sample_rate_hz)
         taper, mean = band.taper.astype(volts.dtype), np.full(samples, 1 / samples, volts.dtype)
-        spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
+        precision = np.result_type(volts.dtype, np.complex64)
+        turn, level = band.turn.astype(precision)[:, None], band.level.astype(precision)[:, None]
+        spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), precision)
         for train in np.ndindex(volts.shape[:-2]):
             for pulse in range(0, volts.shape[-2], BLOCK):
                 pulses = slice(pulse, pulse + BLOCK)
                 some = volts[train][pulses]
-                level = some @ mean
-                tapered = (some - level[:, None]) * taper
-                part = spectrum[train][:, pulses]
-                part[...] = rfft(tapered, bins)[:, start : start + count].T
-                part *= band.turn[:, None]
+                part = rfft(some * taper, bins)[:, start : start + count].T * turn
+                # the mean comes off in the band, where there is less of it than there are samples
+                np.subtract(part, level * (some @ mean), out=spectrum[train][:, pulses])
     return np.swapaxes(spectrum, -1, -2)
 
 
 def _projected(volts: Volts, columns: ComplexArray) -> ComplexArray:
-    """Return volts (..., pulse, sample) times columns (sample, bin), bins first in memory."""
+    """Return volts (..., pulse, sample) times columns (sample, bin), bins first in memory, in the volts' precision."""
     # one real product: numpy would turn the volts into complex numbers for a complex one
     both = volts.reshape(-1, volts.shape[-1]) @ np.hstack([columns.real, columns.imag]).astype(volts.dtype)
     both = both.reshape(*volts.shape[:-1], -1)
     count = columns.shape[1]
     # what follows works on whole rows of pulses
-    spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
+    spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), np.result_type(volts.dtype, np.complex64))
     by_pulse = np.swapaxes(spectrum, -1, -2)
     by_pulse.real, by_pulse.imag = both[..., :count], both[..., count:]
     return by_pulse
@@ -212,7 +218,7 @@ def has_echo(spectrum: ComplexArray, echoes: EchoGate) -> BoolArray:
 
     Raises ``ValueError`` where none does.
     """
-    in_band = energy_of(spectrum).sum(axis=-1)
+    in_band = np.einsum("...ij,...ij->...", spectrum, np.conj(spectrum)).real
     total = echoes.energy[..., echoes.valid].sum(axis=-1)
     least = LEAST_IN_FLOAT32 if echoes.volts.dtype == np.float32 else LEAST_IN_BAND
     found = np.asarray(in_band > least * total)
@@ -274,12 +280,12 @@ def spectrum_at(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray) -
 def turned(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
     """Return spectra (..., pulse, bin) of evenly spaced bins with every pulse advanced by ``delay_s`` (..., pulse).
 
-    Two exponentials a pulse and a running product in place of one exponential a bin.
+    In double precision, whatever that of the spectra. Two exponentials a pulse and a running product in place of one exponential a bin.
     """
     step_hz = (frequency_hz[-1] - frequency_hz[0]) / (frequency_hz.size - 1)
     factor = np.exp(2j * np.pi * frequency_hz[0] * delay_s)
     step = np.exp(2j * np.pi * step_hz * delay_s)
-    out = np.empty_like(spectrum)
+    out = np.swapaxes(np.empty((*delay_s.shape[:-1], frequency_hz.size, delay_s.shape[-1]), factor.dtype), -1, -2)
     for index in range(frequency_hz.size):
         np.multiply(spectrum[..., index], factor, out=out[..., index])
         factor *= step
