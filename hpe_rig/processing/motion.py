@@ -208,7 +208,9 @@ def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:
 
 def _overlap(one: ComplexArray, other: ComplexArray) -> FloatArray:
     """Return the real part of the product (..., pulse) of every echo (..., column, pulse) with its other."""
-    return np.asarray(np.einsum("...ij,...ij->...j", one.real, other.real) + np.einsum("...ij,...ij->...j", one.imag, other.imag))
+    return np.asarray(
+        np.einsum("...ij,...ij->...j", one.real, other.real) + np.einsum("...ij,...ij->...j", one.imag, other.imag)
+    )
 
 
 @dataclass(frozen=True, slots=True)
