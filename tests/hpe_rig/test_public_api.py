@@ -214,6 +214,13 @@ def test_a_result_becomes_a_frame_and_a_figure(run: hpe.Run, monkeypatch: pytest
         result.to_frame()
 
 
+def test_a_run_is_shown_in_one_line_and_its_result_says_what_was_omitted_under_both_names(run: hpe.Run) -> None:
+    assert repr(run) == f"<Run {str(run.path)!r}: {run.scene.title!r}, complete, 1 of 1 shots, simulated>"
+    table = run.estimate().as_dict()
+    assert table["omitted"] == table["left_out"]
+    assert ["trigger jitter", "simulation.instruments.trigger_jitter_s is absent or 0"] in table["omitted"]
+
+
 def test_an_estimate_writes_nothing_until_it_is_saved(run: hpe.Run, tmp_path: Path) -> None:
     copy = tmp_path / "run.h5"
     copy.write_bytes(run.path.read_bytes())
