@@ -237,7 +237,7 @@ main()
     assert done.returncode == 3
     assert "THE BENCH MAY STILL BE DRIVING: not proven off: toneburst" in done.stderr
     assert "Known to be off: burst_train, master, tracking_pulser, tracking_train read back as off" in done.stderr
-    assert "run.h5 holds the records" in done.stderr
+    assert "run.h5 holds the records that had arrived: hpe-rig process run.h5" in done.stderr
     assert "Traceback" not in done.stderr
 
 
