@@ -137,7 +137,8 @@ def record_run(
 
 def _what_remains(path: Path) -> str:
     """Return what a stopped run leaves, and what can be done with it."""
-    return f"{path} holds the records that had arrived: hpe-rig process {path} estimates them, hpe-rig resume goes on"
+    estimate, rest = f"hpe-rig process {path} estimates them", f"hpe-rig resume {path} measures the rest"
+    return f"{path} holds the records that had arrived: {estimate}, {rest}"
 
 
 def _timed(observer: Observer, stages: Stages) -> Observer:
