@@ -82,7 +82,7 @@ class Recording:
     def _left(self) -> str:
         """Return in words what a run that ended early leaves; remove a file in which there is nothing at all."""
         if self._arrived:
-            then = f"hpe-rig process {self._path} estimates them, hpe-rig resume goes on"
+            then = f"hpe-rig process {self._path} estimates them, hpe-rig resume {self._path} measures the rest"
             return f"{self._path} holds the records that had arrived: {then}"
         if self._writer is None:
             return f"no record had arrived: {self._path} is what it was before"
