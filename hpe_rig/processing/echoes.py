@@ -104,7 +104,7 @@ class EchoGate:
                 f"{self.sample_rate_hz / 2:g} Hz: one of them is wrong, or its unit"
             )
         if not 0 < self.sound_speed_m_per_s < np.inf:
-            raise ValueError(f"a sound speed of {self.sound_speed_m_per_s:g} m/s: it must be positive")
+            raise ValueError(f"a sound speed of {self.sound_speed_m_per_s:g} m/s: it must be positive and finite")
 
     @property
     def gate(self) -> slice:
