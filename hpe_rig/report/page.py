@@ -224,7 +224,11 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
 def _shot_count(run: Run, result: Result) -> str:
     complete = {shot.shot: shot.complete for shot in result.shots}
     words = f"{len(complete)} of {len(run.plan.shots)} planned"
-    return words if all(complete.values()) else f"{words}, {list(complete.values()).count(False)} of them incomplete"
+    counts = {
+        "incomplete": list(complete.values()).count(False),
+        "untrusted": len({shot.shot for shot in result.shots if shot.untrusted}),
+    }
+    return ", ".join([words, *(f"{count} of them {what}" for what, count in counts.items() if count)])
 
 
 def _scene_of(run: Run, shown: ShotResult) -> Scene:
