@@ -6,6 +6,7 @@ from .api import (
     open_bench as open_bench,
 )
 from .log import log_path as log_path, logged as logged
+from .places import Mover as Mover
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import (
     Setup as Setup,

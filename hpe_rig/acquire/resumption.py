@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hpe_rig.acquire.places import Mover
 from hpe_rig.acquire.run import Setup, prepare_text, record_run
 from hpe_rig.acquire.run_file import Run, open_run
 from hpe_rig.acquire.sequencer import Observer, unobserved
@@ -48,12 +49,13 @@ def resume(
     observer: Observer = unobserved,
     stages: Stages | None = None,
     compress: bool = False,
+    move: Mover | None = None,
 ) -> Path:
     """Copy the complete shots into a new run file, measure the others, and return its path; as ``record_run``."""
     old = rest.earlier.path
     path = path or free_path(old.stem, old.parent)
     options = WriteOptions(compress=compress, predecessor=Predecessor(old.name, rest.complete))
-    return record_run(rest.setup, path, observer, stages, options, rest.earlier.stored)
+    return record_run(rest.setup, path, observer, stages, options, rest.earlier.stored, move)
 
 
 def _refuse_other(earlier: Run, setup: Setup) -> None:

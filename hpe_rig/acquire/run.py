@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hpe_rig.acquire.recording import Recording
+from hpe_rig.acquire.places import Mover, require_mover
 from hpe_rig.acquire.sequencer import Observer, Progress, ShotDone, Step, acquire, unobserved
 from hpe_rig.bench import (
     BenchFile,
@@ -95,14 +96,16 @@ def record_run(
     stages: Stages | None = None,
     options: WriteOptions | None = None,
     earlier: StoredRun | None = None,
+    move: Mover | None = None,
 ) -> Path:
     """Acquire every shot into a new run file and return its path; every output is off when it returns or raises.
 
-    ``earlier`` is a run of the same plan: the shots ``options.predecessor`` counts are taken over from it. Where
+    ``move`` moves the tracking transducer between places on a bench that has no stage of its own. ``earlier`` is a run of the same plan: the shots ``options.predecessor`` counts are taken over from it. Where
     ``stages`` are given their times stand in the file, which is otherwise the same bit for bit at every simulated run.
     """
     taken, options = stages or Stages(), options or WriteOptions()
     refuse_conflicts(setup.findings)
+    require_mover(setup.plan, setup.bench.bench.simulated, move)
     path = path or free_path(setup.scene.name, Path())
     first = options.predecessor.shots
     rest = replace(setup.plan, shots=setup.plan.shots[first:])
@@ -116,7 +119,7 @@ def record_run(
                 recording.take_over(earlier, first)
         with taken("open bench"):
             bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
-        with taken("configure"), closing(acquire(rest, bench, _timed(observer, taken))) as events:
+        with taken("configure"), closing(acquire(rest, bench, _timed(observer, taken), move)) as events:
             for event in events:
                 with taken("store"):
                     recording.take(event, setup.scene.scene, bench, taken)

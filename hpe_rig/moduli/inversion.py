@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from hpe_rig.moduli.media import LAWS, Law, MediumLaw
-from hpe_rig.moduli.shear_field import shear_field
+from hpe_rig.processing import shear_motion
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -301,7 +301,7 @@ class Problem:
         frequency_hz = ones[0].frequency_hz
         omega, values = 2 * np.pi * frequency_hz, self.law.values(unknown[:count])
         modulus, by_values = self.law.modulus(np.asarray(1j * omega, np.complex128), values)
-        field = shear_field(
+        field = shear_motion(
             modulus,
             frequency_hz,
             push.density_kg_per_m3,

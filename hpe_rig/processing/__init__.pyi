@@ -74,4 +74,5 @@ from .shots import (
     shot_prior as shot_prior,
 )
 from .stationarity import Drift as Drift, drift_between_halves as drift_between_halves
+from .shear_field import ShearMotion as ShearMotion, shear_motion as shear_motion
 from .velocity_chain import Steps as Steps, velocity_to_harmonics as velocity_to_harmonics

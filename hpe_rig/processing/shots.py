@@ -163,6 +163,8 @@ def _estimate_shot(
         residual_m=float(fit.residual_rms_m),
         pulse_rate_hz=shot.tracking_train.rate_hz,
         window_length_s=scene.processing.window_length_s,
+        lateral_offset_m=shot.lateral_offset_m,
+        axial_offset_m=shot.axial_offset_m,
         estimates=estimates_of(fit, here, averaging, true_m),
         warnings=(
             *(_missing_warnings(recorded) if complete else ()),

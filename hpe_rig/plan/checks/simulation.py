@@ -34,7 +34,7 @@ def _focus(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
     """Yield whether the gate, at the depth that its echoes really come from, holds the focus and anything at all."""
     acquisition = scene.acquisition
     # The gate is a time after the pulse: another sound speed moves it in depth.
-    depth_m = acquisition.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s
+    depth_m = scene.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s
     off_m, half_m = abs(depth_m - twin.focus_depth_m), acquisition.gate_length_m / 2
     if off_m <= half_m * (1 + 1e-9):
         return

@@ -38,7 +38,7 @@ NODES = 12
 
 
 @dataclass(frozen=True, slots=True)
-class ShearField:
+class ShearMotion:
     """Displacement per body force and its derivatives at every frequency and place, complex (frequency, place).
 
     ``value`` in m per N/m^3; ``by_modulus`` its derivative with respect to the complex modulus, ``by_across`` and
@@ -53,7 +53,7 @@ class ShearField:
     by_axial: ComplexArray
 
 
-def shear_field(
+def shear_motion(
     modulus_pa: ComplexArray,
     frequency_hz: FloatArray,
     density_kg_per_m3: float,
@@ -62,7 +62,7 @@ def shear_field(
     along_m2: float,
     lateral_m: FloatArray,
     axial_m: float = 0.0,
-) -> ShearField:
+) -> ShearMotion:
     """Return the field of a round force with the sigmas ``force_width_m`` (across, along) where it is tracked.
 
     ``modulus_pa`` and ``frequency_hz`` (frequency,); ``across_m2``, one or (place,), and ``along_m2``: squared widths
@@ -86,7 +86,7 @@ def shear_field(
     kernel, _, by_half, by_axial = (front[:, None] * (own - rest) for own, rest in zip(dynamic, static, strict=True))
     # the static part does not hang on the modulus: dq2/dmu = -q2/mu, dkappa2/dq2 = -1
     by_modulus = (front * q2 / modulus_pa)[:, None] * dynamic[1]
-    return ShearField(
+    return ShearMotion(
         value=kernel @ waves,
         by_modulus=by_modulus @ waves,
         by_across=kernel @ (-k2 / 2 * waves),
