@@ -134,4 +134,4 @@ class RunSource:
 
 
 def _arrived(stored: StoredRun, shot: int) -> int:
-    return int(np.count_nonzero(stored.rows(shot)["records/recorded"] == 1))
+    return int(np.count_nonzero(stored.records.recorded(shot)))

@@ -8,6 +8,7 @@ from .format import (
     versions as versions,
 )
 from .layout import Predecessor as Predecessor
+from .lock import is_taken as is_taken
 from .reader import (
     StoredGroundTruth as StoredGroundTruth,
     StoredRecords as StoredRecords,

@@ -33,8 +33,11 @@ STAGES: Final = (
 """Stages of an acquisition, in the order of the run times in the run file; "collect" ends with every output off."""
 STAGE_BYTES: Final = 16
 MOST_STAGES: Final = 64
+STATUSES: Final = ("running", "complete", "aborted", "failed")
 STATUS_BYTES: Final = 8
 """Enough for running, complete, aborted and failed: the attribute changes during a run, so its size is fixed."""
+RUN_ID_BYTES: Final = 32
+"""Length of what tells a run from others of its name: random hexadecimal digits, empty where nobody may have to."""
 SNAPSHOT_BYTES: Final = 8192
 """Enough for the settings of one shot as JSON; fixed, since nothing may be created while others read."""
 CHUNK_BYTES: Final = 1_000_000

@@ -22,6 +22,7 @@ class ShotRecords:
     ``codes`` int16 (pulse, sample), ``MISSING`` where nothing arrived; ``trigger_time_s`` float64 (pulse,), NaN there
     and where the way to capture states no time. ``code_limits`` are the digitizer's lowest and highest code, at which a
     sample is clipped. ``margin``: how many of the samples come before and behind the gate, where it is a gate's.
+    ``damaged`` (pulse,): which of the missing records failed their checksums; None where all others never came.
     """
 
     codes: NDArray[np.int16]
@@ -30,6 +31,7 @@ class ShotRecords:
     volts_offset: float
     code_limits: tuple[int, int]
     margin: tuple[int, int] = (0, 0)
+    damaged: NDArray[np.bool_] | None = None
 
     @property
     def gate_codes(self) -> NDArray[np.int16]:
