@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hpe_rig.acquire.run import Setup, prepare_text, record_run
@@ -48,13 +48,13 @@ def resume(
     path: Path | None = None,
     observer: Observer = unobserved,
     stages: Stages | None = None,
-    compress: bool = False,
+    options: WriteOptions | None = None,
 ) -> Path:
     """Copy the complete shots into a new run file, measure the others, and return its path; as ``record_run``."""
     old = rest.earlier.path
     path = path or free_path(old.stem, old.parent)
-    options = WriteOptions(compress=compress, predecessor=Predecessor(old.name, rest.complete))
-    return record_run(rest.setup, path, observer, stages, options, rest.earlier.stored)
+    going_on = replace(options or WriteOptions(), predecessor=Predecessor(old.name, rest.complete))
+    return record_run(rest.setup, path, observer, stages, going_on, rest.earlier.stored)
 
 
 def _sound_shots(stored: StoredRun) -> int:

@@ -127,7 +127,8 @@ def record_run(
         stack.enter_context(_noting(f"{path} holds the records that had arrived"))
         with taken("open bench"):
             bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
-        with taken("configure"), closing(acquire(rest, bench, _timed(observer, taken))) as events:
+        observers = _timed(_looking(observer, writer), taken)
+        with taken("configure"), closing(acquire(rest, bench, observers)) as events:
             for event in events:
                 _record(event, setup.scene.scene, bench, writer, taken)
                 if stages is not None and isinstance(event, ShotDone):
@@ -143,6 +144,16 @@ def _timed(observer: Observer, stages: Stages) -> Observer:
         if progress.step is not Step.SAFE:
             # This step is announced once the outputs are off: its time is part of the step before.
             stages.rename(progress.step.value)
+
+    return observe
+
+
+def _looking(observer: Observer, writer: RunWriter) -> Observer:
+    """Return ``observer`` such that it also looks whether the run's file is still there, where nothing is written."""
+
+    def observe(progress: Progress) -> None:
+        observer(progress)
+        writer.look()
 
     return observe
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 
 EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 1, 3, 130, 143
+EXIT_DAMAGED, EXIT_NO_CHECKSUMS = 4, 5
 
 
 def guarded(command: Callable[P, None]) -> Callable[P, None]:

@@ -3,6 +3,7 @@ from .format import (
     StoreError as StoreError,
     extra as extra,
     free_path as free_path,
+    new_run_id as new_run_id,
     reason as reason,
     result_path as result_path,
     versions as versions,
@@ -19,4 +20,5 @@ from .reader import (
 from .records import ShotRecords as ShotRecords, assemble as assemble
 from .result_file import write_result as write_result
 from .validation import UntrustedError as UntrustedError, trusted as trusted
+from .verification import Damage as Damage, Verification as Verification, verify as verify
 from .writer import RunWriter as RunWriter, WriteOptions as WriteOptions

@@ -10,6 +10,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Final
+from uuid import uuid4
 
 FORMAT: Final = "hpe_rig run"
 FORMAT_VERSION: Final = 2
@@ -60,6 +61,11 @@ def extra(name: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         remedy = f'pip install "hpe-rig[{name}]"'
         raise StoreError(f"this needs {error.name}, which is not installed. Try: {remedy}.") from None
+
+
+def new_run_id() -> str:
+    """Return what tells a run from every other."""
+    return uuid4().hex
 
 
 @cache

@@ -47,7 +47,9 @@ class Journal:
             self.locked = lock.take(self._file)
         except BlockingIOError:
             self._file.close()
-            raise StoreError(f"{path} is being written by another run. Try: another path, or wait for its end.") from None
+            raise StoreError(
+                f"{path} is being written by another run. Try: another path, or wait for its end."
+            ) from None
         # A view of its own, since reading and writing both move the place in the file.
         self._view = path.open("rb", buffering=0)
         self._size = self._end = os.fstat(self._file.fileno()).st_size
@@ -112,8 +114,8 @@ class Journal:
     def commit(self, sync: bool = False) -> None:
         """Bring all that was written to the file, with ``sync`` to the disk itself.
 
-        Raises ``OSError``, of this commit or of an earlier one whose end nobody waited for, and ``StoreError`` where the
-        file is no longer the one that was begun.
+        Raises ``OSError``, of this commit or of an earlier one whose end nobody waited for, and ``StoreError`` where
+        the file is no longer the one that was begun.
         """
         batch = self.take_pending()
         if self._failure is not None:
@@ -198,7 +200,7 @@ class Journal:
 
 def _lost(path: Path, what: str) -> StoreError:
     return StoreError(
-        f"{path} {what} while the run wrote it. What it still holds can be told with hpe-rig verify, wherever it is now. "
+        f"{path} {what} while the run wrote it. Wherever it is now, hpe-rig verify tells what it holds. "
         "Try: measure again, and leave a run file alone until its run has ended."
     )
 

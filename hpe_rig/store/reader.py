@@ -1,8 +1,8 @@
 """Content of a run file, read shot by shot when asked for, also while the run goes on.
 
-Nothing is taken for what was measured unless its checksum says so: a record whose bytes or whose mark fail theirs counts
-as missing, and as damaged. Files from before there were checksums are read as they are, but for chunks that they do not
-hold.
+Nothing is taken for what was measured unless its checksum says so: a record whose bytes or whose mark fail theirs
+counts as missing, and as damaged. Files from before there were checksums are read as they are, but for chunks that they
+do not hold.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from drivers.interfaces import Setting
 from hpe_rig.plan import Plan
 from hpe_rig.store.checksum import BY_SHOT, GROUP, blank, digest, stored_bytes
-from hpe_rig.store.format import MOST_STAGES, RUN_ID_BYTES, SNAPSHOT_BYTES, STAGE_BYTES, STATUSES, StoreError
+from hpe_rig.store.format import MOST_STAGES, SNAPSHOT_BYTES, STAGE_BYTES, STATUSES, StoreError
 from hpe_rig.store.layout import TRUE_HARMONICS, volts_of_codes
 from hpe_rig.store.records import MISSING, ShotRecords, with_margin
 from hpe_rig.store.validation import Trusted, UntrustedError, trusted
@@ -81,7 +81,9 @@ class StoredRecords(Sequence[ShotRecords]):
                 arrival = _arrival(trust, self.shape, shot)
                 _refuse_unheld(echo, arrival.recorded, self.shape, around.stop - around.start)
                 codes, damaged = _codes(trust, echo, f"records/{name}", shot, arrival, around)
-                scale, offset = (trust.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset"))
+                scale, offset = (
+                    trust.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset")
+                )
                 limits = _code_limits(trust, f"records/{name}")
                 going_on = trust.attribute("status", str) == STATUSES[0]
             if not (damaged.any() and going_on) or look == LOOKS - 1:
@@ -122,6 +124,13 @@ class StoredRecords(Sequence[ShotRecords]):
         with trusted(self.path) as trust:
             return _arrival(trust, self.shape, shot).recorded
 
+    def unvouched(self, shot: int) -> NDArray[np.bool_]:
+        """Return which records of ``shot`` are marked as there without a checksum of the mark, (pulse,)."""
+        with trusted(self.path) as trust:
+            marked: NDArray[np.bool_] = _rows(trust, "records/recorded", self.shape, "u1")[shot] == 1
+            arrival = _arrival(trust, self.shape, shot)
+            return marked & ~arrival.recorded & ~arrival.damaged
+
 
 @dataclass(frozen=True, slots=True)
 class StoredGroundTruth:
@@ -133,7 +142,9 @@ class StoredGroundTruth:
     def __getitem__(self, shot: int) -> NDArray[np.float64]:
         name = "truth/displacement_m"
         with trusted(self.path) as trust:
-            return _row(trust, name, _rows(trust, name, self.shape), _within(shot, self.shape[0]))[0]
+            row_m: NDArray[np.float64]
+            row_m, _ = _row(trust, name, _rows(trust, name, self.shape), _within(shot, self.shape[0]))
+            return row_m
 
     def harmonics_m(self, shot: int, frequencies: int) -> NDArray[np.float64]:
         """Return A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
@@ -191,10 +202,7 @@ class StoredRun:
 
     def is_sound(self, shot: int) -> bool:
         """Return whether everything that the file holds of ``shot`` is as its checksums say; reads all of it."""
-        with trusted(self.path) as trust:
-            if not all(_row(trust, name, dataset, shot)[1] for name, dataset in _tables(trust, self.records.shape)):
-                return False
-        return not self.records.damaged(shot).any()
+        return not damage_by_shot(self, shot) and not self.records.damaged(shot).any()
 
     def refuse_unlike(self, plan: Plan) -> None:
         """Raise ``StoreError`` where the records do not fit ``plan``: the file was changed, or its scene."""
@@ -299,7 +307,7 @@ def _run_time_s(trust: Trusted) -> tuple[dict[str, float], bool]:
     if names.shape[0] > MOST_STAGES:
         raise UntrustedError(f"/run_time has {names.shape[0]} stages")
     trust.refuse_damaged("run_time/stage", names)
-    times_s, sound = _row(trust, "run_time/run_time_s", trust.dataset("run_time/run_time_s", "<f8", names.shape), ())
+    times_s, sound = _row(trust, "run_time/run_time_s", trust.dataset("run_time/run_time_s", "<f8", names.shape), None)
     stages = [name.decode("ascii", "replace") for name in names[()]]
     pairs = zip(stages, times_s, strict=True)
     return {stage: float(time_s) for stage, time_s in pairs if stage.isprintable() and 0 <= time_s < math.inf}, sound
@@ -311,6 +319,13 @@ def _damaged_truth(trust: Trusted, shape: Shape) -> Iterator[str]:
             for shot in range(shape[0]):
                 if not _row(trust, name, dataset, shot)[1]:
                     yield f"shot {shot + 1}: /{name} fails its checksum: its truth is left out"
+
+
+def damage_by_shot(stored: StoredRun, shot: int) -> tuple[str, ...]:
+    """Return what of ``shot`` but its records fails its checksum."""
+    with trusted(stored.path) as trust:
+        tables = _tables(trust, stored.records.shape)
+        return tuple(f"/{name} fails its checksum" for name, of in tables if not _row(trust, name, of, shot)[1])
 
 
 def _tables(trust: Trusted, shape: Shape) -> Iterator[tuple[str, h5py.Dataset]]:
@@ -328,14 +343,14 @@ def _tables(trust: Trusted, shape: Shape) -> Iterator[tuple[str, h5py.Dataset]]:
             yield name, trust.dataset(name, dtype, expected)
 
 
-def _row(trust: Trusted, name: str, dataset: h5py.Dataset, row: int | tuple[()]) -> tuple[Any, bool]:
-    """Return row ``row`` of a dataset, () for all of it, blank where none was written, and whether it is sound."""
-    values = np.asarray(dataset[row], dataset.dtype)
+def _row(trust: Trusted, name: str, dataset: h5py.Dataset, row: int | None) -> tuple[Any, bool]:
+    """Return row ``row`` of a dataset, None for all of it, blank where none was written, and whether it is sound."""
+    place = () if row is None else (row,)
+    values = np.asarray(dataset[place], dataset.dtype)
     if not trust.vouched:
         return values, True
-    rows = dataset.shape[:1] if row != () else ()
-    expected = int(trust.dataset(f"{GROUP}/{name}", "<u8", rows)[row])
-    sound = expected == 0 or expected == digest(name, () if row == () else (row,), stored_bytes(values, dataset.dtype))
+    expected = int(trust.dataset(f"{GROUP}/{name}", "<u8", dataset.shape[: len(place)])[place])
+    sound = expected in (0, digest(name, place, stored_bytes(values, dataset.dtype)))
     return (values if expected and sound else blank(dataset.dtype, values.shape)), sound
 
 
@@ -369,7 +384,13 @@ def _sums(trust: Trusted, name: str, shape: Shape, rows: int) -> h5py.Dataset:
 
 
 def _codes(
-    trust: Trusted, echo: h5py.Dataset, name: str, shot: int, arrival: _Arrival, samples: slice, rows: slice | None = None
+    trust: Trusted,
+    echo: h5py.Dataset,
+    name: str,
+    shot: int,
+    arrival: _Arrival,
+    samples: slice,
+    rows: slice | None = None,
 ) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
     """Return the codes of ``samples`` of the records ``rows``, (pulse, sample), and which are damaged, (pulse,).
 

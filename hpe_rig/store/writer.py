@@ -89,7 +89,10 @@ class RunWriter:
         self._volts = volts_of_codes(plan.shots[0].capture.input_range_v, bench.bench.digitizer.board_model.code_limits)
         self._tables = {name: _Table(self._file, name) for name in (*BY_SHOT, "run_time/run_time_s")}
         self._chunk = _Chunk(self._file, "records/echo")
-        self._chunks = (self._chunk, *([_Chunk(self._file, "records/monitor")] if "records/monitor" in self._file else []))
+        self._chunks = (
+            self._chunk,
+            *([_Chunk(self._file, "records/monitor")] if "records/monitor" in self._file else []),
+        )
         self._arrivals = _Arrivals(self._file, self._chunk.rows)
         self._shot: _ShotRows | None = None
 
@@ -107,7 +110,7 @@ class RunWriter:
                 raise
 
     def look(self) -> None:
-        """Raise ``StoreError`` where the file is no longer the one that was begun; every ``LOOK_S``, else do nothing."""
+        """Raise ``StoreError`` where the file is no longer the one that was begun; looks every ``LOOK_S``."""
         if self._clock() - self._looked_s >= LOOK_S:
             with self._committing():
                 pass
@@ -162,7 +165,7 @@ class RunWriter:
     def run_time(self, run_time_s: Mapping[str, float]) -> None:
         """Write the wall time of each stage so far."""
         with self._committing():
-            self._tables["run_time/run_time_s"].put((), [run_time_s.get(name, math.nan) for name in STAGES])
+            self._tables["run_time/run_time_s"].put(None, [run_time_s.get(name, math.nan) for name in STAGES])
 
     def finish(self, shot: Shot) -> None:
         """Write everything of ``shot``, then mark it complete; sync to disk if ``CHECKPOINT_S`` have passed."""
@@ -319,12 +322,12 @@ class _Table:
         self._name = name
         self._values, self._sums = file.get(name), file.get(f"{GROUP}/{name}")
 
-    def put(self, row: int | tuple[()], values: Any) -> None:
-        """Write ``values`` as row ``row``, () for the whole, then their checksum."""
-        self._values[row] = values
+    def put(self, row: int | None, values: Any) -> None:
+        """Write ``values`` as row ``row``, None for the whole, then their checksum."""
+        place = () if row is None else (row,)
+        self._values[place] = values
         self._values.flush()
-        place = () if row == () else (row,)
-        self._sums[row] = digest(self._name, place, stored_bytes(values, self._values.dtype))
+        self._sums[place] = digest(self._name, place, stored_bytes(values, self._values.dtype))
         self._sums.flush()
 
 
