@@ -20,6 +20,7 @@ GROUP: Final = "checksum"
 ATTRIBUTE: Final = "checksum"
 BY_SHOT: Final = (
     "snapshot",
+    "untrusted",
     "records/pulse_onset_s",
     "records/shot_complete",
     "records/clipped",
@@ -61,8 +62,12 @@ def add_checksums(file: h5py.File) -> None:
     chunks = -(-file["records/echo"].shape[1] // file["records/echo"].chunks[1])
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(BY_SHOT, (shots,))
     shapes |= dict.fromkeys(BY_CHUNK, (shots, chunks)) | dict.fromkeys(AT_ONCE, ())
+    # Groups made on the way to a dataset would hold the time, and no two files be the same.
+    root = file.create_group(GROUP)
     for name in [name for name in shapes if name in file]:
-        file[f"{GROUP}/{name}"] = np.zeros(shapes[name], "<u8")
+        folder, _, last = name.rpartition("/")
+        group = root if not folder else root[folder] if folder in root else root.create_group(folder)
+        group[last] = np.zeros(shapes[name], "<u8")
     seal(file, {*shapes, *COVERED_ELSEWHERE, *(f"{GROUP}/{name}" for name in shapes)})
 
 

@@ -52,7 +52,8 @@ class Journal:
             ) from None
         # A view of its own, since reading and writing both move the place in the file.
         self._view = path.open("rb", buffering=0)
-        self._size = self._end = os.fstat(self._file.fileno()).st_size
+        self._identity = os.fstat(self._file.fileno())
+        self._size = self._end = self._identity.st_size
         self._place = 0
         self._pending: list[Write] = []
         self._failure: Exception | None = None
@@ -125,6 +126,10 @@ class Journal:
     def amend(self, writes: tuple[Write, ...]) -> None:
         """Overwrite bytes in place and sync, also after a failure; raise ``OSError`` where that fails too."""
         self._do(lambda: self._overwrite(writes))
+
+    def is_in_place(self) -> bool:
+        """Return whether ``path`` still names the file that was begun, closed or not; raise ``OSError`` else."""
+        return os.path.samestat(self._identity, self.path.stat())
 
     def close(self) -> None:
         """Close the file and so release its lock; a disk that does not answer keeps it until the program's end."""

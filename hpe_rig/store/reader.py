@@ -11,7 +11,7 @@ import json
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, overload
 
@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from drivers.interfaces import Setting
 from hpe_rig.plan import Plan
 from hpe_rig.store.checksum import BY_SHOT, GROUP, blank, digest, stored_bytes
-from hpe_rig.store.format import MOST_STAGES, SNAPSHOT_BYTES, STAGE_BYTES, STATUSES, StoreError
+from hpe_rig.store.format import MOST_STAGES, SNAPSHOT_BYTES, STAGE_BYTES, STATUSES, UNTRUSTED_BYTES, StoreError
 from hpe_rig.store.layout import TRUE_HARMONICS, volts_of_codes
-from hpe_rig.store.records import MISSING, ShotRecords, with_margin
+from hpe_rig.store.records import MISSING, GatedRecords, ShotRecords, with_margin
 from hpe_rig.store.validation import Trusted, UntrustedError, trusted
 
 Shape = tuple[int, int, int]
@@ -36,6 +36,36 @@ MOST_SHOTS: Final = 1_000_000
 LOOKS: Final = 3
 """How often a chunk of a run that goes on is read before it counts as damaged: it may be in the middle of a change."""
 LOOK_PAUSE_S: Final = 0.02
+MOST_HELD_SAMPLES: Final = 1 << 25
+"""Samples up to which the records of a shot are read at once; those of a longer one stay in the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredShot:
+    """Records of one shot that stay in the file, see `GatedRecords`; of each the samples ``around`` its gate."""
+
+    path: Path
+    name: str
+    shot: int
+    around: slice
+    valid: NDArray[np.bool_]
+    volts_per_code: float
+    code_limits: tuple[int, int]
+    margin: tuple[int, int]
+    damaged: NDArray[np.bool_]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of pulses and of samples."""
+        return self.valid.size, self.around.stop - self.around.start
+
+    def block(self, pulses: slice) -> NDArray[np.int16]:
+        """Return the codes of some ``pulses``, (pulse, sample); they were compared with their checksums before."""
+        with trusted(self.path) as trust:
+            echo = trust.dataset(f"records/{self.name}", "<i2", (None, self.valid.size, None))
+            codes: NDArray[np.int16] = echo[self.shot, pulses, self.around]
+        codes[~self.valid[pulses]] = MISSING
+        return codes
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +98,31 @@ class StoredRecords(Sequence[ShotRecords]):
 
     def gated(self, shot: int, gate: slice, name: str = "echo", margin: int = 0) -> ShotRecords:
         """Return the samples in ``gate`` and up to ``margin`` around it of each record of ``shot``, (pulse, sample)."""
+        for look in range(LOOKS):
+            with trusted(self.path) as trust:
+                stored, offset, arrival = self._of_shot(trust, shot, gate, name, margin)
+                echo = _echo(trust, self.shape, name)
+                codes, damaged = _codes(trust, echo, f"records/{name}", stored.shot, arrival, stored.around)
+                going_on = trust.attribute("status", str) == STATUSES[0]
+            if not (damaged.any() and going_on) or look == LOOKS - 1:
+                break
+            time.sleep(LOOK_PAUSE_S)
+        time_s = np.where(arrival.recorded & ~damaged, arrival.trigger_time_s, np.nan)
+        return ShotRecords(codes, time_s, stored.volts_per_code, offset, stored.code_limits, stored.margin, damaged)
+
+    def in_blocks(self, shot: int, gate: slice, margin: int = 0, most_held: int = MOST_HELD_SAMPLES) -> GatedRecords:
+        """Return what ``gated`` does; of more samples than ``most_held`` the codes stay in the file until asked for."""
+        if self.shape[1] * (gate.stop - gate.start + 2 * margin) <= most_held:
+            return self.gated(shot, gate, margin=margin)
+        with trusted(self.path) as trust:
+            stored, _, _ = self._of_shot(trust, shot, gate, "echo", margin)
+        damaged = self.damaged(stored.shot)
+        return replace(stored, valid=stored.valid & ~damaged, damaged=damaged)
+
+    def _of_shot(
+        self, trust: Trusted, shot: int, gate: slice, name: str, margin: int
+    ) -> tuple[StoredShot, float, _Arrival]:
+        """Return the records of ``shot`` whose marks are sound, their offset in volts and when they came."""
         shot = _within(shot, self.shape[0])
         if not 0 <= gate.start < gate.stop <= self.shape[2]:
             raise StoreError(
@@ -75,22 +130,16 @@ class StoredRecords(Sequence[ShotRecords]):
                 "Try: a run whose scene passes hpe-rig check."
             )
         around, margins = with_margin(gate, margin, self.shape[2])
-        for look in range(LOOKS):
-            with trusted(self.path) as trust:
-                echo = _echo(trust, self.shape, name)
-                arrival = _arrival(trust, self.shape, shot)
-                _refuse_unheld(echo, arrival.recorded, self.shape, around.stop - around.start)
-                codes, damaged = _codes(trust, echo, f"records/{name}", shot, arrival, around)
-                scale, offset = (
-                    trust.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset")
-                )
-                limits = _code_limits(trust, f"records/{name}")
-                going_on = trust.attribute("status", str) == STATUSES[0]
-            if not (damaged.any() and going_on) or look == LOOKS - 1:
-                break
-            time.sleep(LOOK_PAUSE_S)
-        trigger_time_s = np.where(codes[:, 0] != MISSING, arrival.trigger_time_s, np.nan)
-        return ShotRecords(codes, trigger_time_s, scale, offset, limits, margins, damaged)
+        arrival = _arrival(trust, self.shape, shot)
+        _refuse_unheld(_echo(trust, self.shape, name), arrival.recorded, self.shape, around.stop - around.start)
+        scale, offset = (trust.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset"))
+        limits = _code_limits(trust, f"records/{name}")
+        sound = arrival.recorded
+        return (
+            StoredShot(self.path, name, shot, around, sound, scale, limits, margins, arrival.damaged),
+            offset,
+            arrival,
+        )
 
     def chunks(self, shot: int, pulses: int, name: str = "echo") -> Iterator[tuple[int, NDArray[np.int16]]]:
         """Yield the codes of ``shot`` as (first pulse, codes) in steps of ``pulses``, opening the file once.
@@ -156,7 +205,7 @@ class StoredGroundTruth:
 
 
 @dataclass(frozen=True, slots=True)
-class StoredShot:
+class ShotRows:
     """Everything of one shot but its echoes: which records came, (pulse,), when, and the rows of the other datasets."""
 
     recorded: NDArray[np.bool_]
@@ -169,9 +218,10 @@ class StoredRun:
     """Content of a run file; ``true_displacement_m``, (pulse,) for each shot, is None for a real bench.
 
     ``shot_complete`` (shot,) tells which shots are complete. ``clipped`` lists the shots during which the digitizer's
-    input left its range. ``predecessor`` names the run that this one continued, "" where there is none. ``run_time_s``
-    is the wall time of the acquisition by stage, empty where it was not measured. ``damage`` says what of the file but
-    its echoes cannot be trusted, and what stands for it. ``vouched``: whether the file has checksums at all.
+    input left its range, ``untrusted`` says why a shot is not to be trusted. ``predecessor`` names the run that this
+    one continued, "" where there is none. ``run_time_s`` is the wall time of the acquisition by stage, empty where it
+    was not measured. ``damage`` says what of the file but its echoes cannot be trusted, and what stands for it;
+    ``vouched`` whether the file has checksums at all.
     """
 
     path: Path
@@ -187,18 +237,19 @@ class StoredRun:
     clipped: tuple[int, ...]
     predecessor: str
     run_time_s: Mapping[str, float]
+    untrusted: Mapping[int, str] = field(default_factory=dict)
     damage: tuple[str, ...] = ()
     vouched: bool = False
     run_id: str = ""
 
-    def rows(self, shot: int) -> StoredShot:
+    def rows(self, shot: int) -> ShotRows:
         """Return everything of ``shot`` but its echoes; blank where the file has nothing that can be trusted."""
         shape = self.records.shape
         with trusted(self.path) as trust:
             arrival = _arrival(trust, shape, shot)
             named = [(name, dataset) for name, dataset in _tables(trust, shape) if not name.endswith("shot_complete")]
             tables = {name: _row(trust, name, dataset, shot)[0] for name, dataset in named}
-        return StoredShot(arrival.recorded, arrival.trigger_time_s, tables)
+        return ShotRows(arrival.recorded, arrival.trigger_time_s, tables)
 
     def is_sound(self, shot: int) -> bool:
         """Return whether everything that the file holds of ``shot`` is as its checksums say; reads all of it."""
@@ -266,12 +317,11 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
     flags, damage = {}, list[str]()
     for name, instead in (("shot_complete", "does not count as complete"), ("clipped", "may have been clipped")):
         dataset = trust.dataset(f"records/{name}", "u1", shape[:1])
-        rows = [_row(trust, f"records/{name}", dataset, shot) for shot in range(shape[0])]
-        flags[name] = np.array([value == 1 for value, _ in rows])
+        values, sound = _all_rows(trust, f"records/{name}", dataset)
+        flags[name] = values == 1
         damage += [
             f"shot {shot + 1}: /records/{name} fails its checksum: the shot {instead}"
-            for shot, (_, sound) in enumerate(rows)
-            if not sound
+            for shot in np.flatnonzero(~sound)
         ]
     run_time_s, times_sound = _run_time_s(trust)
     damage += [] if times_sound else ["/run_time fails its checksum: the run times are left out"]
@@ -292,10 +342,21 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
         clipped=tuple(int(shot) for shot in np.flatnonzero(flags["clipped"])),
         predecessor=trust.attribute("predecessor", str),
         run_time_s=run_time_s,
+        untrusted=_untrusted_shots(trust, shape),
         damage=tuple(damage),
         vouched=trust.vouched,
         run_id=trust.attribute("run_id", str) if "run_id" in trust.file.attrs else "",
     )
+
+
+def _untrusted_shots(trust: Trusted, shape: Shape) -> dict[int, str]:
+    if not trust.has("untrusted"):
+        # Files from before settings were read back after a shot.
+        return {}
+    dataset = trust.dataset("untrusted", f"S{UNTRUSTED_BYTES}", shape[:1])
+    unknown = b"whether it is cannot be told, /untrusted is damaged"
+    texts = [text if sound else unknown for text, sound in zip(*_all_rows(trust, "untrusted", dataset), strict=True)]
+    return {shot: text.decode("ascii", "replace") for shot, text in enumerate(texts) if text}
 
 
 def _run_time_s(trust: Trusted) -> tuple[dict[str, float], bool]:
@@ -316,9 +377,8 @@ def _run_time_s(trust: Trusted) -> tuple[dict[str, float], bool]:
 def _damaged_truth(trust: Trusted, shape: Shape) -> Iterator[str]:
     for name, dataset in _tables(trust, shape):
         if name.startswith("tru"):
-            for shot in range(shape[0]):
-                if not _row(trust, name, dataset, shot)[1]:
-                    yield f"shot {shot + 1}: /{name} fails its checksum: its truth is left out"
+            for shot in np.flatnonzero(~_all_rows(trust, name, dataset)[1]):
+                yield f"shot {shot + 1}: /{name} fails its checksum: its truth is left out"
 
 
 def damage_by_shot(stored: StoredRun, shot: int) -> tuple[str, ...]:
@@ -332,6 +392,7 @@ def _tables(trust: Trusted, shape: Shape) -> Iterator[tuple[str, h5py.Dataset]]:
     """Yield name and dataset of everything that has a row a shot and is no record."""
     kinds: dict[str, tuple[str, tuple[int | None, ...]]] = {
         "snapshot": (f"S{SNAPSHOT_BYTES}", shape[:1]),
+        "untrusted": (f"S{UNTRUSTED_BYTES}", shape[:1]),
         "records/shot_complete": ("u1", shape[:1]),
         "records/clipped": ("u1", shape[:1]),
         "records/pulse_onset_s": ("<f8", shape[:2]),
@@ -352,6 +413,19 @@ def _row(trust: Trusted, name: str, dataset: h5py.Dataset, row: int | None) -> t
     expected = int(trust.dataset(f"{GROUP}/{name}", "<u8", dataset.shape[: len(place)])[place])
     sound = expected in (0, digest(name, place, stored_bytes(values, dataset.dtype)))
     return (values if expected and sound else blank(dataset.dtype, values.shape)), sound
+
+
+def _all_rows(trust: Trusted, name: str, dataset: h5py.Dataset) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return every row of a dataset, blank where none was written or it cannot be trusted, and which are sound."""
+    values: NDArray[Any] = dataset[()]
+    if not trust.vouched:
+        return values, np.ones(values.shape[0], bool)
+    expected = trust.dataset(f"{GROUP}/{name}", "<u8", dataset.shape[:1])[()].tolist()
+    found = [digest(name, (row,), stored_bytes(of_row, dataset.dtype)) for row, of_row in enumerate(values)]
+    sound = np.array([one in (0, other) for one, other in zip(expected, found, strict=True)], bool)
+    unwritten = np.array(expected) == 0
+    values[unwritten | ~sound] = blank(dataset.dtype, ())
+    return values, sound
 
 
 @dataclass(frozen=True, slots=True)
@@ -399,32 +473,33 @@ def _codes(
     whole = slice(0, echo.shape[1]) if rows is None else slice(rows.start, min(rows.stop, echo.shape[1]))
     recorded, damaged = arrival.recorded[whole], arrival.damaged[whole].copy()
     size: int = echo.chunks[1]
-    if not trust.vouched and (echo.chunks[0] != 1 or echo.chunks[2] != echo.shape[2] or whole.start % size):
+    if not trust.vouched and (echo.chunks[0] != 1 or echo.chunks[2] != echo.shape[2]):
         codes = echo[shot, whole, samples]
         codes[~recorded] = MISSING
         return codes, damaged
     codes = np.full((recorded.size, samples.stop - samples.start), MISSING)
-    for first in range(whole.start, whole.stop, size):
-        here = slice(first - whole.start, first - whole.start + size)
+    for number in range(whole.start // size, -(-whole.stop // size)):
+        first, last = max(number * size, whole.start), min((number + 1) * size, whole.stop)
+        here = slice(first - whole.start, last - whole.start)
         if recorded[here].any():
-            of_chunk = _chunk(trust, echo, name, shot, first)
+            of_chunk = _chunk(trust, echo, name, shot, number)
             if of_chunk is None:
                 damaged[here] |= recorded[here]
             else:
-                codes[here] = of_chunk[: codes[here].shape[0], samples]
+                codes[here] = of_chunk[first - number * size : last - number * size, samples]
     codes[~recorded | damaged] = MISSING
     return codes, damaged
 
 
-def _chunk(trust: Trusted, echo: h5py.Dataset, name: str, shot: int, first: int) -> NDArray[np.int16] | None:
-    """Return the codes of the chunk that begins with record ``first``, (pulse, sample), None where it is damaged."""
+def _chunk(trust: Trusted, echo: h5py.Dataset, name: str, shot: int, number: int) -> NDArray[np.int16] | None:
+    """Return the codes of chunk ``number`` of a shot, (pulse, sample), None where it is damaged."""
     rows, plain = echo.chunks[1], echo.id.get_create_plist().get_nfilters() == 0
+    first = number * rows
     if not trust.vouched:
         where = echo.id.get_chunk_info_by_coord((shot, first, 0))
         if where.byte_offset is None or where.byte_offset + where.size > trust.size:
             return None
     else:
-        number = first // rows
         try:
             _, stored = echo.id.read_direct_chunk((shot, first, 0))
         except (OSError, RuntimeError, ValueError):

@@ -30,7 +30,7 @@ from hpe_rig.plan import Plan, Shot
 from hpe_rig.scene import SceneText
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import BY_SHOT, GROUP, digest, stored_bytes
-from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, STATUSES, StoreError, reason
+from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, STATUSES, UNTRUSTED_BYTES, StoreError, reason
 from hpe_rig.store.journal import Journal, Write
 from hpe_rig.store.layout import LIBVER, TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
 from hpe_rig.store.lock import is_taken
@@ -115,6 +115,12 @@ class RunWriter:
             with self._committing():
                 pass
 
+    def remove(self) -> None:
+        """Delete the file, closed before, unless another one has taken its place."""
+        with contextlib.suppress(OSError):
+            if self._journal.is_in_place():
+                self.path.unlink()
+
     def settings(self, shot: Shot, settings: Mapping[str, Mapping[str, Any]]) -> None:
         """Write the instruments' settings as read back for ``shot``, and when its pulses are due."""
         text = json.dumps(settings, sort_keys=True, separators=(",", ":"))
@@ -145,6 +151,11 @@ class RunWriter:
         """Write whether the input of the digitizer left its range during ``shot``."""
         with self._writing():
             self._tables["records/clipped"].put(shot.index, clipped)
+
+    def untrusted(self, shot: Shot, why: str) -> None:
+        """Write why the records of ``shot`` are not to be trusted."""
+        with self._committing():
+            self._tables["untrusted"].put(shot.index, why.encode("ascii", "replace")[:UNTRUSTED_BYTES])
 
     def ground_truth(self, shot: Shot, displacement_m: NDArray[np.float64]) -> None:
         """Write the true displacement at the focus at each record of ``shot``, (record,)."""
@@ -435,7 +446,7 @@ def _refuse_small_disk(path: Path, needed: int) -> None:
 def _publish(image: bytes, path: Path, overwrite: bool) -> None:
     """Create ``path`` with the bytes ``image``, whole or not at all; raise ``StoreError`` where it cannot be."""
     if overwrite and path.exists():
-        _refuse_to_replace(path)
+        refuse_to_replace(path)
     try:
         with atomic_file(path, overwrite) as draft, draft.open("xb") as file:
             file.write(image)
@@ -447,7 +458,7 @@ def _publish(image: bytes, path: Path, overwrite: bool) -> None:
         raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder.") from None
 
 
-def _refuse_to_replace(path: Path) -> None:
+def refuse_to_replace(path: Path) -> None:
     """Raise ``StoreError`` where ``path`` is no run file, or that of a run that goes on."""
     try:
         read_run(path)

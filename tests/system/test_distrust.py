@@ -40,7 +40,7 @@ MOST_BYTES = 1 << 30
 
 @pytest.fixture
 def small(prepared: Prepare, tmp_path: Path) -> Path:
-    """Return a small run file without checksums, as early releases wrote: what is changed in it is not found by them."""
+    """Return a small run file without checksums, as early releases wrote, so that they do not find what is changed."""
     path = record_run(prepared("table-1", *SMALL), tmp_path / "run.h5")
     _delete(path, "checksum")
     return path
