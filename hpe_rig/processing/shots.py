@@ -150,9 +150,7 @@ def _estimate_shot(
     drift = None
     if reference is None:
         # It tells of the bench, not of the estimator: the one with the least noise looks.
-        steady = motion if motion is not None and spec.motion is coherent else None
-        steady = steady or shot_motion(scene, shot, echoes, coherent)
-        drift = _drift(steady, chosen, options)
+        drift = _drift(scene, shot, echoes, motion if spec.motion is coherent else None, chosen, options)
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -284,14 +282,17 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
     )
 
 
-def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
+def _drift(
+    scene: Scene, shot: Shot, echoes: EchoGate, steady: Motion | None, chosen: Selection, options: Options
+) -> Drift | None:
     order = options.background_order
     try:
+        motion = steady or shot_motion(scene, shot, echoes, coherent)
         return drift_between_halves(
             motion, chosen.wanted_hz, also_hz=chosen.driven_hz, background_order=order, prior=options.prior
         )
     except ValueError:
-        # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
+        # Single echoes drown in noise, or half the pulses cannot resolve the frequencies: nothing is known of a change.
         return None
 
 
