@@ -24,7 +24,8 @@ def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: in
     carrier period of a first guess from accumulated consecutive phases; between its samples a parabola through three or
     a cubic spline finds the peak. At 11 samples a period small motion comes out 2.5 % wrong by a spline without
     upsampling, 6 % by a parabola. Where the record ends with the gate, frequencies count by their inverse: the peak is
-    then where the phase of the whole band is zero, as ``coherent`` has it, which a taper moves least. Raises ``ValueError`` as ``coherent``.
+    then where the phase of the whole band is zero, as ``coherent`` has it, which a taper moves least. Raises
+    ``ValueError`` as ``coherent``.
     Source: the usual time-domain estimator (Viola and Walker 2003 compare several).
     """
     spectrum, band = band_spectrum(echoes, 2)

@@ -70,10 +70,11 @@ def test_a_rigid_motion_loses_nothing_at_the_edges_over_1000_draws(
     assert np.sqrt(np.mean(errors**2)) < limit
 
 
+@pytest.mark.parametrize("estimator", OVER_THE_GATE)
 @pytest.mark.parametrize("margin", [0, 67])
-def test_the_stated_edge_error_is_what_a_rigid_motion_shows(wide: TableOne, margin: int) -> None:
+def test_the_stated_edge_error_is_what_a_rigid_motion_shows(wide: TableOne, margin: int, estimator: Estimator) -> None:
     table = replace(_one_cycle(wide, 130), margin=margin)
-    found = np.sqrt(np.mean(_errors(table, 60, "coherent") ** 2))
+    found = np.sqrt(np.mean(_errors(table, 60, estimator) ** 2))
     stated = gate_edge_relative(table.gate(np.zeros((20, 130 + 2 * margin))))
     assert stated / 4 < found < 1.5 * stated
 
