@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,7 +97,8 @@ def rows(
     for name in parameters:
         for value in PARAMETERS[name]:
             for level in (value,) if name == "snr_db" else snr_db:
-                case = replace(MotionCase(snr_db=level), **{name: value})
+                changed: dict[str, Any] = {name: value}
+                case = replace(MotionCase(snr_db=level), **changed)
                 yield from case_rows(case, name, value, estimators, draws, seed)
 
 
