@@ -313,7 +313,7 @@ def test_only_a_simulated_bench_without_a_described_specimen_takes_the_default_o
     plain = tmp_path / "plain.toml"
     plain.write_text(first_scene(), encoding="utf-8")
     bench = (ROOT / "hpe_rig" / "bench" / "shipped" / "simulated.toml").read_text(encoding="utf-8")
-    metal = bench.replace("simulated = true", "simulated = false")
+    metal = bench.replace("simulated = true", "simulated = false").replace("Simulated bench, wired", "Bench, wired")
     metal = metal.replace('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\n')
     (tmp_path / "metal.toml").write_text(metal, encoding="utf-8")
     assert prepare(plain, tmp_path / "metal.toml", refuse=False).scene.scene.simulation is None
