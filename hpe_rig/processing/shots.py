@@ -19,6 +19,7 @@ from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.prior import MediumPrior, medium_prior
+from hpe_rig.processing.residual_line import Line, residual_line
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.result import Averaging, ShotResult
 from hpe_rig.scene import Processing, Scene
@@ -151,12 +152,10 @@ def _estimate_shot(
     here = replace(
         known, subtracts_jitter=reference is not None, gate_edge=gate_edge_relative(echoes, spec.gate_window)
     )
-    drift = None
-    if reference is None:
-        # It tells of the bench, not of the estimator: the one with the least noise looks.
-        steady = motion if motion is not None and spec.motion is coherent else None
-        steady = steady or shot_motion(scene, shot, echoes, coherent)
-        drift = _drift(steady, chosen, options)
+    # They tell of bench and motion, not of the estimator: the one with the least noise looks.
+    steady = _steady(scene, shot, echoes, motion if spec.motion is coherent else None)
+    drift = _drift(steady, chosen, options) if reference is None else None
+    line = _line(steady if reference is None else relative_to(steady, reference), chosen, options) if steady else None
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -176,6 +175,7 @@ def _estimate_shot(
             *_medium_warnings(fit, unlikely),
             *_setting_warnings(scene, echoes.pulse_time_s, reference),
             *_drift_warnings(fit, drift),
+            *_line_warnings(line, shot.tracking_train.rate_hz, unlikely),
         ),
         complete=complete,
     )
@@ -289,7 +289,19 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
     )
 
 
-def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
+def _steady(scene: Scene, shot: Shot, echoes: EchoGate, motion: Motion | None) -> Motion | None:
+    """Return the coherent motion, ``motion`` where it is known; None where single echoes drown in noise."""
+    if motion is not None:
+        return motion
+    try:
+        return shot_motion(scene, shot, echoes, coherent)
+    except ValueError:
+        return None
+
+
+def _drift(motion: Motion | None, chosen: Selection, options: Options) -> Drift | None:
+    if motion is None:
+        return None
     order = options.background_order
     try:
         return drift_between_halves(
@@ -297,6 +309,16 @@ def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
         )
     except ValueError:
         # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
+        return None
+
+
+def _line(motion: Motion, chosen: Selection, options: Options) -> Line | None:
+    order = options.background_order
+    try:
+        return residual_line(
+            motion, chosen.wanted_hz, also_hz=chosen.driven_hz, background_order=order, prior=options.prior
+        )
+    except ValueError:
         return None
 
 
@@ -382,6 +404,16 @@ def _setting_warnings(scene: Scene, pulse_time_s: NDArray[np.float64], reference
             f"the reference gate's echo moves by up to {float(reference.largest_step):.2f} quarter wavelengths from "
             "pulse to pulse, which an echo that stands still does not: there is none, or it drowns in noise; choose "
             "another processing.reference_gate_depth_m"
+        )
+
+
+def _line_warnings(line: Line | None, pulse_rate_hz: float, unlikely: float) -> Iterator[str]:
+    if line is not None and line.probability < unlikely:
+        yield (
+            f"the residual has a line of {line.amplitude_m * 1e9:.3g} nm at {line.frequency_hz:.4g} Hz: motion that is "
+            "not fitted, there or at a frequency that folds onto it, such as "
+            f"{pulse_rate_hz - line.frequency_hz:.5g} Hz; more of it may fold onto the wanted frequencies unseen: "
+            "compare another tracking.pulse_rate_hz, or fit it along (processing.frequencies_hz)"
         )
 
 
