@@ -36,9 +36,7 @@ def accuracy(
     ] = None,
     bench: BenchPath = None,
     seeds: Annotated[int | None, typer.Option(min=2, help="Draws of scatterers and noise with --scene.")] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="With --scene: within a minute, by fewer seeds.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="With --scene: within a minute, by fewer seeds.")] = False,
 ) -> None:
     """Measure error against run time. Of the simulated physics, of the estimators, end to end, or on a scene."""
     from hpe_rig.validation import Effort, write_accuracy, write_accuracy_report, write_own_scene
