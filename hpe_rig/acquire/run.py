@@ -8,8 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from hpe_rig.acquire.places import Mover, mover_of, require_mover
 from hpe_rig.acquire.recording import Recording
-from hpe_rig.acquire.places import Mover, require_mover
 from hpe_rig.acquire.sequencer import Observer, Progress, ShotDone, Step, acquire, unobserved
 from hpe_rig.bench import (
     BenchFile,
@@ -34,7 +34,7 @@ from hpe_rig.scene import (
     scene_text,
     with_default_specimen,
 )
-from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path
+from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path, refuse_to_replace
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,8 +100,9 @@ def record_run(
 ) -> Path:
     """Acquire every shot into a new run file and return its path; every output is off when it returns or raises.
 
-    ``move`` moves the tracking transducer between places on a bench that has no stage of its own. ``earlier`` is a run of the same plan: the shots ``options.predecessor`` counts are taken over from it. Where
-    ``stages`` are given their times stand in the file, which is otherwise the same bit for bit at every simulated run.
+    ``move`` moves the tracking transducer between places on a bench that has no stage of its own. ``earlier`` is a run
+    of the same plan: the shots ``options.predecessor`` counts are taken over from it. Where ``stages`` are given their
+    times stand in the file, which is otherwise the same bit for bit at every simulated run.
     """
     taken, options = stages or Stages(), options or WriteOptions()
     refuse_conflicts(setup.findings)
@@ -109,17 +110,21 @@ def record_run(
     path = path or free_path(setup.scene.name, Path())
     first = options.predecessor.shots
     rest = replace(setup.plan, shots=setup.plan.shots[first:])
+    late = options.overwrite and path.exists()
+    if late:
+        refuse_to_replace(path)
     # Interrupts end what is in the innermost block, and are held back while file and bench are left in order.
     with uninterrupted(), ExitStack() as stack:
         create = partial(RunWriter, path, setup.scene, setup.bench, setup.plan, options)
-        recording = stack.enter_context(Recording(path, create, late=options.overwrite and path.exists()))
+        recording = stack.enter_context(Recording(path, create, late))
         stack.enter_context(interruptible())
         if earlier is not None:
             with taken("take over"):
                 recording.take_over(earlier, first)
         with taken("open bench"):
             bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
-        with taken("configure"), closing(acquire(rest, bench, _timed(observer, taken), move)) as events:
+        observers, mover = _timed(_looking(observer, recording), taken), mover_of(setup.plan, bench, move)
+        with taken("configure"), closing(acquire(rest, bench, observers, mover)) as events:
             for event in events:
                 with taken("store"):
                     recording.take(event, setup.scene.scene, bench, taken)
@@ -136,6 +141,16 @@ def _timed(observer: Observer, stages: Stages) -> Observer:
         if progress.step is not Step.SAFE:
             # This step is announced once the outputs are off: its time is part of the step before.
             stages.rename(progress.step.value)
+
+    return observe
+
+
+def _looking(observer: Observer, recording: Recording) -> Observer:
+    """Return ``observer`` such that it also looks whether the run's file is still there, where nothing is written."""
+
+    def observe(progress: Progress) -> None:
+        observer(progress)
+        recording.look()
 
     return observe
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from hpe_rig.acquire.run import planned
 from hpe_rig.bench import BenchFile, parse_bench
-from hpe_rig.plan import CheckResult, Plan, omissions, reference_gate, select
-from hpe_rig.result import Result, Stages
+from hpe_rig.plan import CheckResult, Plan, omissions, places_of, reference_gate, select
+from hpe_rig.result import Result, ShotResult, Stages
 from hpe_rig.scene import (
     Estimator,
     Processing,
@@ -185,13 +185,18 @@ def phase_reference(scene: Scene) -> str:
 
 def _shots(run: Run, estimator: Estimator) -> Estimates:
     from hpe_rig.prediction import beam_widths, predicted_averaging
-    from hpe_rig.processing import NO_RECORDS, estimate_run
+    from hpe_rig.processing import NO_RECORDS, Estimates, estimate_run
 
-    try:
-        averaging, beams = predicted_averaging(run.scene, estimator), beam_widths(run.scene, estimator)
-    except ValueError as error:
-        raise _no_estimate(run, str(error)) from error
-    estimates = estimate_run(run.scene, run.plan, run.stored, estimator, averaging, beams)
+    shots, without = list[ShotResult](), dict[int, str]()
+    for scene, plan in places_of(run.scene, run.plan):
+        try:
+            averaging, beams = predicted_averaging(scene, estimator), beam_widths(scene, estimator)
+        except ValueError as error:
+            raise _no_estimate(run, str(error)) from error
+        here = estimate_run(scene, plan, run.stored, estimator, averaging, beams)
+        shots += here.shots
+        without |= here.without
+    estimates = Estimates(tuple(shots), without)
     if estimates.shots:
         return estimates
     for why in estimates.without.values():
@@ -210,6 +215,7 @@ def _no_estimate(run: Run, why: str) -> StoreError:
 def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
     """Yield what a reader of the result must know of the whole run."""
     yield from (str(finding) for finding in run.findings if finding.level != "passed")
+    yield from run.stored.damage
     # The board cannot say which record it was; where some are skipped the gate's own codes decide.
     for shot in run.stored.clipped if run.scene.tracking.disturbed != "skip" else ():
         yield (

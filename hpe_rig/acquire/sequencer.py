@@ -94,11 +94,11 @@ def acquire(
 
     A shot whose records stop before the deadline yields those that came; ``DeadlineError`` is raised when none did.
     Outputs and settings are read back after the last record as before the first: a shot in which one has changed yields
-    ``ShotUntrusted`` and ends with ``UntrustedShotError``, unless the plan goes on. Where the tracking transducer stands
-    elsewhere in a shot than in the one before, it is moved before anything is programmed.
+    ``ShotUntrusted`` and ends with ``UntrustedShotError``, unless the plan goes on. Where the tracking transducer
+    stands elsewhere in a shot than in the one before, it is moved before anything is programmed.
     """
     next_start_s = bench.clock.now_s()
-    mover, place_m = mover_of(plan, bench, move), None
+    mover, place_m = move or mover_of(plan, bench, None), None
     for shot in plan.shots:
         if shot.lateral_offset_m != place_m:
             observer(Progress(Step.MOVE, shot))

@@ -137,6 +137,14 @@ def _joined(plans: list[Plan]) -> Plan:
     return replace(plans[0], shots=shots, shot_period_s=max(plan.shot_period_s for plan in plans))
 
 
+def places_of(scene: Scene, plan: Plan) -> Iterator[tuple[Scene, Plan]]:
+    """Yield the scene at every place of the tracking transducer, with the shots that are taken there."""
+    for place in scene.places:
+        where = place.tracking.lateral_offset_m, place.tracking.axial_offset_m
+        shots = tuple(shot for shot in plan.shots if (shot.lateral_offset_m, shot.axial_offset_m) == where)
+        yield place, replace(plan, shots=shots)
+
+
 def pulse_count(scene: Scene) -> int:
     """Return the number of tracking pulses: as asked, or as many periods as the burst train lasts."""
     if scene.tracking.pulse_count is not None:

@@ -13,9 +13,18 @@ from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
 from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, speckle_spread
-from hpe_rig.processing import MEMBERS, BeamWidths, Window, displacement, harmonic_range_hz, medium_ensemble, spec_of
+from hpe_rig.processing import (
+    MEMBERS,
+    BeamWidths,
+    Window,
+    displacement,
+    harmonic_range_hz,
+    medium_ensemble,
+    shear_motion,
+    spec_of,
+)
 from hpe_rig.result import Averaging
-from hpe_rig.scene import Scene
+from hpe_rig.scene import Medium, Scene
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -24,6 +33,8 @@ Triple = tuple[float, float, float]
 DIRECTIONS = 96
 FEW_MEMBERS = 40
 """Media that tell how steeply the averaging falls with the beam's area, which hardly hangs on the medium."""
+TYPICAL_MEDIUM = Medium(shear_modulus_pa=8e3, shear_viscosity_pa_s=1.7)
+"""In the middle of the ensemble of media."""
 AREA_STEP = 0.05
 """Relative step in the tracking beam's area over which a derivative is taken."""
 SCALES = (0.05, 1e3)
@@ -47,6 +58,8 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     gaussian = beam_averaging_factor(*widths, *gate, gate_window=window)
     if scene.excitation is None:
         return tuple(_off_focus(scene, Averaging(gaussian, 0.0, spread)) for _ in frequency_hz)
+    if beams.lateral_m:
+        return tuple(_off_focus(scene, each) for each in _beside(scene, beams, frequency_hz, spread))
     motion = motion_of_medium(scene, frequency_hz, window, simulated=False)
     ratio, deviation = _ensemble_ratio(scene, beams, frequency_hz)
     if motion is not None:
@@ -57,6 +70,42 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     share = spread * speckle_share(scene, estimator)
     columns = np.stack([lost, np.angle(ratio), np.abs(share.real), *uncertain, np.abs(share.imag)], axis=-1).tolist()
     return tuple(_off_focus(scene, Averaging(1 - loss * (1 - gaussian), *each)) for loss, *each in columns)
+
+
+def _beside(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray, gaussian_spread: float) -> list[Averaging]:
+    """Return the averaging where the tracking beam lies beside the push.
+
+    Speckle moves the middle of what is tracked, and changes its area; the motion changes by its slopes. Without a
+    declared medium it is that of a typical one, and half of what the averaging does is uncertain.
+    """
+    medium = scene.medium or TYPICAL_MEDIUM
+    loss_pa = 2 * np.pi * frequency_hz * medium.shear_viscosity_pa_s
+    modulus: ComplexArray = np.asarray(medium.shear_modulus_pa + 1j * loss_pa, np.complex128)
+    across, along, seen = beams.force_width_m[0] ** 2, beams.force_width_m[2] ** 2, beams.tracking_width_m[0] ** 2 / 2
+    rest = modulus, frequency_hz, medium.density_kg_per_m3, (beams.force_width_m[0], beams.force_width_m[2])
+    place = np.array([beams.lateral_m])
+    tracked = shear_motion(*rest, across + seen, along + beams.axial_spread_m**2, place)
+    ratio = (tracked.value / shear_motion(*rest, across, along, place).value)[:, 0]
+    area = area_spread(beams, gaussian_spread)
+    shift = tracked.by_lateral / tracked.value * np.sqrt(seen) * area
+    wider = tracked.by_across / tracked.value * seen * area
+    amplitude, phase = np.hypot(shift.real, wider.real)[:, 0], np.hypot(shift.imag, wider.imag)[:, 0]
+    unsure = 0.0 if scene.medium else 0.5
+    columns = np.stack([np.abs(ratio), np.angle(ratio), amplitude, phase], axis=-1).tolist()
+    return [
+        Averaging(factor, lag, speckle, unsure * abs(1 - factor), unsure * abs(lag), turned)
+        for factor, lag, speckle, turned in columns
+    ]
+
+
+def area_spread(beams: BeamWidths, gaussian_spread: float) -> float:
+    """Return the relative spread of the area that speckle lets the tracking average over.
+
+    From what it does to a Gaussian motion, whose mean over a variance s is E^2 / (E^2 + s). The middle of that area
+    moves by the same share of its radius: both are means over as many independent speckles.
+    """
+    seen = beams.tracking_width_m[0] ** 2 / 2
+    return gaussian_spread * (beams.force_width_m[0] ** 2 + seen) / seen
 
 
 def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
@@ -85,7 +134,8 @@ def beam_widths(scene: Scene, estimator: str) -> BeamWidths | None:
         return None
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
     gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
-    return BeamWidths(*widths, depth_spread(widths[1], *gate, spec_of(estimator).gate_window))
+    depth_m = depth_spread(widths[1], *gate, spec_of(estimator).gate_window)
+    return BeamWidths(*widths, depth_m, lateral_m=abs(scene.tracking.lateral_offset_m))
 
 
 def speckle_share(scene: Scene, estimator: str) -> ComplexArray:
@@ -135,11 +185,14 @@ def _off_focus(scene: Scene, averaging: Averaging) -> Averaging:
     A gate that was put on the focus by its echoes stays there whatever the sound speed; one that was put there by its
     distance is off by what the sound speed is off.
     """
-    if scene.beams is None or scene.beams.focus_depth_m is None:
+    if scene.beams is None or (scene.beams.focus_depth_m is None and not scene.tracking.axial_offset_m):
         return averaging
-    gate_m, relative = scene.acquisition.gate_depth_m, scene.acquisition.sound_speed_uncertainty
-    width_m = scene.beams.excitation_width_m[2]
-    factor, spread = off_focus(gate_m - scene.beams.focus_depth_m, gate_m * relative, width_m)
+    gate_m, relative = scene.gate_depth_m, scene.acquisition.sound_speed_uncertainty
+    width_m, focus_m = scene.beams.excitation_width_m[2], scene.beams.focus_depth_m
+    if focus_m is None:
+        # put there by its echoes, from where the gate is moved by a known distance
+        focus_m, relative = scene.acquisition.gate_depth_m, 0.0
+    factor, spread = off_focus(gate_m - focus_m, gate_m * relative, width_m)
     return replace(averaging, factor=averaging.factor * factor, offset_relative=spread, offset_factor=factor)
 
 

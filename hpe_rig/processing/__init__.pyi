@@ -61,6 +61,11 @@ from .prior import (
     medium_prior as medium_prior,
     seen_by as seen_by,
 )
+from .shear_field import (
+    ShearMotion as ShearMotion,
+    shear_displacement as shear_displacement,
+    shear_motion as shear_motion,
+)
 from .shots import (
     NO_RECORDS as NO_RECORDS,
     Estimates as Estimates,
@@ -74,5 +79,4 @@ from .shots import (
     shot_prior as shot_prior,
 )
 from .stationarity import Drift as Drift, drift_between_halves as drift_between_halves
-from .shear_field import ShearMotion as ShearMotion, shear_motion as shear_motion
 from .velocity_chain import Steps as Steps, velocity_to_harmonics as velocity_to_harmonics

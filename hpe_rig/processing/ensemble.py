@@ -19,10 +19,13 @@ import numpy as np
 from scipy.special import ndtri, wofz
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray
+from hpe_rig.processing.shear_field import shear_displacement
 
 Triple = tuple[float, float, float]
 
 MEMBERS = 240
+MEMBERS_BESIDE = 80
+"""The same beside the push, where a member takes some ms."""
 FAMILIES = 5
 DIRECTIONS = 12
 """Quadrature nodes over wave directions: the displacement is good to 3e-4 of itself, in the paper's beams."""
@@ -44,13 +47,15 @@ class BeamWidths:
     """Sigmas of the Gaussian body force and of the tracking beam (x, y, z), m; both round, x counts.
 
     ``axial_spread_m``: standard deviation of depth in the gate, weighted by echo energy. ``width_spread``: standard
-    deviation of the logarithm of the force's widths, which no one has measured in the medium.
+    deviation of the logarithm of the force's widths, which no one has measured in the medium. ``lateral_m``: where the
+    tracking beam lies beside the force.
     """
 
     force_width_m: Triple
     tracking_width_m: Triple
     axial_spread_m: float
     width_spread: float = 0.3
+    lateral_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,17 +72,23 @@ class KnownMedium:
 class Ensemble:
     """Displacement per unit force of every member, complex (member, node), at the frequencies ``node_hz`` (node,).
 
-    ``tracked`` is the mean over the tracking beam and gate, ``peak`` that at the focus; both but for one real factor a
-    member; ``voigt`` (member,) tells Voigt media. Read-only.
+    ``tracked`` is the mean over the tracking beam and gate, ``peak`` that on its axis at the focus; both but for one
+    real factor a member; ``voigt`` (member,) tells Voigt media. Read-only.
     """
 
     node_hz: FloatArray
     tracked: ComplexArray
     peak: ComplexArray
     voigt: BoolArray
+    at_harmonics: bool = False
 
     def interpolation(self, frequency_hz: FloatArray) -> FloatArray:
-        """Return the matrix (frequency, node) that takes values at the nodes to ``frequency_hz`` within their range."""
+        """Return the matrix (frequency, node) that takes values at the nodes to ``frequency_hz`` within their range.
+
+        Beside the push the nodes are the harmonics themselves: waves that have run turn too fast to interpolate.
+        """
+        if self.at_harmonics:
+            return np.isclose(frequency_hz[:, None], self.node_hz).astype(np.float64)
         order = self.node_hz.size - 1
         position, node = (_position(each, self.node_hz[0], self.node_hz[-1]) for each in (frequency_hz, self.node_hz))
         chebyshev = np.polynomial.chebyshev.chebvander
@@ -97,6 +108,8 @@ def medium_ensemble(
 
     The parameters fill their ranges evenly by a low-discrepancy sequence: no chance, hence no seed.
     """
+    if beams.lateral_m:
+        return _beside(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
     count = max(8, round(NODES_PER_E_FOLD * np.log(highest_hz / lowest_hz)))
     node_hz = np.sqrt(lowest_hz * highest_hz) * (highest_hz / lowest_hz) ** (-np.cos(np.linspace(0, np.pi, count)) / 2)
     spread = _even_sequence(members, 5)
@@ -113,6 +126,37 @@ def medium_ensemble(
         displacement(shear_k2, lateral, axial) / modulus_pa,
         np.arange(members) % FAMILIES == 0 if known is None else np.ones(members, bool),
     )
+    for array in (found.node_hz, found.tracked, found.peak, found.voigt):
+        array.flags.writeable = False
+    return found
+
+
+def _beside(
+    beams: BeamWidths, lowest_hz: float, highest_hz: float, known: KnownMedium | None, density_kg_per_m3: float
+) -> Ensemble:
+    """Return the ensemble where the tracking beam lies beside the force, by ``shear_displacement``."""
+    harmonic_hz = lowest_hz * np.arange(1.0, round(highest_hz / lowest_hz) + 1)
+    spread = _even_sequence(MEMBERS_BESIDE, 5)
+    s = np.asarray(2j * np.pi * harmonic_hz, np.complex128)
+    modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
+    wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
+    place, seen = np.array([beams.lateral_m]), beams.tracking_width_m[0] ** 2 / 2
+    both = np.empty((MEMBERS_BESIDE, 2, harmonic_hz.size), np.complex128)
+    for member, (across_m, along_m) in enumerate(
+        zip(beams.force_width_m[0] * wide, beams.force_width_m[2] * deep, strict=True)
+    ):
+        for which, (averaged, along_m2) in enumerate(((seen, along_m**2 + beams.axial_spread_m**2), (0.0, along_m**2))):
+            both[member, which] = shear_displacement(
+                modulus_pa[member],
+                harmonic_hz,
+                density_kg_per_m3,
+                (across_m, along_m),
+                across_m**2 + averaged,
+                along_m2,
+                place,
+            )[:, 0]
+    voigt = np.arange(MEMBERS_BESIDE) % FAMILIES == 0 if known is None else np.ones(MEMBERS_BESIDE, bool)
+    found = Ensemble(harmonic_hz, both[:, 0], both[:, 1], voigt, at_harmonics=True)
     for array in (found.node_hz, found.tracked, found.peak, found.voigt):
         array.flags.writeable = False
     return found

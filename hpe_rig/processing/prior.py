@@ -29,6 +29,8 @@ from hpe_rig.processing.model import background_columns, harmonic_columns
 
 HIGHEST_HZ = 4e4
 """Frequency up to which the bursts' harmonics are part of the model."""
+HIGHEST_BESIDE_HZ = 12e3
+"""The same beside the push, where shorter waves than the force is wide do not come."""
 WEIGHT = 3.0
 """Scale k of the weights over that of the evidence."""
 VOIGT_SHARE = 10.0
@@ -169,7 +171,7 @@ def medium_prior(
     Times count from a burst's onset at the focus. A ``known`` medium narrows the ensemble to Voigt media near it. The
     force's spectrum is that of rectangular pulses, paper eq. (18).
     """
-    lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
+    lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz, HIGHEST_BESIDE_HZ if beams.lateral_m else HIGHEST_HZ)
     harmonic = np.arange(1.0, round(highest_hz / burst_rate_hz) + 1)
     ensemble = medium_ensemble(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
     duty = burst_rate_hz * burst_length_s
@@ -192,9 +194,9 @@ def medium_prior(
     return prior
 
 
-def harmonic_range_hz(burst_rate_hz: float) -> tuple[float, float]:
+def harmonic_range_hz(burst_rate_hz: float, highest_hz: float = HIGHEST_HZ) -> tuple[float, float]:
     """Return the first and the last of the bursts' harmonics that are part of the model."""
-    return burst_rate_hz, burst_rate_hz * max(1, int(HIGHEST_HZ / burst_rate_hz * (1 + 1e-9)))
+    return burst_rate_hz, burst_rate_hz * max(1, int(highest_hz / burst_rate_hz * (1 + 1e-9)))
 
 
 def medium_fit(
@@ -234,6 +236,18 @@ def medium_fit(
     fit = fit_from_state(frequency_hz, state, noise + aliasing, variance, used, aliasing_m2=aliasing)
     medium = MediumPosterior(evidence.significance, *_averaging(evidence.likelihood, prior, frequency_hz))
     return MediumFit(replace(fit, medium=medium), noise, aliasing, evidence, taken)
+
+
+def fit_residual(
+    motion: Motion, frequencies_hz: FloatArray | Sequence[float], prior: MediumPrior, *, background_order: int = 0
+) -> FloatArray:
+    """Return what ``medium_fit`` leaves of the displacement, (..., valid pulse)."""
+    frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
+    found = medium_fit(motion, frequency_hz, prior, background_order=background_order)
+    seen = seen_by(prior, motion.time_s, motion.valid, frequency_hz, background_order)
+    data = motion.displacement_m[..., motion.valid]
+    data = data - (data @ seen.background) @ seen.background.T
+    return np.asarray(data - (found.taken * (data @ seen.left)) @ seen.left.T)
 
 
 def medium_kalman(

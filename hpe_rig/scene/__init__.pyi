@@ -12,6 +12,7 @@ from .scene import (
     Count as Count,
     Estimator as Estimator,
     Excitation as Excitation,
+    Medium as Medium,
     NonNegative as NonNegative,
     Positive as Positive,
     Processing as Processing,

@@ -93,8 +93,9 @@ class Acoustics:
     ) -> Floats:
         """Return the displacement at the focus at ``time_ps`` (time,), positive away from the transducer, m.
 
-        Where the tracking transducer was moved beside the push, that on its axis. ``tonebursts`` move a specimen; ``origin_ps`` is the master trigger's edge, from which a prescribed motion
-        counts. Neither specimen nor motion: zeros.
+        Where the tracking transducer was moved beside the push, that on its axis. ``tonebursts`` move a specimen;
+        ``origin_ps`` is the master trigger's edge, from which a prescribed motion counts. Neither specimen nor motion:
+        zeros.
         """
         if self._focus_motion is None:
             return np.zeros(len(time_ps))

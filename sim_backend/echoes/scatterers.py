@@ -76,7 +76,7 @@ def draw_field(
     first = math.floor(beside_m / box[0])
     row = [first] if first * box[0] == beside_m else [first, first + 1]
     drawn = [_drawn_box(scatterers, beams, rng if n == 0 or rng_of is None else rng_of(n)) for n in row]
-    offset_m = np.concatenate([each + [n * box[0], 0.0, 0.0] for n, (each, _) in zip(row, drawn, strict=True)])
+    offset_m = np.concatenate([each + np.array([n * box[0], 0, 0]) for n, (each, _) in zip(row, drawn, strict=True)])
     inside = np.abs(offset_m[:, 0] - beside_m) <= box[0] / 2
     offset_m, strength = offset_m[inside], np.concatenate([each for _, each in drawn])[inside]
     moves = np.ones(len(offset_m))

@@ -77,11 +77,9 @@ class FocusField:
                 f"focal plane lies outside the tabulated field of {reach[0] * 1e3:.3g} and {reach[1] * 1e3:.3g} mm. "
                 "Try: a field that reaches as far as the scatterers."
             )
-        # Squared, from the inner edge, axis or focal plane (0) to the reach (1), then led to -1 to 1 of the polynomials.
+        # Squared, from the inner edge (0) to the reach (1), then led to the -1 to 1 of the polynomials.
         squares = zip((lateral_m, axial_m), inner, reach, strict=True)
-        places = [
-            np.clip(2 * (at**2 - least**2) / (most**2 - least**2) - 1, -1.0, 1.0) for at, least, most in squares
-        ]
+        places = [np.clip(2 * (at**2 - least**2) / (most**2 - least**2) - 1, -1.0, 1.0) for at, least, most in squares]
         rows = chebvander(places[0], self.shape.shape[1] - 1)
         columns = chebvander(places[1], self.shape.shape[2] - 1)
         return np.asarray(np.einsum("pl,mla,pa->pm", rows, self.shape, columns, optimize=True))
@@ -101,7 +99,9 @@ def focus_field(
 
     Raises ``ValueError`` for a force of unequal lateral widths.
     """
-    across = max(_LATERAL_DEGREES, math.ceil(_LATERAL_DEGREES_A_WIDTH * (lateral_reach_m - lateral_inner_m) / width_m[0]))
+    across = max(
+        _LATERAL_DEGREES, math.ceil(_LATERAL_DEGREES_A_WIDTH * (lateral_reach_m - lateral_inner_m) / width_m[0])
+    )
     lateral_m = np.sqrt(lateral_inner_m**2 + (lateral_reach_m**2 - lateral_inner_m**2) * _nodes(across))
     axial_m = axial_reach_m * np.sqrt(_nodes(_AXIAL_DEGREES))
     spectrum = _Spectrum(width_m, lateral_m, axial_m)

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hpe_rig.processing.shear_field import shear_motion
 from hpe_rig.processing.ensemble import displacement
+from hpe_rig.processing.shear_field import shear_motion
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import Specimen
 
