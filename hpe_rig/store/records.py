@@ -56,7 +56,7 @@ def with_margin(gate: slice, margin: int, samples: int) -> tuple[slice, tuple[in
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """The latest record of a shot that has its place: its pulse, its trigger's time by the board's counter, its number."""
+    """The latest record of a shot that has its place: pulse, trigger's time by the board's counter, number."""
 
     pulse: int
     trigger_time_s: float
@@ -68,8 +68,8 @@ def place(block: RecordBlock, before: Placed | None, shot: Shot) -> tuple[NDArra
 
     The board's trigger times decide, counted from the record placed last, so that a lost trigger shifts no later record
     and a board whose clock is off by up to 100 ppm loses none in blocks of up to 2000. The first record that comes is
-    taken for the first pulse's: no time tells whether triggers before it were lost. Records without a time count on from
-    the one placed last, and from the first where the way to capture states no times at all.
+    taken for the first pulse's: no time tells whether triggers before it were lost. Records without a time count on
+    from the one placed last, and from the first where the way to capture states no times at all.
     """
     record = np.arange(block.codes.shape[0], dtype=np.int64) + block.first_record
     timed = np.isfinite(block.trigger_time_s)
