@@ -219,10 +219,10 @@ def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
     if run.stored.status != "complete":
         complete = run.stored.shot_complete
         yield f"the run is {run.stored.status}: {int(complete.sum())} of {complete.size} shots are complete"
-    yield from _incomplete(estimates)
+    yield from incomplete_warnings(estimates)
 
 
-def _incomplete(estimates: Estimates) -> Iterator[str]:
+def incomplete_warnings(estimates: Estimates) -> Iterator[str]:
     """Yield which shots have no result, and why, and which have one from a part of their records."""
     for why in dict.fromkeys(estimates.without.values()):
         yield f"shot {_numbers(shot for shot, reason in estimates.without.items() if reason == why)} left out: {why}"

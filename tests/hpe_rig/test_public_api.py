@@ -190,6 +190,20 @@ def test_anybodys_echoes_of_any_real_type_give_the_motion_they_were_made_with() 
     assert not result.simulated
 
 
+def test_a_train_without_an_echo_costs_the_others_of_its_batch_nothing() -> None:
+    silent = np.zeros_like(moving_echo())
+    result = hpe.estimate(np.stack([moving_echo(), silent, moving_echo(2e-6)]), **ECHOES)
+    assert [shot.shot for shot in result.shots] == [0, 2]
+    assert result.shots[1].estimates[0].amplitude_m == pytest.approx(2e-6, rel=2e-3)
+    ((index, why),) = result.shots_without_result
+    assert index == 1
+    assert result.warnings == (f"shot 2 left out: {why}",)
+    # Entries of a batch are not repeats of one setting: nobody said so.
+    assert not result.means
+    with pytest.raises(ValueError, match="no echo"):
+        hpe.estimate(np.stack([silent, silent]), **ECHOES)
+
+
 def test_the_records_of_a_run_are_anybodys_echoes_too(run: hpe.Run) -> None:
     records, (shot,) = run.records[0], run.plan.shots
     around = slice(shot.gate.start - 67, shot.gate.stop + 67)
