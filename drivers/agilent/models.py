@@ -2,18 +2,42 @@
 
 Sources: 33250A from docs/theory/instruments.md, 1.4. 33500 series: its manual's burst and pulse pages (count, 6 MHz
 ceiling of counted sine bursts, least width). The 33600A shares that manual's commands, its ceiling is taken to be the
-same. Assumed, from memory of the data sheets: the siblings' sine and pulse rates, edges, delays, and the 33220A's row;
-of a series with several frequency options the lowest.
+same. The 33250A's resolution is its manual's (amplitude 0.1 mV or 4 digits, frequency 1 uHz or 9 digits); that offset
+and levels resolve as the amplitude does is assumed. Assumed, from memory of the data sheets: the siblings' sine and
+pulse rates, edges, delays and resolution, and the 33220A's row; of a series with several frequency options the lowest.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Final
 
 Range = tuple[float, float]
+LEVELS: Final = frozenset({"VOLT", "VOLT:OFFS", "VOLT:HIGH", "VOLT:LOW"})
+PULSE_SHAPE: Final = {"PULS:WIDT": "FUNC:PULS:WIDT", "PULS:TRAN": "FUNC:PULS:TRAN"}
 CHANNEL_HEADERS: Final = {"OUTP:TRIG": "OUTP:TRIG", "OUTP": "OUTP1", "TRIG": "TRIG1"}
+
+
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """How finely an instrument holds a number: ``digits`` significant digits, but no finer than ``step``."""
+
+    step: float
+    digits: int
+
+    def at(self, value: float) -> float:
+        """Return the distance of two neighbouring settings at ``value``."""
+        decade = math.floor(math.log10(abs(value))) if value else -math.inf
+        return max(self.step, 10.0 ** (decade - self.digits + 1))
+
+
+MICROHERTZ: Final = 1e-6
+# A double's own digits: nothing but the step bounds the number.
+ALL_DIGITS: Final = 15
+LEVEL_RESOLUTION: Final = Resolution(1e-4, 4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +45,8 @@ class GeneratorModel:
     """One instrument type.
 
     ``sine_hz`` is of a continuous sine, ``burst_carrier_hz`` of counted sine bursts; ``narrowest_s`` lists (period
-    above which it holds, least width); ``edge_s`` is the fastest pulse edge.
+    above which it holds, least width); ``edge_s`` is the fastest pulse edge. ``pulse_headers`` holds its own spelling
+    of the 33250A's pulse headers.
     """
 
     name: str
@@ -35,17 +60,26 @@ class GeneratorModel:
     edge_s: float
     narrowest_s: tuple[Range, ...] = ()
     channel_number: bool = False
-    pulse_node: str = "PULS"
+    pulse_headers: Mapping[str, str] = field(default_factory=dict)
+    frequency_digits: int = ALL_DIGITS
 
     def header(self, header: str) -> str:
         """Return how this model spells a header of the 33250A."""
-        own = header.replace("PULS:", f"{self.pulse_node}:", 1)
+        own = self.pulse_headers.get(header, header)
         if not self.channel_number:
             return own
         for start, numbered in CHANNEL_HEADERS.items():
             if own == start or own.startswith(f"{start}:"):
                 return numbered + own[len(start) :]
         return f"SOUR1:{own}"
+
+    def resolution(self, header: str, value: float) -> float:
+        """Return how finely a number is held under a header of the 33250A; 0 where it is held as it is sent."""
+        if not math.isfinite(value):
+            return 0.0
+        if header == "FREQ":
+            return Resolution(MICROHERTZ, self.frequency_digits).at(value)
+        return LEVEL_RESOLUTION.at(value) if header in LEVELS else 0.0
 
     def least_width_s(self, period_s: float) -> float:
         """Return the narrowest pulse at a period."""
@@ -59,23 +93,23 @@ AGILENT_33250A: Final = GeneratorModel(
     sine_hz=(1e-6, 80e6), pulse_rate_hz=(500e-6, 50e6), burst_carrier_hz=(1e-6, 25e6),
     cycles=(1, 1_000_000), delay_s=(0.0, 85.0), width_s=(8e-9, 2000.0), edge_s=5e-9,
     # Assumed numbers: that the least width grows with the period is known.
-    narrowest_s=((200.0, 2e-6), (20.0, 200e-9)),
+    narrowest_s=((200.0, 2e-6), (20.0, 200e-9)), frequency_digits=9,
 )
 MODELS: Final = (
     AGILENT_33250A,
     GeneratorModel(
-        name="33220A", pattern=r"33220A", pulse_node="FUNC:PULS",
+        name="33220A", pattern=r"33220A", pulse_headers=PULSE_SHAPE,
         sine_hz=(1e-6, 20e6), pulse_rate_hz=(500e-6, 5e6), burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 50_000), delay_s=(0.0, 85.0), width_s=(20e-9, 2000.0), edge_s=5e-9,
         narrowest_s=((100.0, 2e-6), (10.0, 200e-9)),
     ),
     GeneratorModel(
-        name="33500B", pattern=r"335\d\d[AB]", pulse_node="FUNC:PULS", channel_number=True,
+        name="33500B", pattern=r"335\d\d[AB]", pulse_headers=PULSE_SHAPE | {"PULS:PER": "FUNC:PULS:PER"}, channel_number=True,
         sine_hz=(1e-6, 20e6), pulse_rate_hz=(1e-6, 20e6), burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(16e-9, 1e6), edge_s=8.4e-9,
     ),
     GeneratorModel(
-        name="33600A", pattern=r"336\d\dA", pulse_node="FUNC:PULS", channel_number=True,
+        name="33600A", pattern=r"336\d\dA", pulse_headers=PULSE_SHAPE | {"PULS:PER": "FUNC:PULS:PER"}, channel_number=True,
         sine_hz=(1e-6, 80e6), pulse_rate_hz=(1e-6, 80e6), burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(5e-9, 1e6), edge_s=2.9e-9,
     ),

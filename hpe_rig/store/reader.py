@@ -121,7 +121,8 @@ class StoredGroundTruth:
 class StoredRun:
     """Content of a run file; ``true_displacement_m``, (pulse,) for each shot, is None for a real bench.
 
-    ``shot_complete`` (shot,) tells which shots are complete. ``clipped`` lists the shots during which the digitizer's
+    ``shot_complete`` (shot,) tells which shots are complete. ``force_fraction`` (shot,) is the force over F_0, as set once
+    a shot was programmed and as planned before, NaN where nothing pushes or the file does not say. ``clipped`` lists the shots during which the digitizer's
     input left its range. ``predecessor`` names the run that this one continued, "" where there is none. ``run_time_s``
     is the wall time of the acquisition by stage, empty where it was not measured.
     """
@@ -136,6 +137,7 @@ class StoredRun:
     records: StoredRecords
     true_displacement_m: StoredGroundTruth | None
     shot_complete: NDArray[np.bool_]
+    force_fraction: NDArray[np.float64]
     clipped: tuple[int, ...]
     predecessor: str
     run_time_s: Mapping[str, float]
@@ -147,6 +149,7 @@ class StoredRun:
             rows = {
                 "snapshot": trust.dataset("snapshot", f"S{SNAPSHOT_BYTES}", (shape[0],))[shot],
                 "records/clipped": trust.dataset("records/clipped", "u1", (shape[0],))[shot],
+                "records/force_fraction": self.force_fraction[shot],
                 "records/recorded": _rows(trust, "records/recorded", shape, "u1")[shot],
             }
             names = ["records/trigger_time_s", "records/pulse_onset_s"]
@@ -164,6 +167,13 @@ class StoredRun:
                 f"{self.path} holds (shot, pulse, sample) = {self.records.shape}, its scene asks for {planned}. "
                 "It was changed. Try: an untouched copy."
             )
+        for shot, force in zip(plan.shots, self.force_fraction, strict=True):
+            # What an instrument rounds is some per cent of its least amplitude, and far less above it.
+            if np.isfinite(force) and not math.isclose(force, shot.force_fraction or 0.0, rel_tol=0.1):
+                raise StoreError(
+                    f"{self.path} has a force of {force:g} F_0 in shot {shot.index + 1}, its scene asks for "
+                    f"{shot.force_fraction or 0.0:g}. It was changed. Try: an untouched copy."
+                )
         with trusted(self.path) as trust:
             stored = tuple(trust.attribute(name, float, "records/echo") for name in ("scale_factor", "add_offset"))
             expected = volts_of_codes(capture.input_range_v, _code_limits(trust, "records/echo"))
@@ -226,10 +236,18 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
         records=StoredRecords(path, shape),
         true_displacement_m=StoredGroundTruth(path, shape) if simulated else None,
         shot_complete=flags["shot_complete"],
+        force_fraction=_force_fraction(trust, shape[0]),
         clipped=tuple(int(shot) for shot in np.flatnonzero(flags["clipped"])),
         predecessor=trust.attribute("predecessor", str),
         run_time_s=_run_time_s(trust),
     )
+
+
+def _force_fraction(trust: Trusted, shots: int) -> NDArray[np.float64]:
+    if not trust.has("records/force_fraction"):
+        return np.full(shots, np.nan)
+    fractions: NDArray[np.float64] = trust.dataset("records/force_fraction", "<f8", (shots,))[()]
+    return fractions
 
 
 def _run_time_s(trust: Trusted) -> dict[str, float]:

@@ -32,7 +32,7 @@ from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, empty_run, volts_o
 from hpe_rig.store.reader import StoredRun
 from hpe_rig.store.records import MISSING, Placed, place
 
-ROWS = ("recorded", "trigger_time_s", "pulse_onset_s", "shot_complete", "clipped")
+ROWS = ("recorded", "trigger_time_s", "pulse_onset_s", "force_fraction", "shot_complete", "clipped")
 CHECKPOINT_S = 1.0
 """Longest time between two syncs to the disk itself, checked at the end of each shot."""
 
@@ -96,7 +96,7 @@ class RunWriter:
                 raise
 
     def settings(self, shot: Shot, settings: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write the instruments' settings as read back for ``shot``, and when its pulses are due."""
+        """Write the instruments' settings as read back for ``shot``, the force they give, and when its pulses are due."""
         text = json.dumps(settings, sort_keys=True, separators=(",", ":"))
         if len(text) > SNAPSHOT_BYTES:
             raise StoreError(
@@ -106,6 +106,8 @@ class RunWriter:
         with self._writing():
             self._file["snapshot"][shot.index] = text
             self._rows["pulse_onset_s"][shot.index] = shot.timeline.pulse_onset_s
+            if (amplitude_vpp := settings.get("toneburst", {}).get("amplitude_vpp")) is not None:
+                self._rows["force_fraction"][shot.index] = shot.force_fraction_at(amplitude_vpp)
 
     def append(self, shot: Shot, block: RecordBlock) -> None:
         """Write the records of ``block`` at the places of their pulses; full chunks go to disk."""

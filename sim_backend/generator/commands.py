@@ -204,7 +204,7 @@ SETTINGS = {
     "[SOURce:]FUNCtion:SQUare:DCYCle": _clipped("", timing.duty_limits_percent, "duty_percent", "duty cycle"),
     "[SOURce:]FUNCtion:RAMP:SYMMetry": _clipped("", lambda state: (0.0, 100.0), "symmetry_percent", "symmetry"),
     "[SOURce:]FREQuency[:CW]": _clipped(
-        "HZ", timing.frequency_limits_hz, "frequency_hz", "frequency", timing.settle_frequency
+        "HZ", timing.frequency_limits_hz, "frequency_hz", "frequency", timing.set_frequency
     ),
     "[SOURce:]VOLTage[:LEVel][:IMMediate][:AMPLitude]": _amplitude(),
     "[SOURce:]VOLTage[:LEVel][:IMMediate]:OFFSet": _level(_offset_limits, "offset_v", levels.set_offset),
@@ -258,7 +258,8 @@ def settings_of(model: Model) -> Mapping[str, SettingCommand]:
     def spelled(header: str) -> str:
         if not header.startswith(pulse):
             return header
-        own = header.replace(pulse, f"[SOURce:]{model.pulse_node}:")
+        node = model.period_node if header.endswith("PERiod") else model.pulse_node
+        own = header.replace(pulse, f"[SOURce:]{node}:")
         return own + model.both_edges_node if own.endswith("TRANsition") else own
 
     return {spelled(header): setting for header, setting in SETTINGS.items()}

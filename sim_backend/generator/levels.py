@@ -15,6 +15,7 @@ from sim_backend.generator.registers import (
     Error,
     Registers,
     clipped,
+    rounded,
 )
 from sim_backend.generator.scpi_text import ScpiError
 
@@ -22,6 +23,12 @@ from sim_backend.generator.scpi_text import ScpiError
 def load_share(registers: Registers) -> float:
     """Return displayed over open-circuit voltage for the declared load."""
     return 1.0 if math.isinf(registers.load_ohm) else registers.load_ohm / (registers.load_ohm + 50.0)
+
+
+def _resolved(registers: Registers, level_v: float) -> float:
+    """Return an open-circuit voltage as the instrument resolves it, which it does as it displays it."""
+    share, model = load_share(registers), registers.model
+    return rounded(level_v * share, model.amplitude_digits, model.amplitude_step_decimals) / share
 
 
 def set_amplitude(registers: Registers, amplitude_v: float) -> Coerced:
@@ -37,7 +44,7 @@ def set_amplitude(registers: Registers, amplitude_v: float) -> Coerced:
 
 def set_offset(registers: Registers, offset_v: float) -> Coerced:
     """Return the registers with another open-circuit offset; the amplitude may give way."""
-    offset_v, errors = clipped(offset_v, -PEAK_V + SMALLEST_VPP / 2, PEAK_V - SMALLEST_VPP / 2, "offset")
+    offset_v, errors = clipped(_resolved(registers, offset_v), -PEAK_V + SMALLEST_VPP / 2, PEAK_V - SMALLEST_VPP / 2, "offset")
     amplitude_v, room_v = registers.amplitude_v, 2 * (PEAK_V - abs(offset_v))
     state = Coerced(registers, errors)
     if amplitude_v > room_v + ROUNDING:
@@ -49,7 +56,7 @@ def set_offset(registers: Registers, offset_v: float) -> Coerced:
 def set_high(registers: Registers, high_v: float) -> Coerced:
     """Return the registers with another open-circuit high level; the low level may give way."""
     gap_v = LEVEL_GAP_V / load_share(registers)
-    high_v, errors = clipped(high_v, -PEAK_V + gap_v, PEAK_V, "high level")
+    high_v, errors = clipped(_resolved(registers, high_v), -PEAK_V + gap_v, PEAK_V, "high level")
     state = Coerced(replace(registers, high_v=high_v), errors)
     if high_v - registers.low_v < gap_v * (1 - 1e-9):
         state = state.changed("low level changed due to high level", low_v=high_v - gap_v)
@@ -59,7 +66,7 @@ def set_high(registers: Registers, high_v: float) -> Coerced:
 def set_low(registers: Registers, low_v: float) -> Coerced:
     """Return the registers with another open-circuit low level; the high level may give way."""
     gap_v = LEVEL_GAP_V / load_share(registers)
-    low_v, errors = clipped(low_v, -PEAK_V, PEAK_V - gap_v, "low level")
+    low_v, errors = clipped(_resolved(registers, low_v), -PEAK_V, PEAK_V - gap_v, "low level")
     state = Coerced(replace(registers, low_v=low_v), errors)
     if registers.high_v - low_v < gap_v * (1 - 1e-9):
         state = state.changed("high level changed due to low level", high_v=low_v + gap_v)
@@ -89,8 +96,12 @@ def _rms_per_vpp(state: Registers) -> float:
 
 
 def to_vpp(state: Registers, value: float, unit: str) -> float:
-    """Return an amplitude in ``unit``, or in the unit that is set where that is empty, as peak to peak at the load."""
+    """Return an amplitude in ``unit``, or in the unit that is set where that is empty, as peak to peak at the load.
+
+    The instrument resolves it in that unit.
+    """
     unit = state.unit if unit in ("", "V") else unit
+    value = rounded(value, state.model.amplitude_digits, state.model.amplitude_step_decimals)
     if unit == "DBM":
         if math.isinf(state.load_ohm):
             raise ScpiError(-221, "Settings conflict; amplitude units cannot be dBm at high-Z load")

@@ -1,8 +1,8 @@
 """Models of the simulated 33250A family: identity, limits, spelling of the pulse headers, channels.
 
-Provenance: 33250A from docs/theory/instruments.md, 1.4; a sibling's burst ceiling, cycles, burst period and pulse
-widths from its manual's burst and pulse pages, its frequency ranges and edge times from its data sheet as remembered
-(assumed).
+Provenance: 33250A from docs/theory/instruments.md, 1.4, its resolution from its manual; a sibling's burst ceiling, cycles, burst period and pulse
+widths from its manual's burst and pulse pages, its frequency ranges, edge times and resolution from its data sheet as
+remembered (assumed).
 """
 
 from __future__ import annotations
@@ -29,6 +29,11 @@ class Model:
     narrowest_s: tuple[Range, ...] = ()
     numbered: bool = False
     pulse_node: str = "PULSe"
+    period_node: str = "PULSe"
+    frequency_digits: int = 15
+    frequency_step_decimals: int = 6
+    amplitude_digits: int = 4
+    amplitude_step_decimals: int = 6
     both_edges_node: str = ""
 
 
@@ -46,6 +51,8 @@ AGILENT_33250A = Model(
     width_limits_s=(8e-9, 2000.0), edge_limits_s=(5e-9, 1e-3), delay_limits_s=(0.0, 85.0),
     # Assumed: that the narrowest pulse grows with the period is known, the numbers are not.
     narrowest_s=((200.0, 2e-6), (20.0, 200e-9)),
+    # 1 uHz or 9 digits; 0.1 mV or 4 digits.
+    frequency_digits=9, amplitude_step_decimals=4,
 )
 AGILENT_33220A = Model(
     name="33220A", identity="Agilent Technologies,33220A,MY44000001,2.02-2.02-22-2", pulse_node="FUNCtion:PULSe",
@@ -56,14 +63,14 @@ AGILENT_33220A = Model(
 )
 AGILENT_33500B = Model(
     name="33522B", identity="Agilent Technologies,33522B,MY52000001,3.03-1.19-2.00-52-00",
-    numbered=True, pulse_node="FUNCtion:PULSe", both_edges_node="[:BOTH]",
+    numbered=True, pulse_node="FUNCtion:PULSe", period_node="FUNCtion:PULSe", both_edges_node="[:BOTH]",
     frequency_limits_hz=_frequencies(30e6, 200e3, (1e-6, 30e6), 30e6),
     finite_burst_ceiling_hz=6e6, most_cycles=100_000_000, burst_period_limits_s=(1e-6, 8000.0),
     width_limits_s=(16e-9, 1e6), edge_limits_s=(8.4e-9, 1e-6), delay_limits_s=(0.0, 1000.0),
 )
 KEYSIGHT_33600A = Model(
     name="33622A", identity="Keysight Technologies,33622A,MY53000001,A.02.03-3.15-03-64-02",
-    numbered=True, pulse_node="FUNCtion:PULSe", both_edges_node="[:BOTH]",
+    numbered=True, pulse_node="FUNCtion:PULSe", period_node="FUNCtion:PULSe", both_edges_node="[:BOTH]",
     frequency_limits_hz=_frequencies(120e6, 800e3, (1e-6, 100e6), 120e6),
     finite_burst_ceiling_hz=6e6, most_cycles=100_000_000, burst_period_limits_s=(1e-6, 8000.0),
     width_limits_s=(5e-9, 1e6), edge_limits_s=(2.9e-9, 1e-6), delay_limits_s=(0.0, 1000.0),

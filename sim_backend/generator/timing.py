@@ -14,6 +14,7 @@ from sim_backend.generator.registers import (
     Error,
     Registers,
     clipped,
+    rounded,
 )
 
 
@@ -55,6 +56,13 @@ def set_function(registers: Registers, function: str) -> Coerced:
     if registers.burst and function in ("DC", "NOIS"):
         state = state.changed("burst turned off, not able to burst this function", burst=False)
     return settle_frequency(state)
+
+
+def set_frequency(state: Coerced) -> Coerced:
+    """Return a frequency that was just set as the instrument resolves it, and what it makes of the rest."""
+    model = state.registers.model
+    frequency_hz = rounded(state.registers.frequency_hz, model.frequency_digits, model.frequency_step_decimals)
+    return settle_frequency(state.changed(frequency_hz=frequency_hz))
 
 
 def settle_frequency(state: Coerced) -> Coerced:
