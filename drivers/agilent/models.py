@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 Range = tuple[float, float]
 LEVELS: Final = frozenset({"VOLT", "VOLT:OFFS", "VOLT:HIGH", "VOLT:LOW"})
-PULSE_SHAPE: Final = {"PULS:WIDT": "FUNC:PULS:WIDT", "PULS:TRAN": "FUNC:PULS:TRAN"}
 CHANNEL_HEADERS: Final = {"OUTP:TRIG": "OUTP:TRIG", "OUTP": "OUTP1", "TRIG": "TRIG1"}
 
 
@@ -34,8 +32,7 @@ class Resolution:
         return max(self.step, 10.0 ** (decade - self.digits + 1))
 
 
-MICROHERTZ: Final = 1e-6
-# A double's own digits: nothing but the step bounds the number.
+# Those of a double: nothing but the step bounds the number.
 ALL_DIGITS: Final = 15
 LEVEL_RESOLUTION: Final = Resolution(1e-4, 4)
 
@@ -45,8 +42,7 @@ class GeneratorModel:
     """One instrument type.
 
     ``sine_hz`` is of a continuous sine, ``burst_carrier_hz`` of counted sine bursts; ``narrowest_s`` lists (period
-    above which it holds, least width); ``edge_s`` is the fastest pulse edge. ``pulse_headers`` holds its own spelling
-    of the 33250A's pulse headers.
+    above which it holds, least width); ``edge_s`` is the fastest pulse edge.
     """
 
     name: str
@@ -60,12 +56,14 @@ class GeneratorModel:
     edge_s: float
     narrowest_s: tuple[Range, ...] = ()
     channel_number: bool = False
-    pulse_headers: Mapping[str, str] = field(default_factory=dict)
-    frequency_digits: int = ALL_DIGITS
+    pulse_node: str = "PULS"
+    period_node: str = "PULS"
+    frequency_resolution: Resolution = Resolution(1e-6, ALL_DIGITS)
 
     def header(self, header: str) -> str:
         """Return how this model spells a header of the 33250A."""
-        own = self.pulse_headers.get(header, header)
+        node = self.period_node if header == "PULS:PER" else self.pulse_node
+        own = header.replace("PULS:", f"{node}:", 1)
         if not self.channel_number:
             return own
         for start, numbered in CHANNEL_HEADERS.items():
@@ -75,10 +73,8 @@ class GeneratorModel:
 
     def resolution(self, header: str, value: float) -> float:
         """Return how finely a number is held under a header of the 33250A; 0 where it is held as it is sent."""
-        if not math.isfinite(value):
-            return 0.0
         if header == "FREQ":
-            return Resolution(MICROHERTZ, self.frequency_digits).at(value)
+            return self.frequency_resolution.at(value)
         return LEVEL_RESOLUTION.at(value) if header in LEVELS else 0.0
 
     def least_width_s(self, period_s: float) -> float:
@@ -93,23 +89,23 @@ AGILENT_33250A: Final = GeneratorModel(
     sine_hz=(1e-6, 80e6), pulse_rate_hz=(500e-6, 50e6), burst_carrier_hz=(1e-6, 25e6),
     cycles=(1, 1_000_000), delay_s=(0.0, 85.0), width_s=(8e-9, 2000.0), edge_s=5e-9,
     # Assumed numbers: that the least width grows with the period is known.
-    narrowest_s=((200.0, 2e-6), (20.0, 200e-9)), frequency_digits=9,
+    narrowest_s=((200.0, 2e-6), (20.0, 200e-9)), frequency_resolution=Resolution(1e-6, 9),
 )
 MODELS: Final = (
     AGILENT_33250A,
     GeneratorModel(
-        name="33220A", pattern=r"33220A", pulse_headers=PULSE_SHAPE,
+        name="33220A", pattern=r"33220A", pulse_node="FUNC:PULS",
         sine_hz=(1e-6, 20e6), pulse_rate_hz=(500e-6, 5e6), burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 50_000), delay_s=(0.0, 85.0), width_s=(20e-9, 2000.0), edge_s=5e-9,
         narrowest_s=((100.0, 2e-6), (10.0, 200e-9)),
     ),
     GeneratorModel(
-        name="33500B", pattern=r"335\d\d[AB]", pulse_headers=PULSE_SHAPE | {"PULS:PER": "FUNC:PULS:PER"}, channel_number=True,
+        name="33500B", pattern=r"335\d\d[AB]", pulse_node="FUNC:PULS", period_node="FUNC:PULS", channel_number=True,
         sine_hz=(1e-6, 20e6), pulse_rate_hz=(1e-6, 20e6), burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(16e-9, 1e6), edge_s=8.4e-9,
     ),
     GeneratorModel(
-        name="33600A", pattern=r"336\d\dA", pulse_headers=PULSE_SHAPE | {"PULS:PER": "FUNC:PULS:PER"}, channel_number=True,
+        name="33600A", pattern=r"336\d\dA", pulse_node="FUNC:PULS", period_node="FUNC:PULS", channel_number=True,
         sine_hz=(1e-6, 80e6), pulse_rate_hz=(1e-6, 80e6), burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(5e-9, 1e6), edge_s=2.9e-9,
     ),

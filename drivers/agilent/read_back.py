@@ -43,7 +43,9 @@ class Register:
             read = number(reply)
         except ValueError:
             return False
-        return math.isclose(read, float(self.value), rel_tol=RELATIVE_TOLERANCE, abs_tol=self.tolerance * (1 + ROUNDING))
+        return math.isclose(
+            read, float(self.value), rel_tol=RELATIVE_TOLERANCE, abs_tol=self.tolerance * (1 + ROUNDING)
+        )
 
 
 @dataclass(frozen=True, slots=True)
