@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -98,7 +99,7 @@ class Run:
             status=self.stored.status,
             estimator=chosen,
             phase_reference=phase_reference(self.scene),
-            shots=estimates.shots,
+            shots=tuple(replace(shot, untrusted=self.stored.untrusted.get(shot.shot, "")) for shot in estimates.shots),
             warnings=tuple(_warnings(self, estimates)),
             omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, chosen), self.bench)),
             versions=versions(),
@@ -153,9 +154,8 @@ def open_run(path: str | os.PathLike[str]) -> Run:
 
 def _as_set(plan: Plan, stored: StoredRun) -> Plan:
     """Return ``plan`` with the forces that the generator really was set to, which rounds what it is sent."""
-    forces = np.where(np.isfinite(stored.force_fraction), stored.force_fraction, None)
-    pairs = zip(plan.shots, forces, strict=True)
-    shots = (shot if force is None else replace(shot, force_fraction=float(force)) for shot, force in pairs)
+    pairs = zip(plan.shots, stored.force_fraction.tolist(), strict=True)
+    shots = (replace(shot, force_fraction=force) if math.isfinite(force) else shot for shot, force in pairs)
     return replace(plan, shots=tuple(shots))
 
 
@@ -225,6 +225,8 @@ def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
             f"shot {shot + 1}: the digitizer's input left its range of {run.scene.acquisition.input_range_v:g} V, in "
             "the gate or outside it: raise acquisition.input_range_v"
         )
+    for shot, why in run.stored.untrusted.items():
+        yield f"shot {shot + 1} is not to be trusted: {why}"
     if run.stored.status != "complete":
         complete = run.stored.shot_complete
         yield f"the run is {run.stored.status}: {int(complete.sum())} of {complete.size} shots are complete"

@@ -18,6 +18,7 @@ from hpe_rig.cli.console import (
     SceneName,
     announce,
     guarded,
+    ignore_interrupts,
     progress,
     show,
 )
@@ -49,7 +50,11 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             # A title the console's code page lacks must not cost a measurement.
             stream.reconfigure(errors="replace")
-    app()
+    try:
+        app()
+    finally:
+        # All is said and every output is off: nothing may turn the exit code into another one.
+        ignore_interrupts()
 
 
 @app.command()

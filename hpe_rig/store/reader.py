@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, overload
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import Setting
 from hpe_rig.plan import Plan
-from hpe_rig.store.format import MOST_STAGES, SNAPSHOT_BYTES, STAGE_BYTES, StoreError
+from hpe_rig.store.format import MOST_STAGES, SNAPSHOT_BYTES, STAGE_BYTES, UNTRUSTED_BYTES, StoreError
 from hpe_rig.store.layout import TRUE_HARMONICS, volts_of_codes
 from hpe_rig.store.records import MISSING, GatedRecords, ShotRecords, with_margin
 from hpe_rig.store.validation import Trusted, UntrustedError, trusted
@@ -164,10 +164,11 @@ class StoredGroundTruth:
 class StoredRun:
     """Content of a run file; ``true_displacement_m``, (pulse,) for each shot, is None for a real bench.
 
-    ``shot_complete`` (shot,) tells which shots are complete. ``force_fraction`` (shot,) is the force over F_0, as set once
-    a shot was programmed and as planned before, NaN where nothing pushes or the file does not say. ``clipped`` lists the shots during which the digitizer's
-    input left its range. ``predecessor`` names the run that this one continued, "" where there is none. ``run_time_s``
-    is the wall time of the acquisition by stage, empty where it was not measured.
+    ``shot_complete`` (shot,) tells which shots are complete. ``force_fraction`` (shot,) is the force over F_0, as set
+    once a shot was programmed and as planned before, NaN where nothing pushes or the file does not say. ``clipped``
+    lists the shots during which the digitizer's input left its range, ``untrusted`` says why a shot is not to be
+    trusted. ``predecessor`` names the run that this one continued, "" where there is none. ``run_time_s`` is the wall
+    time of the acquisition by stage, empty where it was not measured.
     """
 
     path: Path
@@ -184,6 +185,7 @@ class StoredRun:
     clipped: tuple[int, ...]
     predecessor: str
     run_time_s: Mapping[str, float]
+    untrusted: Mapping[int, str] = field(default_factory=dict)
 
     def rows(self, shot: int) -> dict[str, Any]:
         """Return everything of ``shot`` but its echoes, keyed by the path of the dataset in the file."""
@@ -195,6 +197,8 @@ class StoredRun:
                 "records/force_fraction": self.force_fraction[shot],
                 "records/recorded": _rows(trust, "records/recorded", shape, "u1")[shot],
             }
+            if trust.has("untrusted"):
+                rows["untrusted"] = _untrusted(trust, shape)[shot]
             names = ["records/trigger_time_s", "records/pulse_onset_s"]
             names += ["truth/displacement_m"] if self.simulated else []
             harmonics = [f"true_harmonics/{name}" for name in TRUE_HARMONICS] if self.simulated else []
@@ -283,6 +287,7 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
         clipped=tuple(int(shot) for shot in np.flatnonzero(flags["clipped"])),
         predecessor=trust.attribute("predecessor", str),
         run_time_s=_run_time_s(trust),
+        untrusted=_untrusted_shots(trust, shape),
     )
 
 
@@ -291,6 +296,18 @@ def _force_fraction(trust: Trusted, shots: int) -> NDArray[np.float64]:
         return np.full(shots, np.nan)
     fractions: NDArray[np.float64] = trust.dataset("records/force_fraction", "<f8", (shots,))[()]
     return fractions
+
+
+def _untrusted(trust: Trusted, shape: Shape) -> h5py.Dataset:
+    return trust.dataset("untrusted", f"S{UNTRUSTED_BYTES}", (shape[0],))
+
+
+def _untrusted_shots(trust: Trusted, shape: Shape) -> dict[int, str]:
+    if not trust.has("untrusted"):
+        # Files from before settings were read back after a shot.
+        return {}
+    texts = enumerate(_untrusted(trust, shape)[()])
+    return {shot: text.decode("ascii", "replace") for shot, text in texts if text}
 
 
 def _run_time_s(trust: Trusted) -> dict[str, float]:
