@@ -27,15 +27,23 @@ def load_share(registers: Registers) -> float:
     return 1.0 if math.isinf(registers.load_ohm) else registers.load_ohm / (registers.load_ohm + 50.0)
 
 
-def _resolved(registers: Registers, level_v: float) -> float:
-    """Return an open-circuit voltage as the instrument resolves it, which it does as it displays it."""
+def _held(
+    registers: Registers, level_v: float, low_v: float, high_v: float, quantity: str
+) -> tuple[float, tuple[Error, ...]]:
+    """Return an open-circuit level within its limits as the instrument resolves it, as displayed, and its errors."""
+    level_v, errors = clipped(level_v, low_v, high_v, quantity)
     share, model = load_share(registers), registers.model
-    return rounded(level_v * share, model.amplitude_digits, model.amplitude_decimals) / share
+    resolved_v = rounded(level_v * share, model.amplitude_digits, model.amplitude_decimals) / share
+    return min(max(resolved_v, low_v), high_v), errors
 
 
 def set_amplitude(registers: Registers, amplitude_v: float) -> Coerced:
     """Return the registers with another open-circuit amplitude; the offset may give way."""
     amplitude_v, errors = clipped(amplitude_v, SMALLEST_VPP, 2 * PEAK_V, "amplitude")
+    share, model = load_share(registers), registers.model
+    # Resolved in the unit that is displayed.
+    shown = rounded(in_unit(registers, amplitude_v * share), model.amplitude_digits, model.amplitude_decimals)
+    amplitude_v = min(max(to_vpp(registers, shown, "") / share, SMALLEST_VPP), 2 * PEAK_V)
     offset_v, room_v = registers.offset_v, PEAK_V - amplitude_v / 2
     state = Coerced(registers, errors)
     if abs(offset_v) > room_v + ROUNDING:
@@ -46,9 +54,8 @@ def set_amplitude(registers: Registers, amplitude_v: float) -> Coerced:
 
 def set_offset(registers: Registers, offset_v: float) -> Coerced:
     """Return the registers with another open-circuit offset; the amplitude may give way."""
-    offset_v, errors = clipped(
-        _resolved(registers, offset_v), -PEAK_V + SMALLEST_VPP / 2, PEAK_V - SMALLEST_VPP / 2, "offset"
-    )
+    most_v = PEAK_V - SMALLEST_VPP / 2
+    offset_v, errors = _held(registers, offset_v, -most_v, most_v, "offset")
     amplitude_v, room_v = registers.amplitude_v, 2 * (PEAK_V - abs(offset_v))
     state = Coerced(registers, errors)
     if amplitude_v > room_v + ROUNDING:
@@ -60,7 +67,7 @@ def set_offset(registers: Registers, offset_v: float) -> Coerced:
 def set_high(registers: Registers, high_v: float) -> Coerced:
     """Return the registers with another open-circuit high level; the low level may give way."""
     gap_v = LEVEL_GAP_V / load_share(registers)
-    high_v, errors = clipped(_resolved(registers, high_v), -PEAK_V + gap_v, PEAK_V, "high level")
+    high_v, errors = _held(registers, high_v, -PEAK_V + gap_v, PEAK_V, "high level")
     state = Coerced(replace(registers, high_v=high_v), errors)
     if high_v - registers.low_v < gap_v * (1 - 1e-9):
         state = state.changed("low level changed due to high level", low_v=high_v - gap_v)
@@ -70,7 +77,7 @@ def set_high(registers: Registers, high_v: float) -> Coerced:
 def set_low(registers: Registers, low_v: float) -> Coerced:
     """Return the registers with another open-circuit low level; the high level may give way."""
     gap_v = LEVEL_GAP_V / load_share(registers)
-    low_v, errors = clipped(_resolved(registers, low_v), -PEAK_V, PEAK_V - gap_v, "low level")
+    low_v, errors = _held(registers, low_v, -PEAK_V, PEAK_V - gap_v, "low level")
     state = Coerced(replace(registers, low_v=low_v), errors)
     if registers.high_v - low_v < gap_v * (1 - 1e-9):
         state = state.changed("high level changed due to low level", high_v=low_v + gap_v)
@@ -101,12 +108,8 @@ def _rms_per_vpp(state: Registers) -> float:
 
 
 def to_vpp(state: Registers, value: float, unit: str) -> float:
-    """Return an amplitude in ``unit``, or in the unit that is set where that is empty, as peak to peak at the load.
-
-    The instrument resolves it in that unit.
-    """
+    """Return an amplitude in ``unit``, or in the unit that is set where that is empty, as peak to peak at the load."""
     unit = state.unit if unit in ("", "V") else unit
-    value = rounded(value, state.model.amplitude_digits, state.model.amplitude_decimals)
     if unit == "DBM":
         if math.isinf(state.load_ohm):
             raise ScpiError(-221, "Settings conflict; amplitude units cannot be dBm at high-Z load")
