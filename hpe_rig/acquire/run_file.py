@@ -154,7 +154,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
 
 def _as_set(plan: Plan, stored: StoredRun) -> Plan:
     """Return ``plan`` with the forces that the generator really was set to, which rounds what it is sent."""
-    pairs = zip(plan.shots, stored.force_fraction.tolist(), strict=True)
+    pairs = zip(plan.shots, stored.force_set.tolist(), strict=True)
     shots = (replace(shot, force_fraction=force) if math.isfinite(force) else shot for shot, force in pairs)
     return replace(plan, shots=tuple(shots))
 
@@ -219,6 +219,7 @@ def _no_estimate(run: Run, why: str) -> StoreError:
 def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
     """Yield what a reader of the result must know of the whole run."""
     yield from (str(finding) for finding in run.findings if finding.level != "passed")
+    yield from run.stored.damage
     # The board cannot say which record it was; where some are skipped the gate's own codes decide.
     for shot in run.stored.clipped if run.scene.tracking.disturbed != "skip" else ():
         yield (

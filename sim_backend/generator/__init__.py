@@ -16,7 +16,8 @@ In the order of the flow:
     instrument   one generator: messages in, replies out, registers with their history
     emission     from that history and trigger edges to what is put out
 
-Others use ``Generator33250A``, the ``MODELS`` by name, and what its trigger input is like.
+Others use ``Generator33250A``, the ``MODELS`` by name, the commands of each, ``tree_of``, and what its trigger input
+is like.
 """
 
 import lazy_loader

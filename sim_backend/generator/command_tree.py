@@ -33,17 +33,27 @@ SCPI_VERSION = "1999.0"
 class Action:
     """What a header does that is no setting of a channel: as a command, and as a query; None where a form is missing.
 
-    ``accepts`` says in words what may follow the header, and ``asks`` what may follow it with ``?``; empty for nothing.
+    ``accepts`` says in words what may follow the header, ``asked`` what may follow it with ``?``; empty for nothing.
     """
 
     command: Carry | None = None
     query: Answer | None = None
     accepts: str = ""
-    asks: str = ""
+    asked: str = ""
+
+    @property
+    def takes(self) -> str | None:
+        """What may follow the header as a command; None where there is no such form."""
+        return None if self.command is None else self.accepts
+
+    @property
+    def asks(self) -> str | None:
+        """What may follow the header as a query; None where there is no such form."""
+        return None if self.query is None else self.asked
 
     def carry_out(self, instrument: Generator33250A, query: bool, arguments: tuple[str, ...]) -> str | None:
         """Return the reply of the query, or carry the command out; ``ScpiError`` -113 for a form that is missing."""
-        if not (self.asks if query else self.accepts):
+        if not (self.asked if query else self.accepts):
             none_of(arguments)
         if query and self.query is not None:
             return self.query(instrument, arguments)
@@ -136,7 +146,7 @@ SYSTEM: Mapping[str, Action] = {
         lambda instrument, arguments: instrument.states.delete(place_of(arguments)), accepts="0 to 4"
     ),
     "MEMory:STATe:VALid": Action(
-        query=lambda instrument, arguments: str(int(instrument.states.valid(place_of(arguments)))), asks="0 to 4"
+        query=lambda instrument, arguments: str(int(instrument.states.valid(place_of(arguments)))), asked="0 to 4"
     ),
     "MEMory:STATe:RECall:AUTO": Action(
         _power_on_recall, lambda instrument, arguments: str(int(instrument.states.recalled_at_power_on)), "ON, OFF"
@@ -163,7 +173,7 @@ def _attribute(what: str) -> Action:
         name = waveform_name(one(arguments)) if arguments else _active(instrument)
         return instrument.waveforms.attribute(what, name)
 
-    return Action(query=answer, asks="name of a waveform, or none")
+    return Action(query=answer, asked="name of a waveform, or none")
 
 
 def _download(scale: float) -> Action:
@@ -230,7 +240,7 @@ REMOTE = (SYSTEM["SYSTem:REMote"], SYSTEM["SYSTem:RWLock"], *ON_LAN.values())
 """What an instrument on RS-232 takes while it is in local mode."""
 
 
-def command_tree(model: Model) -> Mapping[str, Entry]:
+def tree_of(model: Model) -> Mapping[str, Entry]:
     """Return everything that ``model`` knows, by the form of its header."""
     own = OF_SERIES if model.channels else WAVEFORMS
     lan = {} if model.name == "33250A" else ON_LAN
@@ -238,6 +248,6 @@ def command_tree(model: Model) -> Mapping[str, Entry]:
 
 
 TABLES: Mapping[str, HeaderTable[Entry]] = {
-    model.name: HeaderTable(command_tree(model), model.channels) for model in MODELS.values()
+    model.name: HeaderTable(tree_of(model), model.channels) for model in MODELS.values()
 }
 """The trees by the name that the model gives of itself."""

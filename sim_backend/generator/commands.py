@@ -164,7 +164,10 @@ EDGES = clipping("S", timing.edge_limits_s, "edge_s", "pulse edge time")
 
 SETTINGS: Mapping[str, SettingCommand] = {
     "[SOURce<n>:]FUNCtion[:SHAPe]": choice_of_model(
-        "as the model has", lambda state: state.model.functions.split(), "function", timing.set_function
+        "SINusoid, SQUare, RAMP, PULSe, NOISe, DC, and what the model has of USER, TRIangle, PRBS, ARBitrary",
+        lambda state: state.model.functions.split(),
+        "function",
+        timing.set_function,
     ),
     "[SOURce<n>:]FUNCtion[:SHAPe]:SQUare:DCYCle": clipping(
         "", timing.duty_limits_percent, "duty_percent", "duty cycle"
@@ -204,7 +207,7 @@ SETTINGS: Mapping[str, SettingCommand] = {
     "OUTPut:TRIGger[:STATe]": switch("trigger_output", timing.set_trigger_output),
     "OUTPut:TRIGger:SLOPe": choice("POSitive NEGative", "trigger_output_slope"),
     "TRIGger<n>[:SEQuence]:SOURce": choice_of_model(
-        "IMMediate EXTernal BUS", _sources, "trigger_source", timing.set_source
+        "IMMediate, EXTernal, BUS, and TIMer where the model has one", _sources, "trigger_source", timing.set_source
     ),
     "TRIGger<n>[:SEQuence]:SLOPe": choice("POSitive NEGative", "trigger_slope"),
     "TRIGger<n>[:SEQuence]:DELay": clipping(

@@ -28,6 +28,16 @@ class SettingCommand:
     read: Read | None
     accepts: str = ""
 
+    @property
+    def takes(self) -> str | None:
+        """What may follow the header as a command; None where there is no such form."""
+        return None if self.write is None else self.accepts
+
+    @property
+    def asks(self) -> str | None:
+        """What may follow the header as a query; None where there is no such form."""
+        return None if self.read is None else ""
+
     def carried_out(self, state: Registers, arguments: tuple[str, ...]) -> Coerced:
         """Return the registers after the command; raise ``ScpiError`` -113 where it exists as a query alone."""
         if self.write is None:
@@ -96,7 +106,7 @@ def clipping(
 
 def choice(words: str, shown: Shown, put: Callable[[Registers, str], Coerced] | None = None) -> SettingCommand:
     """Return a keyword, one of ``words``, which are written like ``SINusoid``."""
-    return choice_of_model(words, lambda state: words.split(), shown, put)
+    return choice_of_model(", ".join(words.split()), lambda state: words.split(), shown, put)
 
 
 def choice_of_model(
@@ -110,7 +120,7 @@ def choice_of_model(
     return SettingCommand(
         lambda state, arguments: put(state, keyword(one(arguments), words(state))),
         _plain(lambda state: str(get(state))),
-        ", ".join(accepts.split()),
+        accepts,
     )
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from sim_backend.generator.command_tree import command_tree
+from sim_backend.generator.command_tree import tree_of
 from sim_backend.generator.instrument import Generator33250A
 from sim_backend.generator.kinds import SettingCommand
 from sim_backend.generator.models import MODELS
@@ -20,7 +20,7 @@ from sim_backend.wiring import PS_PER_S, SimulatedClock, no_steps
 
 EXAMPLES = runpy.run_path(str(Path(__file__).with_name("command_examples.py")))["EXAMPLES"]
 NO_ERROR = '+0,"No error"'
-FORMS = [(name, form) for name, model in MODELS.items() for form in command_tree(model)]
+FORMS = [(name, form) for name, model in MODELS.items() for form in tree_of(model)]
 NODE = re.compile(r"(\[?):?([A-Za-z]+)(<n>)?:?\]?")
 
 
@@ -82,7 +82,7 @@ def test_the_example_of_every_command_holds_on_every_model(name: str, form: str)
 
 @pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
 def test_every_spelling_of_every_form_is_known_and_means_the_same(name: str, form: str) -> None:
-    entry = command_tree(MODELS[name])[form]
+    entry = tree_of(MODELS[name])[form]
     queried = isinstance(entry, SettingCommand) and entry.read is not None
     replies = set()
     for spelling in spellings(form):
@@ -95,7 +95,7 @@ def test_every_spelling_of_every_form_is_known_and_means_the_same(name: str, for
 
 @pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
 def test_what_a_setting_answers_can_be_sent_back_and_changes_nothing(name: str, form: str) -> None:
-    entry = command_tree(MODELS[name])[form]
+    entry = tree_of(MODELS[name])[form]
     if not isinstance(entry, SettingCommand) or None in (entry.read, entry.write):
         return
     generator, header = twin(name), spellings(form)[-1]
@@ -107,7 +107,7 @@ def test_what_a_setting_answers_can_be_sent_back_and_changes_nothing(name: str, 
 
 
 def is_number(name: str, form: str) -> bool:
-    entry = command_tree(MODELS[name])[form]
+    entry = tree_of(MODELS[name])[form]
     return isinstance(entry, SettingCommand) and entry.read is not None and "MIN" in entry.accepts
 
 
@@ -387,3 +387,10 @@ def test_settings_with_the_output_on_leave_the_memory_flat(settings: int) -> Non
     tracemalloc.stop()
     # What is remembered: some thousand states of half a kilobyte, and the triggers.
     assert grown < 4e6
+
+
+def test_the_page_of_the_commands_is_what_the_table_says() -> None:
+    root = Path(__file__).parents[3]
+    page = runpy.run_path(str(root / "scripts" / "command_tree.py"))["page"]()
+    written = (root / "docs" / "command-tree.md").read_text(encoding="utf-8")
+    assert written == page, "run python scripts/command_tree.py"
