@@ -163,6 +163,8 @@ def test_a_pulse_that_is_missing_or_omitted_has_no_displacement(run: hpe.Run, tm
     lost = tmp_path / "lost.h5"
     lost.write_bytes(run.path.read_bytes())
     with h5py.File(lost, "r+") as file:
+        # As files of early releases are, which may be changed unnoticed.
+        del file["checksum"]
         file["records/recorded"][0, [3, 50]] = 0
     assert np.flatnonzero(np.isnan(hpe.open_run(lost).displacement_m(0))).tolist() == [3, 50]
     skipping = hpe.measure("bovine-muscle", path=tmp_path / "skip.h5")
@@ -313,7 +315,7 @@ def test_only_a_simulated_bench_without_a_described_specimen_takes_the_default_o
     plain = tmp_path / "plain.toml"
     plain.write_text(first_scene(), encoding="utf-8")
     bench = (ROOT / "hpe_rig" / "bench" / "shipped" / "simulated.toml").read_text(encoding="utf-8")
-    metal = bench.replace("simulated = true", "simulated = false")
+    metal = bench.replace("simulated = true", "simulated = false").replace("Simulated bench, wired", "Bench, wired")
     metal = metal.replace('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\n')
     (tmp_path / "metal.toml").write_text(metal, encoding="utf-8")
     assert prepare(plain, tmp_path / "metal.toml", refuse=False).scene.scene.simulation is None
