@@ -221,8 +221,8 @@ class StoredRun:
     input left its range, ``untrusted`` says why a shot is not to be trusted. ``predecessor`` names the run that this
     one continued, "" where there is none. ``run_time_s`` is the wall time of the acquisition by stage, empty where it
     was not measured. ``force_set`` (shot,) is the force over F_0 as the toneburst generator was read back to hold it,
-    NaN where nothing pushes, nothing was set or the file does not say. ``damage`` says what of the file but its echoes cannot be trusted, and what stands for it;
-    ``vouched`` whether the file has checksums at all.
+    NaN where nothing pushes, nothing was set or the file does not say. ``damage`` says what of the file but its echoes
+    cannot be trusted, and what stands for it; ``vouched`` whether the file has checksums at all.
     """
 
     path: Path

@@ -272,9 +272,7 @@ def test_opc_waits_for_the_burst_that_the_bus_started():
     st.floats(0, 85),
     st.sampled_from([50, 75, 1e4]),
 )
-def test_settings_within_the_limits_come_back_as_finely_as_the_manual_says(
-    frequency_hz, amplitude_v, cycles, delay_s, load_ohm
-):
+def test_settings_come_back_as_finely_as_the_manual_says(frequency_hz, amplitude_v, cycles, delay_s, load_ohm):
     generator = Generator33250A(SimulatedClock(), 0.0)
     generator.write(f"OUTP:LOAD {load_ohm:.10E};:TRIG:SOUR EXT;DEL {delay_s:.12E}")
     generator.write(f"FREQ {frequency_hz:.12E};:VOLT {amplitude_v:.12E};:BURS:NCYC {cycles}")
