@@ -2,6 +2,7 @@ from .api import (
     CheckedScene as CheckedScene,
     check as check,
     estimate as estimate,
+    fit_moduli as fit_moduli,
     measure as measure,
     open_bench as open_bench,
 )

@@ -129,10 +129,12 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
 
     Raises ``SettingsError`` where the scene asks for more shots or pulses than anyone could wait for.
     """
-    for alike in (scene.places, scene.rates):
-        if len(alike) > 1:
-            return _joined([make_plan(each, bench) for each in alike])
-        (scene,) = alike
+    if len(scene.places) > 1:
+        return _joined([make_plan(each, bench) for each in scene.places])
+    (scene,) = scene.places
+    if len(scene.rates) > 1:
+        return _joined([make_plan(each, bench) for each in scene.rates])
+    (scene,) = scene.rates
     _refuse_endless(scene)
     shots = tuple(_shots(scene, bench))
     period_s = scene.acquisition.shot_period_s or max(shot.train_end_s for shot in shots)

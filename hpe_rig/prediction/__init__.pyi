@@ -1,6 +1,7 @@
 from .aliasing import fitted_over_true as fitted_over_true
 from .amplitude import expected_snr_db as expected_snr_db, relative_drive as relative_drive
 from .beam_averaging import (
+    area_spread as area_spread,
     beam_widths as beam_widths,
     medium_motion as medium_motion,
     predicted_averaging as predicted_averaging,

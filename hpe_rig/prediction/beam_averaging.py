@@ -86,7 +86,7 @@ def _beside(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray, gaussian_
     place = np.array([beams.lateral_m])
     tracked = shear_motion(*rest, across + seen, along + beams.axial_spread_m**2, place)
     ratio = (tracked.value / shear_motion(*rest, across, along, place).value)[:, 0]
-    area = area_spread(beams, gaussian_spread)
+    area = _area_spread(beams, gaussian_spread)
     shift = tracked.by_lateral / tracked.value * np.sqrt(seen) * area
     wider = tracked.by_across / tracked.value * seen * area
     amplitude, phase = np.hypot(shift.real, wider.real)[:, 0], np.hypot(shift.imag, wider.imag)[:, 0]
@@ -98,12 +98,21 @@ def _beside(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray, gaussian_
     ]
 
 
-def area_spread(beams: BeamWidths, gaussian_spread: float) -> float:
-    """Return the relative spread of the area that speckle lets the tracking average over.
+def area_spread(scene: Scene, estimator: str) -> float:
+    """Return the relative spread of the area that speckle lets the tracking average over; needs [beams].
 
-    From what it does to a Gaussian motion, whose mean over a variance s is E^2 / (E^2 + s). The middle of that area
-    moves by the same share of its radius: both are means over as many independent speckles.
+    The middle of that area moves by the same share of its radius: both are means over as many independent speckles.
     """
+    beams = beam_widths(scene, estimator)
+    if scene.beams is None or beams is None:
+        raise ValueError("without [beams] nothing is known of what the tracking averages over")
+    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
+    gate, window = (scene.acquisition.gate_length_m, pulse_length_m(scene)), spec_of(estimator).gate_window
+    return _area_spread(beams, speckle_spread(*widths, *gate, np.random.default_rng(0), gate_window=window))
+
+
+def _area_spread(beams: BeamWidths, gaussian_spread: float) -> float:
+    """Return it from what speckle does to a Gaussian motion, whose mean over a variance s is E^2 / (E^2 + s)."""
     seen = beams.tracking_width_m[0] ** 2 / 2
     return gaussian_spread * (beams.force_width_m[0] ** 2 + seen) / seen
 

@@ -74,6 +74,7 @@ from .shots import (
     options_of as options_of,
     samples_needed as samples_needed,
     shot_echoes as shot_echoes,
+    shot_fit as shot_fit,
     shot_model as shot_model,
     shot_motion as shot_motion,
     shot_prior as shot_prior,

@@ -24,7 +24,7 @@ from hpe_rig.processing.shear_field import shear_displacement
 Triple = tuple[float, float, float]
 
 MEMBERS = 240
-MEMBERS_BESIDE = 80
+MEMBERS_BESIDE = 60
 """The same beside the push, where a member takes some ms."""
 FAMILIES = 5
 DIRECTIONS = 12

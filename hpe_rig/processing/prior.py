@@ -29,7 +29,7 @@ from hpe_rig.processing.model import background_columns, harmonic_columns
 
 HIGHEST_HZ = 4e4
 """Frequency up to which the bursts' harmonics are part of the model."""
-HIGHEST_BESIDE_HZ = 12e3
+HIGHEST_BESIDE_HZ = 8e3
 """The same beside the push, where shorter waves than the force is wide do not come."""
 WEIGHT = 3.0
 """Scale k of the weights over that of the evidence."""
