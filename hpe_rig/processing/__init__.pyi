@@ -69,6 +69,7 @@ from .shots import (
     options_of as options_of,
     samples_needed as samples_needed,
     shot_echoes as shot_echoes,
+    shot_media as shot_media,
     shot_model as shot_model,
     shot_motion as shot_motion,
     shot_prior as shot_prior,

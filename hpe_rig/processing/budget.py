@@ -107,6 +107,7 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     def relative(source: str, amplitude: float, phase_rad: float = 0.0) -> Component:
         return Component(source, amplitude * peak_m, phase_rad)
 
+    carrier = (relative("carrier", averaging.carrier_relative),) if averaging.carrier_relative else ()
     return (
         fitted("noise", random * (1 - share)),
         fitted("trigger jitter", random * share),
@@ -116,4 +117,5 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
         relative("gate edge", known.gate_edge, known.gate_edge),
         relative("sound speed", known.sound_speed_uncertainty),
         relative("gate off focus", averaging.offset_relative),
+        *carrier,
     )

@@ -33,7 +33,7 @@ class Options:
     ``background_order``: polynomial fitted along (0 constant, 1 velocity, 2 acceleration, more: drift);
     ``process_noise``: variance of a harmonic state's change per pulse over that of the noise, for "kalman" alone;
     ``prior``: of what media make of the tonebursts, for "medium_prior", and for "kalman" without process noise.
-    ``joint`` fits by least squares whatever is chosen; the paper's chain has its own Kalman filter and band-pass.
+    ``joint`` knows no Kalman filter and takes least squares for it; the paper's chain has its own, and a band-pass.
     """
 
     background_order: int = 0
@@ -49,7 +49,13 @@ class FitEchoes(Protocol):
     """Amplitude and phase straight from echoes, as ``maximum_likelihood.joint``."""
 
     def __call__(
-        self, echoes: EchoGate, frequencies_hz: Frequencies, *, also_hz: Frequencies, background_order: int
+        self,
+        echoes: EchoGate,
+        frequencies_hz: Frequencies,
+        *,
+        also_hz: Frequencies,
+        background_order: int,
+        prior: MediumPrior | None,
     ) -> HarmonicFit: ...
 
 
@@ -133,7 +139,7 @@ class EstimatorSpec:
     @property
     def takes_prior(self) -> bool:
         """Whether the displacement is fitted as the options say, with a prior of media where there is one."""
-        return self.motion is not None and self.fit_motion is fit_displacement
+        return self.fit_motion is fit_displacement
 
     @property
     def fits_all_at_once(self) -> bool:
@@ -182,7 +188,9 @@ def estimate(
     """
     spec = spec_of(estimator)
     if spec.fit_echoes is not None:
-        return spec.fit_echoes(echoes, frequencies_hz, also_hz=also_hz, background_order=options.background_order)
+        prior = options.prior if options.harmonic == "medium_prior" else None
+        order = options.background_order
+        return spec.fit_echoes(echoes, frequencies_hz, also_hz=also_hz, background_order=order, prior=prior)
     return fit_motion(motion_of(echoes, estimator), frequencies_hz, estimator, also_hz, options)
 
 

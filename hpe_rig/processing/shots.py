@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,7 @@ from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.prior import MediumPrior, medium_prior
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
+from hpe_rig.processing.unresolved import with_unresolved
 from hpe_rig.result import Averaging, ShotResult
 from hpe_rig.scene import Processing, Scene
 from hpe_rig.store import ShotRecords, StoredRun
@@ -88,10 +90,9 @@ def _windows_of_shot(
     known, complete = known_of(scene, stored.simulated), bool(stored.shot_complete[shot.index])
     results = []
     for window in scene.windows:
-        options = options_of(window.processing, shot_prior(window, shot, spec.name, beams))
         share = unlikely / len(scene.windows)
         results.append(
-            _estimate_shot(window, shot, records, still, true_m, spec, averaging, known, options, share, complete)
+            _estimate_shot(window, shot, records, still, true_m, spec, averaging, known, beams, share, complete)
         )
     return results
 
@@ -104,13 +105,18 @@ def options_of(processing: Processing, prior: MediumPrior | None = None) -> Opti
 
 
 def shot_prior(scene: Scene, shot: Shot, estimator: str, beams: BeamWidths | None) -> MediumPrior | None:
-    """Return the prior of what media make of the shot's tonebursts; None where scene or estimator take none."""
-    length_s, excitation, medium = shot.timeline.burst_length_s, scene.excitation, scene.medium
-    if beams is None or excitation is None or not length_s or not spec_of(estimator).takes_prior:
-        return None
-    if scene.without_prior is not None:
+    """Return the prior that stands for the shot's harmonics in the fit; None where scene or estimator take none."""
+    if not spec_of(estimator).takes_prior:
         return None
     if scene.processing.harmonic == "least_squares" or scene.processing.process_noise:
+        return None
+    return shot_media(scene, shot, beams)
+
+
+def shot_media(scene: Scene, shot: Shot, beams: BeamWidths | None) -> MediumPrior | None:
+    """Return what media make of the shot's tonebursts, whatever the fit takes of it; None where there is no prior."""
+    length_s, excitation, medium = shot.timeline.burst_length_s, scene.excitation, scene.medium
+    if beams is None or excitation is None or not length_s or scene.without_prior is not None:
         return None
     if medium is None:
         return medium_prior(beams, excitation.burst_rate_hz, length_s)
@@ -127,11 +133,12 @@ def _estimate_shot(
     spec: EstimatorSpec,
     averaging: tuple[Averaging | None, ...],
     known: Known,
-    options: Options,
+    beams: BeamWidths | None,
     unlikely: float,
     complete: bool,
 ) -> ShotResult:
-    chosen = select(scene, shot)
+    chosen, media = select(scene, shot), shot_media(scene, shot, beams)
+    options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
     if spec.motion is None and scene.processing.follow_gate:
         raise ValueError(f"{spec.name} has no displacements to add those of processing.follow_gate to: take coherent")
     full_scale = clipped_pulses(records.gate_codes, records.code_limits)
@@ -140,18 +147,23 @@ def _estimate_shot(
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
     motion = None if spec.motion is None else shot_motion(scene, shot, echoes, spec.motion)
     fit, largest_step = _fit(echoes, motion, reference, chosen, spec, options)
+    unprepared = fit.medium is None and media is not None
+    steady = motion if motion is not None and spec.motion is coherent else None
+    if steady is None and (reference is None or unprepared):
+        # It tells of bench and medium, not of the estimator: the motion with the least noise.
+        steady = shot_motion(scene, shot, echoes, coherent)
+    if media is not None and steady is not None and unprepared:
+        # Too few pulses say nothing of the medium.
+        with suppress(ValueError):
+            moved = steady if reference is None else relative_to(steady, reference)
+            fit = with_unresolved(fit, moved, media, spec.name, chosen.driven_hz, options)
     clipped = int((full_scale[chosen.window] & recorded & chosen.used).sum())
     if scene.medium is None:
         averaging = tuple(averaging_seen(fit, index, each) for index, each in enumerate(averaging))
     here = replace(
         known, subtracts_jitter=reference is not None, gate_edge=gate_edge_relative(echoes, spec.gate_window)
     )
-    drift = None
-    if reference is None:
-        # It tells of the bench, not of the estimator: the one with the least noise looks.
-        steady = motion if motion is not None and spec.motion is coherent else None
-        steady = steady or shot_motion(scene, shot, echoes, coherent)
-        drift = _drift(steady, chosen, options)
+    drift = None if reference is not None or steady is None else _drift(steady, chosen, options)
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -265,22 +277,22 @@ def _fit(
 def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) -> Averaging | None:
     """Return the averaging of one frequency in the media that the motion leaves likely; else as ``predicted``.
 
-    What speckle does is, to first order in how far the motion changes over the beam, in proportion to what is lost.
+    What speckle does is, to first order, to make the tracking beam wider or narrower: how much that matters is the
+    root mean square over those media, widths of the force included.
     """
     if predicted is None or fit.medium is None:
         return predicted
-    ratio, tiny = 1 / complex(fit.medium.peak_over_tracked[index]), np.finfo(np.float64).tiny
-    expected = predicted.factor / predicted.offset_factor * np.exp(1j * predicted.phase_rad)
-    factor, (relative, phase_rad) = abs(ratio), np.sqrt(np.diag(fit.medium.peak_covariance[index])).tolist()
-    lost = max(0.0, 1 - factor) / max(1 - abs(expected), tiny)
-    turned = abs((1 / ratio).imag) / max(abs((1 / expected).imag), tiny)
+    ratio = 1 / complex(fit.medium.peak_over_tracked[index])
+    relative, phase_rad = np.sqrt(np.diag(fit.medium.peak_covariance[index])).tolist()
+    speckle, turned = (predicted.area_spread * fit.medium.steepness[index]).tolist()
+    factor = (1 - predicted.loss_scale * (1 - abs(ratio))) * predicted.offset_factor
     return replace(
         predicted,
-        factor=factor * predicted.offset_factor,
+        factor=factor,
         phase_rad=float(np.angle(ratio)),
-        speckle_relative=predicted.speckle_relative * lost,
-        speckle_phase_rad=predicted.speckle_phase_rad * turned,
-        factor_uncertainty=factor * relative * predicted.offset_factor,
+        speckle_relative=speckle,
+        speckle_phase_rad=turned,
+        factor_uncertainty=factor * relative,
         phase_uncertainty_rad=phase_rad,
     )
 
