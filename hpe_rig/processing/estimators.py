@@ -86,8 +86,14 @@ def fit_displacement(
 
 
 def fit_velocity(motion: Motion, frequencies_hz: Frequencies, also_hz: Frequencies, options: Options) -> HarmonicFit:
-    """Return amplitude and phase by the paper's chain over velocities, which takes no ``options``."""
-    return velocity_to_harmonics(velocity_between_pulses(motion), frequencies_hz, also_hz=also_hz)
+    """Return amplitude and phase by the paper's chain over velocities, which takes of ``options`` the background alone.
+
+    That is no noise of its uncertainty; the estimate is the same whatever it is.
+    """
+    order = options.background_order
+    return velocity_to_harmonics(
+        velocity_between_pulses(motion), frequencies_hz, also_hz=also_hz, background_order=order
+    )
 
 
 @dataclass(frozen=True, slots=True)

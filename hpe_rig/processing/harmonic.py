@@ -181,13 +181,19 @@ def fit_from_state(
     )
 
 
-def with_aliasing(fit: HarmonicFit, aliasing_m2: FloatArray, medium: MediumPosterior) -> HarmonicFit:
-    """Return ``fit`` with the covariance ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) of its states added."""
+def with_aliasing(fit: HarmonicFit, aliasing_m2: FloatArray, known: HarmonicFit) -> HarmonicFit:
+    """Return ``fit`` with the covariance ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) of its states added.
+
+    A ``known`` fit, with a prior of media, tells the medium and how large the amplitudes are without that error, which
+    can be as large as they: it is a phase's error by them.
+    """
     wanted, total = 2 * fit.frequency_hz.size, fit.state_covariance.copy()
     total[..., :wanted, :wanted] += aliasing_m2
     radial, added = (_along_phasor(each, fit.phase_rad) for each in (total, aliasing_m2))
-    weights = _polar_weights(radial, fit.amplitude_m)
-    return replace(fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=medium)
+    weights = _polar_weights(radial, known.amplitude_m)
+    return replace(
+        fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=known.medium
+    )
 
 
 def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray:

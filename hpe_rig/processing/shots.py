@@ -152,6 +152,8 @@ def _estimate_shot(
     if steady is None and (reference is None or unprepared):
         # It tells of bench and medium, not of the estimator: the motion with the least noise.
         steady = shot_motion(scene, shot, echoes, coherent)
+    if motion is None and steady is not None:
+        largest_step = float(steady.largest_step)
     if media is not None and steady is not None and unprepared:
         # Too few pulses say nothing of the medium.
         with suppress(ValueError):

@@ -31,8 +31,7 @@ def with_unresolved(
     missed, free = _missed(prior, *when, tuple(fit.frequency_hz.tolist()), tuple(also_hz.tolist()), estimator, options)
     share = seen.evidence.likelihood * seen.evidence.square_m2
     covariance = (missed.T * share) @ missed + seen.evidence.scale_m**2 * (free.T @ free)
-    assert seen.fit.medium is not None  # noqa: S101 (a fit with a prior has it)
-    return with_aliasing(fit, covariance, seen.fit.medium)
+    return with_aliasing(fit, covariance, seen.fit)
 
 
 @functools.lru_cache(maxsize=8)
