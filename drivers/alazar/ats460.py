@@ -20,7 +20,6 @@ from drivers.alazar.samples import RawRecords
 from drivers.interfaces import Capture, Clock, Identity, InstrumentError, MonitorRecords, RecordBlock, Setting
 
 UNSIGNED_FORMAT: Final = 0
-SAMPLES_PER_TIMESTAMP: Final = 2
 ZERO_LEVEL_CODE: Final = 128
 
 
@@ -93,7 +92,7 @@ class Ats460:
         expected = {
             "bits per sample": (samples.CODE_BITS, self._board.channel_info()[1]),
             "data format": (UNSIGNED_FORMAT, parameter(Parameter.DATA_FORMAT)),
-            "samples per time stamp": (SAMPLES_PER_TIMESTAMP, parameter(samples_a_stamp)),
+            "samples per time stamp": (samples.SAMPLES_PER_COUNT, parameter(samples_a_stamp)),
             "capture running": (mode.armed, self._board.busy()),
             "buffers pending": (mode.buffers_posted(), parameter(Parameter.ASYNC_BUFFERS_PENDING)),
         }
@@ -148,8 +147,23 @@ class Ats460:
     def self_test(self) -> None:
         """Do nothing: the vendor's interface has no self-test."""
 
-    def make_safe(self) -> None:
-        """Abort whatever is captured and free its memory; raise ``InstrumentError`` if the board stays busy."""
+    @property
+    def line(self) -> str:
+        """Empty: the board is reached within this process."""
+        return ""
+
+    def switch_off(self) -> None:
+        """Do nothing: the board drives nothing by itself, and its capture is aborted by ``prove_off``."""
+
+    def prove_off(self) -> str:
+        """As ``make_safe``."""
+        return self.make_safe()
+
+    def make_safe(self) -> str:
+        """Abort whatever is captured, free its memory, and return how that is known.
+
+        Raises ``InstrumentError`` if the board stays busy.
+        """
         try:
             self._disarm()
         finally:
@@ -159,6 +173,7 @@ class Ats460:
         if self._board.busy():
             remedy = "end the program, restart the machine"
             raise InstrumentError(self.role, "the board is still capturing", "the abort had no effect", remedy)
+        return "idle by its own report"
 
     def close(self) -> None:
         """Abort what is running; the vendor's interface has nothing to close."""
@@ -208,13 +223,8 @@ class Ats460:
         values, range_v = samples.codes(raw.words), capture.input_range_v
         self._clipped = self._clipped or samples.any_at_full_scale(values) or self._board.input_clipped()
         volts = samples.volts_per_code(range_v), samples.volts_offset(range_v)
-        time_s, monitor = self._trigger_time_s(capture, raw), _monitor(capture, values)
+        time_s, monitor = raw.trigger_samples / capture.sample_rate_hz, _monitor(capture, values)
         return RecordBlock(raw.first_record, values[0], time_s, *volts, samples.CODE_LIMITS, monitor)
-
-    def _trigger_time_s(self, capture: Capture, raw: RawRecords) -> NDArray[np.float64]:
-        if raw.counts is None:
-            return np.full(raw.words.shape[1], np.nan)
-        return raw.counts.astype(np.float64) * SAMPLES_PER_TIMESTAMP / capture.sample_rate_hz
 
     def _programmed(self) -> dict[str, Setting]:
         if self._capture is None or self._mode is None:

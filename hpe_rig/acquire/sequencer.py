@@ -1,13 +1,13 @@
-"""Sequence of a shot: configure, verify, arm, enable, fire, collect, off; yields records, stores nothing."""
+"""Sequence of a shot: configure, verify, arm, enable, fire, collect, recheck, off; yields records, stores nothing."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from drivers.interfaces import DeadlineError, RecordBlock, Setting
+from drivers.interfaces import DeadlineError, InstrumentError, RecordBlock, Setting
 from hpe_rig.bench import Bench
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 
@@ -53,6 +53,14 @@ class ShotBlock:
 
 
 @dataclass(frozen=True, slots=True)
+class ShotUntrusted:
+    """A shot has ended, and ``why`` its records are not to be trusted; every output is off."""
+
+    shot: Shot
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class ShotDone:
     """A shot has ended and every output is off; ``clipped`` says whether the digitizer's input left its range."""
 
@@ -60,7 +68,16 @@ class ShotDone:
     clipped: bool
 
 
-Event = ShotReady | ShotBlock | ShotDone
+class UntrustedShotError(InstrumentError):
+    """A shot during which settings changed, and with which a run ends unless the scene says otherwise."""
+
+    def __init__(self, shot: Shot, why: str) -> None:
+        remedy = 'hpe-rig resume, which measures it again; acquisition.changed_settings = "continue" goes on regardless'
+        cause = "its records are kept, marked as untrusted"
+        super().__init__("bench", f"shot {shot.index + 1} is not to be trusted: {why}", cause, remedy)
+
+
+Event = ShotReady | ShotBlock | ShotUntrusted | ShotDone
 Observer = Callable[[Progress], None]
 
 
@@ -72,6 +89,8 @@ def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Genera
     """Yield what happens in every shot of ``plan``; after each shot, and on any exception, every output is off.
 
     A shot whose records stop before the deadline yields those that came; ``DeadlineError`` is raised when none did.
+    Outputs and settings are read back after the last record as before the first: a shot in which one has changed yields
+    ``ShotUntrusted`` and ends with ``UntrustedShotError``, unless the plan goes on.
     """
     next_start_s = bench.clock.now_s()
     for shot in plan.shots:
@@ -82,10 +101,17 @@ def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Genera
             observer(Progress(Step.FIRE, shot))
             next_start_s = bench.clock.now_s() + plan.shot_period_s
             bench.master.fire()
-            yield from _collect(shot, bench, observer)
+            late = yield from _collect(shot, bench, observer)
+            why = " ".join(bench.recheck())
+            if late is not None and not why:
+                raise late
         finally:
             bench.make_safe()
         observer(Progress(Step.SAFE, shot, shot.capture.record_count))
+        if why:
+            yield ShotUntrusted(shot, why)
+            if plan.stops_when_changed:
+                raise UntrustedShotError(shot, why) from late
         yield ShotDone(shot, bench.digitizer.clipped())
 
 
@@ -122,7 +148,8 @@ def _wait_until(start_s: float, shot: Shot, bench: Bench, observer: Observer) ->
         bench.clock.sleep(rest_s)
 
 
-def _collect(shot: Shot, bench: Bench, observer: Observer) -> Iterator[ShotBlock]:
+def _collect(shot: Shot, bench: Bench, observer: Observer) -> Generator[ShotBlock, None, DeadlineError | None]:
+    """Yield the records as they arrive; return what the digitizer said where none did."""
     deadline_s = bench.clock.now_s() + shot.train_end_s + SAFETY_MARGIN_S
     arrived = 0
     observer(Progress(Step.COLLECT, shot))
@@ -131,6 +158,6 @@ def _collect(shot: Shot, bench: Bench, observer: Observer) -> Iterator[ShotBlock
             arrived += block.codes.shape[0]
             yield ShotBlock(shot, block)
             observer(Progress(Step.COLLECT, shot, arrived))
-    except DeadlineError:
-        if not arrived:
-            raise
+    except DeadlineError as error:
+        return None if arrived else error
+    return None

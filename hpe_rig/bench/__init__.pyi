@@ -9,17 +9,32 @@ from .bench_file import (
     OutputLimits as OutputLimits,
     parse_bench as parse_bench,
     read_bench as read_bench,
+    titled as titled,
 )
 from .comparison import file_differences as file_differences, settings_differences as settings_differences
 from .emulation import emulate as emulate
 from .instruments import Bench as Bench, UnsafeBenchError as UnsafeBenchError
-from .interrupts import Terminated as Terminated, interruptible as interruptible, uninterrupted as uninterrupted
-from .inventory import BenchReport as BenchReport, Found as Found, Settings as Settings, survey as survey
+from .interrupts import (
+    INTERRUPTS as INTERRUPTS,
+    Terminated as Terminated,
+    interruptible as interruptible,
+    uninterrupted as uninterrupted,
+)
+from .inventory import (
+    BenchReport as BenchReport,
+    Found as Found,
+    Settings as Settings,
+    Switched as Switched,
+    survey as survey,
+    switch_off as switch_off,
+)
+from .lock import BenchInUseError as BenchInUseError
 from .opening import open_bench as open_bench
 from .twin import (
     TwinDeclaration as TwinDeclaration,
     check_declared as check_declared,
     check_simulation as check_simulation,
+    contradictions as contradictions,
     declares_twin as declares_twin,
     simulation_schema as simulation_schema,
     twin_dose as twin_dose,

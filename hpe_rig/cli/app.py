@@ -18,6 +18,7 @@ from hpe_rig.cli.console import (
     SceneName,
     announce,
     guarded,
+    ignore_interrupts,
     progress,
     show,
 )
@@ -49,7 +50,11 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             # A title the console's code page lacks must not cost a measurement.
             stream.reconfigure(errors="replace")
-    app()
+    try:
+        app()
+    finally:
+        # All is said and every output is off: nothing may turn the exit code into another one.
+        ignore_interrupts()
 
 
 @app.command()
@@ -227,11 +232,11 @@ def new(
     like: Annotated[str, typer.Option(help="Scene to copy, or 'bench' for a bench file.")] = "bovine-muscle",
 ) -> None:
     """Copy a shipped scene or bench file, to edit."""
-    from hpe_rig.bench import read_bench
+    from hpe_rig.bench import read_bench, titled
     from hpe_rig.scene import scene_text
 
-    text = read_bench().text if like == "bench" else scene_text(like)[1]
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    text = titled(read_bench().text, f"Bench {path.stem}") if like == "bench" else scene_text(like)[1]
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
@@ -267,11 +272,19 @@ def bench_command(
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Also run each generator's self-test, outputs off.")
     ] = False,
+    off: Annotated[
+        bool, typer.Option("--off", help="Only switch every output off, whoever uses the bench, and prove it.")
+    ] = False,
 ) -> None:
     """Identify every instrument, read its settings, leave outputs off. Or compare with the bench of a run."""
-    from hpe_rig.cli.bench import bench_state, compare_with, print_report
+    from hpe_rig.cli.bench import all_off, bench_state, compare_with, print_report
     from hpe_rig.scene import Mistake, SettingsError
 
+    if off:
+        if compare is not None or self_test or (bench is not None and bench.suffix == ".h5"):
+            what = "it switches the instruments of a bench file off, and does nothing besides"
+            raise SettingsError("--off", [Mistake("", what, "hpe-rig bench BENCH.toml --off")])
+        raise typer.Exit(all_off(bench))
     if bench is not None and bench.suffix == ".h5" and (self_test or compare is None):
         what = "a run file records a bench but gives no access to its instruments"
         raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
 from hpe_rig.processing.budget import Known, estimates_of, known_of
-from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlike_pulses
+from hpe_rig.processing.conditioning import CodedVolts, GateStatistics, centred_volts, gate_statistics, unlike_pulses
 from hpe_rig.processing.echoes import EchoGate, Motion, gate_edge_relative, margin_samples, relative_to
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium
 from hpe_rig.processing.estimators import EstimatorSpec, Harmonic, Options, estimate, fit_motion, spec_of
@@ -20,11 +20,12 @@ from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.prior import MediumPrior, medium_prior
+from hpe_rig.processing.residual_line import Line, residual_line
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.processing.unresolved import with_unresolved
 from hpe_rig.result import Averaging, ShotResult
 from hpe_rig.scene import Processing, Scene
-from hpe_rig.store import ShotRecords, StoredRun
+from hpe_rig.store import GatedRecords, ShotRecords, StoredRun
 
 LARGE_STEP = 0.8
 """Quarter wavelengths a pulse from which on the next period of the carrier is close."""
@@ -79,14 +80,14 @@ def _windows_of_shot(
     """Return the result of each window of one shot; raise ``ValueError`` where one cannot be estimated."""
     # Of a long record only the gate and what its edges need come into memory, unless the gate follows.
     margin = margin_needed(scene, shot)
-    records = stored.records.gated(shot.index, samples_needed(scene, shot), margin=margin)
+    records = stored.records.in_blocks(shot.index, samples_needed(scene, shot), margin=margin)
     if not records.valid.any():
         raise ValueError(NO_RECORDS)
     true_m = None
     if stored.true_displacement_m is not None:
         true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
     reference = reference_gate(scene, shot)
-    still = None if reference is None else stored.records.gated(shot.index, reference, margin=margin)
+    still = None if reference is None else stored.records.in_blocks(shot.index, reference, margin=margin)
     known, complete = known_of(scene, stored.simulated), bool(stored.shot_complete[shot.index])
     results = []
     for window in scene.windows:
@@ -127,8 +128,8 @@ def shot_media(scene: Scene, shot: Shot, beams: BeamWidths | None) -> MediumPrio
 def _estimate_shot(
     scene: Scene,
     shot: Shot,
-    records: ShotRecords,
-    still: ShotRecords | None,
+    records: GatedRecords,
+    still: GatedRecords | None,
     true_m: NDArray[np.float64] | None,
     spec: EstimatorSpec,
     averaging: tuple[Averaging | None, ...],
@@ -141,23 +142,21 @@ def _estimate_shot(
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
     if spec.motion is None and scene.processing.follow_gate:
         raise ValueError(f"{spec.name} has no displacements to add those of processing.follow_gate to: take coherent")
-    full_scale = clipped_pulses(records.gate_codes, records.code_limits)
-    echoes = shot_echoes(scene, shot, records, chosen, full_scale)
+    found = gate_statistics(records)
+    full_scale = found.at_full_scale(records.code_limits)
+    echoes = shot_echoes(scene, shot, records, chosen, found)
     recorded = records.valid[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
     motion = None if spec.motion is None else shot_motion(scene, shot, echoes, spec.motion)
     fit, largest_step = _fit(echoes, motion, reference, chosen, spec, options)
-    unprepared = fit.medium is None and media is not None
-    steady = motion if motion is not None and spec.motion is coherent else None
-    if steady is None and (reference is None or unprepared):
-        # It tells of bench and medium, not of the estimator: the motion with the least noise.
-        steady = shot_motion(scene, shot, echoes, coherent)
+    # They tell of bench, motion and medium, not of the estimator: the one with the least noise looks.
+    steady = _steady(scene, shot, echoes, motion if spec.motion is coherent else None)
+    moved = steady if steady is None or reference is None else relative_to(steady, reference)
     if motion is None and steady is not None:
         largest_step = float(steady.largest_step)
-    if media is not None and steady is not None and unprepared:
+    if fit.medium is None and media is not None and moved is not None:
         # Too few pulses say nothing of the medium.
         with suppress(ValueError):
-            moved = steady if reference is None else relative_to(steady, reference)
             fit = with_unresolved(fit, moved, media, spec.name, chosen.driven_hz, options)
     clipped = int((full_scale[chosen.window] & recorded & chosen.used).sum())
     if scene.medium is None:
@@ -165,7 +164,8 @@ def _estimate_shot(
     here = replace(
         known, subtracts_jitter=reference is not None, gate_edge=gate_edge_relative(echoes, spec.gate_window)
     )
-    drift = None if reference is not None or steady is None else _drift(steady, chosen, options)
+    drift = _drift(steady, chosen, options) if reference is None else None
+    line = None if moved is None else _line(moved, chosen, options)
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -184,6 +184,7 @@ def _estimate_shot(
             *_medium_warnings(fit, unlikely),
             *_setting_warnings(scene, echoes.pulse_time_s, reference),
             *_drift_warnings(fit, drift),
+            *_line_warnings(line, shot.tracking_train.rate_hz, unlikely),
         ),
         complete=complete,
     )
@@ -207,25 +208,23 @@ def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[NDAr
 
 
 def shot_echoes(
-    scene: Scene,
-    shot: Shot,
-    records: ShotRecords,
-    chosen: Selection,
-    full_scale: NDArray[np.bool_] | None = None,
+    scene: Scene, shot: Shot, records: GatedRecords, chosen: Selection, found: GateStatistics | None = None
 ) -> EchoGate:
     """Return the echoes of the ``chosen`` pulses, of the ``records``' samples: see ``samples_needed``.
 
-    ``full_scale`` (pulse of the shot,), which records reach the digitizer's full scale, is found where not given.
+    What the records hold in the gate is ``found`` where it is not given.
     """
-    if full_scale is None:
-        full_scale = clipped_pulses(records.gate_codes, records.code_limits)
+    found = found or gate_statistics(records)
     window = chosen.window
     valid = records.valid[window] & chosen.used
-    codes = records.codes if window.all() else records.codes[window]
-    sound = valid & ~full_scale[window]
-    gate = slice(records.margin[0], codes.shape[1] - records.margin[1])
+    sound = valid & ~found.at_full_scale(records.code_limits)[window]
+    gate = slice(records.margin[0], records.shape[1] - records.margin[1])
+    first = int(np.argmax(window))
+    pulses = slice(first, first + valid.size)
     echoes = EchoGate(
-        volts=centred_volts(codes, records.volts_per_code, sound, gate),
+        volts=centred_volts(records.block(pulses), records.volts_per_code, sound, gate)
+        if isinstance(records, ShotRecords)
+        else CodedVolts(records, pulses, sound, found),
         sample_rate_hz=shot.capture.sample_rate_hz,
         pulse_time_s=chosen.time_s,
         carrier_hz=scene.tracking.carrier_hz,
@@ -299,7 +298,19 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
     )
 
 
-def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
+def _steady(scene: Scene, shot: Shot, echoes: EchoGate, motion: Motion | None) -> Motion | None:
+    """Return the coherent motion, ``motion`` where it is known; None where single echoes drown in noise."""
+    if motion is not None:
+        return motion
+    try:
+        return shot_motion(scene, shot, echoes, coherent)
+    except ValueError:
+        return None
+
+
+def _drift(motion: Motion | None, chosen: Selection, options: Options) -> Drift | None:
+    if motion is None:
+        return None
     order = options.background_order
     try:
         return drift_between_halves(
@@ -307,6 +318,16 @@ def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
         )
     except ValueError:
         # Half the pulses cannot resolve the frequencies: nothing can be said about a change.
+        return None
+
+
+def _line(motion: Motion, chosen: Selection, options: Options) -> Line | None:
+    order = options.background_order
+    try:
+        return residual_line(
+            motion, chosen.wanted_hz, also_hz=chosen.driven_hz, background_order=order, prior=options.prior
+        )
+    except ValueError:
         return None
 
 
@@ -387,6 +408,16 @@ def _setting_warnings(scene: Scene, pulse_time_s: NDArray[np.float64], reference
             f"the reference gate's echo moves by up to {float(reference.largest_step):.2f} quarter wavelengths from "
             "pulse to pulse, which an echo that stands still does not: there is none, or it drowns in noise; choose "
             "another processing.reference_gate_depth_m"
+        )
+
+
+def _line_warnings(line: Line | None, pulse_rate_hz: float, unlikely: float) -> Iterator[str]:
+    if line is not None and line.probability < unlikely:
+        yield (
+            f"the residual has a line of {line.amplitude_m * 1e9:.3g} nm at {line.frequency_hz:.4g} Hz: motion that is "
+            "not fitted, there or at a frequency that folds onto it, such as "
+            f"{pulse_rate_hz - line.frequency_hz:.5g} Hz; more of it may fold onto the wanted frequencies unseen: "
+            "compare another tracking.pulse_rate_hz, or fit it along (processing.frequencies_hz)"
         )
 
 

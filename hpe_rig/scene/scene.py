@@ -111,6 +111,8 @@ class Acquisition(Section):
     """How often every shot is repeated."""
     shot_period_s: Positive | None = None
     """Time between master triggers; absent: as soon as the trains have ended."""
+    changed_settings: Literal["stop", "continue"] = "stop"
+    """What follows a shot after which settings are not as before it; it is marked as untrusted either way."""
 
 
 class Beams(Section):
@@ -183,6 +185,20 @@ class Processing(Section):
             raise ValueError('joint has no displacements to follow: set estimator = "coherent", or follow_gate = false')
         if self.follow_gate and self.reference_gate_depth_m is not None:
             raise ValueError("a reference gate stands still where follow_gate moves: remove one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _harmonic_that_is_used(self) -> Processing:
+        if self.harmonic == "medium_prior" and self.estimator == "cross_spectrum":
+            raise ValueError(
+                'cross_spectrum has its own way to amplitude and phase and takes no harmonic = "medium_prior": '
+                'remove it, or set estimator = "coherent"'
+            )
+        if self.process_noise and self.harmonic != "kalman":
+            raise ValueError(
+                "process_noise is that of the Kalman filter, which is not chosen: "
+                'set harmonic = "kalman", or remove process_noise'
+            )
         return self
 
 

@@ -9,8 +9,8 @@ with the twin's truth: share of errors within u and within 1.96 u, and NEV, the 
 frequencies and shots share their speckle, so that the Monte Carlo error of a row is that of its seeds, not of its
 errors.
 
-    python scripts/coverage.py                              # writes docs/coverage.md, about half an hour on one core
-    python scripts/coverage.py --seeds 20 --scenes table-1 bovine-muscle --estimators coherent kasai
+    python scripts/interval_coverage.py                    # writes docs/coverage.md, about half an hour
+    python scripts/interval_coverage.py --seeds 20 --scenes table-1 bovine-muscle --estimators coherent kasai
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def page(rows: Sequence[Row], seeds: int) -> str:
             "# Coverage",
             "",
             HEAD.format(seeds=seeds, error_68=error[0], error_95=error[1]),
-            f"Made by `python scripts/coverage.py --seeds {seeds}{some}`.",
+            f"Made by `python scripts/interval_coverage.py --seeds {seeds}{some}`.",
             "",
             "| scene | estimator | amplitude 68 % | 95 % | NEV | phase 68 % | 95 % | NEV | runs |",
             "|---|---|---:|---:|---:|---:|---:|---:|---:|",
