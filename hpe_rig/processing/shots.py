@@ -33,6 +33,7 @@ LARGE_CONDITION = 10.0
 UNLIKELY = 0.01
 """Probability, over the shots of a run, below which a motion is of no medium of the ensemble."""
 NO_RECORDS = "no record of it was acquired"
+DAMAGED = "fail their checksums and count as missing: the file is damaged; hpe-rig verify lists them"
 DETECTED = 3.0
 """Amplitude over its uncertainty below which a harmonic may be noise: it exceeds that by chance in 1 % of cases."""
 
@@ -82,7 +83,9 @@ def _windows_of_shot(
     margin = margin_needed(scene, shot)
     records = stored.records.in_blocks(shot.index, samples_needed(scene, shot), margin=margin)
     if not records.valid.any():
-        raise ValueError(NO_RECORDS)
+        raise ValueError(
+            NO_RECORDS if records.damaged is None or not records.damaged.any() else f"its records {DAMAGED}"
+        )
     true_m = None
     if stored.true_displacement_m is not None:
         true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
@@ -146,6 +149,7 @@ def _estimate_shot(
     full_scale = found.at_full_scale(records.code_limits)
     echoes = shot_echoes(scene, shot, records, chosen, found)
     recorded = records.valid[chosen.window]
+    damaged = np.zeros_like(recorded) if records.damaged is None else records.damaged[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
     motion = None if spec.motion is None else shot_motion(scene, shot, echoes, spec.motion)
     fit, largest_step = _fit(echoes, motion, reference, chosen, spec, options)
@@ -178,7 +182,8 @@ def _estimate_shot(
         window_length_s=scene.processing.window_length_s,
         estimates=estimates_of(fit, here, averaging, true_m),
         warnings=(
-            *(_missing_warnings(recorded) if complete else ()),
+            *(_missing_warnings(recorded, damaged) if complete else ()),
+            *_damaged_warnings(damaged),
             *_record_warnings(recorded, recorded & chosen.used & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
             *_medium_warnings(fit, unlikely),
@@ -331,10 +336,10 @@ def _line(motion: Motion, chosen: Selection, options: Options) -> Line | None:
         return None
 
 
-def _missing_warnings(recorded: NDArray[np.bool_]) -> Iterator[str]:
+def _missing_warnings(recorded: NDArray[np.bool_], damaged: NDArray[np.bool_]) -> Iterator[str]:
     """Yield what missing records of a complete shot mean; where a run stopped they never came."""
-    missing = int((~recorded).sum())
-    if missing and not recorded[-1]:
+    missing = int((~recorded & ~damaged).sum())
+    if missing and not recorded[-1] and not damaged[-1]:
         yield (
             "the last record is missing: were the first triggers lost instead of the last, every phase is off by "
             "whole pulse periods"
@@ -343,6 +348,11 @@ def _missing_warnings(recorded: NDArray[np.bool_]) -> Iterator[str]:
         yield (
             f"{missing} of {recorded.size} records are missing: triggers were lost or came while the digitizer was busy"
         )
+
+
+def _damaged_warnings(damaged: NDArray[np.bool_]) -> Iterator[str]:
+    if damaged.any():
+        yield f"{int(damaged.sum())} of {damaged.size} records {DAMAGED}"
 
 
 def _record_warnings(recorded: NDArray[np.bool_], unlike: NDArray[np.bool_], clipped: int) -> Iterator[str]:
