@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 
 import hpe_rig as hpe
 from hpe_rig.bench import twin_of
-from hpe_rig.processing import ESTIMATORS
-from hpe_rig.processing.ensemble import (
+from hpe_rig.processing import (
     BRANCH_OVER_MODULUS,
+    ESTIMATORS,
     LOW_VISCOSITY_PA_S,
     MODULUS_PA,
     POWER,

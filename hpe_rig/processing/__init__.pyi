@@ -12,7 +12,13 @@ from .echoes import (
     velocity_between_pulses as velocity_between_pulses,
 )
 from .ensemble import (
+    BRANCH_OVER_MODULUS as BRANCH_OVER_MODULUS,
+    LOW_VISCOSITY_PA_S as LOW_VISCOSITY_PA_S,
     MEMBERS as MEMBERS,
+    MODULUS_PA as MODULUS_PA,
+    POWER as POWER,
+    POWER_REFERENCE_HZ as POWER_REFERENCE_HZ,
+    VISCOSITY_PA_S as VISCOSITY_PA_S,
     BeamWidths as BeamWidths,
     Ensemble as Ensemble,
     KnownMedium as KnownMedium,
