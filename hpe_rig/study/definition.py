@@ -15,11 +15,12 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from hpe_rig.scene import (
+    AmplitudeM,
     Count,
     Estimator,
     Mistake,
-    Positive,
     Section,
+    Seed,
     SettingsError,
     Title,
     named_text,
@@ -28,7 +29,7 @@ from hpe_rig.scene import (
 )
 
 Reading = Literal["physical", "literal"]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-1e100, le=1e100)]
 
 COLUMNS = ("reading", "estimator", "frequency_hz", "refused", "draws", "noise", "seconds", "peak_memory_bytes", "case")
 """Columns of every result, beside those of amplitude and phase: no axis has their names."""
@@ -108,9 +109,9 @@ class Definition(Section):
     """Draws of scatterers a case; with ``standard_error_m`` the most of them."""
     noise: Count = 2
     """Noise draws for each draw of scatterers; from 2 on the jitter is split into speckle and noise."""
-    standard_error_m: Positive | None = None
+    standard_error_m: AmplitudeM | None = None
     """Stop a case once the standard error of its mean amplitudes is below this."""
-    seed: Annotated[int, Field(ge=0, strict=True)] = 1
+    seed: Seed = 1
     """Seed of every random number."""
     common: Literal["all"] | tuple[str, ...] = ()
     """Axes along which the random numbers are the same, so that chance does not hide differences; "all": they are the
