@@ -20,7 +20,6 @@ from drivers.alazar.samples import RawRecords
 from drivers.interfaces import Capture, Clock, Identity, InstrumentError, MonitorRecords, RecordBlock, Setting
 
 UNSIGNED_FORMAT: Final = 0
-SAMPLES_PER_TIMESTAMP: Final = 2
 ZERO_LEVEL_CODE: Final = 128
 
 
@@ -93,7 +92,7 @@ class Ats460:
         expected = {
             "bits per sample": (samples.CODE_BITS, self._board.channel_info()[1]),
             "data format": (UNSIGNED_FORMAT, parameter(Parameter.DATA_FORMAT)),
-            "samples per time stamp": (SAMPLES_PER_TIMESTAMP, parameter(samples_a_stamp)),
+            "samples per time stamp": (samples.SAMPLES_PER_COUNT, parameter(samples_a_stamp)),
             "capture running": (mode.armed, self._board.busy()),
             "buffers pending": (mode.buffers_posted(), parameter(Parameter.ASYNC_BUFFERS_PENDING)),
         }
@@ -208,13 +207,8 @@ class Ats460:
         values, range_v = samples.codes(raw.words), capture.input_range_v
         self._clipped = self._clipped or samples.any_at_full_scale(values) or self._board.input_clipped()
         volts = samples.volts_per_code(range_v), samples.volts_offset(range_v)
-        time_s, monitor = self._trigger_time_s(capture, raw), _monitor(capture, values)
+        time_s, monitor = raw.trigger_samples / capture.sample_rate_hz, _monitor(capture, values)
         return RecordBlock(raw.first_record, values[0], time_s, *volts, samples.CODE_LIMITS, monitor)
-
-    def _trigger_time_s(self, capture: Capture, raw: RawRecords) -> NDArray[np.float64]:
-        if raw.counts is None:
-            return np.full(raw.words.shape[1], np.nan)
-        return raw.counts.astype(np.float64) * SAMPLES_PER_TIMESTAMP / capture.sample_rate_hz
 
     def _programmed(self) -> dict[str, Setting]:
         if self._capture is None or self._mode is None:

@@ -20,8 +20,9 @@ from drivers.alazar import api
 from drivers.alazar.api import Channel, Parameter
 from drivers.alazar.board import AlazarBoard
 from drivers.alazar.limits import BUFFER_WANTED_BYTES, pre_trigger_samples, records_per_buffer
+from drivers.alazar.models import ATS460_BOARD
 from drivers.alazar.page_buffer import PageBuffer
-from drivers.alazar.return_codes import WAIT_TIMEOUT
+from drivers.alazar.return_codes import RECORD_TOO_HIGH, WAIT_TIMEOUT
 from drivers.alazar.samples import RawRecords, buffer_bytes, unpacked
 from drivers.interfaces import Capture, Clock, DeadlineError, InstrumentError
 
@@ -112,7 +113,7 @@ class SinglePortCapture:
             for first in range(0, arrived, self.records_per_block):
                 indices = range(first, min(first + self.records_per_block, arrived))
                 words = [[self._words(buffer, channel, index) for index in indices] for channel in self._channels]
-                yield RawRecords(first, np.stack(words), np.array([self._count(index) for index in indices], np.int64))
+                yield RawRecords(first, np.stack(words), np.array([self._trigger_samples(index) for index in indices]))
         finally:
             buffer.free()
 
@@ -123,10 +124,18 @@ class SinglePortCapture:
         board.call(board.library.AlazarRead, int(channel), buffer.address, WORD_BYTES, index + 1, offset, samples)
         return buffer.copy(np.dtype("<u2"), samples).astype(np.uint16, copy=False)
 
-    def _count(self, index: int) -> int:
-        count = ctypes.c_uint64()
-        self._board.call(self._board.library.AlazarGetTriggerTimestamp, index + 1, ctypes.byref(count))
-        return int(count.value)
+    def _trigger_samples(self, index: int) -> float:
+        """Return when record ``index`` was triggered in periods of the sample clock; NaN where the library refuses it.
+
+        The library need not state the time of a record above 1000; the record itself is there, and not lost for that.
+        """
+        board, value = self._board, ctypes.c_uint64()
+        stamp = board.library.AlazarGetTriggerTimestamp
+        code = board.ask(stamp, board.handle, index + 1, ctypes.byref(value))
+        if code == RECORD_TOO_HIGH and index >= ATS460_BOARD.stamped_records:
+            return math.nan
+        board.check(code, "AlazarGetTriggerTimestamp")
+        return float(value.value)
 
 
 @final

@@ -14,7 +14,8 @@ class BoardModel:
     ``rate_ids`` by sample rate in Hz, internal clock; ``range_ids`` by range in +-V at 50 ohm. Records are a multiple
     of ``record_multiple`` samples (``npt_record_multiple`` in NPT mode), ``record_minimum`` at least, and take
     ``record_overhead_samples`` more of the memory. FPGA versions up to ``old_fpga`` hold ``old_fpga_records`` records
-    of a single-port capture, newer ones ``max_records``.
+    of a single-port capture, newer ones ``max_records``; the library states the trigger times of the first
+    ``stamped_records``.
     """
 
     name: str
@@ -32,6 +33,7 @@ class BoardModel:
     max_records: int
     old_fpga: int
     old_fpga_records: int
+    stamped_records: int
 
     @property
     def sample_rates_hz(self) -> tuple[float, ...]:
@@ -82,6 +84,7 @@ ATS460_BOARD: Final = BoardModel(
     max_records=256_000,
     old_fpga=18,
     old_fpga_records=1000,
+    stamped_records=1000,
 )
 MODELS: Final = (ATS460_BOARD,)
 

@@ -14,6 +14,8 @@ SUCCESS: Final = 512
 FAILED: Final = 513
 UNSUPPORTED_FUNCTION: Final = 533
 WAIT_TIMEOUT: Final = 579
+RECORD_TOO_HIGH: Final = 604
+"""Of ``AlazarGetTriggerTimestamp``, whatever the SDK's version: the record's trigger time is not to be had."""
 OLD_SDK: Final = 5
 """Last major version whose 604 and 607 are those of the old guide."""
 
@@ -137,7 +139,7 @@ MEANINGS: Final[Mapping[int, tuple[str, str]]] = {
 # Their meaning changed between SDK versions, so that they have a name only where the version is known.
 AMBIGUOUS: Final = frozenset({603, 604, 607})
 _OLD_NAMES: Final[Mapping[int, tuple[str, str]]] = {
-    604: ("ApiRecordTooHigh", "a record above 1000 has no time stamp with FPGA version 18 and below"),
+    604: ("ApiRecordTooHigh", "a record above 1000 has no time stamp"),
     607: ("ApiTooManyRecords", "the record count exceeds 1000 with FPGA version 18 and below"),
 }
 _NEW_NAMES: Final[Mapping[int, tuple[str, str]]] = {

@@ -21,6 +21,7 @@ LOWEST_CODE, HIGHEST_CODE = CODE_LIMITS
 # Zero volts lies between two codes, so that a range of +-R spans 2^bits - 1 steps.
 CENTRE_CODE: Final = (HIGHEST_CODE - LOWEST_CODE) / 2
 TIMESTAMP_HIGH_MASK: Final = 0xFF
+SAMPLES_PER_COUNT: Final = 2
 HEADER_BYTES: Final = 16
 
 
@@ -28,12 +29,13 @@ HEADER_BYTES: Final = 16
 class RawRecords:
     """Consecutive records as the board delivers them.
 
-    ``words`` uint16 (channel, record, sample); ``counts`` int64 (record,), None where the board states no time.
+    ``words`` uint16 (channel, record, sample); ``trigger_samples`` float64 (record,), when each trigger came in periods
+    of the sample clock, NaN where the board states no time.
     """
 
     first_record: int
     words: NDArray[np.uint16]
-    counts: NDArray[np.int64] | None
+    trigger_samples: NDArray[np.float64]
 
 
 def header_record_dtype(record_samples: int) -> np.dtype[Any]:
@@ -50,10 +52,12 @@ def unpacked(data: NDArray[np.uint8], first_record: int, channels: int, record_s
     """Return the records of one AutoDMA buffer: R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ..."""
     if npt:
         words = data.view("<u2").reshape(channels, -1, record_samples)
-        return RawRecords(first_record, words.astype(np.uint16, copy=False), None)
+        return RawRecords(first_record, words.astype(np.uint16, copy=False), np.full(words.shape[1], np.nan))
     filled = data.view(header_record_dtype(record_samples)).reshape(-1, channels)
     words = np.ascontiguousarray(filled["words"].swapaxes(0, 1)).astype(np.uint16, copy=False)
-    return RawRecords(first_record, words, timestamp_counts(filled["header"][:, 0]))
+    # The counter in the headers advances once in several samples; the function for single-port records counts samples.
+    trigger_samples = timestamp_counts(filled["header"][:, 0]) * float(SAMPLES_PER_COUNT)
+    return RawRecords(first_record, words, trigger_samples)
 
 
 def timestamp_counts(headers: NDArray[np.uint32]) -> NDArray[np.int64]:

@@ -7,18 +7,21 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpe_rig.acquire.run import Setup, prepare, record_run
-from hpe_rig.acquire.run_file import Run, chosen_estimator, open_run
+from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings, open_run
 from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.plan import CheckResult
 from hpe_rig.result import Result, ShotResult, Stages
 from hpe_rig.scene import Estimator, SceneSource
 from hpe_rig.store import versions
+
+if TYPE_CHECKING:
+    from hpe_rig.processing import Estimates
 
 BenchSource = str | os.PathLike[str] | None
 """What is taken as a bench: the path of its TOML file; None: the simulated bench."""
@@ -122,8 +125,8 @@ def estimate(
     six carrier periods on either side the gate's edges cost nothing. A pulse with a sample that is not finite counts as
     missing; where there are leading axes each of their entries becomes a shot of the result, in C order. Phases are
     those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive away from the transducer.
-    Raises ``TypeError`` where ``rf`` is not real, ``SettingsError`` for an unknown estimator, ``ValueError`` where the
-    echoes carry no estimate.
+    An entry that carries no estimate is left out, with a warning that says why. Raises ``TypeError`` where ``rf`` is
+    not real, ``SettingsError`` for an unknown estimator, ``ValueError`` where no entry carries an estimate.
 
     >>> rf = np.load("echoes.npy")
     >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
@@ -134,10 +137,7 @@ def estimate(
     acquired: dict[str, Any] = {"sample_rate_hz": sample_rate_hz, "carrier_hz": carrier_hz, "margin": margin}
     acquired["sound_speed_m_per_s"] = sound_speed_m_per_s
     with stages("process"):
-        shots = tuple(
-            _shot(index, one, pulse_rate_hz, acquired, frequencies_hz, chosen)
-            for index, one in enumerate(volts.reshape(-1, *volts.shape[-2:]))
-        )
+        found = _shots(volts.reshape(-1, *volts.shape[-2:]), pulse_rate_hz, acquired, frequencies_hz, chosen)
     return Result(
         title=f"Echoes of shape {volts.shape}",
         run_file="",
@@ -145,12 +145,34 @@ def estimate(
         status="complete",
         estimator=chosen,
         phase_reference="of sin(2 pi f t + phase), with t from the first pulse",
-        shots=shots,
-        warnings=(),
+        shots=found.shots,
+        warnings=tuple(incomplete_warnings(found)),
         omitted=(),
         versions=versions(),
         run_time_s=stages.run_time_s,
+        shots_without_result=tuple(found.without.items()),
     )
+
+
+def _shots(
+    trains: NDArray[np.floating[Any]],
+    pulse_rate_hz: float,
+    acquired: dict[str, Any],
+    frequencies_hz: Sequence[float],
+    estimator: Estimator,
+) -> Estimates:
+    """Return the estimates of ``trains`` (train, pulse, sample); raise the first ``ValueError`` where none has one."""
+    from hpe_rig.processing import Estimates
+
+    shots, refused = list[ShotResult](), dict[int, ValueError]()
+    for index, volts in enumerate(trains):
+        try:
+            shots.append(_shot(index, volts, pulse_rate_hz, acquired, frequencies_hz, estimator))
+        except ValueError as error:
+            refused[index] = error
+    if refused and not shots:
+        raise refused[0]
+    return Estimates(tuple(shots), {index: str(error) for index, error in refused.items()})
 
 
 def _shot(

@@ -124,7 +124,7 @@ def record_run(
         if earlier is not None:
             with taken("take over"):
                 writer.take_over(earlier, first)
-        stack.enter_context(_noting(f"{path} holds the records that had arrived"))
+        stack.enter_context(_noting(_what_remains(path)))
         with taken("open bench"):
             bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
         with taken("configure"), closing(acquire(rest, bench, _timed(observer, taken))) as events:
@@ -133,6 +133,11 @@ def record_run(
                 if stages is not None and isinstance(event, ShotDone):
                     writer.run_time(stages.run_time_s)
     return path
+
+
+def _what_remains(path: Path) -> str:
+    """Return what a stopped run leaves, and what can be done with it."""
+    return f"{path} holds the records that had arrived: hpe-rig process {path} estimates them, hpe-rig resume goes on"
 
 
 def _timed(observer: Observer, stages: Stages) -> Observer:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.acquire.run import planned
 from hpe_rig.bench import BenchFile, parse_bench
-from hpe_rig.plan import CheckResult, Plan, reference_gate, select
+from hpe_rig.plan import CheckResult, Plan, omissions, reference_gate, select
 from hpe_rig.result import Result, Stages
 from hpe_rig.scene import (
     Estimator,
@@ -53,6 +53,12 @@ class Run:
     def records(self) -> StoredRecords:
         """The digitizer's codes of every shot, each int16 (pulse, sample), with what turns them into volts."""
         return self.stored.records
+
+    def __repr__(self) -> str:
+        """Return path, title and state; the file's texts and the plan would fill a screen."""
+        complete, simulated = self.stored.shot_complete, ", simulated" if self.stored.simulated else ""
+        shots = f"{int(complete.sum())} of {complete.size} shots"
+        return f"<Run {str(self.path)!r}: {self.scene.title!r}, {self.stored.status}, {shots}{simulated}>"
 
     def displacement_m(self, shot: int = 0) -> NDArray[np.float64]:
         """Return the displacement of every tracking pulse of ``shot``, counted from 0, up to a constant; (pulse,), m.
@@ -94,7 +100,7 @@ class Run:
             phase_reference=phase_reference(self.scene),
             shots=estimates.shots,
             warnings=tuple(_warnings(self, estimates)),
-            omitted=tuple((item.what, item.why) for item in self.plan.omitted),
+            omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, chosen), self.bench)),
             versions=versions(),
             run_time_s=stages.run_time_s,
             simulated_specimen=self.scene.default_specimen,
@@ -166,6 +172,11 @@ def chosen_estimator(name: str | None, scene: Scene | None = None) -> Estimator:
     return Processing.model_validate(asked).estimator
 
 
+def _with_estimator(scene: Scene, estimator: Estimator) -> Scene:
+    """Return ``scene`` as if it had asked for ``estimator``."""
+    return scene.model_copy(update={"processing": scene.processing.model_copy(update={"estimator": estimator})})
+
+
 def phase_reference(scene: Scene) -> str:
     """Return in words what phase zero means; the way from transducer to gate is accounted for."""
     start = "the first toneburst's arrival at the gate" if scene.excitation else "the master trigger's edge"
@@ -208,10 +219,10 @@ def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
     if run.stored.status != "complete":
         complete = run.stored.shot_complete
         yield f"the run is {run.stored.status}: {int(complete.sum())} of {complete.size} shots are complete"
-    yield from _incomplete(estimates)
+    yield from incomplete_warnings(estimates)
 
 
-def _incomplete(estimates: Estimates) -> Iterator[str]:
+def incomplete_warnings(estimates: Estimates) -> Iterator[str]:
     """Yield which shots have no result, and why, and which have one from a part of their records."""
     for why in dict.fromkeys(estimates.without.values()):
         yield f"shot {_numbers(shot for shot, reason in estimates.without.items() if reason == why)} left out: {why}"

@@ -20,6 +20,7 @@ from .twin import (
     TwinDeclaration as TwinDeclaration,
     check_declared as check_declared,
     check_simulation as check_simulation,
+    contradictions as contradictions,
     declares_twin as declares_twin,
     simulation_schema as simulation_schema,
     twin_dose as twin_dose,

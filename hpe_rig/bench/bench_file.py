@@ -106,8 +106,9 @@ class DigitizerBoard(Section):
     """Whether the board has the optional dual-port memory, so that records stream out while others come in."""
     samples_per_channel: Annotated[int, Field(ge=1024, le=2**40, strict=True)] = 8_388_608
     """On-board memory; bounds a capture where there is no dual-port memory."""
-    max_records: Annotated[int, Field(ge=1, le=2**32, strict=True)] = model_named("ATS460").max_records
-    """Most records of a capture without dual-port memory; 1000 for FPGA version 18 and below."""
+    max_records: Annotated[int, Field(ge=1, le=2**32, strict=True)] = model_named("ATS460").stamped_records
+    """Most records of a single-port capture. The library states the trigger time of the first 1000 alone, and FPGA
+    version 18 and below hold no more; with more, records from 1001 on are placed by counting."""
     latency_s: LatencyS = 0.0
     """Trigger input to sample 0 without trigger delay."""
     aux_latency_s: LatencyS = 0.0

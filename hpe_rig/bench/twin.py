@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -145,6 +145,36 @@ def twin_of(scene: Scene) -> TwinDeclaration | None:
     except ValueError:
         # On a simulated bench every mistake was reported when the scene was read; a real one does not read the section.
         return None
+
+
+def contradictions(scene: Scene) -> Iterator[tuple[str, str, str]]:
+    """Yield each key of [beams] and [medium] that the twin contradicts, the scene's value and the twin's.
+
+    Nothing of what ``twin_of`` has no value for. Depths and sound speeds are compared where the gate is.
+    """
+    twin = twin_of(scene)
+    if twin is None:
+        return
+    beams, specimen = twin.settings.beams, twin.settings.specimen
+    pairs: list[tuple[str, Any, Any]] = []
+    if scene.beams is not None:
+        pairs.append(("beams.excitation_width_m", scene.beams.excitation_width_m, beams.motion_width_m()))
+        pairs.append(("beams.tracking_width_m", scene.beams.tracking_width_m, beams.tracking_width_m))
+        pairs.append(("beams.focus_depth_m", scene.beams.focus_depth_m or beams.focus_depth_m, beams.focus_depth_m))
+    if scene.medium is not None and specimen is not None:
+        names = "shear_modulus_pa", "shear_viscosity_pa_s", "density_kg_per_m3"
+        pairs.append(("medium", "voigt", specimen.medium))
+        pairs += [(f"medium.{name}", getattr(scene.medium, name), getattr(specimen, name)) for name in names]
+    for key, declared, simulated in pairs:
+        if declared != simulated:
+            yield key, _written(declared), _written(simulated)
+
+
+def _written(value: Any) -> str:
+    """Return a setting as a scene file has it, numbers to four digits."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_written, value))}]"
+    return value if isinstance(value, str) else f"{value:.4g}"
 
 
 def declares_twin(scene: Scene) -> bool:

@@ -10,6 +10,7 @@ from .checks.check_result import (
 )
 from .checks.checklist import check_plan as check_plan
 from .interference import disturbed_pulses as disturbed_pulses
+from .omitted import omissions as omissions
 from .selection import (
     Selection as Selection,
     driven_frequencies_hz as driven_frequencies_hz,

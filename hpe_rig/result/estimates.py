@@ -108,7 +108,7 @@ class Estimate:
 
     @property
     def snr_db(self) -> float:
-        """Amplitude over its standard uncertainty."""
+        """Tracked amplitude over its standard uncertainty by the fit: noise, and aliasing where the fit knows it."""
         if self.amplitude_uncertainty_m == 0:
             return math.inf
         ratio = self.amplitude_m / self.amplitude_uncertainty_m
@@ -225,8 +225,11 @@ class Result:
         return repeat_means(self.shots)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON; numbers that JSON cannot hold become None."""
-        tables = {_WRITTEN.get(name, name): value for name, value in asdict(self).items()}
+        """Return plain values for JSON; numbers that JSON cannot hold become None.
+
+        ``omitted`` stands there as ``left_out`` too, its name in earlier versions.
+        """
+        tables = {**asdict(self), "left_out": self.omitted}
         if self.simulated_specimen is None:
             del tables["simulated_specimen"]
         if means := [asdict(each) for each in self.means]:
@@ -276,10 +279,6 @@ class Result:
         from hpe_rig.result.html_repr import result_html
 
         return result_html(self)
-
-
-_WRITTEN = {"omitted": "left_out"}
-"""Names in JSON, where they differ: files keep theirs."""
 
 
 def shot_warnings(shots: Sequence[ShotResult]) -> list[str]:

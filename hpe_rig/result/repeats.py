@@ -53,13 +53,16 @@ class RepeatMean:
 
 
 def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
-    """Return the mean of every frequency over each group of complete shots that share all settings."""
+    """Return the mean of every frequency over each group of complete shots that are repeats of the same settings."""
     groups: dict[tuple[float | None, ...], list[ShotResult]] = {}
     for shot in shots:
         if shot.complete:
             groups.setdefault(_setting(shot), []).append(shot)
     return tuple(
-        _mean(group, index) for group in groups.values() if len(group) > 1 for index in range(len(group[0].estimates))
+        _mean(group, index)
+        for group in groups.values()
+        if len({shot.repeat for shot in group}) > 1
+        for index in range(len(group[0].estimates))
     )
 
 

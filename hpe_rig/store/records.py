@@ -56,10 +56,11 @@ def with_margin(gate: slice, margin: int, samples: int) -> tuple[slice, tuple[in
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """The latest record of a shot that has its place: its pulse, and its trigger's time by the board's counter."""
+    """The latest record of a shot that has its place: its pulse, its trigger's time by the board's counter, its number."""
 
     pulse: int
     trigger_time_s: float
+    record: int
 
 
 def place(block: RecordBlock, before: Placed | None, shot: Shot) -> tuple[NDArray[np.int64], Placed | None]:
@@ -67,21 +68,31 @@ def place(block: RecordBlock, before: Placed | None, shot: Shot) -> tuple[NDArra
 
     The board's trigger times decide, counted from the record placed last, so that a lost trigger shifts no later record
     and a board whose clock is off by up to 100 ppm loses none in blocks of up to 2000. The first record that comes is
-    taken for the first pulse's: no time tells whether triggers before it were lost. Where the way to capture states no
-    times, records count from the first.
+    taken for the first pulse's: no time tells whether triggers before it were lost. Records without a time count on from
+    the one placed last, and from the first where the way to capture states no times at all.
     """
-    first = np.arange(block.codes.shape[0], dtype=np.int64) + block.first_record
-    if np.isnan(block.trigger_time_s).any():
-        return np.where(first < shot.capture.record_count, first, -1), before
-    anchor = before or Placed(0, float(block.trigger_time_s[0]))
-    pulses = anchor.pulse + (block.trigger_time_s - anchor.trigger_time_s) * shot.tracking_train.rate_hz
+    record = np.arange(block.codes.shape[0], dtype=np.int64) + block.first_record
+    timed = np.isfinite(block.trigger_time_s)
+    index, latest = np.empty_like(record), before
+    if timed.any():
+        index[timed], latest = _placed_by_time(record[timed], block.trigger_time_s[timed], before, shot)
+    counted = record[~timed] + (0 if latest is None else latest.pulse - latest.record)
+    index[~timed] = np.where(counted < shot.capture.record_count, counted, -1)
+    return index, latest
+
+
+def _placed_by_time(
+    record: NDArray[np.int64], trigger_time_s: NDArray[np.float64], before: Placed | None, shot: Shot
+) -> tuple[NDArray[np.int64], Placed | None]:
+    anchor = before or Placed(0, float(trigger_time_s[0]), int(record[0]))
+    pulses = anchor.pulse + (trigger_time_s - anchor.trigger_time_s) * shot.tracking_train.rate_hz
     index = np.round(pulses).astype(np.int64)
     stray = (np.abs(pulses - index) > 0.25) | (index < 0) | (index >= shot.capture.record_count)
     index[stray] = -1
     if stray.all():
         return index, before
     last = int(np.flatnonzero(~stray)[-1])
-    return index, Placed(int(index[last]), float(block.trigger_time_s[last]))
+    return index, Placed(int(index[last]), float(trigger_time_s[last]), int(record[last]))
 
 
 def assemble(blocks: Iterable[RecordBlock], shot: Shot) -> ShotRecords:

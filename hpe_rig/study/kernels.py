@@ -149,10 +149,10 @@ def functional(train: Train, estimator: Estimator) -> Floats:
 
 
 @functools.lru_cache(maxsize=64)
-def step_functional(train: Train) -> Floats:
-    """Return the matrix (step, 2 * frequency) of the paper's chain from displacement steps between pulses."""
+def step_functional(train: Train, estimator: Estimator) -> Floats:
+    """Return the matrix (step, 2 * frequency) from displacement steps between pulses to A cos(phi), A sin(phi)."""
     # A step before pulse k moves all pulses from k on: it weighs as much as their weights together.
-    onwards = np.cumsum(functional(train, "cross_spectrum")[::-1], axis=0)[::-1]
+    onwards = np.cumsum(functional(train, estimator)[::-1], axis=0)[::-1]
     return np.ascontiguousarray(onwards[1:])
 
 
@@ -163,7 +163,7 @@ def states(train: Train, estimator: Estimator, clean: Floats, which: Places, lev
     the echo of every pulse, ``level`` (draw,) of the noise.
     """
     if spec_of(estimator).reads_peak:
-        return _peaks_states(train, clean, which, level, noise)
+        return _peaks_states(train, estimator, clean, which, level, noise)
     noisy = clean[:, None, which] + level[:, None, None, None] * noise
     # A realisation without an echo is NaN; an estimator refuses an array that has no other.
     try:
@@ -183,7 +183,9 @@ def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
     return np.asarray(motion_of(train.gate(noisy), estimator).displacement_m @ functional(train, estimator))
 
 
-def _peaks_states(train: Train, clean: Floats, which: Places, level: Floats, noise: Floats) -> Floats:
+def _peaks_states(
+    train: Train, estimator: Estimator, clean: Floats, which: Places, level: Floats, noise: Floats
+) -> Floats:
     grid_hz = spectral_kernels(train).grid_hz["peak"]
     # In one pass over the pulses where Numba is there: the noisy spectra of all of them need not exist at once.
     if compiled():
@@ -195,7 +197,7 @@ def _peaks_states(train: Train, clean: Floats, which: Places, level: Floats, noi
         peak_hz = grid_hz[peak]
     else:
         step, peak_hz = peak_phase(_complex(clean[:, None, which] + level[:, None, None, None] * noise), grid_hz)
-    return np.asarray((step * _metres(train) / peak_hz) @ step_functional(train))
+    return np.asarray((step * _metres(train) / peak_hz) @ step_functional(train, estimator))
 
 
 def _complex(both: Floats) -> NDArray[np.complex128]:
@@ -219,4 +221,4 @@ def refuse_unusable(train: Train, estimators: Sequence[Estimator]) -> None:
     """Raise ``ValueError`` where the train cannot carry an estimate, before anything is drawn."""
     spectral_kernels(train)
     for estimator in estimators:
-        functional(train, estimator if spec_of(estimator).motion is not None else "coherent")
+        functional(train, estimator)

@@ -33,7 +33,7 @@ class Code(IntEnum):
     TOO_MANY_RECORDS = 607
     """SDK 5.8.2 for more records than FPGA 18 and below can hold; newer SDKs give this number another meaning."""
     RECORD_TOO_HIGH = 604
-    """SDK 5.8.2, time stamp of a record above 1000 on FPGA 18 and below."""
+    """SDK 5.8.2, time stamp of a single-port record above 1000, whatever the FPGA: always answered, as the worst case."""
 
 
 BOARD_KIND = 7
@@ -43,6 +43,7 @@ DRIVER_VERSION = (5, 8, 2)
 RESOLUTION_BITS = 14
 MOST_RECORDS = 256_000
 MOST_RECORDS_OLD_FPGA = 1000
+MOST_STAMPED_RECORDS = 1000
 OLD_FPGA = 18
 MOST_DELAY_SAMPLES = 9_999_999
 MOST_BUFFER_BYTES = 4 * 1024 * 1024

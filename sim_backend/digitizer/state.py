@@ -144,7 +144,7 @@ class AlazarState:
 
     def refuse_timestamp(self, record: int) -> Code:
         """Return whether ``record`` has a time stamp that can be read."""
-        if self._old_fpga and record > codes.MOST_RECORDS_OLD_FPGA:
+        if record > codes.MOST_STAMPED_RECORDS:
             return Code.RECORD_TOO_HIGH
         return self.refuse_record(record)
 
@@ -159,9 +159,10 @@ class AlazarState:
         return words(at_input, settings.inputs[channel - 1], settings.signed).tobytes()
 
     def timestamp(self, record: int) -> int:
-        """Return the trigger counter of a record."""
+        """Return when a record was triggered, in sample clock periods; even, as the counter behind it counts two."""
         taken = self._recorder.taken(self._clock.now_ps)
-        return int(timestamps(self._arming, taken.tick_ps[record - 1 : record], self._reset_ps)[0])
+        count = int(timestamps(self._arming, taken.tick_ps[record - 1 : record], self._reset_ps)[0])
+        return count * codes.SAMPLES_PER_TIMESTAMP
 
     def begin_transfer(self, transfer: Transfer, offset: int) -> Code:
         """Prepare AutoDMA, and start it at once where the program does not do so itself."""

@@ -190,6 +190,20 @@ def test_anybodys_echoes_of_any_real_type_give_the_motion_they_were_made_with() 
     assert not result.simulated
 
 
+def test_a_train_without_an_echo_costs_the_others_of_its_batch_nothing() -> None:
+    silent = np.zeros_like(moving_echo())
+    result = hpe.estimate(np.stack([moving_echo(), silent, moving_echo(2e-6)]), **ECHOES)
+    assert [shot.shot for shot in result.shots] == [0, 2]
+    assert result.shots[1].estimates[0].amplitude_m == pytest.approx(2e-6, rel=2e-3)
+    ((index, why),) = result.shots_without_result
+    assert index == 1
+    assert result.warnings == (f"shot 2 left out: {why}",)
+    # Entries of a batch are not repeats of one setting: nobody said so.
+    assert not result.means
+    with pytest.raises(ValueError, match="no echo"):
+        hpe.estimate(np.stack([silent, silent]), **ECHOES)
+
+
 def test_the_records_of_a_run_are_anybodys_echoes_too(run: hpe.Run) -> None:
     records, (shot,) = run.records[0], run.plan.shots
     around = slice(shot.gate.start - 67, shot.gate.stop + 67)
@@ -212,6 +226,13 @@ def test_a_result_becomes_a_frame_and_a_figure(run: hpe.Run, monkeypatch: pytest
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ModuleNotFoundError, match=r"hpe-rig\[frames\]"):
         result.to_frame()
+
+
+def test_a_run_is_shown_in_one_line_and_its_result_says_what_was_omitted_under_both_names(run: hpe.Run) -> None:
+    assert repr(run) == f"<Run {str(run.path)!r}: {run.scene.title!r}, complete, 1 of 1 shots, simulated>"
+    table = run.estimate().as_dict()
+    assert table["omitted"] == table["left_out"]
+    assert ["trigger jitter", "simulation.instruments.trigger_jitter_s is absent or 0"] in table["omitted"]
 
 
 def test_an_estimate_writes_nothing_until_it_is_saved(run: hpe.Run, tmp_path: Path) -> None:

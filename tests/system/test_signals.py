@@ -236,7 +236,7 @@ main()
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 3
     assert "THE BENCH MAY STILL BE DRIVING: not proven off: toneburst" in done.stderr
-    assert "run.h5 holds the records" in done.stderr
+    assert "run.h5 holds the records that had arrived: hpe-rig process run.h5" in done.stderr
     assert "Traceback" not in done.stderr
 
 

@@ -158,4 +158,14 @@ def memory(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
     held = min(board.max_records, board.board_model.most_records(board.samples_per_channel, capture.record_samples))
     text = f"{capture.record_count} records of {capture.record_samples} samples, the board holds {held}"
     remedy = f"tracking.pulse_count of at most {held}, or shorter acquisition.record_samples"
+    stamped = board.board_model.stamped_records
+    if held == board.max_records == stamped:
+        text += f" with their trigger times (digitizer.max_records = {held})"
+        remedy = f"tracking.pulse_count of at most {held} and more shots, dual-port memory, or a larger max_records: "
+        remedy += f"records above {stamped} are then placed by counting"
     yield judged("memory", capture.record_count <= held, text, remedy)
+    if stamped < capture.record_count <= held:
+        text = f"single-port records above {stamped} have no trigger time and are placed by counting: a trigger lost "
+        text += "among them would shift the records behind it"
+        remedy = f"tracking.pulse_count of at most {stamped}, or dual-port memory"
+        yield CheckResult("trigger times", "warning", text, remedy)

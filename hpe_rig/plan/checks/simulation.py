@@ -1,17 +1,17 @@
-"""Checks of a simulated bench: a specimen in the gate, of the sound speed assumed, and no motion that aliases."""
+"""Checks of a simulated bench: a specimen in the gate, bench and medium as declared, and no motion that aliases."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from hpe_rig.bench import BenchFile, TwinDeclaration, twin_of
+from hpe_rig.bench import BenchFile, TwinDeclaration, contradictions, twin_of
 from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
 
 
 def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
-    """Yield whether the twin has a specimen, in the gate, whose sound speed and motion are what the scene assumes."""
+    """Yield whether the twin has a specimen, in the gate, and is otherwise what the scene says and assumes."""
     twin = twin_of(scene) if bench.simulated else None
     if twin is None:
         return
@@ -23,6 +23,9 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
         text = f"simulation.sound_speed_m_per_s = {twin.sound_speed_m_per_s:g} m/s, "
         text += f"the gate assumes acquisition.sound_speed_m_per_s = {assumed:g} m/s"
         yield CheckResult("sound speed", "warning", text, "equal values, unless the mismatch is what is studied")
+    for key, declared, simulated in contradictions(scene):
+        text = f"{key} = {declared}, the twin simulates {simulated}: what is predicted and corrected is another bench's"
+        yield CheckResult("declared", "warning", text, "equal values, unless the mismatch is what is studied")
     yield from _focus(scene, twin)
     yield from _unwanted_motion(scene, twin, plan)
 

@@ -78,8 +78,8 @@ class Script:
         rng = np.random.default_rng(460)
         # Left-justified 14 bit codes without the lowest and highest, which would count as clipped.
         self.words = (rng.integers(1, 2**14 - 1, (records, 2, samples)) << 2).astype(np.uint16)
-        # Beyond 32 bits half way through.
-        self.stamps = (2**32 - 250 * records + 500 * np.arange(records)).astype(np.uint64)
+        # In sample clock periods: a trigger every 10 us at 100 MS/s. As counts of two beyond 32 bits half way through.
+        self.stamps = (2**33 - 500 * records + 1000 * np.arange(records)).astype(np.uint64)
         self.library = library
         words = self.words.ctypes.data_as(ctypes.c_void_p)
         library.FakeScript(words, self.stamps.ctypes.data_as(ctypes.c_void_p), records, 2, samples)
@@ -128,7 +128,9 @@ def test_a_thousand_records_arrive_byte_for_byte(script: Script, mode: str, moni
     if mode == "npt":
         assert np.isnan(got.time_s).all()
     else:
-        assert np.rint(got.time_s * 100e6 / 2).astype(np.uint64).tolist() == script.stamps.tolist()
+        # On the clock on the wall: triggers every 10 us, whichever way their times come.
+        assert np.rint(got.time_s * 100e6).astype(np.uint64).tolist() == script.stamps.tolist()
+        np.testing.assert_allclose(np.diff(got.time_s), 10e-6, rtol=0, atol=1e-12)
     assert not got.digitizer.clipped()
 
 

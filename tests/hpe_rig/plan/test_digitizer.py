@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.acquire.sequencer import acquire
+from hpe_rig.acquire.sequencer import ShotBlock, acquire
 from hpe_rig.bench.bench_file import BenchFile, read_bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.shots import make_plan
 from hpe_rig.scene.scene import Scene, parse_scene, shipped_scenes
+from hpe_rig.store.records import assemble
 
 TABLE_1 = shipped_scenes()["table-1"]
 
@@ -72,3 +74,35 @@ def test_a_plan_that_passes_is_one_that_the_driver_takes() -> None:
 def test_a_level_at_the_edge_of_the_trigger_range_is_taken(tmp_path: Path) -> None:
     bench = bench_with(tmp_path / "bench.toml", "trigger_level_v = 5.0")
     assert refusals(parse_scene("table-1", TABLE_1).scene, bench) == []
+
+
+def single_port(folder: Path, *lines: str) -> BenchFile:
+    text = read_bench(None).text.replace("dual_port_memory = true", "\n".join(["dual_port_memory = false", *lines]))
+    path = folder / "bench.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_bench(path).bench
+
+
+def test_a_single_port_capture_is_planned_within_the_records_that_have_a_trigger_time(tmp_path: Path) -> None:
+    long = parse_scene("edited", edited(TABLE_1, "tracking", "pulse_count = 1200")).scene
+    (refused,) = refusals(long, single_port(tmp_path))
+    assert all(word in refused for word in ["memory", "1200 records", "1000", "trigger times", "max_records"]), refused
+    bench = single_port(tmp_path, "max_records = 2000")
+    results = check_plan(long, bench, make_plan(long, bench))
+    (warning,) = [str(result) for result in results if result.check == "trigger times"]
+    assert all(word in warning for word in ["above 1000", "counting", "dual-port memory"]), warning
+    short = parse_scene("edited", edited(TABLE_1, "tracking", "pulse_count = 1000")).scene
+    assert not [each for each in check_plan(short, bench, make_plan(short, bench)) if each.check == "trigger times"]
+
+
+def test_records_above_a_thousand_are_captured_and_none_is_lost(tmp_path: Path) -> None:
+    scene = parse_scene("edited", edited(TABLE_1, "tracking", "pulse_count = 1200")).scene
+    bench = single_port(tmp_path, "max_records = 2000")
+    # The twin is told of its memory in the scene.
+    scene = scene.with_({"simulation.instruments": {"dual_port_memory": False}})
+    plan = make_plan(scene, bench)
+    with open_bench(scene, bench, plan.roles) as opened:
+        blocks = [event.block for event in acquire(plan, opened) if isinstance(event, ShotBlock)]
+    records = assemble(blocks, plan.shots[0])
+    assert records.valid.all()
+    assert np.isnan(records.trigger_time_s).tolist() == [False] * 1000 + [True] * 200

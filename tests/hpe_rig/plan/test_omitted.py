@@ -2,6 +2,7 @@
 
 import pytest
 
+import hpe_rig as hpe
 from hpe_rig.acquire.run import prepare_text
 from hpe_rig.scene.scene import shipped_scenes
 
@@ -34,3 +35,9 @@ def test_reason_names_the_key_that_would_bring_the_noise():
     text = CHAIN.replace('preset = "paper"', "").replace("noise_v_per", "#")
     assert "simulation.receive_chain.noise_v_per_sqrt_hz" in omitted(text)["receiver noise"]
     assert "simulation.receiver.snr_db" in omitted(PLAIN.replace("snr_db = 40.0", ""))["receiver noise"]
+
+
+def test_a_stored_run_says_what_the_estimator_that_is_asked_for_omits(tmp_path):
+    run = hpe.measure("bovine-muscle-synchronous", path=tmp_path / "run.h5")
+    assert "prior of media" not in dict(run.estimate().omitted)
+    assert '"cross_spectrum"' in dict(run.estimate("cross_spectrum").omitted)["prior of media"]

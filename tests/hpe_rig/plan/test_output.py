@@ -63,3 +63,12 @@ def test_a_swing_above_the_bench_files_bound_is_refused_with_the_plan(tmp_path: 
     found = check_plan(scene, bench, make_plan(scene, bench))
     (refused,) = [finding for finding in found if finding.level == "refused"]
     assert "above max_vpp = 0.5" in refused.text
+
+
+@pytest.mark.parametrize(("name", "drives"), [("bovine-muscle", 2), ("table-1", 1)])
+def test_the_drive_is_judged_of_what_drives(name: str, drives: int) -> None:
+    found = [
+        finding.text for finding in prepare_text(name, shipped_scenes()[name]).findings if finding.check == "drive"
+    ]
+    assert len(found) == drives
+    assert not any(" 0 Vpp" in text.partition(",")[0] for text in found)

@@ -3,7 +3,7 @@
 import pytest
 
 from hpe_rig.acquire.run import prepare, prepare_text
-from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.scene.scene import load_scene, shipped_scenes
 
 TABLE_1 = shipped_scenes()["table-1"]
 
@@ -16,7 +16,7 @@ def found(text, check):
 @pytest.mark.parametrize("name", shipped_scenes())
 def test_shipped_scenes_agree_with_their_twins(name):
     said = {each.check for each in prepare(name, refuse=False).findings}
-    assert not said & {"gate in focus", "sound speed", "motion aliased"}
+    assert not said & {"gate in focus", "sound speed", "motion aliased", "declared"}
 
 
 def test_a_gate_in_which_nothing_echoes_is_refused():
@@ -30,6 +30,36 @@ def test_a_gate_in_which_nothing_echoes_is_refused():
 def test_a_gate_beside_the_focus_is_named(depth_m, level):
     each = found(TABLE_1.replace("gate_depth_m = 70.0e-3", f"gate_depth_m = {depth_m}"), "gate in focus")
     assert [finding.level for finding in each] == ([] if level is None else [level])
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "words"),
+    [
+        ("simulation.beams.tracking_width_m", [0.1e-3, 0.078e-3, 0.83e-3], "beams.tracking_width_m = [7.8e-05, "),
+        ("simulation.beams.excitation_width_m", [0.2e-3, 0.2e-3, 1.8e-3], "simulates [0.0002, 0.0002, 0.0018]"),
+        ("medium.shear_modulus_pa", 3e3, "medium.shear_modulus_pa = 3000, the twin simulates 9000"),
+        ("simulation.specimen.medium", "zener", "medium = voigt, the twin simulates zener"),
+    ],
+)
+def test_beams_and_medium_of_another_bench_than_the_twins_are_named(setting, value, words):
+    medium = {"medium.shear_modulus_pa": 9e3, "medium.shear_viscosity_pa_s": 2.0}
+    scene = load_scene("bovine-muscle")
+    assert not [each for each in prepare(scene.with_(medium)).findings if each.check == "declared"]
+    (finding,) = [each for each in prepare(scene.with_(medium | {setting: value})).findings if each.check == "declared"]
+    assert finding.level == "warning"
+    assert words in finding.text
+
+
+def test_a_motion_wider_than_declared_is_named():
+    scene = load_scene("table-1").with_({"simulation.beams.width_ratio": [2.0, 2.0, 2.0]})
+    (finding,) = [each for each in prepare(scene).findings if each.check == "declared"]
+    assert "simulates [0.000156, 0.000156, 0.00166]" in finding.text
+
+
+def test_a_focus_that_is_declared_elsewhere_than_the_twins_is_named():
+    scene = load_scene("bovine-muscle").with_({"beams.focus_depth_m": 69e-3, "simulation.beams.focus_depth_m": 70e-3})
+    (finding,) = [each for each in prepare(scene).findings if each.check == "declared"]
+    assert "beams.focus_depth_m = 0.069, the twin simulates 0.07" in finding.text
 
 
 def test_another_sound_speed_moves_the_gate_as_well():

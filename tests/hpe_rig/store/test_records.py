@@ -54,3 +54,15 @@ def test_a_board_whose_clock_is_off_loses_no_record(shot: Shot, clock_error: flo
         )
         found += index.tolist()
     assert found == pulses.tolist()
+
+
+def test_records_without_a_time_count_on_from_the_last_that_has_one(shot: Shot) -> None:
+    """As single-port records above 1000 do: what was lost before them shifts none of them."""
+    pulses = np.delete(np.arange(60), [7])
+    timed = block(shot, pulses)
+    times_s = np.where(np.arange(59) < 40, timed.trigger_time_s, np.nan)
+    records = assemble([replace(timed, trigger_time_s=times_s)], shot)
+    assert records.codes[pulses, 0].tolist() == pulses.tolist()
+    assert np.flatnonzero(~records.valid[:60]).tolist() == [7]
+    untimed = replace(timed, first_record=20, trigger_time_s=np.full(59, np.nan))
+    assert place(untimed, None, shot)[0].tolist() == list(range(20, 79))

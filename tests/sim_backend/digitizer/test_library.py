@@ -148,13 +148,14 @@ def test_single_port_time_stamps_count_from_the_start():
     world = world_of()
     start_ps = world.clock.now_ps
     library, _ = single_port(world)
-    stamp, counts = c_uint64(), []
+    stamp, values = c_uint64(), []
     for record in range(1, RECORDS + 1):
         assert library.AlazarGetTriggerTimestamp(BOARD, record, byref(stamp)) == 512
-        counts.append(stamp.value)
-    assert set(np.diff(counts)) == {10_000}
+        values.append(stamp.value)
+    # In sample clock periods: 200 us are 20 000 of 10 ns.
+    assert set(np.diff(values)) == {20_000}
     since_start_ps = world.taken(world.clock.now_ps).tick_ps - start_ps
-    assert counts == (since_start_ps // 20_000).tolist()
+    assert values == (since_start_ps // 20_000 * 2).tolist()
 
 
 def test_time_stamps_reset_once_count_on_through_later_captures():
@@ -167,9 +168,9 @@ def test_time_stamps_reset_once_count_on_through_later_captures():
         fire(world)
         world.clock.sleep(0.1)
         library.AlazarGetTriggerTimestamp(BOARD, 1, byref(stamp))
-        counts.append((stamp.value, (int(world.taken(world.clock.now_ps).tick_ps[0]) - reset_ps) // 20_000))
+        counts.append((stamp.value, (int(world.taken(world.clock.now_ps).tick_ps[0]) - reset_ps) // 20_000 * 2))
     assert counts[0][0] == counts[0][1]
-    assert counts[1][0] == counts[1][1] > counts[0][0] + 5_000_000
+    assert counts[1][0] == counts[1][1] > counts[0][0] + 10_000_000
 
 
 def test_pre_trigger_moves_the_record_and_not_the_trigger():

@@ -23,9 +23,9 @@ typedef enum { Success = 512, Failed = 513, DmaInProgress = 518, NullParam = 531
                InvalidAddress = 537, InvalidIndex = 539, InvalidHandle = 572, BufferNotReady = 573, WaitTimeout = 579,
                BufferTooSmall = 581, BufferOverflow = 582, InvalidBuffer = 583, InvalidRecordsPerBuffer = 584 } RC;
 
-enum { MOST_POSTED = 64, HEADER_BYTES = 16, HEADERS = 0x8, NPT = 0x200, SERIAL = 460777 };
+enum { MOST_POSTED = 64, MOST_STAMPED = 1000, HEADER_BYTES = 16, HEADERS = 0x8, NPT = 0x200, SERIAL = 460777 };
 
-/* The script: words (record, channel, sample) and time stamps, owned by the test. */
+/* The script: words (record, channel, sample) and trigger times in sample clock periods, owned by the test. */
 static const U16 *script_words;
 static const U64 *script_stamps;
 static U32 script_records, script_channels, script_samples;
@@ -72,9 +72,11 @@ static void header(U8 *to, U32 record, U32 channel)
 {
     U32 word[4] = {SERIAL & 0x3FFFF, (record & 0xFFFFFF) | 7u << 24, 0, 0};
     word[0] |= channel << 22;
-    word[2] = (U32)script_stamps[record];
+    /* The counter in a header advances once in two sample clock periods. */
+    U64 count = script_stamps[record] / 2;
+    word[2] = (U32)count;
     /* Everything but the time stamp's high byte belongs to other fields. */
-    word[3] = (U32)(script_stamps[record] >> 32 & 0xFF) | 0xABCDEF00u;
+    word[3] = (U32)(count >> 32 & 0xFF) | 0xABCDEF00u;
     memcpy(to, word, HEADER_BYTES);
 }
 static void fill(U8 *to, U32 first)
@@ -243,6 +245,9 @@ EXPORT RC AlazarGetTriggerTimestamp(HANDLE h, U32 record, U64 *stamp)
     BOARD(AlazarGetTriggerTimestamp);
     if (record < 1 || record > triggers)
         return InvalidIndex;
+    if (record > MOST_STAMPED)
+        return 604;
+    /* Sample clock periods, not counts of two. */
     *stamp = script_stamps[record - 1];
     return Success;
 }
