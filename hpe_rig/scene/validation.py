@@ -193,7 +193,10 @@ def _words(entry: dict[str, Any], path: KeyPath, keys: Sequence[str], tables: Ma
     if kind in _BOUNDS:
         key, word = _BOUNDS[kind]
         bound = f"{word} {context[key]:g}{_unit(path)}"
-        return f"{_shown(value)} is out of bounds, it must be {bound}", f"a value {'of ' if 'at' in word else ''}{bound}"
+        return (
+            f"{_shown(value)} is out of bounds, it must be {bound}",
+            f"a value {'of ' if 'at' in word else ''}{bound}",
+        )
     if kind == "finite_number":
         return f"{_shown(value)} is not finite", "a finite number"
     if kind == "literal_error":

@@ -117,7 +117,7 @@ class MotionComponent(Section):
     """Vibration phase."""
 
 
-class AmplitudeMotion(Section):
+class BackgroundMotion(Section):
     """A periodic motion of the whole specimen along the beam, such as that of a heart beat or of breathing.
 
     ``b(t) = amplitude (sin a + sum_n h_n sin n a)``, ``a = 2 pi f t + phase``, t from the master trigger's edge. All
@@ -333,7 +333,7 @@ class SimulationSettings(Section):
     """What stands between the generators and the transducer."""
     motion: tuple[MotionComponent, ...] | None = None
     """Prescribed motion (eq. 13); exclusive with ``specimen``."""
-    background: tuple[AmplitudeMotion, ...] = ()
+    background: tuple[BackgroundMotion, ...] = ()
     """Motion of the whole specimen besides, which a gate must follow."""
     beams: Beams = Beams()
     """Excitation and tracking beams."""
@@ -350,8 +350,8 @@ class SimulationSettings(Section):
     def _fits_memory(self) -> SimulationSettings:
         if (count := scatterer_count(self.scatterers, self.beams)) > MOST_SCATTERERS:
             raise ValueError(
-                f"scatterers.per_cell and volume_m with beams.tracking_width_m make {count:.3g} scatterers, memory holds "
-                f"{MOST_SCATTERERS:.0e}: fewer per cell, or a smaller box"
+                f"scatterers.per_cell and volume_m with beams.tracking_width_m make {count:.3g} scatterers, memory "
+                f"holds {MOST_SCATTERERS:.0e}: fewer per cell, or a smaller box"
             )
         return self
 

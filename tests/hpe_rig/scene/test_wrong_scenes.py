@@ -43,7 +43,11 @@ WRONG = [
     ("burst_rate_hz = 100.0", "", ["excitation.burst_rate_hz", "required"]),
     ("burst_rate_hz = 100.0", "burst_rate_hz = = 1", ["not valid TOML", "line 4"]),
     ("burst_length_s = 100e-6", "burst_length_s = []", ["excitation.burst_length_s", "0 entries"]),
-    ("burst_length_s = 100e-6", "burst_length_s = [100e-6, 0.0]", ["excitation.burst_length_s[1]", "0.0", "at least 1e-09 s"]),
+    (
+        "burst_length_s = 100e-6",
+        "burst_length_s = [100e-6, 0.0]",
+        ["excitation.burst_length_s[1]", "0.0", "at least 1e-09 s"],
+    ),
     ("burst_length_s = 100e-6", "burst_length_s = 100.1e-6", ["whole cycles", "300.3", "0.0001"]),
     ("burst_length_s = 100e-6", "burst_length_s = 300e-6", ["max_burst_length_s", "300 us", "250 us"]),
     (
