@@ -38,7 +38,13 @@ def request_stop(run_file: Path) -> None:
 
 def clear_stop(run_file: Path) -> None:
     """Forget a request to stop, also one left over from an earlier run of that name."""
-    stop_path(run_file).unlink(missing_ok=True)
+    try:
+        stop_path(run_file).unlink(missing_ok=True)
+    except OSError as error:
+        raise StoreError(
+            f"{stop_path(run_file)}, which would ask the run to stop, cannot be removed ({reason(error)}). "
+            "Try: remove it, or another --output."
+        ) from None
 
 
 def stoppable(observer: Observer, run_file: Path, clock: Callable[[], float] = time.monotonic) -> Observer:

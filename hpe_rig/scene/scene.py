@@ -311,6 +311,19 @@ class Scene(Section):
         return self
 
     @model_validator(mode="after")
+    def _pulse_between_wavelength_and_depth(self) -> Scene:
+        length_m = None if self.beams is None else self.beams.pulse_length_m
+        if length_m is None:
+            return self
+        half_wave_m = self.acquisition.sound_speed_m_per_s / (2 * self.tracking.carrier_hz)
+        if not half_wave_m <= length_m <= self.acquisition.gate_depth_m:
+            raise ValueError(
+                f"beams.pulse_length_m is {length_m:g} m, one cycle of tracking.carrier_hz {half_wave_m:.3g} m and "
+                f"acquisition.gate_depth_m {self.acquisition.gate_depth_m:g} m: a value between these, or none at all"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _windows_within_slow_trains(self) -> Scene:
         windows_s = self.sweep.window_length_s or (self.processing.window_length_s,)
         if self.sweep.pulse_rate_hz and None in windows_s:

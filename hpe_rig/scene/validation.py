@@ -277,20 +277,24 @@ def _models_in(annotation: Any) -> Any:
         yield from _models_in(inner)
 
 
-LARGEST_M = 1e-3
-"""A larger uncertainty is a forgotten unit."""
+SMALLEST_M, LARGEST_M = 1e-15, 1e-3
+"""A larger uncertainty is a forgotten unit, a smaller one than a nucleus a slipped exponent."""
 _UNITS_M = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "m": 1.0}
 
 
 def length_m(text: str, key: str) -> float:
-    """Return a length up to 1 mm, such as "20nm" or "2e-8"; raise ``SettingsError`` naming ``key`` for others."""
+    """Return a length from 1 fm to 1 mm, such as "20nm" or "2e-8".
+
+    Raises ``SettingsError`` naming ``key`` for others.
+    """
     match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(nm|um|mm|m)?\s*", text)
     try:
         value = float(match[1]) * _UNITS_M[match[2] or "m"] if match else math.nan
     except ValueError:
         value = math.nan
-    if not 0 < value <= LARGEST_M:
+    if not SMALLEST_M <= value <= LARGEST_M:
         raise SettingsError(
-            "command line", [Mistake(key, f"{text!r} is no length up to 1 mm", "a number with unit, such as 20nm")]
+            "command line",
+            [Mistake(key, f"{text!r} is no length from 1 fm to 1 mm", "a number with unit, such as 20nm")],
         )
     return value

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from hpe_rig.store.format import StoreError, reason
 
 
 @contextmanager
@@ -14,7 +17,7 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
 
     Raises ``FileExistsError`` at the end where ``path`` is taken and must not be overwritten.
     """
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    draft = _draft(path)
     try:
         yield draft
         if overwrite:
@@ -25,6 +28,25 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
         # Gone already where all went well.
         with suppress(OSError):
             draft.unlink()
+
+
+def refuse_unwritable(path: Path) -> None:
+    """Raise ``StoreError`` where ``path`` cannot be written, before the work whose result it is to hold.
+
+    Its folder must exist and take files, and its name leave room for a draft's. Nothing is left behind.
+    """
+    try:
+        if not path.name or path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        draft = _draft(path)
+        draft.open("xb").close()
+        draft.unlink()
+    except OSError as error:
+        raise StoreError(f"{path} cannot be written ({reason(error)}). Try: another folder or name.") from None
+
+
+def _draft(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}.draft")
 
 
 def _rename_to_new(draft: Path, path: Path) -> None:

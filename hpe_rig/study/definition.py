@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import replace
@@ -31,6 +32,8 @@ from hpe_rig.scene import (
 Reading = Literal["physical", "literal"]
 Finite = Annotated[float, Field(ge=-1e100, le=1e100)]
 
+MOST_POINTS = 1_000_000
+"""Far more cases than anyone waits for; each is a file."""
 COLUMNS = ("reading", "estimator", "frequency_hz", "refused", "draws", "noise", "seconds", "peak_memory_bytes", "case")
 """Columns of every result, beside those of amplitude and phase: no axis has their names."""
 
@@ -133,6 +136,8 @@ class Definition(Section):
         taken = [name for name in names if name in COLUMNS or name.startswith(("amplitude_", "phase_"))]
         if taken:
             raise ValueError(f"axes are named {', '.join(taken)}, as columns of every result are: give others")
+        if (points := math.prod(len(axis.values()) for axis in self.axes)) > MOST_POINTS:
+            raise ValueError(f"its axes have {points:.3g} points in all, a study at most {MOST_POINTS}: take fewer")
         unknown = [name for name in self.common if name not in names] if self.common != "all" else []
         if unknown:
             raise ValueError(f"common names {', '.join(unknown)}, which is no axis: take from {', '.join(names)}")

@@ -9,7 +9,7 @@ from typing import Any
 
 from hpe_rig.result import csv_text
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import atomic_file
+from hpe_rig.store import StoreError, atomic_file, reason, refuse_unwritable
 from hpe_rig.study.cases import GridPoint
 from hpe_rig.study.definition import Definition
 
@@ -39,6 +39,14 @@ class CaseStore:
     def write(self, record: CaseRecord) -> None:
         """Write a record whole or not at all; raises ``SettingsError`` where the folder cannot be written."""
         write_whole(self._path(record["case"]), json.dumps(record))
+
+    def prepare(self) -> None:
+        """Make the folder; raise ``StoreError`` where nothing can be written there, before anything is computed."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(f"{self.folder} cannot be made ({reason(error)}). Try: another --output.") from None
+        refuse_unwritable(self.folder / STUDY)
 
     def _path(self, key: str) -> Path:
         # A folder for every 256th case: file managers take long over 1e5 files in one.

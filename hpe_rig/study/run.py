@@ -48,6 +48,7 @@ def run_study(
         for own, (definition, folder) in read_studies(name, replaced).items()
     }
     store = CaseStore(output / "cases")
+    store.prepare()
     cases = {point.case.key: point.case for _, points in studies.values() for point in points}
     records = {key: record for key in cases if (record := store.read(key)) is not None}
     try:

@@ -15,7 +15,7 @@ VibrationHz = Annotated[float, Field(ge=1e-4, le=1e6, strict=True)]
 """Frequencies that tissue follows, from slow drift on."""
 TimeS = Annotated[float, Field(ge=0, le=1.0, strict=True)]
 """Latencies and time constants of instruments."""
-JitterS = Annotated[float, Field(ge=0, le=1e-3, strict=True)]
+JitterS = Annotated[float, Field(ge=0, le=1e-6, strict=True)]
 """Standard deviations of trigger and clock."""
 LengthM = Annotated[float, Field(ge=1e-9, le=10.0, strict=True)]
 """Depths, boxes and beam widths."""

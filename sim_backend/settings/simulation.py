@@ -41,6 +41,12 @@ MOST_SCATTERERS = 10_000_000
 """What a machine's memory holds, at some 100 bytes each; far more are told apart by no echo."""
 
 
+MOST_LOSS_DB = 400.0
+"""Twice what separates the strongest pulse from the weakest noise."""
+MOST_WIDTHS = 8.0
+"""Sigmas between the axes of two beams beyond which one sees 1e-14 of what it would on the other's."""
+
+
 class Section(BaseModel):
     """A frozen table of settings that refuses keys it does not know."""
 
@@ -345,6 +351,23 @@ class SimulationSettings(Section):
     """The receive chain element by element; absent: an ideal one."""
     instruments: Instruments = Instruments()
     """What the simulated instruments are."""
+
+    @model_validator(mode="after")
+    def _something_comes_back(self) -> SimulationSettings:
+        loss_db = self.scatterers.attenuation_db_per_cm_mhz * 200 * self.beams.focus_depth_m
+        loss_db *= self.receiver.reference_carrier_hz / 1e6
+        if loss_db > MOST_LOSS_DB:
+            raise ValueError(
+                f"scatterers.attenuation_db_per_cm_mhz takes {loss_db:.3g} dB of receiver.reference_carrier_hz on the "
+                f"way to beams.focus_depth_m and back, {MOST_LOSS_DB:g} dB leave no echo: less of one of the three"
+            )
+        offset, width = self.beams.lateral_offset_m, self.beams.tracking_width_m
+        if any(abs(offset[axis]) > MOST_WIDTHS * width[axis] for axis in (0, 1)):
+            raise ValueError(
+                f"beams.lateral_offset_m is more than {MOST_WIDTHS:g} times beams.tracking_width_m, so that the beams "
+                "do not meet: a smaller offset"
+            )
+        return self
 
     @model_validator(mode="after")
     def _fits_memory(self) -> SimulationSettings:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,13 +19,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpe_rig.acquire import Setup, check, json_schema, open_run, prepare, prepare_rest, process, record_run
+from hpe_rig.acquire import Setup, check, json_schema, prepare, process, record_run
 from hpe_rig.bench import read_bench
 from hpe_rig.plan import PlanError, plan_text
 from hpe_rig.scene import SettingsError, parse_toml, shipped_scenes
 from hpe_rig.store import StoreError
-from hpe_rig.study.cases import points_of
-from hpe_rig.study.definition import read_studies, shipped_studies
 
 Tables = dict[str, Any]
 Path_ = tuple[str | int, ...]

@@ -26,22 +26,30 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     for key, declared, simulated in contradictions(scene):
         text = f"{key} = {declared}, the twin simulates {simulated}: what is predicted and corrected is another bench's"
         yield CheckResult("declared", "warning", text, "equal values, unless the mismatch is what is studied")
-    yield from _focus(scene, twin)
+    for key, simulated, stated in twin.lacking(bench):
+        text = f"simulation.instruments.{key} = {simulated}, the bench file says digitizer.{key} = {stated}: "
+        text += "the twin would refuse what is planned"
+        yield CheckResult("simulated board", "refused", text, "equal values")
+    yield from _focus(scene, bench, twin, plan)
     yield from _unwanted_motion(scene, twin, plan)
 
 
-def _focus(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
+def _focus(scene: Scene, bench: BenchFile, twin: TwinDeclaration, plan: Plan) -> Iterator[CheckResult]:
     """Yield whether the gate, at the depth that its echoes really come from, holds the focus and anything at all."""
     acquisition = scene.acquisition
-    # The gate is a time after the pulse: another sound speed moves it in depth.
-    depth_m = acquisition.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s
+    # The gate is a time after the pulse: another sound speed moves it in depth, other latencies do too.
+    capture = plan.shots[0].capture
+    later_m = twin.later_m(bench, capture.trigger_delay_samples / capture.sample_rate_hz)
+    depth_m = acquisition.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s + later_m
     off_m, half_m = abs(depth_m - twin.focus_depth_m), acquisition.gate_length_m / 2
     if off_m <= half_m * (1 + 1e-9):
         return
     text = f"the gate's middle lies {depth_m * 1e3:.4g} mm deep in the twin's medium "
     text += f"(acquisition.gate_depth_m = {acquisition.gate_depth_m:g} m), its focus at simulation.beams.focus_depth_m "
     text += f"= {twin.focus_depth_m:g} m"
-    remedy = "equal depths and sound speeds, unless the offset is what is studied"
+    if abs(later_m) > half_m:
+        text += f" (latencies of simulation.instruments, not those of the bench file: {later_m * 1e3:.4g} mm)"
+    remedy = "equal depths, sound speeds and latencies, unless the offset is what is studied"
     pulse_m = scene.tracking.cycles / scene.tracking.carrier_hz * acquisition.sound_speed_m_per_s / 2
     declared_m = None if scene.beams is None else scene.beams.pulse_length_m
     if off_m > twin.echo_reach_m + half_m + (declared_m or pulse_m):
