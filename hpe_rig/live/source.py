@@ -20,7 +20,7 @@ from hpe_rig.processing import (
     shot_prior,
 )
 from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
-from hpe_rig.store import StoredRun, StoreError
+from hpe_rig.store import StoredRun, StoreError, read_run
 
 LONGEST_HISTORY = 240
 
@@ -65,7 +65,10 @@ class RunSource:
         return self._state(self._run)
 
     def stop(self) -> None:
-        """Ask the run to stop through the file that it looks for."""
+        """Ask the run to stop through the file that it looks for; raise ``StoreError`` where none is going on."""
+        status = read_run(self._path).status
+        if status != "running":
+            raise StoreError(f"the run in {self._path} is {status}: nothing is left to stop. Try: reload the page.")
         request_stop(self._path)
 
     def _fingerprint(self) -> tuple[int, int, bool]:
