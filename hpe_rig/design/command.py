@@ -17,7 +17,7 @@ from hpe_rig.design.variables import variables
 from hpe_rig.prediction import detection_text, predict
 from hpe_rig.result import text_table
 from hpe_rig.scene import Mistake, SettingsError, edited_text, length_m, parse_toml
-from hpe_rig.store import refuse_unwritable
+from hpe_rig.store import unwritable
 from hpe_rig.study import Errors
 
 MODEL_JITTER, MODEL_BIAS, ERRORS = 0.15, 0.02, 3.0
@@ -112,8 +112,8 @@ def _wrong_words(request: Request) -> Iterator[Mistake]:
     if request.output is not None:
         if request.output.exists():
             yield Mistake("--output", f"{request.output} exists and is never overwritten", "another name")
-        else:
-            refuse_unwritable(request.output)
+        elif why := unwritable(request.output):
+            yield Mistake("--output", f"{request.output} cannot be written ({why})", "another place")
 
 
 def design_lines(found: DesignResult, draws: int = 0, seed: int = 0) -> Iterator[str]:

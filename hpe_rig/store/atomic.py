@@ -31,9 +31,15 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
 
 
 def refuse_unwritable(path: Path) -> None:
-    """Raise ``StoreError`` where ``path`` cannot be written, before the work whose result it is to hold.
+    """Raise ``StoreError`` where ``path`` cannot be written, before the work whose result it is to hold."""
+    if why := unwritable(path):
+        raise StoreError(f"{path} cannot be written ({why}). Try: another folder or name.")
 
-    Its folder must exist and take files, and its name leave room for a draft's. Nothing is left behind.
+
+def unwritable(path: Path) -> str:
+    """Return why ``path`` cannot be written, empty where it can; leaves nothing behind.
+
+    Its folder must exist and take files, and its name leave room for a draft's.
     """
     try:
         if not path.name or path.is_dir():
@@ -42,7 +48,8 @@ def refuse_unwritable(path: Path) -> None:
         draft.open("xb").close()
         draft.unlink()
     except OSError as error:
-        raise StoreError(f"{path} cannot be written ({reason(error)}). Try: another folder or name.") from None
+        return reason(error)
+    return ""
 
 
 def _draft(path: Path) -> Path:

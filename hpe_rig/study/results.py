@@ -10,7 +10,7 @@ from typing import Any
 
 from hpe_rig.result import csv_text
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import StoreError, atomic_file, refuse_unwritable
+from hpe_rig.store import atomic_file, unwritable
 from hpe_rig.study.cases import GridPoint
 from hpe_rig.study.definition import Definition
 
@@ -51,10 +51,10 @@ class CaseStore:
         """Make the folder; raise ``SettingsError`` where nothing can be written there, before anything is computed."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            refuse_unwritable(self.folder / STUDY)
-        except (OSError, StoreError) as error:
-            why = error.strerror if isinstance(error, OSError) else "it takes no files"
-            raise _unwritable(self.folder, why) from None
+        except OSError as error:
+            raise _unwritable(self.folder, error.strerror) from None
+        if why := unwritable(self.folder / STUDY):
+            raise _unwritable(self.folder, why)
 
     def _path(self, key: str) -> Path:
         # A folder for every 256th case: file managers take long over 1e5 files in one.

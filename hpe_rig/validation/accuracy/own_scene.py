@@ -24,8 +24,8 @@ from hpe_rig.bench import twin_of
 from hpe_rig.processing import ESTIMATORS
 from hpe_rig.result import Result, text_table
 from hpe_rig.scene import Mistake, Processing, Scene, SettingsError, with_default_specimen
-from hpe_rig.store import StoreError, refuse_unwritable
-from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped, pareto, write_rows
+from hpe_rig.store import StoreError
+from hpe_rig.validation.accuracy.work_precision import draw_panels, file_mistakes, grouped, pareto, write_rows
 
 Floats = NDArray[np.float64]
 
@@ -90,9 +90,8 @@ def write_own_scene(
 
     Raises ``SettingsError`` for a scene with mistakes and a bench that is none of the simulated ones.
     """
-    for path in (output, figure):
-        if path is not None:
-            refuse_unwritable(path)
+    if mistakes := file_mistakes(output, figure):
+        raise SettingsError("command line", mistakes)
     setup = prepare(source, bench)
     if not setup.bench.bench.simulated:
         mistake = Mistake("--bench", "errors are known where the truth is: on a simulated bench", "none, or another")

@@ -12,7 +12,7 @@ from typing import Any
 
 from hpe_rig.report import Picture, inline
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import refuse_unwritable, versions
+from hpe_rig.store import unwritable, versions
 from hpe_rig.study import PageTable, Part, cell, render, table, write_whole
 from hpe_rig.validation.accuracy import (
     chain as accuracy_chain,
@@ -46,9 +46,6 @@ def write_accuracy(
     part: str, output: Path | None, figure: Path | None, effort: Effort, show: Callable[[str], None]
 ) -> None:
     """Run one accuracy study and write or show its table; raises ``SettingsError`` before anything is measured."""
-    for path in (output, figure):
-        if path is not None:
-            refuse_unwritable(path)
     if part == "echo":
         accuracy_echo.write_accuracy(output, figure, effort.largest, effort.most_echoes, effort.longest_s, show)
     elif part == "motion":
@@ -66,7 +63,6 @@ def write_accuracy(
 def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell: Callable[[str], None]) -> None:
     """Run every accuracy study and write the report, part by part; raises ``SettingsError`` where it cannot."""
     refuse(path, figure, effort)
-    refuse_unwritable(path)
     parts, seconds = [], {}
     medium: list[Point] = []
     studies: dict[str, Callable[[], Part]] = {
@@ -99,6 +95,8 @@ def refuse(path: Path, figure: Path | None, effort: Effort) -> None:
     mistakes = []
     if path.suffix not in (".html", ".htm"):
         mistakes.append(Mistake("--output", f"{path.suffix!r} is no format of the report", "a name that ends in .html"))
+    elif why := unwritable(path):
+        mistakes.append(Mistake("--output", f"{path} cannot be written ({why})", "a folder that exists, another name"))
     if figure is not None:
         mistakes.append(Mistake("--figure", "the report has a figure of every part inside", "a PART beside it"))
     if not (effort.largest >= 100 and effort.most_echoes >= 10):
