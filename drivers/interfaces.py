@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,23 @@ class Connection(Protocol):
         ...
 
     def close(self) -> None: ...
+
+
+@runtime_checkable
+class Line(Protocol):
+    """What a connection over a real line can do besides; one in the same process needs none of it."""
+
+    timeout_s: float
+    """How long ``read`` waits."""
+
+    @property
+    def shared(self) -> str:
+        """What several connections may share; those that do are used one after the other."""
+        ...
+
+    def reopen(self) -> None:
+        """Open a dropped connection again; raise ``ConnectionError`` where nobody is there."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,8 +191,21 @@ class Instrument(Protocol):
         """Return whether the instrument's own test passes, with its output off; None where it has none."""
         ...
 
-    def make_safe(self) -> None:
-        """Switch the output off or abort the capture, and verify it; raise ``InstrumentError`` if not proven."""
+    @property
+    def line(self) -> str:
+        """Name of the line that leads there; instruments of different lines may be spoken to at the same time."""
+        ...
+
+    def switch_off(self) -> None:
+        """Send what switches the output off or aborts the capture, and wait for no answer."""
+        ...
+
+    def prove_off(self) -> str:
+        """Return how the output is known to be off, after ``switch_off``; raise ``InstrumentError`` if it is not."""
+        ...
+
+    def make_safe(self) -> str:
+        """Do both, stubbornly: in whatever state the instrument and the line to it are; return and raise likewise."""
         ...
 
     def close(self) -> None: ...
@@ -190,6 +220,10 @@ class MasterTrigger(Instrument, Protocol):
 
     def fire(self) -> None: ...
 
+    def recheck(self) -> None:
+        """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified."""
+        ...
+
 
 class PulseGenerator(Instrument, Protocol):
     """A triggered train of TTL pulses."""
@@ -198,6 +232,10 @@ class PulseGenerator(Instrument, Protocol):
 
     def enable_output(self) -> None: ...
 
+    def recheck(self) -> None:
+        """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified."""
+        ...
+
 
 class ToneburstGenerator(Instrument, Protocol):
     """A triggered sine burst."""
@@ -205,6 +243,10 @@ class ToneburstGenerator(Instrument, Protocol):
     def configure(self, task: Toneburst, /) -> None: ...
 
     def enable_output(self) -> None: ...
+
+    def recheck(self) -> None:
+        """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified."""
+        ...
 
 
 class Digitizer(Instrument, Protocol):

@@ -16,7 +16,7 @@ from drivers.agilent.limits import mistakes
 from drivers.agilent.models import AGILENT_33250A, MODELS, model_named
 from drivers.agilent.programs import READABLE, Group, changed, program
 from drivers.agilent.read_back import Readable, Register, whole_number
-from drivers.agilent.scpi import RefusedError, ScpiSession
+from drivers.agilent.scpi import DroppedError, RefusedError, ScpiSession
 from drivers.interfaces import Connection, ContinuousSine, GeneratorTask, Identity, InstrumentError, Setting
 
 OUTPUT_OFF: Final = Register("output_on", "OUTP", False)
@@ -44,6 +44,7 @@ class Agilent33250A:
         self._model = AGILENT_33250A
         self._identity: Identity | None = None
         self._programmed: tuple[Register, ...] = ()
+        self._output = OUTPUT_OFF
 
     def __enter__(self) -> Self:
         try:
@@ -64,6 +65,11 @@ class Agilent33250A:
     def role(self) -> str:
         """The part this instrument plays on the bench."""
         return self._role
+
+    @property
+    def line(self) -> str:
+        """Name of the line that leads to the instrument; empty where it is in the same process."""
+        return self._session.line
 
     def identify(self) -> Identity:
         """Return who answers ``*IDN?``; raise ``InstrumentError`` if it is no 33250A or sibling, or the wrong one.
@@ -92,6 +98,7 @@ class Agilent33250A:
         that the instrument refuses or changes.
         """
         before, self._programmed = self._programmed, ()
+        self._output = OUTPUT_OFF
         self._identified()
         found = mistakes(task, self._model, self._max_vpp)
         if found:
@@ -119,15 +126,34 @@ class Agilent33250A:
     def enable_output(self) -> None:
         """Switch the output on, verified."""
         self._require_configured("enable_output")
+        self._output = OUTPUT_ON
         self._session.program("output", self._spelled((OUTPUT_ON,)))
 
     def fire(self) -> None:
-        """Trigger one burst by command; raise ``InstrumentError`` if the output is off or the trigger is ignored."""
+        """Trigger one burst by command, and let no other follow: its edge is out before the output goes off again.
+
+        Raises ``InstrumentError`` if the output was off, the trigger is ignored or the output stays on.
+        """
         self._require_configured("fire")
         # The relay opens by itself on an overload; the trigger would then be accepted and nothing emitted.
         self._session.verify("output before the trigger", self._spelled((OUTPUT_ON,)))
+        (off,) = self._spelled((OUTPUT_OFF,))
+        self._output = OUTPUT_OFF
         self._session.write("*TRG")
-        self._session.verify("trigger by command", ())
+        self._session.write(off.command)
+        self._session.verify("trigger by command", (off,))
+
+    def recheck(self) -> None:
+        """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified."""
+        self._require_configured("recheck")
+        try:
+            self._session.verify("settings after the shot", self._spelled((self._output, *self._programmed)))
+        except RefusedError as error:
+            # Whatever somebody else sent, the next shot starts from the reset state.
+            self._programmed = ()
+            why = "another program, or somebody at the front panel, changed it after it was verified"
+            remedy = "end other programs that talk to the instrument, measure again"
+            raise InstrumentError(self.role, error.what, why, remedy) from error
 
     def snapshot(self) -> Mapping[str, Setting]:
         """Return every setting of ``READABLE`` as the instrument states it, and its ``*IDN?`` fields."""
@@ -147,15 +173,37 @@ class Agilent33250A:
         self.make_safe()
         return self._decoded(Readable("self-test result", "*TST", whole_number), reply) == 0
 
-    def make_safe(self) -> None:
-        """Switch the output off in whatever state the instrument is, and prove it by read-back."""
+    def switch_off(self) -> None:
+        """Send what switches the output off, and wait for no answer."""
+        (off,) = self._spelled((OUTPUT_OFF,))
+        self._output = OUTPUT_OFF
+        # The switch goes first, so that nothing before it can keep it from being carried out. Errors from before must
+        # neither hide behind nor be blamed on it; what it did itself, the read-back tells.
+        with self._session.haste():
+            self._session.write(off.command, "*CLS")
+
+    def prove_off(self) -> str:
+        """Return how the output is known to be off; raise ``InstrumentError`` where it is not."""
+        with self._session.haste():
+            self._session.verify("output off", self._spelled((OUTPUT_OFF,)))
+        return "read back as off"
+
+    def make_safe(self) -> str:
+        """Switch the output off in whatever state the instrument is, and return how that is proven.
+
+        A dropped connection is opened again, once. Raises ``InstrumentError`` where the output is not proven off.
+        """
         try:
-            self._switch_off()
+            return self._switched_off()
         except RefusedError:
             # Somebody may have pressed Local at an instrument on RS-232: it takes no setting until it is told to.
             # Elsewhere the command is an error, and cleared with the others.
             self._session.write("SYST:REM")
-            self._switch_off()
+            return f"{self._switched_off()}, after the instrument was taken back from local mode"
+        except DroppedError:
+            if not self._session.reopen():
+                raise
+            return f"{self._switched_off()}, over the connection opened again"
         except InstrumentError:
             # In local mode it may also be silent. Who tries again finds it in remote; a dead one costs no more time.
             self._session.write("SYST:REM")
@@ -165,12 +213,9 @@ class Agilent33250A:
         """Close the connection; the instrument keeps its state."""
         self._session.close()
 
-    def _switch_off(self) -> None:
-        (off,) = self._spelled((OUTPUT_OFF,))
-        # The switch goes first, so that nothing before it can keep it from being carried out. Errors from before must
-        # neither hide behind nor be blamed on it; what it did itself, the read-back tells.
-        self._session.write(off.command, "*CLS")
-        self._session.verify("output off", (off,))
+    def _switched_off(self) -> str:
+        self.switch_off()
+        return self.prove_off()
 
     def _identified(self) -> Identity:
         return self._identity or self.identify()

@@ -36,10 +36,12 @@ class GeneratorModel:
     narrowest_s: tuple[Range, ...] = ()
     channel_number: bool = False
     pulse_node: str = "PULS"
+    period_node: str = "PULS"
 
     def header(self, header: str) -> str:
         """Return how this model spells a header of the 33250A."""
-        own = header.replace("PULS:", f"{self.pulse_node}:", 1)
+        node = self.period_node if header == "PULS:PER" else self.pulse_node
+        own = header.replace("PULS:", f"{node}:", 1)
         if not self.channel_number:
             return own
         for start, numbered in CHANNEL_HEADERS.items():
@@ -70,12 +72,12 @@ MODELS: Final = (
         narrowest_s=((100.0, 2e-6), (10.0, 200e-9)),
     ),
     GeneratorModel(
-        name="33500B", pattern=r"335\d\d[AB]", pulse_node="FUNC:PULS", channel_number=True,
+        name="33500B", pattern=r"335\d\d[AB]", pulse_node="FUNC:PULS", period_node="FUNC:PULS", channel_number=True,
         sine_hz=(1e-6, 20e6), pulse_rate_hz=(1e-6, 20e6), burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(16e-9, 1e6), edge_s=8.4e-9,
     ),
     GeneratorModel(
-        name="33600A", pattern=r"336\d\dA", pulse_node="FUNC:PULS", channel_number=True,
+        name="33600A", pattern=r"336\d\dA", pulse_node="FUNC:PULS", period_node="FUNC:PULS", channel_number=True,
         sine_hz=(1e-6, 80e6), pulse_rate_hz=(1e-6, 80e6), burst_carrier_hz=(1e-6, 6e6),
         cycles=(1, 100_000_000), delay_s=(0.0, 1000.0), width_s=(5e-9, 1e6), edge_s=2.9e-9,
     ),

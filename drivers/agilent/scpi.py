@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, final
 
 from drivers.agilent.read_back import Register, argument
-from drivers.interfaces import Connection, InstrumentError
+from drivers.interfaces import Connection, InstrumentError, Line
 
 # A 33250A queues 20 errors; a few reads more, so that the final "no error" is seen as well.
 QUEUE_READS: Final = 25
@@ -17,6 +18,8 @@ ERROR_QUERY: Final = "SYST:ERR?"
 MOST_QUERIES: Final = 8
 STALE_READS: Final = 32
 HIGHEST_TOKEN: Final = 255
+# A 33250A is busy for up to 0.7 s with one setting; what is asked in haste is asked again before it counts as mute.
+HASTE_S: Final = 0.4
 
 CAUSES: Final[Mapping[int, str]] = {
     -113: "the instrument does not know a command: another model or firmware answered",
@@ -28,6 +31,11 @@ CAUSES: Final[Mapping[int, str]] = {
     514: "the command works over RS-232 only",
     550: "the instrument is in local mode (RS-232 needs SYST:REM first)",
 }
+# An output that is not as it was switched is no matter of the scene.
+RELAY: Final = (
+    "the relay at the output is stuck, or it opened by itself against an overload or a voltage from outside",
+    "take off what hangs on the output, then hpe-rig bench; a relay that stays stuck has to be repaired",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +59,11 @@ class RefusedError(InstrumentError):
 
 
 @final
+class DroppedError(InstrumentError):
+    """The connection is not there any more."""
+
+
+@final
 class ScpiSession:
     """Commands and answers over ``connection``; every failure is an ``InstrumentError`` that names ``role``.
 
@@ -65,6 +78,37 @@ class ScpiSession:
         self._lock = threading.RLock()
         self._dirty = False
         self._token = 0
+
+    @property
+    def line(self) -> str:
+        """Name of the line that leads to the instrument; empty where it is in the same process."""
+        return self._connection.shared if isinstance(self._connection, Line) else ""
+
+    @contextmanager
+    def haste(self) -> Iterator[None]:
+        """Wait no longer than ``HASTE_S`` for each reply in the block."""
+        line = self._connection
+        if not isinstance(line, Line):
+            yield
+            return
+        with self._lock:
+            before, line.timeout_s = line.timeout_s, min(HASTE_S, line.timeout_s)
+            try:
+                yield
+            finally:
+                line.timeout_s = before
+
+    def reopen(self) -> bool:
+        """Open a dropped connection again; return whether that is possible and somebody is there."""
+        if not isinstance(self._connection, Line):
+            return False
+        try:
+            self._connection.reopen()
+        except OSError:
+            return False
+        # Behind an adapter the instrument may still hold the reply to what was asked last.
+        self._dirty = True
+        return True
 
     def write(self, *commands: str) -> None:
         """Send ``commands`` as one message; works on a dirty session too, so that an output can always be cut."""
@@ -189,9 +233,9 @@ class ScpiSession:
         except OSError as error:
             raise self._lost(f"the connection broke while waiting for the reply to {command!r}", error) from error
 
-    def _lost(self, what: str, error: OSError) -> InstrumentError:
+    def _lost(self, what: str, error: OSError) -> DroppedError:
         remedy = "check power, cable and the address in the bench file, then open the bench again"
-        return InstrumentError(self.role, what, f"the connection is not there: {error}", remedy)
+        return DroppedError(self.role, what, f"the connection is not there: {error}", remedy)
 
     def _resynchronise(self) -> None:
         """Discard late replies, then see two fresh numbers, one after the other, come back as answers.
@@ -234,6 +278,8 @@ def _refused(
 ) -> RefusedError:
     differences = [f"{r.key} ({r.header}) programmed {argument(r.value)}, read back {reply}" for r, reply in changed]
     queue = ["error queue: " + ", ".join(map(str, errors))] if errors else []
+    if {register.key for register, _ in changed} == {"output_on"}:
+        return RefusedError(role, f"{group}: " + "; ".join(differences + queue), *RELAY, errors)
     causes = dict.fromkeys(CAUSES[error.number] for error in errors if error.number in CAUSES)
     why = "; ".join(causes) or "the instrument rounded or refused the value, or the front panel was used"
     keys = ", ".join(register.key for register, _ in changed) or group

@@ -147,8 +147,23 @@ class Ats460:
     def self_test(self) -> None:
         """Do nothing: the vendor's interface has no self-test."""
 
-    def make_safe(self) -> None:
-        """Abort whatever is captured and free its memory; raise ``InstrumentError`` if the board stays busy."""
+    @property
+    def line(self) -> str:
+        """Empty: the board is reached within this process."""
+        return ""
+
+    def switch_off(self) -> None:
+        """Do nothing: the board drives nothing by itself, and its capture is aborted by ``prove_off``."""
+
+    def prove_off(self) -> str:
+        """As ``make_safe``."""
+        return self.make_safe()
+
+    def make_safe(self) -> str:
+        """Abort whatever is captured, free its memory, and return how that is known.
+
+        Raises ``InstrumentError`` if the board stays busy.
+        """
         try:
             self._disarm()
         finally:
@@ -158,6 +173,7 @@ class Ats460:
         if self._board.busy():
             remedy = "end the program, restart the machine"
             raise InstrumentError(self.role, "the board is still capturing", "the abort had no effect", remedy)
+        return "idle by its own report"
 
     def close(self) -> None:
         """Abort what is running; the vendor's interface has nothing to close."""

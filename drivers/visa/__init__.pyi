@@ -1,1 +1,1 @@
-from .connection import VisaConnection as VisaConnection, VisaInterface as VisaInterface
+from .connection import NoVisaError as NoVisaError, VisaConnection as VisaConnection, VisaInterface as VisaInterface

@@ -14,8 +14,26 @@ if TYPE_CHECKING:
 
 # Factory setting of the 33250A's RS-232 interface; 8 data bits, no parity and 1 stop bit are VISA's own default.
 SERIAL_BAUD: Final = 57600
+LOCK_PATIENCE_S: Final = 0.2
 PROLOGIX: Final = "PRLGX"
 SERIAL_OVER_TCP: Final = "ASRLSOCKET://"
+# Kinds of address that pyvisa-py does not open by itself, and what it needs for them.
+DRIVERS: Final = {
+    "GPIB": ", or linux-gpib and pip install gpib-ctypes",
+    "USB": ", or pip install pyusb and a libusb",
+}
+
+
+class NoVisaError(ConnectionError):
+    """There is no driver on this computer for an address of this kind; ``remedy`` says which one to install."""
+
+    def __init__(self, address: str, error: Exception) -> None:
+        kind, package = next(
+            ((bus, need) for bus, need in DRIVERS.items() if address.upper().startswith(bus)), ("", "")
+        )
+        super().__init__(f"cannot open {address!r}: no VISA driver for {kind or 'this kind of address'} is installed")
+        self.remedy = f"install NI-VISA or Keysight IO Libraries{package}"
+        self.detail = str(error)
 
 
 @final
@@ -29,14 +47,32 @@ class VisaInterface:
         self.address = address
         # Only pyvisa-py knows this kind of interface.
         self.backend = "@py" if address.upper().startswith(PROLOGIX) else backend
+        self._open(timeout_s)
+
+    def _open(self, timeout_s: float) -> None:
         try:
-            self._resource = _opened(_resource_manager(self.backend), address)
+            self._resource = _opened(_resource_manager(self.backend), self.address)
             # The time-out of an instrument behind the adapter is not handed on to it.
             self._resource.timeout = timeout_s * 1e3
         except Exception as error:
-            raise ConnectionError(_cannot_open(address, error)) from error
+            raise _not_open(self.address, error) from error
         self.link = _socket_of(self._resource)
         _send_at_once(self.link)
+
+    @property
+    def timeout_s(self) -> float:
+        """How long a read through the adapter waits."""
+        return float(self._resource.timeout) / 1e3
+
+    @timeout_s.setter
+    def timeout_s(self, timeout_s: float) -> None:
+        self._resource.timeout = timeout_s * 1e3
+
+    def reopen(self, timeout_s: float) -> None:
+        """Open the adapter again where it has hung up; raise ``ConnectionError`` where it is not there."""
+        if self.link is None or _hung_up(self.link):
+            self.close()
+            self._open(timeout_s)
 
     def close(self) -> None:
         """Close the adapter; closing one that is gone already is no error."""
@@ -49,29 +85,55 @@ class VisaConnection:
     """One text connection; replies without line end.
 
     Raises ``ConnectionError`` when the connection cannot be opened or is lost, ``TimeoutError`` from ``read`` when
-    no reply comes within ``timeout_s``. ``backend`` is pyvisa's library choice ("" is the vendor's, else "@py").
-    pyvisa-py lets exceptions of every kind through (``OSError``, ``RuntimeError``, ``EOFError``, bare ``Exception``);
-    after any of them the connection is not to be trusted.
+    no reply comes within ``timeout_s``. With ``lock`` it is nobody else's where VISA can see to that. ``backend`` is
+    pyvisa's library choice ("" is the vendor's, else "@py"). pyvisa-py lets exceptions of every kind through
+    (``OSError``, ``RuntimeError``, ``EOFError``, bare ``Exception``); after any of them the connection is not to be
+    trusted.
     """
 
     def __init__(
-        self, address: str, timeout_s: float = 2.0, backend: str = "", interface: VisaInterface | None = None
+        self,
+        address: str,
+        timeout_s: float = 2.0,
+        backend: str = "",
+        interface: VisaInterface | None = None,
+        lock: bool = False,
     ) -> None:
         import pyvisa
 
         self.address = address
         self._timeout_code = pyvisa.constants.StatusCode.error_timeout
+        self._backend, self._interface, self._lock = backend, interface, lock
         self._own_link: socket.socket | None = None
+        self._open(timeout_s)
+
+    def _open(self, timeout_s: float) -> None:
+        interface = self._interface
         try:
-            self._resource = _open(_resource_manager(interface.backend if interface else backend), address)
+            self._resource = _open(_resource_manager(interface.backend if interface else self._backend), self.address)
             self._own_link = _socket_of(self._resource)
             self._link = interface.link if interface else self._own_link
             self._prepare(timeout_s)
             _require_connected(self._link)
+            if self._lock:
+                self._exclude_others()
         except Exception as error:
             if hasattr(self, "_resource"):
                 self.close()
-            raise ConnectionError(_cannot_open(address, error)) from error
+            raise _not_open(self.address, error) from error
+
+    @property
+    def shared(self) -> str:
+        """The adapter that the instrument stands behind, else its own address."""
+        return self._interface.address if self._interface else self.address
+
+    def reopen(self) -> None:
+        """Open the connection again, with the adapter before it where that hung up too; raise ``ConnectionError``."""
+        timeout_s = self._timeout_s
+        self.close()
+        if self._interface is not None:
+            self._interface.reopen(timeout_s)
+        self._open(timeout_s)
 
     def write(self, message: str) -> None:
         """Send ``message`` and a line feed."""
@@ -101,7 +163,16 @@ class VisaConnection:
     @property
     def timeout_s(self) -> float:
         """How long ``read`` waits."""
-        return float(self._resource.timeout) / 1e3
+        return self._timeout_s
+
+    @timeout_s.setter
+    def timeout_s(self, timeout_s: float) -> None:
+        self._timeout_s = timeout_s
+        with suppress(Exception):
+            # One that is gone is found by what is sent to it.
+            self._resource.timeout = timeout_s * 1e3
+            if self._interface is not None:
+                self._interface.timeout_s = timeout_s
 
     def close(self) -> None:
         """Close the connection; closing one that is gone already is no error."""
@@ -114,7 +185,7 @@ class VisaConnection:
     def _prepare(self, timeout_s: float) -> None:
         import pyvisa
 
-        self._resource.timeout = timeout_s * 1e3
+        self.timeout_s = timeout_s
         self._resource.encoding = "latin-1"
         self._resource.write_termination = "\n"
         # A Prologix adapter has no read terminator to set; there the line end is cut in read().
@@ -127,21 +198,36 @@ class VisaConnection:
             # Over RS-232 the instrument refuses commands until it is told to leave local mode.
             self._resource.write("SYST:REM")
 
+    def _exclude_others(self) -> None:
+        """Take VISA's exclusive lock, where library and transport have one; a raw socket has none."""
+        import pyvisa
+
+        try:
+            self._resource.lock_excl(LOCK_PATIENCE_S * 1e3)
+        except pyvisa.VisaIOError as error:
+            if error.error_code == pyvisa.constants.StatusCode.error_resource_locked:
+                raise OSError("another program holds its lock") from error
+        except (NotImplementedError, AttributeError):
+            return
+
     def _hung_up(self) -> bool:
         """Return whether the peer has closed a raw socket, which pyvisa-py reports as a mere time-out."""
-        link = self._link
-        if link is None or link.fileno() < 0:
-            return link is not None
-        timeout_s = link.gettimeout()
-        try:
-            link.setblocking(False)
-            return link.recv(1, socket.MSG_PEEK) == b""
-        except BlockingIOError:
-            return False
-        except OSError:
-            return True
-        finally:
-            link.settimeout(timeout_s)
+        return self._link is not None and _hung_up(self._link)
+
+
+def _hung_up(link: socket.socket) -> bool:
+    if link.fileno() < 0:
+        return True
+    timeout_s = link.gettimeout()
+    try:
+        link.setblocking(False)
+        return link.recv(1, socket.MSG_PEEK) == b""
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    finally:
+        link.settimeout(timeout_s)
 
 
 def _socket_of(resource: Resource) -> socket.socket | None:
@@ -169,8 +255,11 @@ def _require_connected(link: socket.socket | None) -> None:
         raise OSError(code, os.strerror(code))
 
 
-def _cannot_open(address: str, error: Exception) -> str:
-    return f"cannot open {address!r}: {str(error).rstrip('.') or type(error).__name__}"
+def _not_open(address: str, error: Exception) -> ConnectionError:
+    # This is how pyvisa-py says that the package it needs for such an address is not there.
+    if isinstance(error, ValueError) and "Please install" in str(error):
+        return NoVisaError(address, error)
+    return ConnectionError(f"cannot open {address!r}: {str(error).rstrip('.') or type(error).__name__}")
 
 
 def _resource_manager(backend: str) -> ResourceManager:

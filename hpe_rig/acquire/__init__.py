@@ -3,6 +3,7 @@
     api.py            measure, check, estimate, open_bench: what ``hpe_rig`` offers to scripts
     run.py            scene and bench file -> plan -> a run file with every shot's records
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
+    recording.py      what the sequencer yields, into a run file that appears with its first record
     stop_request.py   a safe stop that another process asks for
     log.py            every step beside the run file
     run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result

@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.acquire.sequencer import (
-    Event,
-    Observer,
-    Progress,
-    ShotBlock,
-    ShotDone,
-    ShotReady,
-    Step,
-    acquire,
-    unobserved,
-)
+from hpe_rig.acquire.recording import Recording
+from hpe_rig.acquire.sequencer import Observer, Progress, ShotDone, Step, acquire, unobserved
 from hpe_rig.bench import (
-    Bench,
     BenchFile,
     BenchText,
     check_declared,
@@ -32,7 +22,6 @@ from hpe_rig.bench import (
     uninterrupted,
 )
 from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
-from hpe_rig.processing import true_harmonics_m
 from hpe_rig.result import Stages
 from hpe_rig.scene import (
     Mistake,
@@ -117,27 +106,23 @@ def record_run(
     path = path or free_path(setup.scene.name, Path())
     first = options.predecessor.shots
     rest = replace(setup.plan, shots=setup.plan.shots[first:])
-    with interruptible(), ExitStack() as stack:
-        with uninterrupted():
-            # A signal between the file's appearance and the guard that closes it would leave it "running" for ever.
-            writer = stack.enter_context(RunWriter(path, setup.scene, setup.bench, setup.plan, options))
+    # Interrupts end what is in the innermost block, and are held back while file and bench are left in order.
+    with uninterrupted(), ExitStack() as stack:
+        create = partial(RunWriter, path, setup.scene, setup.bench, setup.plan, options)
+        recording = stack.enter_context(Recording(path, create, late=options.overwrite and path.exists()))
+        stack.enter_context(interruptible())
         if earlier is not None:
             with taken("take over"):
-                writer.take_over(earlier, first)
-        stack.enter_context(_noting(_what_remains(path)))
+                recording.take_over(earlier, first)
         with taken("open bench"):
             bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
         with taken("configure"), closing(acquire(rest, bench, _timed(observer, taken))) as events:
             for event in events:
-                _record(event, setup.scene.scene, bench, writer, taken)
+                with taken("store"):
+                    recording.take(event, setup.scene.scene, bench, taken)
                 if stages is not None and isinstance(event, ShotDone):
-                    writer.run_time(stages.run_time_s)
+                    recording.run_time(stages)
     return path
-
-
-def _what_remains(path: Path) -> str:
-    """Return what a stopped run leaves, and what can be done with it."""
-    return f"{path} holds the records that had arrived: hpe-rig process {path} estimates them, hpe-rig resume goes on"
 
 
 def _timed(observer: Observer, stages: Stages) -> Observer:
@@ -150,35 +135,6 @@ def _timed(observer: Observer, stages: Stages) -> Observer:
             stages.rename(progress.step.value)
 
     return observe
-
-
-@contextmanager
-def _noting(note: str) -> Iterator[None]:
-    """Add ``note`` to the exception that ends the block."""
-    try:
-        yield
-    except BaseException as error:
-        error.add_note(note)
-        raise
-
-
-def _record(event: Event, scene: Scene, bench: Bench, writer: RunWriter, stages: Stages) -> None:
-    """Write what ``event`` brings; a shot counts as complete only once everything of it is in the file."""
-    with stages("store"):
-        match event:
-            case ShotReady(shot, settings):
-                writer.settings(shot, settings)
-            case ShotBlock(shot, block):
-                writer.append(shot, block)
-            case ShotDone(shot, clipped):
-                writer.clipped(shot, clipped)
-                if bench.world is not None:
-                    with stages("truth"):
-                        pulses_m = bench.world.true_displacement_m()
-                        harmonics_m = true_harmonics_m(scene, shot, bench.world.true_motion_m)
-                    writer.ground_truth(shot, pulses_m)
-                    writer.true_harmonics(shot, harmonics_m)
-                writer.finish(shot)
 
 
 def json_schema(of: str) -> dict[str, Any]:

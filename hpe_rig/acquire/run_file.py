@@ -98,7 +98,7 @@ class Run:
             status=self.stored.status,
             estimator=chosen,
             phase_reference=phase_reference(self.scene),
-            shots=estimates.shots,
+            shots=tuple(replace(shot, untrusted=self.stored.untrusted.get(shot.shot, "")) for shot in estimates.shots),
             warnings=tuple(_warnings(self, estimates)),
             omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, chosen), self.bench)),
             versions=versions(),
@@ -216,6 +216,8 @@ def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
             f"shot {shot + 1}: the digitizer's input left its range of {run.scene.acquisition.input_range_v:g} V, in "
             "the gate or outside it: raise acquisition.input_range_v"
         )
+    for shot, why in run.stored.untrusted.items():
+        yield f"shot {shot + 1} is not to be trusted: {why}"
     if run.stored.status != "complete":
         complete = run.stored.shot_complete
         yield f"the run is {run.stored.status}: {int(complete.sum())} of {complete.size} shots are complete"

@@ -1,4 +1,4 @@
-"""Sequence of a shot: configure, verify, arm, enable, fire, collect, off; yields records, stores nothing."""
+"""Sequence of a shot: configure, verify, arm, enable, fire, collect, recheck, off; yields records, stores nothing."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
-from drivers.interfaces import DeadlineError, RecordBlock, Setting
+from drivers.interfaces import DeadlineError, InstrumentError, RecordBlock, Setting
 from hpe_rig.bench import Bench
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 
@@ -53,6 +53,14 @@ class ShotBlock:
 
 
 @dataclass(frozen=True, slots=True)
+class ShotUntrusted:
+    """A shot has ended, and ``why`` its records are not to be trusted; every output is off."""
+
+    shot: Shot
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class ShotDone:
     """A shot has ended and every output is off; ``clipped`` says whether the digitizer's input left its range."""
 
@@ -60,7 +68,16 @@ class ShotDone:
     clipped: bool
 
 
-Event = ShotReady | ShotBlock | ShotDone
+class UntrustedShotError(InstrumentError):
+    """A shot during which settings changed, and with which a run ends unless the scene says otherwise."""
+
+    def __init__(self, shot: Shot, why: str) -> None:
+        remedy = 'hpe-rig resume, which measures it again; acquisition.changed_settings = "continue" goes on regardless'
+        cause = "its records are kept, marked as untrusted"
+        super().__init__("bench", f"shot {shot.index + 1} is not to be trusted: {why}", cause, remedy)
+
+
+Event = ShotReady | ShotBlock | ShotUntrusted | ShotDone
 Observer = Callable[[Progress], None]
 
 
@@ -72,6 +89,8 @@ def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Genera
     """Yield what happens in every shot of ``plan``; after each shot, and on any exception, every output is off.
 
     A shot whose records stop before the deadline yields those that came; ``DeadlineError`` is raised when none did.
+    Outputs and settings are read back after the last record as before the first: a shot in which one has changed yields
+    ``ShotUntrusted`` and ends with ``UntrustedShotError``, unless the plan goes on.
     """
     next_start_s = bench.clock.now_s()
     for shot in plan.shots:
@@ -83,9 +102,14 @@ def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Genera
             next_start_s = bench.clock.now_s() + plan.shot_period_s
             bench.master.fire()
             yield from _collect(shot, bench, observer)
+            why = " ".join(bench.recheck())
         finally:
             bench.make_safe()
         observer(Progress(Step.SAFE, shot, shot.capture.record_count))
+        if why:
+            yield ShotUntrusted(shot, why)
+            if plan.stops_when_changed:
+                raise UntrustedShotError(shot, why)
         yield ShotDone(shot, bench.digitizer.clipped())
 
 
@@ -131,6 +155,8 @@ def _collect(shot: Shot, bench: Bench, observer: Observer) -> Iterator[ShotBlock
             arrived += block.codes.shape[0]
             yield ShotBlock(shot, block)
             observer(Progress(Step.COLLECT, shot, arrived))
-    except DeadlineError:
+    except DeadlineError as error:
         if not arrived:
+            for changed in bench.recheck():
+                error.add_note(changed)
             raise

@@ -5,7 +5,8 @@ In the order of the flow:
     twin          what a scene declares of its simulation, as one typed value
     opening       drivers on VISA and the vendor's library, or on the twin
     instruments   the open instruments, and how they are made safe
-    interrupts    Ctrl-C and SIGTERM while outputs may be on
+    interrupts    Ctrl-C, SIGTERM and closed terminals while outputs may be on
+    lock          one program at a time on a real bench
     inventory     every instrument identified, its settings read
     comparison    how two benches differ
     emulation     the simulated generators for any VISA program

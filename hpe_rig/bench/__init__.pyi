@@ -13,8 +13,21 @@ from .bench_file import (
 from .comparison import file_differences as file_differences, settings_differences as settings_differences
 from .emulation import emulate as emulate
 from .instruments import Bench as Bench, UnsafeBenchError as UnsafeBenchError
-from .interrupts import Terminated as Terminated, interruptible as interruptible, uninterrupted as uninterrupted
-from .inventory import BenchReport as BenchReport, Found as Found, Settings as Settings, survey as survey
+from .interrupts import (
+    INTERRUPTS as INTERRUPTS,
+    Terminated as Terminated,
+    interruptible as interruptible,
+    uninterrupted as uninterrupted,
+)
+from .inventory import (
+    BenchReport as BenchReport,
+    Found as Found,
+    Settings as Settings,
+    Switched as Switched,
+    survey as survey,
+    switch_off as switch_off,
+)
+from .lock import BenchInUseError as BenchInUseError
 from .opening import open_bench as open_bench
 from .twin import (
     TwinDeclaration as TwinDeclaration,

@@ -2,32 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from drivers.interfaces import Clock, Digitizer, Instrument, MasterTrigger, PulseGenerator, Setting, ToneburstGenerator
+from drivers.interfaces import (
+    Clock,
+    Digitizer,
+    Instrument,
+    InstrumentError,
+    MasterTrigger,
+    PulseGenerator,
+    Setting,
+    ToneburstGenerator,
+)
 from hpe_rig.bench.interrupts import uninterrupted
 
 if TYPE_CHECKING:
     from sim_backend.world import World
 
-SAFE_ATTEMPTS = 2
-"""How often an instrument is asked to be safe before it counts as unreachable: one lost reply is no lost bench."""
 SAFE_ORDER = ("toneburst", "burst_train", "master", "tracking_pulser", "tracking_train", "digitizer")
 """Order of making safe: what pushes first."""
 
 
 class UnsafeBenchError(Exception):
-    """Some output could not be proven off."""
+    """Some output could not be proven off; ``proven`` says of the others, by role, how they are known to be."""
 
-    def __init__(self, failures: Sequence[tuple[str, BaseException]]) -> None:
+    def __init__(
+        self,
+        failures: Sequence[tuple[str, BaseException]],
+        proven: Mapping[str, str],
+        tried: Sequence[Instrument] = (),
+    ) -> None:
         lines = "\n".join(f"  {role}: {error}" for role, error in failures)
+        others = f"\nKnown to be off: {_in_words(proven)}." if proven else ""
         super().__init__(
             f"THE BENCH MAY STILL BE DRIVING: not proven off: {', '.join(role for role, _ in failures)}\n{lines}\n"
-            "Switch these outputs off by hand, now; programmed trains are finite and end by themselves."
+            f"Switch these outputs off by hand, now; programmed trains are finite and end by themselves.{others}"
         )
         self.roles = tuple(role for role, _ in failures)
+        self.reasons = {role: str(error) for role, error in failures}
+        self.proven = dict(proven)
+        self._tried = tuple(tried)
+
+    def concerns(self, instruments: Sequence[Instrument]) -> bool:
+        """Return whether every one of ``instruments`` was among those that were tried."""
+        return all(any(item is tried for tried in self._tried) for item in instruments)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,59 +77,90 @@ class Bench:
         chain = (self.master, self.burst_train, self.toneburst, self.tracking_train, self.tracking_pulser)
         return tuple(generator for generator in chain if generator is not None)
 
-    def make_safe(self) -> None:
-        """Switch every output off and abort the capture, each guarded on its own; raise ``UnsafeBenchError``."""
-        make_safe(self.instruments)
+    def make_safe(self) -> dict[str, str]:
+        """Switch every output off, abort the capture, and return by role how that is known; as ``make_safe``."""
+        return make_safe(self.instruments)
+
+    def recheck(self) -> tuple[str, ...]:
+        """Return in words where outputs or settings are no longer as verified, or cannot be read back any more."""
+        changed = []
+        for generator in self.generators:
+            try:
+                generator.recheck()
+            except InstrumentError as error:
+                changed.append(str(error))
+        return tuple(changed)
 
     def verify(self) -> dict[str, Mapping[str, Setting]]:
         """Return every instrument's settings as read back, by role; raise where one is not as programmed."""
         return {instrument.role: instrument.verify() for instrument in self.instruments}
 
 
-def identify_each(instruments: Sequence[Instrument], known: list[Instrument]) -> None:
-    """Add to ``known`` every instrument that is who it should be; raise the first failure, the others as its notes.
-
-    All are asked whatever the others answer, so that each one that is there can be made safe.
-    """
-    failures: list[Exception] = []
-    for instrument in instruments:
-        try:
-            instrument.identify()
-        except Exception as error:
-            failures.append(error)
-        else:
-            known.append(instrument)
-    if failures:
-        for other in failures[1:]:
-            failures[0].add_note(str(other))
-        raise failures[0]
-
-
-def proven_off(instruments: Sequence[Instrument], known: Sequence[Instrument]) -> str:
-    """Return in words which outputs have been read back as off, once ``known`` of ``instruments`` are safe."""
-    unknown = ", ".join(item.role for item in instruments if item not in known)
+def proven_off(roles: Sequence[str], proven: Mapping[str, str]) -> str:
+    """Return in words which outputs of ``roles`` are known to be off, and how, once those in ``proven`` are safe."""
+    unknown = ", ".join(role for role in roles if role not in proven)
     if not unknown:
-        return "every output is off, verified"
-    return f"not identified, so not proven off: {unknown}: look whether they are on; the others are off, verified"
+        return f"every output is off, verified: {_in_words(proven)}"
+    others = f"the others are off, verified: {_in_words(proven)}" if proven else "there are no others"
+    return f"not identified, so not proven off: {unknown}: look whether they are on; {others}"
 
 
-def make_safe(instruments: Sequence[Instrument]) -> None:
-    """Make each of ``instruments`` safe, whatever happens to the others; raise ``UnsafeBenchError`` for those left."""
+def make_safe(instruments: Sequence[Instrument]) -> dict[str, str]:
+    """Make each of ``instruments`` safe, whatever happens to the others; return by role how each is known to be.
+
+    Every one is sent its switch before any is asked, those of different lines at the same time, so that none waits for
+    one that is mute. Raises ``UnsafeBenchError`` for those that are not proven safe.
+    """
     with uninterrupted():
-        failures = [(item.role, error) for item in instruments if (error := _unsafe(item)) is not None]
+        lines: dict[str, list[Instrument]] = {}
+        for item in instruments:
+            lines.setdefault(item.line, []).append(item)
+        # What is reached within this process comes last, and never at the same time as anything else.
+        within = lines.pop("", [])
+        told = [pair for line in (*_at_once(_safe, list(lines.values())), _safe(within)) for pair in line]
+        proven = {role: how for role, how in told if isinstance(how, str)}
+        failures = [(role, how) for role, how in told if not isinstance(how, str)]
         # Inside, so that an interrupt that was held back cannot take this message's place.
         if failures:
-            raise UnsafeBenchError(failures)
+            raise UnsafeBenchError(failures, proven, instruments)
+    return proven
 
 
-def _unsafe(instrument: Instrument) -> Exception | None:
-    """Return why ``instrument`` could not be proven safe; None where it was."""
-    failure: Exception | None = None
-    for _ in range(SAFE_ATTEMPTS):
+Told = list[tuple[str, str | Exception]]
+"""How each instrument, by role, is known to be safe, or why it is not."""
+
+
+def _at_once(safe: Callable[[Sequence[Instrument]], Told], lines: Sequence[Sequence[Instrument]]) -> list[Told]:
+    """Return what ``safe`` returns for each of ``lines``, worked on at the same time where the system lets it."""
+    if not lines:
+        return []
+    try:
+        with ThreadPoolExecutor(len(lines)) as pool:
+            return list(pool.map(safe, lines))
+    except RuntimeError:
+        # No thread can be started any more, as at the end of the interpreter; once more does no harm.
+        return [safe(line) for line in lines]
+
+
+def _safe(line: Sequence[Instrument]) -> Told:
+    """Make the instruments of one line safe: every switch is sent before the first answer is awaited."""
+    for item in line:
+        # What goes wrong here is met again by the attempts that follow, which set it right where they can.
+        with suppress(Exception):
+            item.switch_off()
+    return [(item.role, _proof(item)) for item in line]
+
+
+def _proof(instrument: Instrument) -> str | Exception:
+    """Return how ``instrument`` is known to be safe, or why it is not; one lost reply is no lost bench."""
+    for attempt in (instrument.prove_off, instrument.make_safe):
         try:
-            instrument.make_safe()
+            return attempt()
         except Exception as error:
             failure = error
-        else:
-            return None
     return failure
+
+
+def _in_words(proven: Mapping[str, str]) -> str:
+    ways = dict.fromkeys(proven.values())
+    return "; ".join(f"{', '.join(role for role, how in proven.items() if how == way)} {way}" for way in ways)

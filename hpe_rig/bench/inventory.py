@@ -11,7 +11,8 @@ from typing import Final
 
 from drivers.interfaces import Identity, Instrument, InstrumentError, Setting
 from hpe_rig.bench.bench_file import BenchFile, DigitizerBoard
-from hpe_rig.bench.instruments import make_safe
+from hpe_rig.bench.instruments import UnsafeBenchError, make_safe
+from hpe_rig.bench.lock import holder_of, resources
 from hpe_rig.bench.opening import open_each, visa_addresses
 
 LATENCY_QUERIES: Final = 5
@@ -54,6 +55,38 @@ class BenchReport:
     def settings(self) -> dict[str, Settings]:
         """The settings of the instruments that answered, by role."""
         return {found.role: found.settings for found in self.found if found.identity is not None}
+
+
+@dataclass(frozen=True, slots=True)
+class Switched:
+    """One instrument after everything was switched off: whether it is proven to be, and how, or why not."""
+
+    role: str
+    address: str
+    proven: bool
+    how: str
+
+
+def switch_off(bench: BenchFile, announce: Callable[[str], None]) -> tuple[Switched, ...]:
+    """Switch every output of ``bench`` off and return for each how it is known to be, or why it is not.
+
+    Nobody's lock keeps this from being done; ``announce`` is told whose bench it is.
+    """
+    for name in resources(bench):
+        if holder := holder_of(name):
+            announce(f"{name} is in use by {holder}: it is switched off all the same")
+    reasons: dict[str, str] = {}
+    proven: dict[str, str] = {}
+    try:
+        with open_each(bench, lock=False) as opened:
+            reasons = {role: str(item) for role, item in opened.items() if isinstance(item, Exception)}
+            proven = make_safe([item for item in opened.values() if not isinstance(item, Exception)])
+    except UnsafeBenchError as error:
+        reasons, proven = reasons | error.reasons, error.proven
+    roles = [role for role in (*bench.generators.by_role, "digitizer") if role in proven or role in reasons]
+    return tuple(
+        Switched(role, _address(role, bench), role in proven, proven.get(role) or reasons[role]) for role in roles
+    )
 
 
 def survey(bench: BenchFile, clock_s: Callable[[], float] = time.perf_counter, self_test: bool = False) -> BenchReport:

@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, cast
 
 from drivers.interfaces import Clock, Connection, Instrument, InstrumentError
 from hpe_rig.bench.bench_file import GENERATOR_ROLES, BenchFile
-from hpe_rig.bench.instruments import Bench, identify_each, make_safe, proven_off
-from hpe_rig.bench.interrupts import interruptible
+from hpe_rig.bench.instruments import SAFE_ORDER, Bench, UnsafeBenchError, make_safe, proven_off
+from hpe_rig.bench.interrupts import interruptible, uninterrupted
+from hpe_rig.bench.lock import locked, resources
 from hpe_rig.bench.twin import twin_tables
 from hpe_rig.scene import Scene
 
@@ -39,49 +40,78 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
     """Yield the bench with the instruments of ``roles`` open; make it safe, verified, on every way out.
 
     ``first_shot`` is the index of the first shot to come: a twin that goes on with a run draws on its noise from there.
+    Raises ``BenchInUseError`` where another program holds an instrument of a real bench, before anything is opened.
     """
-    with interruptible(), ExitStack() as stack:
-        simulation = twin_tables(scene) if bench.simulated else {}
-        reached = _reach(simulation, bench, first_shot, stack)
-        drivers = {role: reached.instrument(role, bench) for role in roles}
-        opened = Bench(bench.simulated, reached.clock, reached.world, **drivers)
-        for instrument in opened.instruments:
-            stack.callback(_close_quietly, instrument)
-        # Nothing is sent to a stranger at a wrong address, not even to switch it off.
-        known: list[Instrument] = []
+    # Nothing is sent to a stranger at a wrong address, not even to switch it off.
+    known: list[Instrument] = []
+    # Interrupts end what is in the inner block, and are held back from where it ends until every output is off.
+    with uninterrupted(), ExitStack() as stack:
+        stack.enter_context(locked(resources(bench)))
         try:
-            identify_each(opened.instruments, known)
-            opened.make_safe()
-            yield opened
+            with interruptible():
+                reached = _reach(twin_tables(scene) if bench.simulated else {}, bench, first_shot, stack)
+                drivers = _all_identified(reached, roles, bench, known, stack)
+                opened = Bench(bench.simulated, reached.clock, reached.world, **drivers)
+                opened.make_safe()
+                yield opened
         except BaseException as error:
-            make_safe(known)
-            error.add_note(proven_off(opened.instruments, known))
+            if not (isinstance(error, UnsafeBenchError) and error.concerns(known)):
+                error.add_note(proven_off(roles, make_safe(known)))
+            # Else just tried, as stubbornly as it is worth.
             raise
         make_safe(known)
 
 
 @contextmanager
-def open_each(bench: BenchFile) -> Iterator[Mapping[str, Instrument | Exception]]:
+def open_each(bench: BenchFile, lock: bool = True) -> Iterator[Mapping[str, Instrument | Exception]]:
     """Yield every instrument of the bench file by role, identified, or why it is not there; nothing is changed.
 
-    On the way out those that are there are made safe, verified.
+    On the way out those that are there are made safe, verified. Without ``lock`` another program may be at them.
     """
     roles = [role for role in GENERATOR_ROLES if getattr(bench.generators, role) is not None]
-    with interruptible(), ExitStack() as stack:
-        reached = _reach({}, bench, 0, stack)
-        found: dict[str, Instrument | Exception] = {}
+    found: dict[str, Instrument | Exception] = {}
+    with uninterrupted(), ExitStack() as stack:
+        stack.enter_context(locked(resources(bench) if lock else []))
         try:
-            for role in (*roles, "digitizer"):
-                try:
-                    instrument = reached.instrument(role, bench)
-                    stack.callback(_close_quietly, instrument)
-                    instrument.identify()
-                    found[role] = instrument
-                except (InstrumentError, OSError) as error:
-                    found[role] = error
-            yield found
+            with interruptible():
+                reached = _reach({}, bench, 0, stack, lock)
+                for role in (*roles, "digitizer"):
+                    try:
+                        found[role] = _identified(reached, role, bench, stack)
+                    except (InstrumentError, OSError) as error:
+                        found[role] = error
+                yield found
         finally:
             make_safe([item for item in found.values() if not isinstance(item, Exception)])
+
+
+def _identified(reached: Reach, role: str, bench: BenchFile, stack: ExitStack) -> Instrument:
+    """Return the driver of ``role``, who has said who it is; ``stack`` closes it."""
+    instrument: Instrument = reached.instrument(role, bench)
+    stack.callback(_close_quietly, instrument)
+    instrument.identify()
+    return instrument
+
+
+def _all_identified(
+    reached: Reach, roles: Sequence[str], bench: BenchFile, known: list[Instrument], stack: ExitStack
+) -> dict[str, Any]:
+    """Return the drivers of ``roles``, and add to ``known`` each one that is who it should be.
+
+    All are asked whatever the others answer, so that each one that is there can be made safe. Raises the first failure,
+    the others as its notes.
+    """
+    failures: list[Exception] = []
+    for role in sorted(roles, key=SAFE_ORDER.index):
+        try:
+            known.append(_identified(reached, role, bench, stack))
+        except Exception as error:
+            failures.append(error)
+    if failures:
+        for other in failures[1:]:
+            failures[0].add_note(str(other))
+        raise failures[0]
+    return {instrument.role: instrument for instrument in known}
 
 
 def visa_addresses() -> tuple[str, ...]:
@@ -125,12 +155,14 @@ class Reach:
         return Agilent33250A(self.connect(role), role, generator.model, most_vpp)
 
 
-def _reach(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack) -> Reach:
+def _reach(
+    simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack, lock: bool = True
+) -> Reach:
     if not bench.simulated:
         from drivers.alazar import load_library
 
         addresses = {role: (item.address or "", item.interface) for role, item in bench.generators.by_role.items()}
-        connect = _visa_connections(addresses, "", stack)
+        connect = _visa_connections(addresses, "", stack, lock)
         return Reach(connect, lambda: load_library(name=bench.digitizer.library), WallClock(), None)
     world = _world(simulation, bench, first_shot)
     if bench.transport is None:
@@ -173,10 +205,10 @@ def open_emulator(
 
 
 def _visa_connections(
-    addresses: Mapping[str, tuple[str, str | None]], backend: str, stack: ExitStack
+    addresses: Mapping[str, tuple[str, str | None]], backend: str, stack: ExitStack, lock: bool = False
 ) -> Callable[[str], Connection]:
     """Return what opens the connection of a role; an adapter that several share is opened once."""
-    from drivers.visa import VisaConnection, VisaInterface
+    from drivers.visa import NoVisaError, VisaConnection, VisaInterface
 
     interfaces: dict[str, VisaInterface] = {}
 
@@ -186,7 +218,11 @@ def _visa_connections(
             if before and before not in interfaces:
                 interfaces[before] = VisaInterface(before, backend=backend)
                 stack.callback(interfaces[before].close)
-            opened = VisaConnection(address, backend=backend, interface=interfaces[before] if before else None)
+            interface = interfaces[before] if before else None
+            opened = VisaConnection(address, backend=backend, interface=interface, lock=lock)
+        except NoVisaError as error:
+            why = "this computer lacks the driver for such an address, which may be right"
+            raise InstrumentError(role, str(error), why, error.remedy) from error
         except ConnectionError as error:
             remedy = f"correct generators.{role}.address, or see what hpe-rig bench finds"
             raise InstrumentError(role, str(error), "the address, the cable or the power is wrong", remedy) from error

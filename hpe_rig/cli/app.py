@@ -18,6 +18,7 @@ from hpe_rig.cli.console import (
     SceneName,
     announce,
     guarded,
+    ignore_interrupts,
     progress,
     refuse_undecodable,
     show,
@@ -51,7 +52,11 @@ def main() -> None:
             # A title the console's code page lacks must not cost a measurement.
             stream.reconfigure(errors="replace")
     refuse_undecodable(sys.argv)
-    app()
+    try:
+        app()
+    finally:
+        # All is said and every output is off: nothing may turn the exit code into another one.
+        ignore_interrupts()
 
 
 @app.command()

@@ -5,11 +5,12 @@ from __future__ import annotations
 import functools
 import os
 import shlex
+import signal
 import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
@@ -21,27 +22,43 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 
-EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_PROGRAM, EXIT_INTERRUPTED, EXIT_TERMINATED = 2, 1, 3, 70, 130, 143
+EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_PROGRAM, EXIT_INTERRUPTED = 2, 1, 3, 70, 130
+EXIT_SIGNAL = 128
+"""Plus the number of the signal, as a shell counts."""
 
 
 def guarded(command: Callable[P, None]) -> Callable[P, None]:
     """Return ``command`` with every failure turned into a message and an exit code, never a traceback.
 
     What nobody foresaw is an error of the program: its traceback goes to a file that the message names.
+    Interrupts that come after the first one wait until the message is out.
     """
 
     @functools.wraps(command)
     def guard(*args: P.args, **kwargs: P.kwargs) -> None:
-        try:
-            command(*args, **kwargs)
-        except typer.Exit:
-            raise
-        except BaseException as error:
-            failure = _failure(error) or (_unforeseen(error), EXIT_PROGRAM)
-            typer.echo(f"hpe-rig: {failure[0]}", err=True)
-            raise typer.Exit(failure[1]) from None
+        from hpe_rig.bench import interruptible, uninterrupted
+
+        with uninterrupted():
+            try:
+                with interruptible():
+                    command(*args, **kwargs)
+            except (typer.Exit, SystemExit):
+                raise
+            except BaseException as error:
+                failure = _failure(error) or (_unforeseen(error), EXIT_PROGRAM)
+                # A terminal that was closed takes no message any more.
+                with suppress(OSError):
+                    typer.echo(f"hpe-rig: {failure[0]}", err=True)
+                raise typer.Exit(failure[1]) from None
 
     return guard
+
+
+def ignore_interrupts() -> None:
+    """Let no signal end the process any more but by itself."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
 def announce(text: str) -> None:
@@ -126,7 +143,7 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
         case KeyboardInterrupt():
             return f"interrupted{notes}", EXIT_INTERRUPTED
         case Terminated():
-            return f"terminated{notes}", EXIT_TERMINATED
+            return f"ended by {error.name}{notes}", EXIT_SIGNAL + error.number
     return None
 
 

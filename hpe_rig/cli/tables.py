@@ -93,7 +93,9 @@ def _shot_title(shot: ShotResult) -> str:
     words = [f"shot {shot.shot + 1}", *_settings(shot)]
     missing = f" ({shot.pulses_missing} missing)" if shot.pulses_missing else ""
     words.append(f"{shot.pulses_used} pulses{missing}, residual {_figure(shot.residual_m * 1e9, 3)} nm rms")
-    return ", ".join(words if shot.complete else [*words, "INCOMPLETE"])
+    words += [] if shot.complete else ["INCOMPLETE"]
+    words += ["UNTRUSTED"] if shot.untrusted else []
+    return ", ".join(words)
 
 
 def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:

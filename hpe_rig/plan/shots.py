@@ -92,6 +92,7 @@ class Plan:
     shots: tuple[Shot, ...]
     shot_period_s: float
     omitted: tuple[Omission, ...]
+    stops_when_changed: bool = True
 
     @property
     def duration_s(self) -> float:
@@ -117,13 +118,14 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
     shots = tuple(_shots(scene, bench))
     period_s = scene.acquisition.shot_period_s or max(shot.train_end_s for shot in shots)
     roles = tuple(role for role in GENERATOR_ROLES if scene.excitation or role not in EXCITATION_ROLES)
-    return Plan((*roles, "digitizer"), shots, period_s, tuple(omissions(scene, bench)))
+    stops = scene.acquisition.changed_settings == "stop"
+    return Plan((*roles, "digitizer"), shots, period_s, tuple(omissions(scene, bench)), stops)
 
 
 def _joined(plans: list[Plan]) -> Plan:
     """Return one plan of the shots of all; what is omitted is the same in each."""
     shots = tuple(replace(shot, index=index) for index, shot in enumerate(s for plan in plans for s in plan.shots))
-    return Plan(plans[0].roles, shots, max(plan.shot_period_s for plan in plans), plans[0].omitted)
+    return replace(plans[0], shots=shots, shot_period_s=max(plan.shot_period_s for plan in plans))
 
 
 def pulse_count(scene: Scene) -> int:

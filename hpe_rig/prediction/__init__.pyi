@@ -7,7 +7,7 @@ from .beam_averaging import (
     pulse_length_m as pulse_length_m,
 )
 from .bounds import echo_bound as echo_bound
-from .detection import detection_floor as detection_floor
+from .detection import FALSE_ALARMS as FALSE_ALARMS, detection_floor as detection_floor
 from .error_model import (
     LATERAL as LATERAL,
     Conditions as Conditions,

@@ -42,8 +42,9 @@ class Band:
     ``margin``: samples before and behind the gate that are used; ``taper`` (sample,) over them and the gate.
     ``frequency_hz`` (bin,), evenly spaced. ``analysis`` (sample, bin): from a record to its tapered spectrum, phases
     counted from the gate's middle, the record's mean taken off, which the taper would spread into the band; ``turn``
-    (bin,): its phases and scale as a factor to an FFT. ``root`` (bin, column), real: B. ``noise`` (bin, bin):
-    covariance of white noise, which the taper colours.
+    (bin,): its phases and scale as a factor to an FFT, and ``level`` (bin,): the spectrum of a record of ones, which is
+    what the mean is taken off by. ``root`` (bin, column), real: B. ``noise`` (bin, bin): covariance of white noise,
+    which the taper colours.
     """
 
     margin: tuple[int, int]
@@ -51,6 +52,7 @@ class Band:
     frequency_hz: FloatArray
     analysis: ComplexArray
     turn: ComplexArray
+    level: ComplexArray
     root: FloatArray
     noise: ComplexArray
 
@@ -77,12 +79,18 @@ class Band:
         """Return G times an echo (..., bin): its product with another echo is that over the gate."""
         return np.asarray(echo - (echo @ self.root) @ self.root.T)
 
-    def outside(self, spectrum: ComplexArray, weight: FloatArray | float = 1.0) -> ComplexArray:
-        """Return what of spectra (..., pulse, bin), bins weighted, lies in the margins, (..., pulse, column)."""
-        # as one real product: complex numbers are pairs of neighbours, and B is real
-        by_bin = np.ascontiguousarray(np.swapaxes(spectrum, -1, -2)).view(np.float64)
-        columns = (self.root.T * weight) @ by_bin
-        return np.swapaxes(columns.view(np.complex128), -1, -2)
+    def outside(self, spectrum: ComplexArray) -> ComplexArray:
+        """Return what of spectra (..., pulse, bin) lies in the margins, (..., pulse, column)."""
+        return np.swapaxes(real_product(self.root.T, np.swapaxes(spectrum, -1, -2)), -1, -2)
+
+
+def real_product(matrix: FloatArray, columns: ComplexArray) -> ComplexArray:
+    """Return a real ``matrix`` (row, bin) times complex ``columns`` (..., bin, pulse).
+
+    Complex numbers are pairs of neighbours: one real product, half the work.
+    """
+    both = matrix @ np.ascontiguousarray(columns, dtype=np.complex128).view(np.float64)
+    return both.view(np.complex128)
 
 
 def band_of(echoes: EchoGate) -> Band:
@@ -92,7 +100,7 @@ def band_of(echoes: EchoGate) -> Band:
     """
     wanted = margin_samples(echoes.sample_rate_hz, echoes.carrier_hz)
     before, behind = (min(margin, wanted) for margin in echoes.margin)
-    gate = echoes.gate_volts.shape[-1]
+    gate = echoes.gate_samples
     band_grid(echoes, gate)
     return _band(before, gate, behind, echoes.sample_rate_hz, echoes.carrier_hz)
 
@@ -109,7 +117,8 @@ def _band(before: int, gate: int, behind: int, sample_rate_hz: float, carrier_hz
     turn = 2 * np.pi * np.outer(np.arange(bins) - middle, frequency_hz / sample_rate_hz)
     signal = np.exp(1j * turn) / np.sqrt(bins)
     analysis = signal[:samples].conj() * taper[:, None]
-    analysis -= analysis.mean(axis=0)
+    level = analysis.sum(axis=0)
+    analysis -= level / samples
     noise = analysis.T @ analysis.conj()
     # about the gate's middle E^H E is real, over the gate and so over what is left of all samples
     outside = np.concatenate([signal[:before], signal[before + gate :]])
@@ -117,7 +126,7 @@ def _band(before: int, gate: int, behind: int, sample_rate_hz: float, carrier_hz
     kept = share > LEAST_OUTSIDE
     root = vectors[:, kept] * np.sqrt(share[kept])
     factor = np.exp(2j * np.pi * middle / sample_rate_hz * frequency_hz) / np.sqrt(bins)
-    return Band((before, behind), taper, frequency_hz, analysis, factor, root, noise)
+    return Band((before, behind), taper, frequency_hz, analysis, factor, level, root, noise)
 
 
 def _faded(samples: int, before: int, behind: int) -> FloatArray:
@@ -131,51 +140,52 @@ def _faded(samples: int, before: int, behind: int) -> FloatArray:
 def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, Band]:
     """Return the spectrum (..., valid pulse, bin) around the gate, NaN for trains without an echo, and its band.
 
-    Raises ``ValueError`` for too few valid pulses, a gate too short to hold two frequencies of the band, and where no
-    train has an echo in it.
+    Bins come first in memory, in the precision of the volts. Raises ``ValueError`` for too few valid pulses, a gate too
+    short to hold two frequencies of the band, and where no train has an echo in it.
     """
     require_pulses(echoes, least_pulses)
     band = band_of(echoes)
-    spectrum = _valid(echoes, _tapered_spectrum(echoes, band))
+    first = echoes.gate.start - band.margin[0]
+    samples, count = band.analysis.shape
+    precision = np.result_type(echoes.volts.dtype, np.complex64)
+    spectrum = np.empty((*echoes.volts.shape[:-2], count, echoes.valid.size), precision)
+    bins = round(echoes.sample_rate_hz / (band.frequency_hz[1] - band.frequency_hz[0]))
+    by_fft = samples * count > FFT_WORTH * bins * np.log2(bins)
+    with np.errstate(invalid="ignore"):
+        for pulses, volts in echoes.blocks(slice(first, first + samples)):
+            if by_fft:
+                _transform(volts, band, bins, spectrum[..., pulses])
+            else:
+                _project(volts, band.analysis, spectrum[..., pulses])
+    spectrum = _valid(echoes, np.swapaxes(spectrum, -1, -2))
     spectrum[~has_echo(spectrum, echoes)] = np.nan
     return spectrum, band
 
 
-def _tapered_spectrum(echoes: EchoGate, band: Band) -> ComplexArray:
-    """Return the spectrum (..., pulse, bin) around the gate, bins first in memory."""
-    first = echoes.gate.start - band.margin[0]
-    samples, count = band.analysis.shape
-    volts = echoes.volts[..., first : first + samples]
-    bins = round(echoes.sample_rate_hz / (band.frequency_hz[1] - band.frequency_hz[0]))
-    with np.errstate(invalid="ignore"):
-        if samples * count <= FFT_WORTH * bins * np.log2(bins):
-            return _projected(volts, band.analysis)
-        start = round(band.frequency_hz[0] * bins / echoes.sample_rate_hz)
-        taper, mean = band.taper.astype(volts.dtype), np.full(samples, 1 / samples, volts.dtype)
-        spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
-        for train in np.ndindex(volts.shape[:-2]):
-            for pulse in range(0, volts.shape[-2], BLOCK):
-                pulses = slice(pulse, pulse + BLOCK)
-                some = volts[train][pulses]
-                level = some @ mean
-                tapered = (some - level[:, None]) * taper
-                part = spectrum[train][:, pulses]
-                part[...] = rfft(tapered, bins)[:, start : start + count].T
-                part *= band.turn[:, None]
-    return np.swapaxes(spectrum, -1, -2)
+def _transform(volts: Volts, band: Band, bins: int, spectrum: ComplexArray) -> None:
+    """Put the spectrum of volts (..., pulse, sample) into ``spectrum`` (..., bin, pulse), by FFT of ``bins`` points."""
+    count, pulses = spectrum.shape[-2:]
+    start = round(band.frequency_hz[0] / (band.frequency_hz[1] - band.frequency_hz[0]))
+    taper, mean = band.taper.astype(volts.dtype), np.full(band.taper.size, 1 / band.taper.size, volts.dtype)
+    turn, level = (each.astype(spectrum.dtype)[:, None] for each in (band.turn, band.level))
+    for train in np.ndindex(volts.shape[:-2]):
+        for pulse in range(0, pulses, BLOCK):
+            here = slice(pulse, pulse + BLOCK)
+            some = volts[train][here]
+            part = rfft(some * taper, bins)[:, start : start + count].T * turn
+            # the mean comes off in the band, where there is less of it than there are samples
+            np.subtract(part, level * (some @ mean), out=spectrum[train][:, here])
 
 
-def _projected(volts: Volts, columns: ComplexArray) -> ComplexArray:
-    """Return volts (..., pulse, sample) times columns (sample, bin), bins first in memory."""
+def _project(volts: Volts, columns: ComplexArray, spectrum: ComplexArray) -> None:
+    """Put volts (..., pulse, sample) times columns (sample, bin) into ``spectrum`` (..., bin, pulse)."""
     # one real product: numpy would turn the volts into complex numbers for a complex one
     both = volts.reshape(-1, volts.shape[-1]) @ np.hstack([columns.real, columns.imag]).astype(volts.dtype)
     both = both.reshape(*volts.shape[:-1], -1)
     count = columns.shape[1]
     # what follows works on whole rows of pulses
-    spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
     by_pulse = np.swapaxes(spectrum, -1, -2)
     by_pulse.real, by_pulse.imag = both[..., :count], both[..., count:]
-    return by_pulse
 
 
 def gate_spectrum(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray) -> ComplexArray:
@@ -212,7 +222,7 @@ def has_echo(spectrum: ComplexArray, echoes: EchoGate) -> BoolArray:
 
     Raises ``ValueError`` where none does.
     """
-    in_band = energy_of(spectrum).sum(axis=-1)
+    in_band = sum(np.einsum("...ij,...ij->...", part, part) for part in (spectrum.real, spectrum.imag))
     total = echoes.energy[..., echoes.valid].sum(axis=-1)
     least = LEAST_IN_FLOAT32 if echoes.volts.dtype == np.float32 else LEAST_IN_BAND
     found = np.asarray(in_band > least * total)
@@ -241,7 +251,7 @@ def band_grid(echoes: EchoGate, bins: int) -> FloatArray:
     if inside.size < 2:
         low, high = (edge * echoes.carrier_hz for edge in BAND)
         raise ValueError(
-            f"a gate of {echoes.gate_volts.shape[-1]} samples at {echoes.sample_rate_hz:g} Hz has {inside.size} "
+            f"a gate of {echoes.gate_samples} samples at {echoes.sample_rate_hz:g} Hz has {inside.size} "
             f"frequencies between {low:g} and {high:g} Hz, 2 needed: the gate is too short or the carrier wrong; try a "
             "longer gate"
         )
@@ -268,18 +278,21 @@ def spectrum_at(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray) -
         by_pulse[...] = rfft(volts, bins, axis=-1)[..., first : first + count]
         return by_pulse
     angle = 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, frequency_hz)
-    return _projected(volts, np.cos(angle) - 1j * np.sin(angle))
+    spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), np.complex128)
+    _project(volts, np.cos(angle) - 1j * np.sin(angle), spectrum)
+    return np.swapaxes(spectrum, -1, -2)
 
 
 def turned(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
     """Return spectra (..., pulse, bin) of evenly spaced bins with every pulse advanced by ``delay_s`` (..., pulse).
 
-    Two exponentials a pulse and a running product in place of one exponential a bin.
+    In double precision, whatever that of the spectra. Two exponentials a pulse and a running product in place of one
+    exponential a bin.
     """
     step_hz = (frequency_hz[-1] - frequency_hz[0]) / (frequency_hz.size - 1)
     factor = np.exp(2j * np.pi * frequency_hz[0] * delay_s)
     step = np.exp(2j * np.pi * step_hz * delay_s)
-    out = np.empty_like(spectrum)
+    out = np.swapaxes(np.empty((*delay_s.shape[:-1], frequency_hz.size, delay_s.shape[-1]), factor.dtype), -1, -2)
     for index in range(frequency_hz.size):
         np.multiply(spectrum[..., index], factor, out=out[..., index])
         factor *= step

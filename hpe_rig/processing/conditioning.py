@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any, final
+
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.processing.echoes import BoolArray, EchoGate, FloatArray
+from hpe_rig.processing.echoes import BLOCK_SAMPLES, BoolArray, EchoGate, FloatArray
+from hpe_rig.store import GatedRecords
 
 FOREIGN_LIMIT = 8.0
 """Robust standard deviations beyond which a pulse's logarithmic energy is foreign; and at least a factor of two."""
@@ -34,6 +38,68 @@ def centred_volts(
     return volts
 
 
+@dataclass(frozen=True, slots=True)
+class GateStatistics:
+    """What each record holds in the gate, in codes: ``lowest``, ``highest``, ``mean`` and ``square``, its mean square.
+
+    All (pulse,), of a missing record anything.
+    """
+
+    lowest: NDArray[np.int16]
+    highest: NDArray[np.int16]
+    mean: FloatArray
+    square: FloatArray
+
+    def at_full_scale(self, limits: tuple[int, int]) -> BoolArray:
+        """Return which records (pulse,) reach the digitizer's full scale."""
+        return np.asarray((self.lowest <= limits[0]) | (self.highest >= limits[1]))
+
+
+def gate_statistics(records: GatedRecords) -> GateStatistics:
+    """Return the statistics of every record of a shot, a block of pulses at a time."""
+    pulses, samples = records.shape
+    gate, step = slice(records.margin[0], samples - records.margin[1]), max(1, BLOCK_SAMPLES // samples)
+    parts = []
+    for first in range(0, pulses, step):
+        codes = records.block(slice(first, first + step))[:, gate]
+        single = codes.astype(np.float32)
+        # sums of integers below 2^24 are exact in single precision, those of squares are good to 1e-6
+        mean = (single @ np.ones(single.shape[1], np.float32)).astype(np.float64) / single.shape[1]
+        square = np.einsum("ij,ij->i", single, single).astype(np.float64) / single.shape[1]
+        parts.append((codes.min(axis=1), codes.max(axis=1), mean, square))
+    return GateStatistics(*map(np.concatenate, zip(*parts, strict=True)))
+
+
+@final
+class CodedVolts:
+    """Volts of a shot's ``records`` without their offset, made from the codes when asked for: see `VoltsInBlocks`.
+
+    ``pulses`` are those of the window, ``sound`` (pulse,) those in it that fix the offset, as in `centred_volts`.
+    """
+
+    def __init__(self, records: GatedRecords, pulses: slice, sound: BoolArray, found: GateStatistics) -> None:
+        self._records, self._first = records, pulses.start
+        self.shape = (sound.size, records.shape[1])
+        self.ndim, self.dtype = 2, np.dtype(np.float32)
+        mean = found.mean[pulses]
+        self._offset = float(mean[sound].mean()) if sound.any() else 0.0
+        count = records.shape[1] - sum(records.margin)
+        square = found.square[pulses] + self._offset * (self._offset - 2 * mean)
+        self.energy = np.asarray(count * records.volts_per_code**2 * np.maximum(square, 0.0))
+
+    def block(self, pulses: slice) -> NDArray[np.float32]:
+        """Return the volts of some of the window's pulses, (pulse, sample)."""
+        start, stop, _ = pulses.indices(self.shape[0])
+        volts = self._records.block(slice(self._first + start, self._first + stop)).astype(np.float32)
+        volts -= np.float32(self._offset)
+        volts *= np.float32(self._records.volts_per_code)
+        return volts
+
+    def __getitem__(self, index: Any) -> NDArray[np.float32]:
+        """Return what an array of all volts would."""
+        return self.block(slice(None))[index]
+
+
 def hann(count: int) -> FloatArray:
     """Return a Hann window (count,) sampled at the middle of its intervals: symmetric, with a mean of exactly 1/2."""
     return np.asarray(np.sin(np.pi * (np.arange(count) + 0.5) / count) ** 2)
@@ -53,8 +119,3 @@ def unlike_pulses(echoes: EchoGate) -> BoolArray:
     flagged = np.zeros(echoes.valid.shape, dtype=bool)
     flagged[echoes.valid] = foreign.any(axis=tuple(range(foreign.ndim - 1)))
     return flagged
-
-
-def clipped_pulses(codes: NDArray[np.int16], limits: tuple[int, int]) -> BoolArray:
-    """Return which records (..., pulse) of ``codes`` (..., pulse, sample) reach the digitizer's full scale."""
-    return np.asarray((codes.min(axis=-1) <= limits[0]) | (codes.max(axis=-1) >= limits[1]))

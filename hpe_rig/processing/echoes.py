@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,31 @@ Volts = NDArray[np.floating[Any]]
 MARGIN_PERIODS = 6.0
 """Carrier periods before and behind a gate that are read with it, if they are there."""
 
+BLOCK_SAMPLES = 1 << 22
+"""Samples of a block of volts that are not all held at once."""
+
 EDGE_PERIODS = 11.7
 EDGE_WITH_MARGIN, EDGE_WITHOUT_MARGIN, EDGE_WINDOWED = 3e-5, 7e-4, 3.6e-3
 """Relative errors that the edges leave in a gate of so many carrier periods (1 mm at 9 MHz)."""
+
+
+class VoltsInBlocks(Protocol):
+    """Volts (pulse, sample), float32, that are made a block of pulses at a time, for trains too long to be held.
+
+    ``block`` returns those of some pulses; ``energy`` (pulse,) is that of the gate, V^2. Indexed like an array they are
+    made as a whole.
+    """
+
+    energy: FloatArray
+
+    @property
+    def shape(self) -> tuple[int, int]: ...
+    @property
+    def ndim(self) -> int: ...
+    @property
+    def dtype(self) -> np.dtype[np.float32]: ...
+    def block(self, pulses: slice) -> Volts: ...
+    def __getitem__(self, index: Any) -> Volts: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +57,13 @@ class EchoGate:
     increasing. ``valid`` (pulse,): False where a record is missing or flagged; the samples of such a pulse do not
     matter. ``energy`` (..., pulse): the gate's, V^2.
 
-    Any real type and byte order is taken: ``volts`` become float32 where they fit into it, else float64, times float64.
+    Any real type and byte order is taken, also volts that are made in blocks: ``volts`` become float32 where they fit
+    into it, else float64, times float64.
     A realisation with samples that are not finite has NaN for a result. Raises ``TypeError`` for what is no real number
     and ``ValueError`` where shapes or values do not fit, or no realisation is finite.
     """
 
-    volts: Volts
+    volts: Volts | VoltsInBlocks
     sample_rate_hz: float
     pulse_time_s: FloatArray
     carrier_hz: float
@@ -49,11 +73,13 @@ class EchoGate:
     energy: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "volts", _native(self.volts, "volts"))
+        held = self.volts if hasattr(self.volts, "block") else None
+        if held is None:
+            object.__setattr__(self, "volts", _native(self.volts, "volts"))
         object.__setattr__(self, "pulse_time_s", _native(self.pulse_time_s, "pulse_time_s").astype(float, copy=False))
         self._refuse_misfits()
         self._refuse_settings()
-        object.__setattr__(self, "energy", pulse_energy(self.gate_volts))
+        object.__setattr__(self, "energy", pulse_energy(self.gate_volts) if held is None else held.energy)
         if not np.isfinite(self.energy[..., self.valid]).all(axis=-1).any():
             raise ValueError("a pulse marked valid holds samples that are not finite: mark it invalid or read it again")
 
@@ -89,6 +115,21 @@ class EchoGate:
     def gate_volts(self) -> Volts:
         """The gate's samples, (..., pulse, sample)."""
         return self.volts[..., self.gate]
+
+    @property
+    def gate_samples(self) -> int:
+        """How many samples the gate has."""
+        return self.gate.stop - self.gate.start
+
+    def blocks(self, samples: slice) -> Iterator[tuple[slice, Volts]]:
+        """Yield some ``samples`` of pulses, (..., pulse, sample), and which pulses; all at once where they are held."""
+        if isinstance(self.volts, np.ndarray):
+            yield slice(0, self.valid.size), self.volts[..., samples]
+            return
+        step = max(1, BLOCK_SAMPLES // self.volts.shape[-1])
+        for first in range(0, self.valid.size, step):
+            pulses = slice(first, min(first + step, self.valid.size))
+            yield pulses, self.volts.block(pulses)[..., samples]
 
     def without(self, pulses: BoolArray) -> EchoGate:
         """Return the same gate, its ``pulses`` (pulse,) no longer valid."""
@@ -173,7 +214,7 @@ def gate_edge_relative(echoes: EchoGate, gate_window: str = "none") -> float:
     A ``gate_window`` is cut before the echoes are aligned, as the paper does, whatever margins there are.
     Source: the table "The gate's edge" in docs/theory/estimation.md.
     """
-    periods = echoes.gate_volts.shape[-1] / echoes.sample_rate_hz * echoes.carrier_hz
+    periods = echoes.gate_samples / echoes.sample_rate_hz * echoes.carrier_hz
     if gate_window != "none":
         return float(EDGE_WINDOWED * EDGE_PERIODS / periods)
     wanted = margin_samples(echoes.sample_rate_hz, echoes.carrier_hz)
@@ -184,7 +225,8 @@ def gate_edge_relative(echoes: EchoGate, gate_window: str = "none") -> float:
 
 def valid_volts(echoes: EchoGate) -> Volts:
     """Return the echoes (..., valid pulse, sample); no copy where every pulse is valid."""
-    return echoes.volts if echoes.valid.all() else echoes.volts[..., echoes.valid, :]
+    volts = echoes.volts[...]
+    return volts if echoes.valid.all() else volts[..., echoes.valid, :]
 
 
 def pulse_energy(volts: Volts) -> FloatArray:

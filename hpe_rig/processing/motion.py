@@ -6,6 +6,7 @@ changes by -2 pi f tau. Derivations and sources: docs/theory/estimation.md.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,6 +19,7 @@ from hpe_rig.processing.band import (
     energy_of,
     gate_spectrum,
     inner,
+    real_product,
     require_pulses,
     turned,
 )
@@ -25,6 +27,11 @@ from hpe_rig.processing.conditioning import hann
 from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, scatter
 
 DivideBy = Literal["centre", "carrier"]
+
+STEPS_AT_ONCE = 256
+"""Pulses whose steps are found together: few enough that all of their products stay in the cache."""
+ALIGNED_AT_ONCE = 1 << 14
+"""Pulses that are aligned together: a longer train never lies aligned in memory as a whole."""
 
 
 def coherent(echoes: EchoGate) -> Motion:
@@ -163,34 +170,47 @@ class PulseSteps:
 
 def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
     """Return how echoes (..., pulse, bin) step from pulse to pulse."""
-    outside, weighted = band.outside(spectrum), band.outside(spectrum, band.frequency_hz)
-    product = -_neighbours(outside, outside)
-    moment = -(_neighbours(outside, weighted) + _neighbours(weighted, outside)) / 2
-    # bin by bin: the products of all bins at once would not stay in the cache
-    for index, frequency_hz in enumerate(band.frequency_hz):
-        cross = np.conj(spectrum[..., :-1, index])
-        cross *= spectrum[..., 1:, index]
-        product += cross
-        cross *= frequency_hz
-        moment += cross
+    trains, pulses = spectrum.shape[:-2], spectrum.shape[-2]
+    # of bins and of columns in the margins: sums, and sums weighted by frequency
+    weights = np.stack([np.ones(band.frequency_hz.size), band.frequency_hz])
+    columns = np.vstack([band.root.T, band.root.T * band.frequency_hz])
+    cross = np.empty((*trains, 2, pulses - 1), dtype=np.complex128)
+    power, whole = np.empty((*trains, 2, pulses)), np.empty((*trains, pulses))
+    by_bin = np.swapaxes(spectrum, -1, -2)
+    # a few pulses at a time, and the one before: what is made of them stays in the cache
+    for first in range(0, pulses, STEPS_AT_ONCE):
+        here = slice(first, first + STEPS_AT_ONCE)
+        echo = np.ascontiguousarray(by_bin[..., max(first - 1, 0) : here.stop], dtype=np.complex128)
+        outside, weighted = np.split(real_product(columns, echo), 2, axis=-2)
+        product = real_product(weights, np.conj(echo[..., :-1]) * echo[..., 1:])
+        product[..., 0, :] -= _neighbours(outside, outside)
+        product[..., 1, :] -= (_neighbours(outside, weighted) + _neighbours(weighted, outside)) / 2
+        cross[..., max(first - 1, 0) : here.stop - 1] = product
+        new = slice(min(first, 1), None)
+        energy = weights @ (echo.real**2 + echo.imag**2)[..., new]
+        whole[..., here] = energy[..., 0, :]
+        energy[..., 0, :] -= _overlap(outside, outside)[..., new]
+        energy[..., 1, :] -= _overlap(outside, weighted)[..., new]
+        power[..., here] = energy
+    product, moment = cross[..., 0, :], cross[..., 1, :]
     step = np.angle(product)
     phase = np.concatenate([np.zeros((*step.shape[:-1], 1)), np.cumsum(step, axis=-1)], axis=-1)
     # what neighbours have in common is in phase once their step is undone
     common = (np.exp(-1j * step) * moment).real.sum(axis=-1)
-    whole = energy_of(spectrum)
-    return PulseSteps(
-        product,
-        phase,
-        mean_frequency(common, np.abs(product).sum(axis=-1), band),
-        whole - energy_of(outside),
-        energy_of(np.swapaxes(spectrum, -1, -2)) @ band.frequency_hz - inner(outside, weighted).sum(axis=-1),
-        whole,
-    )
+    mean_hz = mean_frequency(common, np.abs(product).sum(axis=-1), band)
+    return PulseSteps(product, phase, mean_hz, power[..., 0, :], power[..., 1, :].sum(axis=-1), whole)
 
 
 def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:
-    """Return the product (..., pulse - 1) of every echo (..., pulse, column) with the next of the others."""
-    return np.asarray(np.einsum("...i,...i->...", np.conj(before[..., :-1, :]), after[..., 1:, :]))
+    """Return the product (..., pulse - 1) of every echo (..., column, pulse) with the next of the others."""
+    return np.asarray(np.einsum("...ij,...ij->...j", np.conj(before[..., :-1]), after[..., 1:]))
+
+
+def _overlap(one: ComplexArray, other: ComplexArray) -> FloatArray:
+    """Return the real part of the product (..., pulse) of every echo (..., column, pulse) with its other."""
+    return np.asarray(
+        np.einsum("...ij,...ij->...j", one.real, other.real) + np.einsum("...ij,...ij->...j", one.imag, other.imag)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,14 +235,26 @@ def against_others(
     ``energy`` (..., pulse), that of each echo in the gate once it is aligned, is found where not given.
     """
     # echoes meet in the middle of their motion: what the gate cuts is then nearest to what all of them hold
-    aligned = turned(spectrum, delay_s - delay_s.mean(axis=-1, keepdims=True), band.frequency_hz)
-    if energy is None:
-        energy = steps.whole - energy_of(band.outside(aligned))
-    total = aligned.sum(axis=-2)
+    delay_s = delay_s - delay_s.mean(axis=-1, keepdims=True)
+    blocks = [slice(first, first + ALIGNED_AT_ONCE) for first in range(0, spectrum.shape[-2], ALIGNED_AT_ONCE)]
+
+    @functools.lru_cache(maxsize=1)
+    def aligned(block: int) -> ComplexArray:
+        """Return some of the pulses; a long train is aligned twice and never as a whole."""
+        pulses = blocks[block]
+        return turned(spectrum[..., pulses, :], delay_s[..., pulses], band.frequency_hz)
+
+    total = np.sum([aligned(block).sum(axis=-2) for block in range(len(blocks))], axis=0)
     gated = band.gated(total)
     total_energy = inner(gated, total)
     # a pulse's own noise in its reference would pull its phase to zero: the reference is the total less the pulse
-    with_total = (aligned @ np.conj(gated)[..., None])[..., 0]
+    parts, margins = [], []
+    for block in range(len(blocks)):
+        parts.append((aligned(block) @ np.conj(gated)[..., None])[..., 0])
+        margins.append(energy_of(band.outside(aligned(block))) if energy is None else 0.0)
+    with_total = np.concatenate(parts, axis=-1)
+    if energy is None:
+        energy = steps.whole - np.concatenate(margins, axis=-1)
     product = with_total - energy
     tiny = np.finfo(np.float64).tiny
     reference = np.maximum(total_energy[..., None] - 2 * with_total.real + energy, tiny)
@@ -241,6 +273,7 @@ def _sample_turn(spectrum: ComplexArray, band: Band, angle: FloatArray) -> Compl
     """Return the correlation (..., pulse) of every echo over one sample, with ``angle`` (bin,) a sample."""
     turn = np.exp(1j * angle)
     # half of it with the next sample and half with the one before: the gate's two ends then count alike
+    spectrum = spectrum.astype(np.complex128, copy=False)
     outside, next_, last = (band.outside(spectrum * each) for each in (1.0, turn, np.conj(turn)))
     margins = np.conj(outside) * next_ + np.conj(last) * outside
     return np.asarray((spectrum.real**2 + spectrum.imag**2) @ turn - margins.sum(axis=-1) / 2)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
 from hpe_rig.processing.budget import Known, estimates_of, known_of
-from hpe_rig.processing.conditioning import centred_volts, clipped_pulses, unlike_pulses
+from hpe_rig.processing.conditioning import CodedVolts, GateStatistics, centred_volts, gate_statistics, unlike_pulses
 from hpe_rig.processing.echoes import EchoGate, Motion, gate_edge_relative, margin_samples, relative_to
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium
 from hpe_rig.processing.estimators import EstimatorSpec, Harmonic, Options, estimate, fit_motion, spec_of
@@ -22,7 +22,7 @@ from hpe_rig.processing.prior import MediumPrior, medium_prior
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.result import Averaging, ShotResult
 from hpe_rig.scene import Processing, Scene
-from hpe_rig.store import ShotRecords, StoredRun
+from hpe_rig.store import GatedRecords, ShotRecords, StoredRun
 
 LARGE_STEP = 0.8
 """Quarter wavelengths a pulse from which on the next period of the carrier is close."""
@@ -77,14 +77,14 @@ def _windows_of_shot(
     """Return the result of each window of one shot; raise ``ValueError`` where one cannot be estimated."""
     # Of a long record only the gate and what its edges need come into memory, unless the gate follows.
     margin = margin_needed(scene, shot)
-    records = stored.records.gated(shot.index, samples_needed(scene, shot), margin=margin)
+    records = stored.records.in_blocks(shot.index, samples_needed(scene, shot), margin=margin)
     if not records.valid.any():
         raise ValueError(NO_RECORDS)
     true_m = None
     if stored.true_displacement_m is not None:
         true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
     reference = reference_gate(scene, shot)
-    still = None if reference is None else stored.records.gated(shot.index, reference, margin=margin)
+    still = None if reference is None else stored.records.in_blocks(shot.index, reference, margin=margin)
     known, complete = known_of(scene, stored.simulated), bool(stored.shot_complete[shot.index])
     results = []
     for window in scene.windows:
@@ -121,8 +121,8 @@ def shot_prior(scene: Scene, shot: Shot, estimator: str, beams: BeamWidths | Non
 def _estimate_shot(
     scene: Scene,
     shot: Shot,
-    records: ShotRecords,
-    still: ShotRecords | None,
+    records: GatedRecords,
+    still: GatedRecords | None,
     true_m: NDArray[np.float64] | None,
     spec: EstimatorSpec,
     averaging: tuple[Averaging | None, ...],
@@ -134,8 +134,9 @@ def _estimate_shot(
     chosen = select(scene, shot)
     if spec.motion is None and scene.processing.follow_gate:
         raise ValueError(f"{spec.name} has no displacements to add those of processing.follow_gate to: take coherent")
-    full_scale = clipped_pulses(records.gate_codes, records.code_limits)
-    echoes = shot_echoes(scene, shot, records, chosen, full_scale)
+    found = gate_statistics(records)
+    full_scale = found.at_full_scale(records.code_limits)
+    echoes = shot_echoes(scene, shot, records, chosen, found)
     recorded = records.valid[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
     motion = None if spec.motion is None else shot_motion(scene, shot, echoes, spec.motion)
@@ -193,25 +194,23 @@ def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[NDAr
 
 
 def shot_echoes(
-    scene: Scene,
-    shot: Shot,
-    records: ShotRecords,
-    chosen: Selection,
-    full_scale: NDArray[np.bool_] | None = None,
+    scene: Scene, shot: Shot, records: GatedRecords, chosen: Selection, found: GateStatistics | None = None
 ) -> EchoGate:
     """Return the echoes of the ``chosen`` pulses, of the ``records``' samples: see ``samples_needed``.
 
-    ``full_scale`` (pulse of the shot,), which records reach the digitizer's full scale, is found where not given.
+    What the records hold in the gate is ``found`` where it is not given.
     """
-    if full_scale is None:
-        full_scale = clipped_pulses(records.gate_codes, records.code_limits)
+    found = found or gate_statistics(records)
     window = chosen.window
     valid = records.valid[window] & chosen.used
-    codes = records.codes if window.all() else records.codes[window]
-    sound = valid & ~full_scale[window]
-    gate = slice(records.margin[0], codes.shape[1] - records.margin[1])
+    sound = valid & ~found.at_full_scale(records.code_limits)[window]
+    gate = slice(records.margin[0], records.shape[1] - records.margin[1])
+    first = int(np.argmax(window))
+    pulses = slice(first, first + valid.size)
     echoes = EchoGate(
-        volts=centred_volts(codes, records.volts_per_code, sound, gate),
+        volts=centred_volts(records.block(pulses), records.volts_per_code, sound, gate)
+        if isinstance(records, ShotRecords)
+        else CodedVolts(records, pulses, sound, found),
         sample_rate_hz=shot.capture.sample_rate_hz,
         pulse_time_s=chosen.time_s,
         carrier_hz=scene.tracking.carrier_hz,

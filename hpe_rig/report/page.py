@@ -51,9 +51,9 @@ class ErrorStage:
 def write_report(path: Path, estimator: str | None = None, output: Path | None = None, shot: int | None = None) -> Path:
     """Write the report of the run in ``path`` and return its own path, by default beside the run with ``.html``.
 
-    ``shot`` counts from 1 and says which one is drawn; absent: the one that moves most. Raises ``StoreError`` for a
-    file that cannot be read or written, or would be lost, and ``SettingsError`` for what the file says or the caller
-    asks.
+    ``shot`` counts from 1 and says which one is drawn; absent: of the complete ones that which moves most. Raises
+    ``StoreError`` for a file that cannot be read or written, or would be lost, and ``SettingsError`` for what the file
+    says or the caller asks.
     """
     target = output or path.with_suffix(".html")
     _refuse_other(target)
@@ -161,7 +161,9 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage
 
 def _shown(result: Result, shot: int | None) -> ShotResult:
     if shot is None:
-        return max(result.shots, key=lambda item: strongest(item).amplitude_m if item.estimates else 0.0)
+        return max(
+            result.shots, key=lambda item: (item.complete, strongest(item).amplitude_m if item.estimates else 0.0)
+        )
     for item in result.shots:
         if item.shot == shot - 1:
             return item
@@ -223,7 +225,11 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
 def _shot_count(run: Run, result: Result) -> str:
     complete = {shot.shot: shot.complete for shot in result.shots}
     words = f"{len(complete)} of {len(run.plan.shots)} planned"
-    return words if all(complete.values()) else f"{words}, {list(complete.values()).count(False)} of them incomplete"
+    counts = {
+        "incomplete": list(complete.values()).count(False),
+        "untrusted": len({shot.shot for shot in result.shots if shot.untrusted}),
+    }
+    return ", ".join([words, *(f"{count} of them {what}" for what, count in counts.items() if count)])
 
 
 def _scene_of(run: Run, shown: ShotResult) -> Scene:

@@ -172,7 +172,8 @@ class Estimate:
 class ShotResult:
     """The estimates of one shot, with what was varied and what was missing.
 
-    ``complete`` is False for a shot in which the run stopped.
+    ``complete`` is False for a shot in which the run stopped. ``untrusted`` says why its records are not to be trusted,
+    "" where nothing speaks against them.
     """
 
     shot: int
@@ -187,6 +188,7 @@ class ShotResult:
     pulse_rate_hz: float | None = None
     window_length_s: float | None = None
     complete: bool = True
+    untrusted: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,10 +53,10 @@ class RepeatMean:
 
 
 def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
-    """Return the mean of every frequency over each group of complete shots that are repeats of the same settings."""
+    """Return the mean of every frequency over each group of complete, trusted repeats of the same settings."""
     groups: dict[tuple[float | None, ...], list[ShotResult]] = {}
     for shot in shots:
-        if shot.complete:
+        if shot.complete and not shot.untrusted:
             groups.setdefault(_setting(shot), []).append(shot)
     return tuple(
         _mean(group, index)

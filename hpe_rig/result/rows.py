@@ -84,7 +84,7 @@ def result_text(result: Result) -> str:
     """
     means = [_text_row(_numbers(mean.shots), mean.frequency_hz, mean) for mean in result.means]
     rows = [
-        _text_row(_numbers([shot.shot]), item.frequency_hz, item.headline)
+        _text_row(_numbers([shot.shot]) + (" UNTRUSTED" if shot.untrusted else ""), item.frequency_hz, item.headline)
         for shot in result.shots
         for item in shot.estimates
     ]

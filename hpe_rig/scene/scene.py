@@ -121,6 +121,8 @@ class Acquisition(Section):
     """How often every shot is repeated."""
     shot_period_s: DurationS | None = None
     """Time between master triggers; absent: as soon as the trains have ended."""
+    changed_settings: Literal["stop", "continue"] = "stop"
+    """What follows a shot after which settings are not as before it; it is marked as untrusted either way."""
 
 
 class Beams(Section):

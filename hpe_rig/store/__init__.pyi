@@ -19,7 +19,7 @@ from .reader import (
     read_run as read_run,
     read_snapshots as read_snapshots,
 )
-from .records import ShotRecords as ShotRecords, assemble as assemble
+from .records import GatedRecords as GatedRecords, ShotRecords as ShotRecords, assemble as assemble
 from .result_file import write_result as write_result
 from .validation import UntrustedError as UntrustedError, trusted as trusted
 from .writer import RunWriter as RunWriter, WriteOptions as WriteOptions

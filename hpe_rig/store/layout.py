@@ -29,6 +29,7 @@ from hpe_rig.store.format import (
     STAGE_BYTES,
     STAGES,
     STATUS_BYTES,
+    UNTRUSTED_BYTES,
     StoreError,
     extra,
     versions,
@@ -109,6 +110,9 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
     snapshot = file.create_dataset("snapshot", len(plan.shots), f"S{SNAPSHOT_BYTES}", chunks=(1,))
     if snapshot.nbytes <= MOST_PLACED_BYTES:
         snapshot[...] = b""
+    untrusted = file.create_dataset("untrusted", len(plan.shots), f"S{UNTRUSTED_BYTES}", chunks=(1,))
+    if untrusted.nbytes <= MOST_PLACED_BYTES:
+        untrusted[...] = b""
     name_axes(file, {"shot": np.arange(len(plan.shots))}, {})
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, overload
 
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import Setting
 from hpe_rig.plan import Plan
-from hpe_rig.store.format import MOST_STAGES, SNAPSHOT_BYTES, STAGE_BYTES, StoreError
+from hpe_rig.store.format import MOST_STAGES, SNAPSHOT_BYTES, STAGE_BYTES, UNTRUSTED_BYTES, StoreError
 from hpe_rig.store.layout import TRUE_HARMONICS, volts_of_codes
-from hpe_rig.store.records import MISSING, ShotRecords, with_margin
+from hpe_rig.store.records import MISSING, GatedRecords, ShotRecords, with_margin
 from hpe_rig.store.validation import Trusted, UntrustedError, trusted
 
 Shape = tuple[int, int, int]
@@ -27,6 +27,35 @@ CODE_LIMITS_UNSTATED: Final = (-8192, 8191)
 MOST_UNHELD_BYTES: Final = 256_000_000
 """Most memory that a shot may take beyond what the file holds, for records that never came."""
 MOST_SHOTS: Final = 1_000_000
+MOST_HELD_SAMPLES: Final = 1 << 25
+"""Samples up to which the records of a shot are read at once; those of a longer one stay in the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoredShot:
+    """Records of one shot that stay in the file, see `GatedRecords`; of each the samples ``around`` its gate."""
+
+    path: Path
+    name: str
+    shot: int
+    around: slice
+    valid: NDArray[np.bool_]
+    volts_per_code: float
+    code_limits: tuple[int, int]
+    margin: tuple[int, int]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of pulses and of samples."""
+        return self.valid.size, self.around.stop - self.around.start
+
+    def block(self, pulses: slice) -> NDArray[np.int16]:
+        """Return the codes of some ``pulses``, (pulse, sample), as the file has them by now."""
+        with trusted(self.path) as trust:
+            echo = trust.dataset(f"records/{self.name}", "<i2", (None, self.valid.size, None))
+            codes: NDArray[np.int16] = echo[self.shot, pulses, self.around]
+        codes[~self.valid[pulses]] = MISSING
+        return codes
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +88,24 @@ class StoredRecords(Sequence[ShotRecords]):
 
     def gated(self, shot: int, gate: slice, name: str = "echo", margin: int = 0) -> ShotRecords:
         """Return the samples in ``gate`` and up to ``margin`` around it of each record of ``shot``, (pulse, sample)."""
+        with trusted(self.path) as trust:
+            stored, offset, trigger_time_s = self._of_shot(trust, shot, gate, name, margin)
+            codes = _echo(trust, self.shape, name)[stored.shot, :, stored.around]
+        codes[~stored.valid] = MISSING
+        time_s = np.where(stored.valid, trigger_time_s, np.nan)
+        return ShotRecords(codes, time_s, stored.volts_per_code, offset, stored.code_limits, stored.margin)
+
+    def in_blocks(self, shot: int, gate: slice, margin: int = 0, most_held: int = MOST_HELD_SAMPLES) -> GatedRecords:
+        """Return what ``gated`` does; of more samples than ``most_held`` the codes stay in the file until asked for."""
+        if self.shape[1] * (gate.stop - gate.start + 2 * margin) <= most_held:
+            return self.gated(shot, gate, margin=margin)
+        with trusted(self.path) as trust:
+            return self._of_shot(trust, shot, gate, "echo", margin)[0]
+
+    def _of_shot(
+        self, trust: Trusted, shot: int, gate: slice, name: str, margin: int
+    ) -> tuple[StoredShot, float, NDArray[np.float64]]:
+        """Return the records of ``shot``, their offset in volts and their triggers' times (pulse,)."""
         shot = _within(shot, self.shape[0])
         if not 0 <= gate.start < gate.stop <= self.shape[2]:
             raise StoreError(
@@ -66,15 +113,11 @@ class StoredRecords(Sequence[ShotRecords]):
                 "Try: a run whose scene passes hpe-rig check."
             )
         around, margins = with_margin(gate, margin, self.shape[2])
-        with trusted(self.path) as trust:
-            echo = _echo(trust, self.shape, name)
-            recorded = self._recorded(trust, echo, shot, around.stop - around.start)
-            codes = echo[shot, :, around]
-            codes[~recorded] = MISSING
-            trigger_time_s = _rows(trust, "records/trigger_time_s", self.shape)[shot]
-            scale, offset = (trust.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset"))
-            limits = _code_limits(trust, f"records/{name}")
-        return ShotRecords(codes, np.where(recorded, trigger_time_s, np.nan), scale, offset, limits, margins)
+        recorded = self._recorded(trust, _echo(trust, self.shape, name), shot, around.stop - around.start)
+        scale, offset = (trust.attribute(key, float, f"records/{name}") for key in ("scale_factor", "add_offset"))
+        limits = _code_limits(trust, f"records/{name}")
+        trigger_time_s = _rows(trust, "records/trigger_time_s", self.shape)[shot]
+        return StoredShot(self.path, name, shot, around, recorded, scale, limits, margins), offset, trigger_time_s
 
     def chunks(self, shot: int, pulses: int, name: str = "echo") -> Iterator[tuple[int, NDArray[np.int16]]]:
         """Yield the codes of ``shot`` as (first pulse, codes) in steps of ``pulses``, opening the file once."""
@@ -122,8 +165,9 @@ class StoredRun:
     """Content of a run file; ``true_displacement_m``, (pulse,) for each shot, is None for a real bench.
 
     ``shot_complete`` (shot,) tells which shots are complete. ``clipped`` lists the shots during which the digitizer's
-    input left its range. ``predecessor`` names the run that this one continued, "" where there is none. ``run_time_s``
-    is the wall time of the acquisition by stage, empty where it was not measured.
+    input left its range, ``untrusted`` says why a shot is not to be trusted. ``predecessor`` names the run that this
+    one continued, "" where there is none. ``run_time_s`` is the wall time of the acquisition by stage, empty where it
+    was not measured.
     """
 
     path: Path
@@ -139,6 +183,7 @@ class StoredRun:
     clipped: tuple[int, ...]
     predecessor: str
     run_time_s: Mapping[str, float]
+    untrusted: Mapping[int, str] = field(default_factory=dict)
 
     def rows(self, shot: int) -> dict[str, Any]:
         """Return everything of ``shot`` but its echoes, keyed by the path of the dataset in the file."""
@@ -149,6 +194,8 @@ class StoredRun:
                 "records/clipped": trust.dataset("records/clipped", "u1", (shape[0],))[shot],
                 "records/recorded": _rows(trust, "records/recorded", shape, "u1")[shot],
             }
+            if trust.has("untrusted"):
+                rows["untrusted"] = _untrusted(trust, shape)[shot]
             names = ["records/trigger_time_s", "records/pulse_onset_s"]
             names += ["truth/displacement_m"] if self.simulated else []
             harmonics = [f"true_harmonics/{name}" for name in TRUE_HARMONICS] if self.simulated else []
@@ -229,7 +276,20 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
         clipped=tuple(int(shot) for shot in np.flatnonzero(flags["clipped"])),
         predecessor=trust.attribute("predecessor", str),
         run_time_s=_run_time_s(trust),
+        untrusted=_untrusted_shots(trust, shape),
     )
+
+
+def _untrusted(trust: Trusted, shape: Shape) -> h5py.Dataset:
+    return trust.dataset("untrusted", f"S{UNTRUSTED_BYTES}", (shape[0],))
+
+
+def _untrusted_shots(trust: Trusted, shape: Shape) -> dict[int, str]:
+    if not trust.has("untrusted"):
+        # Files from before settings were read back after a shot.
+        return {}
+    texts = enumerate(_untrusted(trust, shape)[()])
+    return {shot: text.decode("ascii", "replace") for shot, text in texts if text}
 
 
 def _run_time_s(trust: Trusted) -> dict[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,28 @@ from hpe_rig.plan import Shot
 
 MISSING = np.int16(-32768)
 """Code of a sample that was never recorded; below the code limits of every digitizer."""
+
+
+class GatedRecords(Protocol):
+    """Records of one shot, in memory (`ShotRecords`) or in the file: codes come a block of pulses at a time.
+
+    ``shape``: (pulse, sample); ``valid`` (pulse,): which have a record; the rest as in `ShotRecords`.
+    """
+
+    @property
+    def shape(self) -> tuple[int, int]: ...
+    @property
+    def valid(self) -> NDArray[np.bool_]: ...
+    @property
+    def volts_per_code(self) -> float: ...
+    @property
+    def code_limits(self) -> tuple[int, int]: ...
+    @property
+    def margin(self) -> tuple[int, int]: ...
+
+    def block(self, pulses: slice) -> NDArray[np.int16]:
+        """Return the codes of some ``pulses``, (pulse, sample), ``MISSING`` where nothing arrived."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +55,13 @@ class ShotRecords:
     margin: tuple[int, int] = (0, 0)
 
     @property
-    def gate_codes(self) -> NDArray[np.int16]:
-        """The codes without the margins, int16 (pulse, sample)."""
-        return self.codes[:, self.margin[0] : self.codes.shape[1] - self.margin[1]]
+    def shape(self) -> tuple[int, int]:
+        """Numbers of pulses and of samples."""
+        return self.codes.shape[0], self.codes.shape[1]
+
+    def block(self, pulses: slice) -> NDArray[np.int16]:
+        """Return the codes of some ``pulses``, (pulse, sample)."""
+        return self.codes[pulses]
 
     def cut(self, gate: slice, margin: int = 0) -> ShotRecords:
         """Return the samples in ``gate`` and up to ``margin`` on either side, as far as there are."""

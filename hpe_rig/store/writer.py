@@ -27,7 +27,7 @@ from hpe_rig.bench import BenchText, uninterrupted
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.scene import SceneText
 from hpe_rig.store.atomic import atomic_file
-from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, StoreError, reason
+from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, UNTRUSTED_BYTES, StoreError, reason
 from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
 from hpe_rig.store.reader import StoredRun
 from hpe_rig.store.records import MISSING, Placed, place
@@ -125,6 +125,12 @@ class RunWriter:
         """Write whether the input of the digitizer left its range during ``shot``."""
         with self._writing():
             self._rows["clipped"][shot.index] = clipped
+
+    def untrusted(self, shot: Shot, why: str) -> None:
+        """Write why the records of ``shot`` are not to be trusted."""
+        with self._writing():
+            self._file["untrusted"][shot.index] = why.encode("ascii", "replace")[:UNTRUSTED_BYTES]
+            self._file["untrusted"].flush()
 
     def ground_truth(self, shot: Shot, displacement_m: NDArray[np.float64]) -> None:
         """Write the true displacement at the focus at each record of ``shot``, (record,)."""

@@ -1,113 +1,28 @@
-"""Command table of a 33250A: header -> what it sets and what it answers, as functions of the registers."""
+"""Commands that set a waveform: header -> what it sets and what it answers, as functions of the registers."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from operator import attrgetter
-from typing import Any
 
 from sim_backend.generator import levels, registers, timing
+from sim_backend.generator.inactive import INACTIVE, OF_SERIES as INACTIVE_OF_SERIES, off
+from sim_backend.generator.kinds import (
+    LimitsOf,
+    SettingCommand,
+    choice,
+    choice_of_model,
+    clipping,
+    extreme,
+    numeric,
+    switch,
+)
 from sim_backend.generator.levels import load_share
 from sim_backend.generator.models import Model
 from sim_backend.generator.registers import Coerced, Registers
-from sim_backend.generator.scpi_text import ScpiError, boolean, keyword, number, quoted, real_reply
-
-Write = Callable[[Registers, tuple[str, ...]], Coerced]
-Read = Callable[[Registers, tuple[str, ...]], str]
-LimitsOf = Callable[[Registers], tuple[float, float]]
-# What is shown of the registers: a field by its name, or what a function makes of them.
-Shown = str | Callable[[Registers], Any]
-
-
-@dataclass(frozen=True, slots=True)
-class SettingCommand:
-    """What one header does; None where the form without or with ``?`` does not exist."""
-
-    write: Write | None
-    read: Read | None
-
-
-def _one(arguments: tuple[str, ...]) -> str:
-    if not arguments:
-        raise ScpiError(-109, "Missing parameter")
-    if len(arguments) > 1:
-        raise ScpiError(-108, "Parameter not allowed")
-    return arguments[0]
-
-
-def _extreme(text: str, limits: tuple[float, float]) -> float | None:
-    low, high = limits
-    return {"MIN": low, "MINIMUM": low, "MAX": high, "MAXIMUM": high}.get(text.upper())
-
-
-def _getter(shown: Shown) -> Callable[[Registers], Any]:
-    return attrgetter(shown) if isinstance(shown, str) else shown
-
-
-def _number(
-    units: str,
-    limits: LimitsOf,
-    shown: Shown,
-    put: Callable[[Registers, float], Coerced],
-    infinite: bool = False,
-    convert: Callable[[Registers, float, str], float] = lambda state, value, unit: value,
-) -> SettingCommand:
-    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        text = _one(arguments)
-        value = _extreme(text, limits(state))
-        if infinite and text.upper() in ("INF", "INFINITY"):
-            value = math.inf
-        return put(state, convert(state, *number(text, units)) if value is None else value)
-
-    def read(state: Registers, arguments: tuple[str, ...]) -> str:
-        if not arguments:
-            return real_reply(_getter(shown)(state))
-        value = _extreme(_one(arguments), limits(state))
-        if value is None:
-            raise ScpiError(-224, "Illegal parameter value")
-        return real_reply(value)
-
-    return SettingCommand(write, read)
-
-
-def _clipped(
-    units: str,
-    limits: LimitsOf,
-    field: str,
-    quantity: str,
-    settle: Callable[[Coerced], Coerced] = lambda coerced: coerced,
-) -> SettingCommand:
-    """Return a number that is clipped to its limits; ``settle`` fits the other settings to it."""
-
-    def put(state: Registers, value: float) -> Coerced:
-        value, errors = registers.clipped(value, *limits(state), quantity)
-        return settle(Coerced(replace(state, **{field: value}), errors))  # type: ignore[arg-type]
-
-    return _number(units, limits, field, put)
-
-
-def _setter(shown: Shown) -> Callable[[Registers, Any], Coerced]:
-    return lambda state, value: Coerced(replace(state, **{str(shown): value}))
-
-
-def _choice(words: str, shown: Shown, put: Callable[[Registers, str], Coerced] | None = None) -> SettingCommand:
-    return SettingCommand(
-        lambda state, arguments: (put or _setter(shown))(state, keyword(_one(arguments), words.split())),
-        lambda state, arguments: str(_getter(shown)(state)),
-    )
-
-
-def _switch(shown: Shown, put: Callable[[Registers, bool], Coerced] | None = None) -> SettingCommand:
-    return SettingCommand(
-        lambda state, arguments: (put or _setter(shown))(state, boolean(_one(arguments))),
-        lambda state, arguments: str(int(_getter(shown)(state))),
-    )
-
-
-def _mode(name: str) -> SettingCommand:
-    return _switch(lambda state: state.modulation == name, lambda state, on: timing.set_modulation(state, name, on))
+from sim_backend.generator.scpi_text import boolean, none_of, number, one, quoted
 
 
 def _amplitude() -> SettingCommand:
@@ -116,16 +31,24 @@ def _amplitude() -> SettingCommand:
         return levels.in_unit(state, low), levels.in_unit(state, high)
 
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        text = _one(arguments)
-        vpp = _extreme(text, levels.amplitude_limits(state))
+        text = one(arguments)
+        vpp = extreme(text, levels.amplitude_limits(state))
+        if text.upper() in ("DEF", "DEFAULT"):
+            vpp = DEFAULT_VPP
         if vpp is None:
             vpp = levels.to_vpp(state, *number(text, "VPP VRMS DBM V"))
         return levels.set_amplitude(state, vpp / load_share(state))
 
-    shown = _number(
-        "", limits, lambda state: levels.in_unit(state, state.amplitude_v * load_share(state)), levels.set_amplitude
+    shown = numeric(
+        "VPP VRMS DBM",
+        limits,
+        lambda state: levels.in_unit(state, state.amplitude_v * load_share(state)),
+        levels.set_amplitude,
     )
-    return SettingCommand(write, shown.read)
+    return replace(shown, write=write)
+
+
+DEFAULT_VPP = 0.1
 
 
 def _level(open_limits: LimitsOf, field: str, put: Callable[[Registers, float], Coerced]) -> SettingCommand:
@@ -133,7 +56,7 @@ def _level(open_limits: LimitsOf, field: str, put: Callable[[Registers, float], 
         low, high = open_limits(state)
         return low * load_share(state), high * load_share(state)
 
-    return _number(
+    return numeric(
         "V",
         limits,
         lambda state: getattr(state, field) * load_share(state),
@@ -157,108 +80,174 @@ def _period_limits_s(state: Registers) -> tuple[float, float]:
 
 def _put_period(state: Registers, period_s: float) -> Coerced:
     period_s, errors = registers.clipped(period_s, *_period_limits_s(state), "pulse period")
-    return timing.settle_frequency(timing.settle_pulse(Coerced(replace(state, frequency_hz=1 / period_s), errors)))
+    held = timing.with_duty_held(state, 1 / period_s)
+    fitted = timing.settle_pulse(Coerced(held, errors), state.model.short_period_error)
+    return timing.settle_frequency(fitted)
 
 
-def _phase() -> SettingCommand:
+def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
+    frequency_hz, errors = registers.clipped(frequency_hz, *timing.frequency_limits_hz(state), "frequency")
+    return timing.settle_frequency(Coerced(timing.with_duty_held(state, frequency_hz), errors))
+
+
+def _pulse_duty_limits(state: Registers) -> tuple[float, float]:
+    low_s, high_s = timing.width_limits_s(state)
+    return 100 * low_s * state.frequency_hz, 100 * high_s * state.frequency_hz
+
+
+def _put_pulse_duty(state: Registers, percent: float) -> Coerced:
+    percent, errors = registers.clipped(percent, *_pulse_duty_limits(state), "pulse duty cycle")
+    after = timing.set_width(state, percent / 100 / state.frequency_hz)
+    return Coerced(after.registers, errors + after.errors)
+
+
+def _phase(field: str, quantity: str) -> SettingCommand:
     def limits(state: Registers) -> tuple[float, float]:
         return (-360.0, 360.0) if state.angle_unit == "DEG" else (-2 * math.pi, 2 * math.pi)
 
     def put(state: Registers, angle: float) -> Coerced:
-        angle, errors = registers.clipped(angle, *limits(state), "burst phase")
+        angle, errors = registers.clipped(angle, *limits(state), quantity)
         degrees = angle if state.angle_unit == "DEG" else math.degrees(angle)
-        return Coerced(replace(state, burst_phase_deg=degrees), errors)
+        return Coerced(replace(state, **{field: degrees}), errors)  # type: ignore[arg-type]
 
     def get(state: Registers) -> float:
-        return state.burst_phase_deg if state.angle_unit == "DEG" else math.radians(state.burst_phase_deg)
+        degrees: float = getattr(state, field)
+        return degrees if state.angle_unit == "DEG" else math.radians(degrees)
 
     def convert(state: Registers, angle: float, unit: str) -> float:
         if unit in ("", state.angle_unit):
             return angle
         return math.degrees(angle) if unit == "RAD" else math.radians(angle)
 
-    return _number("DEG RAD", limits, get, put, convert=convert)
+    return numeric("DEG RAD", limits, get, put, convert=convert)
 
 
 def _text() -> SettingCommand:
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        return Coerced(replace(state, display_text=quoted(_one(arguments))))
+        return Coerced(replace(state, display_text=quoted(one(arguments))[:LONGEST_TEXT]))
 
-    return SettingCommand(write, lambda state, arguments: f'"{state.display_text}"')
+    return SettingCommand(write, lambda state, arguments: f'"{state.display_text}"', "quoted text")
+
+
+LONGEST_TEXT = 40
 
 
 def _range() -> SettingCommand:
     def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-        once = _one(arguments).upper() == "ONCE"
+        once = one(arguments).upper() == "ONCE"
         return Coerced(replace(state, range_auto="0" if once else str(int(boolean(arguments[0])))))
 
-    return SettingCommand(write, lambda state, arguments: state.range_auto)
+    return SettingCommand(write, lambda state, arguments: state.range_auto, "ON, OFF, ONCE")
 
 
-def _clear_text(state: Registers, arguments: tuple[str, ...]) -> Coerced:
-    return Coerced(replace(state, display_text=""))
+def _without_argument(**settings: object) -> SettingCommand:
+    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        none_of(arguments)
+        return Coerced(replace(state, **settings))  # type: ignore[arg-type]
+
+    return SettingCommand(write, None)
 
 
-SETTINGS = {
-    "[SOURce:]FUNCtion[:SHAPe]": _choice("SINusoid SQUare RAMP PULSe NOISe DC USER", "function", timing.set_function),
-    "[SOURce:]FUNCtion:SQUare:DCYCle": _clipped("", timing.duty_limits_percent, "duty_percent", "duty cycle"),
-    "[SOURce:]FUNCtion:RAMP:SYMMetry": _clipped("", lambda state: (0.0, 100.0), "symmetry_percent", "symmetry"),
-    "[SOURce:]FREQuency[:CW]": _clipped(
-        "HZ", timing.frequency_limits_hz, "frequency_hz", "frequency", timing.settle_frequency
+def _sources(state: Registers) -> list[str]:
+    return ["IMMediate", "EXTernal", "BUS", *(["TIMer"] if state.model.channels else [])]
+
+
+FREQUENCY = numeric("HZ", timing.frequency_limits_hz, "frequency_hz", _put_frequency)
+AMPLITUDE = _amplitude()
+OFFSET = _level(_offset_limits, "offset_v", levels.set_offset)
+PERIOD = numeric("S", _period_limits_s, lambda state: 1 / state.frequency_hz, _put_period)
+WIDTH = numeric("S", timing.width_limits_s, "width_s", timing.set_width)
+EDGES = clipping("S", timing.edge_limits_s, "edge_s", "pulse edge time")
+
+SETTINGS: Mapping[str, SettingCommand] = {
+    "[SOURce<n>:]FUNCtion[:SHAPe]": choice_of_model(
+        "SINusoid, SQUare, RAMP, PULSe, NOISe, DC, and what the model has of USER, TRIangle, PRBS, ARBitrary",
+        lambda state: state.model.functions.split(),
+        "function",
+        timing.set_function,
     ),
-    "[SOURce:]VOLTage[:LEVel][:IMMediate][:AMPLitude]": _amplitude(),
-    "[SOURce:]VOLTage[:LEVel][:IMMediate]:OFFSet": _level(_offset_limits, "offset_v", levels.set_offset),
-    "[SOURce:]VOLTage[:LEVel][:IMMediate]:HIGH": _level(
+    "[SOURce<n>:]FUNCtion[:SHAPe]:SQUare:DCYCle": clipping(
+        "", timing.duty_limits_percent, "duty_percent", "duty cycle"
+    ),
+    "[SOURce<n>:]FUNCtion[:SHAPe]:RAMP:SYMMetry": clipping(
+        "", lambda state: (0.0, 100.0), "symmetry_percent", "symmetry"
+    ),
+    "[SOURce<n>:]FREQuency[:CW]": FREQUENCY,
+    "[SOURce<n>:]VOLTage[:LEVel][:IMMediate][:AMPLitude]": AMPLITUDE,
+    "[SOURce<n>:]VOLTage[:LEVel][:IMMediate]:OFFSet": OFFSET,
+    "[SOURce<n>:]VOLTage[:LEVel][:IMMediate]:HIGH": _level(
         lambda state: (state.low_v + _gap_v(state), registers.PEAK_V), "high_v", levels.set_high
     ),
-    "[SOURce:]VOLTage[:LEVel][:IMMediate]:LOW": _level(
+    "[SOURce<n>:]VOLTage[:LEVel][:IMMediate]:LOW": _level(
         lambda state: (-registers.PEAK_V, state.high_v - _gap_v(state)), "low_v", levels.set_low
     ),
-    "[SOURce:]VOLTage:RANGe:AUTO": _range(),
-    "[SOURce:]VOLTage:UNIT": _choice("VPP VRMS DBM", "unit", levels.set_unit),
-    "[SOURce:]PULSe:PERiod": _number("S", _period_limits_s, lambda state: 1 / state.frequency_hz, _put_period),
-    "[SOURce:]PULSe:WIDTh": _number("S", timing.width_limits_s, "width_s", timing.set_width),
-    "[SOURce:]PULSe:TRANsition": _clipped("S", timing.edge_limits_s, "edge_s", "pulse edge time"),
-    "[SOURce:]BURSt:STATe": _switch("burst", timing.set_burst),
-    "[SOURce:]BURSt:MODE": _choice("TRIGgered GATed", "burst_mode", timing.set_burst_mode),
-    "[SOURce:]BURSt:NCYCles": _number(
+    "[SOURce<n>:]VOLTage:RANGe:AUTO": _range(),
+    "[SOURce<n>:]VOLTage[:LEVel][:IMMediate]:UNIT[:VOLTage]": choice("VPP VRMS DBM", "unit", levels.set_unit),
+    "[SOURce<n>:]BURSt:STATe": switch("burst", timing.set_burst),
+    "[SOURce<n>:]BURSt:MODE": choice("TRIGgered GATed", "burst_mode", timing.set_burst_mode),
+    "[SOURce<n>:]BURSt:NCYCles": numeric(
         "", lambda state: (1.0, float(state.model.most_cycles)), "cycles", timing.set_cycles, infinite=True
     ),
-    "[SOURce:]BURSt:INTernal:PERiod": _number(
+    "[SOURce<n>:]BURSt:INTernal:PERiod": numeric(
         "S", attrgetter("model.burst_period_limits_s"), "burst_period_s", timing.set_burst_period
     ),
-    "[SOURce:]BURSt:PHASe": _phase(),
-    "[SOURce:]BURSt:GATE:POLarity": _choice("NORMal INVerted", "gate_polarity"),
-    "[SOURce:]AM:STATe": _mode("AM"),
-    "[SOURce:]FM:STATe": _mode("FM"),
-    "[SOURce:]FSKey:STATe": _mode("FSK"),
-    "[SOURce:]SWEep:STATe": _mode("SWE"),
-    "OUTPut[:STATe]": _switch("output"),
-    "OUTPut:LOAD": _number("OHM", lambda state: registers.LOAD_LIMITS_OHM, "load_ohm", levels.set_load, infinite=True),
-    "OUTPut:POLarity": _choice("NORMal INVerted", "polarity"),
-    "OUTPut:SYNC[:STATe]": _switch("sync"),
-    "OUTPut:TRIGger[:STATe]": _switch("trigger_output", timing.set_trigger_output),
-    "OUTPut:TRIGger:SLOPe": _choice("POSitive NEGative", "trigger_output_slope"),
-    "TRIGger:SOURce": _choice("IMMediate EXTernal BUS", "trigger_source", timing.set_source),
-    "TRIGger:SLOPe": _choice("POSitive NEGative", "trigger_slope"),
-    "TRIGger:DELay": _clipped("S", attrgetter("model.delay_limits_s"), "delay_s", "trigger delay", timing.settle_burst),
-    "UNIT:ANGLe": _choice("DEGree RADian", "angle_unit"),
-    "DISPlay[:WINDow][:STATe]": _switch("display"),
+    "[SOURce<n>:]BURSt:PHASe": _phase("burst_phase_deg", "burst phase"),
+    "[SOURce<n>:]BURSt:GATE:POLarity": choice("NORMal INVerted", "gate_polarity"),
+    "[SOURce<n>:]PHASe[:ADJust]": _phase("phase_deg", "phase"),
+    "[SOURce<n>:]PHASe:REFerence": _without_argument(phase_deg=0.0),
+    "OUTPut<n>[:STATe]": switch("output"),
+    "OUTPut<n>:LOAD": numeric(
+        "OHM", lambda state: registers.LOAD_LIMITS_OHM, "load_ohm", levels.set_load, infinite=True
+    ),
+    "OUTPut<n>:POLarity": choice("NORMal INVerted", "polarity"),
+    "OUTPut:SYNC[:STATe]": switch("sync"),
+    "OUTPut:TRIGger[:STATe]": switch("trigger_output", timing.set_trigger_output),
+    "OUTPut:TRIGger:SLOPe": choice("POSitive NEGative", "trigger_output_slope"),
+    "TRIGger<n>[:SEQuence]:SOURce": choice_of_model(
+        "IMMediate, EXTernal, BUS, and TIMer where the model has one", _sources, "trigger_source", timing.set_source
+    ),
+    "TRIGger<n>[:SEQuence]:SLOPe": choice("POSitive NEGative", "trigger_slope"),
+    "TRIGger<n>[:SEQuence]:DELay": clipping(
+        "S", attrgetter("model.delay_limits_s"), "delay_s", "trigger delay", timing.settle_burst
+    ),
+    "UNIT:ANGLe": choice("DEGree RADian", "angle_unit"),
+    "DISPlay[:WINDow][:STATe]": switch("display"),
     "DISPlay[:WINDow]:TEXT[:DATA]": _text(),
-    "DISPlay[:WINDow]:TEXT:CLEar": SettingCommand(_clear_text, None),
-    "SYSTem:BEEPer:STATe": _switch("beeper"),
+    "DISPlay[:WINDow]:TEXT:CLEar": _without_argument(display_text=""),
+    "SYSTem:BEEPer:STATe": switch("beeper"),
+    **INACTIVE,
 }
-"""Every setting of the twin's 33250A by header (docs/theory/instruments.md, 1.4)."""
+"""Settings that every model has, by header (docs/theory/instruments.md, 1.4)."""
+
+OF_33250A: Mapping[str, SettingCommand] = {
+    "[SOURce:]PULSe:PERiod": PERIOD,
+    "[SOURce:]PULSe:WIDTh": WIDTH,
+    "[SOURce:]PULSe:TRANsition": EDGES,
+    "[SOURce:]PHASe:UNLock:ERRor:STATe": off("the phase lock to an external reference"),
+}
+HELD: Mapping[str, SettingCommand] = {
+    "[SOURce<n>:]FUNCtion:PULSe:WIDTh": WIDTH,
+    "[SOURce<n>:]FUNCtion:PULSe:DCYCle": numeric(
+        "", _pulse_duty_limits, lambda state: 100 * state.width_s * state.frequency_hz, _put_pulse_duty
+    ),
+    "[SOURce<n>:]FUNCtion:PULSe:HOLD": choice("WIDTh DCYCle", "pulse_hold"),
+}
+OF_33220A: Mapping[str, SettingCommand] = {
+    **HELD,
+    "[SOURce:]PULSe:PERiod": PERIOD,
+    "[SOURce:]FUNCtion:PULSe:TRANsition": EDGES,
+    "[SOURce:]PHASe:UNLock:ERRor:STATe": off("the phase lock to an external reference"),
+}
+OF_SERIES: Mapping[str, SettingCommand] = {
+    **HELD,
+    "[SOURce<n>:]FUNCtion:PULSe:PERiod": PERIOD,
+    "[SOURce<n>:]FUNCtion:PULSe:TRANsition[:BOTH]": EDGES,
+    "TRIGger<n>:TIMer": clipping("S", attrgetter("model.burst_period_limits_s"), "timer_s", "trigger timer"),
+    **INACTIVE_OF_SERIES,
+}
 
 
 def settings_of(model: Model) -> Mapping[str, SettingCommand]:
-    """Return the settings of ``model`` by header; the series spell those of the pulse differently."""
-    pulse = "[SOURce:]PULSe:"
-
-    def spelled(header: str) -> str:
-        if not header.startswith(pulse):
-            return header
-        own = header.replace(pulse, f"[SOURce:]{model.pulse_node}:")
-        return own + model.both_edges_node if own.endswith("TRANsition") else own
-
-    return {spelled(header): setting for header, setting in SETTINGS.items()}
+    """Return the settings of ``model`` by header; the models spell those of the pulse differently."""
+    own = {"33250A": OF_33250A, "33220A": OF_33220A}.get(model.name, OF_SERIES)
+    return {**SETTINGS, **own}

@@ -14,6 +14,7 @@ from dataclasses import fields
 import numpy as np
 
 from sim_backend.generator.registers import Registers
+from sim_backend.generator.timing import INTERNAL
 from sim_backend.wiring import (
     PS_PER_S,
     Bursts,
@@ -33,7 +34,7 @@ MOST_STEPS = 20_000_000
 FAR_PS = 1 << 61
 UNSEEN = frozenset(
     {"unit", "load_ohm", "sync", "trigger_output", "trigger_output_slope", "range_auto", "angle_unit"}
-    | {"display", "display_text", "beeper"}
+    | {"display", "display_text", "beeper", "inactive", "phase_deg", "pulse_hold"}
 )
 """Registers that do not show at the output; the declared load only changes what is displayed."""
 
@@ -51,7 +52,7 @@ def is_endless(registers: Registers) -> bool:
     """Return whether the output goes on without further triggers."""
     if not registers.output:
         return False
-    return not registers.burst or registers.trigger_source == "IMM" or math.isinf(registers.cycles)
+    return not registers.burst or registers.trigger_source in INTERNAL or math.isinf(registers.cycles)
 
 
 def respond(history: History, software_ps: Sequence[int], arriving: Steps, latency_ps: int, until_ps: int) -> Emission:
@@ -92,7 +93,7 @@ def _onsets(
     until_ps: int,
 ) -> tuple[Picoseconds, int]:
     nothing = np.empty(0, np.int64)
-    if not registers.output or registers.modulation:
+    if not registers.output:
         return nothing, 0
     if not registers.burst:
         return np.array([start_ps]), 0
@@ -102,8 +103,9 @@ def _onsets(
     if registers.trigger_source == "EXT":
         edges = crossings(arriving, TRIGGER_LEVEL_V, registers.trigger_slope == "POS", TRIGGER_INPUT_OHM)
         triggers.append(edges[(edges >= start_ps) & (edges < stop_ps)])
-    elif registers.trigger_source == "IMM":
-        last_ps, period_ps = min(stop_ps, until_ps), to_ps(registers.burst_period_s)
+    elif registers.trigger_source in INTERNAL:
+        period_s = registers.burst_period_s if registers.trigger_source == "IMM" else registers.timer_s
+        last_ps, period_ps = min(stop_ps, until_ps), to_ps(period_s)
         triggers.append(np.arange(start_ps, last_ps, period_ps, dtype=np.int64))
     trigger_ps = np.sort(np.concatenate(triggers))
     busy_ps = min(FAR_PS, round(min(registers.delay_s + registers.burst_s, 1e6) * PS_PER_S))
@@ -113,6 +115,8 @@ def _onsets(
 
 
 def _idle_v(registers: Registers) -> float:
+    if registers.output and registers.function == "DC":
+        return registers.offset_v
     if not registers.output or registers.function not in ("PULS", "SQU"):
         return 0.0
     return registers.low_v if registers.polarity == "NORM" else registers.high_v

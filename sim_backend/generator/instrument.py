@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TypeVar
 
-from sim_backend.generator.commands import SettingCommand, settings_of
+from sim_backend.generator.arbitrary import WaveformMemory
+from sim_backend.generator.command_tree import REMOTE, TABLES, Action, Entry
 from sim_backend.generator.emission import is_endless, respond, shapes_output
-from sim_backend.generator.models import AGILENT_33250A, MODELS, Model
-from sim_backend.generator.registers import Registers
-from sim_backend.generator.scpi_text import Command, HeaderTable, ScpiError
+from sim_backend.generator.headers import Command
+from sim_backend.generator.kinds import SettingCommand
+from sim_backend.generator.models import AGILENT_33250A, Model
+from sim_backend.generator.registers import Coerced, Registers, power_on
+from sim_backend.generator.scpi_text import ScpiError
 from sim_backend.generator.status import Status
+from sim_backend.generator.stored_states import StoredStates, learn_string
 from sim_backend.wiring import Emission, SimulatedClock, Steps, to_ps
 
-Form = TypeVar("Form")
-
-SCPI_VERSION = "1999.0"
-"""Per manual; an emulator that was compared with hardware answers 1994.0 (unresolved)."""
+MOST_REPLY = 1 << 16
+"""How long a reply may become, in characters; what does not fit is lost, with error 522."""
+MOST_STATES = 4096
+"""How many states of an output that is on are remembered; the oldest is forgotten, so that a program that never
+switches the output off cannot fill the memory."""
+MOST_TRIGGERS = 1 << 16
+"""How many triggers by command are remembered."""
 
 
 class Generator33250A:
@@ -33,13 +37,18 @@ class Generator33250A:
         self._latency_ps = to_ps(latency_s)
         self._replies: list[str] = []
         self._table = TABLES[model.name]
-        self.registers = Registers(model)
+        self.registers: Registers = power_on(model)
+        # Of the channels beyond the first no output is wired on any bench: they keep settings and put out nothing.
+        self._others = (self.registers,) * (model.channels - 1)
+        self.states: StoredStates = StoredStates()
+        self.waveforms: WaveformMemory = WaveformMemory()
+        self.byte_order: str = "NORM"
         self._history: list[tuple[int, Registers]] = [(clock.now_ps, self.registers)]
         self._software_ps: list[int] = []
         self._over_serial = False
         # On GPIB the bus itself claims the instrument; RS-232 has no such line.
         self._local = True
-        self.status = Status()
+        self.status: Status = Status()
         self.changes = 0
 
     def write(self, message: str, over_serial: bool = False) -> None:
@@ -49,10 +58,15 @@ class Generator33250A:
             self._replies.clear()
             self.status.queue(-410, "Query INTERRUPTED")
         try:
+            length = 0
             for command in self._table.commands(message):
                 reply = self._carry_out(command)
                 if reply is not None:
                     self._replies.append(reply)
+                    length += len(reply) + 1
+                    if length > MOST_REPLY:
+                        self._replies.clear()
+                        raise ScpiError(522, "Output buffer overflow")
         except ScpiError as error:
             self.status.queue(error.number, error.text)
 
@@ -72,9 +86,9 @@ class Generator33250A:
         """Return the status byte as the bus reads it, without a message."""
         return int(self.status.byte(self.message_waiting))
 
-    def hold(self, local: bool) -> None:
-        """Go to local or to remote mode; raise ``ScpiError`` 514 where the message did not come over RS-232."""
-        if not self._over_serial:
+    def hold(self, local: bool, anywhere: bool = False) -> None:
+        """Go to local or to remote mode; ``ScpiError`` 514 unless it came over RS-232 or may come from ``anywhere``."""
+        if not (self._over_serial or anywhere):
             raise ScpiError(514, "Command allowed only with RS-232")
         self._local = local
 
@@ -102,15 +116,34 @@ class Generator33250A:
         self._history = [(self._clock.now_ps, self.registers)]
         self._software_ps = []
 
+    def program(self, *channels: Registers) -> None:
+        """Take over the state of each channel, from the first on; those that are not given stay."""
+        self._become(channels[0])
+        self._others = channels[1:] or self._others
+
     def reset(self) -> None:
         """Return to the power-on state; the beeper keeps its setting."""
-        self._become(Registers(self.registers.model, beeper=self.registers.beeper))
+        state = power_on(self.registers.model, self.registers.beeper)
+        self.program(state, *(state for _ in self._others))
+
+    def save(self, place: int) -> None:
+        """Store the state of every channel."""
+        self.states.save(place, (self.registers, *self._others))
+
+    def recall(self, place: int) -> None:
+        """Return to a stored state; ``ScpiError`` 810 where there is none. Assumed: an output that was on goes on."""
+        self.program(*self.states.recall(place))
+
+    def learn_string(self) -> str:
+        """Return the commands that restore the present state."""
+        return learn_string((self.registers, *self._others), bool(self._others), self._setting)
 
     def trigger(self) -> None:
         """Start a burst, whatever the trigger source; raise ``ScpiError`` -211 where bursts are off."""
         if not self.registers.burst:
             raise ScpiError(-211, "Trigger ignored")
         self._software_ps.append(self._clock.now_ps)
+        del self._software_ps[:-MOST_TRIGGERS]
         self.changes += 1
 
     def trigger_from_bus(self) -> None:
@@ -125,90 +158,43 @@ class Generator33250A:
         if self._software_ps and self.registers.trigger_source == "BUS" and math.isfinite(length_s):
             self._clock.advance_to(self._software_ps[-1] + self._latency_ps + to_ps(length_s))
 
-    def _carry_out(self, command: Command[SettingCommand | Action]) -> str | None:
+    def _carry_out(self, command: Command[Entry]) -> str | None:
         entry, arguments = command.entry, command.arguments
         if self._over_serial and self._local and not command.query and entry not in REMOTE:
             raise ScpiError(550, "Command not allowed in local")
         if isinstance(entry, Action):
             return entry.carry_out(self, command.query, arguments)
+        state = self.registers if command.channel == 1 else self._others[command.channel - 2]
         if command.query:
-            return _existing(entry.read)(self.registers, arguments)
-        coerced = _existing(entry.write)(self.registers, arguments)
-        self._become(coerced.registers)
+            return entry.answer(state, arguments)
+        self._take(entry.carried_out(state, arguments), command.channel)
+        return None
+
+    def _take(self, coerced: Coerced, channel: int) -> None:
+        if channel == 1:
+            self._become(coerced.registers)
+        else:
+            others = list(self._others)
+            others[channel - 2] = coerced.registers
+            self._others = tuple(others)
         for number, text in coerced.errors:
             self.status.queue(number, text)
-        return None
+
+    def _setting(self, header: str, channel: int) -> str | None:
+        entry = self._table.find(header)
+        if not isinstance(entry, SettingCommand):
+            return None
+        return entry.answer((self.registers, *self._others)[channel - 1], ())
 
     def _become(self, registers: Registers) -> None:
         if shapes_output(self.registers, registers):
+            if self._history[-1][0] == self._clock.now_ps and len(self._history) > 1:
+                self._history.pop()
             self._history.append((self._clock.now_ps, registers))
+            if len(self._history) > MOST_STATES:
+                del self._history[: MOST_STATES // 2]
             self.changes += 1
         elif not registers.output:
             # Nothing shows while the output is off: the last state before it goes on is all that counts.
             self._history[-1] = (self._history[-1][0], registers)
         self.registers = registers
-
-
-@dataclass(frozen=True, slots=True)
-class Action:
-    """What a header does that is no setting: as a command, and as a query."""
-
-    command: Callable[[Generator33250A, tuple[str, ...]], None] | None = None
-    query: Callable[[Generator33250A], str] | None = None
-
-    def carry_out(self, instrument: Generator33250A, query: bool, arguments: tuple[str, ...]) -> str | None:
-        """Return the reply of the query, or carry the command out; ``ScpiError`` -113 for a form that is missing."""
-        if query:
-            return _existing(self.query)(instrument)
-        _existing(self.command)(instrument, arguments)
-        return None
-
-
-def _existing(form: Form | None) -> Form:
-    if form is None:
-        raise ScpiError(-113, "Undefined header")
-    return form
-
-
-def _wait_and_answer(instrument: Generator33250A) -> str:
-    instrument.wait()
-    return "1"
-
-
-def _beep(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
-    """Make no noise: there is nobody to hear it."""
-
-
-ACTIONS: Mapping[str, Action] = {
-    "*IDN": Action(query=lambda instrument: instrument.registers.model.identity),
-    "*RST": Action(lambda instrument, arguments: instrument.reset()),
-    "*CLS": Action(lambda instrument, arguments: instrument.status.clear()),
-    "*TRG": Action(lambda instrument, arguments: instrument.trigger_from_bus()),
-    "*WAI": Action(lambda instrument, arguments: instrument.wait()),
-    "*OPC": Action(lambda instrument, arguments: instrument.status.complete(), _wait_and_answer),
-    "*TST": Action(query=lambda instrument: "+0"),
-    "*ESR": Action(query=lambda instrument: instrument.status.events()),
-    "*STB": Action(query=lambda instrument: instrument.status.byte(instrument.message_waiting)),
-    "*ESE": Action(
-        lambda instrument, arguments: instrument.status.enable("ESE", arguments),
-        lambda instrument: instrument.status.enabled("ESE"),
-    ),
-    "*SRE": Action(
-        lambda instrument, arguments: instrument.status.enable("SRE", arguments),
-        lambda instrument: instrument.status.enabled("SRE"),
-    ),
-    "TRIGger[:IMMediate]": Action(lambda instrument, arguments: instrument.trigger()),
-    "SYSTem:ERRor[:NEXT]": Action(query=lambda instrument: instrument.status.next_error()),
-    "SYSTem:VERSion": Action(query=lambda instrument: SCPI_VERSION),
-    "SYSTem:BEEPer[:IMMediate]": Action(_beep),
-    "SYSTem:LOCal": Action(lambda instrument, arguments: instrument.hold(True)),
-    "SYSTem:REMote": Action(lambda instrument, arguments: instrument.hold(False)),
-    "SYSTem:RWLock": Action(lambda instrument, arguments: instrument.hold(False)),
-    "STATus:QUEStionable:CONDition": Action(query=lambda instrument: "+0"),
-    "STATus:QUEStionable[:EVENt]": Action(query=lambda instrument: "+0"),
-}
-
-REMOTE = (ACTIONS["SYSTem:REMote"], ACTIONS["SYSTem:RWLock"])
-TABLES: Mapping[str, HeaderTable[SettingCommand | Action]] = {
-    model.name: HeaderTable({**settings_of(model), **ACTIONS}, model.numbered) for model in MODELS.values()
-}

@@ -18,6 +18,8 @@ from sim_backend.generator.registers import (
 )
 from sim_backend.generator.scpi_text import ScpiError
 
+LARGEST_DBM = 1e3
+
 
 def load_share(registers: Registers) -> float:
     """Return displayed over open-circuit voltage for the declared load."""
@@ -69,7 +71,7 @@ def set_low(registers: Registers, low_v: float) -> Coerced:
 def set_load(registers: Registers, load_ohm: float) -> Coerced:
     """Return the registers with another declared load; it is a declaration, the output itself does not change."""
     errors: tuple[Error, ...] = ()
-    if not math.isinf(load_ohm):
+    if load_ohm != math.inf:
         load_ohm, errors = clipped(load_ohm, *LOAD_LIMITS_OHM, "output load")
     state = Coerced(replace(registers, load_ohm=load_ohm), errors)
     if math.isinf(load_ohm) and registers.unit == "DBM":
@@ -85,7 +87,8 @@ def set_unit(registers: Registers, unit: str) -> Coerced:
 
 
 def _rms_per_vpp(state: Registers) -> float:
-    return {"SIN": 0.5 / math.sqrt(2), "RAMP": 0.5 / math.sqrt(3), "NOIS": 0.1}.get(state.function, 0.5)
+    shares = {"SIN": math.sqrt(2), "RAMP": math.sqrt(3), "TRI": math.sqrt(3), "NOIS": 5.0}
+    return 0.5 / shares.get(state.function, 1.0)
 
 
 def to_vpp(state: Registers, value: float, unit: str) -> float:
@@ -94,7 +97,9 @@ def to_vpp(state: Registers, value: float, unit: str) -> float:
     if unit == "DBM":
         if math.isinf(state.load_ohm):
             raise ScpiError(-221, "Settings conflict; amplitude units cannot be dBm at high-Z load")
-        return math.sqrt(state.load_ohm * 1e-3 * 10 ** (value / 10)) / _rms_per_vpp(state)
+        # Far beyond what any instrument can do a power of ten would overflow: it is clipped anyway.
+        watts = 1e-3 * 10 ** (min(max(value, -LARGEST_DBM), LARGEST_DBM) / 10)
+        return math.sqrt(state.load_ohm * watts) / _rms_per_vpp(state)
     return value / _rms_per_vpp(state) if unit == "VRMS" else value
 
 

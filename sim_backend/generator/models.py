@@ -27,16 +27,23 @@ class Model:
     burst_period_limits_s: Range
     delay_limits_s: Range
     narrowest_s: tuple[Range, ...] = ()
-    numbered: bool = False
-    pulse_node: str = "PULSe"
-    both_edges_node: str = ""
+    channels: int = 0
+    """Channels that may be named in a header; 0 where headers carry no number."""
+    functions: str = "SINusoid SQUare RAMP PULSe NOISe DC USER"
+    duty_steps: tuple[tuple[float, float, float], ...] = ()
+    """(frequency above which it holds, least duty cycle, largest), from the highest frequency down."""
+    short_period_error: int = -221
+    """What a period too short for the pulse queues."""
 
 
 def _frequencies(sine_hz: float, ramp_hz: float, pulse: Range, arbitrary_hz: float) -> Mapping[str, Range]:
     lowest = 1e-6
     ranges = dict.fromkeys(("SIN", "SQU", "NOIS", "DC"), (lowest, sine_hz))
-    return {**ranges, "RAMP": (lowest, ramp_hz), "PULS": pulse, "USER": (lowest, arbitrary_hz)}
+    ramps = dict.fromkeys(("RAMP", "TRI"), (lowest, ramp_hz))
+    return {**ranges, **ramps, "PULS": pulse, "USER": (lowest, arbitrary_hz)}
 
+
+SERIES_FUNCTIONS = "SINusoid SQUare TRIangle RAMP PULSe PRBS NOISe ARBitrary DC"
 
 # fmt: off
 AGILENT_33250A = Model(
@@ -46,24 +53,25 @@ AGILENT_33250A = Model(
     width_limits_s=(8e-9, 2000.0), edge_limits_s=(5e-9, 1e-3), delay_limits_s=(0.0, 85.0),
     # Assumed: that the narrowest pulse grows with the period is known, the numbers are not.
     narrowest_s=((200.0, 2e-6), (20.0, 200e-9)),
+    duty_steps=((50e6, 50.0, 50.0), (25e6, 40.0, 60.0), (0.0, 20.0, 80.0)), short_period_error=-222,
 )
 AGILENT_33220A = Model(
-    name="33220A", identity="Agilent Technologies,33220A,MY44000001,2.02-2.02-22-2", pulse_node="FUNCtion:PULSe",
+    name="33220A", identity="Agilent Technologies,33220A,MY44000001,2.02-2.02-22-2",
     frequency_limits_hz=_frequencies(20e6, 200e3, (500e-6, 5e6), 6e6),
     finite_burst_ceiling_hz=6e6, most_cycles=50_000, burst_period_limits_s=(1e-6, 500.0),
     width_limits_s=(20e-9, 2000.0), edge_limits_s=(5e-9, 100e-9), delay_limits_s=(0.0, 85.0),
-    narrowest_s=((100.0, 2e-6), (10.0, 200e-9)),
+    narrowest_s=((100.0, 2e-6), (10.0, 200e-9)), duty_steps=((10e6, 40.0, 60.0), (0.0, 20.0, 80.0)),
 )
 AGILENT_33500B = Model(
     name="33522B", identity="Agilent Technologies,33522B,MY52000001,3.03-1.19-2.00-52-00",
-    numbered=True, pulse_node="FUNCtion:PULSe", both_edges_node="[:BOTH]",
+    channels=2, functions=SERIES_FUNCTIONS,
     frequency_limits_hz=_frequencies(30e6, 200e3, (1e-6, 30e6), 30e6),
     finite_burst_ceiling_hz=6e6, most_cycles=100_000_000, burst_period_limits_s=(1e-6, 8000.0),
     width_limits_s=(16e-9, 1e6), edge_limits_s=(8.4e-9, 1e-6), delay_limits_s=(0.0, 1000.0),
 )
 KEYSIGHT_33600A = Model(
     name="33622A", identity="Keysight Technologies,33622A,MY53000001,A.02.03-3.15-03-64-02",
-    numbered=True, pulse_node="FUNCtion:PULSe", both_edges_node="[:BOTH]",
+    channels=2, functions=SERIES_FUNCTIONS,
     frequency_limits_hz=_frequencies(120e6, 800e3, (1e-6, 100e6), 120e6),
     finite_burst_ceiling_hz=6e6, most_cycles=100_000_000, burst_period_limits_s=(1e-6, 8000.0),
     width_limits_s=(5e-9, 1e6), edge_limits_s=(2.9e-9, 1e-6), delay_limits_s=(0.0, 1000.0),

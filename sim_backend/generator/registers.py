@@ -7,7 +7,8 @@ nothing else.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 from sim_backend.generator.models import AGILENT_33250A, Model
 
@@ -19,6 +20,7 @@ SMALLEST_VPP = 2e-3
 """Smallest open-circuit amplitude: 1 mVpp into 50 ohm (a driver's argument limits, taken from the manual)."""
 LEVEL_GAP_V = 1e-3
 """Least distance of the high from the low level, as displayed."""
+EDGE_S = 5e-9
 LOAD_LIMITS_OHM = (1.0, 10_000.0)
 
 # Assumed: no source was found for these.
@@ -47,7 +49,7 @@ class Registers:
     duty_percent: float = 50.0
     symmetry_percent: float = 100.0
     width_s: float = 100e-6
-    edge_s: float = 5e-9
+    edge_s: float = EDGE_S
     output: bool = False
     load_ohm: float = 50.0
     polarity: str = "NORM"
@@ -60,14 +62,18 @@ class Registers:
     burst_period_s: float = 10e-3
     burst_phase_deg: float = 0.0
     gate_polarity: str = "NORM"
-    modulation: str = ""
+    phase_deg: float = 0.0
+    pulse_hold: str = "WIDT"
     trigger_source: str = "IMM"
     trigger_slope: str = "POS"
     delay_s: float = 0.0
+    timer_s: float = 1.0
     angle_unit: str = "DEG"
     display: bool = True
     display_text: str = ""
     beeper: bool = True
+    inactive: Mapping[str, float | str] = field(default_factory=dict)
+    """Settings of functions that are off, as far as they were changed (`inactive`)."""
 
     @property
     def amplitude_v(self) -> float:
@@ -85,12 +91,22 @@ class Registers:
         return self.cycles / self.frequency_hz
 
 
+def power_on(model: Model, beeper: bool = True) -> Registers:
+    """Return what ``model`` wakes up with; its edges are no faster than it can make them."""
+    return Registers(model, edge_s=max(EDGE_S, model.edge_limits_s[0]), beeper=beeper)
+
+
 @dataclass(frozen=True, slots=True)
 class Coerced:
     """Registers after a setting, with what the error queue was told."""
 
     registers: Registers
     errors: tuple[Error, ...] = ()
+
+    def then(self, put: Callable[[Registers], Coerced]) -> Coerced:
+        """Return what ``put`` makes of these, and the errors of both."""
+        after = put(self.registers)
+        return Coerced(after.registers, self.errors + after.errors)
 
     def changed(self, conflict: str = "", **settings: object) -> Coerced:
         """Return these with ``settings``, and the settings conflict that forced them if there was one."""

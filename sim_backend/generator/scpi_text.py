@@ -1,19 +1,18 @@
-"""SCPI text: a message into commands, headers looked up in a table, numbers with suffixes, reply formats."""
+"""SCPI text: arguments as numbers with suffixes, keywords, switches and strings, and the formats of replies."""
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Generic, TypeVar
-
-Entry = TypeVar("Entry")
+from collections.abc import Iterable
 
 _MULTIPLIERS = {"": 1.0, "N": 1e-9, "U": 1e-6, "M": 1e-3, "K": 1e3, "MA": 1e6, "G": 1e9}
-_NUMBER = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?)\s*([A-Z]*)", re.IGNORECASE)
-_NODE = re.compile(r"\[:?([A-Za-z]+):?\]|:?([A-Za-z]+)")
+# ASCII digits alone: a superscript two is a digit to Python and none to an instrument.
+_NUMBER = re.compile(r"([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+))(?:E([+-]?[0-9]+))?\s*([A-Z]*)", re.IGNORECASE | re.ASCII)
+MOST_DIGITS = 255
+LARGEST_EXPONENT = 32_000
+INFINITE = 9.9e37
+"""How infinity is printed, and from where on a number is taken for it (SCPI-99, volume 1, 7.2.1.4)."""
 
 
 class ScpiError(Exception):
@@ -25,17 +24,15 @@ class ScpiError(Exception):
         self.text = text
 
 
-@dataclass(frozen=True, slots=True)
-class Command(Generic[Entry]):
-    """One command of a message: what the table says about its header, and what was sent with it."""
-
-    entry: Entry
-    query: bool
-    arguments: tuple[str, ...]
+def not_simulated(what: str) -> ScpiError:
+    """Return the error of a function that the instrument has and the twin does not: nothing is accepted and ignored."""
+    return ScpiError(-241, f"Hardware missing; the twin does not simulate {what}")
 
 
 def split_outside_quotes(text: str, separator: str) -> list[str]:
     """Return the parts of ``text`` between separators that stand outside quoted strings."""
+    if '"' not in text and "'" not in text:
+        return text.split(separator)
     parts, start, quote = [], 0, ""
     for index, character in enumerate(text):
         if quote:
@@ -48,65 +45,9 @@ def split_outside_quotes(text: str, separator: str) -> list[str]:
     return [*parts, text[start:]]
 
 
-class HeaderTable(Generic[Entry]):
-    """Headers such as ``[SOURce:]FREQuency[:CW]`` with their entries, in every accepted spelling.
-
-    With ``numbered`` a node may carry the number of the only channel, as in ``SOUR1:FREQ``.
-    """
-
-    def __init__(self, entries: Mapping[str, Entry], numbered: bool = False) -> None:
-        self._numbered = numbered
-        self._short: dict[str, str] = {}
-        self._entries: dict[tuple[str, ...], Entry] = {}
-        for pattern, entry in entries.items():
-            for nodes in self._variants(pattern):
-                self._entries[nodes] = entry
-
-    def _variants(self, pattern: str) -> Iterable[tuple[str, ...]]:
-        if pattern.startswith("*"):
-            self._short[pattern] = pattern
-            return [(pattern,)]
-        choices: list[tuple[str, ...]] = []
-        for optional, required in _NODE.findall(pattern):
-            long = optional or required
-            short = "".join(letter for letter in long if not letter.islower())
-            self._short[long.upper()] = self._short[short] = short
-            choices.append(("", short) if optional else (short,))
-        return [tuple(filter(None, nodes)) for nodes in itertools.product(*choices)]
-
-    def find(self, nodes: Iterable[str]) -> Entry:
-        """Return the entry of a header; raise ``ScpiError`` -113 where there is none, -114 for another channel."""
-        if self._numbered:
-            nodes = [self._of_channel_one(node) for node in nodes]
-        found = self._entries.get(tuple(self._short.get(node.upper(), "?") for node in nodes))
-        if found is None:
-            raise ScpiError(-113, "Undefined header")
-        return found
-
-    def _of_channel_one(self, node: str) -> str:
-        plain = node.rstrip("0123456789")
-        if node[len(plain) :] not in ("", "1"):
-            raise ScpiError(-114, "Header suffix out of range")
-        return plain
-
-    def commands(self, message: str) -> Iterable[Command[Entry]]:
-        """Yield the commands of ``message``; raise ``ScpiError`` at the first that is none.
-
-        A header after ``;`` continues at the node where the one before stood, unless it starts with ``:`` or ``*``.
-        """
-        branch: tuple[str, ...] = ()
-        for part in split_outside_quotes(message.strip(), ";"):
-            if not part.strip():
-                continue
-            header, tail = (*part.split(None, 1), "")[:2]
-            query = header.endswith("?")
-            nodes = tuple(header.rstrip("?").removeprefix(":").split(":"))
-            if not header.startswith("*"):
-                nodes = nodes if header.startswith(":") else branch + nodes
-                branch = nodes[:-1]
-            entry = self.find(nodes)
-            arguments = tuple(argument.strip() for argument in split_outside_quotes(tail, ",")) if tail else ()
-            yield Command(entry, query, arguments)
+def short_form(word: str) -> str:
+    """Return the short form of a keyword that is written like ``SINusoid``."""
+    return "".join(letter for letter in word if not letter.islower())
 
 
 def keyword(text: str, choices: Iterable[str]) -> str:
@@ -115,7 +56,7 @@ def keyword(text: str, choices: Iterable[str]) -> str:
     Raises ``ScpiError`` -128 for a number and -224 for another word.
     """
     for choice in choices:
-        short = "".join(letter for letter in choice if not letter.islower())
+        short = short_form(choice)
         if text.upper() in (short, choice.upper()):
             return short
     if _NUMBER.fullmatch(text):
@@ -129,21 +70,29 @@ def boolean(text: str) -> bool:
         return text.upper() == "ON"
     if not _NUMBER.fullmatch(text):
         raise ScpiError(-224, "Illegal parameter value")
-    return round(number(text, "")[0]) != 0
+    return whole_number(text, -math.inf, math.inf) != 0
 
 
 def number(text: str, units: str) -> tuple[float, str]:
     """Return a number and the unit that came with it ("" for none), in the unit without its prefix.
 
     ``units`` lists the units allowed, such as ``"HZ"`` or ``"V VPP VRMS DBM"``. ``M`` is milli except in ``MHZ`` and
-    ``MOHM``. Raises ``ScpiError`` -148 for a word, -138 for a suffix where none may stand and -131 for a wrong one.
+    ``MOHM``. A number beyond the range of floating point is infinite. Raises ``ScpiError`` -148 for a word, -123 and
+    -124 for an exponent and a mantissa that are too long, -138 for a suffix where none may stand, -131 for a wrong one.
     """
     match = _NUMBER.fullmatch(text)
     if match is None:
         raise ScpiError(-148, "Character data not allowed")
-    value, suffix = float(match[1]), match[2].upper()
-    if not suffix:
-        return value, ""
+    mantissa, exponent, suffix = match[1], match[2] or "0", match[3].upper()
+    if len(mantissa) > MOST_DIGITS:
+        raise ScpiError(-124, "Too many digits")
+    if len(exponent) > 6 or abs(int(exponent)) > LARGEST_EXPONENT:
+        raise ScpiError(-123, "Exponent too large")
+    value = float(f"{mantissa}E{exponent}")
+    return _in_unit(value, suffix, units) if suffix else (value, "")
+
+
+def _in_unit(value: float, suffix: str, units: str) -> tuple[float, str]:
     if not units:
         raise ScpiError(-138, "Suffix not allowed")
     for unit in units.split():
@@ -154,6 +103,14 @@ def number(text: str, units: str) -> tuple[float, str]:
     raise ScpiError(-131, "Invalid suffix")
 
 
+def whole_number(text: str, low: float, high: float) -> int:
+    """Return a whole number, rounded; raise ``ScpiError`` -222 for one beyond the limits."""
+    value, _ = number(text, "")
+    if not (math.isfinite(value) and low <= value <= high):
+        raise ScpiError(-222, "Data out of range")
+    return round(value)
+
+
 def quoted(text: str) -> str:
     """Return the content of a quoted string; raise ``ScpiError`` -151 where the quotes are missing."""
     if len(text) < 2 or text[0] not in "\"'" or text[-1] != text[0]:
@@ -161,6 +118,20 @@ def quoted(text: str) -> str:
     return text[1:-1]
 
 
+def one(arguments: tuple[str, ...]) -> str:
+    """Return the only argument; raise ``ScpiError`` -109 where there is none and -108 where there are more."""
+    if not arguments:
+        raise ScpiError(-109, "Missing parameter")
+    none_of(arguments[1:])
+    return arguments[0]
+
+
+def none_of(arguments: tuple[str, ...]) -> None:
+    """Raise ``ScpiError`` -108 where there is an argument."""
+    if arguments:
+        raise ScpiError(-108, "Parameter not allowed")
+
+
 def real_reply(value: float) -> str:
     """Return a real number as the instrument prints it; infinity is 9.9E+37."""
-    return f"{9.9e37 if math.isinf(value) else value + 0.0:+.13E}"
+    return f"{INFINITE if math.isinf(value) else value + 0.0:+.13E}"

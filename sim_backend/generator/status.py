@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from sim_backend.generator.scpi_text import ScpiError
-
 QUEUE_DEPTH = 20
 STB_ERRORS, STB_MESSAGE, STB_EVENT, STB_SUMMARY = 4, 16, 32, 64
 ESR_COMPLETE, ESR_QUERY, ESR_DEVICE, ESR_EXECUTION, ESR_COMMAND, ESR_POWER_ON = 1, 4, 8, 16, 32, 128
@@ -16,7 +14,8 @@ class Status:
     def __init__(self) -> None:
         self._errors: list[tuple[int, str]] = []
         self._events = ESR_POWER_ON
-        self._enabled = {"ESE": 0, "SRE": 0}
+        self._enabled = {"ESE": 0, "SRE": 0, "QUES": 0}
+        self.cleared_at_power_on = True
 
     def queue(self, number: int, text: str) -> None:
         """Append an error; the 21st turns the newest into -350 and is lost."""
@@ -52,13 +51,10 @@ class Status:
         value |= STB_SUMMARY if value & self._enabled["SRE"] else 0
         return f"{value:+d}"
 
-    def enable(self, register: str, arguments: tuple[str, ...]) -> None:
-        """Set an enable register, "ESE" or "SRE"; raise ``ScpiError`` for anything but a whole number."""
-        if not arguments:
-            raise ScpiError(-109, "Missing parameter")
-        if not arguments[0].isdigit():
-            raise ScpiError(-148, "Character data not allowed")
-        self._enabled[register] = int(arguments[0]) & 0xFF
+    def enable(self, register: str, value: int) -> None:
+        """Set an enable register, "ESE", "SRE" or "QUES"."""
+        # The summary of requests cannot itself ask for service (IEEE 488.2, 11.3.2).
+        self._enabled[register] = value & ~STB_SUMMARY if register == "SRE" else value
 
     def enabled(self, register: str) -> str:
         """Return an enable register."""

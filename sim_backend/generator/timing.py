@@ -15,6 +15,15 @@ from sim_backend.generator.registers import (
     Registers,
     clipped,
 )
+from sim_backend.generator.scpi_text import not_simulated
+
+INTERNAL = ("IMM", "TIM")
+"""Trigger sources inside the instrument."""
+NOT_SIMULATED = {
+    "USER": "arbitrary waveforms",
+    "ARB": "arbitrary waveforms",
+    "PRBS": "pseudo-random bit sequences",
+}
 
 
 def width_limits_s(registers: Registers) -> tuple[float, float]:
@@ -22,7 +31,7 @@ def width_limits_s(registers: Registers) -> tuple[float, float]:
     narrowest_s, widest_s = registers.model.width_limits_s
     period_s = 1 / registers.frequency_hz
     lowest = next((width for longest, width in registers.model.narrowest_s if period_s > longest), narrowest_s)
-    return lowest, min(widest_s, period_s - EDGES_IN_PERIOD * registers.edge_s)
+    return lowest, max(lowest, min(widest_s, period_s - EDGES_IN_PERIOD * registers.edge_s))
 
 
 def edge_limits_s(registers: Registers) -> tuple[float, float]:
@@ -34,9 +43,12 @@ def edge_limits_s(registers: Registers) -> tuple[float, float]:
 
 def duty_limits_percent(registers: Registers) -> tuple[float, float]:
     """Return the duty cycles of the square wave at its frequency."""
-    if registers.frequency_hz > 50e6:
-        return 50.0, 50.0
-    return (40.0, 60.0) if registers.frequency_hz > 25e6 else (20.0, 80.0)
+    model, frequency_hz = registers.model, registers.frequency_hz
+    if not model.duty_steps:
+        # Bounded by the narrowest pulse alone.
+        least = min(50.0, max(0.01, 100 * model.width_limits_s[0] * frequency_hz))
+        return least, 100.0 - least
+    return next((low, high) for above_hz, low, high in model.duty_steps if frequency_hz > above_hz)
 
 
 def frequency_limits_hz(registers: Registers) -> tuple[float, float]:
@@ -46,6 +58,8 @@ def frequency_limits_hz(registers: Registers) -> tuple[float, float]:
 
 def set_function(registers: Registers, function: str) -> Coerced:
     """Return the registers with another function; the frequency and what hangs on it may give way."""
+    if function in NOT_SIMULATED:
+        raise not_simulated(NOT_SIMULATED[function])
     state = Coerced(registers).changed(function=function)
     low, high = registers.model.frequency_limits_hz[function]
     frequency_hz = min(max(registers.frequency_hz, low), high)
@@ -69,18 +83,32 @@ def settle_frequency(state: Coerced) -> Coerced:
     return settle_burst(state) if registers.burst else state
 
 
-def settle_pulse(state: Coerced) -> Coerced:
-    """Return a pulse that fits its period: the edge gives way first, then the width."""
+def with_duty_held(registers: Registers, frequency_hz: float) -> Registers:
+    """Return the registers at another frequency, the pulse as wide or as large a part of the period as before."""
+    width_s = registers.width_s
+    if registers.pulse_hold == "DCYC":
+        width_s *= registers.frequency_hz / frequency_hz
+    return replace(registers, frequency_hz=frequency_hz, width_s=width_s)
+
+
+def settle_pulse(state: Coerced, number: int = -221) -> Coerced:
+    """Return a pulse that fits its period: the edge gives way first, then the width; ``number`` is the error's."""
     registers = state.registers
     _, edge_s = edge_limits_s(registers)
     if registers.edge_s > edge_s * (1 + ROUNDING):
-        state = state.changed("pulse edge time decreased due to period", edge_s=edge_s)
+        state = _short_period(state, number, "pulse edge time decreased due to period", edge_s=edge_s)
     lowest, width_s = width_limits_s(state.registers)
     if registers.width_s > width_s * (1 + ROUNDING):
-        state = state.changed("pulse width decreased due to period", width_s=max(width_s, lowest))
+        state = _short_period(state, number, "pulse width decreased due to period", width_s=max(width_s, lowest))
     elif registers.width_s < lowest:
         state = state.changed("pulse width increased due to period", width_s=lowest)
     return state
+
+
+def _short_period(state: Coerced, number: int, what: str, **settings: float) -> Coerced:
+    kind = "Settings conflict" if number == -221 else "Data out of range"
+    registers = replace(state.registers, **settings)  # type: ignore[arg-type]
+    return Coerced(registers, (*state.errors, (number, f"{kind}; {what}")))
 
 
 def set_width(registers: Registers, width_s: float) -> Coerced:
@@ -94,34 +122,22 @@ def set_width(registers: Registers, width_s: float) -> Coerced:
 
 
 def set_burst(registers: Registers, on: bool) -> Coerced:
-    """Return the registers with the burst on or off; it excludes modulation and needs a function that can burst."""
+    """Return the registers with the burst on or off; it needs a function that can burst."""
     if not on:
         return Coerced(replace(registers, burst=False))
     state = Coerced(registers)
     if registers.function == "DC" or (registers.function == "NOIS" and registers.burst_mode == "TRIG"):
         return state.changed("not able to burst this function")
-    if registers.modulation:
-        state = state.changed("modulation turned off by selection of other mode", modulation="")
     return settle_burst(state.changed(burst=True))
-
-
-def set_modulation(registers: Registers, mode: str, on: bool) -> Coerced:
-    """Return the registers with a modulation or the sweep on or off; one mode excludes the others."""
-    state = Coerced(registers)
-    if not on:
-        return state.changed(modulation="" if registers.modulation == mode else registers.modulation)
-    if registers.burst or registers.modulation not in ("", mode):
-        state = state.changed("previous mode turned off by selection of other mode")
-    return state.changed(burst=False, modulation=mode)
 
 
 def set_cycles(registers: Registers, cycles: float) -> Coerced:
     """Return the registers with another burst count; inf and an internal trigger exclude each other."""
     errors: tuple[Error, ...] = ()
-    if not math.isinf(cycles):
-        cycles, errors = clipped(round(cycles), 1, registers.model.most_cycles, "burst count")
+    if cycles != math.inf:
+        cycles, errors = clipped(round(max(cycles, 0.0)), 1, registers.model.most_cycles, "burst count")
     state = Coerced(replace(registers, cycles=cycles), errors)
-    if math.isinf(cycles) and registers.trigger_source == "IMM":
+    if math.isinf(cycles) and registers.trigger_source in INTERNAL:
         state = state.changed("trigger source changed to BUS due to infinite burst", trigger_source="BUS")
     return settle_burst(state)
 
@@ -131,7 +147,7 @@ def set_source(registers: Registers, source: str) -> Coerced:
     state = Coerced(replace(registers, trigger_source=source))
     if source == "EXT" and registers.trigger_output:
         state = state.changed("trigger output turned off by external trigger", trigger_output=False)
-    if source == "IMM" and math.isinf(registers.cycles):
+    if source in INTERNAL and math.isinf(registers.cycles):
         state = state.changed("burst count changed due to immediate trigger", cycles=float(registers.model.most_cycles))
     return settle_burst(state)
 
@@ -176,6 +192,10 @@ def settle_burst(state: Coerced) -> Coerced:
     if needed_s > registers.model.burst_period_limits_s[1]:
         most = math.floor((registers.model.burst_period_limits_s[1] - BURST_MARGIN_S) * state.registers.frequency_hz)
         state = state.changed("burst count reduced to fit entire burst", cycles=float(max(1, most)))
+        longest_s = registers.model.burst_period_limits_s[1] - BURST_MARGIN_S
+        if most < 1:
+            # Not even one cycle fits: 2 mHz is the slowest burst that triggers itself.
+            state = state.changed("frequency increased for burst mode", frequency_hz=1 / longest_s)
     room_s = max(0.0, state.registers.burst_period_s - state.registers.burst_s - BURST_MARGIN_S)
     if registers.delay_s > room_s + ROUNDING:
         state = state.changed("trigger delay reduced to fit entire burst", delay_s=room_s)

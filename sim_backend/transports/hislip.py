@@ -9,7 +9,7 @@ import threading
 from enum import IntEnum
 from typing import Final, NamedTuple, final
 
-from sim_backend.transports.loopback import LOOPBACK, Listener, Port, receive_exactly
+from sim_backend.transports.loopback import LOOPBACK, MOST_BYTES, Listener, Port, receive_exactly
 
 
 class Kind(IntEnum):
@@ -38,12 +38,13 @@ class Kind(IntEnum):
     ASYNC_CLEAR_ACKNOWLEDGE = 23
 
 
-UNRECOGNIZED_TYPE, BAD_INITIALIZATION = 1, 3
+UNIDENTIFIED, UNRECOGNIZED_TYPE, BAD_INITIALIZATION = 0, 1, 3
+LOCK_REFUSED, LOCK_GRANTED, LOCK_ERROR = 0, 1, 3
 
 HEADER: Final = struct.Struct("!2sBBIQ")
 PROLOGUE: Final = b"HS"
 VERSION_1_0: Final = 0x0100
-MAXIMUM_BYTES: Final = 1 << 20
+MAXIMUM_BYTES: Final = MOST_BYTES
 
 
 class Message(NamedTuple):
@@ -74,23 +75,32 @@ class HislipServer:
         first = receive(peer)
         if first.kind == Kind.INITIALIZE:
             with self._lock:
-                session = next(self._sessions)
-            # The client opens a second connection for everything asynchronous; one instrument needs no pairing of them.
-            send(peer, Message(Kind.INITIALIZE_RESPONSE, 0, VERSION_1_0 << 16 | session & 0xFFFF, b""))
-            self._answer_synchronous(peer)
+                session = next(self._sessions) & 0xFFFF
+            send(peer, Message(Kind.INITIALIZE_RESPONSE, 0, VERSION_1_0 << 16 | session, b""))
+            self._answer_synchronous(peer, session)
         elif first.kind == Kind.ASYNC_INITIALIZE:
+            # The second connection of a client, for everything asynchronous; it names the session of the first.
             send(peer, Message(Kind.ASYNC_INITIALIZE_RESPONSE, 0, int.from_bytes(b"\0\0TW"), b""))
-            self._answer_asynchronous(peer)
+            owner = f"session {first.parameter & 0xFFFF}"
+            try:
+                self._answer_asynchronous(peer, owner)
+            finally:
+                self._port.reservation.release(owner)
         else:
             send(peer, Message(Kind.FATAL_ERROR, BAD_INITIALIZATION, 0, b"Initialize comes first"))
 
-    def _answer_synchronous(self, peer: socket.socket) -> None:
+    def _answer_synchronous(self, peer: socket.socket, session: int) -> None:
         begun = b""
         while True:
             message = receive(peer)
+            # While another client holds the lock, messages wait.
+            self._port.reservation.respected(f"session {session}", float("inf"), peer)
             match message.kind:
                 case Kind.DATA:
                     begun += message.payload
+                    if len(begun) > MOST_BYTES:
+                        send(peer, Message(Kind.FATAL_ERROR, UNIDENTIFIED, 0, b"message too long"))
+                        return
                 case Kind.DATA_END:
                     # The reply repeats the number of the message that asked, by which a client tells a late one.
                     whole, begun = begun + message.payload, b""
@@ -106,7 +116,17 @@ class HislipServer:
                 case _:
                     send(peer, UNRECOGNIZED)
 
-    def _answer_asynchronous(self, peer: socket.socket) -> None:
+    def _locked(self, message: Message, owner: str, peer: socket.socket) -> int:
+        """Return the answer to a request for the exclusive lock, or to its release; a shared lock is not granted."""
+        reservation = self._port.reservation
+        if not message.control & 1:
+            return LOCK_GRANTED if reservation.release(owner) else LOCK_ERROR
+        if reservation.held_by(owner):
+            return LOCK_ERROR
+        granted = not message.payload and reservation.take(owner, message.parameter / 1e3, peer)
+        return LOCK_GRANTED if granted else LOCK_REFUSED
+
+    def _answer_asynchronous(self, peer: socket.socket, owner: str) -> None:
         while True:
             message = receive(peer)
             match message.kind:
@@ -117,7 +137,7 @@ class HislipServer:
                 case Kind.ASYNC_STATUS:
                     reply = Message(Kind.ASYNC_STATUS_RESPONSE, self._port.status_byte())
                 case Kind.ASYNC_LOCK:
-                    reply = Message(Kind.ASYNC_LOCK_RESPONSE, 1)
+                    reply = Message(Kind.ASYNC_LOCK_RESPONSE, self._locked(message, owner, peer))
                 case Kind.ASYNC_REMOTE_LOCAL:
                     reply = Message(Kind.ASYNC_REMOTE_LOCAL_RESPONSE)
                 case _:

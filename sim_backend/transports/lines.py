@@ -8,7 +8,7 @@ import threading
 from contextlib import suppress
 from typing import final
 
-from sim_backend.transports.loopback import LOOPBACK, RECEIVE_BYTES, Listener, Port
+from sim_backend.transports.loopback import CLOSING_S, LOOPBACK, MOST_BYTES, RECEIVE_BYTES, Listener, Port
 
 
 class Lines:
@@ -18,8 +18,14 @@ class Lines:
         self._rest = b""
 
     def completed_by(self, received: bytes) -> list[bytes]:
-        """Return the lines that ``received`` completes, without their line feed; what is left over is kept."""
+        """Return the lines that ``received`` completes, without their line feed; what is left over is kept.
+
+        Raises ``EOFError``, and forgets it, where a line gets too long.
+        """
         *lines, self._rest = (self._rest + received).split(b"\n")
+        if len(self._rest) > MOST_BYTES:
+            self._rest = b""
+            raise EOFError("a message that is too long")
         return lines
 
 
@@ -53,6 +59,7 @@ class SerialServer:
         self._ours, self._theirs = os.openpty()
         # Without raw mode the terminal would echo commands back as replies.
         tty.setraw(self._theirs)
+        os.set_blocking(self._ours, False)
         self._wake, self._woken = os.pipe()
         self.address = f"ASRL{os.ttyname(self._theirs)}::INSTR"
         self._thread = threading.Thread(target=self._converse, daemon=True)
@@ -61,7 +68,7 @@ class SerialServer:
     def close(self) -> None:
         """Stop answering and take the terminal away."""
         os.write(self._woken, b".")
-        self._thread.join(timeout=5.0)
+        self._thread.join(timeout=CLOSING_S)
         for descriptor in (self._ours, self._theirs, self._wake, self._woken):
             os.close(descriptor)
 
@@ -69,15 +76,28 @@ class SerialServer:
         import select
 
         lines = Lines()
-        # A read of the terminal cannot be interrupted from another thread: the pipe wakes the wait instead.
+        # Neither a read nor a write of the terminal can be interrupted from another thread: the pipe wakes both.
         while True:
             ready, _, _ = select.select([self._ours, self._wake], [], [])
             if self._wake in ready:
                 return
-            for line in lines.completed_by(os.read(self._ours, RECEIVE_BYTES)):
-                reply = self._port.answer(line)
-                with suppress(OSError):
-                    os.write(self._ours, reply)
+            # A line that cannot be hung up: what is too long is lost, as in a buffer that runs over.
+            with suppress(EOFError):
+                for line in lines.completed_by(os.read(self._ours, RECEIVE_BYTES)):
+                    if not self._send(self._port.answer(line)):
+                        return
+
+    def _send(self, reply: bytes) -> bool:
+        """Send a reply and return True, or False where the server closes while nobody reads."""
+        import select
+
+        while reply:
+            wake, _, _ = select.select([self._wake], [self._ours], [])
+            if wake:
+                return False
+            with suppress(BlockingIOError):
+                reply = reply[os.write(self._ours, reply) :]
+        return True
 
 
 def serial_server(port: Port) -> SerialServer | SocketServer:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import select
 import socket
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol, final
@@ -11,6 +13,13 @@ from typing import Protocol, final
 LOOPBACK = "127.0.0.1"
 """Simulated instruments are never offered to a network."""
 RECEIVE_BYTES = 65536
+MOST_BYTES = 1 << 20
+"""The longest message: an arbitrary waveform of 65 536 points with 16 characters each. Who sends more is cut off."""
+MOST_PEERS = 64
+"""How many connections a listener serves at a time; one more is closed at once."""
+CLOSING_S = 1.5
+LOOK_S = 0.05
+"""How often a thread that waits looks whether its peer is still there."""
 
 
 class Instrument(Protocol):
@@ -28,12 +37,59 @@ class Instrument(Protocol):
 
 
 @final
+class Reservation:
+    """The exclusive lock that one of several clients may hold on an instrument; clients are told apart by ``owner``."""
+
+    def __init__(self) -> None:
+        self._free = threading.Condition()
+        self._owner: object = None
+
+    def take(self, owner: object, timeout_s: float, peer: socket.socket) -> bool:
+        """Take the lock within ``timeout_s`` and return whether that went well; ``EOFError`` where ``peer`` leaves."""
+        with self._free:
+            if not self._available(owner, timeout_s, peer):
+                return False
+            self._owner = owner
+            return True
+
+    def respected(self, owner: object, timeout_s: float, peer: socket.socket) -> bool:
+        """Return whether nobody else holds the lock, waiting for that; ``EOFError`` where ``peer`` leaves."""
+        if self._owner in (None, owner):
+            return True
+        with self._free:
+            return self._available(owner, timeout_s, peer)
+
+    def release(self, owner: object) -> bool:
+        """Give the lock back and return whether ``owner`` had it."""
+        with self._free:
+            if owner is None or self._owner != owner:
+                return False
+            self._owner = None
+            self._free.notify_all()
+            return True
+
+    def held_by(self, owner: object) -> bool:
+        """Return whether ``owner`` holds the lock."""
+        return self._owner == owner
+
+    def _available(self, owner: object, timeout_s: float, peer: socket.socket) -> bool:
+        deadline_s = time.monotonic() + timeout_s
+        while self._owner not in (None, owner):
+            if time.monotonic() >= deadline_s:
+                return False
+            self._free.wait(LOOK_S)
+            raise_if_gone(peer)
+        return True
+
+
+@final
 class Port:
     """An instrument behind the lock of the world it belongs to, in bytes as they go over a connection."""
 
     def __init__(self, instrument: Instrument, lock: threading.RLock) -> None:
         self._instrument = instrument
         self._lock = lock
+        self.reservation = Reservation()
 
     def take(self, message: bytes) -> None:
         """Hand one message to the instrument; its line end is optional."""
@@ -70,35 +126,42 @@ class Listener:
         self._listener = socket.create_server((LOOPBACK, port))
         self.port: int = self._listener.getsockname()[1]
         self._closing = False
-        self._peers: list[socket.socket] = []
-        self._threads = [threading.Thread(target=self._accept, daemon=True)]
-        self._threads[0].start()
+        self._peers: dict[threading.Thread, socket.socket] = {}
+        self._accepting = threading.Thread(target=self._accept, daemon=True)
+        self._accepting.start()
 
     def close(self) -> None:
         """Hang up on every peer and wait until its thread has ended."""
         self._closing = True
+        deadline_s = time.monotonic() + CLOSING_S
         # A blocked accept() only wakes for a connection on every platform.
-        with suppress(OSError), socket.create_connection((LOOPBACK, self.port), timeout=1.0):
+        with suppress(OSError), socket.create_connection((LOOPBACK, self.port), timeout=CLOSING_S):
             pass
-        self._threads[0].join(timeout=5.0)
+        self._accepting.join(timeout=CLOSING_S)
         self._listener.close()
-        for peer in self._peers:
+        peers = dict(self._peers)
+        for peer in peers.values():
             with suppress(OSError):
                 peer.shutdown(socket.SHUT_RDWR)
-        for thread in self._threads[1:]:
-            thread.join(timeout=5.0)
+        for thread in peers:
+            thread.join(timeout=max(0.0, deadline_s - time.monotonic()))
 
     def _accept(self) -> None:
         while not self._closing:
-            peer, _ = self._listener.accept()
-            if self._closing:
+            try:
+                peer, _ = self._listener.accept()
+            except OSError:
+                # No descriptor left, or the peer is gone again: others may come.
+                time.sleep(LOOK_S)
+                continue
+            self._peers = {thread: of for thread, of in self._peers.items() if thread.is_alive()}
+            if self._closing or len(self._peers) >= MOST_PEERS:
                 peer.close()
-                return
+                continue
             peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             thread = threading.Thread(target=self._serve, args=(peer,), daemon=True)
-            self._peers.append(peer)
-            self._threads.append(thread)
             thread.start()
+            self._peers[thread] = peer
 
     def _serve(self, peer: socket.socket) -> None:
         # A peer that hangs up in the middle of a message ends its own conversation and nothing else.
@@ -106,8 +169,17 @@ class Listener:
             self._converse(peer)
 
 
+def raise_if_gone(peer: socket.socket) -> None:
+    """Raise ``EOFError`` where the peer hung up; what it may have sent is left to be received."""
+    ready, _, _ = select.select([peer], [], [], 0.0)
+    if ready and not peer.recv(1, socket.MSG_PEEK):
+        raise EOFError("the peer hung up")
+
+
 def receive_exactly(peer: socket.socket, size: int) -> bytes:
-    """Return ``size`` bytes; raise ``EOFError`` where the peer hangs up before."""
+    """Return ``size`` bytes; raise ``EOFError`` where the peer hangs up before, or announces more than is taken."""
+    if size > MOST_BYTES:
+        raise EOFError("a message that is too long")
     received = bytearray()
     while len(received) < size:
         chunk = peer.recv(min(RECEIVE_BYTES, size - len(received)))

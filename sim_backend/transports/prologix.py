@@ -7,11 +7,15 @@ import socket
 from collections.abc import Mapping
 from typing import final
 
-from sim_backend.transports.loopback import LOOPBACK, RECEIVE_BYTES, Listener, Port
+from sim_backend.transports.loopback import LOOPBACK, MOST_BYTES, RECEIVE_BYTES, Listener, Port
 
 ESCAPE = 0x1B
 ADAPTER_VERSION = b"Prologix GPIB-ETHERNET Controller version 1.6.6.0\r\n"
+UNRECOGNIZED = b"Unrecognized command\r\n"
+# A primary address, and a secondary one that no instrument here has.
+_ADDRESS = re.compile(rb"\+\+addr +([0-9]|[12][0-9]|30)( +[0-9]{1,3})? *")
 _ESCAPED = re.compile(rb"\x1b(.)", re.DOTALL)
+_MARK = re.compile(rb"\x1b.|[\r\n]", re.DOTALL)
 
 
 @final
@@ -33,13 +37,17 @@ class PrologixAdapter:
         rest, addressed = b"", next(iter(self._ports))
         while received := peer.recv(RECEIVE_BYTES):
             lines, rest = unescaped_lines(rest + received)
+            if len(rest) > MOST_BYTES:
+                return
             for line in lines:
                 if not line.startswith(b"++"):
                     # Nobody listens at an address without an instrument; GPIB data sent there is lost.
                     if addressed in self._ports:
                         self._ports[addressed].take(_ESCAPED.sub(rb"\1", line))
                 elif line.startswith(b"++addr "):
-                    addressed = int(line.split()[1])
+                    named = _ADDRESS.fullmatch(line)
+                    addressed = int(named[1]) if named else addressed
+                    peer.sendall(b"" if named else UNRECOGNIZED)
                 else:
                     peer.sendall(self._adapter(addressed, line))
 
@@ -62,15 +70,11 @@ class PrologixAdapter:
 
 def unescaped_lines(data: bytes) -> tuple[list[bytes], bytes]:
     """Return the lines of ``data`` that an unescaped line feed or carriage return ends, and what is left over."""
-    # Byte by byte, since ESC takes its meaning from whatever follows, a line feed in the data of a message included.
-    lines, start, index = [], 0, 0
-    while index < len(data):
-        if data[index] == ESCAPE:
-            index += 2
-            continue
-        if data[index] in b"\r\n":
-            if index > start:
-                lines.append(data[start:index])
-            start = index + 1
-        index += 1
+    lines, start = [], 0
+    # ESC takes its meaning from whatever follows, a line feed in the data of a message included.
+    for mark in _MARK.finditer(data):
+        if mark[0][0] != ESCAPE:
+            if mark.start() > start:
+                lines.append(data[start : mark.start()])
+            start = mark.end()
     return lines, data[start:]

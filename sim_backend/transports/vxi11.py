@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import socket
 import struct
 import threading
@@ -11,19 +12,40 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, final
 
-from sim_backend.transports.loopback import LOOPBACK, Listener, Port, receive_exactly
+from sim_backend.transports.loopback import (
+    LOOK_S,
+    LOOPBACK,
+    MOST_BYTES,
+    Listener,
+    Port,
+    raise_if_gone,
+    receive_exactly,
+)
 
 CORE_PROGRAM: Final = 0x0607AF
 CREATE_LINK, DEVICE_WRITE, DEVICE_READ, DEVICE_READ_STB, DEVICE_TRIGGER, DEVICE_CLEAR = 10, 11, 12, 13, 14, 15
 DEVICE_REMOTE, DEVICE_LOCAL, DEVICE_LOCK, DEVICE_UNLOCK, DESTROY_LINK = 16, 17, 18, 19, 23
-NO_ERROR, NOT_ACCESSIBLE, INVALID_LINK, NOT_SUPPORTED, IO_TIMEOUT = 0, 3, 4, 8, 15
+NO_ERROR, NOT_ACCESSIBLE, INVALID_LINK, NOT_SUPPORTED, OUT_OF_RESOURCES = 0, 3, 4, 8, 9
+LOCKED_BY_ANOTHER, NOT_LOCKED, IO_TIMEOUT = 11, 12, 15
+WAIT_FOR_LOCK: Final = 1
+MOST_LINKS: Final = 64
+"""How many links one connection may hold."""
 END_FLAG, END_REASON, COUNT_REASON = 8, 4, 1
 LAST_FRAGMENT: Final = 1 << 31
 MAXIMUM_BYTES: Final = 1 << 16
-PROGRAM_UNAVAILABLE: Final = 1
+# Where flags and lock time-out stand among the arguments (VXI-11, B.6).
+_PLACES: Final = {
+    DEVICE_WRITE: (12, 8),
+    DEVICE_READ: (16, 12),
+    DEVICE_LOCK: (4, 8),
+    **dict.fromkeys((DEVICE_READ_STB, DEVICE_TRIGGER, DEVICE_CLEAR, DEVICE_REMOTE, DEVICE_LOCAL), (4, 8)),
+}
+_NUMBER = re.compile(r"[0-9]{1,2}", re.ASCII)
+PROGRAM_UNAVAILABLE, GARBAGE_ARGUMENTS = 1, 4
 
 
-@dataclass
+# Identity is what tells two links apart, equal or not.
+@dataclass(eq=False)
 class Link:
     """One open link: its instrument, the message that is coming in, the reply that is going out."""
 
@@ -52,37 +74,79 @@ class Vxi11Gateway:
 
     def _converse(self, peer: socket.socket) -> None:
         links: dict[int, Link] = {}
-        while True:
-            transaction, program, procedure, arguments = _call(_record(peer))
-            if program != CORE_PROGRAM:
-                _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, PROGRAM_UNAVAILABLE))
-                continue
-            create = procedure == CREATE_LINK
-            result = self._create(links, arguments) if create else _on_link(links, procedure, arguments)
-            _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, 0) + result)
+        try:
+            while True:
+                transaction, program, procedure, arguments = _call(_record(peer))
+                if program != CORE_PROGRAM:
+                    _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, PROGRAM_UNAVAILABLE))
+                    continue
+                try:
+                    create = procedure == CREATE_LINK
+                    result = (
+                        self._create(links, arguments, peer) if create else _on_link(links, procedure, arguments, peer)
+                    )
+                except struct.error:
+                    _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, GARBAGE_ARGUMENTS))
+                    continue
+                _send_record(peer, struct.pack("!6I", transaction, 1, 0, 0, 0, 0) + result)
+        finally:
+            # A client that leaves takes its locks with it.
+            for link in links.values():
+                link.port.reservation.release(link)
 
-    def _create(self, links: dict[int, Link], arguments: bytes) -> bytes:
-        # Before the device's name stand client id, lock flag and lock time-out, four bytes each.
+    def _create(self, links: dict[int, Link], arguments: bytes, peer: socket.socket) -> bytes:
+        _, exclusive, lock_timeout_ms = struct.unpack_from("!iII", arguments)
         name, _ = _opaque(arguments, 12)
-        prefix, _, gpib_address = name.decode("latin-1").partition(",")
-        if prefix.lower() != "gpib0" or not gpib_address.isdigit() or int(gpib_address) not in self._ports:
+        link = self._named(name)
+        if link is None:
             return struct.pack("!iiII", NOT_ACCESSIBLE, 0, 0, 0)
+        if len(links) >= MOST_LINKS:
+            return struct.pack("!iiII", OUT_OF_RESOURCES, 0, 0, 0)
+        if exclusive and not link.port.reservation.take(link, lock_timeout_ms / 1e3, peer):
+            return struct.pack("!iiII", LOCKED_BY_ANOTHER, 0, 0, 0)
         with self._lock:
             number = next(self._numbers)
-        links[number] = Link(self._ports[int(gpib_address)])
+        links[number] = link
         return struct.pack("!iiII", NO_ERROR, number, 0, MAXIMUM_BYTES)
 
+    def _named(self, name: bytes) -> Link | None:
+        prefix, _, gpib_address = name.decode("latin-1").partition(",")
+        if prefix.lower() != "gpib0" or not _NUMBER.fullmatch(gpib_address):
+            return None
+        port = self._ports.get(int(gpib_address))
+        return Link(port) if port else None
 
-def _on_link(links: dict[int, Link], procedure: int, arguments: bytes) -> bytes:
-    """Return the result of a core procedure, XDR-encoded."""
+
+def _on_link(links: dict[int, Link], procedure: int, arguments: bytes, peer: socket.socket) -> bytes:
+    """Return the result of a core procedure, XDR-encoded; raise ``struct.error`` where arguments are missing."""
     (number,) = struct.unpack_from("!i", arguments)
     link = links.get(number)
     if link is None:
         return _failed(procedure, INVALID_LINK)
+    reservation = link.port.reservation
+    if procedure == DEVICE_UNLOCK:
+        return struct.pack("!i", NO_ERROR if reservation.release(link) else NOT_LOCKED)
+    if procedure == DESTROY_LINK:
+        reservation.release(link)
+        del links[number]
+        return struct.pack("!i", NO_ERROR)
+    if procedure not in _PLACES:
+        return _failed(procedure, NOT_SUPPORTED)
+    flags, lock_timeout_ms = (struct.unpack_from("!I", arguments, place)[0] for place in _PLACES[procedure])
+    patience_s = lock_timeout_ms / 1e3 if flags & WAIT_FOR_LOCK else 0.0
+    if procedure == DEVICE_LOCK:
+        taken = not reservation.held_by(link) and reservation.take(link, patience_s, peer)
+        return struct.pack("!i", NO_ERROR if taken else LOCKED_BY_ANOTHER)
+    if not reservation.respected(link, patience_s, peer):
+        return _failed(procedure, LOCKED_BY_ANOTHER)
+    return _carried_out(link, procedure, arguments, peer)
+
+
+def _carried_out(link: Link, procedure: int, arguments: bytes, peer: socket.socket) -> bytes:
     if procedure == DEVICE_WRITE:
         return _write(link, arguments)
     if procedure == DEVICE_READ:
-        return _read(link, arguments)
+        return _read(link, arguments, peer)
     if procedure == DEVICE_READ_STB:
         return struct.pack("!iI", NO_ERROR, link.port.status_byte())
     if procedure == DEVICE_TRIGGER:
@@ -90,10 +154,6 @@ def _on_link(links: dict[int, Link], procedure: int, arguments: bytes) -> bytes:
     elif procedure == DEVICE_CLEAR:
         link.port.reply()
         link.incoming = link.outgoing = b""
-    elif procedure == DESTROY_LINK:
-        del links[number]
-    elif procedure not in (DEVICE_REMOTE, DEVICE_LOCAL, DEVICE_LOCK, DEVICE_UNLOCK):
-        return _failed(procedure, NOT_SUPPORTED)
     return struct.pack("!i", NO_ERROR)
 
 
@@ -101,24 +161,35 @@ def _write(link: Link, arguments: bytes) -> bytes:
     # Link, time-out and lock time-out come first.
     (flags,) = struct.unpack_from("!i", arguments, 12)
     data, _ = _opaque(arguments, 16)
+    if len(link.incoming) + len(data) > MOST_BYTES:
+        link.incoming = b""
+        return _failed(DEVICE_WRITE, OUT_OF_RESOURCES)
     link.incoming += data
     if flags & END_FLAG:
         # What was asked before and never fetched is gone, as on the instrument's own bus.
         link.outgoing = b""
-        link.port.take(link.incoming)
-        link.incoming = b""
+        message, link.incoming = link.incoming, b""
+        link.port.take(message)
     return struct.pack("!iI", NO_ERROR, len(data))
 
 
-def _read(link: Link, arguments: bytes) -> bytes:
+def _read(link: Link, arguments: bytes, peer: socket.socket) -> bytes:
     request_bytes, timeout_ms = struct.unpack_from("!II", arguments, 4)
     link.outgoing = link.outgoing or link.port.reply()
     if not link.outgoing:
-        time.sleep(timeout_ms / 1e3)
+        _wait(timeout_ms / 1e3, peer)
         return _failed(DEVICE_READ, IO_TIMEOUT)
     data, link.outgoing = link.outgoing[:request_bytes], link.outgoing[request_bytes:]
     header = struct.pack("!iiI", NO_ERROR, COUNT_REASON if link.outgoing else END_REASON, len(data))
     return header + data + bytes(-len(data) % 4)
+
+
+def _wait(duration_s: float, peer: socket.socket) -> None:
+    """Let time pass; raise ``EOFError`` where the peer does not wait for it: a time-out may be 25 days."""
+    deadline_s = time.monotonic() + duration_s
+    while (left_s := deadline_s - time.monotonic()) > 0:
+        time.sleep(min(left_s, LOOK_S))
+        raise_if_gone(peer)
 
 
 def _failed(procedure: int, error: int) -> bytes:
@@ -129,18 +200,23 @@ def _failed(procedure: int, error: int) -> bytes:
 
 def _call(record: bytes) -> tuple[int, int, int, bytes]:
     """Return transaction, program, procedure and arguments of an RPC call; raise ``EOFError`` for anything else."""
-    transaction, kind, rpc_version, program, _, procedure = struct.unpack_from("!6I", record)
+    try:
+        transaction, kind, rpc_version, program, _, procedure = struct.unpack_from("!6I", record)
+        # Two authenticators follow, a flavour and an opaque body each, which nobody here looks at.
+        _, behind_credential = _opaque(record, 28)
+        _, behind_verifier = _opaque(record, behind_credential + 4)
+    except struct.error as error:
+        raise EOFError("an RPC call that is too short") from error
     if (kind, rpc_version) != (0, 2):
         raise EOFError("not an RPC call")
-    # Two authenticators follow, a flavour and an opaque body each, which nobody here looks at.
-    _, behind_credential = _opaque(record, 28)
-    _, behind_verifier = _opaque(record, behind_credential + 4)
     return transaction, program, procedure, record[behind_verifier:]
 
 
 def _opaque(data: bytes, start: int) -> tuple[bytes, int]:
     """Return the XDR variable-length field at ``start``, and where the next one begins."""
     (size,) = struct.unpack_from("!I", data, start)
+    if start + 4 + size > len(data):
+        raise struct.error("a field that is cut off")
     return data[start + 4 : start + 4 + size], start + 4 + -(-size // 4) * 4
 
 
@@ -151,6 +227,8 @@ def _record(peer: socket.socket) -> bytes:
         (mark,) = struct.unpack("!I", receive_exactly(peer, 4))
         last = bool(mark & LAST_FRAGMENT)
         record += receive_exactly(peer, mark & ~LAST_FRAGMENT)
+        if len(record) > MOST_BYTES:
+            raise EOFError("a call that is too long")
     return record
 
 

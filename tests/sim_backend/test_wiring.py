@@ -195,7 +195,6 @@ def test_output_off_cuts_a_running_burst_and_drops_a_pending_one():
         sine(output=False),
         sine(trigger_source="BUS"),
         sine(burst_mode="GAT"),
-        sine(modulation="AM"),
         sine(function="RAMP"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Stated intervals hold the truth as often as they say: subsets of what ``scripts/coverage.py`` measures."""
+"""Stated intervals hold the truth as often as they say: subsets of what ``scripts/interval_coverage.py`` measures."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from types import ModuleType
 
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "coverage.py"
+SCRIPT = Path(__file__).parents[2] / "scripts" / "interval_coverage.py"
 HEAVY = 2.0
 """Kurtosis of the errors over that of normal ones: speckle has dark spots."""
 
 
 @pytest.fixture(scope="module")
 def coverage() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("coverage_script", SCRIPT)
+    spec = importlib.util.spec_from_file_location("interval_coverage", SCRIPT)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

@@ -183,6 +183,11 @@ def faults_of(tap: Tap, error: BaseException | None, path: Path, whole: StoredRu
             yield "digitizer capturing and not reported"
         if any(not buffer.freed for buffer in tap.buffers):
             yield "buffers not freed"
+    if not path.exists():
+        # Nothing was programmed yet.
+        if tap.arrived or error is None:
+            yield f"no file after {error!r} and {tap.arrived} records"
+        return
     run = read_run(path)
     if (run.status == "complete") != (error is None):
         yield f"status {run.status} after {error!r}"
@@ -218,7 +223,7 @@ def test_a_fault_at_any_io_call_leaves_the_bench_safe_and_the_records_kept(
         reported += isinstance(error, UnsafeBenchError)
         assert tap.calls > index
         unsafe += [f"{kind} at call {index}: {fault} ({error!r})" for fault in faults_of(tap, error, path, whole)]
-        path.unlink()
+        path.unlink(missing_ok=True)
     print(f"{memory}: {len(cases)} faults at {clean.calls} calls, {raised} ended the run, ", end="")
     print(f"{reported} named an instrument as unreachable, {len(unsafe)} unsafe")
     assert not unsafe, "\n".join(unsafe)

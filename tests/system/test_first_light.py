@@ -6,6 +6,7 @@ import json
 import math
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ import pytest
 import xarray as xr
 from typer.testing import CliRunner
 
+import hpe_rig as hpe
 from drivers.agilent.generator import Agilent33250A
 from drivers.interfaces import GeneratorTask, PulseTrain
 from hpe_rig.acquire.run import Setup, prepare, record_run
@@ -27,6 +29,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.prediction.beam_averaging import predicted_averaging
 from hpe_rig.prediction.theory import force_spectrum
 from hpe_rig.result.estimates import Result
+from hpe_rig.scene.scene import Scene, shipped_scenes
 from hpe_rig.store import StoreError, read_run, result_path
 from sim_backend.motion.specimen import frequency_response
 from sim_backend.settings.simulation import Specimen
@@ -360,3 +363,23 @@ def test_prepare_accepts_a_bench_file(tmp_path: Path) -> None:
     assert setup.plan.shots[0].timeline.reference_s == pytest.approx(
         5e-9 + 100e-9 + 5e-9 + 100e-9 + 1e-6 + 70e-3 / 1540
     )
+
+
+def test_a_rigid_motion_at_60_db_is_found_within_its_uncertainty(tmp_path: Path) -> None:
+    """All scatterers move by 1000 nm, no beam is declared to correct for: what is left is noise and the gate's edge."""
+    tables = tomllib.loads(shipped_scenes()["table-1"])
+    del tables["beams"]
+    tables["simulation"] |= {"beams": {"width_ratio": [math.inf] * 3}, "receiver": {"snr_db": 60.0}}
+    tables["acquisition"]["sound_speed_uncertainty"] = 0.0
+    rigid = Scene.model_validate(tables)
+    deviations: dict[str, list[float]] = {}
+    for seed in range(1, 9):
+        run = hpe.measure(rigid.with_({"simulation.seed": seed}), path=tmp_path / f"{seed}.h5")
+        for estimator in ("coherent", "joint", "cross_correlation", "loupas", "cross_spectrum"):
+            found = run.estimate(estimator).shots[0].estimates[0].headline
+            most_m = 5e-9 if estimator == "cross_spectrum" else 0.3e-9
+            assert found.amplitude_uncertainty_m < most_m, estimator
+            deviations.setdefault(estimator, []).append((found.amplitude_m - 1e-6) / found.amplitude_uncertainty_m)
+    for estimator, each in deviations.items():
+        # Of chi-square over 8 degrees of freedom, 0.1 % lie above 3.27 of each.
+        assert np.mean(np.square(each)) < 3.27, estimator

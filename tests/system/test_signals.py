@@ -100,13 +100,13 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
 def test_a_killed_run_leaves_a_readable_file_that_no_later_run_overwrites(tmp_path: Path) -> None:
     script = """
 import os, signal, sys
-from hpe_rig.acquire import run
-record = run._record
-def killed(event, *others):
-    record(event, *others)
+from hpe_rig.acquire.recording import Recording
+take = Recording.take
+def killed(recording, event, *others):
+    take(recording, event, *others)
     if type(event).__name__ == "ShotBlock":
         os.kill(os.getpid(), signal.SIGKILL)
-run._record = killed
+Recording.take = killed
 sys.argv = ["hpe-rig", "run", "table-1", "--output", "run.h5"]
 from hpe_rig.cli.app import main
 main()
@@ -197,16 +197,16 @@ def test_an_output_that_cannot_be_proven_off_is_named_even_when_ctrl_c_comes_mea
     prepared: Prepare, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setup = prepared("bovine-muscle-synchronous")
-    off = Agilent33250A.make_safe
+    proof = Agilent33250A.prove_off
     deaf: list[str] = []
 
-    def unreachable(generator: Agilent33250A) -> None:
+    def unreachable(generator: Agilent33250A) -> str:
         if generator.role in deaf:
             signal.raise_signal(signal.SIGINT)
             raise InstrumentError(generator.role, "no reply", "its power is off", "switch it off by hand")
-        off(generator)
+        return proof(generator)
 
-    monkeypatch.setattr(Agilent33250A, "make_safe", unreachable)
+    monkeypatch.setattr(Agilent33250A, "prove_off", unreachable)
 
     def run() -> None:
         with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles):
@@ -222,13 +222,13 @@ def test_an_unreachable_output_has_its_own_exit_code(tmp_path: Path) -> None:
     script = """
 import sys
 from drivers.agilent.generator import Agilent33250A
-off, calls = Agilent33250A.make_safe, []
+proof, calls = Agilent33250A.prove_off, []
 def deaf(generator):
     calls.append(generator.role)
     if calls.count("toneburst") > 1 and generator.role == "toneburst":
         raise TimeoutError("nothing came")
-    off(generator)
-Agilent33250A.make_safe = deaf
+    return proof(generator)
+Agilent33250A.prove_off = deaf
 sys.argv = ["hpe-rig", "run", "bovine-muscle-synchronous", "--output", "run.h5"]
 from hpe_rig.cli.app import main
 main()
@@ -236,6 +236,7 @@ main()
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 3
     assert "THE BENCH MAY STILL BE DRIVING: not proven off: toneburst" in done.stderr
+    assert "Known to be off: burst_train, master, tracking_pulser, tracking_train read back as off" in done.stderr
     assert "run.h5 holds the records that had arrived: hpe-rig process run.h5" in done.stderr
     assert "Traceback" not in done.stderr
 

@@ -83,7 +83,8 @@ def test_the_master_fires_one_pulse_by_command(scripted) -> None:
     assert connection.held["TRIG:SOUR"] == "BUS"
     master.fire()
     assert connection.commands.count("*TRG") == 1
-    assert connection.commands[-2:] == ["*TRG", "SYST:ERR?"]
+    # Its output goes off at once, so that no other trigger can start the trains again.
+    assert connection.commands[-4:] == ["*TRG", "OUTP 0", "OUTP?", "SYST:ERR?"]
 
 
 @pytest.mark.parametrize(("role_type", "program"), ROLES)

@@ -123,7 +123,7 @@ def test_the_33250as_own_spelling_is_unknown_to_a_sibling(name: str) -> None:
 
 def test_only_a_two_channel_model_takes_a_channel_number_and_only_its_own() -> None:
     replies = []
-    for name, header in (("33250A", "SOUR1:FREQ 2E3"), ("33600A", "SOUR1:FREQ 2E3"), ("33600A", "SOUR2:FREQ 2E3")):
+    for name, header in (("33250A", "SOUR1:FREQ 2E3"), ("33600A", "SOUR2:FREQ 2E3"), ("33600A", "SOUR3:FREQ 2E3")):
         instrument = twin(name)
         instrument.write(header)
         instrument.write("SYST:ERR?")

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from hpe_rig import measure
+from hpe_rig.plan import select
+from hpe_rig.processing import band, conditioning, echoes, motion
 from hpe_rig.processing.conditioning import centred_volts, codes_to_volts, hann
+from hpe_rig.processing.motion import coherent
+from hpe_rig.processing.shots import margin_needed, shot_echoes
+from hpe_rig.scene import load_scene
 
 
 def test_full_scale_codes_become_full_scale_volts() -> None:
@@ -35,3 +43,26 @@ def test_hann_window_is_symmetric_with_mean_one_half(count: int) -> None:
     window = hann(count)
     np.testing.assert_allclose(window, window[::-1], atol=1e-15)
     assert window.mean() == pytest.approx(0.5, abs=1e-15)
+
+
+def test_volts_made_in_blocks_give_the_motion_of_those_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = measure(load_scene("table-1").with_({"processing.window_start_s": 2e-3}), path=tmp_path / "run.h5")
+    shot, records = run.plan.shots[0], run.stored.records
+    gate, margin = shot.gate, margin_needed(run.scene, shot)
+    held, left = records.in_blocks(0, gate, margin), records.in_blocks(0, gate, margin, most_held=0)
+    assert not hasattr(left, "codes")
+    chosen = select(run.scene, shot)
+    expected = coherent(shot_echoes(run.scene, shot, held, chosen))
+    for module in (conditioning, echoes):
+        monkeypatch.setattr(module, "BLOCK_SAMPLES", 7 * held.shape[1])
+    monkeypatch.setattr(motion, "STEPS_AT_ONCE", 5)
+    monkeypatch.setattr(motion, "ALIGNED_AT_ONCE", 6)
+    found = shot_echoes(run.scene, shot, left, chosen)
+    assert len(list(found.blocks(found.gate))) == -(-found.valid.size // 7)
+    np.testing.assert_allclose(found.energy, shot_echoes(run.scene, shot, held, chosen).energy, rtol=1e-5)
+    np.testing.assert_allclose(found.gate_volts, shot_echoes(run.scene, shot, held, chosen).gate_volts, atol=1e-7)
+    in_blocks = coherent(found)
+    # single precision of the spectra: 6e-8 of an echo's phase
+    np.testing.assert_allclose(in_blocks.displacement_m, expected.displacement_m, rtol=0, atol=5e-12)
+    np.testing.assert_allclose(in_blocks.variance_m2, expected.variance_m2, rtol=1e-3)
+    assert band.band_spectrum(found, 2)[0].dtype == np.complex64

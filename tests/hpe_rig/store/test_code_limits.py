@@ -11,7 +11,7 @@ import pytest
 
 from drivers.interfaces import RecordBlock
 from hpe_rig.acquire.run import Setup, prepare
-from hpe_rig.processing.conditioning import clipped_pulses
+from hpe_rig.processing.conditioning import gate_statistics
 from hpe_rig.store.format import StoreError
 from hpe_rig.store.layout import empty_run, volts_of_codes
 from hpe_rig.store.reader import read_run
@@ -62,7 +62,7 @@ def test_full_scale_is_that_of_the_digitizer(setup: Setup, bits: int) -> None:
     codes[1, 7], codes[2, 7] = limits[1], limits[1] - 1
     block = RecordBlock(0, codes, np.full(3, np.nan), *volts_of_codes(1.0, limits), limits)
     records = assemble([block], shot)
-    assert clipped_pulses(records.codes, records.code_limits).tolist() == [False, True, False]
+    assert gate_statistics(records).at_full_scale(records.code_limits).tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])

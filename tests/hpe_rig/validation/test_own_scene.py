@@ -7,13 +7,24 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
 from hpe_rig.processing import ESTIMATORS
 from hpe_rig.scene.scene import Scene, load_scene
-from hpe_rig.validation.accuracy.own_scene import OWN, SceneRow, Way, one_shot, scene_rows, scene_text, ways
+from hpe_rig.validation.accuracy.own_scene import (
+    OWN,
+    SceneRow,
+    Way,
+    _beats,
+    _Trial,
+    one_shot,
+    scene_rows,
+    scene_text,
+    ways,
+)
 
 
 @pytest.fixture(scope="module")
@@ -61,13 +72,43 @@ def test_what_is_varied_changes_the_error_and_what_gives_up_says_so(rows: list[S
 
 def test_the_page_says_what_the_scene_buys_where_something_beats_it(rows: list[SceneRow]) -> None:
     own = replace(rows[0], on_front=False, error=0.02, time_s=1.0)
-    faster = replace(rows[2], on_front=True, error=0.005, time_s=0.5)
+    faster = replace(rows[2], on_front=True, beats_own=True, error=0.005, time_s=0.5)
     text = scene_text([own, faster])
-    assert "gate half beats the scene's own settings: 1.5 % of the amplitude less error, 0.5 s faster" in text
+    assert "gate half beats the scene's own settings: rms error 0.5 instead of 2 %, 0.5 instead of 1 s" in text
     assert "resolution in depth" in text
-    alike = replace(faster, error=0.0199)
-    assert "within what the seeds tell" in scene_text([own, alike])
-    assert "lie on the Pareto front" in scene_text([replace(own, on_front=True), replace(faster, error=0.03)])
+    assert "lie on the Pareto front" in scene_text([replace(own, on_front=True), replace(faster, beats_own=False)])
+
+
+def trials(errors_m: list[float], times_s: list[float]) -> list[_Trial]:
+    return [
+        _Trial(np.array([error_m]), np.ones(1), time_s, time_s)
+        for error_m, time_s in zip(errors_m, times_s, strict=True)
+    ]
+
+
+def test_a_way_beats_another_by_more_than_chance_and_is_worse_in_nothing() -> None:
+    own = trials([1.0, -2.0, 3.0, -1.5], [1.0, 1.01, 0.99, 1.0])
+    halves = trials([0.5, -1.0, 1.5, -0.75], [1.0, 1.0, 1.0, 1.0])
+    assert _beats(halves, own)
+    assert not _beats(own, halves)
+    # As true, but faster; then slower and truer: neither beats the other.
+    assert _beats(trials([1.0, -2.0, 3.0, -1.5], [0.5] * 4), own)
+    dear = trials([0.5, -1.0, 1.5, -0.75], [2.0] * 4)
+    assert not _beats(dear, own)
+    assert not _beats(own, dear)
+    # A mean that chance makes smaller, and a gain of 1 %, are none.
+    assert not _beats(trials([0.5, -2.2, 2.5, -1.8], [1.0] * 4), own)
+    assert not _beats(trials([1.0, -2.0, 3.0, -1.5], [0.99, 1.0, 0.98, 0.99]), own)
+    assert not _beats(own, own)
+    # Giving up is worse than anything.
+    gave_up = trials([math.nan] * 4, [0.1] * 4)
+    assert _beats(own, gave_up)
+    assert not _beats(gave_up, own)
+
+
+def test_what_a_scene_cannot_have_is_not_tried() -> None:
+    tried = ways(one_shot(load_scene("cardiac-background")))
+    assert {way.setting for way in tried if way.varied == "estimator"} == {*ESTIMATORS} - {"coherent", "joint"}
 
 
 def test_everything_that_a_scene_leaves_open_is_varied() -> None:

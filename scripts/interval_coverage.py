@@ -7,8 +7,8 @@ with the twin's truth: share of errors within u and within 1.96 u, and NEV, the 
 frequencies and shots share their speckle, so that the Monte Carlo error of a row is that of its seeds, not of its
 errors.
 
-    python scripts/coverage.py                              # writes docs/coverage.md, about three hours on one core
-    python scripts/coverage.py --seeds 20 --scenes table-1 bovine-muscle --estimators coherent kasai
+    python scripts/interval_coverage.py                   # writes docs/coverage.md, about three hours on one core
+    python scripts/interval_coverage.py --seeds 20 --scenes table-1 bovine-muscle --estimators coherent kasai
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def page(rows: Sequence[Row], seeds: int) -> str:
         "width of the force by 30 %. Frequencies and shots of a run share their speckle: with "
         f"{seeds} seeds, coverage is known to about {error[0]:.1f} and {error[1]:.1f} percentage points.",
         "",
-        f"Made by `python scripts/coverage.py --seeds {seeds}{some}`.",
+        f"Made by `python scripts/interval_coverage.py --seeds {seeds}{some}`.",
         "",
         "| scene | estimator | amplitude 68 % | 95 % | NEV | phase 68 % | 95 % | NEV | runs |",
         "|---|---|---:|---:|---:|---:|---:|---:|---:|",

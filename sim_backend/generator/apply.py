@@ -1,0 +1,53 @@
+"""APPLy, which sets a whole waveform with one command and **switches the output on at once**, as on the instrument."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+
+from sim_backend.generator.commands import AMPLITUDE, FREQUENCY, OFFSET
+from sim_backend.generator.kinds import SettingCommand, Write
+from sim_backend.generator.registers import Coerced, Registers
+from sim_backend.generator.scpi_text import ScpiError, short_form
+from sim_backend.generator.timing import set_function
+
+SHAPES: Mapping[str, Mapping[str, float]] = {"SQU": {"duty_percent": 50.0}, "RAMP": {"symmetry_percent": 100.0}}
+"""What the command sets beside its arguments."""
+UNUSED = {"DC": 2, "NOIS": 1}
+"""How many of frequency, amplitude and offset stand there to keep the place and mean nothing."""
+
+
+def _apply(function: str) -> Write:
+    def write(state: Registers, arguments: tuple[str, ...]) -> Coerced:
+        if len(arguments) > 3:
+            raise ScpiError(-108, "Parameter not allowed")
+        frequency, amplitude, offset = (*arguments, "", "", "")[:3]
+        # Triggered internally, without burst; the frequency that is given counts, not the one before it.
+        shape = SHAPES.get(function, {})
+        start = replace(state, trigger_source="IMM", burst=False, range_auto="1", **shape)  # type: ignore[arg-type]
+        start = replace(start, frequency_hz=1e3 if frequency else state.frequency_hz)
+        coerced = set_function(start, function)
+        first = ((OFFSET, "0"),) if amplitude and offset else ()
+        values = ((FREQUENCY, frequency), (AMPLITUDE, amplitude), (OFFSET, offset))
+        for setting, text in (*first, *values[UNUSED.get(function, 0) :]):
+            if text:
+                coerced = coerced.then(partial(setting.carried_out, arguments=(text,)))
+        return coerced.changed(output=True)
+
+    return write
+
+
+def _shown(state: Registers, arguments: tuple[str, ...]) -> str:
+    values = ",".join(setting.answer(state, ()) for setting in (FREQUENCY, AMPLITUDE, OFFSET))
+    return f'"{state.function} {values}"'
+
+
+def apply_forms(functions: str) -> Mapping[str, SettingCommand]:
+    """Return the forms of APPLy for ``functions``, by header (manual; what the trigger source becomes: sibling)."""
+    accepts = "frequency, amplitude, offset: numbers with units, MIN, MAX, DEF; those left out stay"
+    forms = {
+        f"[SOURce<n>:]APPLy:{function}": SettingCommand(_apply(short_form(function)), None, accepts)
+        for function in functions.split()
+    }
+    return {**forms, "[SOURce<n>:]APPLy": SettingCommand(None, _shown)}

@@ -1,0 +1,253 @@
+"""Command tree: every header of every model with what it does, as one table.
+
+docs/command-tree.md is printed from it by scripts/command_tree.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from sim_backend.generator.apply import apply_forms
+from sim_backend.generator.arbitrary import BUILT_IN, FEWEST_POINTS, MOST_POINTS, SLOTS, waveform_name
+from sim_backend.generator.commands import settings_of
+from sim_backend.generator.headers import HeaderTable
+from sim_backend.generator.inactive import with_inactive
+from sim_backend.generator.kinds import SettingCommand
+from sim_backend.generator.models import MODELS, Model
+from sim_backend.generator.scpi_text import ScpiError, boolean, keyword, none_of, not_simulated, one, whole_number
+from sim_backend.generator.stored_states import PLACES, place_of
+
+if TYPE_CHECKING:
+    from sim_backend.generator.instrument import Generator33250A
+
+Carry = Callable[["Generator33250A", tuple[str, ...]], None]
+Answer = Callable[["Generator33250A", tuple[str, ...]], str]
+
+SCPI_VERSION = "1999.0"
+"""Per manual; an emulator that was compared with hardware answers 1994.0 (unresolved)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """What a header does that is no setting of a channel: as a command, and as a query; None where a form is missing.
+
+    ``accepts`` says in words what may follow the header, ``asked`` what may follow it with ``?``; empty for nothing.
+    """
+
+    command: Carry | None = None
+    query: Answer | None = None
+    accepts: str = ""
+    asked: str = ""
+
+    @property
+    def takes(self) -> str | None:
+        """What may follow the header as a command; None where there is no such form."""
+        return None if self.command is None else self.accepts
+
+    @property
+    def asks(self) -> str | None:
+        """What may follow the header as a query; None where there is no such form."""
+        return None if self.query is None else self.asked
+
+    def carry_out(self, instrument: Generator33250A, query: bool, arguments: tuple[str, ...]) -> str | None:
+        """Return the reply of the query, or carry the command out; ``ScpiError`` -113 for a form that is missing."""
+        if not (self.asked if query else self.accepts):
+            none_of(arguments)
+        if query and self.query is not None:
+            return self.query(instrument, arguments)
+        if query or self.command is None:
+            raise ScpiError(-113, "Undefined header")
+        self.command(instrument, arguments)
+        return None
+
+
+def _fixed(reply: str) -> Answer:
+    return lambda instrument, arguments: reply
+
+
+def _register(name: str, largest: int) -> Action:
+    return Action(
+        lambda instrument, arguments: instrument.status.enable(name, whole_number(one(arguments), 0, largest)),
+        lambda instrument, arguments: instrument.status.enabled(name),
+        f"0 to {largest}",
+    )
+
+
+def _wait_and_answer(instrument: Generator33250A, arguments: tuple[str, ...]) -> str:
+    instrument.wait()
+    return "1"
+
+
+def _beep(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+    """Make no noise: there is nobody to hear it."""
+
+
+def _order(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+    instrument.byte_order = keyword(one(arguments), ("NORMal", "SWAPped"))
+
+
+def _power_on_recall(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+    instrument.states.recalled_at_power_on = boolean(one(arguments))
+
+
+def _clear_at_power_on(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+    instrument.status.cleared_at_power_on = boolean(one(arguments))
+
+
+def _always_on(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+    if not boolean(one(arguments)):
+        raise not_simulated("a trigger system that is not continuously armed")
+
+
+COMMON: Mapping[str, Action] = {
+    "*IDN": Action(query=lambda instrument, arguments: instrument.registers.model.identity),
+    "*RST": Action(lambda instrument, arguments: instrument.reset()),
+    "*CLS": Action(lambda instrument, arguments: instrument.status.clear()),
+    "*TRG": Action(lambda instrument, arguments: instrument.trigger_from_bus()),
+    "*WAI": Action(lambda instrument, arguments: instrument.wait()),
+    "*OPC": Action(lambda instrument, arguments: instrument.status.complete(), _wait_and_answer),
+    "*TST": Action(query=_fixed("+0")),
+    "*ESR": Action(query=lambda instrument, arguments: instrument.status.events()),
+    "*STB": Action(query=lambda instrument, arguments: instrument.status.byte(instrument.message_waiting)),
+    "*ESE": _register("ESE", 255),
+    "*SRE": _register("SRE", 255),
+    "*PSC": Action(
+        _clear_at_power_on, lambda instrument, arguments: str(int(instrument.status.cleared_at_power_on)), "0, 1"
+    ),
+    "*SAV": Action(lambda instrument, arguments: instrument.save(place_of(arguments)), accepts="0 to 4"),
+    "*RCL": Action(lambda instrument, arguments: instrument.recall(place_of(arguments)), accepts="0 to 4"),
+    "*LRN": Action(query=lambda instrument, arguments: instrument.learn_string()),
+}
+
+SYSTEM: Mapping[str, Action] = {
+    "SYSTem:ERRor[:NEXT]": Action(query=lambda instrument, arguments: instrument.status.next_error()),
+    "SYSTem:VERSion": Action(query=_fixed(SCPI_VERSION)),
+    "SYSTem:BEEPer[:IMMediate]": Action(_beep),
+    "SYSTem:LOCal": Action(lambda instrument, arguments: instrument.hold(True)),
+    "SYSTem:REMote": Action(lambda instrument, arguments: instrument.hold(False)),
+    "SYSTem:RWLock": Action(lambda instrument, arguments: instrument.hold(False)),
+    "STATus:QUEStionable:CONDition": Action(query=_fixed("+0")),
+    "STATus:QUEStionable[:EVENt]": Action(query=_fixed("+0")),
+    "STATus:QUEStionable:ENABle": _register("QUES", 32767),
+    "STATus:PRESet": Action(lambda instrument, arguments: instrument.status.enable("QUES", 0)),
+    "CALibration:COUNt": Action(query=_fixed("+0")),
+    "CALibration:STRing": Action(query=_fixed('""')),
+    "CALibration:SECure:STATe": Action(query=_fixed("1")),
+    "MEMory:NSTates": Action(query=_fixed(f"{PLACES:+d}")),
+    "MEMory:STATe:NAME": Action(
+        lambda instrument, arguments: instrument.states.rename(arguments),
+        lambda instrument, arguments: f'"{instrument.states.name(place_of(arguments))}"',
+        "0 to 4, name",
+        "0 to 4",
+    ),
+    "MEMory:STATe:DELete": Action(
+        lambda instrument, arguments: instrument.states.delete(place_of(arguments)), accepts="0 to 4"
+    ),
+    "MEMory:STATe:VALid": Action(
+        query=lambda instrument, arguments: str(int(instrument.states.valid(place_of(arguments)))), asked="0 to 4"
+    ),
+    "MEMory:STATe:RECall:AUTO": Action(
+        _power_on_recall, lambda instrument, arguments: str(int(instrument.states.recalled_at_power_on)), "ON, OFF"
+    ),
+    "TRIGger<n>[:SEQuence][:IMMediate]": Action(lambda instrument, arguments: instrument.trigger()),
+}
+
+
+def _names(names: tuple[str, ...]) -> str:
+    return ",".join(f'"{name}"' for name in names) or '""'
+
+
+def _active(instrument: Generator33250A) -> str:
+    return str(instrument.registers.inactive.get("waveform", BUILT_IN[0]))
+
+
+def _select(instrument: Generator33250A, arguments: tuple[str, ...]) -> None:
+    name = instrument.waveforms.select(one(arguments))
+    instrument.program(with_inactive(instrument.registers, waveform=name))
+
+
+def _attribute(what: str) -> Action:
+    def answer(instrument: Generator33250A, arguments: tuple[str, ...]) -> str:
+        name = waveform_name(one(arguments)) if arguments else _active(instrument)
+        return instrument.waveforms.attribute(what, name)
+
+    return Action(query=answer, asked="name of a waveform, or none")
+
+
+def _download(scale: float) -> Action:
+    accepts = f"VOLATILE, 1 to {MOST_POINTS} numbers of -{scale:g} to {scale:g}"
+    return Action(lambda instrument, arguments: instrument.waveforms.download(arguments, scale), accepts=accepts)
+
+
+def _download_named(scale: float) -> Action:
+    accepts = f"name, {FEWEST_POINTS} to {MOST_POINTS} numbers of -{scale:g} to {scale:g}"
+    return Action(lambda instrument, arguments: instrument.waveforms.download_named(arguments, scale), accepts=accepts)
+
+
+WAVEFORMS: Mapping[str, Action] = {
+    "FORMat:BORDer": Action(_order, lambda instrument, arguments: instrument.byte_order, "NORMal, SWAPped"),
+    "[SOURce:]FUNCtion[:SHAPe]:USER": Action(
+        _select, lambda instrument, arguments: _active(instrument), "name of a waveform"
+    ),
+    "DATA[:DATA]": _download(1.0),
+    "DATA[:DATA]:DAC": _download(2047.0),
+    "DATA:COPY": Action(lambda instrument, arguments: instrument.waveforms.copy(arguments), accepts="name, VOLATILE"),
+    "DATA:CATalog": Action(query=lambda instrument, arguments: _names(instrument.waveforms.names)),
+    "DATA:NVOLatile:CATalog": Action(query=lambda instrument, arguments: _names(instrument.waveforms.stored)),
+    "DATA:NVOLatile:FREE": Action(query=lambda instrument, arguments: f"{SLOTS - len(instrument.waveforms.stored):+d}"),
+    "DATA:DELete[:NAME]": Action(
+        lambda instrument, arguments: instrument.waveforms.delete(waveform_name(one(arguments)), _active(instrument)),
+        accepts="name of a waveform",
+    ),
+    "DATA:DELete:ALL": Action(lambda instrument, arguments: instrument.waveforms.delete_all(_active(instrument))),
+    "DATA:ATTRibute:POINts": _attribute("POINTS"),
+    "DATA:ATTRibute:AVERage": _attribute("AVERAGE"),
+    "DATA:ATTRibute:CFACtor": _attribute("CFACTOR"),
+    "DATA:ATTRibute:PTPeak": _attribute("PTPEAK"),
+}
+"""Waveforms of the 33250A and the 33220A."""
+
+OF_SERIES: Mapping[str, Action] = {
+    "*OPT": Action(query=_fixed("0")),
+    "[SOURce<n>:]PHASe:SYNChronize": Action(lambda instrument, arguments: None),
+    "INITiate<n>:CONTinuous": Action(_always_on, _fixed("1"), "ON"),
+    "[SOURce<n>:]FUNCtion:ARBitrary": Action(
+        _select, lambda instrument, arguments: f'"{_active(instrument)}"', "name of a waveform"
+    ),
+    "[SOURce<n>:]DATA:ARBitrary": _download_named(1.0),
+    "[SOURce<n>:]DATA:ARBitrary:DAC": _download_named(32767.0),
+    "[SOURce<n>:]DATA:VOLatile:CLEar": Action(lambda instrument, arguments: instrument.waveforms.clear()),
+    "[SOURce<n>:]DATA:VOLatile:CATalog": Action(
+        query=lambda instrument, arguments: _names((*BUILT_IN, *instrument.waveforms.stored))
+    ),
+}
+"""Of the 33500 and the 33600 series alone (assumed: the reply to ``*OPT?``)."""
+
+ON_LAN: Mapping[str, Action] = {
+    "SYSTem:COMMunicate:RLSTate": Action(
+        lambda instrument, arguments: instrument.hold(
+            keyword(one(arguments), ("LOCal", "REMote", "RWLock")) == "LOC", anywhere=True
+        ),
+        accepts="LOCal, REMote, RWLock",
+    )
+}
+"""Of the models that have a network connector."""
+
+Entry = SettingCommand | Action
+REMOTE = (SYSTEM["SYSTem:REMote"], SYSTEM["SYSTem:RWLock"], *ON_LAN.values())
+"""What an instrument on RS-232 takes while it is in local mode."""
+
+
+def tree_of(model: Model) -> Mapping[str, Entry]:
+    """Return everything that ``model`` knows, by the form of its header."""
+    own = OF_SERIES if model.channels else WAVEFORMS
+    lan = {} if model.name == "33250A" else ON_LAN
+    return {**COMMON, **apply_forms(model.functions), **settings_of(model), **SYSTEM, **own, **lan}
+
+
+TABLES: Mapping[str, HeaderTable[Entry]] = {
+    model.name: HeaderTable(tree_of(model), model.channels) for model in MODELS.values()
+}
+"""The trees by the name that the model gives of itself."""

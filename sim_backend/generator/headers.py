@@ -1,0 +1,137 @@
+"""Headers: a message into commands, each looked up in the tree of those that the instrument knows."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from sim_backend.generator.scpi_text import ScpiError, short_form, split_outside_quotes
+
+Entry = TypeVar("Entry")
+Branch = tuple[str, ...]
+
+_FORM_NODE = re.compile(r"\[:?([A-Za-z]+)(<n>)?:?\]|:?([A-Za-z]+)(<n>)?")
+_MNEMONIC = re.compile(r"\*?[A-Z][A-Z_]*([0-9]*)", re.IGNORECASE | re.ASCII)
+LONGEST_MNEMONIC = 12
+MOST_ARGUMENTS = 70_000
+"""More than the longest arbitrary waveform needs."""
+REMEMBERED = 2_000
+"""How many spellings are remembered with what they mean; a program uses some dozens."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command(Generic[Entry]):
+    """One command of a message: what the table says about its header, and what was sent with it."""
+
+    entry: Entry
+    channel: int
+    query: bool
+    arguments: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Known(Generic[Entry]):
+    """A header that was looked up once, as it was written: its entry, and the node at which the next may go on."""
+
+    entry: Entry
+    channel: int
+    query: bool
+    branch: Branch
+
+
+class HeaderTable(Generic[Entry]):
+    """Forms such as ``[SOURce<n>:]FREQuency[:CW]`` with their entries, in every accepted spelling.
+
+    A node in brackets may be left out; every node has a long and a short form; ``<n>`` stands for the number of a
+    channel, which may be given where ``channels`` is above 0.
+    """
+
+    def __init__(self, entries: Mapping[str, Entry], channels: int = 0) -> None:
+        self._channels = channels
+        self._short: dict[str, str] = {}
+        self._entries: dict[Branch, tuple[Entry, Branch]] = {}
+        self._known: dict[tuple[Branch, str], _Known[Entry]] = {}
+        for form, entry in entries.items():
+            for nodes in self._variants(form):
+                # A number may follow the nodes that the form marks; they are listed with the entry.
+                self._entries[tuple(node for node, _ in nodes)] = entry, tuple(node for node, many in nodes if many)
+
+    def _variants(self, form: str) -> Iterable[tuple[tuple[str, bool], ...]]:
+        if form.startswith("*"):
+            self._short[form] = form
+            return [((form, False),)]
+        choices: list[tuple[tuple[str, bool] | None, ...]] = []
+        for optional, optional_many, required, many in _FORM_NODE.findall(form):
+            long = optional or required
+            short = short_form(long)
+            self._short[long.upper()] = self._short[short] = short
+            node = (short, bool(optional_many or many))
+            choices.append((None, node) if optional else (node,))
+        return [tuple(filter(None, nodes)) for nodes in itertools.product(*choices)]
+
+    def commands(self, message: str) -> Iterator[Command[Entry]]:
+        """Yield the commands of ``message``; raise ``ScpiError`` at the first that is none.
+
+        A header after ``;`` continues at the node where the one before stood, unless it starts with ``:`` or ``*``.
+        """
+        branch: Branch = ()
+        for part in split_outside_quotes(message, ";"):
+            words = part.split(None, 1)
+            if not words:
+                continue
+            known = self._known.get((branch, words[0])) or self._look_up(branch, words[0])
+            branch = known.branch
+            arguments = _arguments(words[1]) if len(words) > 1 else ()
+            yield Command(known.entry, known.channel, known.query, arguments)
+
+    def find(self, header: str) -> Entry | None:
+        """Return the entry of a header from the root without ``?``; None where there is none."""
+        try:
+            return self._look_up((), header).entry
+        except ScpiError:
+            return None
+
+    def _look_up(self, branch: Branch, header: str) -> _Known[Entry]:
+        nodes = tuple(header.removesuffix("?").removeprefix(":").split(":"))
+        if not header.startswith(("*", ":")):
+            nodes = branch + nodes
+        entry, channel = self._of(nodes)
+        if len(self._known) >= REMEMBERED:
+            self._known.clear()
+        # A common command leaves the place in the tree as it was.
+        known = _Known(entry, channel, header.endswith("?"), branch if header.startswith("*") else nodes[:-1])
+        self._known[branch, header] = known
+        return known
+
+    def _of(self, nodes: Branch) -> tuple[Entry, int]:
+        plain, numbered = [], []
+        for node in nodes:
+            digits = _digits(node)
+            plain.append(self._short.get(node[: len(node) - len(digits)].upper(), "?"))
+            numbered += [(plain[-1], digits)] if digits else []
+        found = self._entries.get(tuple(plain))
+        if found is None or not all(self._channels and node in found[1] for node, _ in numbered):
+            raise ScpiError(-113, "Undefined header")
+        numbers = {int(digits[:3]) for _, digits in numbered} or {1}
+        if len(numbers) > 1 or not 1 <= min(numbers) <= self._channels + (not self._channels):
+            raise ScpiError(-114, "Header suffix out of range")
+        return found[0], numbers.pop()
+
+
+def _digits(node: str) -> str:
+    """Return the number at the end of a mnemonic; raise ``ScpiError`` for what is none."""
+    match = _MNEMONIC.fullmatch(node)
+    if match is None:
+        raise ScpiError(-102, "Syntax error") if node.isascii() else ScpiError(-101, "Invalid character")
+    if len(node) - len(match[1]) > LONGEST_MNEMONIC:
+        raise ScpiError(-112, "Program mnemonic too long")
+    return match[1]
+
+
+def _arguments(text: str) -> tuple[str, ...]:
+    if text.count(",") > MOST_ARGUMENTS:
+        raise ScpiError(-223, "Too much data")
+    return tuple(argument.strip() for argument in split_outside_quotes(text.strip(), ","))

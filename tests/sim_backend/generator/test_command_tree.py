@@ -1,0 +1,389 @@
+"""The command tree: every form in every spelling, an example of each, APPLy, stored states, the second channel."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+import runpy
+import tracemalloc
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from sim_backend.generator.command_tree import tree_of
+from sim_backend.generator.instrument import Generator33250A
+from sim_backend.generator.kinds import SettingCommand
+from sim_backend.generator.models import MODELS
+from sim_backend.wiring import PS_PER_S, SimulatedClock, no_steps
+
+EXAMPLES = runpy.run_path(str(Path(__file__).with_name("command_examples.py")))["EXAMPLES"]
+NO_ERROR = '+0,"No error"'
+FORMS = [(name, form) for name, model in MODELS.items() for form in tree_of(model)]
+NODE = re.compile(r"(\[?):?([A-Za-z]+)(<n>)?:?\]?")
+
+
+def real(value: float) -> str:
+    """Return a number as the instrument prints it."""
+    return f"{value:+.13E}"
+
+
+def twin(name: str = "33250A") -> Generator33250A:
+    return Generator33250A(SimulatedClock(), 0.0, MODELS[name])
+
+
+def ask(generator: Generator33250A, message: str) -> str:
+    generator.write(message)
+    return generator.read()
+
+
+def errors(generator: Generator33250A) -> list[int]:
+    numbers = []
+    while (reply := ask(generator, "SYST:ERR?")) != NO_ERROR:
+        numbers.append(int(reply.split(",")[0]))
+    return numbers
+
+
+def spellings(form: str) -> list[str]:
+    """Return a form in full, in short, in small letters, and with and without each optional node."""
+    if form.startswith("*"):
+        return [form, form.lower()]
+    long = [(bool(bracket), node) for bracket, node, _ in NODE.findall(form)]
+    short = [(optional, "".join(letter for letter in node if not letter.islower())) for optional, node in long]
+    kept = list(itertools.product(*((True, False) if optional else (True,) for optional, _ in long)))
+    found = [
+        ":".join(node for keep, (_, node) in zip(mask, of, strict=True) if keep)
+        for of in (long, short)
+        for mask in kept
+    ]
+    return [
+        *dict.fromkeys([*found, *(spelling.lower() for spelling in found), *(f":{spelling}" for spelling in found)])
+    ]
+
+
+def test_every_form_has_an_example_and_every_example_a_form() -> None:
+    assert {form for _, form in FORMS} == set(EXAMPLES)
+
+
+@pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
+def test_the_example_of_every_command_holds_on_every_model(name: str, form: str) -> None:
+    generator, example = twin(name), EXAMPLES[form]
+    for message in example.message.splitlines():
+        generator.write(message)
+    if example.query == "*IDN?":
+        assert ask(generator, "*IDN?") == MODELS[name].identity
+    elif example.query and example.reply:
+        assert ask(generator, example.query) == example.reply
+    elif example.query:
+        assert ask(generator, example.query)
+    assert (errors(generator) or [0])[0] == (0 if "NONSENSE" in example.message else example.error)
+
+
+@pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
+def test_every_spelling_of_every_form_is_known_and_means_the_same(name: str, form: str) -> None:
+    entry = tree_of(MODELS[name])[form]
+    queried = isinstance(entry, SettingCommand) and entry.read is not None
+    replies = set()
+    for spelling in spellings(form):
+        generator = twin(name)
+        generator.write(f"{spelling}?" if queried else spelling)
+        replies.add(generator.read() if queried else ask(generator, "SYST:ERR?"))
+    assert len(replies) == 1
+    assert '-113,"Undefined header"' not in replies or entry.command is None
+
+
+@pytest.mark.parametrize(("name", "form"), FORMS, ids=lambda value: value)
+def test_what_a_setting_answers_can_be_sent_back_and_changes_nothing(name: str, form: str) -> None:
+    entry = tree_of(MODELS[name])[form]
+    if not isinstance(entry, SettingCommand) or None in (entry.read, entry.write):
+        return
+    generator, header = twin(name), spellings(form)[-1]
+    generator.write(EXAMPLES[form].message)
+    generator.write("*CLS")
+    reply = ask(generator, f"{header}?")
+    generator.write(f"{header} {reply}")
+    assert (ask(generator, f"{header}?"), errors(generator)) == (reply, [])
+
+
+def is_number(name: str, form: str) -> bool:
+    entry = tree_of(MODELS[name])[form]
+    return isinstance(entry, SettingCommand) and entry.read is not None and "MIN" in entry.accepts
+
+
+NUMBERS = [pair for pair in FORMS if is_number(*pair)]
+
+
+@pytest.mark.parametrize(("name", "form"), NUMBERS, ids=lambda value: value)
+def test_a_number_takes_its_limits_and_its_default_by_name(name: str, form: str) -> None:
+    header = spellings(form)[-1]
+    generator = twin(name)
+    generator.write("TRIG:SOUR BUS")
+    default, low, high = (float(ask(generator, f"{header}? {word}".strip())) for word in ("", "MIN", "MAX"))
+    assert low <= default <= high
+    for word in ("MIN", "MAXimum"):
+        limit = float(ask(generator, f"{header}? {word}"))
+        generator.write(f"{header} {word}")
+        assert float(ask(generator, f"{header}?")) == pytest.approx(limit, rel=1e-12, abs=1e-15)
+    generator.write(f"{header} DEF")
+    assert float(ask(generator, f"{header}?")) == pytest.approx(default, rel=1e-12, abs=1e-15)
+
+
+def test_half_of_a_command_that_has_only_the_other_is_undefined() -> None:
+    generator = twin()
+    for message in ("*RST?", "*IDN", "SYST:ERR", "DATA:COPY?", "APPL", "APPL:SIN?", "PHAS:REF?", "MEM:NST", "TRIG?"):
+        generator.write(message)
+        assert errors(generator) == [-113], message
+
+
+# APPLy
+
+
+def test_apply_switches_the_output_on_at_once_and_puts_the_waveform_out() -> None:
+    generator = twin()
+    generator.write("TRIG:SOUR EXT;:BURS:NCYC 3;STAT 1;:APPL:SIN 1.5E6,0.4")
+    assert ask(generator, "OUTP?;:BURS:STAT?;:TRIG:SOUR?") == "1;0;IMM"
+    bursts = generator.emission(no_steps(), PS_PER_S).bursts
+    assert (bursts.carrier_hz.tolist(), int(bursts.end_ps[0])) == ([1.5e6], PS_PER_S)
+    assert bursts.amplitude_vpp.tolist() == pytest.approx([0.8])
+
+
+def test_apply_leaves_what_it_is_not_told_and_clips_what_does_not_fit() -> None:
+    generator = twin()
+    generator.write("FREQ 2E3;:VOLT 2;:VOLT:OFFS 0.5;:APPL:SQU")
+    assert ask(generator, "APPL?") == f'"SQU {real(2e3)},{real(2)},{real(0.5)}"'
+    generator.write("APPL:RAMP 30 MHZ, 1, 0")
+    assert (float(ask(generator, "FREQ?")), errors(generator)) == (1e6, [-222])
+    generator.write("APPL:SIN 1E3,8,2")
+    assert errors(generator) == [-221]
+    generator.write("APPL:SIN 1,2,3,4")
+    assert errors(generator) == [-108]
+
+
+def test_dc_is_a_level_at_the_output() -> None:
+    generator = twin()
+    generator.write("APPL:DC DEF,DEF,2")
+    steps = generator.emission(no_steps(), PS_PER_S).steps
+    assert (steps.before_v.tolist(), steps.after_v.tolist()) == ([0.0], [4.0])
+
+
+# The second channel, trigger timer
+
+
+@pytest.mark.parametrize("name", ["33500B", "33600A"])
+def test_the_second_channel_has_settings_of_its_own(name: str) -> None:
+    generator = twin(name)
+    generator.write("SOUR2:APPL:SIN 7E3,2;:OUTP2:LOAD 75;:TRIG2:SOUR BUS;:SOURce2:BURSt:NCYCles 9;STATe 1")
+    assert ask(generator, "OUTP2?;:OUTP1?;:OUTP?") == "1;0;0"
+    assert ask(generator, "SOUR2:FREQ?;:SOUR:FREQ?;:FREQ?") == ";".join(map(real, (7e3, 1e3, 1e3)))
+    assert ask(generator, "SOUR2:BURS:STAT?;:SOUR1:BURS:STAT?;:TRIG2:SOUR?;:TRIG:SOUR?") == "1;0;BUS;IMM"
+    generator.write("*SAV 1;*RST;*RCL 1")
+    assert ask(generator, "OUTP2?;:SOUR2:BURS:NCYC?") == f"1;{real(9)}"
+    assert errors(generator) == []
+
+
+@pytest.mark.parametrize("header", ["SOUR3:FREQ?", "SOUR0:FREQ?", "OUTP12?", "SOUR99999999999999999999:FREQ?"])
+def test_a_channel_that_does_not_exist_is_out_of_range(header: str) -> None:
+    generator = twin("33500B")
+    generator.write(header)
+    assert errors(generator) == [-114]
+
+
+def test_a_number_stands_only_where_a_channel_may() -> None:
+    for name, header in (("33500B", "SOUR1:FREQ1?"), ("33250A", "SOUR1:FREQ?"), ("33500B", "DISP2?")):
+        generator = twin(name)
+        generator.write(header)
+        assert errors(generator) == [-113]
+
+
+def test_the_timer_of_a_sibling_triggers_its_bursts() -> None:
+    generator = twin("33500B")
+    generator.write("TRIG:SOUR TIM;TIM 0.25;:FREQ 1E6;:BURS:NCYC 10;STAT 1;:OUTP 1")
+    onset_ps = generator.emission(no_steps(), PS_PER_S).bursts.onset_ps
+    assert onset_ps.tolist() == [0, PS_PER_S // 4, PS_PER_S // 2, 3 * PS_PER_S // 4]
+
+
+# Stored states and the learn string
+
+frequencies_hz = st.floats(1e-3, 1e6)
+CHANGES = st.lists(
+    st.one_of(
+        frequencies_hz.map(lambda value: f"FREQ {value!r}"),
+        st.sampled_from(["SIN", "SQU", "RAMP", "PULS", "NOIS", "DC"]).map(lambda word: f"FUNC {word}"),
+        st.floats(2e-3, 9.0).map(lambda value: f"VOLT {value!r}"),
+        st.floats(-4.0, 4.0).map(lambda value: f"VOLT:OFFS {value!r}"),
+        st.sampled_from([50.0, 75.0, 1e3, math.inf]).map(lambda value: f"OUTP:LOAD {value}"),
+        st.sampled_from(["VPP", "VRMS", "DBM"]).map(lambda word: f"VOLT:UNIT {word}"),
+        st.floats(1e-8, 1e-2).map(lambda value: f"PULS:WIDT {value!r}"),
+        st.floats(5e-9, 1e-4).map(lambda value: f"PULS:TRAN {value!r}"),
+        st.integers(1, 100_000).map(lambda value: f"BURS:NCYC {value}"),
+        st.sampled_from(["IMM", "EXT", "BUS"]).map(lambda word: f"TRIG:SOUR {word}"),
+        st.floats(0.0, 80.0).map(lambda value: f"TRIG:DEL {value!r}"),
+        st.sampled_from(["BURS:STAT 1", "BURS:STAT 0", "BURS:MODE GAT", "OUTP 1", "OUTP 0", "UNIT:ANGL RAD"]),
+        st.floats(-3.0, 3.0).map(lambda value: f"BURS:PHAS {value!r}"),
+        st.floats(0.0, 120.0).map(lambda value: f"AM:DEPT {value!r}"),
+        frequencies_hz.map(lambda value: f"FREQ:STAR {value!r}"),
+    ),
+    max_size=12,
+)
+
+
+def settings_in(learned: str) -> list[tuple[str, object]]:
+    """Return headers and values of a learn string, numbers to the 13 digits that a reply carries."""
+    pairs = [part.strip(":").partition(" ")[::2] for part in learned.split(";")]
+    return [
+        (header, pytest.approx(float(text), rel=1e-12, abs=1e-14) if text[:1] in ("+", "-") else text)
+        for header, text in pairs
+    ]
+
+
+@settings(max_examples=60, deadline=None)
+@given(CHANGES, CHANGES)
+def test_a_learn_string_restores_the_state_from_anywhere(changes: list[str], others: list[str]) -> None:
+    generator = twin()
+    for message in (*changes, "*CLS"):
+        generator.write(message)
+    learned = ask(generator, "*LRN?")
+    for message in (*others, "*CLS", learned):
+        generator.write(message)
+    assert errors(generator) == []
+    assert settings_in(ask(generator, "*LRN?")) == settings_in(learned)
+
+
+@settings(max_examples=30, deadline=None)
+@given(CHANGES, CHANGES)
+def test_a_saved_state_comes_back_whatever_was_set_meanwhile(changes: list[str], others: list[str]) -> None:
+    generator = twin()
+    for message in (*changes, "*SAV 4"):
+        generator.write(message)
+    saved = generator.registers
+    for message in (*others, "*RST", "*RCL 4"):
+        generator.write(message)
+    assert generator.registers == saved
+
+
+def test_a_place_that_does_not_exist_or_holds_nothing_is_an_error() -> None:
+    generator = twin()
+    generator.write("*SAV 5")
+    generator.write("*SAV -1")
+    generator.write("*RCL 0")
+    generator.write("MEM:STAT:NAME 1,A_NAME_THAT_IS_TOO_LONG")
+    assert errors(generator) == [-222, -222, 810, -112]
+
+
+# Waveforms that are kept and never put out
+
+
+def test_waveform_memory_keeps_four_and_deletes_neither_what_is_built_in_nor_what_is_selected() -> None:
+    generator = twin()
+    generator.write("DATA VOLATILE, 0, 0.5, 1")
+    for name in ("A1", "B2", "C3", "D4", "E5"):
+        generator.write(f"DATA:COPY {name}, VOLATILE")
+    assert ask(generator, "DATA:NVOL:CAT?") == '"A1","B2","C3","D4"'
+    generator.write("FUNC:USER B2")
+    for message in ("DATA:DEL B2", "DATA:DEL SINC", "DATA:DEL NONE", "DATA:COPY SINC", "FUNC:USER NONE"):
+        generator.write(message)
+    assert errors(generator) == [781, 787, 786, 785, 782, 785]
+    generator.write("DATA:DEL:ALL")
+    assert ask(generator, "DATA:NVOL:CAT?") == '"B2"'
+
+
+@pytest.mark.parametrize(
+    ("message", "number"),
+    [
+        ("DATA VOLATILE, 1.5, 0", -222),
+        ("DATA VOLATILE", -109),
+        ("DATA ELSEWHERE, 1", -224),
+        ("DATA:DAC VOLATILE, #14abcd", -241),
+        ("DATA:ATTR:AVER? SINC", -241),
+        ("FUNC USER", -241),
+        ("FM:DEV 1", -222),
+        ("FREQ:SPAN -5", -222),
+    ],
+)
+def test_waveforms_and_modulation_refuse_what_cannot_be(message: str, number: int) -> None:
+    generator = twin()
+    generator.write(message)
+    assert errors(generator) == [number]
+
+
+@pytest.mark.parametrize("switch", ["AM:STAT", "FM:STAT", "FSK:STAT", "SWE:STAT", "MARK"])
+def test_a_function_that_the_twin_lacks_is_off_and_says_so_when_it_is_switched_on(switch: str) -> None:
+    generator = twin()
+    generator.write(f"OUTP 1;:{switch} OFF")
+    assert errors(generator) == []
+    generator.write(f"{switch} ON")
+    assert "the twin does not simulate" in ask(generator, "SYST:ERR?")
+    assert ask(generator, f"{switch}?;:OUTP?") == "0;1"
+
+
+# What no instrument can take
+
+
+@pytest.mark.parametrize(
+    ("message", "number"),
+    [
+        ("OUTP 1E400", -222),
+        ("VOLT 1e9 DBM", -222),
+        ("VOLT -1e9 DBM", -222),
+        ("VOLT 1E400", -222),
+        ("FREQ -1E400", -222),
+        ("BURS:NCYC -1E400", -222),
+        ("OUTP:LOAD -1E400", -222),
+        ("FREQ 1E99999", -123),
+        ("FREQ 1E" + "9" * 5000, -123),
+        ("FREQ " + "1" * 5000, -124),
+        ("*ESE ²", -148),
+        ("*ESE " + "1" * 5000, -124),
+        ("*ESE 256", -222),
+        ("*ESE 1.5E400", -222),
+        ("OUTP ²", -224),
+        ("FREQ² 5", -101),
+        ("FREQ:²", -101),
+        ("FREQ::CW 5", -102),
+        (":", -102),
+        ("*", -102),
+        ("?", -102),
+        ("A" * 5000, -112),
+        ("FREQUENCYTOOLONG 5", -112),
+        ("FREQ " + "1," * 200_000, -223),
+        ("DISP:TEXT '" + "x" * 5000, -151),
+        ("*IDN?;" * 50_000, 522),
+        ('DISP:TEXT "a\' ;b"x', -151),
+        ("\x00\xff", -101),
+        ("FREQ \x00", -148),
+    ],
+    ids=lambda value: str(value)[:20],
+)
+def test_what_no_instrument_can_take_is_an_error_in_the_queue(message: str, number: int) -> None:
+    generator = twin()
+    generator.write(message)
+    assert errors(generator) == [number]
+    assert ask(generator, "OUTP?") == "0"
+
+
+@pytest.mark.parametrize("settings", [10_000, pytest.param(200_000, marks=pytest.mark.slow)])
+def test_settings_with_the_output_on_leave_the_memory_flat(settings: int) -> None:
+    clock = SimulatedClock()
+    generator = Generator33250A(clock, 0.0)
+    generator.write("OUTP 1;:BURS:STAT 1;:TRIG:SOUR BUS")
+
+    def program(count: int) -> None:
+        for index in range(count):
+            clock.sleep(1e-3)
+            generator.write(f"FREQ {1000 + index % 7};:  FREQ:CW {1000 + index};*TRG")
+
+    program(5_000)
+    tracemalloc.start()
+    program(settings)
+    grown, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # What is remembered: some thousand states of half a kilobyte, and the triggers.
+    assert grown < 4e6
+
+
+def test_the_page_of_the_commands_is_what_the_table_says() -> None:
+    root = Path(__file__).parents[3]
+    page = runpy.run_path(str(root / "scripts" / "command_tree.py"))["page"]()
+    written = (root / "docs" / "command-tree.md").read_text(encoding="utf-8")
+    assert written == page, "run python scripts/command_tree.py"

@@ -1,0 +1,520 @@
+"""Servers under attack: whatever arrives, memory and threads stay bounded, and everybody else is served."""
+
+from __future__ import annotations
+
+import os
+import random
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings, strategies as st
+
+from sim_backend.settings.simulation import SimulationSettings
+from sim_backend.transports.emulator import TRANSPORTS, Emulator
+from sim_backend.transports.loopback import MOST_BYTES, MOST_PEERS
+from sim_backend.world import GENERATORS, World
+
+IDENTITY = b"Agilent Technologies,33250A,0,2.01-1.01-2.00-03-2\n"
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
+ON_TCP = [name for name in TRANSPORTS if name != "serial"]
+OVER = [*ON_TCP, pytest.param("serial", marks=needs_pty)]
+MEBIBYTE = 1 << 20
+
+
+def tcp_port(emulator: Emulator) -> int:
+    served = emulator.served["master"]
+    parts = (served.interface or served.address).replace(",", "::").split("::")
+    return next(int(part) for part in parts if part.isdigit() and int(part) > 1023)
+
+
+@contextmanager
+def served(transport: str) -> Iterator[Emulator]:
+    with Emulator(transport, World(SimulationSettings(), []).connect, GENERATORS) as emulator:
+        yield emulator
+
+
+@contextmanager
+def connected(emulator: Emulator) -> Iterator[socket.socket]:
+    with socket.create_connection(("127.0.0.1", tcp_port(emulator)), timeout=5) as peer:
+        yield peer
+
+
+def exactly(peer: socket.socket, size: int) -> bytes:
+    received = b""
+    while len(received) < size:
+        chunk = peer.recv(size - len(received))
+        assert chunk, received
+        received += chunk
+    return received
+
+
+def line(peer: socket.socket) -> bytes:
+    received = b""
+    while not received.endswith(b"\n"):
+        received += exactly(peer, 1)
+    return received
+
+
+def xdr(data: bytes) -> bytes:
+    return struct.pack("!I", len(data)) + data + bytes(-len(data) % 4)
+
+
+def rpc(procedure: int, arguments: bytes, program: int = 0x0607AF) -> bytes:
+    record = struct.pack("!10I", 7, 0, 2, program, 1, procedure, 0, 0, 0, 0) + arguments
+    return struct.pack("!I", 1 << 31 | len(record)) + record
+
+
+def rpc_reply(peer: socket.socket) -> tuple[int, bytes]:
+    """Return accept status and result."""
+    (mark,) = struct.unpack("!I", exactly(peer, 4))
+    reply = exactly(peer, mark & 0x7FFFFFFF)
+    return struct.unpack_from("!6I", reply)[5], reply[24:]
+
+
+def call(peer: socket.socket, procedure: int, arguments: bytes) -> bytes:
+    peer.sendall(rpc(procedure, arguments))
+    status, result = rpc_reply(peer)
+    assert status == 0
+    return result
+
+
+def link(peer: socket.socket, exclusive: int = 0) -> int:
+    error, number, _, _ = struct.unpack(
+        "!iiII", call(peer, 10, struct.pack("!iII", 1, exclusive, 0) + xdr(b"gpib0,10"))
+    )
+    assert error == 0
+    return number
+
+
+def hislip(kind: int, payload: bytes = b"", control: int = 0, parameter: int = 0) -> bytes:
+    return struct.pack("!2sBBIQ", b"HS", kind, control, parameter, len(payload)) + payload
+
+
+def hislip_message(peer: socket.socket) -> tuple[int, int, int, bytes]:
+    prologue, kind, control, parameter, size = struct.unpack("!2sBBIQ", exactly(peer, 16))
+    assert prologue == b"HS"
+    return kind, control, parameter, exactly(peer, size)
+
+
+def terminal(emulator: Emulator) -> str:
+    return emulator.served["master"].address.removeprefix("ASRL").removesuffix("::INSTR")
+
+
+@contextmanager
+def opened_terminal(emulator: Emulator) -> Iterator[int]:
+    descriptor = os.open(terminal(emulator), os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def ask_terminal(descriptor: int, message: bytes) -> bytes:
+    received, deadline_s = b"", time.monotonic() + 10
+    while message:
+        select.select([], [descriptor], [], 1.0)
+        with suppress(BlockingIOError):
+            message = message[os.write(descriptor, message) :]
+    while not received.endswith(b"\n") and time.monotonic() < deadline_s:
+        if select.select([descriptor], [], [], 0.5)[0]:
+            received += os.read(descriptor, 4096)
+    return received
+
+
+def identity(transport: str, emulator: Emulator) -> bytes:
+    """Return what a well-behaved client is answered that comes now."""
+    if transport == "serial":
+        with opened_terminal(emulator) as descriptor:
+            # What others left on the line ends with this, and so do their replies.
+            while select.select([descriptor], [], [], 0.1)[0]:
+                os.read(descriptor, 4096)
+            reply = ask_terminal(descriptor, b"\n*IDN?\n")
+            return reply[reply.rfind(IDENTITY) :]
+    with connected(emulator) as peer:
+        if transport == "vxi11":
+            number = link(peer)
+            call(peer, 11, struct.pack("!iIIi", number, 100, 100, 8) + xdr(b"*IDN?\n"))
+            result = call(peer, 12, struct.pack("!iIIIii", number, 4096, 1000, 100, 0, 0))
+            return result[12 : 12 + struct.unpack_from("!I", result, 8)[0]]
+        if transport == "hislip":
+            peer.sendall(hislip(0, b"hislip0", 0, 0x01007878) + hislip(7, b"*IDN?\n"))
+            hislip_message(peer)
+            return hislip_message(peer)[3]
+        peer.sendall(b"*IDN?\n" if transport == "socket" else b"++addr 10\n*IDN?\n++read eoi\n")
+        return line(peer)
+
+
+def hung_up(peer: socket.socket) -> bool:
+    """Return whether the server closes the connection within its time-out."""
+    with suppress(ConnectionError):
+        while peer.recv(65536):
+            pass
+    return True
+
+
+def flood(peer: socket.socket, chunk: bytes, size: int) -> None:
+    with suppress(ConnectionError):
+        for _ in range(size // len(chunk)):
+            peer.sendall(chunk)
+
+
+# One attack after the other
+
+
+@pytest.mark.parametrize("transport", OVER)
+@pytest.mark.parametrize(
+    "message",
+    [b"OUTP 1E400", b"VOLT 1e9 DBM", b"*ESE \xb2", b"*ESE " + b"1" * 5000, b"FREQ\x00\xff", b"*ESE" + b" " * 9000],
+)
+def test_a_message_that_no_instrument_can_take_is_an_error_in_the_queue(transport: str, message: bytes) -> None:
+    with served(transport) as emulator:
+        errors = message + b"\nSYST:ERR?\n"
+        if transport == "serial":
+            with opened_terminal(emulator) as descriptor:
+                reply = ask_terminal(descriptor, b"SYST:REM\n" + errors)
+        else:
+            with connected(emulator) as peer:
+                reply = send_over(transport, peer, message)
+        assert reply.startswith(b"-"), reply
+        assert identity(transport, emulator) == IDENTITY
+
+
+def send_over(transport: str, peer: socket.socket, message: bytes) -> bytes:
+    """Return the first entry of the error queue after ``message``."""
+    if transport == "vxi11":
+        number = link(peer)
+        for text in (message, b"SYST:ERR?"):
+            call(peer, 11, struct.pack("!iIIi", number, 100, 100, 8) + xdr(text + b"\n"))
+        return call(peer, 12, struct.pack("!iIIIii", number, 4096, 1000, 100, 0, 0))[12:]
+    if transport == "hislip":
+        peer.sendall(hislip(0, b"hislip0", 0, 0x01007878) + hislip(7, message + b"\n") + hislip(7, b"SYST:ERR?\n"))
+        hislip_message(peer)
+        return hislip_message(peer)[3]
+    peer.sendall(message + b"\nSYST:ERR?\n" + (b"++read eoi\n" if transport == "prologix" else b""))
+    return line(peer)
+
+
+@pytest.mark.parametrize("address", [b"abc", b"31", b"-1", b"1" * 5000, b"\xb2", b"10 96 7"])
+def test_an_adapter_address_that_is_none_is_refused_and_the_old_one_kept(address: bytes) -> None:
+    with served("prologix") as emulator, connected(emulator) as peer:
+        peer.sendall(b"++addr 11\n++addr " + address + b"\n")
+        assert line(peer) == b"Unrecognized command\r\n"
+        peer.sendall(b"FREQ 5E3\n++addr 10\nFREQ?\n++read\n")
+        assert line(peer) == b"+1.0000000000000E+03\n"
+
+
+def test_a_short_vxi11_call_is_answered_as_garbage_and_a_cut_off_one_ends_the_connection() -> None:
+    with served("vxi11") as emulator:
+        with connected(emulator) as peer:
+            number = link(peer)
+            for procedure in (10, 11, 12, 13, 18, 23):
+                peer.sendall(rpc(procedure, b"\0\0"))
+                assert rpc_reply(peer)[0] == 4
+            # Says that 1000 bytes follow, and sends four.
+            peer.sendall(rpc(11, struct.pack("!iIIiI", number, 1, 1, 8, 1000) + b"*RST"))
+            assert rpc_reply(peer)[0] == 4
+            peer.sendall(struct.pack("!I", 1 << 31 | 4) + b"\0\0\0\1")
+            assert hung_up(peer)
+        assert identity("vxi11", emulator) == IDENTITY
+
+
+def test_reads_that_wait_for_ever_end_when_their_clients_leave() -> None:
+    with served("vxi11") as emulator:
+        before = threading.active_count()
+        for _ in range(50):
+            with connected(emulator) as peer:
+                number = link(peer)
+                peer.sendall(rpc(12, struct.pack("!iIIIii", number, 10, (1 << 31) - 1, 0, 0, 0)))
+        assert identity("vxi11", emulator) == IDENTITY
+        deadline_s = time.monotonic() + 10
+        while threading.active_count() > before and time.monotonic() < deadline_s:
+            time.sleep(0.02)
+        assert threading.active_count() <= before
+
+
+@pytest.mark.parametrize("transport", OVER)
+def test_60_megabytes_without_an_end_take_bounded_memory_and_end_the_connection(transport: str) -> None:
+    size, chunk = 60 * MEBIBYTE, bytes(65) * 1000
+    with served(transport) as emulator:
+        tracemalloc.start()
+        try:
+            if transport == "serial":
+                with opened_terminal(emulator) as descriptor:
+                    for _ in range(4 * MOST_BYTES // 4096):
+                        select.select([], [descriptor], [], 1.0)
+                        with suppress(BlockingIOError):
+                            os.write(descriptor, b"A" * 4096)
+            else:
+                with connected(emulator) as peer:
+                    if transport == "hislip":
+                        peer.sendall(hislip(0, b"hislip0", 0, 0x01007878))
+                        flood(peer, hislip(6, chunk), size)
+                    elif transport == "vxi11":
+                        flood(peer, struct.pack("!I", len(chunk)) + chunk, size)
+                    else:
+                        flood(peer, b"A" * 65536, size)
+                    assert hung_up(peer)
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak < 16 * MEBIBYTE
+        assert identity(transport, emulator) == IDENTITY
+
+
+def test_vxi11_writes_without_an_end_are_out_of_resources() -> None:
+    with served("vxi11") as emulator, connected(emulator) as peer:
+        number, errors = link(peer), []
+        for _ in range(MOST_BYTES // 60_000 + 2):
+            result = call(peer, 11, struct.pack("!iIIi", number, 100, 100, 0) + xdr(b"A" * 60_000))
+            errors.append(struct.unpack_from("!i", result)[0])
+        assert 9 in errors
+        assert set(errors) == {0, 9}
+
+
+def test_links_without_end_are_out_of_resources() -> None:
+    with served("vxi11") as emulator, connected(emulator) as peer:
+        request = struct.pack("!iII", 1, 0, 0) + xdr(b"gpib0,10")
+        errors = [struct.unpack_from("!i", call(peer, 10, request))[0] for _ in range(100)]
+        assert errors == [0] * 64 + [9] * 36
+
+
+@pytest.mark.parametrize("transport", ON_TCP)
+def test_connections_without_end_take_no_more_threads_than_there_may_be(transport: str) -> None:
+    with served(transport) as emulator:
+        before = threading.active_count()
+        peers = [socket.create_connection(("127.0.0.1", tcp_port(emulator)), timeout=5) for _ in range(MOST_PEERS + 20)]
+        assert hung_up(peers[-1])
+        assert threading.active_count() <= before + MOST_PEERS
+        for peer in peers:
+            peer.close()
+        deadline_s = time.monotonic() + 10
+        while threading.active_count() > before and time.monotonic() < deadline_s:
+            time.sleep(0.02)
+        assert identity(transport, emulator) == IDENTITY
+
+
+def test_a_client_that_reads_nothing_holds_up_nobody() -> None:
+    with served("socket") as emulator, connected(emulator) as deaf:
+        deaf.setblocking(False)
+        with suppress(BlockingIOError):
+            for _ in range(20_000):
+                deaf.send(b"*LRN?\n")
+        assert identity("socket", emulator) == IDENTITY
+
+
+@needs_pty
+def test_a_terminal_that_nobody_reads_does_not_keep_the_server_from_closing() -> None:
+    with served("serial") as emulator, opened_terminal(emulator) as descriptor:
+        for _ in range(100):
+            select.select([], [descriptor], [], 0.1)
+            with suppress(BlockingIOError):
+                os.write(descriptor, b"*LRN?\n" * 10)
+        threads = threading.active_count()
+    assert threading.active_count() == threads - len(GENERATORS)
+
+
+# One exclusive lock at a time
+
+
+def lock(peer: socket.socket, number: int, timeout_ms: int = 0) -> int:
+    return struct.unpack("!i", call(peer, 18, struct.pack("!iII", number, 1, timeout_ms)))[0]
+
+
+def test_one_vxi11_link_at_a_time_holds_the_lock_and_the_others_are_told() -> None:
+    with served("vxi11") as emulator, connected(emulator) as ours, connected(emulator) as theirs:
+        mine, yours = link(ours), link(theirs)
+        assert [lock(ours, mine), lock(theirs, yours, 60), lock(ours, mine)] == [0, 11, 11]
+        write = struct.pack("!iIIi", yours, 100, 50, 1 | 8) + xdr(b"FREQ 5E3\n")
+        assert struct.unpack_from("!i", call(theirs, 11, write))[0] == 11
+        for procedure in (12, 13, 14, 15):
+            arguments = struct.pack("!iIIIii", yours, 0, 0, 0, 0, 0)
+            assert struct.unpack_from("!i", call(theirs, procedure, arguments))[0] == 11
+        assert struct.unpack("!i", call(theirs, 19, struct.pack("!i", yours)))[0] == 12
+        request = struct.pack("!iII", 1, 1, 0) + xdr(b"gpib0,10")
+        assert struct.unpack_from("!i", call(theirs, 10, request))[0] == 11
+        assert struct.unpack("!i", call(ours, 19, struct.pack("!i", mine)))[0] == 0
+        assert struct.unpack_from("!i", call(theirs, 11, write))[0] == 0
+
+
+def test_a_lock_goes_with_the_client_that_held_it() -> None:
+    with served("vxi11") as emulator, connected(emulator) as theirs:
+        yours = link(theirs)
+        with connected(emulator) as ours:
+            assert lock(ours, link(ours)) == 0
+            assert lock(theirs, yours) == 11
+        assert lock(theirs, yours, 5000) == 0
+
+
+def test_of_many_clients_that_ask_at_once_one_has_the_lock() -> None:
+    with served("vxi11") as emulator:
+        granted = []
+
+        def ask() -> None:
+            with connected(emulator) as peer:
+                granted.append(lock(peer, link(peer)))
+                done.wait(10)
+
+        done = threading.Event()
+        threads = [threading.Thread(target=ask) for _ in range(8)]
+        for thread in threads:
+            thread.start()
+        while len(granted) < len(threads):
+            time.sleep(0.01)
+        done.set()
+        for thread in threads:
+            thread.join()
+        assert sorted(granted) == [0] + [11] * 7
+
+
+def test_a_hislip_lock_makes_the_messages_of_others_wait() -> None:
+    with served("hislip") as emulator, connected(emulator) as ours, connected(emulator) as beside:
+        ours.sendall(hislip(0, b"hislip0", 0, 0x01007878))
+        session = hislip_message(ours)[2] & 0xFFFF
+        beside.sendall(hislip(17, b"", 0, session) + hislip(4, b"", 1, 0))
+        assert [hislip_message(beside)[:2] for _ in range(2)] == [(18, 0), (5, 1)]
+        with connected(emulator) as theirs:
+            theirs.sendall(hislip(0, b"hislip0", 0, 0x01007878) + hislip(7, b"FREQ 5E3;FREQ?\n"))
+            hislip_message(theirs)
+            ours.sendall(hislip(7, b"FREQ?\n"))
+            assert hislip_message(ours)[3] == b"+1.0000000000000E+03\n"
+            beside.sendall(hislip(4, b"", 0, 0))
+            assert hislip_message(beside)[:2] == (5, 1)
+            assert hislip_message(theirs)[3] == b"+5.0000000000000E+03\n"
+
+
+# Ctrl-C
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT")
+@pytest.mark.parametrize("transport", ["vxi11", pytest.param("serial", marks=needs_pty), "socket"])
+def test_ctrl_c_ends_an_emulator_that_is_under_attack(transport: str) -> None:
+    command = [sys.executable, "-m", "hpe_rig", "emulate", "--transport", transport]
+    here = Path(__file__).parents[3]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=here, start_new_session=True) as process:
+        assert process.stdout is not None
+        address = next(text for text in process.stdout if text.strip().startswith("address"))
+        port = [part for part in address.replace(",", "::").replace('"', "").split("::") if part.strip().isdigit()]
+        peers = []
+        for _ in range(20 if transport != "serial" else 0):
+            peer = socket.create_connection(
+                ("127.0.0.1", next(int(part) for part in port if int(part) > 1023)), timeout=5
+            )
+            if transport == "vxi11":
+                peer.sendall(rpc(12, struct.pack("!iIIIii", link(peer), 10, (1 << 31) - 1, 0, 0, 0)))
+            else:
+                peer.setblocking(False)
+                with suppress(BlockingIOError):
+                    for _ in range(2000):
+                        peer.send(b"*LRN?\n")
+            peers.append(peer)
+        process.send_signal(signal.SIGINT)
+        # What a person would call at once; the goal is 2 s, the rest is for a busy machine.
+        assert process.wait(timeout=10) == 0
+        for peer in peers:
+            peer.close()
+
+
+# Fuzzing: hypothesis on what a message may be made of, and plain bytes
+
+WORDS = b"""*IDN? OUTP 1E400 ; : ? , VOLT DBM #0 ' " ++addr ++read ++ HS DATA VOLATILE, *RCL 0 """.split()
+HEADS = (b" ", b"\xb2", b"\n", b"\x1b", b"\x00\x00\x00\x01", b"\x80\x00\x00\x30")
+PIECES = st.one_of(st.sampled_from([*WORDS, *HEADS]), st.binary(max_size=24))
+STREAMS = st.lists(PIECES, max_size=12).map(b"".join)
+MESSAGES: dict[str, Callable[[bytes], bytes]] = {
+    "socket": lambda data: data,
+    "prologix": lambda data: data,
+    "hislip": lambda data: hislip(0, b"", 0, 0x01000000) + hislip(data[0] % 30 if data else 7, data[1:]),
+    "vxi11": lambda data: (
+        rpc(10, struct.pack("!iII", 1, 0, 0) + xdr(b"gpib0,10")) + rpc(data[0] % 30 if data else 11, data[1:])
+    ),
+}
+
+
+def throw(emulator: Emulator, data: bytes) -> None:
+    """Send ``data`` on a connection of its own and leave."""
+    # The server may have closed the connection by then.
+    with connected(emulator) as peer, suppress(OSError):
+        peer.sendall(data)
+        peer.shutdown(socket.SHUT_WR)
+        hung_up(peer)
+
+
+@pytest.fixture(scope="module", params=ON_TCP)
+def target(request: pytest.FixtureRequest) -> Iterator[tuple[str, Emulator]]:
+    with served(request.param) as emulator:
+        yield request.param, emulator
+
+
+def fuzzing(examples: int) -> settings:
+    return settings(max_examples=examples, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@fuzzing(100)
+@given(STREAMS)
+def test_whatever_is_made_of_words_and_bytes_the_next_client_is_served(
+    target: tuple[str, Emulator], data: bytes
+) -> None:
+    transport, emulator = target
+    for stream in (data, MESSAGES[transport](data)):
+        throw(emulator, stream)
+    assert identity(transport, emulator) == IDENTITY
+
+
+@pytest.mark.slow
+@fuzzing(3000)
+@given(STREAMS)
+def test_whatever_is_made_of_words_and_bytes_the_next_client_is_served_for_long(
+    target: tuple[str, Emulator], data: bytes
+) -> None:
+    transport, emulator = target
+    for stream in (data, MESSAGES[transport](data)):
+        throw(emulator, stream)
+    assert identity(transport, emulator) == IDENTITY
+
+
+def scrambled(transport: str, generator: random.Random) -> bytes:
+    """Return a conversation that is right but for some bytes."""
+    right = bytearray(
+        MESSAGES[transport](b"\x0bFREQ 5E3;:OUTP 1;*IDN?\n")
+        if transport in ("hislip", "vxi11")
+        else b"++addr 10\nFREQ 5E3;:VOLT 1;:BURS:NCYC 9;*IDN?\n++read eoi\n"
+    )
+    for _ in range(generator.randrange(1, 6)):
+        right[generator.randrange(len(right))] = generator.randrange(256)
+    return bytes(right[: generator.randrange(1, len(right) + 1)])
+
+
+@pytest.mark.parametrize("rounds", [100, pytest.param(20_000, marks=pytest.mark.slow)])
+def test_conversations_with_wrong_bytes_leave_the_server_as_it_was(target: tuple[str, Emulator], rounds: int) -> None:
+    transport, emulator = target
+    generator, before = random.Random(15), threading.active_count()
+    for _ in range(rounds):
+        throw(emulator, scrambled(transport, generator))
+    assert identity(transport, emulator) == IDENTITY
+    deadline_s = time.monotonic() + 10
+    while threading.active_count() > before and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+    assert threading.active_count() <= before
+
+
+@needs_pty
+def test_a_terminal_full_of_random_bytes_is_still_an_instrument_afterwards() -> None:
+    generator = random.Random(15)
+    with served("serial") as emulator:
+        with opened_terminal(emulator) as descriptor:
+            for _ in range(200):
+                select.select([], [descriptor], [], 1.0)
+                with suppress(BlockingIOError):
+                    os.write(descriptor, generator.randbytes(200))
+        assert identity("serial", emulator) == IDENTITY
