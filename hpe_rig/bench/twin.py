@@ -149,13 +149,12 @@ class TwinDeclaration:
             later_s -= trigger_delay_s
         return float(later_s * self.sound_speed_m_per_s / 2)
 
-    def lacking(self, bench: BenchFile) -> Iterator[tuple[str, Any, Any]]:
-        """Yield each key of the twin's board that holds less than the bench file says, and both values."""
+    def most_records(self, bench: BenchFile, record_samples: int) -> float:
+        """Return how many records of a capture the twin's board holds; inf where they stream out as they come."""
         own, board = self.settings.instruments, bench.digitizer
-        if board.dual_port_memory and not own.dual_port_memory:
-            yield "dual_port_memory", "false", "true"
-        if board.mode == "single_port" and own.samples_per_channel < board.samples_per_channel:
-            yield "samples_per_channel", own.samples_per_channel, board.samples_per_channel
+        held = board.board_model.most_records(own.samples_per_channel, record_samples)
+        streams = own.dual_port_memory and board.mode != "single_port"
+        return math.inf if streams and held else held
 
     @property
     def has_specimen(self) -> bool:

@@ -132,7 +132,7 @@ class Beams(Section):
     """E_x, E_y, E_z: sigmas of the displacement's Gaussian, eq. (12)."""
     tracking_width_m: Widths
     """T_x, T_y, T_z: sigmas of the tracking beam's Gaussian, eq. (8)."""
-    pulse_length_m: LengthM | None = None
+    pulse_length_m: Annotated[LengthM, Field(le=0.1)] | None = None
     """Axial length c T / 2 of the tracking pulse as received, T its full length; absent: that of its cycles."""
     focus_depth_m: LengthM | None = None
     """Distance from the transducer to the common focus; absent: the middle of the gate, put there by its echoes."""
@@ -313,15 +313,13 @@ class Scene(Section):
         return self
 
     @model_validator(mode="after")
-    def _pulse_between_wavelength_and_depth(self) -> Scene:
+    def _pulse_has_a_cycle(self) -> Scene:
         length_m = None if self.beams is None else self.beams.pulse_length_m
-        if length_m is None:
-            return self
         half_wave_m = self.acquisition.sound_speed_m_per_s / (2 * self.tracking.carrier_hz)
-        if not half_wave_m <= length_m <= self.acquisition.gate_depth_m:
+        if length_m is not None and length_m < half_wave_m:
             raise ValueError(
-                f"beams.pulse_length_m is {length_m:g} m, one cycle of tracking.carrier_hz {half_wave_m:.3g} m and "
-                f"acquisition.gate_depth_m {self.acquisition.gate_depth_m:g} m: a value between these, or none at all"
+                f"beams.pulse_length_m is {length_m:g} m, where a single cycle of tracking.carrier_hz takes "
+                f"{half_wave_m:.3g} m: a larger value, or none for that of tracking.cycles"
             )
         return self
 

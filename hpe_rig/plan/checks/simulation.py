@@ -26,10 +26,12 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     for key, declared, simulated in contradictions(scene):
         text = f"{key} = {declared}, the twin simulates {simulated}: what is predicted and corrected is another bench's"
         yield CheckResult("declared", "warning", text, "equal values, unless the mismatch is what is studied")
-    for key, simulated, stated in twin.lacking(bench):
-        text = f"simulation.instruments.{key} = {simulated}, the bench file says digitizer.{key} = {stated}: "
-        text += "the twin would refuse what is planned"
-        yield CheckResult("simulated board", "refused", text, "equal values")
+    capture = plan.shots[0].capture
+    held = twin.most_records(bench, capture.record_samples)
+    if capture.record_count > held:
+        text = f"the twin's board holds {held:g} of {capture.record_count} records of {capture.record_samples} samples"
+        remedy = "more simulation.instruments.samples_per_channel, as the bench file says of the board"
+        yield CheckResult("simulated board", "refused", text, remedy)
     yield from _focus(scene, bench, twin, plan)
     yield from _unwanted_motion(scene, twin, plan)
 
