@@ -80,7 +80,10 @@ class TwinDeclaration:
     @property
     def echoes(self) -> bool:
         """Whether there is anything that echoes."""
-        return bool(self.settings.scatterers.per_cell > 0 or self.settings.scatterers.reflectors)
+        from sim_backend.settings import scatterer_count
+
+        scatterers = self.settings.scatterers
+        return bool(scatterer_count(scatterers, self.settings.beams) or scatterers.reflectors)
 
     @property
     def noise_v(self) -> float:
@@ -88,12 +91,18 @@ class TwinDeclaration:
         receiver = self.settings.receiver
         return 0.0 if receiver.snr_db is None else float(receiver.echo_rms_v * 10 ** (-receiver.snr_db / 20))
 
-    def echo_v(self, amplitude_vpp: float, cycles: float, carrier_hz: float) -> float:
-        """Return the resting echo of such a tracking pulse at the digitizer without receive chain, root mean square."""
+    def echo_v(self, amplitude_vpp: float, cycles: float, carrier_hz: float, off_focus_m: float = 0.0) -> float:
+        """Return the resting echo of such a tracking pulse at the digitizer without receive chain, root mean square.
+
+        ``off_focus_m``: from the focus to the nearest place in the gate.
+        """
         receiver, scatterers = self.settings.receiver, self.settings.scatterers
         strength = amplitude_vpp / receiver.reference_pulse_vpp * cycles / REFERENCE_CYCLES
         way_cm = 200 * self.focus_depth_m
         lost_db = scatterers.attenuation_db_per_cm_mhz * way_cm * (carrier_hz - receiver.reference_carrier_hz) / 1e6
+        strength *= math.exp(
+            -((min(off_focus_m, self.echo_reach_m) / self.settings.beams.tracking_width_m[2]) ** 2) / 2
+        )
         return float(receiver.echo_rms_v * strength * 10 ** (-min(max(lost_db, -6000.0), 6000.0) / 20))
 
     def moved_m(

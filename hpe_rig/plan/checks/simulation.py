@@ -26,6 +26,9 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     for key, declared, simulated in contradictions(scene):
         text = f"{key} = {declared}, the twin simulates {simulated}: what is predicted and corrected is another bench's"
         yield CheckResult("declared", "warning", text, "equal values, unless the mismatch is what is studied")
+    if (bench.digitizer.system_id, bench.digitizer.board_id) != (1, 1):
+        text = f"digitizer.system_id = {bench.digitizer.system_id}, board_id = {bench.digitizer.board_id}"
+        yield CheckResult("simulated board", "refused", f"{text}: the simulated board is 1 of system 1", "1 for both")
     capture = plan.shots[0].capture
     held = twin.most_records(bench, capture.record_samples)
     if capture.record_count > held:
@@ -39,10 +42,7 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
 def _focus(scene: Scene, bench: BenchFile, twin: TwinDeclaration, plan: Plan) -> Iterator[CheckResult]:
     """Yield whether the gate, at the depth that its echoes really come from, holds the focus and anything at all."""
     acquisition = scene.acquisition
-    # The gate is a time after the pulse: another sound speed moves it in depth, other latencies do too.
-    capture = plan.shots[0].capture
-    later_m = twin.later_m(bench, capture.trigger_delay_samples / capture.sample_rate_hz)
-    depth_m = acquisition.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s + later_m
+    depth_m, later_m = gate_in_twin_m(scene, bench, twin, plan)
     off_m, half_m = abs(depth_m - twin.focus_depth_m), acquisition.gate_length_m / 2
     if off_m <= half_m * (1 + 1e-9):
         return
@@ -60,6 +60,16 @@ def _focus(scene: Scene, bench: BenchFile, twin: TwinDeclaration, plan: Plan) ->
         return
     text += ": the gate does not hold the focus, so echo, motion and beams in it are not those assumed"
     yield CheckResult("gate in focus", "warning", text, remedy)
+
+
+def gate_in_twin_m(scene: Scene, bench: BenchFile, twin: TwinDeclaration, plan: Plan) -> tuple[float, float]:
+    """Return how deep in the twin's medium the gate's middle lies, and how much of that its latencies make.
+
+    The gate is a time after the pulse: another sound speed moves it in depth, other latencies do too.
+    """
+    acquisition, capture = scene.acquisition, plan.shots[0].capture
+    later_m = twin.later_m(bench, capture.trigger_delay_samples / capture.sample_rate_hz)
+    return acquisition.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s + later_m, later_m
 
 
 def _unwanted_motion(scene: Scene, twin: TwinDeclaration, plan: Plan) -> Iterator[CheckResult]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from hpe_rig.bench import BenchFile, TwinDeclaration, twin_of
 from hpe_rig.plan.checks.check_result import CheckResult, Level
+from hpe_rig.plan.checks.simulation import gate_in_twin_m
 from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import Scene
 
@@ -28,13 +29,15 @@ def trackable(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResul
     twin = twin_of(scene) if bench.simulated else None
     if twin is None:
         return
-    yield from _echo(scene, bench, plan.shots[0], twin)
+    off_m = abs(gate_in_twin_m(scene, bench, twin, plan)[0] - twin.focus_depth_m)
+    off_m = max(0.0, off_m - scene.acquisition.gate_length_m / 2)
+    yield from _echo(scene, bench, plan.shots[0], twin, off_m)
     yield from _jitter(scene, twin)
     yield from _steps(scene, plan, twin)
 
 
-def _echo(scene: Scene, bench: BenchFile, shot: Shot, twin: TwinDeclaration) -> Iterator[CheckResult]:
-    """Yield whether the resting echo is well above a step of the digitizer, and above the noise."""
+def _echo(scene: Scene, bench: BenchFile, shot: Shot, twin: TwinDeclaration, off_m: float) -> Iterator[CheckResult]:
+    """Yield whether the resting echo, ``off_m`` from the focus, is above a step of the digitizer, and above the noise."""
     if not twin.echoes:
         text = "simulation.scatterers has neither scatterers (per_cell = 0) nor reflectors: nothing echoes"
         yield CheckResult("echo level", "refused", text, "per_cell above 0, such as 11")
@@ -43,7 +46,7 @@ def _echo(scene: Scene, bench: BenchFile, shot: Shot, twin: TwinDeclaration) -> 
         # What reaches the digitizer is then the filters' and amplifiers' doing.
         return
     pulser = shot.tracking_pulser
-    echo_v = twin.echo_v(pulser.amplitude_vpp, pulser.cycles, pulser.carrier_hz)
+    echo_v = twin.echo_v(pulser.amplitude_vpp, pulser.cycles, pulser.carrier_hz, off_m)
     step_v = 2 * scene.acquisition.input_range_v / 2**bench.digitizer.board_model.code_bits
     if echo_v < FEW_STEPS * step_v:
         text = f"the twin's echo of {echo_v * 1e6:.3g} uV rms is {echo_v / step_v:.2g} steps of the digitizer, "
