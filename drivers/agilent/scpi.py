@@ -14,8 +14,8 @@ from drivers.interfaces import Connection, InstrumentError, Line
 # A 33250A queues 20 errors; a few reads more, so that the final "no error" is seen as well.
 QUEUE_READS: Final = 25
 ERROR_QUERY: Final = "SYST:ERR?"
-# Keeps a message and its reply within 256 characters, which even the smallest RS-232 buffer takes.
-MOST_QUERIES: Final = 8
+# Keeps a message and its reply, of 21 characters a number, within the 256 that even the smallest RS-232 buffer takes.
+MOST_QUERIES: Final = 10
 STALE_READS: Final = 32
 HIGHEST_TOKEN: Final = 255
 # A 33250A is busy for up to 0.7 s with one setting; what is asked in haste is asked again before it counts as mute.

@@ -56,7 +56,7 @@ def unpacked(data: NDArray[np.uint8], first_record: int, channels: int, record_s
     filled = data.view(header_record_dtype(record_samples)).reshape(-1, channels)
     words = np.ascontiguousarray(filled["words"].swapaxes(0, 1)).astype(np.uint16, copy=False)
     # The counter in the headers advances once in several samples; the function for single-port records counts samples.
-    trigger_samples = timestamp_counts(filled["header"][:, 0]) * float(SAMPLES_PER_COUNT)
+    trigger_samples = timestamp_counts(filled["header"][:, 0]).astype(np.float64) * SAMPLES_PER_COUNT
     return RawRecords(first_record, words, trigger_samples)
 
 

@@ -129,12 +129,15 @@ def estimate(
     missing; where there are leading axes each of their entries becomes a shot of the result, in C order. Phases are
     those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive away from the transducer.
     An entry that carries no estimate is left out, with a warning that says why. Raises ``TypeError`` where ``rf`` is
-    not real, ``SettingsError`` for an unknown estimator, ``ValueError`` where no entry carries an estimate.
+    not real, ``SettingsError`` for an unknown estimator, ``ValueError`` for settings that cannot be and where no entry
+    carries an estimate.
 
     >>> rf = np.load("echoes.npy")
     >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
     """
     volts = _real(rf)
+    if not 0 < pulse_rate_hz < np.inf:
+        raise ValueError(f"a pulse rate of {pulse_rate_hz:g} Hz: it must be positive and finite")
     stages = Stages()
     chosen = chosen_estimator(estimator)
     acquired: dict[str, Any] = {"sample_rate_hz": sample_rate_hz, "carrier_hz": carrier_hz, "margin": margin}
@@ -223,6 +226,8 @@ def _real(rf: ArrayLike) -> NDArray[np.floating[Any]]:
         raise TypeError(f"rf is taken as real numbers (..., pulse, sample), not as {values.dtype}")
     if values.ndim < 2:
         raise ValueError(f"rf has shape {values.shape}: it needs the axes (..., pulse, sample)")
+    if not values.size:
+        raise ValueError(f"rf has shape {values.shape}: it holds no echo")
     return values if values.dtype == np.float32 else values.astype(np.float64)
 
 

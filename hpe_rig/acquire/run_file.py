@@ -210,6 +210,7 @@ def _no_estimate(run: Run, why: str) -> StoreError:
 def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
     """Yield what a reader of the result must know of the whole run."""
     yield from (str(finding) for finding in run.findings if finding.level != "passed")
+    yield from run.stored.damage
     # The board cannot say which record it was; where some are skipped the gate's own codes decide.
     for shot in run.stored.clipped if run.scene.tracking.disturbed != "skip" else ():
         yield (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -101,15 +101,17 @@ def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Genera
             observer(Progress(Step.FIRE, shot))
             next_start_s = bench.clock.now_s() + plan.shot_period_s
             bench.master.fire()
-            yield from _collect(shot, bench, observer)
+            late = yield from _collect(shot, bench, observer)
             why = " ".join(bench.recheck())
+            if late is not None and not why:
+                raise late
         finally:
             bench.make_safe()
         observer(Progress(Step.SAFE, shot, shot.capture.record_count))
         if why:
             yield ShotUntrusted(shot, why)
             if plan.stops_when_changed:
-                raise UntrustedShotError(shot, why)
+                raise UntrustedShotError(shot, why) from late
         yield ShotDone(shot, bench.digitizer.clipped())
 
 
@@ -146,7 +148,8 @@ def _wait_until(start_s: float, shot: Shot, bench: Bench, observer: Observer) ->
         bench.clock.sleep(rest_s)
 
 
-def _collect(shot: Shot, bench: Bench, observer: Observer) -> Iterator[ShotBlock]:
+def _collect(shot: Shot, bench: Bench, observer: Observer) -> Generator[ShotBlock, None, DeadlineError | None]:
+    """Yield the records as they arrive; return what the digitizer said where none did."""
     deadline_s = bench.clock.now_s() + shot.train_end_s + SAFETY_MARGIN_S
     arrived = 0
     observer(Progress(Step.COLLECT, shot))
@@ -156,7 +159,5 @@ def _collect(shot: Shot, bench: Bench, observer: Observer) -> Iterator[ShotBlock
             yield ShotBlock(shot, block)
             observer(Progress(Step.COLLECT, shot, arrived))
     except DeadlineError as error:
-        if not arrived:
-            for changed in bench.recheck():
-                error.add_note(changed)
-            raise
+        return None if arrived else error
+    return None

@@ -9,6 +9,7 @@ from .bench_file import (
     OutputLimits as OutputLimits,
     parse_bench as parse_bench,
     read_bench as read_bench,
+    titled as titled,
 )
 from .comparison import file_differences as file_differences, settings_differences as settings_differences
 from .emulation import emulate as emulate

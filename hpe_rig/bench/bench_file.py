@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -240,18 +242,37 @@ def parse_bench(name: str, text: str) -> BenchText:
     return BenchText(name, text, bench)
 
 
-def read_bench(path: Path | None = None) -> BenchText:
-    """Return the bench in the TOML file ``path``, or the shipped simulated bench where that is None."""
+def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
+    """Return the bench in the TOML file ``path``, or the shipped simulated bench where that is None.
+
+    ``any_title``: also a real bench that still has the simulated one's title.
+    """
     if path is None:
         shipped = resources.files("hpe_rig.bench") / "shipped" / "simulated.toml"
         return parse_bench("simulated", shipped.read_text(encoding="utf-8"))
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        found = parse_bench(path.stem, path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError) as error:
         reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
         remedy = "hpe-rig new my-bench --like bench writes one to start from"
         raise SettingsError(f"bench {path}", [Mistake("", f"cannot be read ({reason})", remedy)]) from None
-    return parse_bench(path.stem, text)
+    return found if any_title else _own(found)
+
+
+def titled(text: str, title: str) -> str:
+    """Return the text of a bench file with another title."""
+    return re.sub(r"^title\s*=.*$", lambda _: f"title = {json.dumps(title)}", text, count=1, flags=re.MULTILINE)
+
+
+def _own(found: BenchText) -> BenchText:
+    """Return ``found``; raise ``SettingsError`` for a real bench by the name of the simulated one.
+
+    Here and not among the mistakes of a bench file, so that every run that was ever measured can be opened.
+    """
+    if not found.bench.simulated and found.bench.title == read_bench().bench.title:
+        what = "this is the title of the simulated bench, and it would stand on every report of this real one"
+        raise SettingsError(f"bench {found.name}", [Mistake("title", what, 'a title such as "HPE bench, room 12"')])
+    return found
 
 
 def _missing_addresses(bench: BenchFile) -> list[Mistake]:

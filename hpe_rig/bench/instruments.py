@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from drivers.interfaces import (
     Clock,
@@ -22,6 +22,9 @@ from hpe_rig.bench.interrupts import uninterrupted
 
 if TYPE_CHECKING:
     from sim_backend.world import World
+
+AnInstrument = TypeVar("AnInstrument", bound=Instrument)
+Answer = TypeVar("Answer")
 
 SAFE_ORDER = ("toneburst", "burst_train", "master", "tracking_pulser", "tracking_train", "digitizer")
 """Order of making safe: what pushes first."""
@@ -81,19 +84,21 @@ class Bench:
         """Switch every output off, abort the capture, and return by role how that is known; as ``make_safe``."""
         return make_safe(self.instruments)
 
-    def recheck(self) -> tuple[str, ...]:
-        """Return in words where outputs or settings are no longer as verified, or cannot be read back any more."""
-        changed = []
-        for generator in self.generators:
-            try:
-                generator.recheck()
-            except InstrumentError as error:
-                changed.append(str(error))
-        return tuple(changed)
-
     def verify(self) -> dict[str, Mapping[str, Setting]]:
         """Return every instrument's settings as read back, by role; raise where one is not as programmed."""
-        return {instrument.role: instrument.verify() for instrument in self.instruments}
+        told = _each(self.instruments, lambda line: [_told(item.role, item.verify) for item in line])
+        settings = {}
+        for item in self.instruments:
+            found = told[item.role]
+            if isinstance(found, Exception):
+                raise found
+            settings[item.role] = found
+        return settings
+
+    def recheck(self) -> tuple[str, ...]:
+        """Return in words where outputs or settings are no longer as verified, or cannot be read back any more."""
+        told = _each(self.generators, lambda line: [_told(item.role, item.recheck) for item in line])
+        return tuple(str(found) for found in told.values() if found is not None)
 
 
 def proven_off(roles: Sequence[str], proven: Mapping[str, str]) -> str:
@@ -112,37 +117,48 @@ def make_safe(instruments: Sequence[Instrument]) -> dict[str, str]:
     one that is mute. Raises ``UnsafeBenchError`` for those that are not proven safe.
     """
     with uninterrupted():
-        lines: dict[str, list[Instrument]] = {}
-        for item in instruments:
-            lines.setdefault(item.line, []).append(item)
-        # What is reached within this process comes last, and never at the same time as anything else.
-        within = lines.pop("", [])
-        told = [pair for line in (*_at_once(_safe, list(lines.values())), _safe(within)) for pair in line]
-        proven = {role: how for role, how in told if isinstance(how, str)}
-        failures = [(role, how) for role, how in told if not isinstance(how, str)]
+        told = _each(instruments, _safe)
+        proven = {role: how for role, how in told.items() if isinstance(how, str)}
+        failures = [(role, how) for role, how in told.items() if not isinstance(how, str)]
         # Inside, so that an interrupt that was held back cannot take this message's place.
         if failures:
             raise UnsafeBenchError(failures, proven, instruments)
     return proven
 
 
-Told = list[tuple[str, str | Exception]]
-"""How each instrument, by role, is known to be safe, or why it is not."""
+def _each(
+    instruments: Sequence[AnInstrument], ask: Callable[[Sequence[AnInstrument]], list[tuple[str, Answer]]]
+) -> dict[str, Answer]:
+    """Return by role what ``ask`` returns of each line with instruments, all lines being asked at the same time.
+
+    What is reached within this process comes last, and never at the same time as anything else.
+    """
+    lines: dict[str, list[AnInstrument]] = {}
+    for item in instruments:
+        lines.setdefault(item.line, []).append(item)
+    within = lines.pop("", [])
+    told = {role: answer for line in (*_at_once(ask, list(lines.values())), ask(within)) for role, answer in line}
+    return {item.role: told[item.role] for item in instruments}
 
 
-def _at_once(safe: Callable[[Sequence[Instrument]], Told], lines: Sequence[Sequence[Instrument]]) -> list[Told]:
-    """Return what ``safe`` returns for each of ``lines``, worked on at the same time where the system lets it."""
-    if not lines:
-        return []
+def _at_once(
+    ask: Callable[[Sequence[AnInstrument]], list[tuple[str, Answer]]], lines: Sequence[Sequence[AnInstrument]]
+) -> list[list[tuple[str, Answer]]]:
+    if len(lines) > 1:
+        # No thread can be started any more at the end of the interpreter; one after the other will do there.
+        with suppress(RuntimeError), ThreadPoolExecutor(len(lines)) as pool:
+            return list(pool.map(ask, lines))
+    return [ask(line) for line in lines]
+
+
+def _told(role: str, ask: Callable[[], Answer]) -> tuple[str, Answer | Exception]:
     try:
-        with ThreadPoolExecutor(len(lines)) as pool:
-            return list(pool.map(safe, lines))
-    except RuntimeError:
-        # No thread can be started any more, as at the end of the interpreter; once more does no harm.
-        return [safe(line) for line in lines]
+        return role, ask()
+    except InstrumentError as error:
+        return role, error
 
 
-def _safe(line: Sequence[Instrument]) -> Told:
+def _safe(line: Sequence[Instrument]) -> list[tuple[str, str | Exception]]:
     """Make the instruments of one line safe: every switch is sent before the first answer is awaited."""
     for item in line:
         # What goes wrong here is met again by the attempts that follow, which set it right where they can.

@@ -74,7 +74,7 @@ def _held(name: str) -> Iterator[str]:
     """Hold the lock of one resource and yield who left it locked, empty where it was free."""
     from filelock import FileLock, Timeout
 
-    path = Path(tempfile.gettempdir()) / f"hpe_rig-{re.sub(r'[^A-Z0-9.]+', '-', name.upper())}"
+    path = _folder() / re.sub(r"[^A-Z0-9.]+", "-", name.upper())
     holder = path.with_name(f"{path.name}.holder")
     lock = FileLock(path.with_name(f"{path.name}.lock"), timeout=0, mode=0o666)
     try:
@@ -93,6 +93,15 @@ def _held(name: str) -> Iterator[str]:
         with suppress(OSError):
             holder.unlink(missing_ok=True)
         lock.release()
+
+
+def _folder() -> Path:
+    """Return where the locks of this machine are, which everybody may write to."""
+    folder = Path(tempfile.gettempdir()) / "hpe_rig-locks"
+    with suppress(OSError):
+        folder.mkdir(exist_ok=True)
+        folder.chmod(0o1777)
+    return folder
 
 
 def _words(holder: Path) -> str:

@@ -11,8 +11,10 @@ from typing import Annotated
 import typer
 
 from hpe_rig.cli.console import (
+    EXIT_DAMAGED,
     EXIT_INSTRUMENT,
     EXIT_MISTAKE,
+    EXIT_NO_CHECKSUMS,
     BenchPath,
     RunFile,
     SceneName,
@@ -81,15 +83,16 @@ def run(
         from hpe_rig.acquire import chosen_estimator, prepare, process, record_run
         from hpe_rig.cli.watch import watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
-        from hpe_rig.store import WriteOptions, free_path, refuse_unwritable, result_path
+        from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
     setup = prepare(scene, bench, stages)
     chosen = chosen_estimator(estimator, setup.scene.scene)
-    path = output or free_path(setup.scene.name, Path())
+    path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
     refuse_unwritable(result_path(path, chosen))
-    with watched(setup, path, live, verbose, announce) as watching:
+    with watched(setup, path, run_id, live, verbose, announce) as watching:
         with progress(setup, quiet=json or csv) as observer:
-            record_run(setup, path, watching(observer), stages, WriteOptions(compress, overwrite))
+            options = WriteOptions(compress, overwrite, run_id=run_id)
+            record_run(setup, path, watching(observer), stages, options)
         show(process(path, estimator, stages), json, csv)
 
 
@@ -115,16 +118,16 @@ def resume(
         from hpe_rig.acquire import chosen_estimator, prepare_rest, process, resume as resume_run
         from hpe_rig.cli.watch import watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
-        from hpe_rig.store import free_path, refuse_unwritable, result_path
+        from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
     rest = prepare_rest(run_file, scene, bench, stages)
     chosen = chosen_estimator(estimator, rest.setup.scene.scene)
     announce(f"{rest.complete} of {len(rest.setup.plan.shots)} shots are complete")
-    path = output or free_path(run_file.stem, run_file.parent)
+    path, run_id = output or free_path(run_file.stem, run_file.parent), new_run_id()
     refuse_unwritable(result_path(path, chosen))
-    with watched(rest.setup, path, live, verbose, announce) as watching:
+    with watched(rest.setup, path, run_id, live, verbose, announce) as watching:
         with progress(rest.setup, quiet=json or csv) as observer:
-            resume_run(rest, path, watching(observer), stages, compress)
+            resume_run(rest, path, watching(observer), stages, WriteOptions(compress, run_id=run_id))
         show(process(path, estimator, stages), json, csv)
 
 
@@ -135,6 +138,23 @@ def process(run_file: RunFile, estimator: Estimator = None, json: Json = False, 
     from hpe_rig.acquire import process as process_run
 
     show(process_run(run_file, estimator, Stages()), json, csv)
+
+
+@app.command()
+@guarded
+def verify(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Run file or result file.")], json: Json = False
+) -> None:
+    """Compare every byte of a file with its checksums. Exit code 0: sound, 4: damaged, 5: it has no checksums."""
+    from hpe_rig.cli.verify import print_verification
+    from hpe_rig.store import verify as verify_file
+
+    found = verify_file(file)
+    print_verification(found, json)
+    if found.damage:
+        raise typer.Exit(EXIT_DAMAGED)
+    if not found.checksums:
+        raise typer.Exit(EXIT_NO_CHECKSUMS)
 
 
 @app.command()
@@ -237,11 +257,11 @@ def new(
     like: Annotated[str, typer.Option(help="Scene to copy, or 'bench' for a bench file.")] = "bovine-muscle",
 ) -> None:
     """Copy a shipped scene or bench file, to edit."""
-    from hpe_rig.bench import read_bench
+    from hpe_rig.bench import read_bench, titled
     from hpe_rig.scene import scene_text
 
-    text = read_bench().text if like == "bench" else scene_text(like)[1]
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
+    text = titled(read_bench().text, f"Bench {path.stem}") if like == "bench" else scene_text(like)[1]
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
@@ -277,11 +297,19 @@ def bench_command(
     self_test: Annotated[
         bool, typer.Option("--self-test", help="Also run each generator's self-test, outputs off.")
     ] = False,
+    off: Annotated[
+        bool, typer.Option("--off", help="Only switch every output off, whoever uses the bench, and prove it.")
+    ] = False,
 ) -> None:
     """Identify every instrument, read its settings, leave outputs off. Or compare with the bench of a run."""
-    from hpe_rig.cli.bench import bench_state, compare_with, print_report
+    from hpe_rig.cli.bench import all_off, bench_state, compare_with, print_report
     from hpe_rig.scene import Mistake, SettingsError
 
+    if off:
+        if compare is not None or self_test or (bench is not None and bench.suffix == ".h5"):
+            what = "it switches the instruments of a bench file off, and does nothing besides"
+            raise SettingsError("--off", [Mistake("", what, "hpe-rig bench BENCH.toml --off")])
+        raise typer.Exit(all_off(bench))
     if bench is not None and bench.suffix == ".h5" and (self_test or compare is None):
         what = "a run file records a bench but gives no access to its instruments"
         raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])

@@ -8,7 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from hpe_rig.acquire import open_run
-from hpe_rig.bench import BenchReport, Found, Settings, file_differences, read_bench, settings_differences, survey
+from hpe_rig.bench import (
+    BenchReport,
+    Found,
+    Settings,
+    file_differences,
+    read_bench,
+    settings_differences,
+    survey,
+    switch_off,
+)
+from hpe_rig.cli.console import EXIT_INSTRUMENT, EXIT_UNSAFE, announce
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.result import rich_table
 from hpe_rig.scene import parse_toml
@@ -35,6 +45,23 @@ def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
     text = read_bench(path)
     report = survey(text.bench, self_test=self_test)
     return BenchState("the bench now", parse_toml(text.text, text.name), report.settings, report)
+
+
+def all_off(path: Path | None) -> int:
+    """Switch every output of a bench off, print how each is known to be, and return the exit code."""
+    bench = read_bench(path, any_title=True).bench
+    switched = switch_off(bench, announce)
+    console = wide_console()
+    console.print(f"{bench.title} ({'SIMULATED' if bench.simulated else 'real'})", style="bold")
+    rows = [(item.role, item.address, "off" if item.proven else "NOT PROVEN", item.how) for item in switched]
+    console.print(rich_table(("role", "address", "output", "known because"), rows, words=4))
+    left = [item.role for item in switched if not item.proven]
+    outputs = [role for role in left if role != "digitizer"]
+    if outputs:
+        console.print(f"NOT PROVEN OFF: {', '.join(outputs)}: switch them off by hand, now", style="bold")
+        return EXIT_UNSAFE
+    # The board drives nothing by itself: what it triggers is a generator whose output is off.
+    return EXIT_INSTRUMENT if left else 0
 
 
 def compare_with(path: Path, state: BenchState) -> str:

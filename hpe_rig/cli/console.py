@@ -25,6 +25,7 @@ P = ParamSpec("P")
 EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_PROGRAM, EXIT_INTERRUPTED = 2, 1, 3, 70, 130
 EXIT_SIGNAL = 128
 """Plus the number of the signal, as a shell counts."""
+EXIT_DAMAGED, EXIT_NO_CHECKSUMS = 4, 5
 
 
 def guarded(command: Callable[P, None]) -> Callable[P, None]:

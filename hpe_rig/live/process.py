@@ -44,10 +44,18 @@ def live_page_of(run_file: Path, port: int = 0) -> Iterator[str]:
 
     Raises ``StoreError`` where it does not start.
     """
-    command = [sys.executable, "-m", "hpe_rig", "live", str(run_file), "--port", str(port), "--attached"]
+    command = [sys.executable, "-P", "-m", "hpe_rig", "live", str(run_file), "--port", str(port), "--attached"]
+    # Not from the working directory (-P), where a folder may have the name of a package of ours.
+    packages = str(Path(__file__).parents[2])
+    paths = filter(None, (packages, os.environ.get("PYTHONPATH", "")))
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     # A group of its own: Ctrl-C ends the run first, and the page shows how it ended.
     windows = getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)
-    apart: dict[str, Any] = {"start_new_session": os.name == "posix", "creationflags": windows}
+    apart: dict[str, Any] = {
+        "start_new_session": os.name == "posix",
+        "creationflags": windows,
+        "env": environment,
+    }
     child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **apart)  # noqa: S603
     try:
         yield _address(child)
@@ -58,6 +66,8 @@ def live_page_of(run_file: Path, port: int = 0) -> Iterator[str]:
             child.wait(timeout=GRACE_S + 5.0)
         except subprocess.TimeoutExpired:
             child.kill()
+        if child.stdout is not None:
+            child.stdout.close()
 
 
 def _address(child: subprocess.Popen[str]) -> str:

@@ -2,7 +2,8 @@
 
 Echoes stand as complex envelopes in the gate: draws of speckle, with and without the displacement as weight, blurred
 by the pulse (no carrier, no pulses in slow time). Their ratios give bias and speckle jitter; noise enters through the
-phase variance of a pulse and the part of a step's noise that does not return in the next step.
+phase variance of a pulse and the part of a step's noise that does not return in the next step. The gate's ends are no
+part of it: echoes are aligned before the gate cuts them, as far as the record reaches beyond it.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@
     what distinguishes them, one row each                                   estimators.py
     the uncertainty of each estimate, source by source                      budget.py
     a stored run, shot by shot, with its warnings                           shots.py, stationarity.py
+    motion that nobody fitted                               residual_line.py
     the same from the twin's motion, at every instant                       ground_truth.py
 
 Positive displacement is away from the transducer. Others use ``estimate`` on echoes (``EchoGate``), ``estimate_run`` on

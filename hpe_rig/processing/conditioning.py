@@ -97,7 +97,7 @@ class CodedVolts:
 
     def __getitem__(self, index: Any) -> NDArray[np.float32]:
         """Return what an array of all volts would."""
-        return self.block(slice(None))[index]
+        return np.asarray(self.block(slice(None))[index])
 
 
 def hann(count: int) -> FloatArray:

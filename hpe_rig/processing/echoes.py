@@ -24,7 +24,7 @@ BLOCK_SAMPLES = 1 << 22
 """Samples of a block of volts that are not all held at once."""
 
 EDGE_PERIODS = 11.7
-EDGE_WITH_MARGIN, EDGE_WITHOUT_MARGIN, EDGE_WINDOWED = 3e-5, 7e-4, 3.6e-3
+EDGE_WITH_MARGIN, EDGE_WITHOUT_MARGIN, EDGE_WINDOWED = 5e-5, 7e-4, 3.6e-3
 """Relative errors that the edges leave in a gate of so many carrier periods (1 mm at 9 MHz)."""
 
 
@@ -73,13 +73,14 @@ class EchoGate:
     energy: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        held = self.volts if hasattr(self.volts, "block") else None
-        if held is None:
-            object.__setattr__(self, "volts", _native(self.volts, "volts"))
+        if not hasattr(self.volts, "block"):
+            object.__setattr__(self, "volts", _native(np.asarray(self.volts), "volts"))
         object.__setattr__(self, "pulse_time_s", _native(self.pulse_time_s, "pulse_time_s").astype(float, copy=False))
         self._refuse_misfits()
         self._refuse_settings()
-        object.__setattr__(self, "energy", pulse_energy(self.gate_volts) if held is None else held.energy)
+        volts = self.volts
+        energy = pulse_energy(self.gate_volts) if isinstance(volts, np.ndarray) else volts.energy
+        object.__setattr__(self, "energy", energy)
         if not np.isfinite(self.energy[..., self.valid]).all(axis=-1).any():
             raise ValueError("a pulse marked valid holds samples that are not finite: mark it invalid or read it again")
 
@@ -104,7 +105,7 @@ class EchoGate:
                 f"{self.sample_rate_hz / 2:g} Hz: one of them is wrong, or its unit"
             )
         if not 0 < self.sound_speed_m_per_s < np.inf:
-            raise ValueError(f"a sound speed of {self.sound_speed_m_per_s:g} m/s: it must be positive")
+            raise ValueError(f"a sound speed of {self.sound_speed_m_per_s:g} m/s: it must be positive and finite")
 
     @property
     def gate(self) -> slice:
@@ -119,7 +120,7 @@ class EchoGate:
     @property
     def gate_samples(self) -> int:
         """How many samples the gate has."""
-        return self.gate.stop - self.gate.start
+        return int(self.gate.stop - self.gate.start)
 
     def blocks(self, samples: slice) -> Iterator[tuple[slice, Volts]]:
         """Yield some ``samples`` of pulses, (..., pulse, sample), and which pulses; all at once where they are held."""

@@ -138,15 +138,18 @@ def _residual(aligned: ComplexArray, band: Band, seconds: float) -> FloatArray:
     per_hz, pulses = 2 * np.pi * seconds, aligned.shape[-2]
     mean = aligned.mean(axis=-2)
     gated, turning = band.gated(mean), mean * band.frequency_hz
-    along = (gated * band.frequency_hz + band.gated(turning)) / 2
+    # A taper that reaches into the gate changes a moving echo along that slope, not along the echo itself, whose phase
+    # says nearly as much: the difference is the square of the relative bandwidth.
+    along = gated if band.fades_gate else (gated * band.frequency_hz + band.gated(turning)) / 2
     slope = -((aligned @ np.conj(along)[..., :, None])[..., 0]).imag
     power = inner(along, turning)
     # noise of the mean adds to its power, not to the slope
     noise = (_gate_energy(aligned, band).mean(axis=-1) - inner(gated, mean)) / (pulses - 1)
-    power = np.maximum(power - noise * _noise_square_hz2(band), power / 10) * per_hz
+    of_noise = _noise_moment(band, 1 if band.fades_gate else 2)
+    power = np.maximum(power - noise * of_noise, power / 10) * per_hz
     return np.asarray(slope / np.maximum(power, np.finfo(np.float64).tiny)[..., None])
 
 
-def _noise_square_hz2(band: Band) -> float:
-    """Return the mean square frequency of white noise in the gate."""
-    return float(np.diagonal(band.gated_noise).real @ band.frequency_hz**2 / band.noise_energy)
+def _noise_moment(band: Band, order: int) -> float:
+    """Return the mean frequency of white noise in the gate, or its mean square, Hz^order."""
+    return float(np.diagonal(band.gated_noise).real @ band.frequency_hz**order / band.noise_energy)

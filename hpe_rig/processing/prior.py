@@ -236,6 +236,18 @@ def medium_fit(
     return MediumFit(replace(fit, medium=medium), noise, aliasing, evidence, taken)
 
 
+def fit_residual(
+    motion: Motion, frequencies_hz: FloatArray | Sequence[float], prior: MediumPrior, *, background_order: int = 0
+) -> FloatArray:
+    """Return what ``medium_fit`` leaves of the displacement, (..., valid pulse)."""
+    frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
+    found = medium_fit(motion, frequency_hz, prior, background_order=background_order)
+    seen = seen_by(prior, motion.time_s, motion.valid, frequency_hz, background_order)
+    data = motion.displacement_m[..., motion.valid]
+    data = data - (data @ seen.background) @ seen.background.T
+    return np.asarray(data - (found.taken * (data @ seen.left)) @ seen.left.T)
+
+
 def medium_kalman(
     motion: Motion,
     frequencies_hz: FloatArray | Sequence[float],

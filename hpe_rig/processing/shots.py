@@ -19,6 +19,7 @@ from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.prior import MediumPrior, medium_prior
+from hpe_rig.processing.residual_line import Line, residual_line
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.result import Averaging, ShotResult
 from hpe_rig.scene import Processing, Scene
@@ -30,6 +31,7 @@ LARGE_CONDITION = 10.0
 UNLIKELY = 0.01
 """Probability, over the shots of a run, below which a motion is of no medium of the ensemble."""
 NO_RECORDS = "no record of it was acquired"
+DAMAGED = "fail their checksums and count as missing: the file is damaged; hpe-rig verify lists them"
 DETECTED = 3.0
 """Amplitude over its uncertainty below which a harmonic may be noise: it exceeds that by chance in 1 % of cases."""
 
@@ -79,7 +81,9 @@ def _windows_of_shot(
     margin = margin_needed(scene, shot)
     records = stored.records.in_blocks(shot.index, samples_needed(scene, shot), margin=margin)
     if not records.valid.any():
-        raise ValueError(NO_RECORDS)
+        raise ValueError(
+            NO_RECORDS if records.damaged is None or not records.damaged.any() else f"its records {DAMAGED}"
+        )
     true_m = None
     if stored.true_displacement_m is not None:
         true_m = stored.true_displacement_m.harmonics_m(shot.index, len(scene.wanted_frequencies_hz))
@@ -138,6 +142,7 @@ def _estimate_shot(
     full_scale = found.at_full_scale(records.code_limits)
     echoes = shot_echoes(scene, shot, records, chosen, found)
     recorded = records.valid[chosen.window]
+    damaged = np.zeros_like(recorded) if records.damaged is None else records.damaged[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
     motion = None if spec.motion is None else shot_motion(scene, shot, echoes, spec.motion)
     fit, largest_step = _fit(echoes, motion, reference, chosen, spec, options)
@@ -147,12 +152,10 @@ def _estimate_shot(
     here = replace(
         known, subtracts_jitter=reference is not None, gate_edge=gate_edge_relative(echoes, spec.gate_window)
     )
-    drift = None
-    if reference is None:
-        # It tells of the bench, not of the estimator: the one with the least noise looks.
-        steady = motion if motion is not None and spec.motion is coherent else None
-        steady = steady or shot_motion(scene, shot, echoes, coherent)
-        drift = _drift(steady, chosen, options)
+    # They tell of bench and motion, not of the estimator: the one with the least noise looks.
+    steady = _steady(scene, shot, echoes, motion if spec.motion is coherent else None)
+    drift = _drift(steady, chosen, options) if reference is None else None
+    line = _line(steady if reference is None else relative_to(steady, reference), chosen, options) if steady else None
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -165,12 +168,14 @@ def _estimate_shot(
         window_length_s=scene.processing.window_length_s,
         estimates=estimates_of(fit, here, averaging, true_m),
         warnings=(
-            *(_missing_warnings(recorded) if complete else ()),
+            *(_missing_warnings(recorded, damaged) if complete else ()),
+            *_damaged_warnings(damaged),
             *_record_warnings(recorded, recorded & chosen.used & ~echoes.valid, clipped),
             *_fit_warnings(fit, largest_step),
             *_medium_warnings(fit, unlikely),
             *_setting_warnings(scene, echoes.pulse_time_s, reference),
             *_drift_warnings(fit, drift),
+            *_line_warnings(line, shot.tracking_train.rate_hz, unlikely),
         ),
         complete=complete,
     )
@@ -284,7 +289,19 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
     )
 
 
-def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
+def _steady(scene: Scene, shot: Shot, echoes: EchoGate, motion: Motion | None) -> Motion | None:
+    """Return the coherent motion, ``motion`` where it is known; None where single echoes drown in noise."""
+    if motion is not None:
+        return motion
+    try:
+        return shot_motion(scene, shot, echoes, coherent)
+    except ValueError:
+        return None
+
+
+def _drift(motion: Motion | None, chosen: Selection, options: Options) -> Drift | None:
+    if motion is None:
+        return None
     order = options.background_order
     try:
         return drift_between_halves(
@@ -295,10 +312,20 @@ def _drift(motion: Motion, chosen: Selection, options: Options) -> Drift | None:
         return None
 
 
-def _missing_warnings(recorded: NDArray[np.bool_]) -> Iterator[str]:
+def _line(motion: Motion, chosen: Selection, options: Options) -> Line | None:
+    order = options.background_order
+    try:
+        return residual_line(
+            motion, chosen.wanted_hz, also_hz=chosen.driven_hz, background_order=order, prior=options.prior
+        )
+    except ValueError:
+        return None
+
+
+def _missing_warnings(recorded: NDArray[np.bool_], damaged: NDArray[np.bool_]) -> Iterator[str]:
     """Yield what missing records of a complete shot mean; where a run stopped they never came."""
-    missing = int((~recorded).sum())
-    if missing and not recorded[-1]:
+    missing = int((~recorded & ~damaged).sum())
+    if missing and not recorded[-1] and not damaged[-1]:
         yield (
             "the last record is missing: were the first triggers lost instead of the last, every phase is off by "
             "whole pulse periods"
@@ -307,6 +334,11 @@ def _missing_warnings(recorded: NDArray[np.bool_]) -> Iterator[str]:
         yield (
             f"{missing} of {recorded.size} records are missing: triggers were lost or came while the digitizer was busy"
         )
+
+
+def _damaged_warnings(damaged: NDArray[np.bool_]) -> Iterator[str]:
+    if damaged.any():
+        yield f"{int(damaged.sum())} of {damaged.size} records {DAMAGED}"
 
 
 def _record_warnings(recorded: NDArray[np.bool_], unlike: NDArray[np.bool_], clipped: int) -> Iterator[str]:
@@ -372,6 +404,16 @@ def _setting_warnings(scene: Scene, pulse_time_s: NDArray[np.float64], reference
             f"the reference gate's echo moves by up to {float(reference.largest_step):.2f} quarter wavelengths from "
             "pulse to pulse, which an echo that stands still does not: there is none, or it drowns in noise; choose "
             "another processing.reference_gate_depth_m"
+        )
+
+
+def _line_warnings(line: Line | None, pulse_rate_hz: float, unlikely: float) -> Iterator[str]:
+    if line is not None and line.probability < unlikely:
+        yield (
+            f"the residual has a line of {line.amplitude_m * 1e9:.3g} nm at {line.frequency_hz:.4g} Hz: motion that is "
+            "not fitted, there or at a frequency that folds onto it, such as "
+            f"{pulse_rate_hz - line.frequency_hz:.5g} Hz; more of it may fold onto the wanted frequencies unseen: "
+            "compare another tracking.pulse_rate_hz, or fit it along (processing.frequencies_hz)"
         )
 
 

@@ -196,6 +196,20 @@ class Processing(Section):
             raise ValueError("a reference gate stands still where follow_gate moves: remove one of them")
         return self
 
+    @model_validator(mode="after")
+    def _harmonic_that_is_used(self) -> Processing:
+        if self.harmonic == "medium_prior" and self.estimator in ("joint", "cross_spectrum"):
+            raise ValueError(
+                f'{self.estimator} has its own way to amplitude and phase and takes no harmonic = "medium_prior": '
+                'remove it, or set estimator = "coherent"'
+            )
+        if self.process_noise and self.harmonic != "kalman":
+            raise ValueError(
+                "process_noise is that of the Kalman filter, which is not chosen: "
+                'set harmonic = "kalman", or remove process_noise'
+            )
+        return self
+
 
 class Sweep(Section):
     """Settings that are taken in turn besides forces and burst lengths; one run, one report."""

@@ -32,6 +32,8 @@ class GatedRecords(Protocol):
     def code_limits(self) -> tuple[int, int]: ...
     @property
     def margin(self) -> tuple[int, int]: ...
+    @property
+    def damaged(self) -> NDArray[np.bool_] | None: ...
 
     def block(self, pulses: slice) -> NDArray[np.int16]:
         """Return the codes of some ``pulses``, (pulse, sample), ``MISSING`` where nothing arrived."""
@@ -45,6 +47,7 @@ class ShotRecords:
     ``codes`` int16 (pulse, sample), ``MISSING`` where nothing arrived; ``trigger_time_s`` float64 (pulse,), NaN there
     and where the way to capture states no time. ``code_limits`` are the digitizer's lowest and highest code, at which a
     sample is clipped. ``margin``: how many of the samples come before and behind the gate, where it is a gate's.
+    ``damaged`` (pulse,): which of the missing records failed their checksums; None where all others never came.
     """
 
     codes: NDArray[np.int16]
@@ -53,6 +56,7 @@ class ShotRecords:
     volts_offset: float
     code_limits: tuple[int, int]
     margin: tuple[int, int] = (0, 0)
+    damaged: NDArray[np.bool_] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -83,7 +87,7 @@ def with_margin(gate: slice, margin: int, samples: int) -> tuple[slice, tuple[in
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """The latest record of a shot that has its place: its pulse, its trigger's time by the board's counter, its number."""
+    """The latest record of a shot that has its place: its pulse, its trigger's time by the board, its number."""
 
     pulse: int
     trigger_time_s: float
@@ -95,8 +99,8 @@ def place(block: RecordBlock, before: Placed | None, shot: Shot) -> tuple[NDArra
 
     The board's trigger times decide, counted from the record placed last, so that a lost trigger shifts no later record
     and a board whose clock is off by up to 100 ppm loses none in blocks of up to 2000. The first record that comes is
-    taken for the first pulse's: no time tells whether triggers before it were lost. Records without a time count on from
-    the one placed last, and from the first where the way to capture states no times at all.
+    taken for the first pulse's: no time tells whether triggers before it were lost. Records without a time count on
+    from the one placed last, and from the first where the way to capture states no times at all.
     """
     record = np.arange(block.codes.shape[0], dtype=np.int64) + block.first_record
     timed = np.isfinite(block.trigger_time_s)

@@ -33,7 +33,7 @@ class Code(IntEnum):
     TOO_MANY_RECORDS = 607
     """SDK 5.8.2 for more records than FPGA 18 and below can hold; newer SDKs give this number another meaning."""
     RECORD_TOO_HIGH = 604
-    """SDK 5.8.2, time stamp of a single-port record above 1000, whatever the FPGA: always answered, as the worst case."""
+    """SDK 5.8.2, time stamp of a single-port record above 1000; always answered, as the worst case."""
 
 
 BOARD_KIND = 7

@@ -42,7 +42,7 @@ _LARGEST_GROWTH_EXPONENT = 4.0
 # |k| up to the highest that matters, octave by octave: the uppermost five, whose waves turn fast, with more nodes.
 _OCTAVES = 21
 _NODES_AN_OCTAVE = 12
-_NODES_WHERE_WAVES_ARE_SHORT = 28
+_NODES_WHERE_WAVES_ARE_SHORT = 36
 _SHORT_OCTAVES = 5
 # exp(-32) = 1e-14: a share of the spectrum below that puts nothing into any point.
 _NEGLIGIBLE_EXPONENT = 32.0

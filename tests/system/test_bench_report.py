@@ -45,7 +45,13 @@ def real_bench(tmp_path: Path) -> BenchFile:
         f'address = "TCPIP::127.0.0.1::{port}::SOCKET"\nload_ohm = inf # feeds',
     )
     return read_bench(
-        edited(tmp_path, ("latency_s = 100e-9", address), master, ("simulated = true", "simulated = false"))
+        edited(
+            tmp_path,
+            ("latency_s = 100e-9", address),
+            master,
+            ("simulated = true", "simulated = false"),
+            ("Simulated bench, wired as Fig. 2 of the paper", "Bench where nobody answers"),
+        )
     ).bench
 
 

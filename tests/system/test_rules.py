@@ -39,9 +39,13 @@ def test_the_light_core_imports_no_figures_no_signal_processing_and_no_visa() ->
 
 def test_checking_a_scene_on_metal_loads_neither_twin_nor_visa(tmp_path: Path) -> None:
     bench = (ROOT / "hpe_rig" / "bench" / "shipped" / "simulated.toml").read_text(encoding="utf-8")
-    bench = bench.replace("simulated = true", "simulated = false").replace(
-        'model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\n'
-    )
+    for simulated, real in (
+        ("simulated = true", "simulated = false"),
+        ("Simulated bench, wired as Fig. 2 of the paper", "Bench on metal"),
+        ("assumed: no hydrophone has seen it", "A. Tester, with a hydrophone"),
+        ('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\n'),
+    ):
+        bench = bench.replace(simulated, real)
     path = tmp_path / "metal.toml"
     path.write_text(bench, encoding="utf-8")
     statement = (

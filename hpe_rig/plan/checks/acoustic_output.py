@@ -7,6 +7,7 @@ I_sppa against theirs. Pressure is taken to be proportional to the generator's a
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -20,6 +21,13 @@ from hpe_rig.scene import Scene
 DERATING_DB_PER_M_HZ: Final = 0.3 / (1e-2 * 1e6)
 # Of the calibrated carrier: a transducer's response hardly changes within it.
 CARRIER_TOLERANCE: Final = 0.01
+ASSUMED: Final = re.compile(r"\s*assumed\b", re.IGNORECASE)
+"""What marks a calibration as none: the word that the simulated bench has in its place."""
+MEASURE: Final = (
+    "put a calibrated hydrophone at the focus in degassed water, drive one toneburst and one tracking pulse at a few "
+    "amplitudes, enter pressure and intensity as not derated, and who measured them when as the source "
+    "(docs/bench-safety.md); or remove [calibration], and the output is not estimated"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +108,12 @@ def acoustic_output(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Chec
         remedy = "a hydrophone measurement in [calibration] of the bench file"
         yield CheckResult("acoustic output", "warning", text, remedy)
     if bench.calibration is None:
+        return
+    if not bench.simulated and ASSUMED.match(bench.calibration.source):
+        text = (
+            f"calibration.source = {bench.calibration.source!r}: no limit can be kept by numbers that nobody measured"
+        )
+        yield CheckResult("acoustic output", "refused", text, MEASURE)
         return
     limits, output = bench.limits, highest_output(bench, plan.shots)
     text = (

@@ -51,10 +51,8 @@ def driven_harmonics(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
     driven_hz = burst_bandwidth_hz(scene.excitation)
     columns, pulses = driven_frequencies_hz(scene).size, plan.shots[0].capture.record_count
     if columns > MOST_DRIVEN or columns * pulses > MOST_VALUES:
-        text = (
-            f"tonebursts drive {columns} harmonics of excitation.burst_rate_hz = {burst_rate_hz:g} Hz, each of which "
-        )
-        text += f"is fitted to {pulses} pulses: memory holds {MOST_DRIVEN} of them, and {MOST_VALUES:.0e} values"
+        text = f"tonebursts drive {columns} harmonics of excitation.burst_rate_hz = {burst_rate_hz:g} Hz, each "
+        text += f"fitted to {pulses} pulses: memory holds {MOST_DRIVEN} of them, and {MOST_VALUES:.0e} values"
         yield CheckResult("driven harmonics", "refused", text, "a higher burst rate, longer bursts or fewer pulses")
         return
     text = f"tonebursts drive every multiple of {burst_rate_hz:g} Hz up to 1/T_b = {driven_hz:g} Hz, the pulses sample "

@@ -18,6 +18,7 @@ from hpe_rig.processing import (
     estimate,
     velocity_between_pulses,
 )
+from hpe_rig.processing.band import band_spectrum
 
 if TYPE_CHECKING:
     from conftest import TableOne
@@ -120,18 +121,40 @@ def test_dividing_by_the_carrier_scales_by_peak_over_carrier(table_one: TableOne
     np.testing.assert_allclose(carrier / centre, 12 / 130 * 100e6 / 9e6, rtol=1e-12)
 
 
-@pytest.mark.parametrize("estimator", ["coherent", "cross_spectrum"])
+def _leak_3_mhz(table: TableOne, volts: FloatArray) -> FloatArray:
+    """Return a tone of 3.077 MHz and amplitude 1, the fourth bin of the gate, at the samples of ``volts``."""
+    return np.cos(2 * np.pi * 4 * (np.arange(volts.shape[-1]) - table.margin) / 130)
+
+
+@pytest.mark.parametrize(("estimator", "leak"), [("coherent", 5), ("cross_spectrum", 50)])
 def test_a_strong_offset_and_3_mhz_leak_outside_the_band_are_not_tracked(
-    wide: TableOne, wide_draws: FloatArray, estimator: Estimator
+    wide: TableOne, wide_draws: FloatArray, estimator: Estimator, leak: float
 ) -> None:
-    samples = np.arange(wide_draws.shape[-1]) - wide.margin
-    # an offset of ten times the echo, a leak as strong as it: the tapers of record and gate bound what they spread
-    unwanted = 50 + 5 * np.cos(2 * np.pi * 4 * samples / 130)
+    # the echo is of 0.7 rms: an offset 70 times that, a tone 5 or, under the Hann gate, 50 times as strong
+    unwanted = 50 + leak * _leak_3_mhz(wide, wide_draws)
     clean, dirty = (
         estimate(wide.gate(volts), [200.0], estimator).amplitude_m[0]
         for volts in (wide_draws[1], wide_draws[1] + unwanted)
     )
     assert dirty == pytest.approx(clean, rel=2e-2)
+
+
+@pytest.mark.parametrize("leak", [5, 15, 50])
+def test_a_leak_holds_the_motion_back_by_no_more_than_its_share_of_the_energy_in_the_band(
+    wide: TableOne, wide_draws: FloatArray, leak: float
+) -> None:
+    """Beside a tone that stands still, e^2 of the echo's energy in the band, 1 / (1 + e^2) of the motion is seen."""
+    tone = leak * _leak_3_mhz(wide, wide_draws)
+    echo, both = (band_spectrum(wide.gate(volts), 2)[0] for volts in (wide_draws, wide_draws + tone))
+    ratio = np.mean(np.abs(both - echo) ** 2) / np.mean(np.abs(echo) ** 2)
+    clean, dirty = (
+        estimate(wide.gate(volts), [200.0], "coherent").amplitude_m[:, 0] for volts in (wide_draws, wide_draws + tone)
+    )
+    # the part in the gate counts: it is less, for the tapers that let the tone in lie outside the gate
+    lost = 1 - dirty / clean
+    assert 0 < lost.mean() < ratio / (1 + ratio)
+    # a draw has its own energy and overlaps with the tone by chance
+    assert np.abs(lost).max() < 4 * ratio
 
 
 def test_the_variance_of_a_pulse_is_that_of_its_noise(table_one: TableOne, speckle_draws: FloatArray) -> None:

@@ -82,8 +82,13 @@ def test_stated_uncertainties_are_true(
     np.testing.assert_allclose(np.mean(squares, axis=(0, 1)), 1.02, atol=0.18)
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS)
-@pytest.mark.parametrize("snr_db", [-20.0, np.inf])
+DROWNED: list[tuple[Estimator, float]] = [
+    ("joint", -20.0),
+    *((each, db) for each in ESTIMATORS for db in (-5.0, np.inf)),
+]
+
+
+@pytest.mark.parametrize(("estimator", "snr_db"), DROWNED)
 def test_covariances_are_finite_and_positive_from_drowned_to_noise_free(
     table_one: TableOne, estimator: Estimator, snr_db: float
 ) -> None:
@@ -92,6 +97,13 @@ def test_covariances_are_finite_and_positive_from_drowned_to_noise_free(
     assert np.isfinite(fit.covariance).all()
     # a positive matrix times its rounding
     assert np.linalg.eigvalsh(fit.covariance).min() >= -1e-12 * np.abs(fit.covariance).max()
+
+
+@pytest.mark.parametrize("estimator", [each for each in ESTIMATORS if each != "joint"])
+def test_single_echoes_that_drown_are_refused(table_one: TableOne, estimator: Estimator) -> None:
+    drowned = table_one.gate(_noisy(table_one.rigid(_sine(table_one)), 5, -20.0))
+    with pytest.raises(ValueError, match="no more in common from pulse to pulse than noise"):
+        estimate(drowned, [200.0], estimator)
 
 
 @pytest.mark.slow

@@ -55,6 +55,17 @@ WRONG = [
         "burst_length_s = 200e-6",
         ["interference", "200 us", "tracking.pulse_rate_hz", "below"],
     ),
+    (
+        "window_start_s = 50e-3",
+        'harmonic = "medium_prior"\nestimator = "joint"',
+        ["joint has its own way", 'harmonic = "medium_prior"', 'set estimator = "coherent"'],
+    ),
+    (
+        "window_start_s = 50e-3",
+        'harmonic = "medium_prior"\nestimator = "cross_spectrum"',
+        ["cross_spectrum has its own way", 'harmonic = "medium_prior"'],
+    ),
+    ("window_start_s = 50e-3", "process_noise = 1e-3", ["process_noise", 'set harmonic = "kalman"']),
     ("burst_count = 20", "burst_count = 0", ["excitation.burst_count", "0", "at least 1"]),
     ("burst_count = 20", "burst_count = 20.5", ["excitation.burst_count", "20.5", "whole number"]),
     ("burst_count = 20", "burst_count = 400", ["excitation.burst_count = 400", "limits.max_bursts = 200"]),

@@ -1,0 +1,156 @@
+"""Shear field of a Gaussian body force in a viscoelastic medium, on the axis and off it, with its derivatives.
+
+    u(r, z) = f0 sx^2 sz / (sqrt(2 pi) rho w^2) int_0^inf k^3 J0(k r) exp(-A k^2 / 2) [V(kappa) - V(k)] dk,
+    V(kappa) = pi / (2 kappa) exp(-b^2) [erfcx(kappa sqrt(a) + b) + erfcx(kappa sqrt(a) - b)],
+    kappa^2 = k^2 - q^2,   q^2 = rho w^2 / mu,   a = B / 2,   b = z / 2 sqrt(a),
+
+the force f0 exp(-(x^2 + y^2) / 2 sx^2 - z^2 / 2 sz^2) along z, time factor exp(+jwt), A = sx^2 and B = sz^2 the squared
+widths of the force, larger by the variances of what a tracking beam averages over. The integral over wave numbers along
+the axis is done in closed form, that over those across it along a path in the upper half plane, clear of the shear pole
+q even in an elastic medium. docs/theory/moduli.md has the derivation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import jv, wofz
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+HIGHEST_EXPONENT = 36.0
+"""exp(-A k^2 / 2) at the largest wave number: 2e-16."""
+LARGEST_GROWTH = 3.0
+"""Im k times the largest distance, to which the Bessel functions grow along the path."""
+CLEARANCE = 1.0
+"""Im k times the width of the force, where no distance limits it."""
+PANEL_WIDTH = 1.3
+"""Widest panel of nodes near a pole, over the distance from it."""
+STEEPNESS = 0.5
+"""Slope of the path at its start: what lies near 0 sees the pole from an angle."""
+PANEL_PHASE_RAD = 7.0
+"""Largest advance of a wave over the largest distance within a panel of nodes."""
+NODES = 12
+
+
+@dataclass(frozen=True, slots=True)
+class ShearField:
+    """Displacement per body force and its derivatives at every frequency and place, complex (frequency, place).
+
+    ``value`` in m per N/m^3; ``by_modulus`` its derivative with respect to the complex modulus, ``by_across`` and
+    ``by_along`` with respect to the squared widths A and B, ``by_lateral`` and ``by_axial`` to the place.
+    """
+
+    value: ComplexArray
+    by_modulus: ComplexArray
+    by_across: ComplexArray
+    by_along: ComplexArray
+    by_lateral: ComplexArray
+    by_axial: ComplexArray
+
+
+def shear_field(
+    modulus_pa: ComplexArray,
+    frequency_hz: FloatArray,
+    density_kg_per_m3: float,
+    force_width_m: tuple[float, float],
+    across_m2: FloatArray | float,
+    along_m2: float,
+    lateral_m: FloatArray,
+    axial_m: float = 0.0,
+) -> ShearField:
+    """Return the field of a round force with the sigmas ``force_width_m`` (across, along) where it is tracked.
+
+    ``modulus_pa`` and ``frequency_hz`` (frequency,); ``across_m2``, one or (place,), and ``along_m2``: squared widths
+    with what the tracking averages over; ``lateral_m`` (place,) distances from the axis, ``axial_m`` that from the
+    focal plane. Good to 1e-10 of the largest displacement: 0.5 to 500 kPa, viscosities from none to 50 Pa s, places to
+    20 mm, waves from a tenth of the force's width to some thousand of it.
+    """
+    frequency_hz = np.asarray(frequency_hz, dtype=np.float64)
+    omega = 2 * np.pi * frequency_hz
+    q2 = density_kg_per_m3 * omega**2 / modulus_pa
+    reach_m = float(np.max(np.abs(lateral_m), initial=0.0))
+    k, weight = _path(np.sqrt(np.abs(q2)), float(np.min(across_m2)), along_m2, reach_m)
+    k2, kr = (k**2)[:, None], k[:, None] * np.abs(lateral_m)
+    spectrum = (weight * k**3)[:, None] * np.exp(-k2 * across_m2 / 2)
+    waves = spectrum * jv(0, kr)
+    slope = -spectrum * k[:, None] * jv(1, kr) * np.sign(lateral_m)
+    half = along_m2 / 2
+    dynamic = _along(np.sqrt(k**2 - q2[:, None]), half, axial_m)
+    static = _along(k[None], half, axial_m)
+    front = force_width_m[0] ** 2 * force_width_m[1] / (np.sqrt(2 * np.pi) * density_kg_per_m3 * omega**2)
+    kernel, _, by_half, by_axial = (front[:, None] * (own - rest) for own, rest in zip(dynamic, static, strict=True))
+    # the static part does not hang on the modulus: dq2/dmu = -q2/mu, dkappa2/dq2 = -1
+    by_modulus = (front * q2 / modulus_pa)[:, None] * dynamic[1]
+    return ShearField(
+        value=kernel @ waves,
+        by_modulus=by_modulus @ waves,
+        by_across=kernel @ (-k2 / 2 * waves),
+        by_along=by_half @ waves / 2,
+        by_lateral=kernel @ slope,
+        by_axial=by_axial @ waves,
+    )
+
+
+def _along(kappa: ComplexArray, half: float, axial_m: float) -> tuple[ComplexArray, ...]:
+    """Return V and its derivatives by kappa^2, by ``half`` = B / 2 and by z, each (..., k)."""
+    root = np.sqrt(half)
+    shift = abs(axial_m) / (2 * root)
+    plus, minus = kappa * root + shift, kappa * root - shift
+    falling = np.exp(-(shift**2))
+    ahead = falling * wofz(1j * plus)
+    behind = _scaled(minus, shift) if shift else ahead
+    both, turn = ahead + behind, np.pi / (2 * kappa)
+    value = turn * both
+    edge = 2 * falling / np.sqrt(np.pi)
+    # erfcx'(x) = 2 x erfcx(x) - 2 / sqrt(pi)
+    by_plus, by_minus = 2 * plus * ahead - edge, 2 * minus * behind - edge
+    by_kappa = -value / kappa + turn * root * (by_plus + by_minus)
+    # kz^2 / (kz^2 + kappa^2) = 1 - kappa^2 / (kz^2 + kappa^2)
+    by_half = kappa**2 * value - np.sqrt(np.pi / half) * falling
+    by_axial = np.sign(axial_m) * (np.pi / 2) * (ahead - behind)
+    return value, by_kappa / (2 * kappa), by_half, by_axial
+
+
+def _scaled(minus: ComplexArray, shift: float) -> ComplexArray:
+    """Return exp(-shift^2) erfcx(minus); where the real part is negative by erfcx(-x) = 2 exp(x^2) - erfcx(x)."""
+    mirrored = minus.real < 0
+    inner = np.exp(-(shift**2)) * wofz(1j * np.where(mirrored, -minus, minus))
+    return np.asarray(np.where(mirrored, 2 * np.exp(np.where(mirrored, minus**2 - shift**2, 0)) - inner, inner))
+
+
+def _path(q: FloatArray, across_m2: float, along_m2: float, reach_m: float) -> tuple[ComplexArray, ComplexArray]:
+    """Return wave numbers (k,) and their weights on a path from 0 to where the force's spectrum has died out.
+
+    It runs above the poles ``q`` (frequency,), which lie on the real axis or below. What it hangs on is rounded to the
+    safe side, so that the iterations of a fit share their paths.
+    """
+    # what lies along the axis falls off over wave numbers of 1 / sz, which the first panel must hold
+    low = 2 ** np.floor(np.log2(min(q.min(), 1 / np.sqrt(along_m2))))
+    high = 2 ** np.ceil(np.log2(q.max()))
+    narrow = 1.2 ** np.floor(np.log(across_m2) / np.log(1.2))
+    far = 1.1 ** np.ceil(np.log(max(reach_m, 1e-6)) / np.log(1.1))
+    return _kept_path(float(low), float(high), float(narrow), float(far))
+
+
+@lru_cache(maxsize=32)
+def _kept_path(lowest: float, highest: float, across_m2: float, reach_m: float) -> tuple[ComplexArray, ComplexArray]:
+    last = np.sqrt(2 * HIGHEST_EXPONENT / across_m2)
+    clearance = min(LARGEST_GROWTH / reach_m, CLEARANCE / np.sqrt(across_m2))
+    edges = [0.0, min(lowest / 2, last)]
+    while edges[-1] < last:
+        # as wide as it is far from 0; near the poles as wide as it is far from them
+        near = PANEL_WIDTH * clearance if edges[-1] < 1.5 * highest else last / 4
+        step = min(edges[-1], near, PANEL_PHASE_RAD / reach_m)
+        edges.append(min(edges[-1] + step, last))
+    low, high = np.array(edges[:-1])[:, None], np.array(edges[1:])[:, None]
+    node, weight = np.polynomial.legendre.leggauss(NODES)
+    real = ((high + low) / 2 + (high - low) / 2 * node).ravel()
+    share = ((high - low) / 2 * weight).ravel()
+    rise = STEEPNESS * real / clearance
+    k = real + 1j * clearance * np.tanh(rise)
+    return k, share * (1 + 1j * STEEPNESS / np.cosh(np.minimum(rise, 300)) ** 2)

@@ -1,0 +1,58 @@
+"""Bench files of real benches: what a copy of the simulated one must not keep."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.acquire import prepare
+from hpe_rig.bench.bench_file import parse_bench, read_bench
+from hpe_rig.cli.app import app
+from hpe_rig.plan import PlanError
+from hpe_rig.scene import SettingsError
+
+TITLE = read_bench().bench.title
+
+
+def real(path: Path, *edits: tuple[str, str]) -> Path:
+    text = read_bench().text
+    addressed = ('model = "33250A"\n', 'model = "33250A"\naddress = "GPIB0::10::INSTR"\n')
+    for old, new in (("simulated = true", "simulated = false"), addressed, *edits):
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_copied_bench_has_a_title_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(app, ["new", "room-12", "--like", "bench"]).exit_code == 0
+    copied, shipped = read_bench(tmp_path / "room-12.toml"), read_bench()
+    assert copied.bench.title == "Bench room-12"
+    assert copied.bench.model_copy(update={"title": TITLE}) == shipped.bench
+    assert copied.text.splitlines()[2:] == shipped.text.splitlines()[2:]
+
+
+def test_a_real_bench_by_the_name_of_the_simulated_one_is_refused_and_its_runs_stay_readable(tmp_path: Path) -> None:
+    path = real(tmp_path / "metal.toml")
+    with pytest.raises(SettingsError, match="the title of the simulated bench"):
+        read_bench(path)
+    assert parse_bench("metal", path.read_text(encoding="utf-8")).bench.title == TITLE
+    # What switches off is kept from it by nothing.
+    assert read_bench(path, any_title=True).bench.title == TITLE
+
+
+def test_an_assumed_calibration_is_refused_on_a_real_bench_with_how_to_measure_one(tmp_path: Path) -> None:
+    path = real(tmp_path / "metal.toml", (TITLE, "Room 12"))
+    with pytest.raises(PlanError, match=r"calibration.source = 'assumed: .*nobody measured.*hydrophone at the focus"):
+        prepare("bovine-muscle", path)
+    # Numbers that nobody measured are good enough for a bench that drives nothing.
+    prepare("bovine-muscle")
+
+
+@pytest.mark.parametrize("source", ["A. Tester with a 0.2 mm needle, 12 May 2026", "as assumed before, then measured"])
+def test_a_measured_calibration_is_taken(tmp_path: Path, source: str) -> None:
+    edits = (TITLE, "Room 12"), ("assumed: no hydrophone has seen it", source)
+    prepare("bovine-muscle", real(tmp_path / "metal.toml", *edits))

@@ -1,0 +1,141 @@
+"""Inversion for moduli on the twin's spectra: exact without noise, true uncertainties with it, wrong laws found out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from hpe_rig.moduli.inversion import Push, Vibration, bound, compare_media, fit_medium
+from sim_backend.motion.field import field_transfer
+from sim_backend.settings import Specimen
+
+FREQUENCY_HZ = np.arange(100.0, 1001.0, 100.0)
+PUSH = Push((0.34e-3, 3.6e-3), 100.0, 100e-6)
+FIVE = (1e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6e-3)
+NOISE_M = 0.7e-9
+SPECKLE = 0.02
+
+
+def vibrations(
+    specimen: Specimen,
+    places_m: Sequence[float],
+    rng: np.random.Generator | None = None,
+    push: Push = PUSH,
+    frequency_hz: np.ndarray = FREQUENCY_HZ,
+) -> list[Vibration]:
+    """Return the twin's motion at ``places_m``, 800 nm at 100 Hz on the axis, with noise and speckle where drawn."""
+    width = (push.width_m[0], *push.width_m)
+    field = field_transfer(specimen, width, np.array([0.0, *places_m]), np.zeros(1), frequency_hz)[:, :, 0]
+    motion = field * push.spectrum(frequency_hz)[:, None]
+    motion *= 800e-9 / abs(motion[0, 0])
+    found = []
+    for place, lateral_m in enumerate(places_m):
+        phasor = motion[:, place + 1].copy()
+        if rng is not None:
+            phasor *= 1 + SPECKLE * complex(*rng.standard_normal(2))
+            phasor += NOISE_M * rng.standard_normal((frequency_hz.size, 2)).view(complex)[:, 0]
+        covariance = NOISE_M**2 * np.eye(2 * frequency_hz.size)
+        speckle = {"gain_uncertainty": SPECKLE, "phase_uncertainty_rad": SPECKLE}
+        found.append(Vibration(f"{lateral_m * 1e3:g} mm", frequency_hz, phasor, covariance, lateral_m, **speckle))
+    return found
+
+
+@pytest.mark.parametrize("places", [FIVE, (0.0,), (0.0, 20e-3)])
+@pytest.mark.parametrize("medium", [(9e3, 2.0), (4e3, 1.0), (13.5e3, 1.0), (12e3, 5.7), (0.6e3, 0.05), (3e5, 20.0)])
+def test_without_noise_the_moduli_come_back_to_1e_6(medium: tuple[float, float], places: tuple[float, ...]) -> None:
+    specimen = Specimen(shear_modulus_pa=medium[0], shear_viscosity_pa_s=medium[1])
+    fit = fit_medium(vibrations(specimen, places), PUSH)
+    assert fit.values["shear_modulus_pa"] == pytest.approx(medium[0], rel=1e-6)
+    assert fit.values["viscosity_pa_s"] == pytest.approx(medium[1], rel=1e-6)
+    assert fit.chi_square < 1e-6
+    assert not fit.at_limit
+
+
+@pytest.mark.parametrize(
+    ("law", "settings"),
+    [
+        ("zener", {"shear_modulus_pa": 5e3, "shear_viscosity_pa_s": 3.0, "branch_modulus_pa": 12e3}),
+        ("power_law", {"shear_modulus_pa": 8e3, "power": 0.25}),
+        ("maxwell", {"shear_modulus_pa": 9e3, "shear_viscosity_pa_s": 8.0}),
+    ],
+)
+def test_every_law_comes_back_and_is_the_likeliest(law: str, settings: dict[str, float]) -> None:
+    specimen = Specimen(medium=law, **settings)  # type: ignore[arg-type]
+    names = {"viscosity_pa_s": "shear_viscosity_pa_s"}
+    fit = fit_medium(vibrations(specimen, FIVE), PUSH, law)  # type: ignore[arg-type]
+    for name, value in fit.values.items():
+        assert value == pytest.approx(settings[names.get(name, name)], rel=1e-6)
+    fits, probability = compare_media(vibrations(specimen, FIVE, np.random.default_rng(3)), PUSH)
+    assert fits[0].law == law
+    assert probability[0] > 0.99
+    assert not fits[0].excluded
+    assert next(each for each in fits if each.law == "voigt").excluded
+
+
+def test_voigt_data_do_not_exclude_a_zener_medium_that_holds_it() -> None:
+    specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
+    fits, _ = compare_media(vibrations(specimen, FIVE, np.random.default_rng(4)), PUSH, ("voigt", "zener"))
+    assert not any(each.excluded for each in fits)
+    assert fits[0].law == "voigt"  # the simpler of two that fit as well
+
+
+@pytest.mark.parametrize("places", [pytest.param(FIVE, marks=pytest.mark.slow), (0.0,)])
+def test_intervals_hold_the_truth_as_often_as_they_say(places: tuple[float, ...]) -> None:
+    """40 draws of noise, speckle and widths: z^2 has mean 1 within 3 sqrt(2/40), the misfit a mean of 1."""
+    rng, truth, trials = np.random.default_rng(5), np.array([9e3, 2.0]), 40
+    specimen = Specimen(shear_modulus_pa=truth[0], shear_viscosity_pa_s=truth[1])
+    z, chi_square = [], []
+    for _ in range(trials):
+        wide, deep = np.exp(0.05 * rng.standard_normal(2))
+        drawn = Push((0.34e-3 * wide, 3.6e-3 * deep), 100.0, 100e-6)
+        fit = fit_medium(vibrations(specimen, places, rng, drawn), PUSH)
+        z.append((np.array(list(fit.values.values())) - truth) / np.array(list(fit.uncertainty.values())))
+        chi_square.append(fit.chi_square / fit.freedom)
+    nev = np.mean(np.square(z), axis=0)
+    assert np.all(np.abs(nev - 1) < 3 * np.sqrt(2 / trials))
+    assert abs(np.mean(chi_square) - 1) < 4 * np.sqrt(2 / fit.freedom / trials)
+
+
+def test_the_stated_uncertainty_is_the_bound_at_the_truth() -> None:
+    specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
+    exact = vibrations(specimen, FIVE)
+    fit = fit_medium(exact, PUSH)
+    np.testing.assert_allclose(bound(exact, PUSH, "voigt", (9e3, 2.0)), fit.covariance, rtol=1e-4)
+    u_mu1, u_mu2 = np.sqrt(np.diag(fit.covariance)) / [9e3, 2.0]
+    # docs/theory/moduli.md: 0.33 and 0.75 % with five places, widths known to 5 %
+    assert u_mu1 == pytest.approx(0.0033, abs=2e-4)
+    assert u_mu2 == pytest.approx(0.0075, abs=3e-4)
+
+
+def test_more_data_never_hurt_and_contributions_say_what_each_brings() -> None:
+    specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
+    fit = fit_medium(vibrations(specimen, FIVE), PUSH)
+    for part in (*fit.by_place, *fit.by_frequency):
+        assert min(part.growth) >= 1 - 1e-9
+    left = fit_medium(vibrations(specimen, FIVE[1:]), PUSH)
+    grown = [left.uncertainty[name] / fit.uncertainty[name] for name in fit.values]
+    # what was known of the place itself stays behind as data of nothing else
+    np.testing.assert_allclose(fit.by_place[0].growth, grown, rtol=1e-6)
+
+
+def test_a_wrong_width_is_taken_up_where_it_is_uncertain_and_excluded_where_it_is_not() -> None:
+    specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
+    narrow = Push((0.27e-3, 3.6e-3), 100.0, 100e-6, width_uncertainty=(0.3, 0.3))
+    measured = vibrations(specimen, FIVE, np.random.default_rng(6))
+    fit = fit_medium(measured, narrow)
+    assert abs(fit.values["shear_modulus_pa"] - 9e3) < 3 * fit.uncertainty["shear_modulus_pa"]
+    assert not fit.excluded
+    assert fit.adjusted["across"] == pytest.approx(np.log(0.34 / 0.27) / 0.3, abs=0.2)
+    sure = Push((0.17e-3, 1.8e-3), 100.0, 100e-6, width_uncertainty=(1e-3, 1e-3))
+    assert fit_medium(measured, sure).excluded
+
+
+def test_too_few_data_are_refused() -> None:
+    specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
+    (one,) = vibrations(specimen, (1e-3,), frequency_hz=FREQUENCY_HZ[:1])
+    with pytest.raises(ValueError, match="measure at more places or frequencies"):
+        fit_medium([one], PUSH)
+    with pytest.raises(ValueError, match="no place"):
+        fit_medium([], PUSH)

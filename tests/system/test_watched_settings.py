@@ -1,0 +1,127 @@
+"""Settings that another program changes after a shot was armed: found, and the shot is marked wherever it is shown."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from drivers.interfaces import InstrumentError
+from hpe_rig.acquire.run import Setup, record_run
+from hpe_rig.acquire.run_file import process
+from hpe_rig.acquire.sequencer import Observer, Progress, Step
+from hpe_rig.bench import opening
+from hpe_rig.cli.tables import print_result
+from hpe_rig.report import write_report
+from hpe_rig.result import result_csv
+from hpe_rig.store import read_run
+from sim_backend.world import World
+
+Prepare = Callable[..., Setup]
+TWICE = ("[acquisition]\n", "[acquisition]\nrepeats = 2\n")
+GO_ON = ("[acquisition]\n", '[acquisition]\nrepeats = 2\nchanged_settings = "continue"\n')
+FOREIGN = {
+    "burst_train": "BURS:STAT 0",
+    "toneburst": "VOLT 2",
+    "tracking_pulser": "TRIG:SOUR IMM",
+    "tracking_train": "FREQ 3500",
+    "master": "VOLT:HIGH 3",
+}
+
+
+@pytest.fixture
+def worlds(monkeypatch: pytest.MonkeyPatch) -> list[World]:
+    """Return a list that every simulated world made from now on is put into."""
+    made: list[World] = []
+    make = opening._world
+
+    def noted(*arguments: object) -> World:
+        made.append(make(*arguments))  # type: ignore[arg-type]
+        return made[-1]
+
+    monkeypatch.setattr(opening, "_world", noted)
+    return made
+
+
+def another_program(worlds: list[World], role: str, command: str, step: Step = Step.COLLECT) -> Observer:
+    """Return an observer that has another program send ``command`` as the first shot enters ``step``."""
+
+    def observe(progress: Progress) -> None:
+        if progress.step is step and progress.shot.index == 0 and not progress.records:
+            worlds[0].connect(role).write(command)
+
+    return observe
+
+
+@pytest.mark.parametrize("role", FOREIGN)
+def test_what_another_program_changes_after_arming_is_found_and_ends_the_run(
+    prepared: Prepare, tmp_path: Path, worlds: list[World], role: str
+) -> None:
+    path = tmp_path / "run.h5"
+    meddler = another_program(worlds, role, FOREIGN[role])
+    with pytest.raises(InstrumentError, match=rf"shot 1 is not to be trusted: {role}: .*another program"):
+        record_run(prepared("bovine-muscle-synchronous", TWICE), path, meddler)
+    assert not any(worlds[0].outputs_on().values())
+    run = read_run(path)
+    assert list(run.untrusted) == [0]
+    assert role in run.untrusted[0]
+    # Not complete, so that resuming measures it again.
+    assert not run.shot_complete.any()
+
+
+@pytest.mark.parametrize("role", ["toneburst", "tracking_pulser"])
+def test_an_output_switched_off_by_another_program_is_found(
+    prepared: Prepare, tmp_path: Path, worlds: list[World], role: str
+) -> None:
+    meddler = another_program(worlds, role, "OUTP 0")
+    with pytest.raises(InstrumentError, match=rf"{role}: .*output_on \(OUTP\) programmed 1, read back 0"):
+        record_run(prepared("bovine-muscle-synchronous", TWICE), tmp_path / "run.h5", meddler)
+
+
+@pytest.mark.parametrize("role", FOREIGN)
+def test_a_run_that_goes_on_marks_the_shot_and_programs_the_next_one_anew(
+    prepared: Prepare, tmp_path: Path, worlds: list[World], role: str
+) -> None:
+    path, clean = tmp_path / "run.h5", tmp_path / "clean.h5"
+    setup = prepared("bovine-muscle-synchronous", GO_ON)
+    record_run(setup, clean)
+    worlds.clear()
+    record_run(setup, path, another_program(worlds, role, FOREIGN[role]))
+    run = read_run(path)
+    assert run.status == "complete"
+    assert list(run.untrusted) == [0]
+    # The second shot is as in a run that nobody meddled with.
+    assert (run.records[1].codes == read_run(clean).records[1].codes).all()
+
+
+def test_an_untrusted_shot_is_marked_in_the_result_its_table_and_the_report(
+    prepared: Prepare, tmp_path: Path, worlds: list[World], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, setup = tmp_path / "run.h5", prepared("bovine-muscle-synchronous", GO_ON)
+    record_run(setup, path, another_program(worlds, "master", FOREIGN["master"]))
+    result = process(path)
+    assert [bool(shot.untrusted) for shot in result.shots] == [True, False]
+    # The mean over repeats is of those that can be trusted, of which one is left.
+    assert not result.means
+    rows = list(csv.DictReader(io.StringIO(result_csv(result))))
+    assert {row["shot"] for row in rows if row["untrusted"]} == {"0"}
+    assert "UNTRUSTED" in str(result)
+    print_result(result)
+    shown = capsys.readouterr().out
+    assert shown.count("UNTRUSTED") == 1
+    assert "WARNING shot 1 is not to be trusted" in shown
+    assert json.loads(json.dumps(result.as_dict()))["shots"][0]["untrusted"]
+    page = write_report(path).read_text(encoding="utf-8")
+    assert "1 (untrusted)" in page
+    assert "2 (untrusted)" not in page
+    assert "1 of them untrusted" in page
+
+
+def test_a_run_nobody_meddles_with_is_trusted(prepared: Prepare, tmp_path: Path) -> None:
+    run = read_run(record_run(prepared("bovine-muscle-synchronous", TWICE), tmp_path / "run.h5"))
+    assert not run.untrusted
+    assert run.shot_complete.all()
