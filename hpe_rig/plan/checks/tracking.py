@@ -37,7 +37,7 @@ def trackable(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResul
 
 
 def _echo(scene: Scene, bench: BenchFile, shot: Shot, twin: TwinDeclaration, off_m: float) -> Iterator[CheckResult]:
-    """Yield whether the resting echo, ``off_m`` from the focus, is above a step of the digitizer, and above the noise."""
+    """Yield whether the resting echo, ``off_m`` from the focus, is above a step of the digitizer and the noise."""
     if not twin.echoes:
         text = "simulation.scatterers has neither scatterers (per_cell = 0) nor reflectors: nothing echoes"
         yield CheckResult("echo level", "refused", text, "per_cell above 0, such as 11")
