@@ -26,7 +26,7 @@ from hpe_rig.processing import ESTIMATORS
 from hpe_rig.result import Result, text_table
 from hpe_rig.scene import Mistake, Processing, Scene, SettingsError, with_default_specimen
 from hpe_rig.store import StoreError
-from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped, write_rows
+from hpe_rig.validation.accuracy.work_precision import draw_panels, file_mistakes, grouped, write_rows
 
 Floats = NDArray[np.float64]
 
@@ -97,6 +97,8 @@ def write_own_scene(
 
     Raises ``SettingsError`` for a scene with mistakes and a bench that is none of the simulated ones.
     """
+    if mistakes := file_mistakes(output, figure):
+        raise SettingsError("command line", mistakes)
     setup = prepare(source, bench)
     if not setup.bench.bench.simulated:
         mistake = Mistake("--bench", "errors are known where the truth is: on a simulated bench", "none, or another")
