@@ -98,6 +98,8 @@ def write_own_scene(
     Raises ``SettingsError`` for a scene with mistakes, for names of files that cannot be and a bench that is none of
     the simulated ones, all before anything is measured.
     """
+    if mistakes := file_mistakes(output, figure):
+        raise SettingsError("command line", mistakes)
     setup = prepare(source, bench)
     mistakes = file_mistakes(output, figure)
     if not setup.bench.bench.simulated:
