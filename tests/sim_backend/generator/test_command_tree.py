@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import re
@@ -387,3 +388,50 @@ def test_the_page_of_the_commands_is_what_the_table_says() -> None:
     page = runpy.run_path(str(root / "scripts" / "command_tree.py"))["page"]()
     written = (root / "docs" / "command-tree.md").read_text(encoding="utf-8")
     assert written == page, "run python scripts/command_tree.py"
+
+
+# Fuzzing: every header with every kind of argument
+
+WORDS = """MIN MAX DEF INF ON OFF ONCE 0 1 -1 1E400 -1E400 1E-400 9.9E37 1E9DBM -1E9DBM 1KHZ 1MOHM 360DEG
+'' "A" #14abcd SIN DC NOIS TRIG GAT EXT BUS VRMS DBM RAD RAMP PULS"""
+ARGUMENTS = st.one_of(st.sampled_from(["", *WORDS.split()]), st.floats().map(repr), st.text(max_size=6))
+MESSAGES = st.lists(st.tuples(st.integers(0, 10_000), st.booleans(), st.lists(ARGUMENTS, max_size=4)), max_size=12)
+
+
+def fuzz(name: str, messages: list[tuple[int, bool, list[str]]]) -> None:
+    """Send the messages, then see that the instrument is in its right mind."""
+    generator, forms = twin(name), list(tree_of(MODELS[name]))
+    for number, query, arguments in messages:
+        spelled = spellings(forms[number % len(forms)])
+        header = spelled[number % len(spelled)] + "?" * query
+        generator.write(f"{header} {','.join(arguments)}".encode("latin-1", "replace").decode("latin-1"))
+        with contextlib.suppress(TimeoutError):
+            assert generator.read()
+    state = generator.registers
+    assert state.high_v > state.low_v
+    assert abs(state.high_v) <= 10.001
+    assert abs(state.low_v) <= 10.001
+    assert 0 < state.frequency_hz <= MODELS[name].frequency_limits_hz[state.function][1] * (1 + 1e-9)
+    assert 0 < state.width_s < math.inf
+    assert state.cycles >= 1
+    errors(generator)
+    assert ask(generator, "*OPC?") == "1"
+    if state.frequency_hz < 1e6:
+        generator.emission(no_steps(), PS_PER_S // 1000)
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.sampled_from(list(MODELS)), MESSAGES)
+def test_no_message_drives_an_instrument_out_of_its_mind(
+    name: str, messages: list[tuple[int, bool, list[str]]]
+) -> None:
+    fuzz(name, messages)
+
+
+@pytest.mark.slow
+@settings(max_examples=3_000, deadline=None)
+@given(st.sampled_from(list(MODELS)), MESSAGES)
+def test_no_message_drives_an_instrument_out_of_its_mind_for_long(
+    name: str, messages: list[tuple[int, bool, list[str]]]
+) -> None:
+    fuzz(name, messages)
