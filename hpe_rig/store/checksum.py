@@ -24,6 +24,7 @@ BY_SHOT: Final = (
     "records/pulse_onset_s",
     "records/shot_complete",
     "records/clipped",
+    "records/force_set",
     "truth/displacement_m",
     "true_harmonics/in_phase_m",
     "true_harmonics/quadrature_m",

@@ -190,6 +190,7 @@ def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], c
     _create_rows(group, "trigger_time_s", plan, np.dtype("<f8"), math.nan)
     _create_rows(group, "pulse_onset_s", plan, np.dtype("<f8"), math.nan)
     group["burst_length_s"] = [shot.timeline.burst_length_s for shot in shots]
+    group["force_set"] = np.full(len(shots), math.nan)
     group["force_fraction"] = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
     group["repeat"] = [shot.repeat for shot in shots]
     group["shot_complete"] = np.zeros(len(shots), np.uint8)

@@ -220,8 +220,9 @@ class StoredRun:
     ``shot_complete`` (shot,) tells which shots are complete. ``clipped`` lists the shots during which the digitizer's
     input left its range, ``untrusted`` says why a shot is not to be trusted. ``predecessor`` names the run that this
     one continued, "" where there is none. ``run_time_s`` is the wall time of the acquisition by stage, empty where it
-    was not measured. ``damage`` says what of the file but its echoes cannot be trusted, and what stands for it;
-    ``vouched`` whether the file has checksums at all.
+    was not measured. ``force_set`` (shot,) is the force over F_0 as the toneburst generator was read back to hold it,
+    NaN where nothing pushes, nothing was set or the file does not say. ``damage`` says what of the file but its echoes
+    cannot be trusted, and what stands for it; ``vouched`` whether the file has checksums at all.
     """
 
     path: Path
@@ -237,6 +238,7 @@ class StoredRun:
     clipped: tuple[int, ...]
     predecessor: str
     run_time_s: Mapping[str, float]
+    force_set: NDArray[np.float64]
     untrusted: Mapping[int, str] = field(default_factory=dict)
     damage: tuple[str, ...] = ()
     vouched: bool = False
@@ -264,6 +266,13 @@ class StoredRun:
                 f"{self.path} holds (shot, pulse, sample) = {self.records.shape}, its scene asks for {planned}. "
                 "It was changed. Try: an untouched copy."
             )
+        for shot, force in zip(plan.shots, self.force_set, strict=True):
+            # What an instrument rounds is some per cent of its least amplitude, and far less above it.
+            if np.isfinite(force) and not math.isclose(force, shot.force_fraction or 0.0, rel_tol=0.1):
+                raise StoreError(
+                    f"{self.path} has a force of {force:g} F_0 in shot {shot.index + 1}, its scene asks for "
+                    f"{shot.force_fraction or 0.0:g}. It was changed. Try: an untouched copy."
+                )
         with trusted(self.path) as trust:
             stored = tuple(trust.attribute(name, float, "records/echo") for name in ("scale_factor", "add_offset"))
             expected = volts_of_codes(capture.input_range_v, _code_limits(trust, "records/echo"))
@@ -342,11 +351,19 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
         clipped=tuple(int(shot) for shot in np.flatnonzero(flags["clipped"])),
         predecessor=trust.attribute("predecessor", str),
         run_time_s=run_time_s,
+        force_set=_force_set(trust, shape[0]),
         untrusted=_untrusted_shots(trust, shape),
         damage=tuple(damage),
         vouched=trust.vouched,
         run_id=trust.attribute("run_id", str) if "run_id" in trust.file.attrs else "",
     )
+
+
+def _force_set(trust: Trusted, shots: int) -> NDArray[np.float64]:
+    if not trust.has("records/force_set"):
+        # Files from before it was asked what the generator holds.
+        return np.full(shots, np.nan)
+    return _all_rows(trust, "records/force_set", trust.dataset("records/force_set", "<f8", (shots,)))[0]
 
 
 def _untrusted_shots(trust: Trusted, shape: Shape) -> dict[int, str]:
@@ -395,6 +412,7 @@ def _tables(trust: Trusted, shape: Shape) -> Iterator[tuple[str, h5py.Dataset]]:
         "untrusted": (f"S{UNTRUSTED_BYTES}", shape[:1]),
         "records/shot_complete": ("u1", shape[:1]),
         "records/clipped": ("u1", shape[:1]),
+        "records/force_set": ("<f8", shape[:1]),
         "records/pulse_onset_s": ("<f8", shape[:2]),
         "truth/displacement_m": ("<f8", shape[:2]),
     }

@@ -122,7 +122,7 @@ class RunWriter:
                 self.path.unlink()
 
     def settings(self, shot: Shot, settings: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write the instruments' settings as read back for ``shot``, and when its pulses are due."""
+        """Write the instruments' settings as read back for ``shot``, the force set, and when its pulses are due."""
         text = json.dumps(settings, sort_keys=True, separators=(",", ":"))
         if len(text) > SNAPSHOT_BYTES:
             raise StoreError(
@@ -132,6 +132,8 @@ class RunWriter:
         with self._committing():
             self._tables["snapshot"].put(shot.index, text.encode("ascii"))
             self._tables["records/pulse_onset_s"].put(shot.index, shot.timeline.pulse_onset_s)
+            if (amplitude_vpp := settings.get("toneburst", {}).get("amplitude_vpp")) is not None:
+                self._tables["records/force_set"].put(shot.index, shot.force_fraction_at(amplitude_vpp))
 
     def append(self, shot: Shot, block: RecordBlock) -> None:
         """Write the records of ``block`` at the places of their pulses; full chunks go to disk."""
