@@ -229,7 +229,9 @@ def has_echo(spectrum: ComplexArray, echoes: EchoGate) -> BoolArray:
 
     Raises ``ValueError`` where none does.
     """
-    in_band = sum(np.einsum("...ij,...ij->...", part, part) for part in (spectrum.real, spectrum.imag))
+    # real and imaginary parts in a row
+    parts = np.ascontiguousarray(np.swapaxes(spectrum, -1, -2)).view(spectrum.real.dtype)
+    in_band = np.einsum("...ij,...ij->...", parts, parts)
     total = echoes.energy[..., echoes.valid].sum(axis=-1)
     least = LEAST_IN_FLOAT32 if echoes.volts.dtype == np.float32 else LEAST_IN_BAND
     found = np.asarray(in_band > least * total)

@@ -228,9 +228,10 @@ def alike(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArra
     deviation = math.sqrt(max(1 / many - mean**2, 0.0) / rho.shape[-1])
     found = np.asarray(rho.mean(axis=-1) > mean + NOISE_DEVIATIONS * deviation)
     if not found.any():
+        whose = "the echoes" if found.size == 1 else f"echoes of all {found.size} trains"
         raise ValueError(
-            f"echoes of all {found.size} trains have no more in common from pulse to pulse than noise alone: noise "
-            "without echo, or the wrong gate or carrier; check gate, tracking pulser and input range"
+            f"{whose} have no more in common from pulse to pulse than noise alone: noise without echo, or the wrong "
+            "gate or carrier; check gate, tracking pulser and input range"
         )
     return found
 
