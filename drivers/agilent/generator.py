@@ -147,6 +147,7 @@ class Agilent33250A:
         """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified.
 
         Outputs are on meanwhile, so nobody waits long for an answer, and one that got lost is asked for once more.
+        A dropped connection is opened again, once.
         """
         self._require_configured("recheck")
         expected = self._spelled((self._output, *self._programmed))
@@ -156,7 +157,9 @@ class Agilent33250A:
                     self._session.verify("settings after the shot", expected)
                 except RefusedError:
                     raise
-                except InstrumentError:
+                except InstrumentError as error:
+                    if isinstance(error, DroppedError) and not self._session.reopen():
+                        raise
                     self._session.verify("settings after the shot", expected)
         except RefusedError as error:
             # Whatever somebody else sent, the next shot starts from the reset state.

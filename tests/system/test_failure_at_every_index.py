@@ -138,8 +138,9 @@ class TappedWire:
     def read(self) -> str:
         strikes = self._strikes()
         if self._lasting in ("mute", "dead"):
+            until_s = time.monotonic() + getattr(self, "timeout_s", 0.0)
             self._drop()
-            time.sleep(getattr(self, "timeout_s", 0.0))
+            time.sleep(max(0.0, until_s - time.monotonic()))
             raise TimeoutError("injected")
         if self._lasting:
             return self._wire.read()
@@ -411,10 +412,11 @@ def test_a_fault_over_a_real_transport_leaves_the_bench_safe(
         if begun_s and error is not None and not tap.proven:
             off_s.append(max([0.0, *(last - begun_s[0] for last in on_s)]))
             since_fault_s.append(max([0.0, *(last - (tap.struck_s or 0.0) for last in on_s)]))
-            ended_s.append(end_s - begun_s[0])
+            ended_s.append((end_s - begun_s[0], f"{kind} at call {index}"))
     print(f"{transport}: {len(cases)} faults at {clean.calls} calls, {raised} ended the run, ", end="")
     print(f"{reported} named an instrument, {len(unsafe)} unsafe or claimed wrongly; all outputs off after ", end="")
     print(f"{statistics.median(off_s):.3f} s (worst {max(off_s):.3f} s) of making safe, ", end="")
     print(f"{statistics.median(since_fault_s):.3f} s (worst {max(since_fault_s):.3f} s) of the fault; ", end="")
-    print(f"proven or named after {statistics.median(ended_s):.3f} s (worst {max(ended_s):.3f} s)")
+    worst_s, when = max(ended_s)
+    print(f"run ended after {statistics.median(took for took, _ in ended_s):.3f} s (worst {worst_s:.3f} s, {when})")
     assert not unsafe, "\n".join(unsafe)

@@ -1,4 +1,4 @@
-"""Runs ended by signals at random times, with the instruments in another process: all outputs off, and it says so.
+"""Runs with the instruments in another process: ended by signals at random times, and two programs at one bench.
 
 What is judged is the instruments' own word, asked over connections of the test's, once the run's process is gone. Its
 digitizer is the twin's, triggered by the same messages that go to the instruments.
@@ -6,6 +6,7 @@ digitizer is the twin's, triggered by the same messages that go to the instrumen
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import re
@@ -16,7 +17,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,6 +25,7 @@ import pytest
 
 from hpe_rig.bench.bench_file import BenchFile, parse_bench
 from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.store import read_run
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="a console's signals cannot be sent to one process on Windows")
 
@@ -40,7 +42,7 @@ OUTPUTS = 5
 
 # Loads everything once, then forks a run for each line it is sent: its folder and its command.
 RUNNER = """
-import json, os, signal, sys, threading, time
+import json, os, signal, sys, threading, time, typer
 from contextlib import suppress
 from pathlib import Path
 from drivers.alazar.ats460 import Ats460
@@ -86,9 +88,18 @@ def slowly(board, deadline_s):
         yield block
 Ats460.records = slowly
 
+def hold(scene, bench):
+    import hpe_rig
+    with hpe_rig.open_bench(scene, bench):
+        time.sleep(1.0)
+
 print("ready", flush=True)
 for line in sys.stdin:
-    folder, *arguments = json.loads(line)
+    asked = json.loads(line)
+    if isinstance(asked, int):
+        print(os.waitstatus_to_exitcode(os.waitpid(asked, 0)[1]), flush=True)
+        continue
+    folder, *arguments = asked
     child = os.fork()
     if not child:
         os.chdir(folder)
@@ -96,15 +107,19 @@ for line in sys.stdin:
             os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
         os.close(0)
         sys.argv = ["hpe-rig", *arguments]
+        if arguments[0] == "library":
+            from hpe_rig.cli.console import guarded
+            main = lambda: guarded(lambda: hold(*arguments[1:]))()
         try:
             main()
         except SystemExit as end:
             sys.stdout.flush()
             sys.stderr.flush()
             os._exit(end.code or 0)
-        os._exit(99)
+        except typer.Exit as end:
+            os._exit(end.exit_code)
+        os._exit(0)
     print(child, flush=True)
-    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 
 
@@ -119,20 +134,20 @@ class Rig:
 
     def start(self, *arguments: str) -> tuple[Path, int]:
         """Start a command and return its folder and process."""
-        import json
-
         self.runs += 1
         place = self.folder / f"run-{self.runs}"
         place.mkdir()
+        return place, self._told([str(place), *arguments])
+
+    def ended(self, process: int) -> int:
+        """Wait for a process to end and return its exit code, minus the signal where one killed it."""
+        return self._told(process)
+
+    def _told(self, asked: object) -> int:
         assert self.runner.stdin is not None
         assert self.runner.stdout is not None
-        self.runner.stdin.write(json.dumps([str(place), *arguments]) + "\n")
+        self.runner.stdin.write(f"{json.dumps(asked)}\n")
         self.runner.stdin.flush()
-        return place, int(self.runner.stdout.readline())
-
-    def ended(self) -> int:
-        """Wait for the process started last and return its exit code, minus the signal where one killed it."""
-        assert self.runner.stdout is not None
         return int(self.runner.stdout.readline())
 
     def outputs_on(self) -> list[str]:
@@ -170,8 +185,11 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
         ):
             metal = metal.replace(simulated, real)
         (folder / "metal.toml").write_text(metal, encoding="utf-8")
+        # Locks of its own: what else goes on on this machine is at other benches, if with a board of that number.
+        own = {**os.environ, "TMPDIR": str(folder)}
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         runner = stack.enter_context(
-            subprocess.Popen([sys.executable, "-c", RUNNER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            subprocess.Popen([sys.executable, "-c", RUNNER], text=True, env=own, **pipes)  # type: ignore[call-overload]
         )
         stack.callback(runner.terminate)
         assert runner.stdout is not None
@@ -193,8 +211,8 @@ RUN = ("run", "../scene.toml", "--bench", "../metal.toml", "--output", "run.h5")
 def undisturbed_s(rig: Rig) -> float:
     """Return how long a run takes that nobody ends."""
     start_s = time.monotonic()
-    place, _ = rig.start(*RUN)
-    code = rig.ended()
+    place, process = rig.start(*RUN)
+    code = rig.ended(process)
     assert code == 0, (place / "err").read_text(encoding="utf-8")
     assert not rig.outputs_on()
     return time.monotonic() - start_s
@@ -211,7 +229,7 @@ def struck(rig: Rig, numbers: list[signal.Signals], delays_s: list[float]) -> tu
             os.kill(process, number)
         except ProcessLookupError:
             break
-    code = rig.ended()
+    code = rig.ended(process)
     return (place / "err").read_text(encoding="utf-8"), code, on
 
 
@@ -270,3 +288,124 @@ def test_a_storm_of_mixed_signals_leaves_all_outputs_off_and_says_what_is_known(
         wrong += [f"{names} from {first_s:.3f} s on: {what}" for what in judged(rig, said, code)]
     print(f"{storms} storms, {while_on} from a moment on when outputs were on, exit codes {dict(codes)}")
     assert not wrong, "\n".join(wrong)
+
+
+SCENE = ("../scene.toml", "--bench", "../metal.toml")
+COMMANDS = {
+    "run": RUN,
+    "resume": ("resume", "../aborted.h5", "--bench", "../metal.toml", "--output", "run.h5"),
+    "align": ("align", *SCENE),
+    "bench": ("bench", "../metal.toml"),
+    "library": ("library", "../scene.toml", "../metal.toml"),
+}
+SECOND = {**COMMANDS, "off": ("bench", "../metal.toml", "--off"), "resume live": ()}
+
+
+@pytest.fixture(scope="module")
+def whole(rig: Rig) -> Path:
+    """Return the run file of a run that nobody disturbed, after one that stopped behind its first shot."""
+    place, process = rig.start(*RUN)
+    wait_for(lambda: (place / "run.h5").exists() and read_run(place / "run.h5").shot_complete.any())
+    os.kill(process, signal.SIGINT)
+    assert rig.ended(process) == 130
+    assert not read_run(place / "run.h5").shot_complete.all()
+    (place / "run.h5").rename(rig.folder / "aborted.h5")
+    place, process = rig.start(*RUN)
+    assert rig.ended(process) == 0
+    return place / "run.h5"
+
+
+def refused(said: str, process: int) -> bool:
+    """Return whether a program was told that ``process`` has the bench, by its number, its command and since when."""
+    return bool(re.search(rf"is in use by process {process} \(.*\), since 20\d\d-", said))
+
+
+def like(run_file: Path, whole: Path) -> bool:
+    """Return whether all that ``run_file`` says is complete and trusted is as in a run that nobody disturbed."""
+    run, undisturbed = read_run(run_file), read_run(whole)
+    shots = [shot for shot in range(REPEATS) if run.shot_complete[shot] and shot not in run.untrusted]
+    return all((run.records[shot].codes == undisturbed.records[shot].codes).all() for shot in shots)
+
+
+@pytest.mark.parametrize("second", SECOND)
+@pytest.mark.parametrize(
+    "first", [name if name == "run" else pytest.param(name, marks=pytest.mark.slow) for name in COMMANDS]
+)
+def test_of_two_programs_at_one_bench_the_second_is_refused_or_safe(
+    rig: Rig, whole: Path, first: str, second: str
+) -> None:
+    place, process = rig.start(*COMMANDS[first])
+    wait_for(lambda: bool(rig.outputs_on()) if first in ("run", "resume") else holds(rig, process))
+    live = place / "run.h5"
+    command = SECOND[second] or ("resume", str(live), "--bench", "../metal.toml", "--output", "run.h5")
+    other_place, other = rig.start(*command)
+    if second == "align":
+        # It goes on until it is stopped, where it is not refused.
+        wait_for(lambda: "in use" in (other_place / "err").read_text(encoding="utf-8") or holds(rig, other))
+        os.kill(other, signal.SIGINT)
+    code = rig.ended(other)
+    if first == "align":
+        os.kill(process, signal.SIGINT)
+    first_code = rig.ended(process)
+    said = [(there / "err").read_text(encoding="utf-8") for there in (place, other_place)]
+    print(f"{first}, then {second}: {first_code} and {code}: {said[1].strip().splitlines()[:1]}")
+    assert not rig.outputs_on()
+    assert not any("Traceback" in text for text in said)
+    if second == "off":
+        # Whoever switches off is never refused; a run that was under way says that its shot is not to be trusted.
+        assert code in (0, 1), said[1]
+        assert (f"in use by process {process}" in said[1]) or first == "bench"
+    elif first == "bench":
+        # It may have been done with the bench before the other one came.
+        assert refused(said[1], process) or code in (0, 1, 2, 130)
+    elif second == "resume live":
+        assert code != 0, said[1]
+    else:
+        assert code in (1, 130), said[1]
+        assert refused(said[1], process), said[1]
+        assert first_code == (130 if first == "align" else 0), said[0]
+    for run_file in (live, other_place / "run.h5"):
+        assert not run_file.exists() or like(run_file, whole)
+
+
+def holds(rig: Rig, process: int) -> bool:
+    """Return whether ``process`` has written its name beside a lock."""
+    holders = (rig.folder / "hpe_rig-locks").glob("TCPIP0-127*.holder")
+    return any(f"process {process} " in text for holder in holders if (text := text_of(holder)))
+
+
+def text_of(path: Path) -> str:
+    with suppress(FileNotFoundError):
+        return path.read_text(encoding="utf-8")
+    return ""
+
+
+def test_the_lock_of_a_killed_program_is_taken_over_with_a_message(rig: Rig, whole: Path) -> None:
+    place, process = rig.start(*RUN)
+    wait_for(lambda: bool(rig.outputs_on()))
+    os.kill(process, signal.SIGKILL)
+    assert rig.ended(process) == -signal.SIGKILL
+    # Nobody was there to switch them off.
+    assert rig.outputs_on()
+    after, switching = rig.start("bench", "../metal.toml", "--off")
+    assert rig.ended(switching) in (0, 1)
+    assert "read back as off" in (after / "out").read_text(encoding="utf-8")
+    assert not rig.outputs_on()
+    again, process_again = rig.start(*RUN)
+    assert rig.ended(process_again) == 0
+    assert f"was left locked by process {process} (hpe-rig run" in (again / "err").read_text(encoding="utf-8")
+    assert like(again / "run.h5", whole)
+    assert place != again
+
+
+def test_after_a_kill_no_trigger_starts_the_trains_again(rig: Rig, whole: Path) -> None:
+    """Once the master has fired its output is off: neither its key nor another program's trigger reaches the others."""
+    _, process = rig.start(*RUN)
+    wait_for(lambda: set(rig.outputs_on()) == set(rig.bench.generators.by_role) - {"master"})
+    os.kill(process, signal.SIGKILL)
+    rig.ended(process)
+    assert "master" not in rig.outputs_on()
+    other, switching = rig.start("bench", "../metal.toml", "--off")
+    rig.ended(switching)
+    assert not rig.outputs_on()
+    assert other.exists()
