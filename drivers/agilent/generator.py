@@ -250,7 +250,19 @@ class Agilent33250A:
             self._session.program(name, self._spelled(registers))
 
     def _spelled(self, registers: Sequence[Register]) -> tuple[Register, ...]:
-        return tuple(replace(register, header=self._model.header(register.header)) for register in registers)
+        """Return ``registers`` with the model's own headers, to be compared as finely as it holds their values."""
+        return tuple(
+            replace(
+                register,
+                header=self._model.header(register.header),
+                tolerance=max(register.tolerance, self._resolution(register)),
+            )
+            for register in registers
+        )
+
+    def _resolution(self, register: Register) -> float:
+        value = register.value
+        return self._model.resolution(register.header, value) if isinstance(value, float) else 0.0
 
     def _decoded(self, item: Readable, reply: str) -> Setting:
         try:

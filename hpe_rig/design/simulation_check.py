@@ -13,7 +13,7 @@ from hpe_rig.bench import twin_settings
 from hpe_rig.design.model import Baseline, echo_power_of
 from hpe_rig.plan import Plan, driven_frequencies_hz, select
 from hpe_rig.prediction import Conditions, beam_widths
-from hpe_rig.processing import EchoGate, estimate, options_of, shot_prior
+from hpe_rig.processing import EchoGate, estimate, margin_samples, options_of, shot_prior
 from hpe_rig.scene import Scene
 from hpe_rig.study import Errors, errors
 
@@ -51,12 +51,16 @@ def simulate(scene: Scene, plan: Plan, setting: Conditions, start: Baseline, dra
 
 @dataclass(frozen=True, slots=True)
 class _Train:
-    """When the pulses of a shot sense the motion (pulse,), which count, and where in fast time they are seen."""
+    """When the pulses of a shot sense the motion (pulse,), which count, and where in fast time they are seen.
+
+    Of the samples (sample,) those in ``around`` are the gate's, ``margin`` of them at either end outside it.
+    """
 
     time_s: Floats
     valid: NDArray[np.bool_]
     sample_s: Floats
-    gate: slice
+    around: slice
+    margin: int
     reference: slice
     reference_snr: float
 
@@ -71,13 +75,17 @@ def _train(scene: Scene, plan: Plan, setting: Conditions, start: Baseline) -> _T
     gate_m = start.gate_length_m
     reference = round(2 * gate_m / setting.sound_speed_m_per_s * setting.sample_rate_hz)
     counts = shot.gate.stop - shot.gate.start, max(reference, 1)
+    # a record goes on at both ends of the gate
+    margin = margin_samples(setting.sample_rate_hz, setting.carrier_hz)
+    counts = counts[0] + 2 * margin, counts[1]
     most = max(counts)
-    gate, still = (slice((most - count) // 2, (most - count) // 2 + count) for count in counts)
+    around, still = (slice((most - count) // 2, (most - count) // 2 + count) for count in counts)
     return _Train(
         chosen.time_s,
         chosen.used,
         (np.arange(most) - (most - 1) / 2) / setting.sample_rate_hz,
-        gate,
+        around,
+        margin,
         still,
         setting.snr * echo_power_of(setting, gate_m) / echo_power_of(setting, setting.gate_length_m),
     )
@@ -104,9 +112,9 @@ def _deviations(
     first = 0
     for echoes in drawn_echoes(settings, moved_m, pulse, train.sample_s, echo_rng, draws, TOLERANCE):
         power = np.mean(np.square(echoes[:, 0, train.reference]), axis=-1)[:, None, None]
-        volts = noise_rng.standard_normal(echoes[:, 1:, train.gate].shape)
+        volts = noise_rng.standard_normal(echoes[:, 1:, train.around].shape)
         volts *= np.sqrt(power / train.reference_snr)
-        volts += echoes[:, 1:, train.gate]
+        volts += echoes[:, 1:, train.around]
         gated = EchoGate(
             volts,
             setting.sample_rate_hz,
@@ -114,6 +122,7 @@ def _deviations(
             setting.carrier_hz,
             setting.sound_speed_m_per_s,
             train.valid,
+            (train.margin, train.margin),
         )
         fit = estimate(gated, frequencies_hz, estimator, also_hz, options_of(scene.processing))
         turned = fit.phase_rad[:, 0] - phase_rad[first : first + len(echoes)]

@@ -57,6 +57,12 @@ class Band:
     noise: ComplexArray
 
     @functools.cached_property
+    def fades_gate(self) -> bool:
+        """Whether the taper reaches into the gate, whose echoes then change as they move."""
+        before, behind = self.margin
+        return bool(self.taper[before : self.taper.size - behind].min() < 1)
+
+    @functools.cached_property
     def gated_noise(self) -> ComplexArray:
         """G times the covariance of the noise, (bin, bin)."""
         return np.asarray(self.noise - self.root @ (self.root.T @ self.noise))

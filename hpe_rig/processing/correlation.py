@@ -23,7 +23,9 @@ def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: in
     The correlation is sampled ``upsampling`` times as finely as the echoes (band-limited) and searched within half a
     carrier period of a first guess from accumulated consecutive phases; between its samples a parabola through three or
     a cubic spline finds the peak. At 11 samples a period small motion comes out 2.5 % wrong by a spline without
-    upsampling, 6 % by a parabola. Raises ``ValueError`` as ``coherent``.
+    upsampling, 6 % by a parabola. Where the record ends with the gate, frequencies count by their inverse: the peak is
+    then where the phase of the whole band is zero, as ``coherent`` has it, which a taper moves least. Raises
+    ``ValueError`` as ``coherent``.
     Source: the usual time-domain estimator (Viola and Walker 2003 compare several).
     """
     spectrum, band = band_spectrum(echoes, 2)
@@ -35,6 +37,9 @@ def cross_correlation(echoes: EchoGate, *, peak: Peak = "spline", upsampling: in
     # the reference stays where the first guess put it, so lags count from there and not from the pulse before
     others = found.gated[..., None, :] - band.gated(turned(spectrum, guess_s, band.frequency_hz))
     cross = np.conj(others) * turned(spectrum, whole / rate_hz, band.frequency_hz)
+    if band.fades_gate:
+        # a peak weighs phases by frequency, and what the taper takes from a moving echo turns just those
+        cross *= steps.mean_hz[..., None, None] / band.frequency_hz
     half = math.ceil(rate_hz / np.nanmin(steps.mean_hz) / 2)
     lag = _peak_lag(_correlation(cross, band.frequency_hz / rate_hz, half + MARGIN), half, peak)
     metres = echoes.sound_speed_m_per_s / 2

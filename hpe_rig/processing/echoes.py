@@ -24,7 +24,7 @@ BLOCK_SAMPLES = 1 << 22
 """Samples of a block of volts that are not all held at once."""
 
 EDGE_PERIODS = 11.7
-EDGE_WITH_MARGIN, EDGE_WITHOUT_MARGIN, EDGE_WINDOWED = 3e-5, 7e-4, 3.6e-3
+EDGE_WITH_MARGIN, EDGE_WITHOUT_MARGIN, EDGE_WINDOWED = 5e-5, 7e-4, 3.6e-3
 """Relative errors that the edges leave in a gate of so many carrier periods (1 mm at 9 MHz)."""
 
 

@@ -15,10 +15,11 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from hpe_rig.processing.band import Band, band_spectrum, energy_of, inner, turned
-from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray
+from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Motion, scatter
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model, triangular_root
 from hpe_rig.processing.motion import coherent_phase, motion_of_phase
+from hpe_rig.processing.prior import MediumPrior, medium_fit
 
 STEPS = 12
 ENOUGH = 1e-12
@@ -35,11 +36,13 @@ def joint(
     also_hz: FloatArray | Sequence[float] = (),
     background_order: int = 0,
     largest_condition: float = LARGEST_CONDITION,
+    prior: MediumPrior | None = None,
 ) -> HarmonicFit:
     """Return the amplitudes and phases that make all echoes of a train most likely one echo, delayed.
 
     Seeded by ``coherent``, or by no motion where that is likelier (noise stronger than single echoes). The covariance
-    follows from the pulses' residual displacements. A background of order 0 is part of the resting echo. Raises
+    follows from the pulses' residual displacements. A background of order 0 is part of the resting echo. With a
+    ``prior`` of media, what each echo moves once all are aligned best is fitted with that instead. Raises
     ``ValueError`` as ``coherent`` and ``least_squares``. Source: maximum likelihood with the resting echo as nuisance
     parameter (variable projection).
     """
@@ -53,6 +56,11 @@ def joint(
     root = triangular_root(matrix, model.condition if not len(also_hz) else largest_condition)
     spectrum, band = band_spectrum(echoes, 2)
     reduced, residual = _most_likely(spectrum, band, echoes, matrix, root @ (matrix @ root).T)
+    if prior is not None:
+        displacement_m = scatter(reduced @ matrix.T + residual, echoes.valid)
+        # Every pulse has the same weight: its variance scales nothing.
+        motion = Motion(echoes.pulse_time_s, displacement_m, np.ones_like(displacement_m), echoes.valid)
+        return medium_fit(motion, frequency_hz, prior, background_order=background_order).fit
     variance = np.einsum("...i,...i->...", residual, residual) / (len(matrix) - matrix.shape[1] - 1)
     covariance = variance[..., None, None] * (root @ root.T)
     wanted = 2 * frequency_hz.size
@@ -138,15 +146,18 @@ def _residual(aligned: ComplexArray, band: Band, seconds: float) -> FloatArray:
     per_hz, pulses = 2 * np.pi * seconds, aligned.shape[-2]
     mean = aligned.mean(axis=-2)
     gated, turning = band.gated(mean), mean * band.frequency_hz
-    along = (gated * band.frequency_hz + band.gated(turning)) / 2
+    # A taper that reaches into the gate changes a moving echo along that slope, not along the echo itself, whose phase
+    # says nearly as much: the difference is the square of the relative bandwidth.
+    along = gated if band.fades_gate else (gated * band.frequency_hz + band.gated(turning)) / 2
     slope = -((aligned @ np.conj(along)[..., :, None])[..., 0]).imag
     power = inner(along, turning)
     # noise of the mean adds to its power, not to the slope
     noise = (_gate_energy(aligned, band).mean(axis=-1) - inner(gated, mean)) / (pulses - 1)
-    power = np.maximum(power - noise * _noise_square_hz2(band), power / 10) * per_hz
+    of_noise = _noise_moment(band, 1 if band.fades_gate else 2)
+    power = np.maximum(power - noise * of_noise, power / 10) * per_hz
     return np.asarray(slope / np.maximum(power, np.finfo(np.float64).tiny)[..., None])
 
 
-def _noise_square_hz2(band: Band) -> float:
-    """Return the mean square frequency of white noise in the gate."""
-    return float(np.diagonal(band.gated_noise).real @ band.frequency_hz**2 / band.noise_energy)
+def _noise_moment(band: Band, order: int) -> float:
+    """Return the mean frequency of white noise in the gate, or its mean square, Hz^order."""
+    return float(np.diagonal(band.gated_noise).real @ band.frequency_hz**order / band.noise_energy)

@@ -7,6 +7,7 @@ changes by -2 pi f tau. Derivations and sources: docs/theory/estimation.md.
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -24,12 +25,16 @@ from hpe_rig.processing.band import (
     turned,
 )
 from hpe_rig.processing.conditioning import hann
-from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, scatter
+from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Motion, scatter
 
 DivideBy = Literal["centre", "carrier"]
 
 STEPS_AT_ONCE = 256
 """Pulses whose steps are found together: few enough that all of their products stay in the cache."""
+NOISE_DEVIATIONS = 3.1
+"""Normal deviations that a train of noise exceeds once in a thousand."""
+LEAST_INDEPENDENT = 3.0
+
 ALIGNED_AT_ONCE = 1 << 14
 """Pulses that are aligned together: a longer train never lies aligned in memory as a whole."""
 
@@ -108,8 +113,12 @@ def cross_spectrum(
     divisor_hz = peak_hz if divide_by == "centre" else np.full_like(peak_hz, echoes.carrier_hz)
     # the padded bins hold no more than the unpadded ones, and the Hann window leaves two thirds of those
     independent = frequency_hz.size * samples / bins / (1.5 if gate_window == "hann" else 1.0)
-    product = np.einsum("...i,...i->...", np.conj(spectrum[..., :-1, :]), spectrum[..., 1:, :])
-    noise = noise_of_steps(np.abs(product), energy_of(spectrum), independent)
+    cross = np.abs(np.einsum("...i,...i->...", np.conj(spectrum[..., :-1, :]), spectrum[..., 1:, :]))
+    energy = energy_of(spectrum)
+    # a correlation has as many independent numbers as the squared window is long
+    seen = frequency_hz.size / bins * np.sum(window**2) ** 2 / np.sum(window**4)
+    step[~alike(cross, energy, float(seen))] = np.nan
+    noise = noise_of_steps(cross, energy, independent)
     return motion_of_steps(echoes, step, divisor_hz, *noise)
 
 
@@ -193,12 +202,36 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
         energy[..., 1, :] -= _overlap(outside, weighted)[..., new]
         power[..., here] = energy
     product, moment = cross[..., 0, :], cross[..., 1, :]
+    product[~alike(np.abs(product), power[..., 0, :], band.independent)] = np.nan
     step = np.angle(product)
     phase = np.concatenate([np.zeros((*step.shape[:-1], 1)), np.cumsum(step, axis=-1)], axis=-1)
     # what neighbours have in common is in phase once their step is undone
     common = (np.exp(-1j * step) * moment).real.sum(axis=-1)
     mean_hz = mean_frequency(common, np.abs(product).sum(axis=-1), band)
     return PulseSteps(product, phase, mean_hz, power[..., 0, :], power[..., 1, :].sum(axis=-1), whole)
+
+
+def alike(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArray:
+    """Return which trains (...) correlate from pulse to pulse by more than noise alone would, once in a thousand.
+
+    ``cross`` (..., pulse - 1) is the magnitude of every echo's product with the next, ``energy`` (..., pulse) theirs.
+    Two echoes of noise, of M independent numbers each, correlate by rho, of which rho^2 follows a beta distribution
+    (1, M - 1); the mean over the train, every pair alike so that one spike does not count for all, is nearly normal.
+    What correlates no more has no phase to follow. Raises ``ValueError`` where no train does.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rho = cross / np.sqrt(energy[..., :-1] * energy[..., 1:])
+    # a gate of hardly more than one independent number cannot tell: there all is taken that is not clearly noise
+    many = max(independent, LEAST_INDEPENDENT)
+    mean = math.exp(math.lgamma(1.5) + math.lgamma(many) - math.lgamma(many + 0.5))
+    deviation = math.sqrt(max(1 / many - mean**2, 0.0) / rho.shape[-1])
+    found = np.asarray(rho.mean(axis=-1) > mean + NOISE_DEVIATIONS * deviation)
+    if not found.any():
+        raise ValueError(
+            f"echoes of all {found.size} trains have no more in common from pulse to pulse than noise alone: noise "
+            "without echo, or the wrong gate or carrier; check gate, tracking pulser and input range"
+        )
+    return found
 
 
 def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:

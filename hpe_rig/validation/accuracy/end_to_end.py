@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hpe_rig.prediction import beam_averaging_factor, force_spectrum, scatterer_density
-from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, spec_of
+from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, margin_samples, spec_of
 from hpe_rig.report import MARKS, label_decades, mark
 from hpe_rig.validation.accuracy.work_precision import pareto
 
@@ -37,6 +37,8 @@ FORCE_N_PER_M3, SNR_DB = 5.0e6, 40.0
 CARRIER_HZ, SAMPLE_RATE_HZ = 9e6, 100e6
 SAME_DRAWS = 16
 EXACT_TOLERANCE = 1e-12
+MARGIN = margin_samples(SAMPLE_RATE_HZ, CARRIER_HZ)
+"""Samples before and behind the gate, as a record has them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +120,7 @@ def amplitudes(way: Way, realisations: int, seed: int) -> Floats:
     found = []
     for clean in drawn_echoes(settings, moved_m, pulse, _gate_s(way), scatterers, realisations, way.tolerance):
         # Rms of the noise of each realisation, `SNR_DB` below its own echoes.
-        noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 10 ** (SNR_DB / 10))
+        noise_v = np.sqrt(np.mean(clean[..., MARGIN:-MARGIN] ** 2, axis=(-2, -1), keepdims=True) / 10 ** (SNR_DB / 10))
         found.append(_estimated(way, clean + noise_v * noise.standard_normal(clean.shape)))
     return np.concatenate(found)
 
@@ -215,7 +217,7 @@ def _estimated(way: Way, volts: Floats) -> Floats:
     time_s = _pulse_s()
     valid = np.ones(len(time_s), dtype=bool)
     settings = scene()
-    gate = EchoGate(volts, SAMPLE_RATE_HZ, time_s, CARRIER_HZ, settings.sound_speed_m_per_s, valid)
+    gate = EchoGate(volts, SAMPLE_RATE_HZ, time_s, CARRIER_HZ, settings.sound_speed_m_per_s, valid, (MARGIN, MARGIN))
     # The tonebursts drive every multiple of their rate: the first ten are fitted together.
     also_hz = [n * BURST_RATE_HZ for n in range(1, 11) if n * BURST_RATE_HZ != FREQUENCY_HZ]
     fit = estimate(gate, [FREQUENCY_HZ], way.estimator, also_hz)
@@ -254,7 +256,7 @@ def _pulse_s() -> Floats:
 
 
 def _gate_s(way: Way) -> Floats:
-    samples = round(2 * way.gate_length_m / scene().sound_speed_m_per_s * SAMPLE_RATE_HZ)
+    samples = round(2 * way.gate_length_m / scene().sound_speed_m_per_s * SAMPLE_RATE_HZ) + 2 * MARGIN
     return np.asarray((np.arange(samples) - (samples - 1) / 2) / SAMPLE_RATE_HZ)
 
 

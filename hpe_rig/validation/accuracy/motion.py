@@ -7,12 +7,13 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.prediction import Conditions, Expected, draw_speckle, echo_bound, expected, scatterer_density
-from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, harmonic_columns
+from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, harmonic_columns, margin_samples
 from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped
 
 Floats = NDArray[np.float64]
@@ -32,7 +33,7 @@ PARAMETERS: dict[str, tuple[float, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class MotionCase:
-    """Table I with what a study changes."""
+    """Table I with what a study changes; ``margin``: samples of the record before and behind the gate."""
 
     snr_db: float = 20.0
     amplitude_m: float = 1e-6
@@ -45,6 +46,7 @@ class MotionCase:
     frequency_hz: float = 200.0
     carrier_hz: float = 9e6
     sound_speed_m_per_s: float = 1540.0
+    margin: int = 0
 
     @property
     def pulse_time_s(self) -> Floats:
@@ -53,8 +55,8 @@ class MotionCase:
 
     @property
     def gate_s(self) -> Floats:
-        """Sample times relative to the echo of the focus, (sample,)."""
-        samples = round(2 * self.gate_length_m / self.sound_speed_m_per_s * self.sample_rate_hz)
+        """Sample times relative to the echo of the focus, margins included, (sample,)."""
+        samples = round(2 * self.gate_length_m / self.sound_speed_m_per_s * self.sample_rate_hz) + 2 * self.margin
         return np.asarray((np.arange(samples) - (samples - 1) / 2) / self.sample_rate_hz, dtype=np.float64)
 
 
@@ -95,7 +97,8 @@ def rows(
     for name in parameters:
         for value in PARAMETERS[name]:
             for level in (value,) if name == "snr_db" else snr_db:
-                case = replace(MotionCase(snr_db=level), **{name: value})
+                changed: dict[str, Any] = {name: value}
+                case = replace(MotionCase(snr_db=level), **changed)
                 yield from case_rows(case, name, value, estimators, draws, seed)
 
 
@@ -114,12 +117,14 @@ def draw_motion(rows: Sequence[MotionRow], path: Path) -> None:
 def case_rows(
     case: MotionCase, parameter: str, value: float, estimators: Sequence[Estimator], draws: int, seed: int
 ) -> Iterator[MotionRow]:
-    """Yield a row for every estimator, all from the same echoes and noise."""
+    """Yield a row for every estimator, all from the same echoes and noise, with the margins that a record has."""
+    case = replace(case, margin=margin_samples(case.sample_rate_hz, case.carrier_hz))
     clean = twin_echoes(case, draws, np.random.default_rng([seed, 0]))
-    noise_v = np.sqrt(np.mean(clean**2, axis=(-2, -1), keepdims=True) / 10 ** (case.snr_db / 10))
+    held = clean[..., case.margin : -case.margin]
+    noise_v = np.sqrt(np.mean(held**2, axis=(-2, -1), keepdims=True) / 10 ** (case.snr_db / 10))
     noisy = clean + noise_v * np.random.default_rng([seed, 1]).standard_normal(clean.shape)
     columns = harmonic_columns(case.pulse_time_s, np.array([case.frequency_hz]))
-    bound = echo_bound(clean[:, 0], case.sample_rate_hz, noise_v[:, 0, 0], columns, case.sound_speed_m_per_s)
+    bound = echo_bound(held[:, 0], case.sample_rate_hz, noise_v[:, 0, 0], columns, case.sound_speed_m_per_s)
     setting = conditions_of(case)
     speckle = draw_speckle(setting, np.random.default_rng([seed, 2]))
     for name in estimators:
@@ -165,7 +170,13 @@ def gate(case: MotionCase, volts: Floats) -> EchoGate:
     """Return echoes (..., pulse, sample) as the estimators take them."""
     everything = np.ones(volts.shape[-2], dtype=bool)
     return EchoGate(
-        volts, case.sample_rate_hz, case.pulse_time_s, case.carrier_hz, case.sound_speed_m_per_s, everything
+        volts,
+        case.sample_rate_hz,
+        case.pulse_time_s,
+        case.carrier_hz,
+        case.sound_speed_m_per_s,
+        everything,
+        (case.margin, case.margin),
     )
 
 
