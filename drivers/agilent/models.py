@@ -2,18 +2,39 @@
 
 Sources: 33250A from docs/theory/instruments.md, 1.4. 33500 series: its manual's burst and pulse pages (count, 6 MHz
 ceiling of counted sine bursts, least width). The 33600A shares that manual's commands, its ceiling is taken to be the
-same. Assumed, from memory of the data sheets: the siblings' sine and pulse rates, edges, delays, and the 33220A's row;
-of a series with several frequency options the lowest.
+same. The 33250A's resolution is its manual's (amplitude 0.1 mV or 4 digits, frequency 1 uHz or 9 digits); that offset
+and levels resolve as the amplitude does is assumed. Assumed, from memory of the data sheets: the siblings' sine and
+pulse rates, edges, delays and resolution, and the 33220A's row; of a series with several frequency options the lowest.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Final
 
 Range = tuple[float, float]
+LEVELS: Final = frozenset({"VOLT", "VOLT:OFFS", "VOLT:HIGH", "VOLT:LOW"})
 CHANNEL_HEADERS: Final = {"OUTP:TRIG": "OUTP:TRIG", "OUTP": "OUTP1", "TRIG": "TRIG1"}
+
+
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """How finely an instrument holds a number: ``digits`` significant digits, but no finer than ``step``."""
+
+    step: float
+    digits: int
+
+    def at(self, value: float) -> float:
+        """Return the distance of two neighbouring settings at ``value``."""
+        decade = math.floor(math.log10(abs(value))) if value else -math.inf
+        return max(self.step, 10.0 ** (decade - self.digits + 1))
+
+
+# Those of a double: nothing but the step bounds the number.
+ALL_DIGITS: Final = 15
+LEVEL_RESOLUTION: Final = Resolution(1e-4, 4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +58,7 @@ class GeneratorModel:
     channel_number: bool = False
     pulse_node: str = "PULS"
     period_node: str = "PULS"
+    frequency_resolution: Resolution = Resolution(1e-6, ALL_DIGITS)
 
     def header(self, header: str) -> str:
         """Return how this model spells a header of the 33250A."""
@@ -48,6 +70,12 @@ class GeneratorModel:
             if own == start or own.startswith(f"{start}:"):
                 return numbered + own[len(start) :]
         return f"SOUR1:{own}"
+
+    def resolution(self, header: str, value: float) -> float:
+        """Return how finely a number is held under a header of the 33250A; 0 where it is held as it is sent."""
+        if header == "FREQ":
+            return self.frequency_resolution.at(value)
+        return LEVEL_RESOLUTION.at(value) if header in LEVELS else 0.0
 
     def least_width_s(self, period_s: float) -> float:
         """Return the narrowest pulse at a period."""
@@ -61,7 +89,7 @@ AGILENT_33250A: Final = GeneratorModel(
     sine_hz=(1e-6, 80e6), pulse_rate_hz=(500e-6, 50e6), burst_carrier_hz=(1e-6, 25e6),
     cycles=(1, 1_000_000), delay_s=(0.0, 85.0), width_s=(8e-9, 2000.0), edge_s=5e-9,
     # Assumed numbers: that the least width grows with the period is known.
-    narrowest_s=((200.0, 2e-6), (20.0, 200e-9)),
+    narrowest_s=((200.0, 2e-6), (20.0, 200e-9)), frequency_resolution=Resolution(1e-6, 9),
 )
 MODELS: Final = (
     AGILENT_33250A,

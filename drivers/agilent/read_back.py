@@ -11,6 +11,8 @@ from drivers.interfaces import Setting
 
 # Sent numbers carry 13 digits; ten of them must come back, which is what the shortest 33250A reply still resolves.
 RELATIVE_TOLERANCE: Final = 1e-10
+# A difference of a whole step is computed with rounding errors of its own.
+ROUNDING: Final = 1e-9
 SCPI_INFINITY: Final = 9.9e37
 SHORT_FORM_LETTERS: Final = 4
 
@@ -19,7 +21,8 @@ SHORT_FORM_LETTERS: Final = 4
 class Register:
     """One programmed setting: the field's name for it, its SCPI header, the value, and an absolute tolerance.
 
-    ``tolerance`` is for values made by a difference (levels), where a relative one says nothing near zero.
+    ``tolerance`` is for values that the instrument holds no finer, and for those made by a difference (levels), where a
+    relative one says nothing near zero.
     """
 
     key: str
@@ -40,7 +43,9 @@ class Register:
             read = number(reply)
         except ValueError:
             return False
-        return math.isclose(read, float(self.value), rel_tol=RELATIVE_TOLERANCE, abs_tol=self.tolerance)
+        return math.isclose(
+            read, float(self.value), rel_tol=RELATIVE_TOLERANCE, abs_tol=self.tolerance * (1 + ROUNDING)
+        )
 
 
 @dataclass(frozen=True, slots=True)

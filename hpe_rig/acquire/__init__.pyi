@@ -31,8 +31,10 @@ from .sequencer import (
 )
 from .stop_request import (
     StopRequested as StopRequested,
+    clear_leftover as clear_leftover,
     clear_stop as clear_stop,
     request_stop as request_stop,
     stop_path as stop_path,
+    stop_requested as stop_requested,
     stoppable as stoppable,
 )

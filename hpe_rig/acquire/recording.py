@@ -7,7 +7,6 @@ where not even a shot was programmed: a wrong address costs nobody a run and lea
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Self, final
@@ -75,6 +74,11 @@ class Recording:
                     writer.true_harmonics(shot, harmonics_m)
                 writer.finish(shot)
 
+    def look(self) -> None:
+        """Raise ``StoreError`` where the file was lost, also while nothing is written."""
+        if self._writer is not None:
+            self._writer.look()
+
     def run_time(self, stages: Stages) -> None:
         """Write the wall time of each stage so far."""
         self._begin().run_time(stages.run_time_s)
@@ -88,8 +92,7 @@ class Recording:
             return f"no record had arrived: {self._path} is what it was before"
         if self._programmed:
             return f"{self._path} holds no records: none had arrived"
-        with suppress(OSError):
-            self._path.unlink()
+        self._writer.remove()
         return "nothing was measured, and no run file is left"
 
     def _begin(self) -> RunWriter:

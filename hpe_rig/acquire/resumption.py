@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
 
 from hpe_rig.acquire.run import Setup, prepare_text, record_run
 from hpe_rig.acquire.run_file import Run, open_run
 from hpe_rig.acquire.sequencer import Observer, unobserved
 from hpe_rig.result import Stages
 from hpe_rig.scene import SceneSource, scene_text
-from hpe_rig.store import Predecessor, StoreError, WriteOptions, free_path
+from hpe_rig.store import Predecessor, StoredRun, StoreError, WriteOptions, free_path, is_taken
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,16 +28,19 @@ def prepare_rest(
     """Return what is left of the run in ``path``; ``scene``: one to compare with, None: the run's own.
 
     The bench is the caller's, never the file's: a run file decides neither which instruments are addressed nor their
-    limits. Raises ``StoreError`` where scene or bench differ from the run's or nothing is left, else as ``prepare``.
+    limits. A shot that fails its checksums is measured again, and all behind it. Raises ``StoreError`` where the run
+    goes on, where scene or bench differ from the run's or nothing is left, else as ``prepare``.
     """
     earlier = open_run(path)
+    if is_taken(path):
+        raise StoreError(f"{path} is being written by a run that goes on. Try: wait for its end, or stop it.")
     own = earlier.stored.scene_name, earlier.stored.scene_toml
     setup = prepare_text(*(own if scene is None else scene_text(scene)), bench_path, stages)
     _refuse_other(earlier, setup)
-    unfinished = np.flatnonzero(~earlier.stored.shot_complete)
-    if not unfinished.size:
-        raise StoreError(f"{path} has all of its {len(setup.plan.shots)} shots. Try: hpe-rig process {path}.")
-    return Rest(setup, earlier, int(unfinished[0]))
+    complete = _sound_shots(earlier.stored)
+    if complete == len(setup.plan.shots):
+        raise StoreError(f"{path} has all of its {complete} shots. Try: hpe-rig process {path}.")
+    return Rest(setup, earlier, complete)
 
 
 def resume(
@@ -47,13 +48,19 @@ def resume(
     path: Path | None = None,
     observer: Observer = unobserved,
     stages: Stages | None = None,
-    compress: bool = False,
+    options: WriteOptions | None = None,
 ) -> Path:
     """Copy the complete shots into a new run file, measure the others, and return its path; as ``record_run``."""
     old = rest.earlier.path
     path = path or free_path(old.stem, old.parent)
-    options = WriteOptions(compress=compress, predecessor=Predecessor(old.name, rest.complete))
-    return record_run(rest.setup, path, observer, stages, options, rest.earlier.stored)
+    going_on = replace(options or WriteOptions(), predecessor=Predecessor(old.name, rest.complete))
+    return record_run(rest.setup, path, observer, stages, going_on, rest.earlier.stored)
+
+
+def _sound_shots(stored: StoredRun) -> int:
+    """Return how many shots from the first on are complete and as their checksums say: no other is taken over."""
+    shots = range(stored.shot_complete.size)
+    return next((shot for shot in shots if not stored.shot_complete[shot] or not stored.is_sound(shot)), len(shots))
 
 
 def _refuse_other(earlier: Run, setup: Setup) -> None:

@@ -33,7 +33,7 @@ from hpe_rig.scene import (
     scene_text,
     with_default_specimen,
 )
-from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path
+from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path, refuse_to_replace
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,17 +106,21 @@ def record_run(
     path = path or free_path(setup.scene.name, Path())
     first = options.predecessor.shots
     rest = replace(setup.plan, shots=setup.plan.shots[first:])
+    late = options.overwrite and path.exists()
+    if late:
+        refuse_to_replace(path)
     # Interrupts end what is in the innermost block, and are held back while file and bench are left in order.
     with uninterrupted(), ExitStack() as stack:
         create = partial(RunWriter, path, setup.scene, setup.bench, setup.plan, options)
-        recording = stack.enter_context(Recording(path, create, late=options.overwrite and path.exists()))
+        recording = stack.enter_context(Recording(path, create, late))
         stack.enter_context(interruptible())
         if earlier is not None:
             with taken("take over"):
                 recording.take_over(earlier, first)
         with taken("open bench"):
             bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
-        with taken("configure"), closing(acquire(rest, bench, _timed(observer, taken))) as events:
+        observers = _timed(_looking(observer, recording), taken)
+        with taken("configure"), closing(acquire(rest, bench, observers)) as events:
             for event in events:
                 with taken("store"):
                     recording.take(event, setup.scene.scene, bench, taken)
@@ -133,6 +137,16 @@ def _timed(observer: Observer, stages: Stages) -> Observer:
         if progress.step is not Step.SAFE:
             # This step is announced once the outputs are off: its time is part of the step before.
             stages.rename(progress.step.value)
+
+    return observe
+
+
+def _looking(observer: Observer, recording: Recording) -> Observer:
+    """Return ``observer`` such that it also looks whether the run's file is still there, where nothing is written."""
+
+    def observe(progress: Progress) -> None:
+        observer(progress)
+        recording.look()
 
     return observe
 

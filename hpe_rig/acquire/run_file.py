@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -127,7 +128,8 @@ class Run:
 
     def refreshed(self) -> Run:
         """Return the run as its file stands by now, for one that is still being written."""
-        return replace(self, stored=read_run(self.path))
+        stored = read_run(self.path)
+        return replace(self, stored=stored, plan=_as_set(self.plan, stored))
 
 
 def open_run(path: str | os.PathLike[str]) -> Run:
@@ -147,7 +149,14 @@ def open_run(path: str | os.PathLike[str]) -> Run:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)
     stored.refuse_unlike(plan)
-    return Run(stored.path, scene, bench, plan, found, stored)
+    return Run(stored.path, scene, bench, _as_set(plan, stored), found, stored)
+
+
+def _as_set(plan: Plan, stored: StoredRun) -> Plan:
+    """Return ``plan`` with the forces that the generator really was set to, which rounds what it is sent."""
+    pairs = zip(plan.shots, stored.force_set.tolist(), strict=True)
+    shots = (replace(shot, force_fraction=force) if math.isfinite(force) else shot for shot, force in pairs)
+    return replace(plan, shots=tuple(shots))
 
 
 def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:
@@ -210,6 +219,7 @@ def _no_estimate(run: Run, why: str) -> StoreError:
 def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
     """Yield what a reader of the result must know of the whole run."""
     yield from (str(finding) for finding in run.findings if finding.level != "passed")
+    yield from run.stored.damage
     # The board cannot say which record it was; where some are skipped the gate's own codes decide.
     for shot in run.stored.clipped if run.scene.tracking.disturbed != "skip" else ():
         yield (

@@ -11,8 +11,10 @@ from typing import Annotated
 import typer
 
 from hpe_rig.cli.console import (
+    EXIT_DAMAGED,
     EXIT_INSTRUMENT,
     EXIT_MISTAKE,
+    EXIT_NO_CHECKSUMS,
     BenchPath,
     RunFile,
     SceneName,
@@ -20,6 +22,7 @@ from hpe_rig.cli.console import (
     guarded,
     ignore_interrupts,
     progress,
+    refuse_undecodable,
     show,
 )
 from hpe_rig.cli.studies import studies
@@ -50,6 +53,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             # A title the console's code page lacks must not cost a measurement.
             stream.reconfigure(errors="replace")
+    refuse_undecodable(sys.argv)
     try:
         app()
     finally:
@@ -79,14 +83,16 @@ def run(
         from hpe_rig.acquire import chosen_estimator, prepare, process, record_run
         from hpe_rig.cli.watch import watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
-        from hpe_rig.store import WriteOptions, free_path
+        from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
     setup = prepare(scene, bench, stages)
-    chosen_estimator(estimator, setup.scene.scene)
-    path = output or free_path(setup.scene.name, Path())
-    with watched(setup, path, live, verbose, announce) as watching:
+    chosen = chosen_estimator(estimator, setup.scene.scene)
+    path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
+    refuse_unwritable(result_path(path, chosen))
+    with watched(setup, path, run_id, live, verbose, announce) as watching:
         with progress(setup, quiet=json or csv) as observer:
-            record_run(setup, path, watching(observer), stages, WriteOptions(compress, overwrite))
+            options = WriteOptions(compress, overwrite, run_id=run_id)
+            record_run(setup, path, watching(observer), stages, options)
         show(process(path, estimator, stages), json, csv)
 
 
@@ -109,17 +115,19 @@ def resume(
     """Continue a stopped run, keeping its complete shots. They are copied to a new file, which gets the others too."""
     stages = Stages()
     with stages("load"):
-        from hpe_rig.acquire import prepare_rest, process, resume as resume_run
+        from hpe_rig.acquire import chosen_estimator, prepare_rest, process, resume as resume_run
         from hpe_rig.cli.watch import watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
-        from hpe_rig.store import free_path
+        from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
     rest = prepare_rest(run_file, scene, bench, stages)
+    chosen = chosen_estimator(estimator, rest.setup.scene.scene)
     announce(f"{rest.complete} of {len(rest.setup.plan.shots)} shots are complete")
-    path = output or free_path(run_file.stem, run_file.parent)
-    with watched(rest.setup, path, live, verbose, announce) as watching:
+    path, run_id = output or free_path(run_file.stem, run_file.parent), new_run_id()
+    refuse_unwritable(result_path(path, chosen))
+    with watched(rest.setup, path, run_id, live, verbose, announce) as watching:
         with progress(rest.setup, quiet=json or csv) as observer:
-            resume_run(rest, path, watching(observer), stages, compress)
+            resume_run(rest, path, watching(observer), stages, WriteOptions(compress, run_id=run_id))
         show(process(path, estimator, stages), json, csv)
 
 
@@ -130,6 +138,23 @@ def process(run_file: RunFile, estimator: Estimator = None, json: Json = False, 
     from hpe_rig.acquire import process as process_run
 
     show(process_run(run_file, estimator, Stages()), json, csv)
+
+
+@app.command()
+@guarded
+def verify(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Run file or result file.")], json: Json = False
+) -> None:
+    """Compare every byte of a file with its checksums. Exit code 0: sound, 4: damaged, 5: it has no checksums."""
+    from hpe_rig.cli.verify import print_verification
+    from hpe_rig.store import verify as verify_file
+
+    found = verify_file(file)
+    print_verification(found, json)
+    if found.damage:
+        raise typer.Exit(EXIT_DAMAGED)
+    if not found.checksums:
+        raise typer.Exit(EXIT_NO_CHECKSUMS)
 
 
 @app.command()

@@ -7,7 +7,7 @@ from typing import Protocol, final
 
 import numpy as np
 
-from hpe_rig.acquire import Run, open_run, request_stop, stop_path
+from hpe_rig.acquire import Run, open_run, request_stop, stop_path, stop_requested
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
 from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import (
@@ -65,7 +65,7 @@ class RunSource:
         return self._state(self._run)
 
     def stop(self) -> None:
-        """Ask the run to stop through the file that it looks for."""
+        """Ask the run to stop through the file that it looks for; raise ``StoreError`` where none is going on."""
         request_stop(self._path)
 
     def _fingerprint(self) -> tuple[int, int, bool]:
@@ -87,7 +87,7 @@ class RunSource:
             "title": run.scene.title,
             "simulated": stored.simulated,
             "status": stored.status,
-            "stop_requested": stop_path(self._path).exists(),
+            "stop_requested": stored.status == "running" and stop_requested(self._path, stored.run_id),
             "shot": self._shot + 1,
             "shots": len(plan.shots),
             "records": self._before + here,
@@ -134,4 +134,4 @@ class RunSource:
 
 
 def _arrived(stored: StoredRun, shot: int) -> int:
-    return int(np.count_nonzero(stored.rows(shot)["records/recorded"] == 1))
+    return int(np.count_nonzero(stored.records.recorded(shot)))

@@ -76,6 +76,16 @@ class Shot:
         length = round((self.timeline.gate_offset_s[1] - self.timeline.gate_offset_s[0]) * rate_hz)
         return slice(first, first + length)
 
+    def force_fraction_at(self, amplitude_vpp: float) -> float:
+        """Return the force over F_0 when the toneburst generator is set to ``amplitude_vpp``; NaN where nothing pushes.
+
+        An instrument rounds what it is sent; the force is proportional to the square of what it holds.
+        """
+        if self.force_fraction is None or self.toneburst is None:
+            return math.nan
+        share = amplitude_vpp / self.toneburst.amplitude_vpp
+        return self.force_fraction if math.isclose(share, 1.0) else self.force_fraction * share**2
+
     @property
     def train_end_s(self) -> float:
         """End of both trains after the master trigger's edge."""

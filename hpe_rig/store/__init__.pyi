@@ -1,13 +1,19 @@
-from .atomic import atomic_file as atomic_file
+from .atomic import (
+    atomic_file as atomic_file,
+    refuse_unwritable as refuse_unwritable,
+    unwritable as unwritable,
+)
 from .format import (
     StoreError as StoreError,
     extra as extra,
     free_path as free_path,
+    new_run_id as new_run_id,
     reason as reason,
     result_path as result_path,
     versions as versions,
 )
 from .layout import Predecessor as Predecessor
+from .lock import is_taken as is_taken
 from .reader import (
     StoredGroundTruth as StoredGroundTruth,
     StoredRecords as StoredRecords,
@@ -18,4 +24,9 @@ from .reader import (
 from .records import GatedRecords as GatedRecords, ShotRecords as ShotRecords, assemble as assemble
 from .result_file import write_result as write_result
 from .validation import UntrustedError as UntrustedError, trusted as trusted
-from .writer import RunWriter as RunWriter, WriteOptions as WriteOptions
+from .verification import Damage as Damage, Verification as Verification, verify as verify
+from .writer import (
+    RunWriter as RunWriter,
+    WriteOptions as WriteOptions,
+    refuse_to_replace as refuse_to_replace,
+)

@@ -10,6 +10,7 @@ from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Final
+from uuid import uuid4
 
 FORMAT: Final = "hpe_rig run"
 FORMAT_VERSION: Final = 2
@@ -33,8 +34,11 @@ STAGES: Final = (
 """Stages of an acquisition, in the order of the run times in the run file; "collect" ends with every output off."""
 STAGE_BYTES: Final = 16
 MOST_STAGES: Final = 64
+STATUSES: Final = ("running", "complete", "aborted", "failed")
 STATUS_BYTES: Final = 8
 """Enough for running, complete, aborted and failed: the attribute changes during a run, so its size is fixed."""
+RUN_ID_BYTES: Final = 32
+"""Length of what tells a run from others of its name: random hexadecimal digits, empty where nobody may have to."""
 SNAPSHOT_BYTES: Final = 8192
 """Enough for the settings of one shot as JSON; fixed, since nothing may be created while others read."""
 CHUNK_BYTES: Final = 1_000_000
@@ -59,6 +63,11 @@ def extra(name: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         remedy = f'pip install "hpe-rig[{name}]"'
         raise StoreError(f"this needs {error.name}, which is not installed. Try: {remedy}.") from None
+
+
+def new_run_id() -> str:
+    """Return what tells a run from every other."""
+    return uuid4().hex
 
 
 @cache

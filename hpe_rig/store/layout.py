@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 from hpe_rig.bench import BenchText, twin_settings
 from hpe_rig.plan import Plan
 from hpe_rig.scene import SceneText
+from hpe_rig.store.checksum import add_checksums
 from hpe_rig.store.format import (
     BITSHUFFLE,
     CHUNK_BYTES,
     FORMAT,
     FORMAT_VERSION,
     ROW_CHUNK,
+    RUN_ID_BYTES,
     SNAPSHOT_BYTES,
     STAGE_BYTES,
     STAGES,
@@ -53,11 +55,17 @@ class Predecessor:
 
 
 def empty_run(
-    scene: SceneText, bench: BenchText, plan: Plan, compress: bool = False, predecessor: Predecessor | None = None
+    scene: SceneText,
+    bench: BenchText,
+    plan: Plan,
+    compress: bool = False,
+    predecessor: Predecessor | None = None,
+    run_id: str = "",
 ) -> bytes:
     """Return the bytes of a run file without records; the same for the same arguments, bit for bit."""
     with h5py.File("empty", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         _write_header(file, scene, bench, plan, predecessor or Predecessor())
+        file.attrs.create("run_id", np.bytes_(run_id.encode("ascii")), dtype=f"S{RUN_ID_BYTES}")
         _create_records(file, plan, bench.bench.digitizer.board_model.code_limits, compress)
         times = file.create_group("run_time")
         times["run_time_s"] = np.full(len(STAGES), math.nan)
@@ -67,6 +75,7 @@ def empty_run(
             _create_rows(ground_truth, "displacement_m", plan, np.dtype("<f8"), math.nan)
             name_axes(ground_truth, _shot_and_pulse(plan), {"displacement_m": "m"})
             _create_true_harmonics(file, len(plan.shots), scene.scene.wanted_frequencies_hz)
+        add_checksums(file)
         file.flush()
         image: bytes = file.id.get_file_image()
     return image
@@ -181,6 +190,7 @@ def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], c
     _create_rows(group, "trigger_time_s", plan, np.dtype("<f8"), math.nan)
     _create_rows(group, "pulse_onset_s", plan, np.dtype("<f8"), math.nan)
     group["burst_length_s"] = [shot.timeline.burst_length_s for shot in shots]
+    group["force_set"] = np.full(len(shots), math.nan)
     group["force_fraction"] = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
     group["repeat"] = [shot.repeat for shot in shots]
     group["shot_complete"] = np.zeros(len(shots), np.uint8)

@@ -32,6 +32,8 @@ class GatedRecords(Protocol):
     def code_limits(self) -> tuple[int, int]: ...
     @property
     def margin(self) -> tuple[int, int]: ...
+    @property
+    def damaged(self) -> NDArray[np.bool_] | None: ...
 
     def block(self, pulses: slice) -> NDArray[np.int16]:
         """Return the codes of some ``pulses``, (pulse, sample), ``MISSING`` where nothing arrived."""
@@ -45,6 +47,7 @@ class ShotRecords:
     ``codes`` int16 (pulse, sample), ``MISSING`` where nothing arrived; ``trigger_time_s`` float64 (pulse,), NaN there
     and where the way to capture states no time. ``code_limits`` are the digitizer's lowest and highest code, at which a
     sample is clipped. ``margin``: how many of the samples come before and behind the gate, where it is a gate's.
+    ``damaged`` (pulse,): which of the missing records failed their checksums; None where all others never came.
     """
 
     codes: NDArray[np.int16]
@@ -53,6 +56,7 @@ class ShotRecords:
     volts_offset: float
     code_limits: tuple[int, int]
     margin: tuple[int, int] = (0, 0)
+    damaged: NDArray[np.bool_] | None = None
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from hpe_rig.result import Result
 from hpe_rig.store.atomic import atomic_file
+from hpe_rig.store.checksum import seal
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.layout import LIBVER, name_axes
 
@@ -40,8 +42,16 @@ def write_result(path: Path, result: Result) -> None:
     """
     _refuse_foreign(path)
     try:
-        with atomic_file(path) as draft, h5py.File(draft, "w", libver=LIBVER) as file:
+        # In memory first: an error of the disk must not meet the library, see journal.py.
+        with h5py.File("result", "w", driver="core", backing_store=False, libver=LIBVER) as file:
             _write(file, result)
+            seal(file)
+            file.flush()
+            image = file.id.get_file_image()
+        with atomic_file(path) as draft, draft.open("xb") as disk:
+            disk.write(image)
+            disk.flush()
+            os.fsync(disk.fileno())
     except (OSError, RuntimeError) as error:
         raise StoreError(
             f"{path} cannot be written ({reason(error)}). The run file is as it was. "
@@ -53,7 +63,8 @@ def _write(file: h5py.File, result: Result) -> None:
     file.attrs["format"] = RESULT_FORMAT
     for name in ("title", "run_file", "simulated", "estimator", "phase_reference"):
         file.attrs[name] = getattr(result, name)
-    file["json"] = json.dumps(result.as_dict())
+    text = json.dumps(result.as_dict()).encode()
+    file["json"] = np.array(text, dtype=h5py.string_dtype("utf-8", len(text)))
     rows = [shot.estimates for shot in result.shots]
     group = file.create_group("results")
     for name in RESULT_UNITS:

@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 from h5py import h5f, h5p
 
+from hpe_rig.store.checksum import ATTRIBUTE, GROUP, digest, stored_bytes
 from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, StoreError, extra, reason
 
 MOST_TEXT_BYTES: Final = 1_000_000
@@ -27,8 +28,8 @@ MOST_CHUNK_BYTES: Final = 64_000_000
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 SUPERBLOCK: Final = 3
 """Version of the HDF5 superblock of every run file; from it on all of the library's metadata carry checksums."""
-FLAGS_PLACE: Final = 11
-"""Byte of that superblock in which a file is marked as being written."""
+END_PLACE: Final = 28
+"""Byte of that superblock at which the file's length stands, in 8 bytes."""
 READ_ATTEMPTS: Final = 20
 OPEN_ATTEMPTS: Final = 5
 OPEN_PAUSE_S: Final = 0.02
@@ -40,16 +41,39 @@ class UntrustedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Trusted:
-    """Open file that hands out only what has been checked."""
+    """Open file that hands out only what has been checked.
+
+    ``size``: its bytes; ``missing_bytes``: how many it lacks at its end. ``vouched``: whether it has checksums.
+    """
 
     file: h5py.File
+    size: int = 0
+    missing_bytes: int = 0
+
+    @property
+    def vouched(self) -> bool:
+        """Whether the file has checksums, which those of early releases have not."""
+        return GROUP in self.file
 
     def text(self, name: str) -> str:
         """Return the text in the scalar dataset ``name``."""
         dataset = self._dataset(name)
         _refuse_outside(dataset, name)
         _refuse_no_text(dataset, f"/{name}")
+        self.refuse_damaged(name, dataset)
         return _text(dataset[()], f"/{name}")
+
+    def refuse_damaged(self, name: str, dataset: h5py.Dataset) -> None:
+        """Raise ``UntrustedError`` where ``dataset``, which nobody changes after the start, fails its checksum."""
+        if self.vouched and not self.is_sound(name, dataset):
+            raise UntrustedError(f"/{name} fails its checksum")
+
+    def is_sound(self, name: str, dataset: h5py.Dataset) -> bool:
+        """Return whether ``dataset``, which nobody changes after the start, is as its checksum says."""
+        stated = dataset.attrs.get(ATTRIBUTE)
+        return isinstance(stated, np.uint64) and int(stated) == digest(
+            name, (), stored_bytes(dataset[()], dataset.dtype)
+        )
 
     def dataset(self, name: str, dtype: str, shape: tuple[int | None, ...]) -> h5py.Dataset:
         """Return dataset ``name`` if it has this type and shape, where None stands for any length."""
@@ -105,9 +129,11 @@ class Trusted:
 def trusted(path: Path) -> Iterator[Trusted]:
     """Yield the run file ``path``, also while another program writes it; raise ``StoreError`` for anything wrong."""
     try:
-        in_use = _refuse_foreign(path)
-        with _opened(path, in_use) as file:
-            trust = Trusted(file)
+        declared = _declared_size(path)
+        # Asked afterwards, since a run that goes on makes it longer.
+        size = path.stat().st_size
+        with _opened(path) as file:
+            trust = Trusted(file, size, max(0, declared - size))
             _refuse_format(trust)
             yield trust
     except UntrustedError as error:
@@ -122,16 +148,19 @@ def trusted(path: Path) -> Iterator[Trusted]:
         ) from error
 
 
-def _opened(path: Path, in_use: bool) -> h5py.File:
-    if not in_use:
-        with contextlib.suppress(OSError):
-            return h5py.File(path, "r")
-        # A run ended by a full disk is shorter than it declares, which HDF5 tolerates in a file that may still grow.
+def _opened(path: Path) -> h5py.File:
+    """Open ``path`` as one that may grow: what is read of it is never older than the marks that say it is there.
+
+    A run ended by a full disk may be shorter than it declares, which HDF5 tolerates in such a file alone.
+    """
     opening = os.fsencode(path), h5f.ACC_RDONLY | h5f.ACC_SWMR_READ, _patience()
-    for _ in range(OPEN_ATTEMPTS - 1):
+    for _ in range(OPEN_ATTEMPTS):
         with contextlib.suppress(OSError):
             return h5py.File(h5f.open(*opening))
-        # A writer may be between two of its steps. On a damaged file this costs 0.1 s.
+        with contextlib.suppress(OSError):
+            # This program may have it open in the plain way already.
+            return h5py.File(path, "r")
+        # A writer of an earlier release may be between two of its steps. On a damaged file this costs 0.1 s.
         time.sleep(OPEN_PAUSE_S)
     return h5py.File(h5f.open(*opening))
 
@@ -150,19 +179,19 @@ def _patience() -> h5p.PropFAID:
     return access
 
 
-def _refuse_foreign(path: Path) -> bool:
-    """Return whether the file is marked as being written: it is, or its writer was killed."""
+def _declared_size(path: Path) -> int:
+    """Return the length that the file itself states; raise where it cannot be a run file."""
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "is not a regular file" if path.exists() else "does not exist"
         raise StoreError(f"{path} {what}. Try: a file written by hpe-rig run, here or with its folder's name.")
     with path.open("rb") as file:
-        start = file.read(FLAGS_PLACE + 1)
+        start = file.read(END_PLACE + 8)
     if start[: len(SIGNATURE)] != SIGNATURE:
         raise UntrustedError("it is not an HDF5 file")
-    if len(start) <= FLAGS_PLACE or start[len(SIGNATURE)] != SUPERBLOCK:
+    if len(start) < END_PLACE + 8 or start[len(SIGNATURE)] != SUPERBLOCK:
         kind = f"a run file has a superblock of version {SUPERBLOCK}"
         raise UntrustedError(f"it is an HDF5 file of another kind ({kind})")
-    return start[FLAGS_PLACE] != 0
+    return int.from_bytes(start[END_PLACE:], "little")
 
 
 def _refuse_format(trust: Trusted) -> None:

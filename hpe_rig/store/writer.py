@@ -1,13 +1,15 @@
 """Writer of a run file: records go to disk as they arrive, in whole chunks, while others may read.
 
 The order of writing carries the promise: a chunk of echoes is handed to the operating system before the marks in
-``recorded`` that say its records are there. A reader, or the next program after a crash, may trust every mark.
+``recorded`` that say its records are there, and the checksums of both after them. A reader, or the next program after a
+crash, may trust every mark that has its checksum.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import math
 import os
 import shutil
@@ -19,7 +21,7 @@ from typing import Any, final
 
 import h5py
 import numpy as np
-from h5py import h5f, h5p
+from h5py import h5f, h5fd, h5p
 from numpy.typing import NDArray
 
 from drivers.interfaces import RecordBlock
@@ -27,23 +29,31 @@ from hpe_rig.bench import BenchText, uninterrupted
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.scene import SceneText
 from hpe_rig.store.atomic import atomic_file
-from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, UNTRUSTED_BYTES, StoreError, reason
-from hpe_rig.store.layout import TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
-from hpe_rig.store.reader import StoredRun
+from hpe_rig.store.checksum import BY_SHOT, GROUP, digest, stored_bytes
+from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, STATUSES, UNTRUSTED_BYTES, StoreError, reason
+from hpe_rig.store.journal import Journal, Write
+from hpe_rig.store.layout import LIBVER, TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
+from hpe_rig.store.lock import is_taken
+from hpe_rig.store.reader import StoredRun, read_run
 from hpe_rig.store.records import MISSING, Placed, place
 
-ROWS = ("recorded", "trigger_time_s", "pulse_onset_s", "shot_complete", "clipped")
 CHECKPOINT_S = 1.0
 """Longest time between two syncs to the disk itself, checked at the end of each shot."""
+LOOK_S = 0.25
+"""How often a run that writes nothing looks whether its file is still there."""
 
 
 @dataclass(frozen=True, slots=True)
 class WriteOptions:
-    """Options of writing a run file; ``predecessor`` is the run that a resumed run continues."""
+    """Options of writing a run file; ``predecessor`` is the run that a resumed run continues.
+
+    ``run_id``: hexadecimal digits that tell the run from others of its name, for those who may ask it to stop.
+    """
 
     compress: bool = False
     overwrite: bool = False
     predecessor: Predecessor = field(default_factory=Predecessor)
+    run_id: str = ""
 
 
 @final
@@ -65,19 +75,25 @@ class RunWriter:
         """Create ``path``; raise ``StoreError`` if it exists, cannot be written or would not hold the records."""
         self.path = path
         self._clock = clock
-        self._checkpoint_s = clock()
+        self._checkpoint_s = self._looked_s = clock()
         self._broken = False
-        image = empty_run(scene, bench, plan, options.compress, options.predecessor)
+        image = empty_run(scene, bench, plan, options.compress, options.predecessor, options.run_id)
         _refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
         _publish(image, path, options.overwrite)
         with self._writing():
-            self._file = open_for_readers(path)
+            self._journal = Journal(path)
+            self._file = open_on(self._journal)
+            self._endings = _endings(self._file, self._journal)
+        if not self._journal.locked:
+            logging.getLogger(__name__).warning("%s: its disk knows no locks. Let no other run write it.", path)
         self._volts = volts_of_codes(plan.shots[0].capture.input_range_v, bench.bench.digitizer.board_model.code_limits)
-        # Held, since looking a dataset up takes longer than writing to it.
-        self._rows = {name: self._file[f"records/{name}"] for name in ROWS}
-        self._chunk = _Chunk(self._file["records/echo"])
-        monitor = self._file["records"].get("monitor")
-        self._chunks = (self._chunk, *([] if monitor is None else [_Chunk(monitor)]))
+        self._tables = {name: _Table(self._file, name) for name in (*BY_SHOT, "run_time/run_time_s")}
+        self._chunk = _Chunk(self._file, "records/echo")
+        self._chunks = (
+            self._chunk,
+            *([_Chunk(self._file, "records/monitor")] if "records/monitor" in self._file else []),
+        )
+        self._arrivals = _Arrivals(self._file, self._chunk.rows)
         self._shot: _ShotRows | None = None
 
     def __enter__(self) -> RunWriter:
@@ -86,33 +102,45 @@ class RunWriter:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         failed = "failed" if kind is not None and issubclass(kind, Exception) else "aborted"
         try:
-            with uninterrupted(), self._writing():
+            with uninterrupted():
                 self._end("complete" if kind is None else failed)
-            if not self.path.exists():
-                raise StoreError(f"{self.path} vanished while it was written. Try: another folder, measure again.")
         except StoreError:
             # What broke the run is the better message.
             if kind is None:
                 raise
 
+    def look(self) -> None:
+        """Raise ``StoreError`` where the file is no longer the one that was begun; looks every ``LOOK_S``."""
+        if self._clock() - self._looked_s >= LOOK_S:
+            with self._committing():
+                pass
+
+    def remove(self) -> None:
+        """Delete the file, closed before, unless another one has taken its place."""
+        with contextlib.suppress(OSError):
+            if self._journal.is_in_place():
+                self.path.unlink()
+
     def settings(self, shot: Shot, settings: Mapping[str, Mapping[str, Any]]) -> None:
-        """Write the instruments' settings as read back for ``shot``, and when its pulses are due."""
+        """Write the instruments' settings as read back for ``shot``, the force set, and when its pulses are due."""
         text = json.dumps(settings, sort_keys=True, separators=(",", ":"))
         if len(text) > SNAPSHOT_BYTES:
             raise StoreError(
                 f"the settings of shot {shot.index + 1} take {len(text)} bytes, a run file has room for "
                 f"{SNAPSHOT_BYTES}. Try: report this with the bench file."
             )
-        with self._writing():
-            self._file["snapshot"][shot.index] = text
-            self._rows["pulse_onset_s"][shot.index] = shot.timeline.pulse_onset_s
+        with self._committing():
+            self._tables["snapshot"].put(shot.index, text.encode("ascii"))
+            self._tables["records/pulse_onset_s"].put(shot.index, shot.timeline.pulse_onset_s)
+            if (amplitude_vpp := settings.get("toneburst", {}).get("amplitude_vpp")) is not None:
+                self._tables["records/force_set"].put(shot.index, shot.force_fraction_at(amplitude_vpp))
 
     def append(self, shot: Shot, block: RecordBlock) -> None:
         """Write the records of ``block`` at the places of their pulses; full chunks go to disk."""
         if not block.codes.size:
             return
         self._refuse_other_volts(block)
-        with self._writing():
+        with self._committing(always=False):
             rows = self._rows_of(shot)
             index, rows.latest = place(block, rows.latest, shot)
             kept = index >= 0
@@ -124,13 +152,12 @@ class RunWriter:
     def clipped(self, shot: Shot, clipped: bool) -> None:
         """Write whether the input of the digitizer left its range during ``shot``."""
         with self._writing():
-            self._rows["clipped"][shot.index] = clipped
+            self._tables["records/clipped"].put(shot.index, clipped)
 
     def untrusted(self, shot: Shot, why: str) -> None:
         """Write why the records of ``shot`` are not to be trusted."""
-        with self._writing():
-            self._file["untrusted"][shot.index] = why.encode("ascii", "replace")[:UNTRUSTED_BYTES]
-            self._file["untrusted"].flush()
+        with self._committing():
+            self._tables["untrusted"].put(shot.index, why.encode("ascii", "replace")[:UNTRUSTED_BYTES])
 
     def ground_truth(self, shot: Shot, displacement_m: NDArray[np.float64]) -> None:
         """Write the true displacement at the focus at each record of ``shot``, (record,)."""
@@ -140,40 +167,48 @@ class RunWriter:
         row_m[valid] = displacement_m[: valid.size]
         if valid.size:
             with self._writing():
-                self._file["truth/displacement_m"][shot.index] = row_m
+                self._tables["truth/displacement_m"].put(shot.index, row_m)
 
     def true_harmonics(self, shot: Shot, harmonics_m: NDArray[np.float64]) -> None:
         """Write A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
         with self._writing():
             for name, column_m in zip(TRUE_HARMONICS, harmonics_m.T, strict=True):
-                self._file[f"true_harmonics/{name}"][shot.index] = column_m
+                self._tables[f"true_harmonics/{name}"].put(shot.index, column_m)
 
     def run_time(self, run_time_s: Mapping[str, float]) -> None:
         """Write the wall time of each stage so far."""
-        with self._writing():
-            self._file["run_time/run_time_s"][...] = [run_time_s.get(name, math.nan) for name in STAGES]
+        with self._committing():
+            self._tables["run_time/run_time_s"].put(None, [run_time_s.get(name, math.nan) for name in STAGES])
 
     def finish(self, shot: Shot) -> None:
-        """Flush everything of ``shot``, then mark it complete; sync to disk if ``CHECKPOINT_S`` have passed."""
-        with self._writing():
+        """Write everything of ``shot``, then mark it complete; sync to disk if ``CHECKPOINT_S`` have passed."""
+        due = self._clock() - self._checkpoint_s >= CHECKPOINT_S
+        with self._committing(sync=due):
             self._write_chunk()
             self._file.flush()
-            self._mark_complete(shot.index)
-            if self._clock() - self._checkpoint_s >= CHECKPOINT_S:
-                self._sync()
-                self._checkpoint_s = self._clock()
+            self._tables["records/shot_complete"].put(shot.index, 1)
+        if due:
+            self._checkpoint_s = self._clock()
 
     def take_over(self, earlier: StoredRun, shots: int) -> None:
-        """Copy the first ``shots`` shots of another run of the same plan, chunk by chunk."""
+        """Copy the first ``shots`` shots of another run of the same plan, chunk by chunk.
+
+        Raises ``StoreError`` where one of them is damaged.
+        """
         for shot in range(shots):
-            with self._writing():
-                for name, row in earlier.rows(shot).items():
-                    self._file[name][shot] = row
+            taken = earlier.rows(shot)
+            with self._committing():
                 for chunk in self._chunks:
-                    for start, codes in earlier.records.chunks(shot, chunk.rows, chunk.name):
+                    for start, codes in earlier.records.chunks(shot, chunk.rows, chunk.short_name):
                         chunk.write(shot, start, codes)
+                        self._file.flush()
+                        self._commit()
+                for number in range(self._arrivals.count):
+                    self._arrivals.put(shot, number, taken.recorded, taken.trigger_time_s)
+                for name, row in taken.tables.items():
+                    self._tables[name].put(shot, row)
                 self._file.flush()
-                self._mark_complete(shot)
+                self._tables["records/shot_complete"].put(shot, 1)
 
     def _rows_of(self, shot: Shot) -> _ShotRows:
         if self._shot is None or self._shot.index != shot.index:
@@ -209,30 +244,39 @@ class RunWriter:
         shot, number = self._chunk.place
         for chunk in self._chunks:
             chunk.flush()
-        rows = slice(number * self._chunk.rows, (number + 1) * self._chunk.rows)
-        for name in ("trigger_time_s", "recorded"):
-            self._rows[name][shot, rows] = getattr(self._shot, name)[rows]
-            self._rows[name].flush()
-
-    def _mark_complete(self, shot: int) -> None:
-        self._rows["shot_complete"][shot] = 1
-        self._rows["shot_complete"].flush()
+        # The index of the chunks, before what says that there is something in this one.
+        self._file.flush()
+        self._arrivals.put(shot, number, self._shot.recorded, self._shot.trigger_time_s)
 
     def _end(self, status: str) -> None:
+        """Write what is left and the status, and close the file; the library never learns of what fails here."""
+        failure: StoreError | None = None
         try:
             if not self._broken:
-                self._write_chunk()
-                self._file.flush()
-        finally:
-            # The status is of fixed size and has its place: it can be written even on a full disk.
-            with contextlib.suppress(OSError, RuntimeError):
-                self._file.attrs.modify("status", np.bytes_(status))
-                self._sync()
+                with self._committing(sync=True):
+                    self._write_chunk()
+                    self._file.flush()
+        except StoreError as error:
+            failure, status = error, "failed"
+        with contextlib.suppress(OSError, RuntimeError, KeyError):
             self._file.close()
-
-    def _sync(self) -> None:
-        self._file.flush()
-        os.fsync(self._file.id.get_vfd_handle())
+        try:
+            if failure is None and not self._broken:
+                with self._committing(sync=True):
+                    pass
+            self._journal.amend(self._endings[status])
+            if failure is None and not self._broken:
+                # The last look: whatever was done to the file until now is found here.
+                with self._committing():
+                    pass
+        except (OSError, StoreError) as error:
+            failure = failure or self._cannot_be_written(error)
+            with contextlib.suppress(OSError):
+                self._journal.amend(self._endings["failed"])
+        with contextlib.suppress(OSError):
+            self._journal.close()
+        if failure is not None:
+            raise failure
 
     def _refuse_other_volts(self, block: RecordBlock) -> None:
         expected = self._volts
@@ -244,15 +288,81 @@ class RunWriter:
             )
 
     @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
+    def _committing(self, always: bool = True, sync: bool = False) -> Iterator[None]:
+        """Bring to the file what the block writes; unless ``always`` only where it wrote anything."""
+        with self._writing():
             yield
-        except (OSError, RuntimeError) as error:
+        if always or self._journal.pending:
+            self._commit(sync)
+
+    def _commit(self, sync: bool = False) -> None:
+        # Signals are let through here: a disk that does not answer must not keep the outputs on.
+        try:
+            self._journal.commit(sync)
+        except OSError as error:
             self._broken = True
-            raise StoreError(
-                f"{self.path} cannot be written any further ({reason(error)}). What was written before is kept. "
-                f"Try: make room or bring the folder back, then hpe-rig resume {self.path.name}."
-            ) from error
+            raise self._cannot_be_written(error) from error
+        except StoreError:
+            self._broken = True
+            raise
+        self._looked_s = self._clock()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Hold signals back while the library works, which nothing may interrupt."""
+        try:
+            with uninterrupted():
+                yield
+        except (OSError, RuntimeError, KeyError) as error:
+            self._broken = True
+            raise self._cannot_be_written(error) from error
+
+    def _cannot_be_written(self, error: Exception) -> StoreError:
+        if isinstance(error, StoreError):
+            return error
+        return StoreError(
+            f"{self.path} cannot be written any further ({reason(error)}). What was written before is kept. "
+            f"Try: make room or bring the folder back, then hpe-rig resume {self.path.name}."
+        )
+
+
+@final
+class _Table:
+    """Dataset of which each row, or the whole, is written at once, and its checksums."""
+
+    def __init__(self, file: h5py.File, name: str) -> None:
+        """Take dataset ``name``; one that a real bench has no use for is absent, and never written."""
+        self._name = name
+        self._values, self._sums = file.get(name), file.get(f"{GROUP}/{name}")
+
+    def put(self, row: int | None, values: Any) -> None:
+        """Write ``values`` as row ``row``, None for the whole, then their checksum."""
+        place = () if row is None else (row,)
+        self._values[place] = values
+        self._values.flush()
+        self._sums[place] = digest(self._name, place, stored_bytes(values, self._values.dtype))
+        self._sums.flush()
+
+
+@final
+class _Arrivals:
+    """Marks and trigger times of the records, written chunk by chunk of the echoes, and their checksums."""
+
+    def __init__(self, file: h5py.File, rows: int) -> None:
+        self._recorded, self._time_s = file["records/recorded"], file["records/trigger_time_s"]
+        self._sums, self._rows = file[f"{GROUP}/records/recorded"], rows
+        self.count: int = self._sums.shape[1]
+
+    def put(self, shot: int, number: int, recorded: NDArray[np.bool_], time_s: NDArray[np.float64]) -> None:
+        """Write those of chunk ``number`` out of the shot's, each (pulse,)."""
+        rows = slice(number * self._rows, (number + 1) * self._rows)
+        self._time_s[shot, rows] = time_s[rows]
+        self._time_s.flush()
+        self._recorded[shot, rows] = recorded[rows]
+        self._recorded.flush()
+        parts = stored_bytes(recorded[rows], self._recorded.dtype), stored_bytes(time_s[rows], self._time_s.dtype)
+        self._sums[shot, number] = digest("records/recorded", (shot, number), *parts)
+        self._sums.flush()
 
 
 @final
@@ -263,9 +373,10 @@ class _Chunk:
     that a late record only means writing it once more.
     """
 
-    def __init__(self, echo: h5py.Dataset) -> None:
-        self._echo = echo
-        self.name = str(echo.name).rpartition("/")[2]
+    def __init__(self, file: h5py.File, name: str) -> None:
+        self._name, self.short_name = name, name.rpartition("/")[2]
+        self._echo = echo = file[name]
+        self._sums = file[f"{GROUP}/{name}"]
         self._plain = echo.id.get_create_plist().get_nfilters() == 0
         self.rows: int = echo.chunks[1]
         self.codes = np.empty(echo.chunks[1:], "<i2")
@@ -292,14 +403,20 @@ class _Chunk:
         """Write the chunk to the file; it stays in memory."""
         if self.place is None:
             return
-        shot, first = self.place[0], self.place[1] * self.rows
+        shot, number = self.place
+        first = number * self.rows
         if self._plain:
-            # Bypasses the library's cache: on a full disk nothing is left in it to fail again when the file is closed.
+            # Bypasses the library's cache, which would only copy.
             self._echo.id.write_direct_chunk((shot, first, 0), self.codes)
+            stored = self.codes.tobytes()
         else:
             rows = min(self.rows, self._echo.shape[1] - first)
             self._echo[shot, first : first + rows] = self.codes[:rows]
+            self._echo.flush()
+            _, stored = self._echo.id.read_direct_chunk((shot, first, 0))
         self._echo.flush()
+        self._sums[shot, number] = digest(self._name, self.place, stored)
+        self._sums.flush()
         self.fresh = False
 
 
@@ -330,6 +447,8 @@ def _refuse_small_disk(path: Path, needed: int) -> None:
 
 def _publish(image: bytes, path: Path, overwrite: bool) -> None:
     """Create ``path`` with the bytes ``image``, whole or not at all; raise ``StoreError`` where it cannot be."""
+    if overwrite and path.exists():
+        refuse_to_replace(path)
     try:
         with atomic_file(path, overwrite) as draft, draft.open("xb") as file:
             file.write(image)
@@ -341,8 +460,39 @@ def _publish(image: bytes, path: Path, overwrite: bool) -> None:
         raise StoreError(f"{path} cannot be created ({reason(error)}). Try: another folder.") from None
 
 
-def open_for_readers(path: Path) -> h5py.File:
-    """Open ``path`` in HDF5's single-writer-multiple-reader mode, so that it stays readable if its writer is killed."""
+def refuse_to_replace(path: Path) -> None:
+    """Raise ``StoreError`` where ``path`` is no run file, or that of a run that goes on."""
+    try:
+        read_run(path)
+    except StoreError:
+        raise StoreError(
+            f"{path} exists and is not a readable run file of hpe-rig, so it is not replaced. Try: move it away."
+        ) from None
+    if is_taken(path):
+        raise StoreError(f"{path} is being written by another run. Try: another path, or wait for its end.")
+
+
+def open_on(journal: Journal) -> h5py.File:
+    """Open the run file behind ``journal`` with the HDF5 library."""
     access = h5p.create(h5p.FILE_ACCESS)
-    access.set_libver_bounds(h5f.LIBVER_V110, h5f.LIBVER_V110)
-    return h5py.File(h5f.open(os.fsencode(path), h5f.ACC_RDWR | h5f.ACC_SWMR_WRITE, access))
+    access.set_libver_bounds(*(h5f.LIBVER_V110 for _ in LIBVER))
+    access.set_fileobj_driver(h5fd.fileobj_driver, journal)
+    try:
+        return h5py.File(h5f.open(os.fsencode(journal.path), h5f.ACC_RDWR, access))
+    finally:
+        # Left for the end of the program it would call into Python when that is gone.
+        access.close()
+
+
+def _endings(file: h5py.File, journal: Journal) -> Mapping[str, tuple[Write, ...]]:
+    """Return of each status what the library would write for it: the file can then say it without the library.
+
+    The attribute is of fixed size and has its place, so this works on a full disk too.
+    """
+    endings = {}
+    for status in (*STATUSES[1:], STATUSES[0]):
+        journal.take_pending()
+        file.attrs.modify("status", np.bytes_(status))
+        file.flush()
+        endings[status] = tuple(write for write in journal.take_pending() if write[0])
+    return endings

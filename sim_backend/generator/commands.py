@@ -86,7 +86,10 @@ def _put_period(state: Registers, period_s: float) -> Coerced:
 
 
 def _put_frequency(state: Registers, frequency_hz: float) -> Coerced:
-    frequency_hz, errors = registers.clipped(frequency_hz, *timing.frequency_limits_hz(state), "frequency")
+    low_hz, high_hz = timing.frequency_limits_hz(state)
+    frequency_hz, errors = registers.clipped(frequency_hz, low_hz, high_hz, "frequency")
+    frequency_hz = registers.rounded(frequency_hz, state.model.frequency_digits, state.model.frequency_decimals)
+    frequency_hz = min(max(frequency_hz, low_hz), high_hz)
     return timing.settle_frequency(Coerced(timing.with_duty_held(state, frequency_hz), errors))
 
 

@@ -15,6 +15,7 @@ from sim_backend.generator.registers import (
     Error,
     Registers,
     clipped,
+    rounded,
 )
 from sim_backend.generator.scpi_text import ScpiError
 
@@ -26,9 +27,23 @@ def load_share(registers: Registers) -> float:
     return 1.0 if math.isinf(registers.load_ohm) else registers.load_ohm / (registers.load_ohm + 50.0)
 
 
+def _held(
+    registers: Registers, level_v: float, low_v: float, high_v: float, quantity: str
+) -> tuple[float, tuple[Error, ...]]:
+    """Return an open-circuit level within its limits as the instrument resolves it, as displayed, and its errors."""
+    level_v, errors = clipped(level_v, low_v, high_v, quantity)
+    share, model = load_share(registers), registers.model
+    resolved_v = rounded(level_v * share, model.amplitude_digits, model.amplitude_decimals) / share
+    return min(max(resolved_v, low_v), high_v), errors
+
+
 def set_amplitude(registers: Registers, amplitude_v: float) -> Coerced:
     """Return the registers with another open-circuit amplitude; the offset may give way."""
     amplitude_v, errors = clipped(amplitude_v, SMALLEST_VPP, 2 * PEAK_V, "amplitude")
+    share, model = load_share(registers), registers.model
+    # Resolved in the unit that is displayed.
+    shown = rounded(in_unit(registers, amplitude_v * share), model.amplitude_digits, model.amplitude_decimals)
+    amplitude_v = min(max(to_vpp(registers, shown, "") / share, SMALLEST_VPP), 2 * PEAK_V)
     offset_v, room_v = registers.offset_v, PEAK_V - amplitude_v / 2
     state = Coerced(registers, errors)
     if abs(offset_v) > room_v + ROUNDING:
@@ -39,7 +54,8 @@ def set_amplitude(registers: Registers, amplitude_v: float) -> Coerced:
 
 def set_offset(registers: Registers, offset_v: float) -> Coerced:
     """Return the registers with another open-circuit offset; the amplitude may give way."""
-    offset_v, errors = clipped(offset_v, -PEAK_V + SMALLEST_VPP / 2, PEAK_V - SMALLEST_VPP / 2, "offset")
+    most_v = PEAK_V - SMALLEST_VPP / 2
+    offset_v, errors = _held(registers, offset_v, -most_v, most_v, "offset")
     amplitude_v, room_v = registers.amplitude_v, 2 * (PEAK_V - abs(offset_v))
     state = Coerced(registers, errors)
     if amplitude_v > room_v + ROUNDING:
@@ -51,7 +67,7 @@ def set_offset(registers: Registers, offset_v: float) -> Coerced:
 def set_high(registers: Registers, high_v: float) -> Coerced:
     """Return the registers with another open-circuit high level; the low level may give way."""
     gap_v = LEVEL_GAP_V / load_share(registers)
-    high_v, errors = clipped(high_v, -PEAK_V + gap_v, PEAK_V, "high level")
+    high_v, errors = _held(registers, high_v, -PEAK_V + gap_v, PEAK_V, "high level")
     state = Coerced(replace(registers, high_v=high_v), errors)
     if high_v - registers.low_v < gap_v * (1 - 1e-9):
         state = state.changed("low level changed due to high level", low_v=high_v - gap_v)
@@ -61,7 +77,7 @@ def set_high(registers: Registers, high_v: float) -> Coerced:
 def set_low(registers: Registers, low_v: float) -> Coerced:
     """Return the registers with another open-circuit low level; the high level may give way."""
     gap_v = LEVEL_GAP_V / load_share(registers)
-    low_v, errors = clipped(low_v, -PEAK_V, PEAK_V - gap_v, "low level")
+    low_v, errors = _held(registers, low_v, -PEAK_V, PEAK_V - gap_v, "low level")
     state = Coerced(replace(registers, low_v=low_v), errors)
     if registers.high_v - low_v < gap_v * (1 - 1e-9):
         state = state.changed("high level changed due to low level", high_v=low_v + gap_v)

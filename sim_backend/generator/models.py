@@ -1,8 +1,8 @@
 """Models of the simulated 33250A family: identity, limits, spelling of the pulse headers, channels.
 
 Provenance: 33250A from docs/theory/instruments.md, 1.4; a sibling's burst ceiling, cycles, burst period and pulse
-widths from its manual's burst and pulse pages, its frequency ranges and edge times from its data sheet as remembered
-(assumed).
+widths from its manual's burst and pulse pages, its frequency ranges, edge times and resolution from its data sheet as
+remembered (assumed).
 """
 
 from __future__ import annotations
@@ -32,6 +32,11 @@ class Model:
     functions: str = "SINusoid SQUare RAMP PULSe NOISe DC USER"
     duty_steps: tuple[tuple[float, float, float], ...] = ()
     """(frequency above which it holds, least duty cycle, largest), from the highest frequency down."""
+    frequency_digits: int = 15
+    frequency_decimals: int = 6
+    amplitude_digits: int = 4
+    amplitude_decimals: int = 6
+    """Resolution: significant digits of what is displayed, and decimal places at most."""
     short_period_error: int = -221
     """What a period too short for the pulse queues."""
 
@@ -54,6 +59,8 @@ AGILENT_33250A = Model(
     # Assumed: that the narrowest pulse grows with the period is known, the numbers are not.
     narrowest_s=((200.0, 2e-6), (20.0, 200e-9)),
     duty_steps=((50e6, 50.0, 50.0), (25e6, 40.0, 60.0), (0.0, 20.0, 80.0)), short_period_error=-222,
+    # 1 uHz or 9 digits, 0.1 mV or 4 digits (manual).
+    frequency_digits=9, amplitude_decimals=4,
 )
 AGILENT_33220A = Model(
     name="33220A", identity="Agilent Technologies,33220A,MY44000001,2.02-2.02-22-2",

@@ -7,6 +7,7 @@ nothing else.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -112,6 +113,16 @@ class Coerced:
         """Return these with ``settings``, and the settings conflict that forced them if there was one."""
         told = ((-221, f"Settings conflict; {conflict}"),) if conflict else ()
         return Coerced(replace(self.registers, **settings), self.errors + told)  # type: ignore[arg-type]
+
+
+def rounded(value: float, digits: int, decimals: int) -> float:
+    """Return ``value`` as an instrument of limited resolution holds it: to the nearest (assumed) of its settings.
+
+    These have ``digits`` significant digits, and ``decimals`` decimal places at most.
+    """
+    if not value or not math.isfinite(value):
+        return value
+    return round(value, min(decimals, digits - 1 - math.floor(math.log10(abs(value)))))
 
 
 def clipped(value: float, low: float, high: float, quantity: str) -> tuple[float, tuple[Error, ...]]:

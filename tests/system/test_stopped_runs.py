@@ -82,6 +82,8 @@ def test_too_few_records_of_one_shot_cost_no_other_its_result(prepared: Prepare,
     path = record_run(prepared("bovine-muscle-synchronous", *THREE_FORCES), tmp_path / "run.h5")
     whole = process(path)
     with h5py.File(path, "r+") as file:
+        # As files of early releases are, which may be changed unnoticed.
+        del file["checksum"]
         file["records/recorded"][1, 1:] = 0
     found = process(path)
     assert [shot.estimates for shot in found.shots] == [whole.shots[0].estimates, whole.shots[2].estimates]

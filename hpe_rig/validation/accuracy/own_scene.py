@@ -26,7 +26,7 @@ from hpe_rig.processing import ESTIMATORS
 from hpe_rig.result import Result, text_table
 from hpe_rig.scene import Mistake, Processing, Scene, SettingsError, with_default_specimen
 from hpe_rig.store import StoreError
-from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped, write_rows
+from hpe_rig.validation.accuracy.work_precision import draw_panels, file_mistakes, grouped, write_rows
 
 Floats = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ class SceneRow:
     error: float
     """Root mean square: bias and standard deviation together."""
     time_s: float
-    """Mean processor time from scene to result."""
+    """Processor time from scene to result, the least over the seeds: the work is the same, what comes on top is not."""
     estimation_s: float
     """Of it, from records to result."""
     seeds: int
@@ -95,12 +95,18 @@ def write_own_scene(
 ) -> None:  # fmt: skip
     """Measure every way on the scene ``source`` and write or show the table; ``tell`` gets the progress.
 
-    Raises ``SettingsError`` for a scene with mistakes and a bench that is none of the simulated ones.
+    Raises ``SettingsError`` for a scene with mistakes, for names of files that cannot be and a bench that is none of
+    the simulated ones, all before anything is measured.
     """
+    if mistakes := file_mistakes(output, figure):
+        raise SettingsError("command line", mistakes)
     setup = prepare(source, bench)
+    mistakes = file_mistakes(output, figure)
     if not setup.bench.bench.simulated:
-        mistake = Mistake("--bench", "errors are known where the truth is: on a simulated bench", "none, or another")
-        raise SettingsError("command line", [mistake])
+        what = "errors are known where the truth is: on a simulated bench"
+        mistakes.append(Mistake("--bench", what, "none, or another"))
+    if mistakes:
+        raise SettingsError("command line", mistakes)
     scene = one_shot(setup.scene.scene)
     most = seeds or (QUICK_SEEDS if quick else SEEDS)
     rows = scene_rows(scene, bench, ways(scene), most, QUICK_S if quick else math.inf, tell)
@@ -228,20 +234,15 @@ def _amplitudes_m(result: Result) -> tuple[Floats, Floats]:
 def _beats(one: Sequence[_Trial], other: Sequence[_Trial]) -> bool:
     """Return whether ``one`` is better than ``other`` in time or error by more than chance, and worse in neither.
 
-    An error is that of all wanted frequencies together, its length at each seed.
+    An error is that of all wanted frequencies together, its length at each seed; a time is the least of the seeds.
     """
-    time_s, error_m = (
-        tuple(np.array([value(trial) for trial in trials]) for trials in (one, other))
-        for value in (lambda trial: trial.time_s, lambda trial: float(np.linalg.norm(trial.error_m)))
-    )
+    time_s, other_s = (min(trial.time_s for trial in trials) for trials in (one, other))
+    error_m = [np.array([np.linalg.norm(trial.error_m) for trial in trials]) for trials in (one, other)]
     if np.isnan(error_m).any():
         return bool(np.isnan(error_m[1]).any() and not np.isnan(error_m[0]).any())
-    return (_less(*time_s) and _no_more(*error_m)) or (_less(*error_m) and _no_more(*time_s))
-
-
-def _no_more(one: Floats, other: Floats) -> bool:
-    """Return whether ``one`` (seed,) is on the mean at most what counts as alike above ``other``."""
-    return bool(one.mean() <= (1 + ALIKE) * other.mean())
+    faster, no_slower = time_s < (1 - ALIKE) * other_s, time_s <= (1 + ALIKE) * other_s
+    no_worse = error_m[0].mean() <= (1 + ALIKE) * error_m[1].mean()
+    return bool((faster and no_worse) or (no_slower and _less(*error_m)))
 
 
 def _less(one: Floats, other: Floats) -> bool:
@@ -260,8 +261,8 @@ def _row(way: Way, trials: Sequence[_Trial]) -> SceneRow:
         bias=float(bias / scale_m),
         sd=float(sd / scale_m),
         error=float(np.sqrt(np.mean(np.sum(error_m**2, axis=1))) / scale_m),
-        time_s=float(np.mean([t.time_s for t in trials])),
-        estimation_s=float(np.mean([t.estimation_s for t in trials])),
+        time_s=min(t.time_s for t in trials),
+        estimation_s=min(t.estimation_s for t in trials),
         seeds=len(trials),
         own=way.varied == OWN,
     )

@@ -133,3 +133,21 @@ def test_only_a_two_channel_model_takes_a_channel_number_and_only_its_own() -> N
 
 def test_a_9_mhz_pulse_is_within_a_33250as_limits() -> None:
     assert mistakes(dataclasses.replace(BURST, carrier_hz=9e6, cycles=3)) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_amplitude_that_no_model_holds_exactly_is_taken_and_stated_as_held(name: str) -> None:
+    """Half the force asks for 0.70710678 Vpp; four digits are 0.7071."""
+    generator = Agilent33250A(twin(name), "toneburst", name)
+    generator.configure(dataclasses.replace(BURST, amplitude_vpp=math.sqrt(0.5)))
+    assert generator.verify()["amplitude_vpp"] == pytest.approx(0.7071, rel=1e-12)
+
+
+@pytest.mark.parametrize(("level", "off"), [("VOLT", 0.5012), ("VOLT:OFFS", 2e-4), ("FREQ", 3.0001e6)])
+def test_a_setting_beyond_the_resolution_is_still_found(level: str, off: float) -> None:
+    instrument = twin("33250A")
+    generator = Agilent33250A(instrument, "toneburst")
+    generator.configure(BURST)
+    instrument.write(f"{level} {off}")
+    with pytest.raises(InstrumentError, match="read back"):
+        generator.verify()

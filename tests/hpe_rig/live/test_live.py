@@ -222,7 +222,8 @@ def test_nothing_is_estimated_for_the_page_while_somebody_waits_for_the_run_to_s
     record_run(prepare("table-1"), run_file, look)
     states.append(source.poll() or {})
     assert [state["status"] for state in states] == ["running", "running", "complete"]
-    assert [state["stop_requested"] for state in states] == [False, True, True]
+    # Of a run that has ended nobody waits for a stop any more.
+    assert [state["stop_requested"] for state in states] == [False, True, False]
     assert ["harmonics" in state for state in states] == [True, False, True]
     assert states[1]["records"] == states[0]["records"] > 0
 
@@ -249,7 +250,7 @@ def test_nobody_looks_for_a_stop_more_often_than_ten_times_a_second(tmp_path: Pa
     observe = stoppable(unobserved, tmp_path / "run.h5", clock=times_s.__next__)
     progress = Progress(Step.COLLECT, prepare("table-1").plan.shots[0])
     observe(progress)
-    request_stop(tmp_path / "run.h5")
+    stop_path(tmp_path / "run.h5").touch()
     observe(progress)
     observe(progress)
     with pytest.raises(StopRequested):
@@ -306,7 +307,7 @@ def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tm
         "from hpe_rig.cli.app import app\n"
         "from hpe_rig.cli.watch import watched\nsetup = prepare('table-1')\n"
         f"path = Path({str(tmp_path / 'run.h5')!r})\n"
-        "with watched(setup, path, False, False, print) as watching:\n"
+        "with watched(setup, path, '', False, False, print) as watching:\n"
         "    record_run(setup, path, watching(lambda progress: None))\n"
         "print(*sorted({name.partition('.')[0] for name in sys.modules}))\n"
     )

@@ -35,3 +35,40 @@ def test_a_taken_name_is_replaced_only_where_that_is_wanted(tmp_path: Path, over
             assert not overwrite
     assert path.read_text(encoding="utf-8") == ("second" if overwrite else "first")
     assert list(tmp_path.iterdir()) == [path]
+
+
+def open_elsewhere(monkeypatch: pytest.MonkeyPatch, times: int) -> None:
+    """Have a file be replaced as on Windows, where another program has it open for the first ``times`` attempts."""
+    left, replace = [times], Path.replace
+
+    def refused(self: Path, target: Path) -> Path:
+        if left[0] > 0:
+            left[0] -= 1
+            error = PermissionError(13, "Access is denied")
+            error.winerror = 32  # type: ignore[attr-defined]
+            raise error
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", refused)
+
+
+def test_a_file_that_is_open_elsewhere_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("before", encoding="utf-8")
+    open_elsewhere(monkeypatch, 3)
+    with atomic_file(path) as draft:
+        draft.write_text("after", encoding="utf-8")
+    assert path.read_text(encoding="utf-8") == "after"
+
+
+def test_a_file_that_stays_open_elsewhere_is_an_error_that_says_so_and_leaves_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("before", encoding="utf-8")
+    open_elsewhere(monkeypatch, 10_000)
+    monkeypatch.setattr("hpe_rig.store.atomic.PATIENCE_S", 0.1)
+    with pytest.raises(PermissionError, match="another program has it open"), atomic_file(path) as draft:
+        draft.write_text("after", encoding="utf-8")
+    assert path.read_text(encoding="utf-8") == "before"
+    assert list(tmp_path.iterdir()) == [path]

@@ -138,9 +138,13 @@ def test_overwriting_happens_only_when_told(setup: Setup, tmp_path: Path) -> Non
     path.write_bytes(b"precious")
     with pytest.raises(StoreError, match="--overwrite"):
         record_run(setup, path)
+    with pytest.raises(StoreError, match="not replaced"):
+        record_run(setup, path, options=WriteOptions(overwrite=True))
     assert path.read_bytes() == b"precious"
-    record_run(setup, path, options=WriteOptions(overwrite=True))
-    assert read_run(path).status == "complete"
+    path.unlink()
+    for _ in range(2):
+        record_run(setup, path, options=WriteOptions(overwrite=True))
+        assert read_run(path).status == "complete"
     assert free_path("run", tmp_path).name == "run-2.h5"
 
 
@@ -166,7 +170,7 @@ def test_a_folder_that_vanishes_while_it_is_written_is_a_message(setup: Setup, t
     folder.mkdir()
     writer = RunWriter(folder / "run.h5", setup.scene, setup.bench, setup.plan)
     shutil.rmtree(folder)
-    with pytest.raises(StoreError, match="vanished"), writer:
+    with pytest.raises(StoreError, match="moved or removed"), writer:
         writer.append(setup.plan.shots[0], block_of(setup, 0, 48, 0.5))
 
 

@@ -1,0 +1,261 @@
+"""Journal between HDF5 and the disk: the library writes into memory, and whole steps go from there to the file.
+
+An error of the disk that reaches the HDF5 library leaves it in a state in which closing the file, or the program's end,
+may crash. Here it never meets one: all that it writes is kept until ``commit``, which brings it to the file in an order
+in which the file is whole at every moment, checks that this is still the file that was begun, and raises what fails.
+
+The file is written by a thread of its own, so that a disk or a share that no longer answers cannot keep a run from
+switching its outputs off.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Final, final
+
+from hpe_rig.store import lock
+from hpe_rig.store.format import StoreError
+
+LONGEST_STEP_S: Final = 60.0
+"""How long a disk may take for one step of writing; shares that fail over to another server take tens of seconds."""
+LAST_STEP_S: Final = 5.0
+"""The same for the steps after one during which the run was interrupted: somebody waits for its end."""
+SUPERBLOCK_BYTES: Final = 48
+FLAGS_PLACE: Final = 11
+"""Byte of the superblock in which the library marks a file as being written."""
+
+Write = tuple[int, bytes]
+
+
+@final
+class Journal:
+    """The run file ``path`` as a file-like object for HDF5; ``locked`` is False where its disk knows no locks.
+
+    The library must not be in the middle of a call while ``commit`` runs. After a commit failed nothing that it writes
+    reaches the file any more; the file is then as it was after the last one that went well, but for ``amend``.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open and lock ``path``; raise ``StoreError`` where another program writes it, else ``OSError``."""
+        self.path = path
+        self._file = path.open("r+b", buffering=0)
+        try:
+            self.locked = lock.take(self._file)
+        except BlockingIOError:
+            self._file.close()
+            raise StoreError(
+                f"{path} is being written by another run. Try: another path, or wait for its end."
+            ) from None
+        # A view of its own, since reading and writing both move the place in the file.
+        self._view = path.open("rb", buffering=0)
+        self._identity = os.fstat(self._file.fileno())
+        self._size = self._end = self._identity.st_size
+        self._place = 0
+        self._pending: list[Write] = []
+        self._failure: Exception | None = None
+        self._stuck = self._interrupted = False
+        self._tasks: SimpleQueue[tuple[Callable[[], None], Future[None]] | None] = SimpleQueue()
+        threading.Thread(target=_work, args=(self._tasks,), daemon=True, name="run file").start()
+
+    # What HDF5 asks of a file.
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Go to ``offset`` from the start, from here or from the end."""
+        start = {os.SEEK_SET: 0, os.SEEK_CUR: self._place, os.SEEK_END: self._end}[whence]
+        self._place = start + offset
+        return self._place
+
+    def tell(self) -> int:
+        """Return the place in the file."""
+        return self._place
+
+    def readinto(self, buffer: memoryview) -> int:
+        """Fill ``buffer`` as if all that was written here were in the file already; zeros where there is nothing."""
+        self._view.seek(self._place)
+        found = self._view.read(len(buffer)) or b""
+        buffer[:] = found.ljust(len(buffer), b"\0")
+        for offset, data in self._pending:
+            first, last = max(offset, self._place), min(offset + len(data), self._place + len(buffer))
+            if first < last:
+                buffer[first - self._place : last - self._place] = data[first - offset : last - offset]
+        self._place += len(buffer)
+        return len(buffer)
+
+    def write(self, data: memoryview) -> int:
+        """Keep ``data`` for the next commit."""
+        self._pending.append((self._place, bytes(data)))
+        self._place += len(data)
+        self._end = max(self._end, self._place)
+        return len(data)
+
+    def truncate(self, size: int) -> int:
+        """Let the file end at ``size``."""
+        self._end = size
+        return size
+
+    def flush(self) -> None:
+        """Do nothing: the library calls this in the middle of what belongs together."""
+
+    # What the writer asks of it.
+
+    @property
+    def pending(self) -> bool:
+        """Whether the library wrote anything since the last commit."""
+        return bool(self._pending)
+
+    def take_pending(self) -> tuple[Write, ...]:
+        """Return what the library wrote since the last commit, and forget it."""
+        taken, self._pending = tuple(self._pending), []
+        return taken
+
+    def commit(self, sync: bool = False) -> None:
+        """Bring all that was written to the file, with ``sync`` to the disk itself.
+
+        Raises ``OSError``, of this commit or of an earlier one whose end nobody waited for, and ``StoreError`` where
+        the file is no longer the one that was begun.
+        """
+        batch = self.take_pending()
+        if self._failure is not None:
+            raise self._failure
+        self._do(lambda: self._apply(batch, self._end, sync))
+
+    def amend(self, writes: tuple[Write, ...]) -> None:
+        """Overwrite bytes in place and sync, also after a failure; raise ``OSError`` where that fails too."""
+        self._do(lambda: self._overwrite(writes))
+
+    def is_in_place(self) -> bool:
+        """Return whether ``path`` still names the file that was begun, closed or not; raise ``OSError`` else."""
+        return os.path.samestat(self._identity, self.path.stat())
+
+    def close(self) -> None:
+        """Close the file and so release its lock; a disk that does not answer keeps it until the program's end."""
+        if not self._stuck:
+            self._do(self._file.close)
+            self._view.close()
+        self._tasks.put(None)
+
+    def _do(self, task: Callable[[], None]) -> None:
+        """Have the thread do ``task``; interrupted while it waits, it is done all the same."""
+        if self._stuck:
+            raise OSError(errno.ETIMEDOUT, "the disk does not answer")
+        done: Future[None] = Future()
+        self._tasks.put((task, done))
+        patience_s = LAST_STEP_S if self._interrupted else LONGEST_STEP_S
+        try:
+            done.result(patience_s)
+        except TimeoutError as error:
+            if done.done():
+                raise
+            self._stuck = True
+            self._failure = OSError(errno.ETIMEDOUT, f"the disk has not answered for {patience_s:g} s")
+            raise self._failure from error
+        except BaseException:
+            self._interrupted = not done.done()
+            raise
+
+    def _apply(self, batch: tuple[Write, ...], end: int, sync: bool) -> None:
+        try:
+            self._refuse_another_file()
+            # Behind the end first: nothing in the file refers there yet.
+            for offset, data in batch:
+                if offset >= self._size:
+                    self._put(offset, data)
+            if end > self._size:
+                self._file.truncate(end)
+            superblocks = [(0, _unmarked(data)) for offset, data in batch if offset == 0]
+            for offset, data in superblocks[-1:]:
+                self._put(offset, data)
+            for offset, data in batch:
+                if 0 < offset < self._size:
+                    self._put(offset, data)
+            if end < self._size:
+                self._file.truncate(end)
+            self._size = end
+            if sync:
+                os.fsync(self._file.fileno())
+        except (OSError, StoreError) as error:
+            self._failure = error
+            raise
+
+    def _overwrite(self, writes: tuple[Write, ...]) -> None:
+        size = os.fstat(self._file.fileno()).st_size
+        for offset, data in writes:
+            if offset + len(data) <= size:
+                self._put(offset, data)
+        os.fsync(self._file.fileno())
+
+    def _put(self, offset: int, data: bytes) -> None:
+        self._file.seek(offset)
+        rest = memoryview(data)
+        while rest:
+            rest = rest[self._file.write(rest) or 0 :]
+
+    def _refuse_another_file(self) -> None:
+        """Raise ``StoreError`` where the file was moved, removed, replaced or cut since the last commit."""
+        here = os.fstat(self._file.fileno())
+        try:
+            there = self.path.stat()
+        except (FileNotFoundError, NotADirectoryError):
+            raise _lost(self.path, "was moved or removed") from None
+        if not os.path.samestat(here, there):
+            raise _lost(self.path, "was replaced by another file")
+        if here.st_size != self._size:
+            raise _lost(self.path, f"was changed by another program: it has {here.st_size} bytes, not {self._size},")
+
+
+def _lost(path: Path, what: str) -> StoreError:
+    return StoreError(
+        f"{path} {what} while the run wrote it. Wherever it is now, hpe-rig verify tells what it holds. "
+        "Try: measure again, and leave a run file alone until its run has ended."
+    )
+
+
+def _work(tasks: SimpleQueue[tuple[Callable[[], None], Future[None]] | None]) -> None:
+    while (item := tasks.get()) is not None:
+        task, done = item
+        try:
+            task()
+            done.set_result(None)
+        except BaseException as error:
+            done.set_exception(error)
+
+
+def _unmarked(superblock: bytes) -> bytes:
+    """Return the superblock without the mark that a program writes the file.
+
+    Every commit leaves a whole file, so that none has to be kept from reading it, nor repaired after a crash.
+    """
+    if len(superblock) != SUPERBLOCK_BYTES:
+        return superblock
+    content = superblock[:FLAGS_PLACE] + b"\0" + superblock[FLAGS_PLACE + 1 : -4]
+    return content + lookup3(content).to_bytes(4, "little")
+
+
+def lookup3(data: bytes) -> int:
+    """Return the checksum of HDF5's metadata: Bob Jenkins's lookup3 with initial value 0, as its format specifies."""
+    most = 0xFFFFFFFF
+    if not data:
+        return 0xDEADBEEF
+    padded = data + bytes(-len(data) % 12)
+    words = [int.from_bytes(padded[place : place + 4], "little") for place in range(0, len(padded), 4)]
+    a = b = c = (0xDEADBEEF + len(data)) & most
+
+    def rotated(value: int, bits: int) -> int:
+        return ((value << bits) | (value >> (32 - bits))) & most
+
+    for place in range(0, len(words) - 3, 3):
+        a, b, c = ((one + more) & most for one, more in zip((a, b, c), words[place : place + 3], strict=True))
+        for bits in (4, 6, 8, 16, 19, 4):
+            a, c = ((a - c) & most) ^ rotated(c, bits), (c + b) & most
+            a, b, c = b, c, a
+    a, b, c = ((one + more) & most for one, more in zip((a, b, c), words[-3:], strict=True))
+    for bits in (14, 11, 25, 16, 4, 14, 24):
+        c = ((c ^ b) - rotated(b, bits)) & most
+        a, b, c = b, c, a
+    return b

@@ -1,0 +1,99 @@
+"""Windows as far as another system can tell: nothing here needs what only POSIX has, and nobody's folder gets in."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hpe_rig.live import live_page_of
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("hpe_rig", "drivers", "sim_backend")
+# Other people's packages are asked first, as this system has them; then ours, anew, as Windows would.
+AS_ON_WINDOWS = """
+import importlib, os, pkgutil, signal, sys
+PACKAGES = ("hpe_rig", "drivers", "sim_backend")
+def import_all():
+    for package in PACKAGES:
+        for found in pkgutil.walk_packages(importlib.import_module(package).__path__, package + "."):
+            if not found.name.endswith("__main__"):
+                importlib.import_module(found.name)
+import_all()
+for name in [name for name in sys.modules if name.partition(".")[0] in PACKAGES]:
+    del sys.modules[name]
+for name in ("fcntl", "termios", "tty", "pty", "pwd", "grp", "resource", "syslog", "posix"):
+    sys.modules[name] = None
+for module, names in (
+    (os, "fork forkpty openpty ttyname getuid geteuid getgid getpgid getpgrp setsid killpg nice uname wait3"),
+    (os, "wait4 mkfifo set_blocking pread sched_getaffinity"),
+    (signal, "SIGHUP SIGQUIT SIGKILL SIGUSR1 SIGUSR2 SIGALRM SIGCHLD SIGPIPE SIGTSTP SIGSTOP alarm setitimer pause"),
+    (signal, "pthread_sigmask sigwait"),
+):
+    for name in names.split():
+        if hasattr(module, name):
+            delattr(module, name)
+"""
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="takes away what Windows does not have")
+
+
+def as_on_windows(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{AS_ON_WINDOWS}\n{code}"]
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
+
+
+def test_every_file_can_be_imported_without_what_only_posix_has(tmp_path: Path) -> None:
+    done = as_on_windows("import_all()\nprint(len([n for n in sys.modules if n.startswith('hpe_rig')]))", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 100
+
+
+@pytest.mark.parametrize(
+    "transport", ["serial", *(pytest.param(name, marks=pytest.mark.slow) for name in ("", "vxi11"))]
+)
+def test_a_measurement_runs_without_what_only_posix_has(transport: str, tmp_path: Path) -> None:
+    # Serial lines are TCP sockets there.
+    code = f"""
+from pathlib import Path
+from hpe_rig.bench import read_bench
+from hpe_rig.acquire import prepare, record_run
+bench = Path("bench.toml")
+line = 'simulated = true' + ('\\ntransport = "{transport}"' if "{transport}" else "")
+bench.write_text(read_bench().text.replace("simulated = true", line), encoding="utf-8")
+record_run(prepare("table-1", bench), Path("run.h5"))
+from hpe_rig.store import read_run
+print(read_run(Path("run.h5")).status)
+"""
+    done = as_on_windows(code, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["complete"]
+
+
+def test_processes_are_spawned_never_forked() -> None:
+    started = []
+    for file in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
+                name = node.func.attr
+                if name in ("fork", "forkpty", "Process", "Pool", "set_start_method"):
+                    started.append((file.name, name))
+                if name == "get_context":
+                    started.append((file.name, ast.literal_eval(node.args[0])))
+    assert started == [("executor.py", "spawn")]
+
+
+def test_a_folder_named_like_a_package_of_ours_does_not_keep_the_live_page_from_starting(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in PACKAGES:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise SystemExit('somebody else s folder')", encoding="utf-8")
+    run_file = Path(shutil.copy(ROOT / "tests" / "fixtures" / "run_files" / "specimen.h5", tmp_path))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    with live_page_of(run_file) as address:
+        assert address.startswith("http://127.0.0.1:")
