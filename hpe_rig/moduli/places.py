@@ -12,7 +12,7 @@ import numpy as np
 
 from hpe_rig.moduli.inversion import FloatArray, Push, Vibration
 from hpe_rig.plan import Plan, Shot, places_of
-from hpe_rig.prediction import area_spread, beam_widths
+from hpe_rig.prediction import beam_widths, predicted_averaging
 from hpe_rig.processing import HarmonicFit, shot_fit
 from hpe_rig.scene import Mistake, Scene, SettingsError
 from hpe_rig.store import StoredRun
@@ -121,7 +121,7 @@ def _vibration(scene: Scene, label: str, fits: Sequence[HarmonicFit], estimator:
     beams = beam_widths(scene, estimator)
     assert beams is not None  # noqa: S101 (push_of has asked for them)
     seen = beams.tracking_width_m[0] ** 2 / 2
-    area = area_spread(scene, estimator)
+    area = max(each.area_spread for each in predicted_averaging(scene, estimator) if each is not None)
     return Vibration(
         label=label,
         frequency_hz=frequency_hz,

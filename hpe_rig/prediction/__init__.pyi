@@ -1,7 +1,6 @@
 from .aliasing import fitted_over_true as fitted_over_true
 from .amplitude import expected_snr_db as expected_snr_db, relative_drive as relative_drive
 from .beam_averaging import (
-    area_spread as area_spread,
     beam_widths as beam_widths,
     medium_motion as medium_motion,
     predicted_averaging as predicted_averaging,
@@ -21,6 +20,7 @@ from .error_model import (
 )
 from .forecast import (
     LEAST_POINTS as LEAST_POINTS,
+    as_averaged as as_averaged,
     conditions_of as conditions_of,
     forecast_of as forecast_of,
     predict as predict,

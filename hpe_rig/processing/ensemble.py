@@ -13,13 +13,13 @@ docs/theory/medium-prior.md.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri, wofz
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray
-from hpe_rig.processing.shear_field import shear_displacement
+from hpe_rig.processing.shear_field import shear_displacement, shear_motion
 
 Triple = tuple[float, float, float]
 
@@ -31,6 +31,9 @@ DIRECTIONS = 12
 """Quadrature nodes over wave directions: the displacement is good to 3e-4 of itself, in the paper's beams."""
 NODES_PER_E_FOLD = 6.0
 """Frequencies a factor e at which media are evaluated: what lies between is interpolated to 1e-4 of the largest."""
+
+AREA_STEP = 0.05
+"""Relative step in the tracking beam's area over which a derivative is taken."""
 
 MODULUS_PA = (1e3, 60e3)
 VISCOSITY_PA_S = (0.2, 15.0)
@@ -73,12 +76,15 @@ class Ensemble:
     """Displacement per unit force of every member, complex (member, node), at the frequencies ``node_hz`` (node,).
 
     ``tracked`` is the mean over the tracking beam and gate, ``peak`` that on its axis at the focus; both but for one
-    real factor a member; ``voigt`` (member,) tells Voigt media. Read-only.
+    real factor a member. ``steepness``: how ``tracked`` changes with the logarithm of the tracking beam's area, which
+    is what speckle changes; beside the push also with the beam's place. ``voigt`` (member,) tells Voigt media.
+    Read-only.
     """
 
     node_hz: FloatArray
     tracked: ComplexArray
     peak: ComplexArray
+    steepness: ComplexArray
     voigt: BoolArray
     at_harmonics: bool = False
 
@@ -119,14 +125,16 @@ def medium_ensemble(
     wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
     lateral, axial = (beams.force_width_m[0] * wide) ** 2, (beams.force_width_m[2] * deep) ** 2
     # Speckle weights by energy, a Gaussian of variance T^2/2 across: a force as much broader, of the same density.
-    seen = lateral + beams.tracking_width_m[0] ** 2 / 2, axial + beams.axial_spread_m**2
+    area, depth = beams.tracking_width_m[0] ** 2 / 2, axial + beams.axial_spread_m**2
+    tracked, wider = (displacement(shear_k2, lateral + each, depth) for each in (area, (1 + AREA_STEP) * area))
     found = Ensemble(
         node_hz,
-        displacement(shear_k2, *seen) / modulus_pa,
+        tracked / modulus_pa,
         displacement(shear_k2, lateral, axial) / modulus_pa,
+        (wider - tracked) / np.log1p(AREA_STEP) / modulus_pa,
         np.arange(members) % FAMILIES == 0 if known is None else np.ones(members, bool),
     )
-    for array in (found.node_hz, found.tracked, found.peak, found.voigt):
+    for array in (found.node_hz, found.tracked, found.peak, found.steepness, found.voigt):
         array.flags.writeable = False
     return found
 
@@ -140,26 +148,32 @@ def _beside(
     s = np.asarray(2j * np.pi * harmonic_hz, np.complex128)
     modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
     wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
-    place, seen = np.array([beams.lateral_m]), beams.tracking_width_m[0] ** 2 / 2
-    both = np.empty((MEMBERS_BESIDE, 2, harmonic_hz.size), np.complex128)
+    found = np.empty((3, MEMBERS_BESIDE, harmonic_hz.size), np.complex128)
     for member, (across_m, along_m) in enumerate(
         zip(beams.force_width_m[0] * wide, beams.force_width_m[2] * deep, strict=True)
     ):
-        for which, (averaged, along_m2) in enumerate(((seen, along_m**2 + beams.axial_spread_m**2), (0.0, along_m**2))):
-            both[member, which] = shear_displacement(
-                modulus_pa[member],
-                harmonic_hz,
-                density_kg_per_m3,
-                (across_m, along_m),
-                across_m**2 + averaged,
-                along_m2,
-                place,
-            )[:, 0]
+        own = replace(beams, force_width_m=(across_m, across_m, along_m))
+        found[:, member] = seen_beside(modulus_pa[member], density_kg_per_m3, harmonic_hz, own)
+    found.flags.writeable = False
     voigt = np.arange(MEMBERS_BESIDE) % FAMILIES == 0 if known is None else np.ones(MEMBERS_BESIDE, bool)
-    found = Ensemble(harmonic_hz, both[:, 0], both[:, 1], voigt, at_harmonics=True)
-    for array in (found.node_hz, found.tracked, found.peak, found.voigt):
-        array.flags.writeable = False
-    return found
+    return Ensemble(harmonic_hz, found[0], found[1], found[2], voigt, at_harmonics=True)
+
+
+def seen_beside(
+    modulus_pa: ComplexArray, density_kg_per_m3: float, frequency_hz: FloatArray, beams: BeamWidths
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return tracked and peak displacement and steepness (frequency,), per body force, beside the push.
+
+    Speckle moves the middle of what is tracked as well as its area, each by the same share of its radius: the steepness
+    is the root sum of squares of both, real part along the tracked phasor, imaginary part across.
+    """
+    (x, _, z), seen, place = beams.force_width_m, beams.tracking_width_m[0] ** 2 / 2, np.array([beams.lateral_m])
+    medium = modulus_pa, frequency_hz, density_kg_per_m3, (x, z)
+    moved = shear_motion(*medium, x**2 + seen, z**2 + beams.axial_spread_m**2, place)
+    tracked = moved.value[:, 0]
+    wider, aside = seen * moved.by_across[:, 0] / tracked, np.sqrt(seen) * moved.by_lateral[:, 0] / tracked
+    steep = np.hypot(wider.real, aside.real) + 1j * np.hypot(wider.imag, aside.imag)
+    return tracked, shear_displacement(*medium, x**2, z**2, place)[:, 0], tracked * steep
 
 
 def displacement(
