@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.alazar.ats460 import Ats460
+from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import InstrumentError
 from hpe_rig.acquire.run import Setup, record_run
@@ -138,14 +138,14 @@ class TappedLibrary:
 def tapped(monkeypatch: pytest.MonkeyPatch) -> Callable[[Tap], None]:
     """Return a function that puts a tap on every bench opened from then on."""
     wire, library = World.connect, World.alazar_library
-    records, make_buffer = Ats460.records, PageBuffer.__init__
+    records, make_buffer = AlazarDigitizer.records, PageBuffer.__init__
 
     def put(tap: Tap) -> None:
         def tapped_wire(world: World, role: str) -> Any:
             tap.worlds.append(world)
             return TappedWire(wire(world, role), tap)
 
-        def counted(board: Ats460, deadline_s: float) -> Iterator[Any]:
+        def counted(board: AlazarDigitizer, deadline_s: float) -> Iterator[Any]:
             for block in records(board, deadline_s):
                 tap.arrived += len(block.codes)
                 yield block
@@ -156,7 +156,7 @@ def tapped(monkeypatch: pytest.MonkeyPatch) -> Callable[[Tap], None]:
 
         monkeypatch.setattr(World, "connect", tapped_wire)
         monkeypatch.setattr(World, "alazar_library", lambda world: TappedLibrary(library(world), tap))
-        monkeypatch.setattr(Ats460, "records", counted)
+        monkeypatch.setattr(AlazarDigitizer, "records", counted)
         monkeypatch.setattr(PageBuffer, "__init__", noted)
 
     return put
