@@ -37,7 +37,7 @@ def mistakes(
         "record_samples": _record_samples(capture, model, mode),
         "trigger_delay_samples": _delay(capture, model, mode),
         "record_count": _record_count(capture.record_count, model, mode, fpga),
-        "trigger_level_v": _outside("trigger_level_v", level_v, -highest_v, highest_v),
+        "trigger_level_v": _outside("trigger_level_v", level_v, -highest_v, highest_v) or _no_step(level_v, highest_v),
     }
     return [Refusal(field, text) for field, texts in found.items() for text in texts]
 
@@ -57,6 +57,13 @@ def records_per_buffer(capture: Capture, channels: int = 1, model: BoardModel = 
     size_bytes = buffer_bytes(capture.record_samples, channels, True, model)
     most = min(BUFFER_WANTED_BYTES / size_bytes, capture.record_count * LARGEST_BUFFER_SHARE)
     return max(count for count in _divisors(capture.record_count) if count <= max(1.0, most))
+
+
+def _no_step(level_v: float, range_v: float) -> list[str]:
+    """Return that the comparator cannot tell a level from 0 V, which a pulse from 0 V up never crosses."""
+    if level_code(level_v, range_v) != level_code(0.0, range_v):
+        return []
+    return [f"trigger_level_v = {level_v:g} is less than a step of the comparator, {range_v / 127:.2g} V"]
 
 
 def _divisors(count: int) -> list[int]:

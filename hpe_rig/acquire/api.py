@@ -86,6 +86,9 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
     from hpe_rig import prediction
 
     scene, bench, shot = setup.scene.scene, setup.bench.bench, setup.plan.shots[0]
+    if not scene.wanted_frequencies_hz:
+        yield "prediction: left out, no vibration frequency is wanted"
+        return
     yield from prediction.detection_text(scene, bench.simulated, shot)
     yield from prediction.aliasing_text(scene, shot, bench.simulated)
     yield from prediction.calibration_text(scene, bench)

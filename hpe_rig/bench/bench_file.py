@@ -13,7 +13,22 @@ from typing import Annotated, Literal, get_args
 from pydantic import Field
 
 from drivers.alazar import BoardModel, model_named
-from hpe_rig.scene import Mistake, NonNegative, Positive, Section, SettingsError, Title, mistakes_of, parse_toml
+from hpe_rig.scene import (
+    Count,
+    DurationS,
+    FrequencyHz,
+    IntensityWPerM2,
+    LatencyS,
+    LengthM,
+    Mistake,
+    PressurePa,
+    Section,
+    SettingsError,
+    Title,
+    VoltageV,
+    mistakes_of,
+    parse_toml,
+)
 
 GeneratorRole = Literal["master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"]
 GENERATOR_ROLES: tuple[GeneratorRole, ...] = get_args(GeneratorRole)
@@ -49,13 +64,13 @@ class Generator(Section):
     """VISA resource name; not used on the simulated bench."""
     interface: str | None = None
     """VISA resource name of the adapter in front of it, such as PRLGX-TCPIP0::host::1234::INTFC; absent: none."""
-    latency_s: NonNegative = 0.0
+    latency_s: LatencyS = 0.0
     """Trigger input to first output edge."""
-    load_ohm: Annotated[float, Field(ge=1, strict=True)] = 50.0
+    load_ohm: Annotated[float, Field(ge=1, allow_inf_nan=True, strict=True)] = 50.0
     """Load at the output; inf for a high-impedance input."""
-    amplitude_vpp: Positive | None = None
+    amplitude_vpp: VoltageV | None = None
     """Output amplitude of the tracking pulser."""
-    max_vpp: Positive | None = None
+    max_vpp: VoltageV | None = None
     """Largest swing into the load that what hangs on the output bears; its driver refuses more."""
 
 
@@ -85,30 +100,30 @@ class DigitizerBoard(Section):
 
     model: Literal["ATS460", "ATS9350", "ATS9440", "ATS9462", "ATS9870"] = "ATS460"
     """Board model."""
-    system_id: Annotated[int, Field(ge=1, strict=True)] = 1
+    system_id: Count = 1
     """Alazar system number."""
-    board_id: Annotated[int, Field(ge=1, strict=True)] = 1
+    board_id: Count = 1
     """Alazar board number in its system."""
     dual_port_memory: Annotated[bool, Field(strict=True)] = False
     """Whether an ATS460 has the optional dual-port memory, so that records stream out while others come in."""
-    samples_per_channel: Annotated[int, Field(ge=1024, strict=True)] = 8_388_608
+    samples_per_channel: Annotated[int, Field(ge=1024, le=2**40, strict=True)] = 8_388_608
     """On-board memory; bounds a capture where there is no dual-port memory."""
-    max_records: Annotated[int, Field(ge=1, strict=True)] = model_named("ATS460").stamped_records
+    max_records: Annotated[int, Field(ge=1, le=2**32, strict=True)] = model_named("ATS460").stamped_records
     """Most records of a single-port capture. The library states the trigger time of the first 1000 alone, and FPGA
     version 18 and below hold no more; with more, records from 1001 on are placed by counting."""
-    latency_s: NonNegative = 0.0
+    latency_s: LatencyS = 0.0
     """Trigger input to sample 0 without trigger delay."""
-    aux_latency_s: NonNegative = 0.0
+    aux_latency_s: LatencyS = 0.0
     """Trigger input to rising edge of the trigger output."""
     aux_waits_for_trigger_delay: Annotated[bool, Field(strict=True)] = False
     """Whether the trigger output rises only after the trigger delay (not established for the ATS460)."""
-    trigger_level_v: Positive = 1.5
+    trigger_level_v: VoltageV = 1.5
     """Level of the external trigger input."""
     library: str | None = None
     """Name or path of the vendor's library; absent: ATSApi.dll or libATSApi.so, as installed."""
     acquisition_mode: Literal["single_port", "traditional", "npt"] | None = None
     """Way to capture; absent: AutoDMA with record headers where there is dual-port memory, else single port."""
-    monitor_range_v: Positive | None = None
+    monitor_range_v: VoltageV | None = None
     """Input range of channel B, which is then recorded along with the echoes of channel A; absent: it is not."""
 
     @property
@@ -134,41 +149,41 @@ class Cable(Section):
     """Where the cable starts."""
     target: Inlet
     """Where it ends."""
-    delay_s: NonNegative = 0.0
+    delay_s: LatencyS = 0.0
     """Propagation delay of the cable and of what stands in it."""
 
 
 class OutputLimits(Section):
     """What the bench must never exceed."""
 
-    full_drive_vpp: Positive
+    full_drive_vpp: VoltageV
     """Toneburst amplitude at the generator that gives the force F_0."""
     max_duty: Annotated[float, Field(gt=0, le=1, strict=True)]
     """Largest f_r T_b."""
-    max_burst_length_s: Positive
+    max_burst_length_s: DurationS
     """Longest toneburst."""
-    max_bursts: Annotated[int, Field(ge=1, strict=True)]
+    max_bursts: Count
     """Most tonebursts in a train."""
-    max_drive_vpp: Positive | None = None
+    max_drive_vpp: VoltageV | None = None
     """Largest amplitude of a generator that drives the transducer; absent: the instrument's own limit."""
-    max_mechanical_index: Positive = 1.9
+    max_mechanical_index: Annotated[float, Field(gt=0, le=100, strict=True)] = 1.9
     """Largest derated mechanical index (FDA, track 3)."""
-    max_sppa_w_per_m2: Positive = 1.9e6
+    max_sppa_w_per_m2: IntensityWPerM2 = 1.9e6
     """Largest derated pulse-average intensity; within it the mechanical index may be exceeded (FDA, track 3)."""
-    max_spta_w_per_m2: Positive = 7.2e3
+    max_spta_w_per_m2: IntensityWPerM2 = 7.2e3
     """Largest derated time-average intensity (FDA, track 3)."""
 
 
 class DriveCalibration(Section):
     """What a hydrophone in water measured at the focus for one kind of drive."""
 
-    carrier_hz: Positive
+    carrier_hz: FrequencyHz
     """Carrier that was driven."""
-    amplitude_vpp: Positive
+    amplitude_vpp: VoltageV
     """Generator amplitude that was set."""
-    rarefaction_pa: Positive
+    rarefaction_pa: PressurePa
     """Peak rarefactional pressure, not derated."""
-    sppa_w_per_m2: Positive
+    sppa_w_per_m2: IntensityWPerM2
     """Pulse-average intensity, not derated."""
 
 
@@ -177,7 +192,7 @@ class Calibration(Section):
 
     source: str
     """Who measured what when, or that it is assumed."""
-    focus_depth_m: Positive
+    focus_depth_m: LengthM
     """Distance between transducer and focus; the way over which the output is derated."""
     toneburst: DriveCalibration | None = None
     """The toneburst that pushes."""

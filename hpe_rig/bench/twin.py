@@ -9,6 +9,7 @@ import cmath
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +18,12 @@ from numpy.typing import NDArray
 from hpe_rig.scene import Mistake, Scene, mistakes_of
 
 if TYPE_CHECKING:
-    from sim_backend.motion import Dose
-    from sim_backend.settings import SimulationSettings
+    from hpe_rig.bench.bench_file import BenchFile
+    from sim_backend.motion import Dose, StepResponse
+    from sim_backend.settings import SimulationSettings, Specimen
+
+REFERENCE_CYCLES = 3
+"""Cycles of the tracking pulse that gives the twin's stated echo."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +70,99 @@ class TwinDeclaration:
     def trigger_jitter_s(self) -> float:
         """Trigger jitter between the sampling clock and a tracking pulse, root mean square."""
         return self.settings.instruments.trigger_jitter_s
+
+    @property
+    def jitters_s(self) -> dict[str, float]:
+        """Jitter of triggers and of the sampling clock, root mean square, by key of the twin's instruments."""
+        instruments = self.settings.instruments
+        return {name: getattr(instruments, name) for name in ("trigger_jitter_s", "sample_clock_jitter_s")}
+
+    @property
+    def echoes(self) -> bool:
+        """Whether there is anything that echoes."""
+        from sim_backend.settings import scatterer_count
+
+        scatterers = self.settings.scatterers
+        return bool(scatterer_count(scatterers, self.settings.beams) or scatterers.reflectors)
+
+    @property
+    def noise_v(self) -> float:
+        """Noise at the digitizer without receive chain, root mean square; 0 where none is drawn."""
+        receiver = self.settings.receiver
+        return 0.0 if receiver.snr_db is None else float(receiver.echo_rms_v * 10 ** (-receiver.snr_db / 20))
+
+    def echo_v(self, amplitude_vpp: float, cycles: float, carrier_hz: float, off_focus_m: float = 0.0) -> float:
+        """Return the resting echo of such a tracking pulse at the digitizer without receive chain, root mean square.
+
+        ``off_focus_m``: from the focus to the nearest place in the gate.
+        """
+        receiver, scatterers = self.settings.receiver, self.settings.scatterers
+        strength = amplitude_vpp / receiver.reference_pulse_vpp * cycles / REFERENCE_CYCLES
+        way_cm = 200 * self.focus_depth_m
+        lost_db = scatterers.attenuation_db_per_cm_mhz * way_cm * (carrier_hz - receiver.reference_carrier_hz) / 1e6
+        widths = min(off_focus_m, self.echo_reach_m) / self.settings.beams.tracking_width_m[2]
+        strength *= math.exp(-(widths**2) / 2)
+        return float(receiver.echo_rms_v * strength * 10 ** (-min(max(lost_db, -6000.0), 6000.0) / 20))
+
+    def moved_m(
+        self,
+        time_s: NDArray[np.float64],
+        burst_onset_s: NDArray[np.float64],
+        burst_length_s: float,
+        drive: tuple[float, float] | None,
+    ) -> NDArray[np.float64]:
+        """Return the displacement at the focus ``time_s`` (time,) after the master trigger, background included, m.
+
+        ``burst_onset_s`` (burst,) at the transducer; ``drive``: carrier, Hz, and amplitude, Vpp, of the tonebursts.
+        """
+        moved_m = self.background_m(time_s)
+        moved_m = np.zeros(time_s.shape) if moved_m is None else moved_m
+        time_ps = np.rint(time_s * 1e12).astype(np.int64)
+        if drive is not None and burst_onset_s.size:
+            moved_m = moved_m + self._pushed_m(time_ps, burst_onset_s, burst_length_s, drive)
+        if self.settings.motion:
+            from sim_backend.motion import motion_at
+
+            return moved_m + motion_at(self.settings.motion, time_ps)
+        return moved_m
+
+    def _pushed_m(
+        self,
+        time_ps: NDArray[np.int64],
+        burst_onset_s: NDArray[np.float64],
+        burst_length_s: float,
+        drive: tuple[float, float],
+    ) -> NDArray[np.float64]:
+        from sim_backend.motion import radiation_force, transient_displacement
+        from sim_backend.wiring import Bursts
+
+        settings, specimen = self.settings, self.settings.specimen
+        if specimen is None:
+            return np.zeros(time_ps.shape)
+        onset_ps = np.rint(burst_onset_s[burst_onset_s * 1e12 <= time_ps[-1]] * 1e12).astype(np.int64)
+        carrier_hz, amplitude_vpp = (np.full(onset_ps.shape, value) for value in drive)
+        length_ps = round(burst_length_s * 1e12)
+        bursts = Bursts(onset_ps, onset_ps + length_ps, carrier_hz, burst_length_s * carrier_hz, amplitude_vpp)
+        response = _step_response(specimen, settings.beams.excitation_width_m)
+        travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
+        force = radiation_force(bursts, specimen, travel_s, settings.transmitter)
+        return np.asarray(transient_displacement(response, force, time_ps))
+
+    def later_m(self, bench: BenchFile, trigger_delay_s: float) -> float:
+        """Return how much deeper than planned the record looks: the twin's latencies against the bench file's."""
+        own, board, pulser = self.settings.instruments, bench.digitizer, bench.generators.tracking_pulser
+        later_s = own.digitizer_latency_s - own.aux_latency_s - own.generator_latency_s
+        later_s -= board.latency_s - board.aux_latency_s - pulser.latency_s
+        if own.aux_waits_for_trigger_delay and not board.aux_waits_for_trigger_delay:
+            later_s -= trigger_delay_s
+        return float(later_s * self.sound_speed_m_per_s / 2)
+
+    def most_records(self, bench: BenchFile, record_samples: int) -> float:
+        """Return how many records of a capture the twin's board holds; inf where they stream out as they come."""
+        own, board = self.settings.instruments, bench.digitizer
+        held = board.board_model.most_records(own.samples_per_channel, record_samples)
+        streams = own.dual_port_memory and board.mode != "single_port"
+        return math.inf if streams and held else held
 
     @property
     def has_specimen(self) -> bool:
@@ -134,6 +232,13 @@ class TwinDeclaration:
 
         s_per_s = np.asarray(2j * np.pi * frequency_hz, np.complex128)
         return np.asarray(shear_modulus(specimen, s_per_s)), specimen.density_kg_per_m3
+
+
+@lru_cache(maxsize=8)
+def _step_response(specimen: Specimen, width_m: tuple[float, float, float]) -> StepResponse:
+    from sim_backend.motion import tabulate_step_response
+
+    return tabulate_step_response(specimen, width_m)
 
 
 def twin_of(scene: Scene) -> TwinDeclaration | None:

@@ -22,6 +22,7 @@ from hpe_rig.cli.console import (
     guarded,
     ignore_interrupts,
     progress,
+    refuse_undecodable,
     show,
 )
 from hpe_rig.cli.studies import studies
@@ -52,6 +53,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             # A title the console's code page lacks must not cost a measurement.
             stream.reconfigure(errors="replace")
+    refuse_undecodable(sys.argv)
     try:
         app()
     finally:
@@ -81,11 +83,12 @@ def run(
         from hpe_rig.acquire import chosen_estimator, prepare, process, record_run
         from hpe_rig.cli.watch import watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
-        from hpe_rig.store import WriteOptions, free_path, new_run_id
+        from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
     setup = prepare(scene, bench, stages)
-    chosen_estimator(estimator, setup.scene.scene)
+    chosen = chosen_estimator(estimator, setup.scene.scene)
     path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
+    refuse_unwritable(result_path(path, chosen))
     with watched(setup, path, run_id, live, verbose, announce) as watching:
         with progress(setup, quiet=json or csv) as observer:
             options = WriteOptions(compress, overwrite, run_id=run_id)
@@ -112,14 +115,16 @@ def resume(
     """Continue a stopped run, keeping its complete shots. They are copied to a new file, which gets the others too."""
     stages = Stages()
     with stages("load"):
-        from hpe_rig.acquire import prepare_rest, process, resume as resume_run
+        from hpe_rig.acquire import chosen_estimator, prepare_rest, process, resume as resume_run
         from hpe_rig.cli.watch import watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
-        from hpe_rig.store import WriteOptions, free_path, new_run_id
+        from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
     rest = prepare_rest(run_file, scene, bench, stages)
+    chosen = chosen_estimator(estimator, rest.setup.scene.scene)
     announce(f"{rest.complete} of {len(rest.setup.plan.shots)} shots are complete")
     path, run_id = output or free_path(run_file.stem, run_file.parent), new_run_id()
+    refuse_unwritable(result_path(path, chosen))
     with watched(rest.setup, path, run_id, live, verbose, announce) as watching:
         with progress(rest.setup, quiet=json or csv) as observer:
             resume_run(rest, path, watching(observer), stages, WriteOptions(compress, run_id=run_id))

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import functools
+import os
+import shlex
 import signal
 import sys
-from collections.abc import Callable, Iterator
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ParamSpec
+from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
 import typer
 
@@ -18,15 +22,16 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 
-EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_INTERRUPTED = 2, 1, 3, 130
+EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_PROGRAM, EXIT_INTERRUPTED = 2, 1, 3, 70, 130
 EXIT_SIGNAL = 128
 """Plus the number of the signal, as a shell counts."""
 EXIT_DAMAGED, EXIT_NO_CHECKSUMS = 4, 5
 
 
 def guarded(command: Callable[P, None]) -> Callable[P, None]:
-    """Return ``command`` with every expected failure turned into a message and an exit code, never a traceback.
+    """Return ``command`` with every failure turned into a message and an exit code, never a traceback.
 
+    What nobody foresaw is an error of the program: its traceback goes to a file that the message names.
     Interrupts that come after the first one wait until the message is out.
     """
 
@@ -38,12 +43,10 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
             try:
                 with interruptible():
                     command(*args, **kwargs)
-            except typer.Exit:
+            except (typer.Exit, SystemExit):
                 raise
             except BaseException as error:
-                failure = _failure(error)
-                if failure is None:
-                    raise
+                failure = _failure(error) or (_unforeseen(error), EXIT_PROGRAM)
                 # A terminal that was closed takes no message any more.
                 with suppress(OSError):
                     typer.echo(f"hpe-rig: {failure[0]}", err=True)
@@ -112,7 +115,7 @@ def progress(setup: Setup, quiet: bool) -> Iterator[Observer]:
 
 
 def _failure(error: BaseException) -> tuple[str, int] | None:
-    """Return message and exit code of an expected failure, None for a bug."""
+    """Return message and exit code of an expected failure, None for an error of the program."""
     from drivers.interfaces import InstrumentError
     from hpe_rig.acquire import StopRequested
     from hpe_rig.bench import Terminated, UnsafeBenchError
@@ -129,6 +132,13 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
             return str(error), EXIT_MISTAKE
         case InstrumentError():
             return f"{error}{lines}", EXIT_INSTRUMENT
+        case MemoryError():
+            return (
+                f"this needs more memory than is available{notes}. Try: fewer pulses, samples or scatterers",
+                EXIT_MISTAKE,
+            )
+        case OSError(filename=str() | bytes() as path, strerror=str() as why):
+            return f"{os.fsdecode(path)} cannot be used ({why}){notes}. Try: another path.", EXIT_MISTAKE
         case StopRequested():
             return f"stopped from the live page{notes}", EXIT_INTERRUPTED
         case KeyboardInterrupt():
@@ -136,6 +146,30 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
         case Terminated():
             return f"ended by {error.name}{notes}", EXIT_SIGNAL + error.number
     return None
+
+
+def _unforeseen(error: BaseException) -> str:
+    """Return the message of an error of the program, its traceback written to a file of its own."""
+    what = f"{type(error).__name__}: {error}".partition("\n")[0][:200]
+    try:
+        options: dict[str, Any] = {"prefix": "hpe-rig-", "suffix": ".txt", "encoding": "utf-8", "errors": "replace"}
+        with tempfile.NamedTemporaryFile("w", delete=False, **options) as file:
+            file.write(f"{shlex.join(sys.argv)}\n{''.join(traceback.format_exception(error))}")
+        where = f"{file.name} says where"
+    except OSError:
+        where = "".join(traceback.format_exception(error))
+    said = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
+    return f"this is an error of the program itself ({what}){said}. Try: other input, and report it: {where}"
+
+
+def refuse_undecodable(arguments: Sequence[str]) -> None:
+    """End the program where an argument, such as a file's name, is no text: no file could tell of it."""
+    for argument in arguments:
+        try:
+            argument.encode("utf-8")
+        except UnicodeEncodeError:
+            announce(f"hpe-rig: {argument!a} is no UTF-8 text. Try: rename the file or folder.")
+            raise SystemExit(EXIT_MISTAKE) from None
 
 
 SceneName = Annotated[

@@ -107,8 +107,11 @@ def study(
         int | None, typer.Option(min=1, help="Number of processes. Default: the number of cores.")
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler: tcp://HOST:8786, or local (needs the extra 'cluster').")
+        str | None, typer.Option(help="Dask scheduler: tls://HOST:8786, or tcp:// in a trusted network, or local.")
     ] = None,
+    tls_ca: Annotated[Path | None, typer.Option(help="Authority of the scheduler's certificate, a PEM file.")] = None,
+    tls_cert: Annotated[Path | None, typer.Option(help="Own certificate for the scheduler, a PEM file.")] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="Key of that certificate, a PEM file.")] = None,
     points: Annotated[
         int | None, typer.Option(help="Number of values in every range; 101 gives the finest maps.")
     ] = None,
@@ -122,7 +125,9 @@ def study(
     """Run a Monte Carlo parameter study. Bias and jitter of amplitude and phase, each with its standard error."""
     from hpe_rig.cli.study import study_command
     from hpe_rig.store import extra
+    from hpe_rig.study import TlsFiles
 
     replaced = {"points": points, "scatterers": scatterers, "noise": noise, "seed": seed}
     with extra("cluster"):
-        study_command(name, output, workers, scheduler, replaced, typer.echo, report)
+        tls = TlsFiles(tls_ca, tls_cert, tls_key)
+        study_command(name, output, workers, scheduler, replaced, typer.echo, report, tls)

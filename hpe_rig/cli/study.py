@@ -11,8 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from hpe_rig.bench import interruptible
+from hpe_rig.cli.console import announce
 from hpe_rig.result import text_table
-from hpe_rig.study import SUMMARY, OnProgress, StudyResult, cluster, processes, run_study
+from hpe_rig.study import (
+    NO_TLS,
+    SUMMARY,
+    OnProgress,
+    StudyResult,
+    TlsFiles,
+    cluster,
+    processes,
+    run_study,
+    untrusted_network,
+)
 
 
 def study_command(
@@ -23,13 +34,16 @@ def study_command(
     replaced: Mapping[str, Any],
     show: Callable[[str], None],
     report: bool = False,
+    tls: TlsFiles = NO_TLS,
 ) -> None:
     """Run the study ``name``, print what it computed and how long it took, and write its report if asked."""
     count = workers or os.cpu_count() or 1
-    open_pool = functools.partial(cluster, scheduler, count) if scheduler else functools.partial(processes, count)
+    open_pool = functools.partial(cluster, scheduler, count, tls) if scheduler else functools.partial(processes, count)
+    if scheduler and (danger := untrusted_network(scheduler)):
+        announce(danger)
     ahead = 64 if scheduler else 2 * count + 2
     with interruptible(), _progress(name) as watch:
-        results = run_study(name, output, open_pool, ahead, replaced, watch)
+        results = run_study(name, output, open_pool, ahead, replaced, watch, announce)
     show(table(results, output))
     if report:
         from hpe_rig.study import write_study_report

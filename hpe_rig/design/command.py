@@ -14,9 +14,10 @@ from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Co
 from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import Simulated, simulate
 from hpe_rig.design.variables import variables
-from hpe_rig.prediction import detection_text, predict
+from hpe_rig.prediction import Expected, as_averaged, detection_text, predict, predicted_averaging
 from hpe_rig.result import text_table
 from hpe_rig.scene import Mistake, SettingsError, edited_text, length_m, parse_toml
+from hpe_rig.store import unwritable
 from hpe_rig.study import Errors
 
 MODEL_JITTER, MODEL_BIAS, ERRORS = 0.15, 0.02, 3.0
@@ -25,6 +26,8 @@ UNSURE = 0.25
 """Share of a jitter beyond which its standard error tells nothing of the model."""
 SLACK = 1.01
 """Share of the starting scene's time that is allowed where nothing else is said."""
+
+MOST_DRAWS = 1_000_000
 
 T = TypeVar("T")
 
@@ -102,10 +105,15 @@ def _wrong_words(request: Request) -> Iterator[Mistake]:
         yield Mistake("--longest-s", f"{request.longest_s:g} s is no time", "seconds, such as 0.5")
     if request.draws < 0 or request.draws in (1, 2):
         yield Mistake("--draws", f"{request.draws} draws tell no jitter", "100 or more, or 0 for none")
-    if request.seed < 0:
-        yield Mistake("--seed", "a seed is not negative", "0 or more")
-    if request.output is not None and request.output.exists():
-        yield Mistake("--output", f"{request.output} exists and is never overwritten", "another name")
+    if request.draws > MOST_DRAWS:
+        yield Mistake("--draws", f"{request.draws} draws never end", f"{MOST_DRAWS} or fewer")
+    if not 0 <= request.seed < 2**32:
+        yield Mistake("--seed", "no seed of the search", "0 or more, below 2^32")
+    if request.output is not None:
+        if request.output.exists():
+            yield Mistake("--output", f"{request.output} exists and is never overwritten", "another name")
+        elif why := unwritable(request.output):
+            yield Mistake("--output", f"{request.output} cannot be written ({why})", "another place")
 
 
 def design_lines(found: DesignResult, draws: int = 0, seed: int = 0) -> Iterator[str]:
@@ -140,7 +148,7 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
     scene, plan, setting = candidate.scene, candidate.plan, candidate.setting
     if scene is None or plan is None or setting is None:
         return {}
-    expected = candidate.predict(FINAL_DRAWS, FINAL_SEED)
+    expected = _expected(candidate)
     output = candidate.output(problem.bench)
     simulated: Simulated | None = None
     if draws and not candidate.conflicts:
@@ -168,6 +176,14 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
     return rows if draws else {name: text for name, text in rows.items() if "simulated" not in name and name != "model"}
 
 
+def _expected(candidate: Candidate) -> Expected:
+    """Return bias and jitter with the averaging that ``hpe-rig check`` and a result's budget have."""
+    assert candidate.scene is not None  # noqa: S101
+    assert candidate.setting is not None  # noqa: S101
+    averaging = predicted_averaging(candidate.scene, candidate.scene.processing.estimator)[0]
+    return as_averaged(candidate.predict(FINAL_DRAWS, FINAL_SEED), candidate.setting, averaging)
+
+
 def _quadrature(candidate: Candidate) -> str:
     """Return the noise as ``hpe-rig check`` prints it: from the same draws."""
     assert candidate.scene is not None  # noqa: S101
@@ -191,7 +207,7 @@ def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
     """Return whether the model holds within what it is known to hold and the simulation's own errors."""
     if simulated is None or candidate.setting is None:
         return "not simulated"
-    expected = candidate.predict(FINAL_DRAWS, FINAL_SEED)
+    expected = _expected(candidate)
     amplitude, phase = simulated.amplitude_m, simulated.phase_rad
     jitters = (
         (expected.jitter_m, amplitude.jitter, amplitude.jitter_se),

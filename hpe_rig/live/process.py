@@ -13,7 +13,7 @@ from typing import Any
 
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
-from hpe_rig.store import StoreError, read_run
+from hpe_rig.store import StoreError, read_run, reason
 
 START_S = 20.0
 """How long a page may take to start before the run goes on without it."""
@@ -28,8 +28,8 @@ def serve_run(run_file: Path, port: int = 0, attached: bool = False) -> None:
     there yet is waited for; raises ``StoreError`` where there is one that is no run file.
     """
     # A run that starts its own page may be about to replace the file.
-    if run_file.exists() and not attached:
-        read_run(run_file)
+    if not attached:
+        _refuse_never(run_file)
     page = LivePage(RunSource(run_file), port)
     print(page.address, flush=True)
     if attached:
@@ -82,6 +82,22 @@ def _address(child: subprocess.Popen[str]) -> str:
     if not found or not found[0].startswith("http"):
         raise StoreError("the live page did not start. Try: hpe-rig live RUN.h5 by hand, which says why.")
     return found[0]
+
+
+def _refuse_never(run_file: Path) -> None:
+    """Raise ``StoreError`` where ``run_file`` is no run file, or is none and none can come there."""
+    try:
+        run_file.stat()
+    except FileNotFoundError:
+        if run_file.parent.is_dir():
+            return
+        why = f"there is no folder {run_file.parent}"
+    except OSError as error:
+        why = reason(error)
+    else:
+        read_run(run_file)
+        return
+    raise StoreError(f"no run can be followed at {run_file} ({why}). Try: the path of a run file.")
 
 
 def _close_with_input(page: LivePage) -> None:

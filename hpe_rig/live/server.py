@@ -22,6 +22,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hpe_rig.live.source import Source
 from hpe_rig.store import StoreError, reason
@@ -32,7 +33,38 @@ LEAST_PAUSE_S = 0.15
 HURRIED_PAUSE_S = 0.02
 IDLE_SHARE = 2.0
 """The reader rests this many times as long as its last reading took: it keeps no core busy that acquires."""
+REQUEST_S, LOOK_S = 5.0, 1.0
+"""Time within which a request must be there as a whole; half-open connections would else stay for ever."""
+MOST_CONNECTIONS = 64
+"""Far more than the viewers of one bench; what is open costs memory and file handles."""
 ENDED = ("complete", "aborted", "failed")
+
+
+@final
+class ImpatientProtocol(H11Protocol):
+    """Connections to the page: few at once, and each ended that sends no whole request within ``REQUEST_S``."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Take a connection, or end it where there are too many."""
+        super().connection_made(transport)
+        if len(self.connections) > MOST_CONNECTIONS:
+            transport.abort()
+            return
+        self._waits_since_s = self.loop.time()
+        self._look()
+
+    def _look(self) -> None:
+        """End the connection if it has waited for the rest of a request too long; else look again in a moment."""
+        gone = self.transport.is_closing() or self.transport.get_protocol() is not self
+        if gone:
+            # Ended, or a viewer's by now: the page itself sees to those.
+            return
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._waits_since_s = self.loop.time()
+        elif self.loop.time() - self._waits_since_s > REQUEST_S:
+            self.transport.abort()
+            return
+        self.loop.call_later(LOOK_S, self._look)
 
 
 @final
@@ -61,6 +93,7 @@ class LivePage:
             self._application(),
             log_level="error",
             access_log=False,
+            http=ImpatientProtocol,
             ws="websockets-sansio",
             timeout_graceful_shutdown=1,
         )

@@ -65,7 +65,7 @@ class RunSource:
         return self._state(self._run)
 
     def stop(self) -> None:
-        """Ask the run to stop through the file that it looks for."""
+        """Ask the run to stop through the file that it looks for; raise ``StoreError`` where none is going on."""
         request_stop(self._path)
 
     def _fingerprint(self) -> tuple[int, int, bool]:

@@ -25,7 +25,7 @@ def fitted_over_true(
     From the medium's steady motion under the bursts, tracked at the pulses that the estimate uses; None where no
     medium is known, nothing pushes, or the wanted frequencies are no multiples of the burst rate.
     """
-    if scene.excitation is None or shot.toneburst is None:
+    if scene.excitation is None or shot.toneburst is None or not scene.wanted_frequencies_hz:
         return None
     rate_hz, length_s = scene.excitation.burst_rate_hz, shot.toneburst.cycles / shot.toneburst.carrier_hz
     wanted_hz = np.array(scene.wanted_frequencies_hz)

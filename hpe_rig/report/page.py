@@ -25,7 +25,7 @@ from hpe_rig.report.sweep import Sweep, make_sweep
 from hpe_rig.report.views import MotionView, echo_view, gate_alone, motion_view
 from hpe_rig.result import Estimate, RepeatMean, Result, ShotResult, Stages, shot_warnings
 from hpe_rig.scene import Scene
-from hpe_rig.store import StoreError, reason
+from hpe_rig.store import StoreError, reason, refuse_unwritable
 
 MOST_ROWS = 1000
 """Rows of the table of every shot; what is beyond stays in the result file."""
@@ -57,6 +57,7 @@ def write_report(path: Path, estimator: str | None = None, output: Path | None =
     """
     target = output or path.with_suffix(".html")
     _refuse_other(target)
+    refuse_unwritable(target)
     page = render(path, estimator, shot)
     try:
         target.write_text(page, encoding="utf-8")

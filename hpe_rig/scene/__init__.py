@@ -1,6 +1,7 @@
 """Scene: what is measured and on which specimen, as its TOML file says, validated at once; no room lies below.
 
     validation.py   every mistake of a settings file at once, each with its key, the bound and what to try
+    quantities.py   types of the numbers in settings files, each with the bounds of what exists
     scene.py        the sections of a scene; read by name, path or value; the shipped scenes; the default specimen
     keys.py         the numbers of a scene: found by a short name, set to a value
     editing.py      a scene's text with some of its numbers changed, comments kept

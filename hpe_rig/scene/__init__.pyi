@@ -7,13 +7,22 @@ from .keys import (
     resolve as resolve,
     with_values as with_values,
 )
+from .quantities import (
+    AmplitudeM as AmplitudeM,
+    Count as Count,
+    DurationS as DurationS,
+    FrequencyHz as FrequencyHz,
+    IntensityWPerM2 as IntensityWPerM2,
+    LatencyS as LatencyS,
+    LengthM as LengthM,
+    PressurePa as PressurePa,
+    Seed as Seed,
+    VoltageV as VoltageV,
+)
 from .scene import (
     DEFAULT_SPECIMEN as DEFAULT_SPECIMEN,
-    Count as Count,
     Estimator as Estimator,
     Excitation as Excitation,
-    NonNegative as NonNegative,
-    Positive as Positive,
     Processing as Processing,
     Scene as Scene,
     SceneSource as SceneSource,

@@ -12,15 +12,25 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
+from hpe_rig.scene.quantities import (
+    AmplitudeM,
+    Count,
+    DelayS,
+    DensityKgPerM3,
+    DurationS,
+    Fraction,
+    FrequencyHz,
+    LengthM,
+    ModulusPa,
+    RatioDb,
+    SpeedMPerS,
+    VibrationHz,
+    ViscosityPaS,
+    VoltageV,
+)
 from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, named_text, parse_toml, validated
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False, strict=True)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, strict=True)]
-Fraction = Annotated[float, Field(gt=0, le=1, strict=True)]
-Count = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
-Triple = tuple[Positive, Positive, Positive]
-
-
+Widths = tuple[LengthM, LengthM, LengthM]
 Estimator = Literal["coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum"]
 
 
@@ -28,9 +38,9 @@ def _as_list(value: Any) -> Any:
     return value if isinstance(value, list | tuple) else [value]
 
 
-OneOrMorePositive = Annotated[
-    tuple[Positive, ...],
-    BeforeValidator(_as_list, json_schema_input_type=Positive | list[Positive]),
+OneOrMoreDurations = Annotated[
+    tuple[DurationS, ...],
+    BeforeValidator(_as_list, json_schema_input_type=DurationS | list[DurationS]),
     Field(min_length=1),
 ]
 OneOrMoreFractions = Annotated[
@@ -53,19 +63,19 @@ Title = Annotated[str, AfterValidator(_one_line)]
 class Section(BaseModel):
     """A frozen table of settings that refuses keys it does not know."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
 
 class Excitation(Section):
     """The tonebursts that push; without this section nothing pushes and no excitation generator is opened."""
 
-    burst_rate_hz: Positive
+    burst_rate_hz: FrequencyHz
     """Repetition rate f_r of the tonebursts."""
-    burst_length_s: OneOrMorePositive
+    burst_length_s: OneOrMoreDurations
     """Length T_b of a toneburst; a list measures each length in turn."""
     burst_count: Count
     """Number of tonebursts in a train."""
-    carrier_hz: Positive = 3.0e6
+    carrier_hz: FrequencyHz = 3.0e6
     """Frequency f_0 of the toneburst."""
     force_fraction: OneOrMoreFractions = (1.0,)
     """Radiation force F as a fraction of F_0, the force at the bench's full drive; a list measures each in turn."""
@@ -74,15 +84,15 @@ class Excitation(Section):
 class Tracking(Section):
     """The pulses that track the motion."""
 
-    pulse_rate_hz: Positive
+    pulse_rate_hz: FrequencyHz
     """Repetition rate f_prf of the tracking pulses."""
-    delay_s: NonNegative = 0.0
+    delay_s: DelayS = 0.0
     """Delay t_d from the master trigger to the start of the tracking train."""
     pulse_count: Count | None = None
     """Number of tracking pulses; absent: as many periods as the burst train lasts."""
     cycles: Annotated[int, Field(ge=1, le=1000, strict=True)] = 3
     """Cycles of one tracking pulse."""
-    carrier_hz: Positive = 9.0e6
+    carrier_hz: FrequencyHz = 9.0e6
     """Frequency f_f of the tracking pulse."""
     disturbed: Literal["refuse", "skip", "keep"] = "refuse"
     """What to do where a toneburst or its echo meets a tracking pulse or gate: refuse the scene; measure and leave
@@ -93,23 +103,23 @@ class Tracking(Section):
 class Acquisition(Section):
     """What is recorded."""
 
-    gate_depth_m: Positive
+    gate_depth_m: LengthM
     """Distance from the transducer to the middle of the gate."""
-    gate_length_m: Positive = 1.0e-3
+    gate_length_m: LengthM = 1.0e-3
     """Gate length l_g."""
-    sound_speed_m_per_s: Positive = 1540.0
+    sound_speed_m_per_s: SpeedMPerS = 1540.0
     """Longitudinal sound speed c assumed between transducer and gate."""
-    sound_speed_uncertainty: Annotated[float, Field(ge=0, le=0.5, allow_inf_nan=False, strict=True)] = 0.005
+    sound_speed_uncertainty: Annotated[float, Field(ge=0, le=0.5, strict=True)] = 0.005
     """Relative standard uncertainty of that sound speed; every displacement goes with it."""
-    sample_rate_hz: Positive = 100.0e6
+    sample_rate_hz: FrequencyHz = 100.0e6
     """Sampling rate F_s of the digitizer."""
     record_samples: Annotated[int, Field(ge=1, le=10_000_000, strict=True)] = 512
     """Samples of one record; the record is placed around the gate."""
-    input_range_v: Positive = 0.8
+    input_range_v: VoltageV = 0.8
     """Full scale of the digitizer's input, plus and minus; absent: the board's smallest range of at least this."""
     repeats: Count = 1
     """How often every shot is repeated."""
-    shot_period_s: Positive | None = None
+    shot_period_s: DurationS | None = None
     """Time between master triggers; absent: as soon as the trains have ended."""
     changed_settings: Literal["stop", "continue"] = "stop"
     """What follows a shot after which settings are not as before it; it is marked as untrusted either way."""
@@ -118,13 +128,13 @@ class Acquisition(Section):
 class Beams(Section):
     """What is known of the beams; without this section no beam-averaging factor is predicted."""
 
-    excitation_width_m: Triple
+    excitation_width_m: Widths
     """E_x, E_y, E_z: sigmas of the displacement's Gaussian, eq. (12)."""
-    tracking_width_m: Triple
+    tracking_width_m: Widths
     """T_x, T_y, T_z: sigmas of the tracking beam's Gaussian, eq. (8)."""
-    pulse_length_m: Positive | None = None
+    pulse_length_m: Annotated[LengthM, Field(le=0.1)] | None = None
     """Axial length c T / 2 of the tracking pulse as received, T its full length; absent: that of its cycles."""
-    focus_depth_m: Positive | None = None
+    focus_depth_m: LengthM | None = None
     """Distance from the transducer to the common focus; absent: the middle of the gate, put there by its echoes."""
 
 
@@ -134,11 +144,11 @@ class Medium(Section):
     Without it the motion itself tells, as far as it can, how much of the peak is tracked.
     """
 
-    shear_modulus_pa: Positive
+    shear_modulus_pa: ModulusPa
     """Shear elasticity mu1."""
-    shear_viscosity_pa_s: NonNegative
+    shear_viscosity_pa_s: ViscosityPaS
     """Shear viscosity mu2."""
-    density_kg_per_m3: Positive = 1000.0
+    density_kg_per_m3: DensityKgPerM3 = 1000.0
     """Mass density."""
 
 
@@ -148,32 +158,33 @@ class Processing(Section):
     estimator: Estimator = "coherent"
     """Motion estimator; cross_spectrum is the paper's chain, joint the maximum likelihood over all pulses."""
     harmonic: Literal["medium_prior", "least_squares", "kalman"] | None = None
-    """How displacement becomes amplitude and phase; joint and cross_spectrum have their own way. Absent: medium_prior,
+    """How displacement becomes amplitude and phase; cross_spectrum has its own way. Absent: medium_prior,
     all harmonics of the tonebursts with a prior of media, where there is a train of them, [beams], and the wanted
     frequencies are multiples of its rate; else least_squares."""
-    process_noise: NonNegative = 0.0
+    process_noise: Annotated[float, Field(ge=0, le=1e6, strict=True)] = 0.0
     """Change per pulse of a harmonic state that harmonic = "kalman" follows, variance over that of a pulse's noise."""
     background_order: Annotated[int, Field(ge=0, le=20, strict=True)] = 0
-    """Background fitted along: 0 constant, 1 velocity, 2 acceleration, more: drift; not by cross_spectrum."""
+    """Background fitted along: 0 constant, 1 velocity, 2 acceleration, more: drift; cross_spectrum has a band-pass for
+    it, and takes this for its u alone."""
     flag_pulses: Annotated[bool, Field(strict=True)] = True
     """Leave pulses out whose gate holds an energy unlike the others': leaked tonebursts, spikes, lost echoes."""
     follow_gate: Annotated[bool, Field(strict=True)] = False
     """Let the gate follow background motion longer than itself, such as heart beat or breathing, through the record;
     fit the background with background_order. Not with joint or a reference gate."""
-    reference_gate_depth_m: Positive | None = None
+    reference_gate_depth_m: LengthM | None = None
     """Middle of a second gate, inside the record, whose echoes do not move: its apparent motion, the trigger jitter, is
     subtracted. Not with joint."""
-    reference_gate_length_m: Positive | None = None
+    reference_gate_length_m: LengthM | None = None
     """Length of that gate; absent: acquisition.gate_length_m."""
-    expected_snr_db: Annotated[float, Field(allow_inf_nan=False, strict=True)] | None = None
+    expected_snr_db: RatioDb | None = None
     """Echo power over noise power in the gate, for the prediction; absent: as the twin simulates."""
-    expected_amplitude_m: Positive | None = None
+    expected_amplitude_m: AmplitudeM | None = None
     """Displacement amplitude, for the prediction; absent: as the twin's motion prescribes, or 100 nm."""
-    frequencies_hz: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    frequencies_hz: Annotated[tuple[VibrationHz, ...], Field(min_length=1)] | None = None
     """Vibration frequencies f_v wanted; absent: f_r and its multiples up to the tenth below f_prf / 2."""
-    window_start_s: NonNegative = 0.0
+    window_start_s: DelayS = 0.0
     """Start of the slow-time window after the first tracking pulse."""
-    window_length_s: Positive | None = None
+    window_length_s: DurationS | None = None
     """Length T_s of the slow-time window; absent: to the last pulse."""
     synchronous: Annotated[bool, Field(strict=True)] = False
     """Require a burst period that is a whole multiple of the pulse period."""
@@ -188,9 +199,9 @@ class Processing(Section):
 
     @model_validator(mode="after")
     def _harmonic_that_is_used(self) -> Processing:
-        if self.harmonic == "medium_prior" and self.estimator in ("joint", "cross_spectrum"):
+        if self.harmonic == "medium_prior" and self.estimator == "cross_spectrum":
             raise ValueError(
-                f'{self.estimator} has its own way to amplitude and phase and takes no harmonic = "medium_prior": '
+                'cross_spectrum has its own way to amplitude and phase and takes no harmonic = "medium_prior": '
                 'remove it, or set estimator = "coherent"'
             )
         if self.process_noise and self.harmonic != "kalman":
@@ -204,9 +215,9 @@ class Processing(Section):
 class Sweep(Section):
     """Settings that are taken in turn besides forces and burst lengths; one run, one report."""
 
-    pulse_rate_hz: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=100)] = ()
+    pulse_rate_hz: Annotated[tuple[FrequencyHz, ...], Field(min_length=1, max_length=100)] = ()
     """Pulse rates f_prf, measured in turn in place of tracking.pulse_rate_hz, with equally many pulses each."""
-    window_length_s: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=100)] = ()
+    window_length_s: Annotated[tuple[DurationS, ...], Field(min_length=1, max_length=100)] = ()
     """Slow-time windows T_s, taken in turn from the same records in place of processing.window_length_s."""
 
 
@@ -313,6 +324,17 @@ class Scene(Section):
         if self.processing.harmonic == "medium_prior" and self.without_prior is not None:
             raise ValueError(
                 f'processing.harmonic = "medium_prior" needs more, {self.without_prior}: set harmonic = "least_squares"'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _pulse_has_a_cycle(self) -> Scene:
+        length_m = None if self.beams is None else self.beams.pulse_length_m
+        half_wave_m = self.acquisition.sound_speed_m_per_s / (2 * self.tracking.carrier_hz)
+        if length_m is not None and length_m < half_wave_m:
+            raise ValueError(
+                f"beams.pulse_length_m is {length_m:g} m, where a single cycle of tracking.carrier_hz takes "
+                f"{half_wave_m:.3g} m: a larger value, or none for that of tracking.cycles"
             )
         return self
 

@@ -41,12 +41,44 @@ class SettingsError(Exception):
         self.mistakes = tuple(mistakes)
 
 
+MOST_LEVELS = 20
+"""Tables and lists within one another in a settings file; a scene has five."""
+
+
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """Return the tables of ``text``; raise ``SettingsError`` with line and column where it is not TOML."""
+    """Return the tables of ``text``; raise ``SettingsError`` with line and column where it is not TOML.
+
+    Also raised where tables are nested deeper than ``MOST_LEVELS``, or a number has thousands of digits.
+    """
     try:
-        return tomllib.loads(text)
+        tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise SettingsError(source, [Mistake("", f"not valid TOML: {error}", "correct that line")]) from None
+        mistake = Mistake("", f"not valid TOML: {error}", "correct that line")
+    except RecursionError:
+        mistake = _TOO_DEEP
+    except ValueError:
+        # Python's own limit on what it converts to a whole number, at a place that it does not tell.
+        mistake = Mistake("", "a whole number in it has thousands of digits", "a number that a setting can have")
+    else:
+        if _levels(tables) <= MOST_LEVELS:
+            return tables
+        mistake = _TOO_DEEP
+    raise SettingsError(source, [mistake]) from None
+
+
+_TOO_DEEP = Mistake(
+    "", f"tables or lists are nested more than {MOST_LEVELS} deep", "the sections that hpe-rig schema lists"
+)
+
+
+def _levels(tables: Any) -> int:
+    """Return how deep tables and lists are nested; without recursion, which deep ones would exhaust."""
+    levels, inside = 0, [tables]
+    while inside and levels <= MOST_LEVELS:
+        holders = [item for item in inside if isinstance(item, dict | list)]
+        inside = [inner for item in holders for inner in (item.values() if isinstance(item, dict) else item)]
+        levels += bool(holders)
+    return levels
 
 
 def named_text(
@@ -95,8 +127,32 @@ def dotted(path: KeyPath) -> str:
     """Return a TOML path in the form ``excitation.burst_length_s[2]``."""
     text = ""
     for part in path:
-        text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
+        text += f"[{part}]" if isinstance(part, int) else f".{_plain(part)}" if text else _plain(part)
     return text
+
+
+MOST_SHOWN = 80
+"""Characters of a value or key that a message shows."""
+
+
+def _plain(key: str) -> str:
+    """Return a key as a message may show it: what a terminal would execute, and what is endless, is replaced."""
+    return _shortened(key if key.isprintable() else repr(key))
+
+
+def _shown(value: Any) -> str:
+    """Return a value as a message shows it."""
+    if isinstance(value, int) and value.bit_length() > 3 * MOST_SHOWN:
+        return f"a whole number of about {round(value.bit_length() * math.log10(2))} digits"
+    try:
+        return _shortened(repr(value))
+    except ValueError:
+        # Somewhere inside is a number that Python does not print.
+        return f"a {'list' if isinstance(value, list) else 'table'} with a number of thousands of digits"
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}..."
 
 
 def _mistake(entry: dict[str, Any], model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPath) -> Mistake:
@@ -136,20 +192,53 @@ def _words(entry: dict[str, Any], path: KeyPath, keys: Sequence[str], tables: Ma
         return "unknown key", f"did you mean {close[0]}? ({known})" if close else f"remove it; {known}"
     if kind in _BOUNDS:
         key, word = _BOUNDS[kind]
-        return f"{value!r} is out of bounds, it must be {word} {context[key]:g}", f"a value {word} {context[key]:g}"
+        bound = f"{word} {context[key]:g}{_unit(path)}"
+        return (
+            f"{_shown(value)} is out of bounds, it must be {bound}",
+            f"a value {'of ' if 'at' in word else ''}{bound}",
+        )
     if kind == "finite_number":
-        return f"{value!r} is not finite", "a finite number"
+        return f"{_shown(value)} is not finite", "a finite number"
     if kind == "literal_error":
-        return f"{value!r} is not one of the choices", f"one of {context['expected']}"
+        return f"{_shown(value)} is not one of the choices", f"one of {context['expected']}"
     if kind in ("too_short", "too_long"):
         bound = context.get("min_length", context.get("max_length"))
         return f"{len(value)} entries where {bound} are needed", f"a list of {bound}"
+    if kind == "float_type" and isinstance(value, int) and not isinstance(value, bool):
+        return f"{_shown(value)} is out of all bounds", "a value as it occurs on a bench"
     expected = next((words for prefix, words in _KINDS.items() if kind.startswith(prefix)), None)
     if expected:
-        return f"{value!r} is not {expected}", f"{expected} without quotes" if "number" in expected else expected
+        return f"{_shown(value)} is not {expected}", f"{expected} without quotes" if "number" in expected else expected
     text = str(context.get("error", entry["msg"]))
     what, _, remedy = text.partition(": ")
     return what, remedy or "what hpe-rig schema says of this key"
+
+
+_UNITS = {
+    "hz": "Hz",
+    "s": "s",
+    "m": "m",
+    "v": "V",
+    "vpp": "Vpp",
+    "pa": "Pa",
+    "pa_s": "Pa s",
+    "db": "dB",
+    "rad": "rad",
+    "ohm": "ohm",
+    "m_per_s": "m/s",
+    "kg_per_m3": "kg/m3",
+    "n_per_m3": "N/m3",
+    "w_per_m2": "W/m2",
+    "db_per_cm_mhz": "dB/cm/MHz",
+    "v_per_sqrt_hz": "V/sqrt(Hz)",
+}
+
+
+def _unit(path: KeyPath) -> str:
+    """Return the unit that the name of a key ends with, behind a space; empty where it has none."""
+    name = next((part for part in reversed(path) if isinstance(part, str)), "")
+    endings = sorted((ending for ending in _UNITS if name.endswith(f"_{ending}")), key=len)
+    return f" {_UNITS[endings[-1]]}" if endings else ""
 
 
 def _written(path: KeyPath, tables: Any) -> KeyPath:
@@ -188,20 +277,24 @@ def _models_in(annotation: Any) -> Any:
         yield from _models_in(inner)
 
 
-LARGEST_M = 1e-3
-"""A larger uncertainty is a forgotten unit."""
+SMALLEST_M, LARGEST_M = 1e-15, 1e-3
+"""A larger uncertainty is a forgotten unit, a smaller one than a nucleus a slipped exponent."""
 _UNITS_M = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "m": 1.0}
 
 
 def length_m(text: str, key: str) -> float:
-    """Return a length up to 1 mm, such as "20nm" or "2e-8"; raise ``SettingsError`` naming ``key`` for others."""
+    """Return a length from 1 fm to 1 mm, such as "20nm" or "2e-8".
+
+    Raises ``SettingsError`` naming ``key`` for others.
+    """
     match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(nm|um|mm|m)?\s*", text)
     try:
         value = float(match[1]) * _UNITS_M[match[2] or "m"] if match else math.nan
     except ValueError:
         value = math.nan
-    if not 0 < value <= LARGEST_M:
+    if not SMALLEST_M <= value <= LARGEST_M:
         raise SettingsError(
-            "command line", [Mistake(key, f"{text!r} is no length up to 1 mm", "a number with unit, such as 20nm")]
+            "command line",
+            [Mistake(key, f"{text!r} is no length from 1 fm to 1 mm", "a number with unit, such as 20nm")],
         )
     return value

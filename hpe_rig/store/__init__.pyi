@@ -1,4 +1,8 @@
-from .atomic import atomic_file as atomic_file
+from .atomic import (
+    atomic_file as atomic_file,
+    refuse_unwritable as refuse_unwritable,
+    unwritable as unwritable,
+)
 from .format import (
     StoreError as StoreError,
     extra as extra,

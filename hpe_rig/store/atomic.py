@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+from hpe_rig.store.format import StoreError, reason
 
 PATIENCE_S = 2.0
 """How long a file that another program has open is waited for: a reader is usually done at once."""
@@ -21,7 +24,7 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
     Raises ``FileExistsError`` at the end where ``path`` is taken and must not be overwritten, ``PermissionError`` where
     it is to be replaced and another program keeps it open (Windows).
     """
-    draft = path.with_name(f".{path.name}.{os.getpid()}.draft")
+    draft = _draft(path)
     try:
         yield draft
         if overwrite:
@@ -32,6 +35,32 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
         # Gone already where all went well.
         with suppress(OSError):
             draft.unlink()
+
+
+def refuse_unwritable(path: Path) -> None:
+    """Raise ``StoreError`` where ``path`` cannot be written, before the work whose result it is to hold."""
+    if why := unwritable(path):
+        raise StoreError(f"{path} cannot be written ({why}). Try: another folder or name.")
+
+
+def unwritable(path: Path) -> str:
+    """Return why ``path`` cannot be written, empty where it can; leaves nothing behind.
+
+    Its folder must exist and take files, and its name leave room for a draft's.
+    """
+    try:
+        if not path.name or path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        draft = _draft(path)
+        draft.open("xb").close()
+        draft.unlink()
+    except OSError as error:
+        return reason(error)
+    return ""
+
+
+def _draft(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}.draft")
 
 
 def _replace(draft: Path, path: Path) -> None:

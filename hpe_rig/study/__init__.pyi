@@ -1,4 +1,10 @@
-from .executor import cluster as cluster, processes as processes
+from .executor import (
+    NO_TLS as NO_TLS,
+    TlsFiles as TlsFiles,
+    cluster as cluster,
+    processes as processes,
+    untrusted_network as untrusted_network,
+)
 from .map_figures import OURS as OURS, lateral_average as lateral_average
 from .page import PageTable as PageTable, Part as Part, cell as cell, render as render, table as table
 from .report import write_study_report as write_study_report

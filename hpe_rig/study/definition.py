@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import replace
@@ -15,11 +16,12 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from hpe_rig.scene import (
+    AmplitudeM,
     Count,
     Estimator,
     Mistake,
-    Positive,
     Section,
+    Seed,
     SettingsError,
     Title,
     named_text,
@@ -28,8 +30,10 @@ from hpe_rig.scene import (
 )
 
 Reading = Literal["physical", "literal"]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-1e100, le=1e100)]
 
+MOST_POINTS = 1_000_000
+"""Far more cases than anyone waits for; each is a file."""
 COLUMNS = ("reading", "estimator", "frequency_hz", "refused", "draws", "noise", "seconds", "peak_memory_bytes", "case")
 """Columns of every result, beside those of amplitude and phase: no axis has their names."""
 
@@ -108,9 +112,9 @@ class Definition(Section):
     """Draws of scatterers a case; with ``standard_error_m`` the most of them."""
     noise: Count = 2
     """Noise draws for each draw of scatterers; from 2 on the jitter is split into speckle and noise."""
-    standard_error_m: Positive | None = None
+    standard_error_m: AmplitudeM | None = None
     """Stop a case once the standard error of its mean amplitudes is below this."""
-    seed: Annotated[int, Field(ge=0, strict=True)] = 1
+    seed: Seed = 1
     """Seed of every random number."""
     common: Literal["all"] | tuple[str, ...] = ()
     """Axes along which the random numbers are the same, so that chance does not hide differences; "all": they are the
@@ -132,6 +136,8 @@ class Definition(Section):
         taken = [name for name in names if name in COLUMNS or name.startswith(("amplitude_", "phase_"))]
         if taken:
             raise ValueError(f"axes are named {', '.join(taken)}, as columns of every result are: give others")
+        if (points := math.prod(len(axis.values()) for axis in self.axes)) > MOST_POINTS:
+            raise ValueError(f"its axes have {points:.3g} points in all, a study at most {MOST_POINTS}: take fewer")
         unknown = [name for name in self.common if name not in names] if self.common != "all" else []
         if unknown:
             raise ValueError(f"common names {', '.join(unknown)}, which is no axis: take from {', '.join(names)}")

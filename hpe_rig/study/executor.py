@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import multiprocessing
 import os
 import signal
@@ -10,7 +11,9 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
-from typing import TypeVar
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
 
 from hpe_rig.scene import Mistake, SettingsError
 
@@ -105,22 +108,73 @@ def _interrupts_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
+@dataclass(frozen=True, slots=True)
+class TlsFiles:
+    """Files with which a client and a scheduler know each other: authority, own certificate, own key; PEM."""
+
+    ca: Path | None = None
+    cert: Path | None = None
+    key: Path | None = None
+
+    def mistakes(self) -> list[Mistake]:
+        """Return which of the files are missing; all or none are needed."""
+        options = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
+        if not any(options.values()):
+            return []
+        remedy = "the three PEM files that the scheduler was started with, or none of the options"
+        return [
+            Mistake(option, "is not given" if path is None else f"{path} is no file", remedy)
+            for option, path in options.items()
+            if path is None or not path.is_file()
+        ]
+
+
+NO_TLS = TlsFiles()
+
+
+def untrusted_network(address: str) -> str:
+    """Return what must be known of a scheduler that is reached without TLS; empty where there is no danger."""
+    host = address.partition("://")[2].rpartition(":")[0].strip("[]")
+    if address == "local" or address.startswith("tls://") or host in ("localhost", "127.0.0.1", "::1"):
+        return ""
+    return (
+        f"{address} is reached without TLS: whoever is on that network can read the cases and run code on the workers "
+        "and here. For trusted networks only; else tls://HOST:8786 with --tls-ca, --tls-cert and --tls-key"
+    )
+
+
 @contextmanager
-def cluster(address: str, workers: int) -> Iterator[Executor]:
-    """Open the dask cluster at ``address``, or one of ``workers`` processes on this machine for "local"."""
-    from distributed import Client, LocalCluster
+def cluster(address: str, workers: int, tls: TlsFiles = NO_TLS) -> Iterator[Executor]:
+    """Open the dask cluster at ``address``, or one of ``workers`` processes on this machine for "local".
+
+    ``tls`` makes the client and the scheduler prove who they are, and refuses a connection that is not encrypted;
+    without it dask's own configuration holds. Raises ``SettingsError`` where nothing answers or files are missing.
+    """
+    # By name: whether the package is installed, with types or without, is nobody's business who does not use it.
+    distributed: Any = importlib.import_module("distributed")
+    if mistakes := tls.mistakes():
+        raise SettingsError("command line", mistakes)
 
     if address == "local":
         with (
-            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as own,
-            Client(own) as client,
+            distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as own,
+            distributed.Client(own) as client,
         ):
             yield client.get_executor(pure=False, retries=MOST_LOSSES)
         return
     try:
-        client = Client(address, timeout="10s")
-    except (OSError, ValueError) as error:
-        mistake = Mistake("--scheduler", f"{address} does not answer ({error})", "tcp://HOST:8786, or local")
+        client = distributed.Client(address, timeout="10s", security=_security(distributed.Security, tls))
+    except (OSError, ValueError, TypeError, RuntimeError) as error:
+        remedy = "tcp://HOST:8786, tls://HOST:8786 with the files of its certificates, or local"
+        mistake = Mistake("--scheduler", f"{address} does not answer ({error})", remedy)
         raise SettingsError("command line", [mistake]) from None
     with client:
         yield client.get_executor(pure=False, retries=MOST_LOSSES)
+
+
+def _security(security: Callable[..., Any], tls: TlsFiles) -> Any:
+    """Return dask's own settings of TLS with the given files, None for those of its configuration."""
+    if tls == NO_TLS:
+        return None
+    ca, cert, key = str(tls.ca), str(tls.cert), str(tls.key)
+    return security(tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key, require_encryption=True)

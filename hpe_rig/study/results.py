@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any
 
 from hpe_rig.result import csv_text
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import atomic_file
+from hpe_rig.store import atomic_file, unwritable
 from hpe_rig.study.cases import GridPoint
 from hpe_rig.study.definition import Definition
 
@@ -28,21 +29,41 @@ class CaseStore:
     folder: Path
 
     def read(self, key: str) -> CaseRecord | None:
-        """Return the record of a finished case; None where it is absent or its file is damaged."""
+        """Return the record of a finished case; None where it is absent or its file is not as it was written."""
         try:
-            record = json.loads(self._path(key).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            stored = json.loads(self._path(key).read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError):
             return None
-        whole = isinstance(record, dict) and record.keys() >= FIELDS and record["case"] == key
-        return record if whole else None
+        record = stored.get("record") if isinstance(stored, dict) else None
+        if not isinstance(record, dict) or stored.get("sha256") != _digest(record):
+            return None
+        return record if record.keys() >= FIELDS and record["case"] == key else None
+
+    def is_damaged(self, key: str) -> bool:
+        """Return whether there is a file of that case that ``read`` does not trust."""
+        return self._path(key).exists() and self.read(key) is None
 
     def write(self, record: CaseRecord) -> None:
-        """Write a record whole or not at all; raises ``SettingsError`` where the folder cannot be written."""
-        write_whole(self._path(record["case"]), json.dumps(record))
+        """Write a record and its hash, whole or not at all; raises ``SettingsError`` where that is impossible."""
+        write_whole(self._path(record["case"]), json.dumps({"sha256": _digest(record), "record": record}))
+
+    def prepare(self) -> None:
+        """Make the folder; raise ``SettingsError`` where nothing can be written there, before anything is computed."""
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise _unwritable(self.folder, error.strerror) from None
+        if why := unwritable(self.folder / STUDY):
+            raise _unwritable(self.folder, why)
 
     def _path(self, key: str) -> Path:
         # A folder for every 256th case: file managers take long over 1e5 files in one.
         return self.folder / key[:2] / f"{key}.json"
+
+
+def _digest(record: CaseRecord) -> str:
+    """Return the hash of a record, the same before and after JSON: numbers survive that to the last bit."""
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,5 +130,9 @@ def write_whole(path: Path, text: str) -> None:
         with atomic_file(path) as draft:
             draft.write_text(text, encoding="utf-8", newline="")
     except OSError as error:
-        mistake = Mistake(str(path), f"cannot be written ({error.strerror})", "another folder, by --output")
-        raise SettingsError("command line", [mistake]) from None
+        raise _unwritable(path, error.strerror) from None
+
+
+def _unwritable(path: Path, why: str | None) -> SettingsError:
+    mistake = Mistake(str(path), f"cannot be written ({why})", "another folder, by --output")
+    return SettingsError("command line", [mistake])

@@ -30,11 +30,13 @@ def run_study(
     ahead: int = 0,
     replaced: Mapping[str, Any] | None = None,
     watch: OnProgress = lambda done, total: None,
+    tell: Callable[[str], None] = lambda text: None,
 ) -> list[StudyResult]:
     """Run a study or a collection, write it below ``output`` and return its results.
 
     ``output``/cases holds a file a finished case, ``output``/NAME the results; cases finished before, by whichever
-    study, are not computed again. ``open_pool`` opens the workers, one a processor of this machine by default. Raises
+    study, are not computed again unless their files are damaged, of which ``tell`` is told.
+    ``open_pool`` opens the workers, one a processor of this machine by default. Raises
     ``SettingsError`` with every mistake before anything is computed, and ``TypeError`` for a wrong type.
 
     >>> (result,) = run_study("fig-7", "results")
@@ -48,8 +50,11 @@ def run_study(
         for own, (definition, folder) in read_studies(name, replaced).items()
     }
     store = CaseStore(output / "cases")
+    store.prepare()
     cases = {point.case.key: point.case for _, points in studies.values() for point in points}
     records = {key: record for key in cases if (record := store.read(key)) is not None}
+    if damaged := sum(store.is_damaged(key) for key in cases if key not in records):
+        tell(f"{damaged} case files in {store.folder} are damaged or older than their hashes: computed again")
     try:
         _compute([case for key, case in cases.items() if key not in records], store, records, open_pool, ahead, watch)
     except BaseException as error:

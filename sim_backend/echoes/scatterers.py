@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.settings import Beams, Reflector, Scatterers, SimulationSettings
+from sim_backend.settings import Beams, Reflector, Scatterers, SimulationSettings, scatterer_count
 
 Floats = NDArray[np.float64]
 
@@ -36,17 +36,6 @@ class ScattererField:
     """g, the Gaussian of eq. (12): displacement over the focus'."""
     excitation_weight: Floats
     """The excitation beam's pulse-echo weight: g times reflectivity."""
-
-
-def resolution_cell_m3(tracking_width_m: tuple[float, float, float]) -> float:
-    """Return the volume in which the tracking beam I is above -6 dB (1/2): an ellipsoid, half axes T sqrt(2 ln 2)."""
-    axis = math.sqrt(2 * math.log(2))
-    return 4 / 3 * math.pi * math.prod(width_m * axis for width_m in tracking_width_m)
-
-
-def scatterer_count(scatterers: Scatterers, beams: Beams) -> int:
-    """Return the number of scatterers in the box: ``per_cell`` times the number of resolution cells in it."""
-    return round(scatterers.per_cell * math.prod(scatterers.volume_m) / resolution_cell_m3(beams.tracking_width_m))
 
 
 def gaussian_weight(offset_m: Floats, width_m: tuple[float, float, float]) -> Floats:

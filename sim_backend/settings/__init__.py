@@ -1,6 +1,7 @@
 """Settings of the twin: what ``[simulation]`` may say, and the specimens and receive chains it may name.
 
-simulation.py (the tables), presets.py (specimens and chains by name, with the source of every value).
+simulation.py (the tables), quantities.py (types of their numbers, with bounds),
+presets.py (specimens and chains by name, with the source of every value).
 """
 
 import lazy_loader

@@ -12,4 +12,6 @@ from .simulation import (
     SimulationSettings as SimulationSettings,
     Specimen as Specimen,
     Transmitter as Transmitter,
+    resolution_cell_m3 as resolution_cell_m3,
+    scatterer_count as scatterer_count,
 )

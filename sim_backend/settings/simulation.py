@@ -6,22 +6,51 @@ Provenance of every default is in its description: *paper* (Table I or Sec. III 
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, filled
+from sim_backend.settings.quantities import (
+    AmplitudeM,
+    AttenuationDbPerCmMHz,
+    DensityKgPerM3,
+    ForceDensityNPerM3,
+    FrequencyHz,
+    JitterS,
+    LengthM,
+    ModulusPa,
+    PartOfVoltageV,
+    PhaseRad,
+    PositionM,
+    RatioDb,
+    Seed,
+    SpeedMPerS,
+    Strength,
+    TimeS,
+    VibrationHz,
+    ViscosityPaS,
+    VoltageV,
+)
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Triple = tuple[Positive, Positive, Positive]
+Widths = tuple[LengthM, LengthM, LengthM]
+
+
+MOST_SCATTERERS = 10_000_000
+"""What a machine's memory holds, at some 100 bytes each; far more are told apart by no echo."""
+
+
+MOST_LOSS_DB = 400.0
+"""Twice what separates the strongest pulse from the weakest noise."""
+MOST_WIDTHS = 8.0
+"""Sigmas between the axes of two beams beyond which one sees 1e-14 of what it would on the other's."""
 
 
 class Section(BaseModel):
     """A frozen table of settings that refuses keys it does not know."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
 
 class Specimen(Section):
@@ -31,29 +60,29 @@ class Specimen(Section):
     """A specimen by name, which fills in every medium setting that is absent."""
     medium: Literal["voigt", "maxwell", "zener", "power_law"] = "voigt"
     """Law of the complex shear modulus."""
-    shear_modulus_pa: Positive = 7.25e3
+    shear_modulus_pa: ModulusPa = 7.25e3
     """Shear elasticity mu1 (paper: gelatin 12 %, 7.25 kPa); of a power law, the modulus at the reference frequency."""
-    shear_viscosity_pa_s: NonNegative = 1.0
+    shear_viscosity_pa_s: ViscosityPaS = 1.0
     """Shear viscosity mu2 (paper: 1.0 Pa s)."""
-    branch_modulus_pa: Positive = 10.0e3
+    branch_modulus_pa: ModulusPa = 10.0e3
     """Spring in series with the viscosity, of a Zener medium (assumed)."""
-    power: Annotated[float, Field(ge=0, lt=1)] = 0.2
+    power: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.2
     """Exponent of a power law's frequency (assumed)."""
-    reference_frequency_hz: Positive = 100.0
+    reference_frequency_hz: VibrationHz = 100.0
     """Frequency at which a power law has ``shear_modulus_pa``."""
-    attenuation_db_per_cm_mhz: Positive = 0.5
+    attenuation_db_per_cm_mhz: Annotated[AttenuationDbPerCmMHz, Field(ge=1e-4)] = 0.5
     """Attenuation of the medium (assumed); with the force it tells the intensity at the focus."""
-    density_kg_per_m3: Positive = 1000.0
+    density_kg_per_m3: DensityKgPerM3 = 1000.0
     """Mass density (assumed)."""
     field: Literal["medium", "gaussian"] = "medium"
     """Motion around the focus: the medium's own field, broader and later farther out, or the Gaussian of eq. (12)."""
-    force_density_n_per_m3: Positive = 4.0e6
+    force_density_n_per_m3: ForceDensityNPerM3 = 4.0e6
     """Body force at the focus while a toneburst of ``reference_drive_vpp`` is on (assumed)."""
-    reference_drive_vpp: Positive = 1.0
+    reference_drive_vpp: VoltageV = 1.0
     """Toneburst amplitude at the generator that gives ``force_density_n_per_m3``; force goes with its square."""
-    resonance_hz: Positive = 3.0e6
+    resonance_hz: FrequencyHz = 3.0e6
     """Centre of the transducer's transmit band (paper: 3.0 MHz)."""
-    resonance_quality: Positive = 2.34
+    resonance_quality: Annotated[float, Field(ge=1e-3, le=1e6, strict=True)] = 2.34
     """Quality of that band as one damped mode (paper: -16 dB at 9 MHz)."""
 
     @model_validator(mode="before")
@@ -71,26 +100,26 @@ class Specimen(Section):
 class Transmitter(Section):
     """Hybrid junction, power amplifier and matching transformer between generators and transducer."""
 
-    gain_db: Finite = 40.0
+    gain_db: RatioDb = 40.0
     """Gain of the power amplifier (paper: 40 dB)."""
-    hybrid_loss_db: NonNegative = 3.0
+    hybrid_loss_db: Annotated[RatioDb, Field(ge=0)] = 3.0
     """Loss of the hybrid junction from either generator: half the power goes to its other port (assumed)."""
-    matching_gain_db: Finite = 0.0
+    matching_gain_db: RatioDb = 0.0
     """Voltage gain of diode bridge and matching transformer (assumed)."""
-    saturation_v: Positive | None = None
+    saturation_v: VoltageV | None = None
     """Ceiling of the amplifier's output amplitude; absent: it is linear and has no harmonics."""
-    saturation_sharpness: Annotated[float, Field(ge=0.5, le=20)] = 2.0
+    saturation_sharpness: Annotated[float, Field(ge=0.5, le=20, strict=True)] = 2.0
     """Exponent p of the ceiling, the Rapp law (assumed)."""
 
 
 class MotionComponent(Section):
     """One sinusoid of a prescribed motion, D(t) = amplitude sin(2 pi f t + phase), t from the master trigger's edge."""
 
-    frequency_hz: Positive
+    frequency_hz: VibrationHz
     """Vibration frequency."""
-    amplitude_m: NonNegative
+    amplitude_m: AmplitudeM
     """Peak displacement D_0 at the focus."""
-    phase_rad: Finite = 0.0
+    phase_rad: PhaseRad = 0.0
     """Vibration phase."""
 
 
@@ -102,31 +131,31 @@ class BackgroundMotion(Section):
     within the depth of field). Not part of the true displacement.
     """
 
-    frequency_hz: Positive
+    frequency_hz: VibrationHz
     """Repetition rate f (heart: about 1.2 Hz; breathing: about 0.25 Hz)."""
-    amplitude_m: NonNegative
+    amplitude_m: AmplitudeM
     """Peak displacement of the fundamental, positive away from the transducer."""
-    phase_rad: Finite = 0.0
+    phase_rad: PhaseRad = 0.0
     """Phase of the fundamental."""
-    harmonics: tuple[Finite, ...] = ()
+    harmonics: Annotated[tuple[Strength, ...], Field(max_length=100)] = ()
     """Amplitudes h of the second, third and further harmonics over the fundamental's."""
 
 
-Ratio = Annotated[float, Field(gt=0, allow_inf_nan=True)]
+Ratio = Annotated[float, Field(ge=1e-3, allow_inf_nan=True, strict=True)]
 
 
 class Beams(Section):
     """Gaussian excitation and tracking beams; widths are the sigmas E and T of eq. (8) and (12)."""
 
-    excitation_width_m: Triple = (0.17e-3, 0.17e-3, 1.80e-3)
+    excitation_width_m: Widths = (0.17e-3, 0.17e-3, 1.80e-3)
     """E_x, E_y, E_z (paper, Table I)."""
-    tracking_width_m: Triple = (0.078e-3, 0.078e-3, 0.83e-3)
+    tracking_width_m: Widths = (0.078e-3, 0.078e-3, 0.83e-3)
     """T_x, T_y, T_z (paper, Table I)."""
     width_ratio: tuple[Ratio, Ratio, Ratio] | None = None
     """W_x, W_y, W_z: the motion is W times T wide instead of E; inf: it is the same everywhere."""
-    lateral_offset_m: tuple[Finite, Finite] = (0.0, 0.0)
+    lateral_offset_m: tuple[PositionM, PositionM] = (0.0, 0.0)
     """Where the tracking axis lies, x and y from the excitation axis (assumed: on it)."""
-    focus_depth_m: Positive = 70.0e-3
+    focus_depth_m: LengthM = 70.0e-3
     """Distance z_F from the transducer to the common focus (paper: 70 mm)."""
 
     @model_validator(mode="after")
@@ -148,81 +177,81 @@ class Reflector(Section):
 
     kind: Literal["point", "plane"] = "point"
     """A point, or a plane across the beam that reflects everywhere alike."""
-    position_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
+    position_m: tuple[PositionM, PositionM, PositionM] = (0.0, 0.0, 0.0)
     """x, y, z from the focus; of a plane z alone counts."""
-    strength: Finite = 10.0
+    strength: Strength = 10.0
     """Reflectivity, that of a scatterer being 1; of a plane, of its whole beam-weighted area at the focus."""
-    moves: bool = True
+    moves: Annotated[bool, Field(strict=True)] = True
     """Whether it takes part in the motion."""
 
 
 class Scatterers(Section):
     """Point scatterers, uniform in a box around the focus."""
 
-    volume_m: Triple = (1.0e-3, 1.0e-3, 5.0e-3)
+    volume_m: Widths = (1.0e-3, 1.0e-3, 5.0e-3)
     """Box x_v, y_v, z_v, centred on the focus (paper, Table I)."""
-    per_cell: NonNegative = 11.0
+    per_cell: Annotated[float, Field(ge=0, le=1e20, strict=True)] = 11.0
     """Scatterers per resolution cell, the volume where the tracking beam is above -6 dB (paper, Table I)."""
     axial_delay: Literal["two_way", "none"] = "two_way"
     """Whether the echo of a scatterer carries the delay of its depth; "none" is eq. (11) read literally."""
-    bandwidth: Annotated[float, Field(gt=0, le=2)] = 0.065
+    bandwidth: Annotated[float, Field(ge=1e-4, le=2, strict=True)] = 0.065
     """Fractional bandwidth BW of the echo pulse relative to the tracking carrier: eq. (9)'s, or -6 dB width."""
     pulse: Literal["hann", "gaussian", "burst"] = "hann"
     """Echo pulse: Hann of eq. (9), Gaussian, or a 3-cycle burst through a Gaussian band about ``band_centre_hz``."""
-    band_centre_hz: Positive = 9.0e6
+    band_centre_hz: FrequencyHz = 9.0e6
     """Centre of the receive band of ``pulse = "burst"`` (paper: band-pass filter at 9.0 MHz)."""
-    measured_pulse: tuple[Finite, ...] | None = None
+    measured_pulse: Annotated[tuple[Strength, ...], Field(min_length=1, max_length=100_000)] | None = None
     """Samples of a measured echo pulse, centred on its arrival; replaces ``pulse`` whatever the carrier."""
-    measured_pulse_rate_hz: Positive = 100.0e6
+    measured_pulse_rate_hz: FrequencyHz = 100.0e6
     """Sample rate of ``measured_pulse``."""
     reflectivity: Literal["unit", "sign", "normal"] = "unit"
     """Reflectivity of each scatterer: 1 (paper), +1 or -1, or standard normal."""
     reflectors: tuple[Reflector, ...] = ()
     """Point and plane reflectors besides the scatterers."""
-    echo_tolerance: Annotated[float, Field(gt=0, lt=1)] | None = None
+    echo_tolerance: Annotated[float, Field(ge=1e-14, lt=1, strict=True)] | None = None
     """Relative rms error allowed in the echoes; absent: 1e-8, or 2e-7 where the medium's own field moves them."""
-    attenuation_db_per_cm_mhz: NonNegative = 0.0
+    attenuation_db_per_cm_mhz: AttenuationDbPerCmMHz = 0.0
     """Loss one way; echoes from the focus lose their high frequencies (assumed: none; soft tissue 0.5)."""
 
 
 class Receiver(Section):
     """Receive chain between transducer and digitizer."""
 
-    snr_db: Finite | None = None
+    snr_db: RatioDb | None = None
     """Echo power at rest in the reference gate over noise power; absent: no noise is drawn."""
-    reference_gate_m: Positive = 1.0e-3
+    reference_gate_m: LengthM = 1.0e-3
     """Length of the reference gate around the focus in which ``snr_db`` and ``echo_rms_v`` hold."""
-    echo_rms_v: Positive = 0.1
+    echo_rms_v: VoltageV = 0.1
     """Root mean square of the resting echo in the reference gate for a 3-cycle pulse of ``reference_pulse_vpp``."""
-    reference_pulse_vpp: Positive = 1.0
+    reference_pulse_vpp: VoltageV = 1.0
     """Tracking pulse amplitude at the generator that gives ``echo_rms_v``."""
-    reference_carrier_hz: Positive = 9.0e6
+    reference_carrier_hz: FrequencyHz = 9.0e6
     """Carrier of the pulse that gives ``echo_rms_v`` (paper: 9.0 MHz)."""
-    toneburst_leak_v: NonNegative = 2.0
+    toneburst_leak_v: PartOfVoltageV = 2.0
     """Amplitude at the digitizer while a toneburst of the specimen's reference drive is transmitted (assumed)."""
-    toneburst_echo_gain: NonNegative = 1.0
+    toneburst_echo_gain: Annotated[Strength, Field(ge=0)] = 1.0
     """Echo of the toneburst relative to a tracking echo of the same drive, after the 3 MHz notch (assumed)."""
 
 
 class BandFilter(Section):
     """A Butterworth band-pass or notch."""
 
-    centre_hz: Positive
+    centre_hz: FrequencyHz
     """Centre frequency."""
-    bandwidth: Annotated[float, Field(gt=0, le=4)]
+    bandwidth: Annotated[float, Field(ge=1e-3, le=4, strict=True)]
     """Width between the -3 dB edges over the centre frequency."""
-    order: Annotated[int, Field(ge=1, le=8)] = 2
+    order: Annotated[int, Field(ge=1, le=8, strict=True)] = 2
     """Pole pairs (assumed)."""
 
 
 class LogAmplifier(Section):
     """A logarithmic amplifier."""
 
-    slope_v_per_decade: Positive = 0.25
+    slope_v_per_decade: VoltageV = 0.25
     """Output a decade of input (assumed)."""
-    knee_v: Positive = 1.0e-4
+    knee_v: VoltageV = 1.0e-4
     """Input amplitude around which it turns from linear to logarithmic (assumed)."""
-    saturation_v: Positive | None = 0.75
+    saturation_v: VoltageV | None = 0.75
     """Largest output (assumed)."""
 
 
@@ -236,9 +265,9 @@ class ReceiveChain(Section):
     """The paper's chain by name, which fills in every element that is absent (values below assumed where not paper)."""
     notch: BandFilter | None = None
     """Notch for the toneburst's carrier (paper: 3.0 MHz, 50 %)."""
-    recovery_time_s: NonNegative | None = None
+    recovery_time_s: TimeS | None = None
     """Time constant with which the T/R switch opens after a transmission; absent: no switch."""
-    noise_v_per_sqrt_hz: Positive | None = None
+    noise_v_per_sqrt_hz: Annotated[float, Field(ge=1e-15, le=1.0, strict=True)] | None = None
     """Noise density of the preamplifier, at its input."""
     band_pass: BandFilter | None = None
     """First band-pass (paper: 9.0 MHz, 33 %)."""
@@ -246,11 +275,11 @@ class ReceiveChain(Section):
     """Logarithmic amplifier."""
     second_band_pass: BandFilter | None = None
     """Second band-pass (paper: 9.0 MHz; its width is assumed to be the first's)."""
-    third_harmonic: NonNegative = 0.0
+    third_harmonic: Annotated[Strength, Field(ge=0)] = 0.0
     """Third harmonic of a toneburst over its carrier at the transducer, added to that of the amplifier's ceiling."""
     oversampling: Literal[1, 2, 5, 10] = 1
     """Samples the chain computes for one of the digitizer."""
-    tail_tolerance: Annotated[float, Field(gt=0, lt=1)] = 1e-6
+    tail_tolerance: Annotated[float, Field(ge=1e-14, lt=1, strict=True)] = 1e-6
     """How far the filters must have rung down before a record begins."""
 
     @model_validator(mode="before")
@@ -262,36 +291,47 @@ class ReceiveChain(Section):
 class Instruments(Section):
     """The simulated instruments' own properties."""
 
-    dual_port_memory: bool = True
+    dual_port_memory: Annotated[bool, Field(strict=True)] = True
     """Whether the digitizer has the optional dual-port memory that AutoDMA needs."""
-    samples_per_channel: Annotated[int, Field(ge=1024)] = 8_388_608
+    samples_per_channel: Annotated[int, Field(ge=1024, le=2**40, strict=True)] = 8_388_608
     """On-board memory of the digitizer (assumed)."""
-    fpga_version: Annotated[int, Field(ge=1)] = 19
+    fpga_version: Annotated[int, Field(ge=1, le=1000, strict=True)] = 19
     """FPGA version of the digitizer; 18 and below hold at most 1000 single-port records (manual)."""
-    generator_latency_s: NonNegative = 100.0e-9
+    generator_latency_s: TimeS = 100.0e-9
     """Trigger input to first output edge of a 33250A (manual, from memory: < 100 ns)."""
-    digitizer_latency_s: NonNegative = 0.0
+    digitizer_latency_s: TimeS = 0.0
     """Trigger input to sample 0 without trigger delay (assumed)."""
-    aux_latency_s: NonNegative = 0.0
+    aux_latency_s: TimeS = 0.0
     """Trigger input to rising edge of the AUX trigger output (assumed)."""
-    aux_waits_for_trigger_delay: bool = False
+    aux_waits_for_trigger_delay: Annotated[bool, Field(strict=True)] = False
     """Whether that edge comes only after the digitizer's trigger delay (assumed: not, whatever the delay)."""
-    message_time_s: NonNegative = 1.0e-3
+    message_time_s: TimeS = 1.0e-3
     """Time one SCPI message takes (assumed)."""
-    trigger_jitter_s: NonNegative = 0.0
+    trigger_jitter_s: JitterS = 0.0
     """Jitter of each 33250A from trigger to output, root mean square; 0 where it does not matter."""
-    sample_clock_jitter_s: NonNegative = 0.0
+    sample_clock_jitter_s: JitterS = 0.0
     """Aperture jitter of the digitizer, root mean square."""
-    sample_clock_offset: Annotated[float, Field(gt=-1e-2, lt=1e-2)] = 0.0
+    sample_clock_offset: Annotated[float, Field(gt=-1e-2, lt=1e-2, strict=True)] = 0.0
     """How much longer than nominal the digitizer's sample period is, relative."""
+
+
+def resolution_cell_m3(tracking_width_m: tuple[float, float, float]) -> float:
+    """Return the volume in which the tracking beam I is above -6 dB (1/2): an ellipsoid, half axes T sqrt(2 ln 2)."""
+    axis = math.sqrt(2 * math.log(2))
+    return 4 / 3 * math.pi * math.prod(width_m * axis for width_m in tracking_width_m)
+
+
+def scatterer_count(scatterers: Scatterers, beams: Beams) -> int:
+    """Return the number of scatterers in the box: ``per_cell`` times the number of resolution cells in it."""
+    return round(scatterers.per_cell * math.prod(scatterers.volume_m) / resolution_cell_m3(beams.tracking_width_m))
 
 
 class SimulationSettings(Section):
     """Everything the twin is told apart from what the drivers program."""
 
-    seed: Annotated[int, Field(ge=0)] = 1
+    seed: Seed = 1
     """Seed of every random number drawn."""
-    sound_speed_m_per_s: Positive = 1540.0
+    sound_speed_m_per_s: SpeedMPerS = 1540.0
     """Longitudinal sound speed c (paper, Table I)."""
     specimen: Specimen | None = None
     """A medium moved by the tonebursts; exclusive with ``motion``."""
@@ -311,6 +351,32 @@ class SimulationSettings(Section):
     """The receive chain element by element; absent: an ideal one."""
     instruments: Instruments = Instruments()
     """What the simulated instruments are."""
+
+    @model_validator(mode="after")
+    def _something_comes_back(self) -> SimulationSettings:
+        loss_db = self.scatterers.attenuation_db_per_cm_mhz * 200 * self.beams.focus_depth_m
+        loss_db *= self.receiver.reference_carrier_hz / 1e6
+        if loss_db > MOST_LOSS_DB:
+            raise ValueError(
+                f"scatterers.attenuation_db_per_cm_mhz takes {loss_db:.3g} dB of receiver.reference_carrier_hz on the "
+                f"way to beams.focus_depth_m and back, {MOST_LOSS_DB:g} dB leave no echo: less of one of the three"
+            )
+        offset, width = self.beams.lateral_offset_m, self.beams.tracking_width_m
+        if any(abs(offset[axis]) > MOST_WIDTHS * width[axis] for axis in (0, 1)):
+            raise ValueError(
+                f"beams.lateral_offset_m is more than {MOST_WIDTHS:g} times beams.tracking_width_m, so that the beams "
+                "do not meet: a smaller offset"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _fits_memory(self) -> SimulationSettings:
+        if (count := scatterer_count(self.scatterers, self.beams)) > MOST_SCATTERERS:
+            raise ValueError(
+                f"scatterers.per_cell and volume_m with beams.tracking_width_m make {count:.3g} scatterers, memory "
+                f"holds {MOST_SCATTERERS:.0e}: fewer per cell, or a smaller box"
+            )
+        return self
 
     @model_validator(mode="after")
     def _without_contradictions(self) -> SimulationSettings:

@@ -2,6 +2,7 @@
 
     check_result      one result, and the error that refuses a plan
     simulation        what the twin measures on
+    tracking          whether its echoes and motion can be tracked
     excitation        tonebursts against the bench's limits, and against pulses and gates
     output            tasks against what the generators can do
     acoustic_output   estimated output at the focus against its limits

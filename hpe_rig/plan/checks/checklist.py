@@ -15,6 +15,7 @@ from hpe_rig.plan.checks.output import drive, generators
 from hpe_rig.plan.checks.sampling import driven_harmonics, resolution, wanted_frequencies
 from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
+from hpe_rig.plan.checks.tracking import trackable
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
 
@@ -22,6 +23,7 @@ Check = Callable[[Scene, BenchFile, Plan], Iterator[CheckResult]]
 
 CHECKS: Final[tuple[Check, ...]] = (
     simulation,
+    trackable,
     excitation,
     generators,
     drive,

@@ -16,6 +16,7 @@ from hpe_rig.plan.selection import select
 from hpe_rig.plan.shots import Plan, reference_gate
 from hpe_rig.scene import Scene
 
+LEAST_PERIODS = 2.0
 SPARE_SAMPLES = 16
 """Samples at either end of a record that a following gate does not need to reach."""
 
@@ -39,6 +40,11 @@ def gate_in_record(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Check
     length = gate.stop - gate.start
     text = f"the gate holds {length} samples"
     yield judged("gate samples", length >= 8, text, "a longer acquisition.gate_length_m or a higher sample rate")
+    periods = length / shot.capture.sample_rate_hz * scene.tracking.carrier_hz
+    if periods < LEAST_PERIODS:
+        text = f"the gate holds {periods:.2g} periods of tracking.carrier_hz, and an echo has no phase in fewer than "
+        remedy = "a longer acquisition.gate_length_m or a higher tracking.carrier_hz"
+        yield CheckResult("gate periods", "refused", f"{text}{LEAST_PERIODS:g}", remedy)
 
 
 def background(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:

@@ -10,9 +10,12 @@ import numpy as np
 from hpe_rig.bench import BenchFile
 from hpe_rig.plan.checks.check_result import CheckResult, is_whole, judged
 from hpe_rig.plan.interference import effective_rate_hz
-from hpe_rig.plan.selection import burst_bandwidth_hz
+from hpe_rig.plan.selection import burst_bandwidth_hz, driven_frequencies_hz
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
+
+MOST_DRIVEN, MOST_VALUES = 5000, 100_000_000
+"""Harmonics of a fit, and values of its matrix: 1 GB."""
 
 
 def wanted_frequencies(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
@@ -46,6 +49,12 @@ def driven_harmonics(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
     bursts = int(plan.shots[0].capture.record_count / rate_hz * burst_rate_hz)
     effective_hz = effective_rate_hz(rate_hz, burst_rate_hz, bursts)
     driven_hz = burst_bandwidth_hz(scene.excitation)
+    columns, pulses = driven_frequencies_hz(scene).size, plan.shots[0].capture.record_count
+    if columns > MOST_DRIVEN or columns * pulses > MOST_VALUES:
+        text = f"tonebursts drive {columns} harmonics of excitation.burst_rate_hz = {burst_rate_hz:g} Hz, each "
+        text += f"fitted to {pulses} pulses: memory holds {MOST_DRIVEN} of them, and {MOST_VALUES:.0e} values"
+        yield CheckResult("driven harmonics", "refused", text, "a higher burst rate, longer bursts or fewer pulses")
+        return
     text = f"tonebursts drive every multiple of {burst_rate_hz:g} Hz up to 1/T_b = {driven_hz:g} Hz, the pulses sample "
     text += f"the burst period at {effective_hz:g} Hz in all"
     if effective_hz > 1.5 * driven_hz:

@@ -26,22 +26,32 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     for key, declared, simulated in contradictions(scene):
         text = f"{key} = {declared}, the twin simulates {simulated}: what is predicted and corrected is another bench's"
         yield CheckResult("declared", "warning", text, "equal values, unless the mismatch is what is studied")
-    yield from _focus(scene, twin)
+    if (bench.digitizer.system_id, bench.digitizer.board_id) != (1, 1):
+        text = f"digitizer.system_id = {bench.digitizer.system_id}, board_id = {bench.digitizer.board_id}"
+        yield CheckResult("simulated board", "refused", f"{text}: the simulated board is 1 of system 1", "1 for both")
+    capture = plan.shots[0].capture
+    held = twin.most_records(bench, capture.record_samples)
+    if capture.record_count > held:
+        text = f"the twin's board holds {held:g} of {capture.record_count} records of {capture.record_samples} samples"
+        remedy = "more simulation.instruments.samples_per_channel, as the bench file says of the board"
+        yield CheckResult("simulated board", "refused", text, remedy)
+    yield from _focus(scene, bench, twin, plan)
     yield from _unwanted_motion(scene, twin, plan)
 
 
-def _focus(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
+def _focus(scene: Scene, bench: BenchFile, twin: TwinDeclaration, plan: Plan) -> Iterator[CheckResult]:
     """Yield whether the gate, at the depth that its echoes really come from, holds the focus and anything at all."""
     acquisition = scene.acquisition
-    # The gate is a time after the pulse: another sound speed moves it in depth.
-    depth_m = acquisition.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s
+    depth_m, later_m = gate_in_twin_m(scene, bench, twin, plan)
     off_m, half_m = abs(depth_m - twin.focus_depth_m), acquisition.gate_length_m / 2
     if off_m <= half_m * (1 + 1e-9):
         return
     text = f"the gate's middle lies {depth_m * 1e3:.4g} mm deep in the twin's medium "
     text += f"(acquisition.gate_depth_m = {acquisition.gate_depth_m:g} m), its focus at simulation.beams.focus_depth_m "
     text += f"= {twin.focus_depth_m:g} m"
-    remedy = "equal depths and sound speeds, unless the offset is what is studied"
+    if abs(later_m) > half_m:
+        text += f" (latencies of simulation.instruments, not those of the bench file: {later_m * 1e3:.4g} mm)"
+    remedy = "equal depths, sound speeds and latencies, unless the offset is what is studied"
     pulse_m = scene.tracking.cycles / scene.tracking.carrier_hz * acquisition.sound_speed_m_per_s / 2
     declared_m = None if scene.beams is None else scene.beams.pulse_length_m
     if off_m > twin.echo_reach_m + half_m + (declared_m or pulse_m):
@@ -50,6 +60,16 @@ def _focus(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
         return
     text += ": the gate does not hold the focus, so echo, motion and beams in it are not those assumed"
     yield CheckResult("gate in focus", "warning", text, remedy)
+
+
+def gate_in_twin_m(scene: Scene, bench: BenchFile, twin: TwinDeclaration, plan: Plan) -> tuple[float, float]:
+    """Return how deep in the twin's medium the gate's middle lies, and how much of that its latencies make.
+
+    The gate is a time after the pulse: another sound speed moves it in depth, other latencies do too.
+    """
+    acquisition, capture = scene.acquisition, plan.shots[0].capture
+    later_m = twin.later_m(bench, capture.trigger_delay_samples / capture.sample_rate_hz)
+    return acquisition.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s + later_m, later_m
 
 
 def _unwanted_motion(scene: Scene, twin: TwinDeclaration, plan: Plan) -> Iterator[CheckResult]:

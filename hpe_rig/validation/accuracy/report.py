@@ -12,7 +12,7 @@ from typing import Any
 
 from hpe_rig.report import Picture, inline
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import versions
+from hpe_rig.store import unwritable, versions
 from hpe_rig.study import PageTable, Part, cell, render, table, write_whole
 from hpe_rig.validation.accuracy import (
     chain as accuracy_chain,
@@ -95,8 +95,8 @@ def refuse(path: Path, figure: Path | None, effort: Effort) -> None:
     mistakes = []
     if path.suffix not in (".html", ".htm"):
         mistakes.append(Mistake("--output", f"{path.suffix!r} is no format of the report", "a name that ends in .html"))
-    elif not path.parent.is_dir():
-        mistakes.append(Mistake("--output", f"{path.parent} is no folder", "a folder that exists"))
+    elif why := unwritable(path):
+        mistakes.append(Mistake("--output", f"{path} cannot be written ({why})", "a folder that exists, another name"))
     if figure is not None:
         mistakes.append(Mistake("--figure", "the report has a figure of every part inside", "a PART beside it"))
     if not (effort.largest >= 100 and effort.most_echoes >= 10):

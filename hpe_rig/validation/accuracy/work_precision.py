@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hpe_rig.report import label_decades, mark
 from hpe_rig.result import csv_text, mappings, text_table
 from hpe_rig.scene import Mistake, SettingsError
+from hpe_rig.store import unwritable
 
 Floats = NDArray[np.float64]
 Row = TypeVar("Row")
@@ -82,6 +83,8 @@ def file_mistakes(output: Path | None, figure: Path | None) -> list[Mistake]:
             found.append(Mistake(option, f"{path} is no format it has", f"a name in {' or '.join(suffixes)}"))
         if path is not None and not path.parent.is_dir():
             found.append(Mistake(option, f"there is no folder {path.parent}", "make it, or another one"))
+        elif path is not None and (why := unwritable(path)):
+            found.append(Mistake(option, f"{path} cannot be written ({why})", "another name or folder"))
     return found
 
 

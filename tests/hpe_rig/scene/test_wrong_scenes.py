@@ -36,14 +36,18 @@ def edited(text: str, old: str, new: str) -> str:
 
 WRONG = [
     # old, new, words that must appear
-    ("burst_rate_hz = 100.0", "burst_rate_hz = -100.0", ["excitation.burst_rate_hz", "-100.0", "above 0"]),
+    ("burst_rate_hz = 100.0", "burst_rate_hz = -100.0", ["excitation.burst_rate_hz", "-100.0", "at least 0.001 Hz"]),
     ("burst_rate_hz = 100.0", "burst_rate_hz = inf", ["excitation.burst_rate_hz", "inf", "finite"]),
     ("burst_rate_hz = 100.0", 'burst_rate_hz = "100"', ["excitation.burst_rate_hz", "'100'", "number without quotes"]),
     ("burst_rate_hz = 100.0", "burst_rat_hz = 100.0", ["excitation.burst_rat_hz", "did you mean burst_rate_hz"]),
     ("burst_rate_hz = 100.0", "", ["excitation.burst_rate_hz", "required"]),
     ("burst_rate_hz = 100.0", "burst_rate_hz = = 1", ["not valid TOML", "line 4"]),
     ("burst_length_s = 100e-6", "burst_length_s = []", ["excitation.burst_length_s", "0 entries"]),
-    ("burst_length_s = 100e-6", "burst_length_s = [100e-6, 0.0]", ["excitation.burst_length_s[1]", "0.0", "above 0"]),
+    (
+        "burst_length_s = 100e-6",
+        "burst_length_s = [100e-6, 0.0]",
+        ["excitation.burst_length_s[1]", "0.0", "at least 1e-09 s"],
+    ),
     ("burst_length_s = 100e-6", "burst_length_s = 100.1e-6", ["whole cycles", "300.3", "0.0001"]),
     ("burst_length_s = 100e-6", "burst_length_s = 300e-6", ["max_burst_length_s", "300 us", "250 us"]),
     (
@@ -53,13 +57,8 @@ WRONG = [
     ),
     (
         "window_start_s = 50e-3",
-        'harmonic = "medium_prior"\nestimator = "joint"',
-        ["joint has its own way", 'harmonic = "medium_prior"', 'set estimator = "coherent"'],
-    ),
-    (
-        "window_start_s = 50e-3",
         'harmonic = "medium_prior"\nestimator = "cross_spectrum"',
-        ["cross_spectrum has its own way", 'harmonic = "medium_prior"'],
+        ["cross_spectrum has its own way", 'harmonic = "medium_prior"', 'set estimator = "coherent"'],
     ),
     ("window_start_s = 50e-3", "process_noise = 1e-3", ["process_noise", 'set harmonic = "kalman"']),
     ("burst_count = 20", "burst_count = 0", ["excitation.burst_count", "0", "at least 1"]),
@@ -90,7 +89,7 @@ WRONG = [
     ("gate_length_m = 1.0e-3", "repeats = 0", ["acquisition.repeats", "at least 1"]),
     ("seed = 1", "seed = -1", ["simulation.seed", "-1", "at least 0"]),
     ("seed = 1", "sede = 1", ["simulation.sede", "did you mean seed"]),
-    ("shear_modulus_pa = 9.0e3", "shear_modulus_pa = 0", ["simulation.specimen.shear_modulus_pa", "above 0"]),
+    ("shear_modulus_pa = 9.0e3", "shear_modulus_pa = 0", ["simulation.specimen.shear_modulus_pa", "at least 0.01 Pa"]),
     (
         "[simulation.specimen]",
         "[[simulation.motion]]\nfrequency_hz = 1.0\namplitude_m = 1e-6\n[simulation.specimen]",

@@ -9,10 +9,8 @@ from sim_backend.echoes.scatterers import (
     draw_field,
     field_at,
     noticeable,
-    resolution_cell_m3,
-    scatterer_count,
 )
-from sim_backend.settings.simulation import Beams, Scatterers
+from sim_backend.settings.simulation import Beams, Scatterers, resolution_cell_m3, scatterer_count
 
 
 def test_default_scene_has_the_resolution_cell_and_number_of_the_reference():
