@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 import hpe_rig as hpe
 from hpe_rig.bench import twin_of
+from hpe_rig.plan import PlanError
 from hpe_rig.processing import (
     BRANCH_OVER_MODULUS,
     ESTIMATORS,
@@ -55,6 +56,8 @@ SWEPT = 5
 """Scenes with a sweep are measured with so many times fewer seeds: their many shots share their speckle."""
 WRAPS = "quarter wavelengths from pulse to pulse"
 """Of the warning that the displacement may be off by half wavelengths: the drive is too strong for the pulse rate."""
+TOO_FAST = "motion between pulses"
+"""The check that refuses the same before the run, where the twin tells."""
 FORCES = 3
 """Of a sweep over the force so many are measured, the strongest, the weakest and one between; and no repeats."""
 FAMILIES = ("voigt", "zener", "power_law", "elastic voigt")
@@ -124,7 +127,12 @@ def errors_over_u(name: str, estimators: tuple[str, ...], seed: int) -> dict[str
     """Return error over u of amplitude and phase, (estimate, 2), by estimator; None where it refuses the records."""
     scene = drawn(thinned(with_default_specimen(hpe.load_scene(name))), seed)
     with TemporaryDirectory() as folder:
-        run = hpe.measure(scene, path=Path(folder) / "run.h5")
+        try:
+            run = hpe.measure(scene, path=Path(folder) / "run.h5")
+        except PlanError as error:
+            if TOO_FAST not in str(error):
+                raise
+            return dict.fromkeys(estimators, np.zeros((0, 2)))
         return {estimator: _ratios(run, estimator) for estimator in estimators}
 
 
@@ -278,13 +286,17 @@ The medium that the scene's own twin has is one of these. Coverage is an average
 a force in the middle of the ranges u is too wide (of `bovine-muscle` as shipped NEV is about 0.4), for a force half as
 wide as `[beams]` says it is too narrow. Shots are thinned: no repeats, three of sixteen forces; scenes with a sweep
 have a fifth of the seeds. A stiff, nearly elastic medium can move so fast that the echo jumps by a quarter wavelength
-from pulse to pulse; the result says so and asks for less drive or a higher pulse rate: such runs are counted as warned
-and are in no share.
+from pulse to pulse. `check` refuses that or the result warns, and asks for less drive or a higher pulse rate: such runs
+are counted as warned and are in no share.
 """
 
 NOTES = """\
-`joint` finds no displacement of single pulses and cannot follow tissue that moves by millimetres:
-`cardiac-background` has a gate that follows, so it is refused there.
+Speckle has dark spots, where its error is far larger than elsewhere: with u true on the mean (NEV 1) the 68 % interval
+holds more than 68 %. Where least squares or the paper's chain meet harmonics that alias unseen, the error is nearly the
+same in every run on a medium, and shares say little there; NEV does.
+
+`joint` finds no displacement of single pulses and cannot follow tissue that moves by millimetres: `cardiac-background`
+has a gate that follows, so it is refused there.
 
 Left out: `gelatin-12` and `gelatin-15`, which are `gelatin-8` once the medium is drawn, and `muscle-repeats`, whose
 shots are those of `muscle-force`.
