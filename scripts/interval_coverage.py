@@ -263,7 +263,7 @@ def _line(row: Row) -> str:
     runs = f"{row.seeds}" + "".join(
         f", {count} {what}" for count, what in ((row.refused, "refused"), (row.warned, "warned")) if count
     )
-    return f"| {row.scene} | {row.estimator} | {' | '.join(cells)} | {runs} |"
+    return f"| {row.scene} | {row.estimator} | {' | '.join(cells if row.seeds else ['-'] * len(cells))} | {runs} |"
 
 
 HEAD = """\
