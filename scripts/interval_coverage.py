@@ -49,7 +49,8 @@ SEEDS = 200
 ALIKE = {
     "gelatin-12": "gelatin-8",
     "gelatin-15": "gelatin-8",
-    "muscle-repeats": "muscle-force",
+    "muscle-force": "muscle-force-200us",
+    "muscle-repeats": "muscle-force-200us",
 }
 """Scenes left out: each is another one once the medium is drawn, but for settings that change no interval."""
 SWEPT = 5
@@ -283,8 +284,7 @@ What a seed draws is what the uncertainty says is not known, and nothing else:
   a warning came in five of them.
 
 The medium that the scene's own twin has is one of these. Coverage is an average over all of them: for a medium and
-a force in the middle of the ranges u is too wide (of `bovine-muscle` as shipped NEV is about 0.4), for a force half as
-wide as `[beams]` says it is too narrow. Shots are thinned: no repeats, three of sixteen forces; scenes with a sweep
+a force in the middle of the ranges u is too wide, for a force half as wide as `[beams]` says it is too narrow. Shots are thinned: no repeats, three of sixteen forces; scenes with a sweep
 have a fifth of the seeds. A stiff, nearly elastic medium can move so fast that the echo jumps by a quarter wavelength
 from pulse to pulse. `check` refuses that or the result warns, and asks for less drive or a higher pulse rate: such runs
 are counted as warned and are in no share.
@@ -298,8 +298,8 @@ same in every run on a medium, and shares say little there; NEV does.
 `joint` finds no displacement of single pulses and cannot follow tissue that moves by millimetres: `cardiac-background`
 has a gate that follows, so it is refused there.
 
-Left out: `gelatin-12` and `gelatin-15`, which are `gelatin-8` once the medium is drawn, and `muscle-repeats`, whose
-shots are those of `muscle-force`.
+Left out: `gelatin-12` and `gelatin-15`, which are `gelatin-8` once the medium is drawn; `muscle-force` and
+`muscle-repeats`, sweeps over the force as `muscle-force-200us` is one, at the pulse rate of `gelatin-8`.
 """
 
 
