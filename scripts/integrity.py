@@ -89,7 +89,8 @@ def damaged(kind: str, cases: int, damage: Callable[[bytearray, np.random.Genera
             outcomes[found] += 1
             outcomes["found by verify"] += found_by_verify(path)
             if found == "SILENT":
-                where = next(place for place, (old, new) in enumerate(zip(data, copy, strict=False)) if old != new)
+                pairs = enumerate(zip(data, copy, strict=False))
+                where = next((place for place, (old, new) in pairs if old != new), len(copy))
                 print(f"silent: byte {where} of {len(data)}", file=sys.stderr)
     return outcomes
 
