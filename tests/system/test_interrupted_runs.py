@@ -250,7 +250,7 @@ def judged(rig: Rig, said: str, code: int) -> list[str]:
 
 
 # Before an instrument was opened, or when the run was over and the result was worked out, there is nothing to say.
-QUIET = {"hpe-rig: interrupted", "hpe-rig: ended by SIGTERM", "hpe-rig: ended by SIGHUP"}
+QUIET = {"", "hpe-rig: interrupted", "hpe-rig: ended by SIGTERM", "hpe-rig: ended by SIGHUP"}
 
 
 @pytest.mark.parametrize("number", SIGNALS)
