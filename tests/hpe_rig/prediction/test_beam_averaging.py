@@ -218,8 +218,9 @@ def test_speckle_turns_the_phase_where_the_lag_varies_over_the_beam() -> None:
         return [each[0], each[-1]]  # type: ignore[list-item]
 
     muscle, still = of_medium(9e3, 2.0), of_medium(9e7, 1e-3)
-    # In a nearly elastic, quasi-static medium all of it lies along the motion; a wave that lags turns with speckle.
-    assert max(each.speckle_phase_rad for each in still) < 2e-2 * min(each.speckle_relative for each in still)
+    # In a nearly elastic, quasi-static medium all of it lies along the motion but for what is radiated, as f over the
+    # square root of the modulus: 1.26 % at 1 kHz in 90 MPa. A wave that lags turns with speckle.
+    assert max(each.speckle_phase_rad for each in still) < 1.3e-2 * min(each.speckle_relative for each in still)
     turned = [each.speckle_phase_rad for each in muscle]
     assert turned[1] > 3 * turned[0] > 30 * still[0].speckle_phase_rad
     # Against 3000 draws of the twin's scatterers, moved by its own field: 1.28 and 1.86 % of amplitude, 0.093 and
