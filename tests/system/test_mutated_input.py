@@ -489,7 +489,7 @@ FOUND: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
     "vibration of 1e300 Hz": (TABLE_1, {f"{MOTION}.frequency_hz": 1e300}, "at most 1e\\+06 Hz"),
     "wanted frequency of 1e300 Hz": (TABLE_1, {"processing.frequencies_hz": [1e300]}, "at most 1e\\+06 Hz"),
     "burst rate of 1e300 Hz": (MUSCLE, {"excitation.burst_rate_hz": 1e300}, "at most 1e\\+09 Hz"),
-    "bursts for ever": (MUSCLE, {"excitation.burst_rate_hz": 0.05}, "harmonics"),
+    "bursts for ever": (MUSCLE, {"excitation.burst_rate_hz": 0.5}, "drive 20000 harmonics"),
     "SNR of 1e6 dB": (MUSCLE, {"simulation.receiver.snr_db": 1e6}, "at most 200 dB"),
     "SNR of -1e6 dB": (MUSCLE, {"simulation.receiver.snr_db": -1e6}, "at least -100 dB"),
     "noise without echo": (MUSCLE, {"simulation.receiver.snr_db": -40.0}, "below its noise"),
@@ -513,9 +513,10 @@ FOUND: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
     "beams of no width": (MUSCLE, {"beams.excitation_width_m": [1e-300, 1e-300, 1e-300]}, "at least 1e-09 m"),
     "another board's memory": (
         TABLE_1,
-        {"simulation.instruments.samples_per_channel": 1024},
-        "board holds 1 of|holds 0",
+        {"acquisition.record_samples": 2048, "simulation.instruments.samples_per_channel": 1024},
+        "board holds 0 of 101 records",
     ),
+    "messages that take no time": (MUSCLE, {"simulation.instruments.message_time_s": 0.0}, "at least 1e-06 s"),
     "a board that comes late": (TABLE_1, {"simulation.instruments.digitizer_latency_s": 1e-3}, "nothing echoes more"),
     "a force that is not a number": (MUSCLE, {"excitation.force_fraction": [float("nan")]}, "not finite"),
 }
