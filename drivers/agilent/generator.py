@@ -144,10 +144,23 @@ class Agilent33250A:
         self._session.verify("trigger by command", (off,))
 
     def recheck(self) -> None:
-        """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified."""
+        """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified.
+
+        Outputs are on meanwhile, so nobody waits long for an answer, and one that got lost is asked for once more.
+        A dropped connection is opened again, once.
+        """
         self._require_configured("recheck")
+        expected = self._spelled((self._output, *self._programmed))
         try:
-            self._session.verify("settings after the shot", self._spelled((self._output, *self._programmed)))
+            with self._session.haste():
+                try:
+                    self._session.verify("settings after the shot", expected)
+                except RefusedError:
+                    raise
+                except InstrumentError as error:
+                    if isinstance(error, DroppedError) and not self._session.reopen():
+                        raise
+                    self._session.verify("settings after the shot", expected)
         except RefusedError as error:
             # Whatever somebody else sent, the next shot starts from the reset state.
             self._programmed = ()

@@ -14,10 +14,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from drivers.interfaces import InstrumentError
 from hpe_rig.bench.bench_file import BenchFile
+
+if TYPE_CHECKING:
+    from filelock import FileLock
 
 MOST_WORDS: Final = 300
 
@@ -61,22 +64,23 @@ def locked(names: Iterable[str], announce: Callable[[str], None] | None = None) 
 
 
 def holder_of(name: str) -> str | None:
-    """Return in words who holds the resource ``name``; None where nobody does."""
+    """Return in words who holds the resource ``name``; None where nobody does any more."""
+    from filelock import Timeout
+
+    lock, holder = _files(name)
     try:
-        with _held(name):
+        with lock:
             return None
-    except BenchInUseError as error:
-        return error.holder
+    except Timeout:
+        return _words(holder) or "another program"
 
 
 @contextmanager
 def _held(name: str) -> Iterator[str]:
     """Hold the lock of one resource and yield who left it locked, empty where it was free."""
-    from filelock import FileLock, Timeout
+    from filelock import Timeout
 
-    path = _folder() / re.sub(r"[^A-Z0-9.]+", "-", name.upper())
-    holder = path.with_name(f"{path.name}.holder")
-    lock = FileLock(path.with_name(f"{path.name}.lock"), timeout=0, mode=0o666)
+    lock, holder = _files(name)
     try:
         lock.acquire()
     except Timeout:
@@ -93,6 +97,14 @@ def _held(name: str) -> Iterator[str]:
         with suppress(OSError):
             holder.unlink(missing_ok=True)
         lock.release()
+
+
+def _files(name: str) -> tuple[FileLock, Path]:
+    """Return the lock of a resource, and the file that says who holds it."""
+    from filelock import FileLock
+
+    path = _folder() / re.sub(r"[^A-Z0-9.]+", "-", name.upper())
+    return FileLock(f"{path}.lock", timeout=0, mode=0o666), path.with_name(f"{path.name}.holder")
 
 
 def _folder() -> Path:

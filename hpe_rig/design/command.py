@@ -14,7 +14,7 @@ from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Co
 from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import Simulated, simulate
 from hpe_rig.design.variables import variables
-from hpe_rig.prediction import detection_text, predict
+from hpe_rig.prediction import Expected, as_averaged, detection_text, predict, predicted_averaging
 from hpe_rig.result import text_table
 from hpe_rig.scene import Mistake, SettingsError, edited_text, length_m, parse_toml
 from hpe_rig.store import unwritable
@@ -148,7 +148,7 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
     scene, plan, setting = candidate.scene, candidate.plan, candidate.setting
     if scene is None or plan is None or setting is None:
         return {}
-    expected = candidate.predict(FINAL_DRAWS, FINAL_SEED)
+    expected = _expected(candidate)
     output = candidate.output(problem.bench)
     simulated: Simulated | None = None
     if draws and not candidate.conflicts:
@@ -176,6 +176,14 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
     return rows if draws else {name: text for name, text in rows.items() if "simulated" not in name and name != "model"}
 
 
+def _expected(candidate: Candidate) -> Expected:
+    """Return bias and jitter with the averaging that ``hpe-rig check`` and a result's budget have."""
+    assert candidate.scene is not None  # noqa: S101
+    assert candidate.setting is not None  # noqa: S101
+    averaging = predicted_averaging(candidate.scene, candidate.scene.processing.estimator)[0]
+    return as_averaged(candidate.predict(FINAL_DRAWS, FINAL_SEED), candidate.setting, averaging)
+
+
 def _quadrature(candidate: Candidate) -> str:
     """Return the noise as ``hpe-rig check`` prints it: from the same draws."""
     assert candidate.scene is not None  # noqa: S101
@@ -199,7 +207,7 @@ def _agreement(candidate: Candidate, simulated: Simulated | None) -> str:
     """Return whether the model holds within what it is known to hold and the simulation's own errors."""
     if simulated is None or candidate.setting is None:
         return "not simulated"
-    expected = candidate.predict(FINAL_DRAWS, FINAL_SEED)
+    expected = _expected(candidate)
     amplitude, phase = simulated.amplitude_m, simulated.phase_rad
     jitters = (
         (expected.jitter_m, amplitude.jitter, amplitude.jitter_se),

@@ -20,6 +20,7 @@ from .error_model import (
 )
 from .forecast import (
     LEAST_POINTS as LEAST_POINTS,
+    as_averaged as as_averaged,
     conditions_of as conditions_of,
     forecast_of as forecast_of,
     predict as predict,

@@ -6,14 +6,16 @@ the Gaussian of eq. (12), and what is tracked lags.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
-from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, speckle_spread
-from hpe_rig.processing import MEMBERS, BeamWidths, Window, displacement, harmonic_range_hz, medium_ensemble, spec_of
+from hpe_rig.prediction.error_model import Conditions, Speckle, draw_speckle, tracked_over_peak
+from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, scatterer_density
+from hpe_rig.processing import BeamWidths, Ensemble, Window, displacement, harmonic_range_hz, medium_ensemble, spec_of
 from hpe_rig.result import Averaging
 from hpe_rig.scene import Scene
 
@@ -22,10 +24,13 @@ ComplexArray = NDArray[np.complex128]
 Triple = tuple[float, float, float]
 
 DIRECTIONS = 96
-FEW_MEMBERS = 40
-"""Media that tell how steeply the averaging falls with the beam's area, which hardly hangs on the medium."""
 AREA_STEP = 0.05
 """Relative step in the tracking beam's area over which a derivative is taken."""
+SPECKLE_PER_CELL = 11.0
+"""Scatterers per resolution cell where nothing says otherwise: fully developed speckle (paper, Table I)."""
+SPECKLE_DRAWS = 2000
+BY_ECHO = "coherent"
+"""An estimator of the whole gate that divides the phase by the echo's own mean frequency."""
 SCALES = (0.05, 1e3)
 """Between which a Gaussian's widths are scaled; the upper end tracks the peak to 1e-7."""
 
@@ -34,49 +39,113 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     """Return the averaging over the tracking beam at every wanted frequency; None without beams.
 
     The motion's shape is the field of the declared medium. Where none is, it is that of the ensemble of media, with the
-    spread of the ensemble as uncertainty; without tonebursts that of eq. (12).
+    spread of the ensemble as uncertainty; without tonebursts that of eq. (12). ``check``, report, design and the budget
+    of a result all have it from here.
     """
     frequency_hz, beams = np.array(scene.wanted_frequencies_hz), beam_widths(scene, estimator)
-    if scene.beams is None or beams is None:
+    resting = resting_conditions(scene)
+    if scene.beams is None or beams is None or resting is None:
         return (None,) * frequency_hz.size
-    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
-    gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
-    window = spec_of(estimator).gate_window
-    # A fixed seed: a prediction is a function of the scene alone.
-    spread = speckle_spread(*widths, *gate, np.random.default_rng(0), gate_window=window)
-    gaussian = beam_averaging_factor(*widths, *gate, gate_window=window)
+    widths, window = (beams.force_width_m, beams.tracking_width_m), spec_of(estimator).gate_window
+    lengths = resting.gate_length_m, resting.pulse_length_m
+    gaussian = beam_averaging_factor(*widths, *lengths, gate_window=window, scatterers_per_m3=resting.scatterers_per_m3)
+    spread, carrier = speckle_spread(resting, estimator)
     if scene.excitation is None:
-        return tuple(_off_focus(scene, Averaging(gaussian, 0.0, spread)) for _ in frequency_hz)
-    motion = motion_of_medium(scene, frequency_hz, window, simulated=False)
-    ratio, deviation = _ensemble_ratio(scene, beams, frequency_hz)
-    if motion is not None:
-        ratio, deviation = motion[0] / motion[1], 0 * deviation
+        alike = Averaging(gaussian, 0.0, spread, carrier_relative=carrier)
+        return tuple(_off_focus(scene, alike) for _ in frequency_hz)
+    many = gaussian_averaging(*widths, beams.axial_spread_m)
     # To first order in how far the motion changes over the beam, its loss is in proportion to the Gaussian's.
-    lost = (1 - np.abs(ratio)) / (1 - gaussian_averaging(*widths, beams.axial_spread_m))
-    uncertain = np.abs(ratio) * deviation.real, deviation.imag
-    share = spread * speckle_share(scene, estimator)
-    columns = np.stack([lost, np.angle(ratio), np.abs(share.real), *uncertain, np.abs(share.imag)], axis=-1).tolist()
-    return tuple(_off_focus(scene, Averaging(1 - loss * (1 - gaussian), *each)) for loss, *each in columns)
+    loss_scale, area_spread = (1 - gaussian) / (1 - many), spread / -_gaussian_steepness(beams)
+    ratio, deviation, steepness = _seen_through(scene, beams, frequency_hz)
+    factor = 1 - loss_scale * (1 - np.abs(ratio))
+    speckle, uncertain = area_spread * steepness, (factor * deviation.real, deviation.imag)
+    columns = np.stack([factor, np.angle(ratio), speckle.real, *uncertain, speckle.imag], axis=-1).tolist()
+    rest = {"carrier_relative": carrier, "area_spread": area_spread, "loss_scale": loss_scale}
+    return tuple(_off_focus(scene, replace(Averaging(*each), **rest)) for each in columns)
 
 
-def _ensemble_ratio(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return tracked over peak motion (frequency,), and the standard deviations of its logarithm, over all media."""
-    tracked, peak = _ensemble_motion(scene, beams, frequency_hz, MEMBERS)
-    ratio = np.log(tracked / peak)
-    return np.exp(ratio.mean(axis=0)), ratio.real.std(axis=0) + 1j * ratio.imag.std(axis=0)
+def resting_conditions(scene: Scene) -> Conditions | None:
+    """Return the conditions of echoes that are at rest and without noise; None without beams.
+
+    Where no twin says how many scatterers there are, speckle is fully developed.
+    """
+    if scene.beams is None or not scene.wanted_frequencies_hz:
+        return None
+    acquisition, tracking, beams, twin = scene.acquisition, scene.tracking, scene.beams, twin_of(scene)
+    per_cell = 0.0 if twin is None else twin.scatterers_per_cell
+    return Conditions(
+        excitation_width_m=beams.excitation_width_m,
+        tracking_width_m=beams.tracking_width_m,
+        gate_length_m=acquisition.gate_length_m,
+        pulse_length_m=pulse_length_m(scene),
+        scatterers_per_m3=scatterer_density(beams.tracking_width_m, per_cell or SPECKLE_PER_CELL),
+        carrier_hz=tracking.carrier_hz,
+        sound_speed_m_per_s=acquisition.sound_speed_m_per_s,
+        sample_rate_hz=acquisition.sample_rate_hz,
+        pulse_rate_hz=tracking.pulse_rate_hz,
+        pulses=1,
+        frequency_hz=scene.wanted_frequencies_hz[0],
+        amplitude_m=0.0,
+        snr=np.inf,
+    )
 
 
-def _ensemble_motion(
-    scene: Scene, beams: BeamWidths, frequency_hz: FloatArray, members: int
-) -> tuple[ComplexArray, ComplexArray]:
-    """Return tracked and peak motion (member, frequency) of the ensemble of media."""
+@functools.lru_cache(maxsize=16)
+def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
+    """Return relative standard deviations over speckle of the tracked displacement, and of the carrier it is taken for.
+
+    Of a Gaussian motion as wide as ``resting`` says, over scatterers drawn at random; the second is 0 for an estimator
+    that does not divide by the carrier. Speckle's dark spots give both a heavy tail: they repeat to about
+    2 / sqrt(``SPECKLE_DRAWS``).
+    """
+    speckle = _drawn_speckle(resting)
+    ratio = tracked_over_peak(resting, estimator, speckle)
+    if not spec_of(estimator).by_carrier:
+        return float(ratio.std() / ratio.mean()), 0.0
+    # Echo and motion are the same for an estimator that divides by the echo's own mean frequency.
+    by_echo = tracked_over_peak(resting, BY_ECHO, speckle)
+    return float(by_echo.std() / by_echo.mean()), float((ratio / by_echo).std())
+
+
+@functools.lru_cache(maxsize=2)
+def _drawn_speckle(resting: Conditions) -> Speckle:
+    # A fixed seed: a prediction is a function of the scene alone.
+    return draw_speckle(resting, np.random.default_rng(0), SPECKLE_DRAWS)
+
+
+def _seen_through(
+    scene: Scene, beams: BeamWidths, frequency_hz: FloatArray
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return tracked over peak motion (frequency,), its uncertainty, and how steeply it falls with the beam's area.
+
+    Complex: relative amplitude and phase. Of the declared medium, else of the whole ensemble: the mean of the ratio's
+    logarithm, its standard deviation, and the root mean square of the steepness.
+    """
+    known = medium_of(scene, frequency_hz, simulated=False)
+    if known is not None:
+        (tracked, peak), (wider, _) = (
+            medium_motion(*known, frequency_hz, beams.force_width_m, width_m, beams.axial_spread_m)
+            for width_m in (beams.tracking_width_m, _wider(beams.tracking_width_m))
+        )
+        steep = np.log(wider / tracked) / np.log1p(AREA_STEP)
+        return tracked / peak, np.zeros_like(tracked), np.abs(steep.real) + 1j * np.abs(steep.imag)
+    ensemble = _ensemble(scene, beams, frequency_hz)
+    to_wanted = ensemble.interpolation(frequency_hz).T
+    tracked, peak, change = (each @ to_wanted for each in (ensemble.tracked, ensemble.peak, ensemble.steepness))
+    ratio, steep = np.log(tracked / peak), change / tracked
+
+    def rms(values: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+    deviation = ratio.real.std(axis=0) + 1j * ratio.imag.std(axis=0)
+    return np.exp(ratio.mean(axis=0)), deviation, rms(steep.real) + 1j * rms(steep.imag)
+
+
+def _ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ensemble:
+    """Return the ensemble of the prior, unless a frequency lies outside its range."""
     assert scene.excitation is not None  # noqa: S101 (as its caller knows)
     lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz)
-    # that of the prior, unless a frequency lies outside
-    lowest_hz, highest_hz = min(lowest_hz, float(frequency_hz.min())), max(highest_hz, float(frequency_hz.max()))
-    ensemble = medium_ensemble(beams, lowest_hz, highest_hz, members=members)
-    to_wanted = ensemble.interpolation(frequency_hz)
-    return ensemble.tracked @ to_wanted.T, ensemble.peak @ to_wanted.T
+    return medium_ensemble(beams, min(lowest_hz, float(frequency_hz.min())), max(highest_hz, float(frequency_hz.max())))
 
 
 def beam_widths(scene: Scene, estimator: str) -> BeamWidths | None:
@@ -88,45 +157,18 @@ def beam_widths(scene: Scene, estimator: str) -> BeamWidths | None:
     return BeamWidths(*widths, depth_spread(widths[1], *gate, spec_of(estimator).gate_window))
 
 
-def speckle_share(scene: Scene, estimator: str) -> ComplexArray:
-    """Return what speckle does to the tracked displacement over what it does to a Gaussian motion's, (frequency,).
-
-    Relative changes: the real part that of the amplitude, the imaginary part that of the phase. The tracked
-    displacement is a mean over the scatterers with real weights that speckle draws about a Gaussian of variance s. Its
-    variance is the sum of |a_n|^2 over the motion's Laguerre modes, a_n = (-s)^n / n! d^n M / ds^n for the mean M(s),
-    and the first mode is nearly all of it: what counts is how steeply the averaging falls with the beam's area.
-    """
-    window = spec_of(estimator).gate_window
-    steps = [_wider(scene, 1 + step) for step in (-AREA_STEP, AREA_STEP)]
-    lower, upper = (_log_tracked(each, estimator) for each in steps)
-    means = [_gaussian_of(each, window) for each in steps]
-    return np.asarray((upper - lower).mean(axis=0) / np.log(means[1] / means[0]))
+def _gaussian_steepness(beams: BeamWidths) -> float:
+    """Return the relative change of the Gaussian motion's averaging with the logarithm of the tracking beam's area."""
+    narrow, wide = (
+        gaussian_averaging(beams.force_width_m, each, beams.axial_spread_m)
+        for each in (beams.tracking_width_m, _wider(beams.tracking_width_m))
+    )
+    return float(np.log(wide / narrow) / np.log1p(AREA_STEP))
 
 
-def _log_tracked(scene: Scene, estimator: str) -> ComplexArray:
-    """Return the logarithm of the tracked motion (member, frequency): of the declared medium alone, or of all."""
-    frequency_hz, beams = np.array(scene.wanted_frequencies_hz), beam_widths(scene, estimator)
-    motion = motion_of_medium(scene, frequency_hz, spec_of(estimator).gate_window, simulated=False)
-    if motion is not None:
-        return np.asarray(np.log(motion[0])[None])
-    assert beams is not None  # noqa: S101 (as its caller knows)
-    return np.asarray(np.log(_ensemble_motion(scene, beams, frequency_hz, FEW_MEMBERS)[0]))
-
-
-def _wider(scene: Scene, area: float) -> Scene:
-    """Return ``scene`` with a tracking beam of ``area`` times its cross section."""
-    assert scene.beams is not None  # noqa: S101 (as its caller knows)
-    x, y, z = scene.beams.tracking_width_m
-    beams = scene.beams.model_copy(update={"tracking_width_m": (x * area**0.5, y * area**0.5, z)})
-    return scene.model_copy(update={"beams": beams})
-
-
-def _gaussian_of(scene: Scene, window: Window) -> float:
-    """Return the averaging of the Gaussian motion of eq. (12) over the scene's beams."""
-    assert scene.beams is not None  # noqa: S101 (as its caller knows)
-    widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
-    depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), window)
-    return gaussian_averaging(*widths, depth_m)
+def _wider(tracking_width_m: Triple) -> Triple:
+    x, y, z = tracking_width_m
+    return x * (1 + AREA_STEP) ** 0.5, y * (1 + AREA_STEP) ** 0.5, z
 
 
 def _off_focus(scene: Scene, averaging: Averaging) -> Averaging:
@@ -164,19 +206,21 @@ def motion_of_medium(
     scene: Scene, frequency_hz: FloatArray, window: Window = "none", simulated: bool = True
 ) -> tuple[ComplexArray, ComplexArray] | None:
     """Return ``medium_motion`` of the scene's medium; None where none is known."""
-    if scene.beams is None:
-        return None
-    known: tuple[ComplexArray, float] | None = None
-    if scene.medium is not None:
-        loss_pa = 2 * np.pi * frequency_hz * scene.medium.shear_viscosity_pa_s
-        known = np.asarray(scene.medium.shear_modulus_pa + 1j * loss_pa), scene.medium.density_kg_per_m3
-    elif simulated and (twin := twin_of(scene)) is not None:
-        known = twin.medium(frequency_hz)
-    if known is None:
+    known = medium_of(scene, frequency_hz, simulated)
+    if scene.beams is None or known is None:
         return None
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
     depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), window)
     return medium_motion(*known, frequency_hz, *widths, depth_m)
+
+
+def medium_of(scene: Scene, frequency_hz: FloatArray, simulated: bool = True) -> tuple[ComplexArray, float] | None:
+    """Return complex shear modulus (frequency,), Pa, and density, kg/m^3, as declared, else of the twin if wanted."""
+    if scene.medium is not None:
+        loss_pa = 2 * np.pi * frequency_hz * scene.medium.shear_viscosity_pa_s
+        return np.asarray(scene.medium.shear_modulus_pa + 1j * loss_pa), scene.medium.density_kg_per_m3
+    twin = twin_of(scene) if simulated else None
+    return None if twin is None else twin.medium(frequency_hz)
 
 
 def motion_width_m(scene: Scene, frequency_hz: float) -> Triple:

@@ -74,7 +74,7 @@ class Expected:
     """Predicted for one estimator: all against the peak displacement and its phase; standard deviations.
 
     ``quadrature_m``: noise of each quadrature, which the stated uncertainty is about; ``noise_jitter_m``: what it makes
-    of the amplitude, less where that is small.
+    of the amplitude, less where that is small. ``tracked``: mean of tracked over peak displacement, without noise.
     """
 
     estimator: str
@@ -84,6 +84,7 @@ class Expected:
     speckle_jitter_m: float
     phase_bias_rad: float
     phase_jitter_rad: float
+    tracked: float = 1.0
 
     @property
     def jitter_m(self) -> float:
@@ -110,6 +111,18 @@ def expected(conditions: Conditions, estimator: str, speckle: Speckle, generator
         walk = _walk(conditions, pulse) if spec.steps_add_up else 0.0
     deviation = _quadrature_deviation(conditions, spec, pulse + conditions.trigger_jitter_variance, walk)
     return _with_noise(conditions, estimator, ratio, deviation)
+
+
+def tracked_over_peak(conditions: Conditions, estimator: str, speckle: Speckle) -> FloatArray:
+    """Return what the estimator tracks of the peak displacement in each draw of ``speckle`` (draw,), without noise."""
+    spec = spec_of(estimator)
+    if not spec.reads_peak:
+        return _whole_gate(conditions, speckle, spec.by_carrier)[0]
+    window, bins = hann(INSTANTS), PADDING * INSTANTS
+    inside = _band_bins(conditions, bins)
+    resting, moved = (np.fft.fft(each * window, bins)[:, inside] for each in (speckle.resting, speckle.moved))
+    peak = np.argmax(np.abs(resting), axis=-1)[:, None]
+    return np.asarray(_taken(moved / resting, peak).real)
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,6 +247,7 @@ def _with_noise(conditions: Conditions, estimator: str, ratio: FloatArray, devia
         float(mean.std()),
         0.0,
         float(np.sqrt(np.mean(phase**2))),
+        float(ratio.mean()),
     )
 
 

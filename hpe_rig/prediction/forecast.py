@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,15 +12,13 @@ from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot, select, window_pulse_count
 from hpe_rig.prediction.aliasing import fitted_over_true
 from hpe_rig.prediction.amplitude import expected_amplitude_m, expected_snr_db
-from hpe_rig.prediction.beam_averaging import motion_width_m, pulse_length_m
+from hpe_rig.prediction.beam_averaging import motion_width_m, predicted_averaging, resting_conditions
 from hpe_rig.prediction.error_model import Conditions, Expected, draw_speckle, expected
 from hpe_rig.prediction.linear_fit import noise_gain
-from hpe_rig.prediction.theory import scatterer_density
 from hpe_rig.processing import ESTIMATORS, spec_of
+from hpe_rig.result import Averaging
 from hpe_rig.scene import Scene
 
-SPECKLE_PER_CELL = 11.0
-"""Scatterers per resolution cell where nothing says otherwise: fully developed speckle (paper, Table I)."""
 PEAK_DRAWS = 4
 """How many times the draws are needed where the phase is read at a peak."""
 LEAST_CYCLES = 1.0
@@ -51,28 +49,20 @@ def conditions_of(
     ``shot`` says which pulses the estimate uses, by what force they were moved, and what it costs to fit the other
     driven harmonics along; where its plan resolves no frequencies that cost is left out.
     """
-    snr_db = expected_snr_db(scene)
-    if scene.beams is None or snr_db is None or not scene.wanted_frequencies_hz:
+    snr_db, resting = expected_snr_db(scene), resting_conditions(scene)
+    if snr_db is None or resting is None:
         return None
-    frequency_hz = scene.wanted_frequencies_hz[0] if frequency_hz is None else frequency_hz
+    frequency_hz = resting.frequency_hz if frequency_hz is None else frequency_hz
     pulses = window_pulse_count(scene) if shot is None else max(1, int(select(scene, shot).used.sum()))
-    acquisition, tracking, beams, twin = scene.acquisition, scene.tracking, scene.beams, twin_of(scene)
-    per_cell, trigger_jitter_s = (0.0, 0.0) if twin is None else (twin.scatterers_per_cell, twin.trigger_jitter_s)
-    return Conditions(
+    twin = twin_of(scene)
+    return replace(
+        resting,
         excitation_width_m=motion_width_m(scene, frequency_hz),
-        tracking_width_m=beams.tracking_width_m,
-        gate_length_m=acquisition.gate_length_m,
-        pulse_length_m=pulse_length_m(scene),
-        scatterers_per_m3=scatterer_density(beams.tracking_width_m, per_cell or SPECKLE_PER_CELL),
-        carrier_hz=tracking.carrier_hz,
-        sound_speed_m_per_s=acquisition.sound_speed_m_per_s,
-        sample_rate_hz=acquisition.sample_rate_hz,
-        pulse_rate_hz=tracking.pulse_rate_hz,
         pulses=pulses,
         frequency_hz=frequency_hz,
         amplitude_m=expected_amplitude_m(scene, frequency_hz, shot),
         snr=10 ** (snr_db / 10),
-        trigger_jitter_s=trigger_jitter_s,
+        trigger_jitter_s=0.0 if twin is None else twin.trigger_jitter_s,
         fit_gain=1.0 if shot is None else _fit_gain(scene, shot, frequency_hz, pulses, estimator),
     )
 
@@ -103,12 +93,31 @@ def forecast_of(
     known = [conditions for conditions in each if conditions is not None]
     if not known:
         return None
-    found = [predict(conditions, (name,)).expected[0] for name, conditions in zip(estimators, known, strict=True)]
-    ratios = [fitted_over_true(scene, shot, simulated, name) for name in estimators]
     place = scene.wanted_frequencies_hz.index(known[0].frequency_hz)
+    found = [
+        as_averaged(predict(conditions, (name,)).expected[0], conditions, predicted_averaging(scene, name)[place])
+        for name, conditions in zip(estimators, known, strict=True)
+    ]
+    ratios = [fitted_over_true(scene, shot, simulated, name) for name in estimators]
     aliasing = tuple(complex(ratio[place]) - 1 for ratio in ratios if ratio is not None)
     own = known[estimators.index(scene.processing.estimator)] if scene.processing.estimator in estimators else known[0]
     return Prediction(own, tuple(found), aliasing if len(aliasing) == len(estimators) else ())
+
+
+def as_averaged(expected: Expected, conditions: Conditions, averaging: Averaging | None) -> Expected:
+    """Return ``expected`` with bias and speckle of ``averaging``, as a result's budget has them.
+
+    The error model's own are those of a Gaussian motion, and of as many draws as it has.
+    """
+    if averaging is None:
+        return expected
+    tracked_m = averaging.factor * conditions.amplitude_m
+    return replace(
+        expected,
+        bias_m=expected.bias_m + tracked_m - expected.tracked * conditions.amplitude_m,
+        speckle_jitter_m=tracked_m * math.hypot(averaging.speckle_relative, averaging.carrier_relative),
+        tracked=averaging.factor,
+    )
 
 
 def predict(conditions: Conditions, estimators: tuple[str, ...] = ESTIMATORS, draws: int = 1000) -> Prediction:

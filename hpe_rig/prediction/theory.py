@@ -1,4 +1,4 @@
-"""Closed forms and quadratures: spectrum of the radiation force, beam averaging of a Gaussian motion, speckle.
+"""Closed forms and quadratures: spectrum of the radiation force, beam averaging of a Gaussian motion.
 
 Derivations and what supports them: docs/theory/prediction.md.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import fft
 
 from hpe_rig.processing import Window, hann
 
@@ -87,34 +86,6 @@ def scatterer_density(tracking_width_m: Triple, per_cell: float) -> float:
     return float(per_cell / (4 / 3 * np.pi * np.prod(np.asarray(tracking_width_m) * np.sqrt(2 * np.log(2)))))
 
 
-def speckle_spread(
-    excitation_width_m: Triple,
-    tracking_width_m: Triple,
-    gate_length_m: float,
-    pulse_length_m: float,
-    generator: np.random.Generator,
-    gate_window: Window = "none",
-    draws: int = 4000,
-) -> float:
-    """Return the spread over speckle draws of the tracked displacement, relative to its mean, by a small Monte Carlo.
-
-    Fully developed speckle: at each depth the echo and the displacement-weighted echo are a pair of correlated complex
-    Gaussians, known by their lateral moments; both are blurred by the pulse, and the tracked displacement is their
-    energy-weighted ratio in the gate ("none") or the ratio at the peak of the windowed gate's spectrum ("hann").
-    A heavy tail from speckle's dark spots makes it repeat to about 2 / sqrt(draws); few scatterers a cell widen it.
-    """
-    depth = _midpoints(gate_length_m + pulse_length_m, DEPTHS // 4)
-    mean = _lateral_moment(excitation_width_m, tracking_width_m, 2, 1)
-    spread = float(np.sqrt(_lateral_moment(excitation_width_m, tracking_width_m, 2, 2) - mean**2))
-    resting, independent = (_complex_normal(generator, (draws, depth.size)) for _ in range(2))
-    moved = _axial_motion(depth, excitation_width_m).astype(np.float32) * (mean * resting + spread * independent)
-    blur = _pulse(_midpoints(gate_length_m, INSTANTS)[:, None] - depth, pulse_length_m)
-    blur = (blur * np.exp(-(depth**2) / (2 * tracking_width_m[2] ** 2))).T.astype(np.complex64)
-    ratio = _gate_ratio if gate_window == "none" else _peak_ratio
-    tracked = ratio(resting @ blur, np.asarray(moved @ blur, np.complex64))
-    return float(tracked.std() / tracked.mean())
-
-
 def _lateral_moment(excitation_width_m: Triple, tracking_width_m: Triple, power: int, order: int) -> float:
     """Return the mean of (u/u_0)^order over x and y under the weight I^power."""
     squares = [(t / e) ** 2 for e, t in zip(excitation_width_m[:2], tracking_width_m[:2], strict=True)]
@@ -158,21 +129,3 @@ def _ratio_of_sums(
     area = 4 * np.pi * beams[1][0] * beams[1][1] / 2
     number = density * area * weight.sum() ** 2 / np.sum(weight**2) * (depth[1] - depth[0])
     return float(mean - share * (squared - mean) / number)
-
-
-def _complex_normal(generator: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.complex64]:
-    # single precision: a Monte Carlo of some thousand draws knows three digits
-    return generator.standard_normal((*shape, 2), dtype=np.float32).view(np.complex64)[..., 0]
-
-
-def _gate_ratio(resting: NDArray[np.complex64], moved: NDArray[np.complex64]) -> FloatArray:
-    product = np.sum((np.conj(resting) * moved).real, axis=-1)
-    return np.asarray(product / np.sum(np.abs(resting) ** 2, axis=-1))
-
-
-def _peak_ratio(resting: NDArray[np.complex64], moved: NDArray[np.complex64]) -> FloatArray:
-    window = hann(resting.shape[-1]).astype(np.float32)
-    spectrum = fft(resting * window, 8 * window.size)
-    peak = np.argmax(np.abs(spectrum), axis=-1)[:, None]
-    there = np.take_along_axis(fft(moved * window, 8 * window.size), peak, axis=-1)
-    return np.asarray((there / np.take_along_axis(spectrum, peak, axis=-1)).real[:, 0])

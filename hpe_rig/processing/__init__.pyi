@@ -12,7 +12,13 @@ from .echoes import (
     velocity_between_pulses as velocity_between_pulses,
 )
 from .ensemble import (
+    BRANCH_OVER_MODULUS as BRANCH_OVER_MODULUS,
+    LOW_VISCOSITY_PA_S as LOW_VISCOSITY_PA_S,
     MEMBERS as MEMBERS,
+    MODULUS_PA as MODULUS_PA,
+    POWER as POWER,
+    POWER_REFERENCE_HZ as POWER_REFERENCE_HZ,
+    VISCOSITY_PA_S as VISCOSITY_PA_S,
     BeamWidths as BeamWidths,
     Ensemble as Ensemble,
     KnownMedium as KnownMedium,
@@ -69,6 +75,7 @@ from .shots import (
     options_of as options_of,
     samples_needed as samples_needed,
     shot_echoes as shot_echoes,
+    shot_media as shot_media,
     shot_model as shot_model,
     shot_motion as shot_motion,
     shot_prior as shot_prior,

@@ -173,14 +173,15 @@ def _transform(volts: Volts, band: Band, bins: int, spectrum: ComplexArray) -> N
     count, pulses = spectrum.shape[-2:]
     start = round(band.frequency_hz[0] / (band.frequency_hz[1] - band.frequency_hz[0]))
     taper, mean = band.taper.astype(volts.dtype), np.full(band.taper.size, 1 / band.taper.size, volts.dtype)
-    turn, level = (each.astype(spectrum.dtype)[:, None] for each in (band.turn, band.level))
+    turn, level = (each.astype(spectrum.dtype) for each in (band.turn, band.level))
     for train in np.ndindex(volts.shape[:-2]):
         for pulse in range(0, pulses, BLOCK):
             here = slice(pulse, pulse + BLOCK)
             some = volts[train][here]
-            part = rfft(some * taper, bins)[:, start : start + count].T * turn
+            part = rfft(some * taper, bins)[:, start : start + count] * turn
             # the mean comes off in the band, where there is less of it than there are samples
-            np.subtract(part, level * (some @ mean), out=spectrum[train][:, here])
+            part -= np.outer(some @ mean, level)
+            spectrum[train][:, here] = part.T
 
 
 def _project(volts: Volts, columns: ComplexArray, spectrum: ComplexArray) -> None:
@@ -228,7 +229,9 @@ def has_echo(spectrum: ComplexArray, echoes: EchoGate) -> BoolArray:
 
     Raises ``ValueError`` where none does.
     """
-    in_band = sum(np.einsum("...ij,...ij->...", part, part) for part in (spectrum.real, spectrum.imag))
+    # real and imaginary parts in a row
+    parts = np.ascontiguousarray(np.swapaxes(spectrum, -1, -2)).view(spectrum.real.dtype)
+    in_band = np.einsum("...ij,...ij->...", parts, parts)
     total = echoes.energy[..., echoes.valid].sum(axis=-1)
     least = LEAST_IN_FLOAT32 if echoes.volts.dtype == np.float32 else LEAST_IN_BAND
     found = np.asarray(in_band > least * total)

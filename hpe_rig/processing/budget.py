@@ -29,7 +29,7 @@ class Known:
     Where nothing is said of the sound speed it is as uncertain, relatively, as a scene takes it to be.
     ``trigger_jitter_s``, root mean square, is 0 where nobody states it: it is then within noise, as the residual holds
     both. ``subtracts_jitter``: a reference gate's motion has been subtracted, and the jitter with it. ``gate_edge``:
-    relative error of a rigid motion that the gate's ends leave; of the phase in rad.
+    relative error of a rigid motion that the gate's ends leave: a gain, which turns no phase.
     """
 
     sound_speed_m_per_s: float = 1540.0
@@ -107,13 +107,15 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     def relative(source: str, amplitude: float, phase_rad: float = 0.0) -> Component:
         return Component(source, amplitude * peak_m, phase_rad)
 
+    carrier = (relative("carrier", averaging.carrier_relative),) if averaging.carrier_relative else ()
     return (
         fitted("noise", random * (1 - share)),
         fitted("trigger jitter", random * share),
         fitted("aliasing", aliasing),
         relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad),
         relative("beam averaging", averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad),
-        relative("gate edge", known.gate_edge, known.gate_edge),
+        relative("gate edge", known.gate_edge),
         relative("sound speed", known.sound_speed_uncertainty),
         relative("gate off focus", averaging.offset_relative),
+        *carrier,
     )

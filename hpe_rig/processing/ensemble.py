@@ -29,6 +29,9 @@ DIRECTIONS = 12
 NODES_PER_E_FOLD = 6.0
 """Frequencies a factor e at which media are evaluated: what lies between is interpolated to 1e-4 of the largest."""
 
+AREA_STEP = 0.05
+"""Relative step in the tracking beam's area over which a derivative is taken."""
+
 MODULUS_PA = (1e3, 60e3)
 VISCOSITY_PA_S = (0.2, 15.0)
 LOW_VISCOSITY_PA_S = (0.005, 0.2)
@@ -68,12 +71,14 @@ class Ensemble:
     """Displacement per unit force of every member, complex (member, node), at the frequencies ``node_hz`` (node,).
 
     ``tracked`` is the mean over the tracking beam and gate, ``peak`` that at the focus; both but for one real factor a
-    member; ``voigt`` (member,) tells Voigt media. Read-only.
+    member. ``steepness``: derivative of ``tracked`` by the logarithm of the tracking beam's area, which is what speckle
+    changes. ``voigt`` (member,) tells Voigt media. Read-only.
     """
 
     node_hz: FloatArray
     tracked: ComplexArray
     peak: ComplexArray
+    steepness: ComplexArray
     voigt: BoolArray
 
     def interpolation(self, frequency_hz: FloatArray) -> FloatArray:
@@ -106,14 +111,16 @@ def medium_ensemble(
     wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
     lateral, axial = (beams.force_width_m[0] * wide) ** 2, (beams.force_width_m[2] * deep) ** 2
     # Speckle weights by energy, a Gaussian of variance T^2/2 across: a force as much broader, of the same density.
-    seen = lateral + beams.tracking_width_m[0] ** 2 / 2, axial + beams.axial_spread_m**2
+    area, depth = beams.tracking_width_m[0] ** 2 / 2, axial + beams.axial_spread_m**2
+    tracked, wider = (displacement(shear_k2, lateral + each, depth) for each in (area, (1 + AREA_STEP) * area))
     found = Ensemble(
         node_hz,
-        displacement(shear_k2, *seen) / modulus_pa,
+        tracked / modulus_pa,
         displacement(shear_k2, lateral, axial) / modulus_pa,
+        (wider - tracked) / np.log1p(AREA_STEP) / modulus_pa,
         np.arange(members) % FAMILIES == 0 if known is None else np.ones(members, bool),
     )
-    for array in (found.node_hz, found.tracked, found.peak, found.voigt):
+    for array in (found.node_hz, found.tracked, found.peak, found.steepness, found.voigt):
         array.flags.writeable = False
     return found
 

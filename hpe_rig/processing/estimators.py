@@ -33,7 +33,7 @@ class Options:
     ``background_order``: polynomial fitted along (0 constant, 1 velocity, 2 acceleration, more: drift);
     ``process_noise``: variance of a harmonic state's change per pulse over that of the noise, for "kalman" alone;
     ``prior``: of what media make of the tonebursts, for "medium_prior", and for "kalman" without process noise.
-    ``joint`` fits by least squares whatever is chosen; the paper's chain has its own Kalman filter and band-pass.
+    ``joint`` knows no Kalman filter and takes least squares for it; the paper's chain has its own, and a band-pass.
     """
 
     background_order: int = 0
@@ -49,7 +49,13 @@ class FitEchoes(Protocol):
     """Amplitude and phase straight from echoes, as ``maximum_likelihood.joint``."""
 
     def __call__(
-        self, echoes: EchoGate, frequencies_hz: Frequencies, *, also_hz: Frequencies, background_order: int
+        self,
+        echoes: EchoGate,
+        frequencies_hz: Frequencies,
+        *,
+        also_hz: Frequencies,
+        background_order: int,
+        prior: MediumPrior | None,
     ) -> HarmonicFit: ...
 
 
@@ -80,8 +86,14 @@ def fit_displacement(
 
 
 def fit_velocity(motion: Motion, frequencies_hz: Frequencies, also_hz: Frequencies, options: Options) -> HarmonicFit:
-    """Return amplitude and phase by the paper's chain over velocities, which takes no ``options``."""
-    return velocity_to_harmonics(velocity_between_pulses(motion), frequencies_hz, also_hz=also_hz)
+    """Return amplitude and phase by the paper's chain over velocities, which takes of ``options`` the background alone.
+
+    That is no noise of its uncertainty; the estimate is the same whatever it is.
+    """
+    order = options.background_order
+    return velocity_to_harmonics(
+        velocity_between_pulses(motion), frequencies_hz, also_hz=also_hz, background_order=order
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +145,7 @@ class EstimatorSpec:
     @property
     def takes_prior(self) -> bool:
         """Whether the displacement is fitted as the options say, with a prior of media where there is one."""
-        return self.motion is not None and self.fit_motion is fit_displacement
+        return self.fit_motion is fit_displacement
 
     @property
     def fits_all_at_once(self) -> bool:
@@ -182,7 +194,9 @@ def estimate(
     """
     spec = spec_of(estimator)
     if spec.fit_echoes is not None:
-        return spec.fit_echoes(echoes, frequencies_hz, also_hz=also_hz, background_order=options.background_order)
+        prior = options.prior if options.harmonic == "medium_prior" else None
+        order = options.background_order
+        return spec.fit_echoes(echoes, frequencies_hz, also_hz=also_hz, background_order=order, prior=prior)
     return fit_motion(motion_of(echoes, estimator), frequencies_hz, estimator, also_hz, options)
 
 

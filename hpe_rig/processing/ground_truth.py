@@ -27,8 +27,9 @@ def true_harmonics_m(
     """Return A cos(phase) and A sin(phase) of the peak displacement at every wanted frequency, m, (frequency, 2).
 
     Of a specimen over the whole burst periods of the processing window, where every driven harmonic is orthogonal to
-    every other, the driven ones fitted along where a wanted frequency is none of them; ``motion_m`` gives the
-    displacement at times after the master trigger's edge. Phases as in the result: sine, from ``Timeline.reference_s``.
+    every other, without what it creeps from period to period; the driven ones are fitted along where a wanted frequency
+    is none of them. ``motion_m`` gives the displacement at times after the master trigger's edge. Phases as in the
+    result: sine, from ``Timeline.reference_s``.
     """
     twin = twin_of(scene)
     if twin is not None and twin.prescribed:
@@ -47,12 +48,30 @@ def _of_specimen_m(
 
     sensing_s = shot.timeline.sensing_s[select(scene, shot).window]
     time_s = sensing_s[0] + _instants_s(scene, float(sensing_s[-1] - sensing_s[0]))
+    displacement_m = motion_m(time_s)
+    displacement_m = displacement_m - _creep(scene, time_s, displacement_m)
     motion = Motion(
-        time_s - shot.timeline.reference_s, motion_m(time_s), np.zeros(time_s.size), np.ones(time_s.size, bool)
+        time_s - shot.timeline.reference_s, displacement_m, np.zeros(time_s.size), np.ones(time_s.size, bool)
     )
     also_hz = _also_hz(scene, float(sensing_s[-1] - sensing_s[0]))
     fit = least_squares(motion, list(scene.wanted_frequencies_hz), also_hz=also_hz)
     return np.stack([fit.amplitude_m * np.cos(fit.phase_rad), fit.amplitude_m * np.sin(fit.phase_rad)], axis=-1)
+
+
+def _creep(scene: Scene, time_s: NDArray[np.float64], displacement_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the even creep (time,): what the last whole period is beyond the first, spread over all.
+
+    Under bursts the mean force carries a medium that flows ever farther, and a ramp has a part at every harmonic.
+    """
+    if scene.excitation is None:
+        return np.zeros(time_s.size)
+    instants = round(1 / (scene.excitation.burst_rate_hz * float(time_s[1] - time_s[0])))
+    periods = time_s.size // instants
+    if periods < 2:
+        return np.zeros(time_s.size)
+    last = slice((periods - 1) * instants, periods * instants)
+    metres = float(np.mean(displacement_m[last] - displacement_m[:instants]))
+    return metres * np.arange(time_s.size) / ((periods - 1) * instants)
 
 
 def _also_hz(scene: Scene, length_s: float) -> NDArray[np.float64]:

@@ -7,7 +7,7 @@ estimated at once.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,12 +43,14 @@ class MediumPosterior:
 
     ``significance`` (...): probability that a medium of the ensemble gives data as unlikely as these.
     ``peak_over_tracked``, complex (..., frequency): the motion's peak over what the beam tracks of it, and
-    ``peak_covariance`` (..., frequency, 2, 2) of its relative amplitude and its phase.
+    ``peak_covariance`` (..., frequency, 2, 2) of its relative amplitude and its phase. ``steepness`` (..., frequency,
+    2): root mean square of the changes of tracked amplitude, relative, and phase with the logarithm of the beam's area.
     """
 
     significance: FloatArray
     peak_over_tracked: ComplexArray
     peak_covariance: FloatArray
+    steepness: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +61,9 @@ class HarmonicFit:
     ``covariance`` (..., frequency, 2, 2) of (amplitude, phase); ``state`` (..., state) and ``state_covariance``
     (..., state, state) in m and m^2; ``background_m`` (...), its mean, 0 where the chain removes it;
     ``residual_rms_m`` (...), displacement noise of one pulse; ``pulses``: how many were used; ``condition``: of the
-    model, 1 when every state is seen on its own; ``innovations`` where a filter was asked for them. With a prior of
-    media ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` that harmonics which the pulses cannot tell
-    apart and shrinkage leave, and ``medium`` what is known of the medium afterwards.
+    model, 1 when every state is seen on its own; ``innovations`` where a filter was asked for them. Where there is a
+    prior of media ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` that harmonics which the fit does
+    not tell apart and shrinkage leave, and ``medium`` what is known of the medium afterwards.
     """
 
     frequency_hz: FloatArray
@@ -176,6 +178,21 @@ def fit_from_state(
         condition,
         innovations,
         aliasing,
+    )
+
+
+def with_aliasing(fit: HarmonicFit, aliasing_m2: FloatArray, known: HarmonicFit) -> HarmonicFit:
+    """Return ``fit`` with the covariance ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) of its states added.
+
+    A ``known`` fit, with a prior of media, tells the medium and how large the amplitudes are without that error, which
+    can be as large as they: it is a phase's error by them.
+    """
+    wanted, total = 2 * fit.frequency_hz.size, fit.state_covariance.copy()
+    total[..., :wanted, :wanted] += aliasing_m2
+    radial, added = (_along_phasor(each, fit.phase_rad) for each in (total, aliasing_m2))
+    weights = _polar_weights(radial, known.amplitude_m)
+    return replace(
+        fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=known.medium
     )
 
 

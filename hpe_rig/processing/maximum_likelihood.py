@@ -15,10 +15,11 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from hpe_rig.processing.band import Band, band_spectrum, energy_of, inner, turned
-from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray
+from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Motion, scatter
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model, triangular_root
 from hpe_rig.processing.motion import coherent_phase, motion_of_phase
+from hpe_rig.processing.prior import MediumPrior, medium_fit
 
 STEPS = 12
 ENOUGH = 1e-12
@@ -35,11 +36,13 @@ def joint(
     also_hz: FloatArray | Sequence[float] = (),
     background_order: int = 0,
     largest_condition: float = LARGEST_CONDITION,
+    prior: MediumPrior | None = None,
 ) -> HarmonicFit:
     """Return the amplitudes and phases that make all echoes of a train most likely one echo, delayed.
 
     Seeded by ``coherent``, or by no motion where that is likelier (noise stronger than single echoes). The covariance
-    follows from the pulses' residual displacements. A background of order 0 is part of the resting echo. Raises
+    follows from the pulses' residual displacements. A background of order 0 is part of the resting echo. With a
+    ``prior`` of media, what each echo moves once all are aligned best is fitted with that instead. Raises
     ``ValueError`` as ``coherent`` and ``least_squares``. Source: maximum likelihood with the resting echo as nuisance
     parameter (variable projection).
     """
@@ -53,6 +56,11 @@ def joint(
     root = triangular_root(matrix, model.condition if not len(also_hz) else largest_condition)
     spectrum, band = band_spectrum(echoes, 2)
     reduced, residual = _most_likely(spectrum, band, echoes, matrix, root @ (matrix @ root).T)
+    if prior is not None:
+        displacement_m = scatter(reduced @ matrix.T + residual, echoes.valid)
+        # Every pulse has the same weight: its variance scales nothing.
+        motion = Motion(echoes.pulse_time_s, displacement_m, np.ones_like(displacement_m), echoes.valid)
+        return medium_fit(motion, frequency_hz, prior, background_order=background_order).fit
     variance = np.einsum("...i,...i->...", residual, residual) / (len(matrix) - matrix.shape[1] - 1)
     covariance = variance[..., None, None] * (root @ root.T)
     wanted = 2 * frequency_hz.size

@@ -29,7 +29,7 @@ from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatAr
 
 DivideBy = Literal["centre", "carrier"]
 
-STEPS_AT_ONCE = 256
+STEPS_AT_ONCE = 512
 """Pulses whose steps are found together: few enough that all of their products stay in the cache."""
 NOISE_DEVIATIONS = 3.1
 """Normal deviations that a train of noise exceeds once in a thousand."""
@@ -196,7 +196,8 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
         product[..., 1, :] -= (_neighbours(outside, weighted) + _neighbours(weighted, outside)) / 2
         cross[..., max(first - 1, 0) : here.stop - 1] = product
         new = slice(min(first, 1), None)
-        energy = weights @ (echo.real**2 + echo.imag**2)[..., new]
+        squares = weights @ np.square(echo.view(np.float64))
+        energy = (squares[..., ::2] + squares[..., 1::2])[..., new]
         whole[..., here] = energy[..., 0, :]
         energy[..., 0, :] -= _overlap(outside, outside)[..., new]
         energy[..., 1, :] -= _overlap(outside, weighted)[..., new]
@@ -227,9 +228,10 @@ def alike(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArra
     deviation = math.sqrt(max(1 / many - mean**2, 0.0) / rho.shape[-1])
     found = np.asarray(rho.mean(axis=-1) > mean + NOISE_DEVIATIONS * deviation)
     if not found.any():
+        whose = "the echoes" if found.size == 1 else f"echoes of all {found.size} trains"
         raise ValueError(
-            f"echoes of all {found.size} trains have no more in common from pulse to pulse than noise alone: noise "
-            "without echo, or the wrong gate or carrier; check gate, tracking pulser and input range"
+            f"{whose} have no more in common from pulse to pulse than noise alone: noise without echo, or the wrong "
+            "gate or carrier; check gate, tracking pulser and input range"
         )
     return found
 

@@ -58,7 +58,8 @@ class MediumPrior:
     ``spectrum`` complex (harmonic, node) takes the response to A exp(j phase) of every harmonic's motion. ``root``
     (direction, direction) is a root of the directions' covariance, so F is ``states(all harmonics) @ root``.
     ``members`` (member, direction) are the ensemble, ``misfit`` (direction,) standard deviations from it;
-    ``averaging``, complex (member, harmonic): peak over tracked motion.
+    ``averaging``, complex (member, harmonic): peak over tracked motion; ``steepness``, the same shape: relative change
+    of the tracked motion with the logarithm of the tracking beam's area.
     """
 
     burst_rate_hz: float
@@ -67,6 +68,7 @@ class MediumPrior:
     members: FloatArray
     misfit: FloatArray
     averaging: ComplexArray
+    steepness: ComplexArray
 
     @property
     def frequency_hz(self) -> FloatArray:
@@ -186,8 +188,9 @@ def medium_prior(
     misfit = MISFIT * np.sqrt(np.tile(power.reshape(2, -1).mean(axis=0), 2))
     weighted = np.sqrt(share / share.sum())[:, None] * members
     root = np.asarray(np.linalg.qr(np.vstack([weighted, np.diag(misfit)]), mode="r")).T
-    prior = MediumPrior(burst_rate_hz, spectrum, root, members, misfit, peak / tracked)
-    for array in (prior.spectrum, prior.root, prior.members, prior.misfit, prior.averaging):
+    steepness = ensemble.steepness @ spectrum.T / tracked
+    prior = MediumPrior(burst_rate_hz, spectrum, root, members, misfit, peak / tracked, steepness)
+    for array in (prior.spectrum, prior.root, prior.members, prior.misfit, prior.averaging, prior.steepness):
         array.flags.writeable = False
     return prior
 
@@ -277,17 +280,21 @@ def medium_kalman(
     return replace(whole, fit=replace(fit, medium=whole.fit.medium))
 
 
-def _averaging(likelihood: FloatArray, prior: MediumPrior, frequency_hz: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """Return peak over tracked motion, complex (..., frequency), and its covariance (..., frequency, 2, 2).
+def _averaging(
+    likelihood: FloatArray, prior: MediumPrior, frequency_hz: FloatArray
+) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """Return peak over tracked motion, complex (..., frequency), its covariance (..., frequency, 2, 2), its steepness.
 
     The mean of its logarithm over the ensemble, every member as likely as the data have it; covariance of (relative
-    amplitude, phase in rad).
+    amplitude, phase in rad). Steepness (..., frequency, 2): root mean square of those changes with the beam's area.
     """
-    ratio = np.log(prior.averaging[:, list(prior.places(frequency_hz))])
+    places = list(prior.places(frequency_hz))
+    ratio, steepness = np.log(prior.averaging[:, places]), prior.steepness[:, places]
     mean = likelihood @ ratio
     off = ratio - mean[..., None, :]
     parts = np.stack([off.real, off.imag], axis=-1)
-    return np.exp(mean), np.einsum("...m,...mfi,...mfj->...fij", likelihood, parts, parts)
+    steep = np.sqrt(np.einsum("...m,mfi->...fi", likelihood, np.stack([steepness.real, steepness.imag], axis=-1) ** 2))
+    return np.exp(mean), np.einsum("...m,...mfi,...mfj->...fij", likelihood, parts, parts), steep
 
 
 def seen_by(

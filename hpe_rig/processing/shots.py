@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.prior import MediumPrior, medium_prior
 from hpe_rig.processing.residual_line import Line, residual_line
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
+from hpe_rig.processing.unresolved import with_unresolved
 from hpe_rig.result import Averaging, ShotResult
 from hpe_rig.scene import Processing, Scene
 from hpe_rig.store import GatedRecords, ShotRecords, StoredRun
@@ -92,10 +94,9 @@ def _windows_of_shot(
     known, complete = known_of(scene, stored.simulated), bool(stored.shot_complete[shot.index])
     results = []
     for window in scene.windows:
-        options = options_of(window.processing, shot_prior(window, shot, spec.name, beams))
         share = unlikely / len(scene.windows)
         results.append(
-            _estimate_shot(window, shot, records, still, true_m, spec, averaging, known, options, share, complete)
+            _estimate_shot(window, shot, records, still, true_m, spec, averaging, known, beams, share, complete)
         )
     return results
 
@@ -108,13 +109,18 @@ def options_of(processing: Processing, prior: MediumPrior | None = None) -> Opti
 
 
 def shot_prior(scene: Scene, shot: Shot, estimator: str, beams: BeamWidths | None) -> MediumPrior | None:
-    """Return the prior of what media make of the shot's tonebursts; None where scene or estimator take none."""
-    length_s, excitation, medium = shot.timeline.burst_length_s, scene.excitation, scene.medium
-    if beams is None or excitation is None or not length_s or not spec_of(estimator).takes_prior:
-        return None
-    if scene.without_prior is not None:
+    """Return the prior that stands for the shot's harmonics in the fit; None where scene or estimator take none."""
+    if not spec_of(estimator).takes_prior:
         return None
     if scene.processing.harmonic == "least_squares" or scene.processing.process_noise:
+        return None
+    return shot_media(scene, shot, beams)
+
+
+def shot_media(scene: Scene, shot: Shot, beams: BeamWidths | None) -> MediumPrior | None:
+    """Return what media make of the shot's tonebursts, whatever the fit takes of it; None where there is no prior."""
+    length_s, excitation, medium = shot.timeline.burst_length_s, scene.excitation, scene.medium
+    if beams is None or excitation is None or not length_s or scene.without_prior is not None:
         return None
     if medium is None:
         return medium_prior(beams, excitation.burst_rate_hz, length_s)
@@ -131,11 +137,12 @@ def _estimate_shot(
     spec: EstimatorSpec,
     averaging: tuple[Averaging | None, ...],
     known: Known,
-    options: Options,
+    beams: BeamWidths | None,
     unlikely: float,
     complete: bool,
 ) -> ShotResult:
-    chosen = select(scene, shot)
+    chosen, media = select(scene, shot), shot_media(scene, shot, beams)
+    options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
     if spec.motion is None and scene.processing.follow_gate:
         raise ValueError(f"{spec.name} has no displacements to add those of processing.follow_gate to: take coherent")
     found = gate_statistics(records)
@@ -146,16 +153,23 @@ def _estimate_shot(
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
     motion = None if spec.motion is None else shot_motion(scene, shot, echoes, spec.motion)
     fit, largest_step = _fit(echoes, motion, reference, chosen, spec, options)
+    # They tell of bench, motion and medium, not of the estimator: the one with the least noise looks.
+    steady = _steady(scene, shot, echoes, motion if spec.motion is coherent else None)
+    moved = steady if steady is None or reference is None else relative_to(steady, reference)
+    if motion is None and steady is not None:
+        largest_step = float(steady.largest_step)
+    if fit.medium is None and media is not None and moved is not None:
+        # Too few pulses say nothing of the medium.
+        with suppress(ValueError):
+            fit = with_unresolved(fit, moved, media, spec.name, chosen.driven_hz, options)
     clipped = int((full_scale[chosen.window] & recorded & chosen.used).sum())
     if scene.medium is None:
         averaging = tuple(averaging_seen(fit, index, each) for index, each in enumerate(averaging))
     here = replace(
         known, subtracts_jitter=reference is not None, gate_edge=gate_edge_relative(echoes, spec.gate_window)
     )
-    # They tell of bench and motion, not of the estimator: the one with the least noise looks.
-    steady = _steady(scene, shot, echoes, motion if spec.motion is coherent else None)
     drift = _drift(steady, chosen, options) if reference is None else None
-    line = _line(steady if reference is None else relative_to(steady, reference), chosen, options) if steady else None
+    line = None if moved is None else _line(moved, chosen, options)
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -269,22 +283,22 @@ def _fit(
 def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) -> Averaging | None:
     """Return the averaging of one frequency in the media that the motion leaves likely; else as ``predicted``.
 
-    What speckle does is, to first order in how far the motion changes over the beam, in proportion to what is lost.
+    What speckle does is, to first order, to make the tracking beam wider or narrower: how much that matters is the
+    root mean square over those media, widths of the force included.
     """
     if predicted is None or fit.medium is None:
         return predicted
-    ratio, tiny = 1 / complex(fit.medium.peak_over_tracked[index]), np.finfo(np.float64).tiny
-    expected = predicted.factor / predicted.offset_factor * np.exp(1j * predicted.phase_rad)
-    factor, (relative, phase_rad) = abs(ratio), np.sqrt(np.diag(fit.medium.peak_covariance[index])).tolist()
-    lost = max(0.0, 1 - factor) / max(1 - abs(expected), tiny)
-    turned = abs((1 / ratio).imag) / max(abs((1 / expected).imag), tiny)
+    ratio = 1 / complex(fit.medium.peak_over_tracked[index])
+    relative, phase_rad = np.sqrt(np.diag(fit.medium.peak_covariance[index])).tolist()
+    speckle, turned = (predicted.area_spread * fit.medium.steepness[index]).tolist()
+    factor = (1 - predicted.loss_scale * (1 - abs(ratio))) * predicted.offset_factor
     return replace(
         predicted,
-        factor=factor * predicted.offset_factor,
+        factor=factor,
         phase_rad=float(np.angle(ratio)),
-        speckle_relative=predicted.speckle_relative * lost,
-        speckle_phase_rad=predicted.speckle_phase_rad * turned,
-        factor_uncertainty=factor * relative * predicted.offset_factor,
+        speckle_relative=speckle,
+        speckle_phase_rad=turned,
+        factor_uncertainty=factor * relative,
         phase_uncertainty_rad=phase_rad,
     )
 

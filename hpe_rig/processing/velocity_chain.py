@@ -49,21 +49,28 @@ def velocity_to_harmonics(
     also_hz: FloatArray | Sequence[float] = (),
     steps: Steps = PAPER,
     largest_condition: float = LARGEST_CONDITION,
+    background_order: int = 0,
 ) -> HarmonicFit:
     """Return amplitude and phase of the displacement from its velocity, frequency by frequency.
 
     The gain sinc(f / f_prf) of the difference, its half-interval delay and the 90 degrees between velocity and
     displacement are removed. ``also_hz`` are there and not wanted: no residual, and outside the band-pass. The
-    covariance carries the noise that ``velocity_noise`` finds through every step taken. Raises ``ValueError`` for
-    unevenly spaced pulses and as ``least_squares`` does. Source: paper Sec. II.A and III.B.2.
+    covariance carries the noise that ``velocity_noise`` finds through every step taken; a background of the
+    displacement, a polynomial of ``background_order``, is none of it, and the band-pass takes it off. Raises
+    ``ValueError`` for unevenly spaced pulses and as ``least_squares`` does. Source: paper Sec. II.A and III.B.2.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
-    model = linear_model(velocity.time_s, velocity.valid, frequency_hz, largest_condition, also_hz=also_hz)
+    times = velocity.time_s, velocity.valid, frequency_hz
+    model = linear_model(*times, largest_condition, also_hz=also_hz)
     every_hz = np.concatenate([frequency_hz, np.asarray(also_hz, dtype=np.float64)])
     filled = _filled(velocity, model)
     each = [_one_frequency(velocity, filled, f, _half_width_hz(every_hz, f), model, steps) for f in frequency_hz]
     states, functionals = zip(*each, strict=True)
+    if background_order > 1:
+        # Only the residual's model: the velocity of a polynomial is one of an order less.
+        order = background_order - 1
+        model = linear_model(*times, largest_condition, background_order=order, also_hz=also_hz)
     pulse_variance, interval_variance = velocity_noise(velocity, model, every_hz, interval_s)
     over_intervals = np.concatenate(functionals)
     over_pulses = per_pulse(over_intervals, interval_s)

@@ -1,7 +1,9 @@
-"""Prediction of the error model for the amplitudes found, to stand beside the stated uncertainties."""
+"""Prediction for the amplitudes found, to stand beside the stated uncertainties: noise by the error model, bias and
+speckle as in the budget."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -38,4 +40,13 @@ def _each(scene: Scene, planned: Shot, shot: ShotResult, estimator: Estimator) -
         if conditions is None:
             return
         (found,) = predict(replace(conditions, amplitude_m=item.amplitude_m), (estimator,)).expected
-        yield Foreseen(item, found.bias_m, found.quadrature_m, found.speckle_jitter_m, found.phase_jitter_rad)
+        bias_m, speckle_m = _of_averaging(item)
+        yield Foreseen(item, bias_m, found.quadrature_m, speckle_m, found.phase_jitter_rad)
+
+
+def _of_averaging(item: Estimate) -> tuple[float, float]:
+    """Return by how much the tracked amplitude lies off the peak, and its spread over speckle: as in the budget."""
+    factor = item.averaging_factor or 1.0
+    by_source = {each.source: each.amplitude_m * factor for each in item.components}
+    speckle_m = math.hypot(by_source.get("speckle", 0.0), by_source.get("carrier", 0.0))
+    return item.amplitude_m * (1 - 1 / factor), speckle_m

@@ -26,8 +26,12 @@ class Averaging:
 
     Speckle changes the tracked amplitude by ``speckle_relative`` and its phase by ``speckle_phase_rad`` from place to
     place; ``factor_uncertainty`` and ``phase_uncertainty_rad`` come from what is not known of the medium, and
-    ``offset_relative`` from what is not known of the gate's distance to the focus. All standard deviations.
-    ``offset_factor`` is what of ``factor`` a gate off the focus makes.
+    ``offset_relative`` from what is not known of the gate's distance to the focus; ``carrier_relative`` is the spread
+    of the echo's mean frequency about the carrier, for an estimator that divides by that. All standard deviations.
+
+    ``offset_factor`` is what of ``factor`` a gate off the focus makes. For other media: speckle changes the logarithm
+    of the tracking beam's area by ``area_spread``, and few speckles and scatterers make what is lost ``loss_scale``
+    times that of many.
     """
 
     factor: float
@@ -38,6 +42,9 @@ class Averaging:
     speckle_phase_rad: float = 0.0
     offset_relative: float = 0.0
     offset_factor: float = 1.0
+    carrier_relative: float = 0.0
+    area_spread: float = 0.0
+    loss_scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

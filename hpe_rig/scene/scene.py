@@ -160,13 +160,14 @@ class Processing(Section):
     estimator: Estimator = "coherent"
     """Motion estimator; cross_spectrum is the paper's chain, joint the maximum likelihood over all pulses."""
     harmonic: Literal["medium_prior", "least_squares", "kalman"] | None = None
-    """How displacement becomes amplitude and phase; joint and cross_spectrum have their own way. Absent: medium_prior,
+    """How displacement becomes amplitude and phase; cross_spectrum has its own way. Absent: medium_prior,
     all harmonics of the tonebursts with a prior of media, where there is a train of them, [beams], and the wanted
     frequencies are multiples of its rate; else least_squares."""
     process_noise: Annotated[float, Field(ge=0, le=1e6, strict=True)] = 0.0
     """Change per pulse of a harmonic state that harmonic = "kalman" follows, variance over that of a pulse's noise."""
     background_order: Annotated[int, Field(ge=0, le=20, strict=True)] = 0
-    """Background fitted along: 0 constant, 1 velocity, 2 acceleration, more: drift; not by cross_spectrum."""
+    """Background fitted along: 0 constant, 1 velocity, 2 acceleration, more: drift; cross_spectrum has a band-pass for
+    it, and takes this for its u alone."""
     flag_pulses: Annotated[bool, Field(strict=True)] = True
     """Leave pulses out whose gate holds an energy unlike the others': leaked tonebursts, spikes, lost echoes."""
     follow_gate: Annotated[bool, Field(strict=True)] = False
@@ -200,9 +201,9 @@ class Processing(Section):
 
     @model_validator(mode="after")
     def _harmonic_that_is_used(self) -> Processing:
-        if self.harmonic == "medium_prior" and self.estimator in ("joint", "cross_spectrum"):
+        if self.harmonic == "medium_prior" and self.estimator == "cross_spectrum":
             raise ValueError(
-                f'{self.estimator} has its own way to amplitude and phase and takes no harmonic = "medium_prior": '
+                'cross_spectrum has its own way to amplitude and phase and takes no harmonic = "medium_prior": '
                 'remove it, or set estimator = "coherent"'
             )
         if self.process_noise and self.harmonic != "kalman":

@@ -24,6 +24,8 @@ from hpe_rig.store.format import StoreError
 
 LONGEST_STEP_S: Final = 60.0
 """How long a disk may take for one step of writing; shares that fail over to another server take tens of seconds."""
+LAST_STEP_S: Final = 5.0
+"""The same for the steps after one during which the run was interrupted: somebody waits for its end."""
 SUPERBLOCK_BYTES: Final = 48
 FLAGS_PLACE: Final = 11
 """Byte of the superblock in which the library marks a file as being written."""
@@ -57,7 +59,7 @@ class Journal:
         self._place = 0
         self._pending: list[Write] = []
         self._failure: Exception | None = None
-        self._stuck = False
+        self._stuck = self._interrupted = False
         self._tasks: SimpleQueue[tuple[Callable[[], None], Future[None]] | None] = SimpleQueue()
         threading.Thread(target=_work, args=(self._tasks,), daemon=True, name="run file").start()
 
@@ -141,17 +143,21 @@ class Journal:
     def _do(self, task: Callable[[], None]) -> None:
         """Have the thread do ``task``; interrupted while it waits, it is done all the same."""
         if self._stuck:
-            raise OSError(errno.ETIMEDOUT, f"the disk has not answered for {LONGEST_STEP_S:g} s")
+            raise OSError(errno.ETIMEDOUT, "the disk does not answer")
         done: Future[None] = Future()
         self._tasks.put((task, done))
+        patience_s = LAST_STEP_S if self._interrupted else LONGEST_STEP_S
         try:
-            done.result(LONGEST_STEP_S)
+            done.result(patience_s)
         except TimeoutError as error:
             if done.done():
                 raise
             self._stuck = True
-            self._failure = OSError(errno.ETIMEDOUT, f"the disk has not answered for {LONGEST_STEP_S:g} s")
+            self._failure = OSError(errno.ETIMEDOUT, f"the disk has not answered for {patience_s:g} s")
             raise self._failure from error
+        except BaseException:
+            self._interrupted = not done.done()
+            raise
 
     def _apply(self, batch: tuple[Write, ...], end: int, sync: bool) -> None:
         try:

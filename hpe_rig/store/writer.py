@@ -258,7 +258,7 @@ class RunWriter:
                     self._file.flush()
         except StoreError as error:
             failure, status = error, "failed"
-        with contextlib.suppress(OSError, RuntimeError):
+        with contextlib.suppress(OSError, RuntimeError, KeyError):
             self._file.close()
         try:
             if failure is None and not self._broken:
@@ -313,7 +313,7 @@ class RunWriter:
         try:
             with uninterrupted():
                 yield
-        except (OSError, RuntimeError) as error:
+        except (OSError, RuntimeError, KeyError) as error:
             self._broken = True
             raise self._cannot_be_written(error) from error
 

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Begun = Callable[[], Floats]
+"""Gives an array, waiting until it is made."""
 FocusMotion = Callable[[Bursts, Picoseconds, int], Floats]
 
 # Children of the world's seed: what each is used for must never change, or old scenes give new data.
@@ -53,6 +55,9 @@ _NOISE_STREAM = 1
 _ECHO_TOLERANCE = 1e-8
 # Pulses that start up to some ns apart move the ends of their support: below this only the exact sum of each helps.
 _FIELD_ECHO_TOLERANCE = 2e-7
+
+MADE_MEANWHILE = 1 << 18
+"""Samples of noise, from about 2 ms on, that are drawn while the echoes are computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,15 +108,16 @@ class Acoustics:
         receiver = self._settings.receiver
         shape = (len(capture.first_sample_ps), capture.samples)
         if receiver.snr_db is None:
-            volts = np.zeros(shape)
+            noise = _begun(lambda: np.zeros(shape), 0)
         else:
-            volts = noise_v(receiver, *shape, self._noise.begin(capture, capture.samples))
-        self._add_tracking_echoes(volts, tonebursts, pulses, capture)
-        self._add_toneburst_echoes(volts, tonebursts, capture)
-        self._add_leak(volts, tonebursts, capture)
-        return volts
+            rng = self._noise.begin(capture, capture.samples)
+            noise = _begun(lambda: noise_v(receiver, *shape, rng), math.prod(shape))
+        self._add_tracking_echoes(noise, tonebursts, pulses, capture)
+        self._add_toneburst_echoes(noise, tonebursts, capture)
+        self._add_leak(noise(), tonebursts, capture)
+        return noise()
 
-    def _add_tracking_echoes(self, volts: Floats, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
+    def _add_tracking_echoes(self, volts: Begun, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
         strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
         for carrier_hz in np.unique(pulses.carrier_hz):
             alike = pulses.carrier_hz == carrier_hz
@@ -121,7 +127,7 @@ class Acoustics:
             weight = self._field.tracking_weight
             self._add_echoes(volts, capture, shape, weight, passage, strength_v[alike], motion_m)
 
-    def _add_toneburst_echoes(self, volts: Floats, tonebursts: Bursts, capture: Capture) -> None:
+    def _add_toneburst_echoes(self, volts: Begun, tonebursts: Bursts, capture: Capture) -> None:
         """Add the echoes of the tonebursts; a scatterer's motion during its burst is left out."""
         heard = near(tonebursts, capture)
         strength_v = self._gain_v * toneburst_echo_strength(heard, self._settings.receiver)
@@ -167,7 +173,7 @@ class Acoustics:
 
     def _add_echoes(
         self,
-        volts: Floats,
+        begun: Begun,
         capture: Capture,
         shape: Pulse,
         weight: Floats,
@@ -190,7 +196,7 @@ class Acoustics:
         if passage.delay_s is not None:
             delays = EchoDelays(delay_s, shapes, motion_m * (2 / self._settings.sound_speed_m_per_s))
             heard = slice(early_ps, late_ps)
-            self._add_shifted_echoes(volts, capture, shape, weight[seen], delays, passage, strength_v, heard)
+            self._add_shifted_echoes(begun(), capture, shape, weight[seen], delays, passage, strength_v, heard)
             return
         onset_ps = passage.onset_ps
         # Pairs of burst and record whose echo falls into a sample; each is one echo of the engine, all on one grid of
@@ -214,6 +220,7 @@ class Acoustics:
             shift_s=(age_ps - age_ps[0]) / PS_PER_S,
         )
         block *= strength_v[burst, None]
+        volts = begun()
         if np.array_equal(record, np.arange(len(volts))):
             # One echo a record: no copy of the samples on the way.
             volts[:, span] += block
@@ -265,6 +272,20 @@ class Acoustics:
             begin, end = max(0, first), min(capture.samples, first + len(echo))
             if begin < end:
                 volts[into, begin:end] += echo[begin - first : end - first]
+
+
+def _begun(make: Begun, values: int) -> Begun:
+    """Return what gives the array that ``make`` makes, the same at every call; a large one is made meanwhile."""
+    if values < MADE_MEANWHILE:
+        made = make()
+        return lambda: made
+    from concurrent.futures import ThreadPoolExecutor
+
+    # Random numbers need a core of their own, echoes another: neither waits, and what comes out is the same.
+    drawing = ThreadPoolExecutor(1)
+    future = drawing.submit(make)
+    drawing.shutdown(wait=False)
+    return future.result
 
 
 def burst_record_pairs(start_ps: Picoseconds, end_ps: Picoseconds, capture: Capture) -> tuple[Indices, Indices]:

@@ -74,8 +74,10 @@ def _gap_v(state: Registers) -> float:
 
 
 def _period_limits_s(state: Registers) -> tuple[float, float]:
+    # The period is that of every function: what the present one cannot do is out of range too.
     low_hz, high_hz = state.model.frequency_limits_hz["PULS"]
-    return 1 / high_hz, 1 / low_hz
+    least_hz, most_hz = timing.frequency_limits_hz(state)
+    return 1 / min(high_hz, most_hz), 1 / max(low_hz, least_hz)
 
 
 def _put_period(state: Registers, period_s: float) -> Coerced:

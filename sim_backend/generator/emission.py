@@ -2,7 +2,8 @@
 
 Assumed, no source found: Trig In is a 10 kohm TTL input that switches at 2.0 V; a trigger is ignored from the one
 before it until that one's burst has ended; a change of any setting that shapes the output cuts a burst, running or
-pending. Not modelled: ramp, noise, arbitrary, modulated and gated outputs (they put out nothing), BURS:PHAS, jitter.
+pending; a gate that closes lets the cycle that is running end (sibling). Not modelled: ramps, triangles and noise (they
+put out nothing), phases, jitter.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim_backend.generator.registers import Registers
 from sim_backend.generator.timing import INTERNAL
@@ -38,6 +40,7 @@ UNSEEN = frozenset(
 )
 """Registers that do not show at the output; the declared load only changes what is displayed."""
 
+Cycles = NDArray[np.float64]
 History = Sequence[tuple[int, Registers]]
 
 
@@ -52,7 +55,8 @@ def is_endless(registers: Registers) -> bool:
     """Return whether the output goes on without further triggers."""
     if not registers.output:
         return False
-    return not registers.burst or registers.trigger_source in INTERNAL or math.isinf(registers.cycles)
+    gated = registers.burst_mode == "GAT"
+    return not registers.burst or gated or registers.trigger_source in INTERNAL or math.isinf(registers.cycles)
 
 
 def respond(history: History, software_ps: Sequence[int], arriving: Steps, latency_ps: int, until_ps: int) -> Emission:
@@ -68,16 +72,20 @@ def respond(history: History, software_ps: Sequence[int], arriving: Steps, laten
     steps, bursts, ignored, idle_v = [], [], 0, 0.0
     for index, (start_ps, stop_ps, registers) in enumerate(segments):
         next_idle_v = _idle_v(segments[index + 1][2]) if index + 1 < len(segments) else 0.0
-        onset_ps, missed = _onsets(registers, start_ps, stop_ps, software_ps, arriving, latency_ps, until_ps)
-        ignored += missed
+        if registers.burst and registers.burst_mode == "GAT":
+            onset_ps, cycles = _gated(registers, start_ps, stop_ps, arriving, latency_ps)
+        else:
+            onset_ps, missed = _onsets(registers, start_ps, stop_ps, software_ps, arriving, latency_ps, until_ps)
+            cycles = np.full(onset_ps.size, registers.cycles if registers.burst else math.inf)
+            ignored += missed
         if _idle_v(registers) != idle_v:
             steps.append(_steps(np.array([start_ps]), idle_v, _idle_v(registers)))
         idle_v = _idle_v(registers)
         limit_ps = min(stop_ps, until_ps) if is_endless(registers) else stop_ps
         if onset_ps.size and registers.function == "SIN":
-            bursts.append(_sines(registers, onset_ps, limit_ps))
+            bursts.append(_sines(registers, onset_ps, cycles, limit_ps))
         elif onset_ps.size and registers.function in ("PULS", "SQU"):
-            train, cut = _pulses(registers, onset_ps, limit_ps, next_idle_v)
+            train, cut = _pulses(registers, onset_ps, cycles, limit_ps, next_idle_v)
             steps.append(train)
             idle_v = next_idle_v if cut else idle_v
     return Emission(joined_steps(steps), joined_bursts(bursts), ignored)
@@ -97,8 +105,6 @@ def _onsets(
         return nothing, 0
     if not registers.burst:
         return np.array([start_ps]), 0
-    if registers.burst_mode == "GAT":
-        return nothing, 0
     triggers = [np.array([time for time in software_ps if start_ps <= time < stop_ps], np.int64)]
     if registers.trigger_source == "EXT":
         edges = crossings(arriving, TRIGGER_LEVEL_V, registers.trigger_slope == "POS", TRIGGER_INPUT_OHM)
@@ -122,33 +128,63 @@ def _idle_v(registers: Registers) -> float:
     return registers.low_v if registers.polarity == "NORM" else registers.high_v
 
 
-def _cycles(registers: Registers) -> float:
-    return registers.cycles if registers.burst else math.inf
+def _gated(
+    registers: Registers, start_ps: int, stop_ps: int, arriving: Steps, latency_ps: int
+) -> tuple[Picoseconds, Cycles]:
+    """Return when the gate starts the output, and how many cycles come before it has closed: (burst,)."""
+    if not registers.output:
+        return np.empty(0, np.int64), np.empty(0)
+    normal = registers.gate_polarity == "NORM"
+    opens = crossings(arriving, TRIGGER_LEVEL_V, normal, TRIGGER_INPUT_OHM)
+    closes = crossings(arriving, TRIGGER_LEVEL_V, not normal, TRIGGER_INPUT_OHM)
+    # Where nothing has arrived yet the input is low.
+    opened, closed = np.searchsorted(opens, start_ps, "right"), np.searchsorted(closes, start_ps, "right")
+    if opened > closed or (opened == closed and not normal):
+        opens = np.insert(opens, opened, start_ps)
+    opens = opens[(opens >= start_ps) & (opens < stop_ps)]
+    ends = np.append(closes, FAR_PS)[np.searchsorted(closes, opens, "right")]
+    open_s = (ends - opens) / PS_PER_S
+    cycles = np.where(ends == FAR_PS, math.inf, np.ceil(open_s * registers.frequency_hz * (1 - 1e-12)))
+    onset_ps = opens + latency_ps
+    end_ps = onset_ps + _length_ps(registers, cycles)
+    # Assumed: a gate that opens again within the last cycle is ignored, as a trigger is.
+    kept, idle_ps = [], start_ps
+    for index in np.flatnonzero(onset_ps < stop_ps):
+        if onset_ps[index] >= idle_ps:
+            kept.append(index)
+            idle_ps = end_ps[index]
+    return onset_ps[kept], cycles[kept]
 
 
-def _sines(registers: Registers, onset_ps: Picoseconds, stop_ps: int) -> Bursts:
-    length_s = min(_cycles(registers) / registers.frequency_hz, 1e6)
-    full_ps = onset_ps + to_ps(length_s)
+def _length_ps(registers: Registers, cycles: Cycles) -> Picoseconds:
+    length_s: Cycles = np.minimum(cycles / registers.frequency_hz, 1e6)
+    return np.rint(length_s * PS_PER_S).astype(np.int64)
+
+
+def _sines(registers: Registers, onset_ps: Picoseconds, cycles: Cycles, stop_ps: int) -> Bursts:
+    full_ps = onset_ps + _length_ps(registers, cycles)
     end_ps = np.minimum(full_ps, stop_ps)
-    whole = math.isfinite(_cycles(registers)) & (end_ps == full_ps)
-    cycles = np.where(whole, _cycles(registers), (end_ps - onset_ps) / PS_PER_S * registers.frequency_hz)
+    whole = np.isfinite(cycles) & (end_ps == full_ps)
+    done = np.where(whole, cycles, (end_ps - onset_ps) / PS_PER_S * registers.frequency_hz)
     same = np.ones(onset_ps.size)
-    return Bursts(onset_ps, end_ps, registers.frequency_hz * same, cycles, registers.amplitude_v * same)
+    return Bursts(onset_ps, end_ps, registers.frequency_hz * same, done, registers.amplitude_v * same)
 
 
-def _pulses(registers: Registers, onset_ps: Picoseconds, stop_ps: int, after_cut_v: float) -> tuple[Steps, bool]:
+def _pulses(
+    registers: Registers, onset_ps: Picoseconds, cycles: Cycles, stop_ps: int, after_cut_v: float
+) -> tuple[Steps, bool]:
     period_ps = PS_PER_S / registers.frequency_hz
     square_s = registers.duty_percent / 100 / registers.frequency_hz
     high_s = registers.width_s if registers.function == "PULS" else square_s
-    longest = int(min(_cycles(registers), math.ceil(max(0, stop_ps - int(onset_ps[0])) / period_ps)))
-    if onset_ps.size * longest > MOST_STEPS:
+    counts = np.minimum(cycles, np.ceil(np.maximum(0, stop_ps - onset_ps) / period_ps)).astype(np.int64)
+    if counts.sum() > MOST_STEPS:
         raise ValueError(
-            f"the programmed output has {onset_ps.size * longest} pulses, more than the twin follows ({MOST_STEPS}); "
+            f"the programmed output has {counts.sum()} pulses, more than the twin follows ({MOST_STEPS}); "
             "program a finite burst or a lower frequency"
         )
     # Every pulse from its burst's onset, not from the pulse before: rounding must not add up.
-    offset_ps = np.rint(np.arange(longest) * period_ps).astype(np.int64)
-    rise_ps = (onset_ps[:, None] + offset_ps).ravel()
+    number = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    rise_ps = np.repeat(onset_ps, counts) + np.rint(number * period_ps).astype(np.int64)
     rise_ps = rise_ps[rise_ps < stop_ps]
     fall_ps = rise_ps + to_ps(high_s)
     cut = fall_ps > stop_ps

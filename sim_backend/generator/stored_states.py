@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from sim_backend.generator.arbitrary import waveform_name
+from sim_backend.generator.levels import load_share
 from sim_backend.generator.registers import Registers
-from sim_backend.generator.scpi_text import ScpiError, one, whole_number
+from sim_backend.generator.scpi_text import ScpiError, one, real_reply, whole_number
 
 PLACES = 5
 DEFAULT_NAMES = ("AUTO_RECALL", *(f"STATE_{place}" for place in range(1, PLACES)))
@@ -66,8 +67,8 @@ PULSE = (
     "SOUR<n>:FUNC:PULS:HOLD",
 )
 WAVEFORM = (
-    *("SOUR<n>:FREQ", "SOUR<n>:FUNC", "SOUR<n>:VOLT:UNIT", "SOUR<n>:VOLT", "SOUR<n>:VOLT:OFFS", "SOUR<n>:PHAS"),
-    *("SOUR<n>:VOLT:RANG:AUTO", "OUTP<n>:POL", "OUTP:SYNC", "DISP", "SOUR<n>:BURS:STAT", "OUTP<n>"),
+    *("SOUR<n>:VOLT:OFFS", "SOUR<n>:VOLT:UNIT", "SOUR<n>:VOLT:RANG:AUTO", "SOUR<n>:PHAS"),
+    *("OUTP<n>:POL", "OUTP:SYNC", "DISP", "SOUR<n>:BURS:STAT", "OUTP<n>"),
 )
 INACTIVE = (
     *("AM:DEPT", "AM:SOUR", "AM:INT:FREQ", "AM:INT:FUNC", "FM:DEV", "FM:SOUR", "FM:INT:FREQ", "FM:INT:FUNC"),
@@ -101,4 +102,8 @@ def _settings(state: Registers) -> Iterator[tuple[str, str | None]]:
     yield "SOUR<n>:FREQ", f"{1 / (2 * state.width_s + 4 * state.edge_s):.2E}"
     yield from ((header, None) for header in PULSE)
     yield from ((f"SOUR<n>:{header}", None) for header in INACTIVE)
+    yield "SOUR<n>:FREQ", None
+    yield "SOUR<n>:FUNC", None
+    # Whatever unit it is shown in: peak to peak it is what room the offset leaves.
+    yield "SOUR<n>:VOLT", f"{real_reply(state.amplitude_v * load_share(state))} VPP"
     yield from ((header, None) for header in WAVEFORM)

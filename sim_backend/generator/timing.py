@@ -185,17 +185,16 @@ def settle_burst(state: Coerced) -> Coerced:
         state = state.changed("frequency reduced for burst mode", frequency_hz=registers.model.finite_burst_ceiling_hz)
     if registers.trigger_source != "IMM" or not finite:
         return state
-    needed_s = state.registers.burst_s + BURST_MARGIN_S
-    if needed_s > registers.burst_period_s * (1 + ROUNDING):
-        period_s = min(needed_s, registers.model.burst_period_limits_s[1])
+    needed_s, longest_s = state.registers.burst_s + BURST_MARGIN_S, registers.model.burst_period_limits_s[1]
+    if min(needed_s, longest_s) > registers.burst_period_s * (1 + ROUNDING):
+        period_s = min(needed_s, longest_s)
         state = state.changed("burst period increased to fit entire burst", burst_period_s=period_s)
-    if needed_s > registers.model.burst_period_limits_s[1]:
-        most = math.floor((registers.model.burst_period_limits_s[1] - BURST_MARGIN_S) * state.registers.frequency_hz)
+    most = math.floor(longest_s * state.registers.frequency_hz * (1 + ROUNDING))
+    if registers.cycles > most:
         state = state.changed("burst count reduced to fit entire burst", cycles=float(max(1, most)))
-        longest_s = registers.model.burst_period_limits_s[1] - BURST_MARGIN_S
-        if most < 1:
-            # Not even one cycle fits: 2 mHz is the slowest burst that triggers itself.
-            state = state.changed("frequency increased for burst mode", frequency_hz=1 / longest_s)
+    if most < 1:
+        # Not even one cycle fits: of a 33250A 2 mHz is the slowest burst that triggers itself.
+        state = state.changed("frequency increased for burst mode", frequency_hz=1 / longest_s)
     room_s = max(0.0, state.registers.burst_period_s - state.registers.burst_s - BURST_MARGIN_S)
     if registers.delay_s > room_s + ROUNDING:
         state = state.changed("trigger delay reduced to fit entire burst", delay_s=room_s)

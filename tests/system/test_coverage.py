@@ -8,7 +8,11 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+
+from hpe_rig.bench import twin_of
+from hpe_rig.scene import load_scene
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "interval_coverage.py"
 HEAVY = 2.0
@@ -49,12 +53,48 @@ def test_a_coverage_page_has_a_row_for_each_estimator(coverage: ModuleType) -> N
     assert "| table-1 | kasai |" in page
 
 
+def test_media_are_drawn_where_the_scene_declares_none(coverage: ModuleType) -> None:
+    muscle, declared, prescribed = (
+        load_scene("bovine-muscle"),
+        load_scene("bovine-muscle").with_({"medium.shear_modulus_pa": 9e3, "medium.shear_viscosity_pa_s": 2.0}),
+        load_scene("table-1"),
+    )
+    drawn = [coverage.drawn(muscle, seed).simulation for seed in range(40)]
+    assert {each["specimen"]["medium"] for each in drawn} == {"voigt", "zener", "power_law"}
+    wide = np.log([each["beams"]["excitation_width_m"][0] / 0.17e-3 for each in drawn])
+    assert wide.std() == pytest.approx(0.3, rel=3 / math.sqrt(2 * 40))
+    for scene in (declared, prescribed):
+        kept = (scene.simulation or {}).get("specimen")
+        assert (coverage.drawn(scene, 3).simulation or {}).get("specimen") == kept
+
+
+def test_a_drawn_medium_moves_as_far_as_the_scene_s(coverage: ModuleType) -> None:
+    scene = load_scene("bovine-muscle")
+    moved = []
+    for each in (scene, coverage.drawn(scene, 1), coverage.drawn(scene, 2)):
+        twin = twin_of(each)
+        assert twin is not None
+        assert twin.settings.specimen is not None
+        moved.append(twin.steady_response_m(100.0))
+    assert moved[1:] == pytest.approx(moved[:1] * 2)
+
+
 def test_intervals_of_the_prescribed_motion_hold_the_truth(coverage: ModuleType) -> None:
     check(coverage, "table-1", ["coherent", "cross_spectrum"], seeds=24, deviations=3.0)
 
 
+def test_intervals_hold_the_truth_in_unknown_media_with_and_without_a_prior(coverage: ModuleType) -> None:
+    check(coverage, "bovine-muscle", ["coherent", "cross_spectrum"], seeds=10, deviations=3.0)
+
+
 @pytest.mark.slow
-def test_intervals_of_every_estimator_hold_the_truth(coverage: ModuleType) -> None:
+@pytest.mark.parametrize("scene", ["table-1", "bovine-muscle"])
+def test_intervals_of_every_estimator_hold_the_truth(coverage: ModuleType, scene: str) -> None:
     from hpe_rig.processing import ESTIMATORS
 
-    check(coverage, "table-1", list(ESTIMATORS), seeds=60, deviations=3.0)
+    check(coverage, scene, list(ESTIMATORS), seeds=60, deviations=3.0)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_where_harmonics_alias_unseen(coverage: ModuleType) -> None:
+    check(coverage, "bovine-muscle-synchronous", ["coherent", "joint"], seeds=40, deviations=3.0)

@@ -1,14 +1,19 @@
 """A complete measurement with a fault injected at each I/O call in turn: whatever happens, the bench ends safe.
 
-Wires and library are wrapped from outside; the twin underneath knows what is really on.
+Wires and library are wrapped from outside; the twin underneath knows what is really on, and when that ended.
 """
 
 from __future__ import annotations
 
+import os
 import signal
+import statistics
+import threading
+import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from itertools import count
+from itertools import count, cycle
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +24,36 @@ from drivers.alazar.ats460 import Ats460
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import InstrumentError
 from hpe_rig.acquire.run import Setup, record_run
+from hpe_rig.bench import instruments, opening
+from hpe_rig.bench.bench_file import TRANSPORTS, read_bench
 from hpe_rig.bench.instruments import UnsafeBenchError
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.store import StoredRun, read_run
 from sim_backend.world import World
 
 Prepare = Callable[..., Setup]
+needs_pty = pytest.mark.skipif(os.name == "nt", reason="needs a pseudo terminal")
+OVER = [pytest.param(name, marks=needs_pty) if name == "serial" else name for name in TRANSPORTS]
 
-KINDS = ("exception", "timeout", "late reply", "garbage", "peer close", "interrupt", "interrupts", "terminate")
+PASSING = (
+    "exception",
+    "timeout",
+    "late reply",
+    "garbage",
+    "interrupt",
+    "interrupts",
+    "terminate",
+    "hang up",
+    "foreign",
+)
+"""Faults after which every instrument can be proven off; "foreign" is another program's setting, output on included."""
+LASTING = ("peer close", "mute", "dead", "stuck relay")
+"""Faults that last: hung up for good, obeying without a word, neither, and an output that no switch turns off."""
+KINDS = (*PASSING, *LASTING)
+OVER_A_LINE = ("dropped link", *KINDS)
+"""A dropped link can be opened again, which a wire in the same process cannot."""
 SIGNALS = {"interrupt": signal.SIGINT, "interrupts": signal.SIGINT, "terminate": signal.SIGTERM}
+SIGNALS["hang up"] = getattr(signal, "SIGHUP", signal.SIGTERM)
 IMPATIENCE = 10
 """How many calls in a row the impatient user's Ctrl-C strikes: the first unwinds, the others meet what makes safe."""
 WAIT_TIMEOUT, BUFFER_OVERFLOW = 579, 582
@@ -53,7 +79,11 @@ class InjectedError(Exception):
 
 @dataclass
 class Tap:
-    """Counts every I/O call of a bench and misbehaves at call ``index``; keeps what the twin and memory know."""
+    """Counts every I/O call of a bench and misbehaves at call ``index``; keeps what the twin and memory know.
+
+    ``last_switch`` is the last call that switched an output off; ``proven``: whether all were proven off before the
+    fault, so that what another program switches on is its own.
+    """
 
     index: int | None = None
     kind: str = "exception"
@@ -62,11 +92,22 @@ class Tap:
     worlds: list[World] = field(default_factory=list)
     buffers: list[PageBuffer] = field(default_factory=list)
     arrived: int = 0
+    struck_s: float | None = None
+    last_switch: int = 0
+    proven: bool = False
+    meddle: Callable[[], None] = lambda: None
+    guard: Any = field(default_factory=threading.Lock)
 
     def strikes(self) -> bool:
         """Count a call; raise what is raised before any call, else return whether this one goes wrong."""
         self.watch()
-        now, self.calls = self.calls == self.index, self.calls + 1
+        with self.guard:
+            now, self.calls = self.calls == self.index, self.calls + 1
+        if now:
+            self.struck_s = time.monotonic()
+        if now and self.kind == "foreign":
+            self.meddle()
+            return False
         again = self.kind == "interrupts" and self.index is not None and 0 <= self.calls - 1 - self.index < IMPATIENCE
         if (now or again) and self.kind in SIGNALS:
             signal.raise_signal(SIGNALS[self.kind])
@@ -80,16 +121,29 @@ class TappedWire:
 
     def __init__(self, wire: Any, tap: Tap) -> None:
         self._wire, self._tap, self._open, self._late = wire, tap, True, list[str]()
+        self._lasting = ""
 
     def write(self, message: str) -> None:
         strikes = self._strikes()
-        if not strikes or self._tap.kind != "timeout":
+        if "OUTP 0" in message:
+            self._tap.last_switch = self._tap.calls
+        if self._lasting == "stuck relay":
+            # The switch is taken and nothing happens, which the read-back tells.
+            message = message.replace("OUTP 0", "*WAI")
+        if self._lasting != "dead" and not (strikes and self._tap.kind in ("timeout", "dropped link")):
             self._wire.write(message)
-        if strikes:
+        if strikes and not self._lasting:
             raise TimeoutError("injected")
 
     def read(self) -> str:
         strikes = self._strikes()
+        if self._lasting in ("mute", "dead"):
+            until_s = time.monotonic() + getattr(self, "timeout_s", 0.0)
+            self._drop()
+            time.sleep(max(0.0, until_s - time.monotonic()))
+            raise TimeoutError("injected")
+        if self._lasting:
+            return self._wire.read()
         reply = self._late.pop(0) if self._late else self._wire.read()
         if strikes and self._tap.kind == "garbage":
             return "\x00\xff,;garbage"
@@ -102,12 +156,35 @@ class TappedWire:
     def close(self) -> None:
         self._wire.close()
 
+    def _drop(self) -> None:
+        """Let nobody read what the instrument says."""
+        if self._lasting == "mute":
+            with suppress(TimeoutError):
+                self._wire.read()
+
     def _strikes(self) -> bool:
         strikes = self._tap.strikes()
+        if strikes and self._tap.kind in ("mute", "dead", "stuck relay"):
+            self._lasting = self._tap.kind
+        if strikes and self._tap.kind == "dropped link":
+            self._open = False
         self._open = self._open and not (strikes and self._tap.kind == "peer close")
         if not self._open:
             raise ConnectionResetError("injected")
         return strikes
+
+
+class TappedLine(TappedWire):
+    """A connection over a real transport: it can be opened again, unless its peer has gone for good."""
+
+    shared = property(lambda line: line._wire.shared)
+    timeout_s = property(lambda line: line._wire.timeout_s, lambda line, value: setattr(line._wire, "timeout_s", value))
+
+    def reopen(self) -> None:
+        if self._tap.kind == "peer close" and not self._open:
+            raise ConnectionRefusedError("injected")
+        self._wire.reopen()
+        self._open = True
 
 
 class TappedLibrary:
@@ -126,6 +203,8 @@ class TappedLibrary:
                 raise OSError("injected")
             if strikes and self._tap.kind == "late reply":
                 whole(*arguments)
+            if strikes and self._tap.kind == "stuck relay":
+                return whole(*arguments)
             if strikes:
                 return BUFFER_OVERFLOW if self._tap.kind == "garbage" else WAIT_TIMEOUT
             return whole(*arguments)
@@ -135,15 +214,31 @@ class TappedLibrary:
 
 
 @pytest.fixture
-def tapped(monkeypatch: pytest.MonkeyPatch) -> Callable[[Tap], None]:
+def transport() -> str:
+    return ""
+
+
+@pytest.fixture
+def tapped(monkeypatch: pytest.MonkeyPatch, transport: str) -> Callable[[Tap], None]:
     """Return a function that puts a tap on every bench opened from then on."""
     wire, library = World.connect, World.alazar_library
     records, make_buffer = Ats460.records, PageBuffer.__init__
+    make_world, over_visa = opening._world, opening._visa_connections
 
     def put(tap: Tap) -> None:
-        def tapped_wire(world: World, role: str) -> Any:
-            tap.worlds.append(world)
-            return TappedWire(wire(world, role), tap)
+        def noted_world(*arguments: Any) -> World:
+            tap.worlds.append(make_world(*arguments))
+            tap.meddle = lambda: wire(tap.worlds[0], "toneburst").write("VOLT 2;:OUTP 1")
+            return tap.worlds[0]
+
+        def tapped_wire(world: World, role: str, *over_serial: bool) -> Any:
+            made = wire(world, role, *over_serial)
+            # Behind a transport it is the other end that is tapped.
+            return made if transport else TappedWire(made, tap)
+
+        def tapped_lines(*arguments: Any) -> Callable[[str], TappedLine]:
+            connect = over_visa(*arguments)
+            return lambda role: TappedLine(connect(role), tap)
 
         def counted(board: Ats460, deadline_s: float) -> Iterator[Any]:
             for block in records(board, deadline_s):
@@ -154,6 +249,8 @@ def tapped(monkeypatch: pytest.MonkeyPatch) -> Callable[[Tap], None]:
             make_buffer(buffer, size_bytes)
             tap.buffers.append(buffer)
 
+        monkeypatch.setattr(opening, "_world", noted_world)
+        monkeypatch.setattr(opening, "_visa_connections", tapped_lines)
         monkeypatch.setattr(World, "connect", tapped_wire)
         monkeypatch.setattr(World, "alazar_library", lambda world: TappedLibrary(library(world), tap))
         monkeypatch.setattr(Ats460, "records", counted)
@@ -174,10 +271,15 @@ def attempt(setup: Setup, path: Path) -> BaseException | None:
 def faults_of(tap: Tap, error: BaseException | None, path: Path, whole: StoredRun) -> Iterator[str]:
     """Yield everything that is not as it must be after a measurement with an injected fault."""
     reported = error.roles if isinstance(error, UnsafeBenchError) else ()
-    if reported and tap.kind != "peer close":
+    if reported and tap.kind not in LASTING:
         yield f"{reported} reported as unreachable after a passing fault"
     world = tap.worlds[0]
-    yield from (f"{role} on and not reported" for role, on in world.outputs_on().items() if on and role not in reported)
+    said = " ".join([str(error), *getattr(error, "__notes__", ())])
+    if "every output is off" in said and any(world.outputs_on().values()) and not tap.proven:
+        yield "claims that every output is off"
+    if not tap.proven:
+        on = [role for role, on in world.outputs_on().items() if on and role not in reported]
+        yield from (f"{role} on and not reported" for role in on)
     if "digitizer" not in reported:
         if not world.digitizer_idle():
             yield "digitizer capturing and not reported"
@@ -194,6 +296,11 @@ def faults_of(tap: Tap, error: BaseException | None, path: Path, whole: StoredRu
     valid = run.records[0].valid
     if int(valid.sum()) != tap.arrived:
         yield f"{tap.arrived} records arrived, {int(valid.sum())} are in the file"
+    if run.untrusted and tap.kind not in ("foreign", *LASTING):
+        yield f"marked as untrusted: {run.untrusted}"
+    if run.untrusted:
+        # Nobody is to rely on what arrived.
+        return
     if not np.array_equal(run.records[0].codes[valid], whole.records[0].codes[valid]):
         yield "records in the file differ from those of a run without faults"
 
@@ -215,7 +322,7 @@ def test_a_fault_at_any_io_call_leaves_the_bench_safe_and_the_records_kept(
         cases = [(index, KINDS[index // STRIDE % len(KINDS)]) for index in range(offset, clean.calls, STRIDE)]
     unsafe, raised, reported = [], 0, 0
     for number, (index, kind) in zip(count(), cases, strict=False):
-        tap = Tap(index, kind)
+        tap = Tap(index, kind, proven=kind == "foreign" and index >= clean.last_switch)
         tapped(tap)
         path = tmp_path / f"{number}.h5"
         error = attempt(setup, path)
@@ -231,4 +338,85 @@ def test_a_fault_at_any_io_call_leaves_the_bench_safe_and_the_records_kept(
     # A measurement may ride out one lost reply of a query asked again; it must not ride out everything.
     assert raised > len(cases) / 2
     # Nor can an instrument that is gone be proven off.
-    assert 0 < reported <= sum(kind == "peer close" for _, kind in cases)
+    assert 0 < reported <= sum(kind in LASTING for _, kind in cases)
+
+
+@contextmanager
+def outputs_watched(tap: Tap) -> Iterator[dict[str, float]]:
+    """Yield what ends up with the time of the last moment at which each output was on, by role."""
+    last_s, done = dict[str, float](), threading.Event()
+
+    def watch() -> None:
+        while not done.wait(0.001):
+            for role, on in tap.worlds[0].outputs_on().items() if tap.worlds else ():
+                if on:
+                    last_s[role] = time.monotonic()
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        yield last_s
+    finally:
+        done.set()
+        watcher.join()
+
+
+@pytest.mark.parametrize("transport", OVER)
+@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["few", "many"])
+def test_a_fault_over_a_real_transport_leaves_the_bench_safe(
+    prepared: Prepare,
+    tmp_path: Path,
+    tapped: Callable[[Tap], None],
+    monkeypatch: pytest.MonkeyPatch,
+    transport: str,
+    every: bool,
+) -> None:
+    bench = tmp_path / "bench.toml"
+    simulated = f'simulated = true\ntransport = "{transport}"'
+    bench.write_text(read_bench().text.replace("simulated = true", simulated), encoding="utf-8")
+    setup = prepared("bovine-muscle-synchronous", *SHORT, bench=bench)
+    clean = Tap()
+    tapped(clean)
+    whole = read_run(record_run(setup, tmp_path / "whole.h5"))
+    started: list[float] = []
+    make_safe = instruments.make_safe
+
+    def noted(*arguments: Any) -> Any:
+        started.append(time.monotonic())
+        return make_safe(*arguments)
+
+    for module in (instruments, opening):
+        monkeypatch.setattr(module, "make_safe", noted)
+    if every:
+        # Sparsely while the bench is programmed, closely where outputs are on.
+        indices = [*range(26, clean.calls - 60, 53), *range(clean.calls - 60, clean.calls, 11)]
+        cases = [(index, kind) for index in indices for kind in OVER_A_LINE]
+    else:
+        cases = list(zip(range(14, clean.calls, 29), cycle(OVER_A_LINE), strict=False))
+    unsafe, raised, reported, off_s, ended_s, since_fault_s = [], 0, 0, [], [], []
+    for number, (index, kind) in enumerate(cases):
+        tap = Tap(index, kind, proven=kind == "foreign" and index >= clean.last_switch)
+        tapped(tap)
+        started.clear()
+        path = tmp_path / f"{number}.h5"
+        with outputs_watched(tap) as last_s:
+            error = attempt(setup, path)
+            end_s = time.monotonic()
+        raised += error is not None
+        reported += isinstance(error, UnsafeBenchError)
+        unsafe += [f"{kind} at call {index}: {fault} ({error!r})" for fault in faults_of(tap, error, path, whole)]
+        begun_s = [at_s for at_s in started if tap.struck_s is not None and at_s >= tap.struck_s]
+        # One that is dead or stuck stays on, which is reported: what counts is that the others do not wait for it.
+        left = error.roles if isinstance(error, UnsafeBenchError) and kind != "mute" else ()
+        on_s = [last for role, last in last_s.items() if role not in left]
+        if begun_s and error is not None and not tap.proven:
+            off_s.append(max([0.0, *(last - begun_s[0] for last in on_s)]))
+            since_fault_s.append(max([0.0, *(last - (tap.struck_s or 0.0) for last in on_s)]))
+            ended_s.append((end_s - begun_s[0], f"{kind} at call {index}"))
+    print(f"{transport}: {len(cases)} faults at {clean.calls} calls, {raised} ended the run, ", end="")
+    print(f"{reported} named an instrument, {len(unsafe)} unsafe or claimed wrongly; all outputs off after ", end="")
+    print(f"{statistics.median(off_s):.3f} s (worst {max(off_s):.3f} s) of making safe, ", end="")
+    print(f"{statistics.median(since_fault_s):.3f} s (worst {max(since_fault_s):.3f} s) of the fault; ", end="")
+    worst_s, when = max(ended_s)
+    print(f"run ended after {statistics.median(took for took, _ in ended_s):.3f} s (worst {worst_s:.3f} s, {when})")
+    assert not unsafe, "\n".join(unsafe)

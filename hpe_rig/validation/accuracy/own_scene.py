@@ -95,14 +95,18 @@ def write_own_scene(
 ) -> None:  # fmt: skip
     """Measure every way on the scene ``source`` and write or show the table; ``tell`` gets the progress.
 
-    Raises ``SettingsError`` for a scene with mistakes and a bench that is none of the simulated ones.
+    Raises ``SettingsError`` for a scene with mistakes, for names of files that cannot be and a bench that is none of
+    the simulated ones, all before anything is measured.
     """
     if mistakes := file_mistakes(output, figure):
         raise SettingsError("command line", mistakes)
     setup = prepare(source, bench)
+    mistakes = file_mistakes(output, figure)
     if not setup.bench.bench.simulated:
-        mistake = Mistake("--bench", "errors are known where the truth is: on a simulated bench", "none, or another")
-        raise SettingsError("command line", [mistake])
+        what = "errors are known where the truth is: on a simulated bench"
+        mistakes.append(Mistake("--bench", what, "none, or another"))
+    if mistakes:
+        raise SettingsError("command line", mistakes)
     scene = one_shot(setup.scene.scene)
     most = seeds or (QUICK_SEEDS if quick else SEEDS)
     rows = scene_rows(scene, bench, ways(scene), most, QUICK_S if quick else math.inf, tell)

@@ -10,7 +10,6 @@ from hpe_rig.prediction.theory import (
     beam_averaging_factor,
     force_spectrum,
     scatterer_density,
-    speckle_spread,
 )
 from hpe_rig.processing import Window
 
@@ -52,27 +51,9 @@ def test_beam_averaging_predicts_the_monte_carlo_means(window: Window, expected:
     assert factor == pytest.approx(expected, abs=2 * error)
 
 
-@pytest.mark.parametrize(
-    ("window", "expected"), [("none", 0.060 / 0.887), ("hann", 0.080 / 0.893)], ids=["whole", "hann"]
-)
-def test_speckle_spread_predicts_the_monte_carlo_spreads(window: Window, expected: float) -> None:
-    spread = speckle_spread(EXCITATION, TRACKING, 1e-3, PULSE_M, np.random.default_rng(1), window)
-    # both are heavy-tailed: 2 / sqrt(4000) here and 2 / sqrt(2000) there give 5.5 %; three of these
-    assert spread == pytest.approx(expected, rel=0.165)
-
-
 def test_scatterer_density_is_11_in_the_half_amplitude_ellipsoid() -> None:
     cell_m3 = 11 / DENSITY
     assert cell_m3 == pytest.approx(0.0345e-9, rel=2e-3, abs=0)
-
-
-def test_a_gate_holding_many_speckles_spreads_less() -> None:
-    short, long = (
-        speckle_spread((0.17e-3, 0.17e-3, 1e3), (0.078e-3, 0.078e-3, 1e3), gate_m, 0.3e-3, np.random.default_rng(2))
-        for gate_m in (1e-3, 4e-3)
-    )
-    # four times the speckles, a little less for the pulse that overlaps the ends of the gate
-    assert long == pytest.approx(short / 2, rel=0.1)
 
 
 def test_bound_equals_the_inverse_fisher_information_of_a_sampled_echo() -> None:

@@ -40,7 +40,7 @@ def test_components_in_squares_are_the_headlines_uncertainty_and_each_is_what_it
         "aliasing": (0, 0),
         "speckle": (0.03 * peak_m, 0.002),
         "beam averaging": (0.02 * peak_m, 0.004),
-        "gate edge": (2e-4 * peak_m, 2e-4),
+        "gate edge": (2e-4 * peak_m, 0.0),
         "sound speed": (0.005 * peak_m, 0),
         "gate off focus": (0.01 * peak_m, 0),
     }

@@ -69,3 +69,19 @@ def test_tonebursts_do_not_leak_into_a_frequency_that_they_do_not_drive():
     idle, driven = np.hypot(*true_harmonics_m(other, shot, motion_m).T)
     assert idle < 1e-12
     assert driven == pytest.approx(1e-6, rel=1e-6)
+
+
+def test_a_medium_that_creeps_leaves_no_trace_in_the_truth():
+    """A ramp has a part at every harmonic; over whole periods it is told by how far each lies beyond the one before."""
+    setup = prepare("bovine-muscle-synchronous", refuse=False)
+    scene, shot = setup.scene.scene, setup.plan.shots[0]
+
+    def motion_m(time_s):
+        t = time_s - shot.timeline.reference_s
+        return 800e-9 * np.sin(2 * np.pi * 100.0 * t + 0.3) + 200e-9 * np.sin(2 * np.pi * 4200.0 * t)
+
+    still, creeping = (
+        true_harmonics_m(scene, shot, lambda time_s, v=v: motion_m(time_s) + v * time_s) for v in (0.0, 1e-4)
+    )
+    np.testing.assert_allclose(np.hypot(*still[0]), 800e-9, rtol=1e-9)
+    np.testing.assert_allclose(creeping, still, rtol=0, atol=1e-15)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -152,7 +153,7 @@ def test_noise_and_speckle_together_explain_2000_measurements(table_one: TableOn
         fit = estimate(table_one.gate(clean + noise_v * generator.standard_normal(clean.shape)), [200.0], estimator)
         ratios.append(fit.amplitude_m[:, 0] / table_one.amplitude_m)
         noise.append(np.sqrt(fit.covariance[:, 0, 0, 0]) / table_one.amplitude_m)
-    spread = _predicted_spread(table_one, estimator)
+    spread = _predicted_spread(estimator)
     error, sigma = np.concatenate(ratios), np.sqrt(np.concatenate(noise) ** 2 + spread**2)
     normalised = (error - error.mean()) / sigma
     # the ratio of speckle fields is heavy-tailed: its variance from 2000 draws is known to 4 / sqrt(2000) = 9 %, the
@@ -160,13 +161,13 @@ def test_noise_and_speckle_together_explain_2000_measurements(table_one: TableOn
     assert np.mean(normalised**2) == pytest.approx(1.0, abs=0.32)
 
 
-def _predicted_spread(table_one: TableOne, estimator: Estimator) -> float:
-    from hpe_rig.prediction.theory import speckle_spread
+def _predicted_spread(estimator: Estimator) -> float:
+    from hpe_rig.prediction import predicted_averaging
+    from hpe_rig.scene import load_scene
 
-    pulse_m = table_one.sound_speed_m_per_s / 2 / (table_one.bandwidth * table_one.carrier_hz)
-    window = "hann" if estimator == "cross_spectrum" else "none"
-    beams = table_one.excitation_width_m, table_one.tracking_width_m
-    return 0.89 * speckle_spread(*beams, 1e-3, pulse_m, np.random.default_rng(0), window)  # type: ignore[arg-type]
+    (averaging,) = predicted_averaging(load_scene("table-1"), estimator)
+    assert averaging is not None
+    return 0.89 * math.hypot(averaging.speckle_relative, averaging.carrier_relative)
 
 
 @pytest.mark.parametrize("snr_db", [-20.0, -10.0])

@@ -141,6 +141,15 @@ def test_the_command_writes_the_table_and_tells_its_progress(tmp_path: Path) -> 
     assert any(row["on_front"] == "True" for row in read)
 
 
+def test_names_of_files_that_cannot_be_are_refused_before_anything_is_measured() -> None:
+    words = ["accuracy", "--scene", "table-1", "--output", "mine.foo", "--figure", "nowhere/mine.svg"]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    assert "mine.foo is no format it has" in result.output
+    assert "there is no folder nowhere" in result.output
+    assert "seed 1" not in result.output
+
+
 def test_a_part_on_a_scene_is_refused() -> None:
     result = CliRunner().invoke(app, ["accuracy", "motion", "--scene", "table-1"])
     assert result.exit_code == 2

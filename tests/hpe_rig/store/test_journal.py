@@ -1,0 +1,101 @@
+"""The journal between HDF5 and the disk: what reaches the file and when, and whose file it is."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from hpe_rig.store import StoreError, is_taken
+from hpe_rig.store.journal import Journal, lookup3
+from hpe_rig.store.writer import open_on
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """Return a small HDF5 file."""
+    path = tmp_path / "file.h5"
+    with h5py.File(path, "w", libver=("v110", "v110")) as file:
+        file.create_dataset("echo", (4, 10), "<i2", chunks=(1, 10), fillvalue=-1)
+        file["rows"] = np.zeros(4)
+    return path
+
+
+def test_the_checksum_of_metadata_is_that_of_its_authors_and_of_the_library(path: Path) -> None:
+    # The value that the author of lookup3 gives for his example, and a superblock that the library wrote.
+    assert lookup3(b"Four score and seven years ago") == 0x17770551
+    superblock = path.read_bytes()[:48]
+    assert lookup3(superblock[:-4]) == int.from_bytes(superblock[-4:], "little")
+
+
+def test_nothing_reaches_the_file_before_a_commit_and_the_file_is_whole_after_each(path: Path) -> None:
+    before = path.read_bytes()
+    journal = Journal(path)
+    file = open_on(journal)
+    for row in range(4):
+        file["echo"][row] = row
+        file["rows"][row] = row
+        file.flush()
+        # The library itself reads what it wrote.
+        assert file["echo"][row].tolist() == [row] * 10
+        assert row or path.read_bytes() == before
+        journal.commit()
+        # In the plain way, as programs do that know of no writer.
+        with h5py.File(path, "r") as other:
+            assert other["echo"][:, 0].tolist() == [*range(row + 1), *[-1] * (3 - row)]
+            assert other["rows"][row] == row
+    file.close()
+    journal.commit(sync=True)
+    journal.close()
+    with h5py.File(path, "r") as other:
+        assert other["echo"][3].tolist() == [3] * 10
+
+
+def test_a_file_cut_under_its_writer_is_noticed_and_left_alone_from_then_on(path: Path) -> None:
+    journal = Journal(path)
+    file = open_on(journal)
+    rows = file["rows"]
+    os.truncate(path, 100)
+    rows[0] = 1.0
+    file.flush()
+    for _ in range(2):
+        with pytest.raises(StoreError, match=r"changed by another program: it has 100 bytes"):
+            journal.commit()
+    file.close()
+    journal.close()
+    assert path.stat().st_size == 100
+
+
+@pytest.mark.skipif(os.name == "nt", reason="an open file keeps its name there")
+def test_a_file_that_was_moved_or_replaced_is_noticed(path: Path) -> None:
+    journal = Journal(path)
+    path.rename(path.with_name("elsewhere.h5"))
+    with pytest.raises(StoreError, match="moved or removed"):
+        journal.commit()
+    journal.close()
+    other = path.with_name("elsewhere.h5")
+    journal = Journal(other)
+    other.unlink()
+    other.write_bytes(b"another")
+    with pytest.raises(StoreError, match="replaced by another file"):
+        journal.commit()
+    assert not journal.is_in_place()
+    journal.close()
+    assert other.read_bytes() == b"another"
+
+
+def test_a_file_has_one_writer_and_any_number_of_readers(path: Path) -> None:
+    assert is_taken(path) is False
+    journal = Journal(path)
+    assert journal.locked
+    with h5py.File(path, "r") as reader:
+        assert reader["rows"].shape == (4,)
+    # The lock is of the open file: no reader's end in this program releases it.
+    assert is_taken(path) is True
+    with pytest.raises(StoreError, match="is being written by another run"):
+        Journal(path)
+    journal.close()
+    assert is_taken(path) is False

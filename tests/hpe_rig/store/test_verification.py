@@ -1,0 +1,183 @@
+"""Damage is found, listed by shot and record, left out of results and measured again; files without checksums say so.
+
+Bits are flipped in the file's bytes, behind the back of everything that knows of checksums.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.acquire import Setup, prepare_text, record_run, resume
+from hpe_rig.acquire.resumption import prepare_rest
+from hpe_rig.acquire.run_file import open_run, process
+from hpe_rig.cli.app import app
+from hpe_rig.scene import shipped_scenes
+from hpe_rig.store import StoreError, WriteOptions, read_run, read_snapshots, result_path, verify
+from hpe_rig.store.verification import ranges
+
+FIXTURES = Path(__file__).parents[2] / "fixtures" / "run_files"
+
+
+@pytest.fixture
+def setup() -> Setup:
+    """Return a measurement of three shots of 400 records in chunks of 123."""
+    text = shipped_scenes()["table-1"].replace("pulse_count = 101", "pulse_count = 400").replace("snr_db = 40.0", "")
+    return prepare_text("small", text.replace("[acquisition]", "[acquisition]\nrepeats = 3\nrecord_samples = 4096"))
+
+
+@pytest.fixture
+def path(setup: Setup, tmp_path: Path) -> Path:
+    """Return a run file."""
+    return record_run(setup, tmp_path / "run.h5")
+
+
+def flipped(path: Path, name: str, place: tuple[int, ...]) -> None:
+    """Invert one bit of a value of dataset ``name``."""
+    with h5py.File(path, "r+") as file:
+        dataset = file[name]
+        if dataset.chunks is None:
+            offset = dataset.id.get_offset() + int(np.ravel_multi_index(place, dataset.shape)) * dataset.dtype.itemsize
+        else:
+            chunk = tuple(at // size * size for at, size in zip(place, dataset.chunks, strict=True))
+            inside = np.ravel_multi_index(tuple(a - b for a, b in zip(place, chunk, strict=True)), dataset.chunks)
+            offset = dataset.id.get_chunk_info_by_coord(chunk).byte_offset + int(inside) * dataset.dtype.itemsize
+    with path.open("r+b") as raw:
+        raw.seek(offset)
+        byte = raw.read(1)[0]
+        raw.seek(offset)
+        raw.write(bytes([byte ^ 4]))
+
+
+def test_a_sound_run_and_its_result_are_said_to_be_sound(path: Path) -> None:
+    result = result_path(path, process(path).estimator)
+    for file in (path, result):
+        done = CliRunner().invoke(app, ["verify", str(file)])
+        assert done.exit_code == 0, done.output
+        assert "sound" in done.output
+    found = verify(path)
+    assert (found.shots, found.shots_complete, found.records, found.checksums) == (3, 3, 1200, True)
+
+
+def test_one_bit_of_an_echo_costs_its_chunk_and_is_listed_by_shot_and_record(path: Path) -> None:
+    whole = process(path)
+    flipped(path, "records/echo", (1, 130, 7))
+    done = CliRunner().invoke(app, ["verify", str(path)])
+    assert done.exit_code == 4
+    assert "DAMAGED: shot 2: record 124 to 246 fail their checksums" in done.output
+    done = CliRunner().invoke(app, ["verify", str(path), "--json"])
+    assert json.loads(done.stdout)["damage"][0]["records"] == [[123, 245]]
+    records = open_run(path).records[1]
+    assert np.flatnonzero(~records.valid).tolist() == list(range(123, 246))
+    found = process(path)
+    assert [found.shots[shot].estimates == whole.shots[shot].estimates for shot in range(3)] == [True, False, True]
+    assert any(text.startswith("123 of 400 records fail their checksums") for text in found.shots[1].warnings)
+    assert not any("triggers were lost" in text for text in found.shots[1].warnings)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "words"),
+    [
+        ("records/recorded", (0, 3), "record 1 to 123 fail"),
+        ("records/trigger_time_s", (2, 399), "shot 3: record 370 to 400 fail"),
+        ("checksum/records/echo", (0, 1), "record 124 to 246 fail"),
+        ("records/shot_complete", (1,), "shot 2: /records/shot_complete fails its checksum"),
+        ("records/clipped", (1,), "shot 2: /records/clipped fails its checksum"),
+        ("truth/displacement_m", (2, 5), "shot 3: /truth/displacement_m fails its checksum"),
+        ("true_harmonics/in_phase_m", (0, 0), "shot 1: /true_harmonics/in_phase_m fails its checksum"),
+        ("records/burst_length_s", (1,), "/records/burst_length_s fails its checksum"),
+    ],
+)
+def test_one_bit_of_anything_is_found_and_of_what_a_result_uses_said_with_it(
+    path: Path, name: str, place: tuple[int, ...], words: str
+) -> None:
+    flipped(path, name, place)
+    found = [str(damage) for damage in verify(path).damage]
+    assert any(words in text for text in found), found
+    result = process(path)
+    said = [*result.warnings, *(text for shot in result.shots for text in shot.warnings)]
+    used = name not in ("records/burst_length_s",)
+    assert any("checksum" in text or "damaged" in text for text in said) == used, said
+
+
+def test_damaged_settings_are_left_out_and_a_damaged_scene_is_refused(path: Path) -> None:
+    flipped(path, "snapshot", (1,))
+    assert len(read_snapshots(path)) == 2
+    with h5py.File(path, "r") as file:
+        offset = file["scene"].id.get_offset()
+    data = bytearray(path.read_bytes())
+    data[offset + 20] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(StoreError, match=r"/scene fails its checksum"):
+        read_run(path)
+
+
+@pytest.mark.parametrize("harm", ["echo", "cut"])
+def test_a_damaged_shot_is_measured_again_when_the_run_goes_on(setup: Setup, path: Path, harm: str) -> None:
+    whole = process(path)
+    if harm == "echo":
+        flipped(path, "records/echo", (1, 130, 7))
+    else:
+        with path.open("r+b") as file:
+            file.truncate(int(path.stat().st_size * 0.8))
+    rest = prepare_rest(path)
+    assert rest.complete == (1 if harm == "echo" else 2)
+    assert process(resume(rest)).shots == whole.shots
+
+
+@pytest.mark.parametrize("compress", [False, True], ids=["plain", "compressed"])
+def test_a_file_that_is_cut_short_says_so_and_its_end_counts_as_missing(
+    setup: Setup, tmp_path: Path, compress: bool
+) -> None:
+    path = record_run(setup, tmp_path / "cut.h5", options=WriteOptions(compress))
+    with path.open("r+b") as file:
+        file.truncate(int(path.stat().st_size * 0.8))
+    result = process(path)
+    assert any("the file is cut short" in text for text in result.warnings)
+    assert any("fail their checksums" in text for shot in result.shots for text in shot.warnings) or any(
+        "fail their checksums" in why for _, why in result.shots_without_result
+    )
+
+
+def test_a_file_of_an_earlier_release_is_read_and_said_to_have_no_checksums(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["verify", str(FIXTURES / "specimen.h5")])
+    assert done.exit_code == 5, done.output
+    assert "no checksums" in done.output
+    # What it does not hold counts as missing there too, and is not taken for 0 V.
+    cut = tmp_path / "cut.h5"
+    data = (FIXTURES / "specimen.h5").read_bytes()
+    cut.write_bytes(data[: int(len(data) * 0.8)])
+    done = CliRunner().invoke(app, ["verify", str(cut)])
+    assert done.exit_code in (2, 4), done.output
+    assert "Traceback" not in done.output
+
+
+@pytest.mark.parametrize("make", [lambda path: path.write_bytes(b"text"), lambda path: path.mkdir(), lambda path: None])
+def test_what_is_no_file_of_hpe_rig_is_a_message(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    make(tmp_path / "other.h5")
+    done = CliRunner().invoke(app, ["verify", str(tmp_path / "other.h5")])
+    assert done.exit_code == 2
+    assert "Try:" in done.output
+
+
+def test_a_damaged_result_is_found(path: Path) -> None:
+    result = result_path(path, process(path).estimator)
+    with h5py.File(result, "r") as file:
+        offset = file["results/amplitude_m"].id.get_offset()
+    data = bytearray(result.read_bytes())
+    data[offset] ^= 1
+    result.write_bytes(data)
+    (damage,) = verify(result).damage
+    assert str(damage) == "/results/amplitude_m fails its checksum"
+
+
+def test_ranges_are_first_and_last_of_each_row() -> None:
+    assert ranges(np.array([], bool)) == ()
+    assert ranges(np.array([False, True, True, False, True])) == ((1, 2), (4, 4))
+    assert ranges(np.ones(3, bool)) == ((0, 2),)
