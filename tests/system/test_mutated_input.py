@@ -43,6 +43,9 @@ MESSAGES = (StoreError, SettingsError, PlanError)
 LIBRARY_WORDS = re.compile(r"nable to|synchronously|\berrno\b|\bH5[A-Z]|Traceback|object at 0x")
 MOST_S = 30.0
 
+MOST_BYTES = 3 << 30
+"""Beyond what the process holds already, which a small scene does not need."""
+
 EXTREMES: Sequence[Any] = (
     *(0, -1, 1, 2, 0.0, -0.0, 1e-300, -1e-300, 1e300, -1e300, float("nan"), float("inf"), float("-inf")),
     *(2**31, 2**31 - 1, 2**63, 2**64, -(2**63), 10**30, 10**400, 1e6, 1e9, 1e-9, 0.5),
@@ -198,8 +201,11 @@ def document(tables: Tables) -> str:
 
 
 def text_of(tables: Tables, rng: Rng) -> str:
-    """Return ``tables`` as TOML, now and then with a line doubled, or nested beyond all measure."""
+    """Return ``tables`` as TOML, now and then with a character or line too many, or nested beyond all measure."""
     text = document(tables)
+    if rng.random() < 0.05:
+        place = int(rng.integers(len(text) + 1))
+        text = text[:place] + chr(int(rng.integers(1, 0x300))) + text[place + int(rng.integers(2)) :]
     if rng.random() < 0.05:
         lines = text.splitlines()
         place = int(rng.integers(len(lines))) if lines else 0
@@ -271,6 +277,21 @@ def planned_of(folder: Path, scene: str, bench: str) -> Setup:
     setup = prepare(str(folder / "s.toml"), folder / "b.toml", refuse=False)
     assert plan_text(setup.scene.scene.title, setup.plan, setup.findings)
     return setup
+
+
+@pytest.fixture(autouse=True)
+def bounded_memory() -> Iterator[None]:
+    """Let nothing here take much more memory than there is already, where the system can say so."""
+    if not Path("/proc/self/statm").exists():
+        yield
+        return
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MOST_BYTES, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, before)
 
 
 @pytest.mark.parametrize("cases", [1000, pytest.param(12_000, marks=pytest.mark.slow)])
