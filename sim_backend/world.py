@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.digitizer import (
+    BOARDS,
     FAR_PS,
     AlazarLibrary,
     Board,
@@ -108,6 +109,7 @@ class World:
     ``wiring`` lists (source, target, delay in seconds); what is not wired is not triggered. Raises ``ValueError`` for
     an end that does not exist and for a loop. ``acoustics`` replaces the twin's own; ``models`` names the generators
     that are no 33250A, by role. ``first_capture`` is the index of the first arming, from which its noise is drawn.
+    ``board`` names the digitizer's type.
     """
 
     def __init__(
@@ -117,6 +119,7 @@ class World:
         acoustics: Physics | None = None,
         models: Mapping[str, str] | None = None,
         first_capture: int = 0,
+        board: str = "ATS460",
     ) -> None:
         instruments = settings.instruments
         self._settings = settings
@@ -133,7 +136,7 @@ class World:
         latencies = latencies_of(
             instruments.digitizer_latency_s, instruments.aux_latency_s, instruments.aux_waits_for_trigger_delay
         )
-        self.board = Board(latencies, count=first_capture)
+        self.board = Board(latencies, BOARDS[board], BoardSettings(BOARDS[board]), count=first_capture)
         self._evaluated: tuple[int, Evaluation] | None = None
         self._recording: Recording | None = None
         self._past: deque[CaptureSnapshot] = deque(maxlen=KEPT_CAPTURES - 1)

@@ -21,8 +21,8 @@ from drivers.interfaces import Connection, ContinuousSine, GeneratorTask, Identi
 
 OUTPUT_OFF: Final = Register("output_on", "OUTP", False)
 OUTPUT_ON: Final = Register("output_on", "OUTP", True)
-# The test takes some seconds (assumed: up to half a minute), a read gives up after two.
-SELF_TEST_PATIENCE: Final = 15
+# The test takes some seconds (assumed: up to half a minute), a read gives up after one and a half.
+SELF_TEST_PATIENCE: Final = 20
 
 
 @final

@@ -9,9 +9,10 @@ In the order of the flow:
     page_buffer    page-aligned memory that a board writes into
     captures       the two ways to capture
     samples        from memory layout to codes, volts and trigger times
-    ats460         the driver
+    digitizer      the driver
 
-Others use ``Ats460`` and ``load_library`` to measure, ``model_named`` and ``mistakes`` to ask what a board can do.
+Others use ``AlazarDigitizer`` and ``load_library`` to measure, ``model_named`` and ``mistakes`` to ask what a board can
+do.
 """
 
 import lazy_loader

@@ -1,4 +1,4 @@
 from .api import load_library as load_library
-from .ats460 import Ats460 as Ats460
+from .digitizer import AlazarDigitizer as AlazarDigitizer
 from .limits import mistakes as mistakes
 from .models import BoardModel as BoardModel, model_named as model_named

@@ -116,6 +116,6 @@ def load_library(role: str = "digitizer", name: str | None = None) -> AlazarLibr
             role,
             f"cannot load {wanted}",
             f"the board's driver and SDK are not installed, or not for {bits} bit: {error}",
-            "install the AlazarTech driver and ATS-SDK for the ATS460, or run on the simulated bench",
+            "install the AlazarTech driver and ATS-SDK for the board, or run on the simulated bench",
         ) from error
     return bind(library, role)

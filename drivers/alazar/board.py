@@ -8,6 +8,7 @@ from typing import Any, final
 
 from drivers.alazar import api
 from drivers.alazar.api import AlazarLibrary, Capability, Channel, Parameter
+from drivers.alazar.models import MODELS, BoardModel
 from drivers.alazar.return_codes import FAILED, SUCCESS, UNSUPPORTED_FUNCTION, check
 from drivers.interfaces import InstrumentError
 
@@ -16,9 +17,10 @@ from drivers.interfaces import InstrumentError
 class AlazarBoard:
     """The board's handle and what can be asked of it."""
 
-    def __init__(self, library: AlazarLibrary, role: str, system_id: int, board_id: int, kind: int) -> None:
+    def __init__(self, library: AlazarLibrary, role: str, system_id: int, board_id: int, model: BoardModel) -> None:
         self.library = library
         self.role = role
+        self.model = model
         handle = self.ask(library.AlazarGetBoardBySystemID, system_id, board_id)
         if not handle:
             raise InstrumentError(
@@ -29,10 +31,11 @@ class AlazarBoard:
             )
         self.handle = handle
         found = self.ask(library.AlazarGetBoardKind, handle)
-        if found != kind:
-            why = "another model sits in this machine"
-            what = f"the board is of kind {found}, expected {kind}"
-            raise InstrumentError(role, what, why, "give the ids of the right board in the bench file")
+        if found != model.kind:
+            name = next((known.name for known in MODELS if known.kind == found), "unknown")
+            what = f"the board is of kind {found} ({name}), expected {model.kind} ({model.name})"
+            remedy = "digitizer.model and the ids of the right board in the bench file"
+            raise InstrumentError(role, what, "another model sits in this machine", remedy)
         major = self.sdk_version().partition(".")[0]
         self._sdk_major = int(major) if major.isdecimal() else None
 
@@ -84,13 +87,19 @@ class AlazarBoard:
 
     def has_dual_port_memory(self) -> bool:
         """Return whether the board can be read while it captures."""
-        return bool(self.capability(Capability.BOARD_OPTIONS_LOW) & api.OPTION_DUAL_PORT_MEMORY)
+        return self.model.always_dual_port or bool(
+            self.capability(Capability.BOARD_OPTIONS_LOW) & api.OPTION_DUAL_PORT_MEMORY
+        )
 
     def most_records(self, record_samples: int) -> int:
         """Return how many records of this length the on-board memory holds."""
         value = ctypes.c_uint32()
         self.call(self.library.AlazarGetMaxRecordsCapable, record_samples, ctypes.byref(value))
         return int(value.value)
+
+    def samples_per_timestamp(self) -> int:
+        """Return how many samples a count of the record headers stands for, as the board reports or its model says."""
+        return self.parameter(Parameter.SAMPLES_PER_TIMESTAMP_CLOCK) or self.model.samples_per_timestamp
 
     def busy(self) -> bool:
         """Return whether a capture is running."""

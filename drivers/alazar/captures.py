@@ -14,20 +14,17 @@ from collections.abc import Callable, Iterator
 from typing import Final, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.alazar import api
 from drivers.alazar.api import Channel, Parameter
 from drivers.alazar.board import AlazarBoard
 from drivers.alazar.limits import BUFFER_WANTED_BYTES, pre_trigger_samples, records_per_buffer
-from drivers.alazar.models import ATS460_BOARD
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.alazar.return_codes import RECORD_TOO_HIGH, WAIT_TIMEOUT
-from drivers.alazar.samples import RawRecords, buffer_bytes, unpacked
+from drivers.alazar.samples import BufferLayout, RawRecords, Words, buffer_bytes, native, unpacked, word_dtype
 from drivers.interfaces import Capture, Clock, DeadlineError, InstrumentError
 
 POLL_S: Final = 0.01
-WORD_BYTES: Final = 2
 # The board may write this many samples more than asked for.
 READ_MARGIN_SAMPLES: Final = 16
 LEAST_BUFFERS: Final = 2
@@ -53,7 +50,7 @@ class SinglePortCapture:
         self._board, self._clock, self._capture, self._allocate = board, clock, capture, allocate
         self._channels = channels
         self.armed = False
-        wanted = max(1, BUFFER_WANTED_BYTES // (WORD_BYTES * capture.record_samples))
+        wanted = max(1, BUFFER_WANTED_BYTES // (board.model.sample_bytes * capture.record_samples))
         self.records_per_block = min(capture.record_count, wanted)
 
     def prepare(self) -> None:
@@ -108,21 +105,23 @@ class SinglePortCapture:
 
     def _read(self, arrived: int) -> Iterator[RawRecords]:
         samples = self._capture.record_samples
-        buffer = self._allocate(WORD_BYTES * (samples + READ_MARGIN_SAMPLES))
+        buffer = self._allocate(self._board.model.sample_bytes * (samples + READ_MARGIN_SAMPLES))
         try:
             for first in range(0, arrived, self.records_per_block):
                 indices = range(first, min(first + self.records_per_block, arrived))
                 words = [[self._words(buffer, channel, index) for index in indices] for channel in self._channels]
-                yield RawRecords(first, np.stack(words), np.array([self._trigger_samples(index) for index in indices]))
+                times = np.array([self._trigger_samples(index) for index in indices])
+                yield RawRecords(first, native(np.array(words)), times)
         finally:
             buffer.free()
 
-    def _words(self, buffer: PageBuffer, channel: Channel, index: int) -> NDArray[np.uint16]:
+    def _words(self, buffer: PageBuffer, channel: Channel, index: int) -> Words:
         board, samples = self._board, self._capture.record_samples
         offset = -pre_trigger_samples(self._capture)
         # The vendor counts records from 1.
-        board.call(board.library.AlazarRead, int(channel), buffer.address, WORD_BYTES, index + 1, offset, samples)
-        return buffer.copy(np.dtype("<u2"), samples).astype(np.uint16, copy=False)
+        size = board.model.sample_bytes
+        board.call(board.library.AlazarRead, int(channel), buffer.address, size, index + 1, offset, samples)
+        return native(buffer.copy(word_dtype(board.model), samples))
 
     def _trigger_samples(self, index: int) -> float:
         """Return when record ``index`` was triggered in periods of the sample clock; NaN where the library refuses it.
@@ -132,7 +131,7 @@ class SinglePortCapture:
         board, value = self._board, ctypes.c_uint64()
         stamp = board.library.AlazarGetTriggerTimestamp
         code = board.ask(stamp, board.handle, index + 1, ctypes.byref(value))
-        if code == RECORD_TOO_HIGH and index >= ATS460_BOARD.stamped_records:
+        if code == RECORD_TOO_HIGH and index >= board.model.stamped_records:
             return math.nan
         board.check(code, "AlazarGetTriggerTimestamp")
         return float(value.value)
@@ -159,7 +158,7 @@ class DualPortCapture:
         self._board, self._clock, self._capture, self._allocate = board, clock, capture, allocate
         self._channels, self._npt = channels, npt
         self.name = "npt" if npt else "traditional"
-        self.records_per_block = records_per_buffer(capture, len(channels))
+        self.records_per_block = records_per_buffer(capture, len(channels), board.model)
         self._buffer_count = capture.record_count // self.records_per_block
         self.armed = False
         self._buffers: list[PageBuffer] = []
@@ -178,7 +177,7 @@ class DualPortCapture:
             board.call(board.library.AlazarResetTimeStamp, api.TIMESTAMP_RESET_ALWAYS)
             self._announce()
             samples, channels = self._capture.record_samples, len(self._channels)
-            size = buffer_bytes(samples, self.records_per_block, channels, not self._npt)
+            size = buffer_bytes(samples, self.records_per_block * channels, not self._npt, board.model)
             for _ in range(min(MOST_BUFFERS, max(LEAST_BUFFERS, self._buffer_count))):
                 self._buffers.append(self._allocate(size))
                 self._post(self._buffers[-1])
@@ -190,7 +189,9 @@ class DualPortCapture:
     def records(self, deadline_s: float) -> Iterator[RawRecords]:
         """Yield each buffer's records as it fills; raise ``DeadlineError`` when one is not full by the deadline."""
         # The ring as it was armed: ``abort`` may empty ``_buffers`` while a reader stands between two blocks.
-        ring, samples = tuple(self._buffers), self._capture.record_samples
+        ring, model = tuple(self._buffers), self._board.model
+        layout = BufferLayout(len(self._channels), self._capture.record_samples, self._npt, model)
+        samples_per_count = 1 if self._npt else self._board.samples_per_timestamp()
         for index in range(self._buffer_count):
             buffer = ring[index % len(ring)]
             self._wait(buffer, index, deadline_s)
@@ -200,7 +201,8 @@ class DualPortCapture:
             # are not, since nothing would ever fill them.
             if index + len(ring) < self._buffer_count:
                 self._post(buffer)
-            yield unpacked(filled, index * self.records_per_block, len(self._channels), samples, self._npt)
+            words, counts = unpacked(filled, layout)
+            yield RawRecords(index * self.records_per_block, words, counts * samples_per_count)
 
     def abort(self) -> None:
         """End the transfer if one was begun, then free the buffers."""

@@ -11,7 +11,6 @@ from drivers.alazar.samples import HEADER_BYTES, buffer_bytes
 from drivers.interfaces import Capture
 
 MOST_RECORDS: Final = 0x7FFF_FFFE
-BUFFER_LIMIT_BYTES: Final = 4 * 2**20
 BUFFER_WANTED_BYTES: Final = 2**20
 # The part of a capture that is lost, at most, when its last trigger does not come: a part-filled buffer stays unread.
 LARGEST_BUFFER_SHARE: Final = 1 / 8
@@ -53,9 +52,9 @@ def level_code(level_v: float, range_v: float = ATS460_BOARD.trigger_range_v) ->
     return int(128 + 127 * level_v / range_v)
 
 
-def records_per_buffer(capture: Capture, channels: int = 1) -> int:
+def records_per_buffer(capture: Capture, channels: int = 1, model: BoardModel = ATS460_BOARD) -> int:
     """Return the largest divisor of the record count that fills at most 1 MiB and an eighth of the capture."""
-    size_bytes = buffer_bytes(capture.record_samples, 1, channels, headers=True)
+    size_bytes = buffer_bytes(capture.record_samples, channels, True, model)
     most = min(BUFFER_WANTED_BYTES / size_bytes, capture.record_count * LARGEST_BUFFER_SHARE)
     return max(count for count in _divisors(capture.record_count) if count <= max(1.0, most))
 
@@ -75,7 +74,7 @@ def _divisors(count: int) -> list[int]:
 def _record_samples(capture: Capture, model: BoardModel, mode: Mode) -> list[str]:
     samples, channels = capture.record_samples, capture.channels
     # A buffer holds at least one record of every channel.
-    longest = (BUFFER_LIMIT_BYTES // channels - HEADER_BYTES) // 2 - model.record_multiple
+    longest = (model.buffer_limit_bytes // channels - HEADER_BYTES) // model.sample_bytes - model.record_multiple
     name = "record_samples" if channels == 1 else f"record_samples of {channels} channels"
     npt = _no_multiple("record_samples of NPT records", samples, model.npt_record_multiple) if mode == "npt" else []
     return [
@@ -88,7 +87,8 @@ def _record_samples(capture: Capture, model: BoardModel, mode: Mode) -> list[str
 def _delay(capture: Capture, model: BoardModel, mode: Mode) -> list[str]:
     delay, before = capture.trigger_delay_samples, pre_trigger_samples(capture)
     if not before:
-        return _outside("trigger_delay_samples", delay, 0, model.max_trigger_delay_samples)
+        outside = _outside("trigger_delay_samples", delay, 0, model.max_trigger_delay_samples)
+        return outside or _no_multiple("trigger_delay_samples", delay, model.trigger_delay_multiple)
     return [
         *([f"{before} pre-trigger samples, NPT records have none"] if mode == "npt" else []),
         *_outside("pre-trigger samples", before, 0, capture.record_samples - model.pre_trigger_multiple),

@@ -150,7 +150,7 @@ _NEW_NAMES: Final[Mapping[int, tuple[str, str]]] = {
 
 # What to suspect first: (cause, remedy).
 _BY_CODE: Final[Mapping[int, tuple[str, str]]] = {
-    513: ("the board refused an argument or combination", "compare the setting with the ATS460's data sheet"),
+    513: ("the board refused an argument or combination", "compare the setting with the board's data sheet"),
     514: ("another program holds the board", "end the other program"),
     518: ("a transfer is still running, or buffers were asked for out of order", "abort and arm again"),
     533: ("this board or SDK version has no such function", "install another ATS-SDK version"),

@@ -11,53 +11,69 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.alazar.models import ATS460_BOARD
+from drivers.alazar.models import ATS460_BOARD, BoardModel
 
-CODE_BITS: Final = ATS460_BOARD.code_bits
-# Codes stand in the upper bits of their words.
-PADDING_BITS: Final = 16 - CODE_BITS
-CODE_LIMITS: Final = ATS460_BOARD.code_limits
-LOWEST_CODE, HIGHEST_CODE = CODE_LIMITS
-# Zero volts lies between two codes, so that a range of +-R spans 2^bits - 1 steps.
-CENTRE_CODE: Final = (HIGHEST_CODE - LOWEST_CODE) / 2
 TIMESTAMP_HIGH_MASK: Final = 0xFF
-SAMPLES_PER_COUNT: Final = 2
 HEADER_BYTES: Final = 16
+
+Words = NDArray[np.uint8] | NDArray[np.uint16]
+"""Samples as they lie in memory: codes in the upper bits of a byte or of two."""
 
 
 @dataclass(frozen=True, slots=True)
 class RawRecords:
     """Consecutive records as the board delivers them.
 
-    ``words`` uint16 (channel, record, sample); ``trigger_samples`` float64 (record,), when each trigger came in periods
-    of the sample clock, NaN where the board states no time.
+    ``words`` (channel, record, sample); ``trigger_samples`` float64 (record,), when each trigger came in periods of the
+    sample clock, NaN where the board states no time.
     """
 
     first_record: int
-    words: NDArray[np.uint16]
+    words: Words
     trigger_samples: NDArray[np.float64]
 
 
-def header_record_dtype(record_samples: int) -> np.dtype[Any]:
+@dataclass(frozen=True, slots=True)
+class BufferLayout:
+    """What one AutoDMA buffer of a board holds."""
+
+    channels: int
+    record_samples: int
+    npt: bool
+    model: BoardModel
+
+
+def word_dtype(model: BoardModel) -> np.dtype[Any]:
+    """Return the type of one sample in the board's memory and buffers."""
+    return np.dtype(f"<u{model.sample_bytes}")
+
+
+def native(words: NDArray[Any]) -> Words:
+    """Return little-endian ``words`` in the machine's own byte order, without a copy where that is the same."""
+    return words.astype(words.dtype.newbyteorder("="), copy=False)
+
+
+def header_record_dtype(record_samples: int, model: BoardModel = ATS460_BOARD) -> np.dtype[Any]:
     """Return the layout of one record of one channel behind its header, as traditional AutoDMA writes it."""
-    return np.dtype([("header", "<u4", (4,)), ("words", "<u2", (record_samples,))])
+    return np.dtype([("header", "<u4", (4,)), ("words", word_dtype(model), (record_samples,))])
 
 
-def buffer_bytes(record_samples: int, records: int, channels: int, headers: bool) -> int:
-    """Return the size of an AutoDMA buffer."""
-    return (2 * record_samples + (HEADER_BYTES if headers else 0)) * records * channels
+def buffer_bytes(record_samples: int, records: int, headers: bool, model: BoardModel = ATS460_BOARD) -> int:
+    """Return the size of an AutoDMA buffer of ``records``, those of all channels counted."""
+    return (model.sample_bytes * record_samples + (HEADER_BYTES if headers else 0)) * records
 
 
-def unpacked(data: NDArray[np.uint8], first_record: int, channels: int, record_samples: int, npt: bool) -> RawRecords:
-    """Return the records of one AutoDMA buffer: R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ..."""
-    if npt:
-        words = data.view("<u2").reshape(channels, -1, record_samples)
-        return RawRecords(first_record, words.astype(np.uint16, copy=False), np.full(words.shape[1], np.nan))
-    filled = data.view(header_record_dtype(record_samples)).reshape(-1, channels)
-    words = np.ascontiguousarray(filled["words"].swapaxes(0, 1)).astype(np.uint16, copy=False)
-    # The counter in the headers advances once in several samples; the function for single-port records counts samples.
-    trigger_samples = timestamp_counts(filled["header"][:, 0]).astype(np.float64) * SAMPLES_PER_COUNT
-    return RawRecords(first_record, words, trigger_samples)
+def unpacked(data: NDArray[np.uint8], layout: BufferLayout) -> tuple[Words, NDArray[np.float64]]:
+    """Return words (channel, record, sample) and trigger counts (record,) of one AutoDMA buffer; NPT has no counts.
+
+    R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
+    """
+    if layout.npt:
+        words = native(data.view(word_dtype(layout.model)).reshape(layout.channels, -1, layout.record_samples))
+        return words, np.full(words.shape[1], np.nan)
+    records = data.view(header_record_dtype(layout.record_samples, layout.model)).reshape(-1, layout.channels)
+    words = native(np.ascontiguousarray(records["words"].swapaxes(0, 1)))
+    return words, timestamp_counts(records["header"][:, 0]).astype(np.float64)
 
 
 def timestamp_counts(headers: NDArray[np.uint32]) -> NDArray[np.int64]:
@@ -66,21 +82,25 @@ def timestamp_counts(headers: NDArray[np.uint32]) -> NDArray[np.int64]:
     return (high << 32) | low
 
 
-def codes(words: NDArray[np.uint16]) -> NDArray[np.int16]:
-    """Return zero-centred codes, within ``CODE_LIMITS``, from left-justified words of any shape."""
-    return (words >> PADDING_BITS).astype(np.int16) + np.int16(LOWEST_CODE)
+def codes(words: Words, model: BoardModel = ATS460_BOARD) -> NDArray[np.int16]:
+    """Return zero-centred codes, within the model's ``code_limits``, from left-justified words of any shape."""
+    code = (words >> (8 * model.sample_bytes - model.code_bits)).astype(np.int32) - (1 << (model.code_bits - 1))
+    return np.maximum(code, model.code_limits[0]).astype(np.int16)
 
 
-def any_at_full_scale(values: NDArray[np.int16]) -> bool:
+def any_at_full_scale(values: NDArray[np.int16], model: BoardModel = ATS460_BOARD) -> bool:
     """Return whether any code is the lowest or the highest."""
-    return bool(np.any(values == LOWEST_CODE) or np.any(values == HIGHEST_CODE))
+    lowest, highest = model.code_limits
+    return bool(np.any(values == lowest) or np.any(values == highest))
 
 
-def volts_per_code(input_range_v: float) -> float:
+def volts_per_code(input_range_v: float, model: BoardModel = ATS460_BOARD) -> float:
     """Return the volts of one code when the input spans +-``input_range_v``."""
-    return input_range_v / CENTRE_CODE
+    # Zero volts lies between two codes, so that a range of +-R spans 2^bits - 1 steps.
+    lowest_to_highest = (1 << model.code_bits) - 1
+    return 2 * input_range_v / lowest_to_highest
 
 
-def volts_offset(input_range_v: float) -> float:
+def volts_offset(input_range_v: float, model: BoardModel = ATS460_BOARD) -> float:
     """Return the volts of zero-centred code 0: half a code, since zero volts lies between two codes."""
-    return 0.5 * volts_per_code(input_range_v)
+    return 0.5 * volts_per_code(input_range_v, model)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 # Factory setting of the 33250A's RS-232 interface; 8 data bits, no parity and 1 stop bit are VISA's own default.
 SERIAL_BAUD: Final = 57600
 LOCK_PATIENCE_S: Final = 0.2
+# Twice what a 33250A takes for its slowest settings, of a pulse; a mute instrument shall not hold the others up longer.
+TIMEOUT_S: Final = 1.5
 PROLOGIX: Final = "PRLGX"
 SERIAL_OVER_TCP: Final = "ASRLSOCKET://"
 # Kinds of address that pyvisa-py does not open by itself, and what it needs for them.
@@ -43,7 +45,7 @@ class VisaInterface:
     Raises ``ConnectionError`` when it cannot be opened.
     """
 
-    def __init__(self, address: str, timeout_s: float = 2.0, backend: str = "") -> None:
+    def __init__(self, address: str, timeout_s: float = TIMEOUT_S, backend: str = "") -> None:
         self.address = address
         # Only pyvisa-py knows this kind of interface.
         self.backend = "@py" if address.upper().startswith(PROLOGIX) else backend
@@ -94,7 +96,7 @@ class VisaConnection:
     def __init__(
         self,
         address: str,
-        timeout_s: float = 2.0,
+        timeout_s: float = TIMEOUT_S,
         backend: str = "",
         interface: VisaInterface | None = None,
         lock: bool = False,

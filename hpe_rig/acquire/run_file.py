@@ -223,7 +223,8 @@ def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
     # The board cannot say which record it was; where some are skipped the gate's own codes decide.
     for shot in run.stored.clipped if run.scene.tracking.disturbed != "skip" else ():
         yield (
-            f"shot {shot + 1}: the digitizer's input left its range of {run.scene.acquisition.input_range_v:g} V, in "
+            f"shot {shot + 1}: the digitizer's input left its range of "
+            f"{run.plan.shots[shot].capture.input_range_v:g} V, in "
             "the gate or outside it: raise acquisition.input_range_v"
         )
     for shot, why in run.stored.untrusted.items():

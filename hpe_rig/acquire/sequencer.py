@@ -12,6 +12,8 @@ from hpe_rig.bench import Bench
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 
 LONGEST_SLEEP_S = 0.2
+WATCH_S = 1.0
+"""How often a long shot looks whether outputs and settings are still as verified."""
 
 
 class Step(StrEnum):
@@ -101,17 +103,14 @@ def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Genera
             observer(Progress(Step.FIRE, shot))
             next_start_s = bench.clock.now_s() + plan.shot_period_s
             bench.master.fire()
-            late = yield from _collect(shot, bench, observer)
-            why = " ".join(bench.recheck())
-            if late is not None and not why:
-                raise late
+            why = yield from _collect(shot, bench, observer)
         finally:
             bench.make_safe()
         observer(Progress(Step.SAFE, shot, shot.capture.record_count))
         if why:
             yield ShotUntrusted(shot, why)
             if plan.stops_when_changed:
-                raise UntrustedShotError(shot, why) from late
+                raise UntrustedShotError(shot, why)
         yield ShotDone(shot, bench.digitizer.clipped())
 
 
@@ -148,9 +147,13 @@ def _wait_until(start_s: float, shot: Shot, bench: Bench, observer: Observer) ->
         bench.clock.sleep(rest_s)
 
 
-def _collect(shot: Shot, bench: Bench, observer: Observer) -> Generator[ShotBlock, None, DeadlineError | None]:
-    """Yield the records as they arrive; return what the digitizer said where none did."""
-    deadline_s = bench.clock.now_s() + shot.train_end_s + SAFETY_MARGIN_S
+def _collect(shot: Shot, bench: Bench, observer: Observer) -> Generator[ShotBlock, None, str]:
+    """Yield the records as they arrive, and return in words what of outputs and settings changed, "" for nothing.
+
+    Raises ``DeadlineError`` where no record came and nothing changed that could explain it.
+    """
+    looked_s = bench.clock.now_s()
+    deadline_s = looked_s + shot.train_end_s + SAFETY_MARGIN_S
     arrived = 0
     observer(Progress(Step.COLLECT, shot))
     try:
@@ -158,6 +161,13 @@ def _collect(shot: Shot, bench: Bench, observer: Observer) -> Generator[ShotBloc
             arrived += block.codes.shape[0]
             yield ShotBlock(shot, block)
             observer(Progress(Step.COLLECT, shot, arrived))
-    except DeadlineError as error:
-        return None if arrived else error
-    return None
+            if bench.clock.now_s() - looked_s >= WATCH_S:
+                if changed := bench.recheck():
+                    return " ".join(changed)
+                looked_s = bench.clock.now_s()
+    except DeadlineError:
+        changed = bench.recheck()
+        if not arrived and not changed:
+            raise
+        return " ".join(changed)
+    return " ".join(bench.recheck())

@@ -99,14 +99,14 @@ class Generators(Section):
 class DigitizerBoard(Section):
     """The digitizer."""
 
-    model: Literal["ATS460"] = "ATS460"
+    model: Literal["ATS460", "ATS9350", "ATS9440", "ATS9462", "ATS9870"] = "ATS460"
     """Board model."""
     system_id: Count = 1
     """Alazar system number."""
     board_id: Count = 1
     """Alazar board number in its system."""
     dual_port_memory: Annotated[bool, Field(strict=True)] = False
-    """Whether the board has the optional dual-port memory, so that records stream out while others come in."""
+    """Whether an ATS460 has the optional dual-port memory, so that records stream out while others come in."""
     samples_per_channel: Annotated[int, Field(ge=1024, le=2**40, strict=True)] = 8_388_608
     """On-board memory; bounds a capture where there is no dual-port memory."""
     max_records: Annotated[int, Field(ge=1, le=2**32, strict=True)] = model_named("ATS460").stamped_records
@@ -130,7 +130,12 @@ class DigitizerBoard(Section):
     @property
     def mode(self) -> Literal["single_port", "traditional", "npt"]:
         """The way to capture."""
-        return self.acquisition_mode or ("traditional" if self.dual_port_memory else "single_port")
+        return self.acquisition_mode or ("traditional" if self.has_dual_port_memory else "single_port")
+
+    @property
+    def has_dual_port_memory(self) -> bool:
+        """Whether the board has dual-port memory, as an option or because every board of its model has."""
+        return self.dual_port_memory or self.board_model.always_dual_port
 
     @property
     def board_model(self) -> BoardModel:

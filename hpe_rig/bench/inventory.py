@@ -167,7 +167,7 @@ def _output_problems(settings: Settings) -> Iterator[str]:
 
 def _digitizer_problems(board: DigitizerBoard, settings: Settings) -> Iterator[str]:
     for key, declared in (
-        ("dual_port_memory", board.dual_port_memory),
+        ("dual_port_memory", board.has_dual_port_memory),
         ("memory_samples_per_channel", board.samples_per_channel),
     ):
         reported = settings.get(key)

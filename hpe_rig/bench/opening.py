@@ -143,11 +143,13 @@ class Reach:
     def instrument(self, role: str, bench: BenchFile) -> Any:
         """Return the driver of ``role`` on its connection."""
         from drivers.agilent import Agilent33250A
-        from drivers.alazar import Ats460
+        from drivers.alazar import AlazarDigitizer
 
         if role == "digitizer":
             board, library = bench.digitizer, self.library()
-            return Ats460(library, self.clock, role, board.system_id, board.board_id, mode=board.acquisition_mode)
+            ids = board.system_id, board.board_id
+            mode, model = board.acquisition_mode, board.board_model
+            return AlazarDigitizer(library, self.clock, role, *ids, mode=mode, model=model)
         generator = getattr(bench.generators, role)
         most_vpp = generator.max_vpp or math.inf
         if role in ("toneburst", "tracking_pulser"):
@@ -179,7 +181,7 @@ def _world(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int = 0)
     settings = SimulationSettings.model_validate(simulation)
     wiring = [(cable.source, cable.target, cable.delay_s) for cable in bench.wiring]
     models = {role: generator.model for role, generator in bench.generators.by_role.items()}
-    return World(settings, wiring, first_capture=first_shot, models=models)
+    return World(settings, wiring, first_capture=first_shot, models=models, board=bench.digitizer.model)
 
 
 def _emulator(world: World, bench: BenchFile, transport: Transport) -> Emulator:

@@ -104,7 +104,7 @@ class AlignSource:
         return state | {
             "rf": rf_state(view),
             "trend_mv": [round(float(line.std()) * 1e3, 3) for line in lines],
-            "level": level_state(view, self._scene.acquisition.input_range_v),
+            "level": level_state(view, self._shot.capture.input_range_v),
             "image": image_state(image_v, view.image_depth_m, float(LONGEST_MEMORY), "shots"),
         }
 

@@ -112,7 +112,7 @@ class RunSource:
             return {}
         state: State = {
             "rf": rf_state(echoes),
-            "level": level_state(echoes, scene.acquisition.input_range_v),
+            "level": level_state(echoes, shot.capture.input_range_v),
             "image": image_state(echoes.image_v, echoes.image_depth_m, float(echoes.image_time_s[-1]) * 1e3, "ms"),
         }
         try:

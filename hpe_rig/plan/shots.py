@@ -257,15 +257,25 @@ def _capture(scene: Scene, bench: BenchFile) -> Capture:
     delay = math.floor(middle_s * acquisition.sample_rate_hz - acquisition.record_samples / 2)
     # Should the pulser wait for the trigger delay, no delay can bring the record closer to the echo.
     delay = 0 if board.aux_waits_for_trigger_delay else max(0, delay)
+    # Rounded down: the gate then lies a little later in the record.
+    delay -= delay % board.board_model.trigger_delay_multiple
     return Capture(
         sample_rate_hz=acquisition.sample_rate_hz,
         record_samples=acquisition.record_samples,
         trigger_delay_samples=delay,
         record_count=pulse_count(scene),
-        input_range_v=acquisition.input_range_v,
+        input_range_v=input_range_v(scene, bench),
         trigger_level_v=board.trigger_level_v,
         monitor_range_v=board.monitor_range_v,
     )
+
+
+def input_range_v(scene: Scene, bench: BenchFile) -> float:
+    """Return the range of the echoes' input: the scene's, else the board's smallest that holds the usual 0.8 V."""
+    acquisition = scene.acquisition
+    if "input_range_v" in acquisition.model_fields_set:
+        return acquisition.input_range_v
+    return bench.digitizer.board_model.range_from_v(acquisition.input_range_v)
 
 
 def _timeline(scene: Scene, bench: BenchFile, burst_length_s: float | None, capture: Capture) -> Timeline:

@@ -118,7 +118,7 @@ class Acquisition(Section):
     record_samples: Annotated[int, Field(ge=1, le=10_000_000, strict=True)] = 512
     """Samples of one record; the record is placed around the gate."""
     input_range_v: VoltageV = 0.8
-    """Full scale of the digitizer's input, plus and minus."""
+    """Full scale of the digitizer's input, plus and minus; absent: the board's smallest range of at least this."""
     repeats: Count = 1
     """How often every shot is repeated."""
     shot_period_s: DurationS | None = None

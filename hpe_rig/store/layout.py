@@ -82,10 +82,12 @@ def empty_run(
 
 
 def volts_of_codes(input_range_v: float, code_limits: tuple[int, int]) -> tuple[float, float]:
-    """Return scale and offset from codes to volts of an input whose range, plus and minus, takes all the codes."""
-    lowest, highest = code_limits
-    scale = 2 * input_range_v / (highest - lowest)
-    return scale, -(lowest + highest) / 2 * scale
+    """Return scale and offset from codes to volts of an input whose range, plus and minus, takes all the codes.
+
+    Zero volts lies between codes -1 and 0. The highest tells how many there are: of 16 bits the lowest is not used.
+    """
+    scale = 2 * input_range_v / (2 * code_limits[1] + 1)
+    return scale, scale / 2
 
 
 def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> None:

@@ -2,6 +2,7 @@
 
 In the order of the flow:
     codes              the library's numbers
+    boards             what tells the boards apart
     library            the function table
     settings           what each function changes
     state              one board between the calls

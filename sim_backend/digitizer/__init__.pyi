@@ -1,4 +1,5 @@
 from .board import Board as Board, BoardSettings as BoardSettings, Taken as Taken, latencies_of as latencies_of
+from .boards import BOARDS as BOARDS
 from .capture_snapshot import (
     FAR_PS as FAR_PS,
     CaptureSnapshot as CaptureSnapshot,

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.board import Arming, BoardSettings, Taken, is_clipped, words
+from sim_backend.digitizer.boards import MILLIVOLTS_BY_ID
 from sim_backend.digitizer.codes import Code
 from sim_backend.wiring import Picoseconds
 
+RESOLUTIONS = {8: 0, 12: 1, 14: 2, 16: 3}
 ADDRESS_MULTIPLE, ADDRESS_MULTIPLE_NPT = 32, 64
 
 
@@ -26,6 +28,7 @@ class Transfer:
     records_per_buffer: int
     record_count: int
     flags: int
+    bytes_per_sample: int = 2
 
     @property
     def headers(self) -> bool:
@@ -40,23 +43,26 @@ class Transfer:
     @property
     def buffer_bytes(self) -> int:
         """Size of a buffer."""
-        record_bytes = 2 * self.record_samples + (codes.HEADER_BYTES if self.headers else 0)
+        record_bytes = self.bytes_per_sample * self.record_samples + (codes.HEADER_BYTES if self.headers else 0)
         return record_bytes * self.records_per_buffer * len(self.channels)
 
     def refusal(self, settings: BoardSettings, offset: int) -> Code:
         """Return why a board with dual-port memory refuses the transfer."""
         if self.flags & ~0x209 or (self.npt and self.headers):
             return Code.UNSUPPORTED_FUNCTION
-        if not self.channels:
+        board = settings.board
+        if len(self.channels) not in (1, 2, board.channels) or max(self.channels) >= board.channels:
             return Code.NOT_SUPPORT_THIS_CHANNEL
-        if self.record_samples != settings.record_samples or self.record_samples % (32 if self.npt else 16):
+        if self.record_samples != settings.record_samples or self.record_samples % (
+            board.npt_granule if self.npt else board.granule
+        ):
             return Code.INVALID_SIZE
         if offset != -settings.pre_samples or (self.npt and offset):
             return Code.INVALID_OFFSET
         per_buffer, count = self.records_per_buffer, self.record_count
         if per_buffer < 1 or count < 1 or (count != codes.ENDLESS_RECORDS and count % per_buffer):
             return Code.INVALID_RECORDS_PER_BUFFER
-        return Code.SUCCESS if self.buffer_bytes < codes.MOST_BUFFER_BYTES else Code.INVALID_SIZE
+        return Code.SUCCESS if self.buffer_bytes < board.most_buffer_bytes else Code.INVALID_SIZE
 
 
 @dataclass(slots=True)
@@ -65,6 +71,7 @@ class BufferQueue:
 
     transfer: Transfer
     memory_records: int
+    most_bytes: int
     posted: deque[int] = field(default_factory=deque)
     delivered: int = 0
     overflowed: bool = False
@@ -77,7 +84,7 @@ class BufferQueue:
             return Code.INVALID_BUFFER
         if address % (ADDRESS_MULTIPLE_NPT if self.transfer.npt else ADDRESS_MULTIPLE):
             return Code.INVALID_ADDRESS
-        if not 0 < size < codes.MOST_BUFFER_BYTES:
+        if not 0 < size < self.most_bytes:
             return Code.INVALID_SIZE
         if size < self.transfer.buffer_bytes:
             return Code.BUFFER_TOO_SMALL
@@ -133,7 +140,7 @@ def packed(
     for channel in transfer.channels:
         settings = arming.settings.inputs[channel]
         at_input = volts if channel == 0 else np.zeros_like(volts)
-        data = words(at_input, settings, arming.settings.signed).view(np.uint8)
+        data = words(at_input, settings, arming.settings).view(np.uint8)
         if transfer.headers:
             data = np.concatenate([headers(arming, taken, channel, records, reset_ps), data], axis=1)
         blocks.append(data)
@@ -143,22 +150,27 @@ def packed(
 def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps: int) -> NDArray[np.uint8]:
     """Return record headers as uint8 (record, 16): four little-endian words (docs/theory/instruments.md, 2.6).
 
-    Assumed: records count from 0, resolution code 2 and format 0 for 14-bit unsigned, "this channel" on channel A only.
+    Assumed: records count from 0, resolution codes 0 to 3 for 8 to 16 bits, format 0 for unsigned, "this channel" on
+    channel A only.
     """
     settings = arming.settings
     count = timestamps(arming, taken.tick_ps[records], reset_ps)
     number = np.arange(records.start, records.stop)
     external = (taken.by[records] == codes.TRIGGERED_BY_EXTERNAL).astype(np.int64)
-    rate_id = next(rate_id for rate_id, rate_hz in codes.SAMPLE_RATES_HZ.items() if rate_hz == settings.sample_rate_hz)
+    rate_id = next(
+        rate_id for rate_id, rate_hz in settings.board.rates_hz.items() if rate_hz == settings.sample_rate_hz
+    )
     channel_input = settings.inputs[channel]
-    range_id = next(range_id for range_id, range_v in codes.INPUT_RANGES_V.items() if range_v == channel_input.range_v)
+    range_id = next(key for key, mv in MILLIVOLTS_BY_ID.items() if mv / 1000 == channel_input.range_v)
     # Bit fields from the lowest bit up. Word 0: serial number 18, system 4, channel 1, board 4, resolution 3, format 2.
     # Word 1: record 24, board type 8. Word 2: low part of the time stamp. Word 3: its high part 8, clock source 2,
     # edge 1, rate 7, range 5, coupling 2, impedance 2, triggered by external, B, A, time-out 1 each, this channel 1.
     quad = np.empty((count.size, 4), np.int64)
-    quad[:, 0] = (codes.SERIAL_NUMBER & 0x3FFFF) | 1 << 18 | channel << 22 | 1 << 23 | 2 << 27
+    quad[:, 0] = (
+        (codes.SERIAL_NUMBER & 0x3FFFF) | 1 << 18 | channel << 22 | 1 << 23 | RESOLUTIONS[settings.board.bits] << 27
+    )
     quad[:, 0] |= int(settings.signed) << 30
-    quad[:, 1] = (number & 0xFFFFFF) | codes.BOARD_KIND << 24
+    quad[:, 1] = (number & 0xFFFFFF) | settings.board.kind << 24
     quad[:, 2] = count & 0xFFFFFFFF
     quad[:, 3] = count >> 32 | 1 << 8 | rate_id << 11 | range_id << 18 | 2 << 23 | channel_input.impedance << 25
     quad[:, 3] |= external << 27 | (1 - external) << 30 | (1 - channel) << 31
@@ -166,8 +178,8 @@ def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps
 
 
 def timestamps(arming: Arming, tick_ps: Picoseconds, reset_ps: int) -> NDArray[np.int64]:
-    """Return the 40-bit time stamps of triggers at ``tick_ps`` (record,), one count two samples: int64 (record,)."""
-    period_ps = codes.SAMPLES_PER_TIMESTAMP * arming.settings.sample_period_ps
+    """Return the 40-bit time stamps of triggers at ``tick_ps`` (record,), each count some samples: int64 (record,)."""
+    period_ps = arming.settings.board.samples_per_count * arming.settings.sample_period_ps
     return (tick_ps - reset_ps) // period_ps & 0xFFFFFFFFFF
 
 

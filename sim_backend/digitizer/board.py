@@ -1,4 +1,4 @@
-"""Board, the ATS460 without its library: settings and the voltage at its trigger input -> records and AUX edges.
+"""Board without its library: settings and the voltage at its trigger input -> records and AUX edges.
 
 Assumed, no source found: the external trigger input has a high impedance; the board is ready for the next trigger as
 soon as a record (and then its pre-trigger part) is complete; the AUX trigger output is 5 V behind 50 ohm, rises at the
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.digitizer import codes
+from sim_backend.digitizer.boards import BOARDS, IMPEDANCE_50_OHM, BoardType
 from sim_backend.wiring import (
     PS_PER_S,
     Emission,
@@ -30,7 +31,6 @@ from sim_backend.wiring import (
 TRIGGER_INPUT_OHM = 1e6
 AUX_HIGH_V = 5.0
 TIMEOUT_TICK_PS = 10_000_000
-HALF_SCALE = 8191.5
 _SAMPLES_AT_ONCE = 1 << 15
 
 
@@ -39,7 +39,7 @@ class Input:
     """One input channel."""
 
     range_v: float = 0.8
-    impedance: int = codes.IMPEDANCE_50_OHM
+    impedance: int = IMPEDANCE_50_OHM
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +55,9 @@ class Engine:
 class BoardSettings:
     """Everything a program can set on the board."""
 
+    board: BoardType = BOARDS["ATS460"]
     sample_rate_hz: int = 100_000_000
-    inputs: tuple[Input, Input] = (Input(), Input())
+    inputs: tuple[Input, ...] = (Input(),) * 4
     operation: int = 0
     engines: tuple[Engine, Engine] = (Engine(), Engine())
     external_range_v: float = 5.0
@@ -71,7 +72,7 @@ class BoardSettings:
     @property
     def sample_period_ps(self) -> int:
         """Period of the sample clock."""
-        return PS_PER_S // self.sample_rate_hz
+        return round(PS_PER_S / self.sample_rate_hz)
 
     @property
     def record_samples(self) -> int:
@@ -148,24 +149,27 @@ def aux_steps(arming: Arming, taken: Taken, latencies: Latencies) -> Steps:
     return joined_steps([Steps(rise_ps, low, high), Steps(fall_ps, high, low)])
 
 
-def words(volts: NDArray[np.float64], channel: Input, signed: bool) -> NDArray[np.uint16]:
-    """Return 14-bit codes, left-justified in little-endian 16-bit words; the shape is that of ``volts``."""
-    out = np.empty(volts.shape, "<u2")
+def words(volts: NDArray[np.float64], channel: Input, settings: BoardSettings) -> NDArray[np.unsignedinteger]:
+    """Return the board's codes, left-justified in bytes or in little-endian words of two; shaped as ``volts``."""
+    board = settings.board
+    out = np.empty(volts.shape, f"<u{board.bytes_per_sample}")
+    half_scale, highest = (2**board.bits - 1) / 2, 2**board.bits - 1
     flat_v, flat = volts.reshape(-1), out.reshape(-1)
     # In pieces that stay in the processor's cache from the first step to the last.
     for first in range(0, flat.size, _SAMPLES_AT_ONCE):
         some = slice(first, first + _SAMPLES_AT_ONCE)
         level = flat_v[some] * _at_input(channel)
         level /= channel.range_v
-        level *= HALF_SCALE
-        level += HALF_SCALE
+        level *= half_scale
+        level += half_scale
         np.rint(level, out=level)
-        np.clip(level, 0, 16383, out=level)
+        np.clip(level, 0, highest, out=level)
         flat[some] = level
-    if signed:
-        out -= 0x2000
-        out &= 0x3FFF
-    out <<= 2
+    if settings.signed:
+        # Two's complement of as many bits as the board has.
+        out -= out.dtype.type(1 << (board.bits - 1))
+        out &= out.dtype.type(highest)
+    out <<= out.dtype.type(8 * board.bytes_per_sample - board.bits)
     return out
 
 
@@ -176,7 +180,7 @@ def is_clipped(volts: float, channel: Input) -> bool:
 
 def _at_input(channel: Input) -> float:
     # Volts are meant into 50 ohm, from a 50 ohm source: an input of 1 Mohm sees twice as much.
-    return 1.0 if channel.impedance == codes.IMPEDANCE_50_OHM else 2.0
+    return 1.0 if channel.impedance == IMPEDANCE_50_OHM else 2.0
 
 
 def _trigger_edges(settings: BoardSettings, arriving: Steps) -> Picoseconds:
@@ -212,6 +216,7 @@ class Board:
     """The board's state: settings now, and every arming whose AUX edges may still matter."""
 
     latencies: Latencies
+    type: BoardType = BOARDS["ATS460"]
     settings: BoardSettings = field(default_factory=BoardSettings)
     armings: list[Arming] = field(default_factory=list)
     running: bool = False

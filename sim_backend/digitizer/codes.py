@@ -1,4 +1,4 @@
-"""Codes of the ATSApi as the simulated ATS460 knows them (docs/theory/instruments.md, 2.4 and 2.8).
+"""Codes of the ATSApi as the simulated boards know them (docs/theory/instruments.md, 2.4 and 2.8).
 
 Which code answers which misuse is documented for few cases only (513 for an input combination, 518/573 for a buffer out
 of turn, 579, 582); the others are the nearest code by name, assumed, and all stand in ``Code``.
@@ -36,37 +36,16 @@ class Code(IntEnum):
     """SDK 5.8.2, time stamp of a single-port record above 1000; always answered, as the worst case."""
 
 
-BOARD_KIND = 7
 SERIAL_NUMBER = 460_001
 SDK_VERSION = (5, 8, 2)
 DRIVER_VERSION = (5, 8, 2)
-RESOLUTION_BITS = 14
 MOST_RECORDS = 256_000
 MOST_RECORDS_OLD_FPGA = 1000
 MOST_STAMPED_RECORDS = 1000
-OLD_FPGA = 18
 MOST_DELAY_SAMPLES = 9_999_999
-MOST_BUFFER_BYTES = 4 * 1024 * 1024
 HEADER_BYTES = 16
 ENDLESS_RECORDS = 0x7FFFFFFF
-SAMPLES_PER_TIMESTAMP = 2
 
-SAMPLE_RATES_HZ = {
-    0x01: 1_000, 0x02: 2_000, 0x04: 5_000, 0x08: 10_000, 0x0A: 20_000, 0x0C: 50_000, 0x0E: 100_000, 0x10: 200_000,
-    0x12: 500_000, 0x14: 1_000_000, 0x18: 2_000_000, 0x1A: 5_000_000, 0x1C: 10_000_000, 0x1E: 20_000_000,
-    0x22: 50_000_000, 0x24: 100_000_000, 0x25: 125_000_000,
-}  # fmt: skip
-"""Sample rate by id, internal clock."""
-
-INPUT_RANGES_V = {
-    1: 0.02, 2: 0.04, 3: 0.05, 4: 0.08, 5: 0.1, 6: 0.2, 7: 0.4, 8: 0.5, 9: 0.8, 10: 1.0, 11: 2.0, 12: 4.0, 13: 5.0,
-    14: 8.0, 15: 10.0,
-}  # fmt: skip
-"""Full scale by id; that the board takes exactly these is assumed (no primary source)."""
-HIGHEST_50_OHM_RANGE = 12
-"""Range id up to which 50 ohm may be chosen (assumed)."""
-
-IMPEDANCE_1_MOHM, IMPEDANCE_50_OHM = 1, 2
 SOURCE_EXTERNAL, SOURCE_DISABLE = 2, 3
 SLOPE_POSITIVE, SLOPE_NEGATIVE = 1, 2
 EXTERNAL_RANGES_V = {0: 5.0, 1: 1.0}

@@ -1,4 +1,4 @@
-"""ATSApi function table over a simulated ATS460: named, called and answering as the vendor's library.
+"""ATSApi function table over a simulated board: named, called and answering as the vendor's library.
 
 Out-parameters are ``ctypes.byref`` objects or pointers, buffers addresses, arrays or ``c_void_p``, scalars ints or
 ctypes scalars. Every function answers a return code or the value its C form returns (docs/theory/instruments.md, 2.3
@@ -20,7 +20,6 @@ from sim_backend.digitizer.state import AlazarState, Recorder
 from sim_backend.settings import Instruments
 
 HANDLE = 0x460
-CHANNELS = (1, 2)
 Function = Callable[..., Any]
 
 
@@ -50,11 +49,11 @@ class AlazarLibrary:
 
     @_of_board(refused=0)
     def AlazarGetBoardKind(self, handle: Any) -> int:
-        return codes.BOARD_KIND
+        return self._state.type.kind
 
     @_of_board()
     def AlazarGetChannelInfo(self, handle: Any, samples: Any, bits: Any) -> int:
-        return _answer((samples, self._state.instruments.samples_per_channel), (bits, codes.RESOLUTION_BITS))
+        return _answer((samples, self._state.instruments.samples_per_channel), (bits, self._state.type.bits))
 
     def AlazarGetSDKVersion(self, major: Any, minor: Any, revision: Any) -> int:
         return _answer(*zip((major, minor, revision), codes.SDK_VERSION, strict=True))
@@ -80,17 +79,17 @@ class AlazarLibrary:
 
     @_of_board()
     def AlazarSetCaptureClock(self, handle: Any, source: int, rate: int, edge: int, decimation: int) -> int:
-        return self._set(settings.capture_clock(source, rate, edge, decimation))
+        return self._set(settings.capture_clock(self._state.type, source, rate, edge, decimation))
 
     @_of_board()
     def AlazarInputControl(self, handle: Any, channel: int, coupling: int, range_id: int, impedance: int) -> int:
-        if channel not in CHANNELS:
+        if not self._state.has_channel(channel):
             return Code.NOT_SUPPORT_THIS_CHANNEL
         return self._set(settings.input_control(self._state.settings, channel, coupling, range_id, impedance))
 
     @_of_board()
     def AlazarSetBWLimit(self, handle: Any, channel: int, on: int) -> int:
-        return self._set({} if channel in CHANNELS and on in (0, 1) else None)
+        return self._set({} if self._state.has_channel(channel) and on in (0, 1) else None)
 
     @_of_board()
     def AlazarSetTriggerOperation(self, handle: Any, operation: int, *engines: int) -> int:
@@ -102,7 +101,7 @@ class AlazarLibrary:
 
     @_of_board()
     def AlazarSetTriggerDelay(self, handle: Any, samples: int) -> int:
-        return self._set(settings.within("delay_samples", samples, 0, codes.MOST_DELAY_SAMPLES))
+        return self._set(settings.trigger_delay(self._state.type, samples))
 
     @_of_board()
     def AlazarSetTriggerTimeOut(self, handle: Any, ticks: int) -> int:
@@ -121,7 +120,7 @@ class AlazarLibrary:
 
     @_of_board()
     def AlazarSetRecordSize(self, handle: Any, pre: int, post: int) -> int:
-        size = settings.record_size(pre, post, self._state.instruments.samples_per_channel)
+        size = settings.record_size(self._state.type, pre, post, self._state.instruments.samples_per_channel)
         return self._set(size, Code.INVALID_SIZE)
 
     @_of_board()
@@ -161,9 +160,9 @@ class AlazarLibrary:
             return refusal
         if not buffer:
             return Code.NULL_PARAM
-        if channel not in CHANNELS:
+        if not self._state.has_channel(channel):
             return Code.NOT_SUPPORT_THIS_CHANNEL
-        if element_bytes != 2 or count < 1:
+        if element_bytes != self._state.type.bytes_per_sample or count < 1:
             return Code.INVALID_SIZE
         data = self._state.samples(channel, record, offset, count)
         if data is None:
@@ -182,8 +181,9 @@ class AlazarLibrary:
     def AlazarBeforeAsyncRead(
         self, handle: Any, channels: int, offset: int, samples: int, per_buffer: int, per_acquisition: int, flags: int
     ) -> int:
-        mask = {1: (0,), 2: (1,), 3: (0, 1)}.get(channels, ())
-        return self._state.begin_transfer(Transfer(mask, samples, per_buffer, per_acquisition, flags), offset)
+        chosen = tuple(index for index in range(channels.bit_length()) if channels >> index & 1)
+        size = self._state.type.bytes_per_sample
+        return self._state.begin_transfer(Transfer(chosen, samples, per_buffer, per_acquisition, flags, size), offset)
 
     @_of_board()
     def AlazarPostAsyncBuffer(self, handle: Any, buffer: int, size: int) -> int:

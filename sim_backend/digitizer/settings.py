@@ -10,26 +10,27 @@ from typing import Any
 
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.board import BoardSettings, Engine, Input
+from sim_backend.digitizer.boards import BoardType
 
 Changes = dict[str, Any]
 
 
-def capture_clock(source: int, rate: int, edge: int, decimation: int) -> Changes | None:
+def capture_clock(board: BoardType, source: int, rate: int, edge: int, decimation: int) -> Changes | None:
     """Return the changes of an internal clock; the external clock is not simulated."""
-    if source != 1 or edge not in (0, 1) or decimation or rate not in codes.SAMPLE_RATES_HZ:
+    if source != 1 or edge not in (0, 1) or decimation or rate not in board.rates_hz:
         return None
-    return {"sample_rate_hz": codes.SAMPLE_RATES_HZ[rate]}
+    return {"sample_rate_hz": board.rates_hz[rate]}
 
 
 def input_control(
     settings: BoardSettings, channel: int, coupling: int, range_id: int, impedance: int
 ) -> Changes | None:
-    """Return the changes of one input; the largest ranges need 1 Mohm."""
-    highest = {codes.IMPEDANCE_1_MOHM: max(codes.INPUT_RANGES_V), codes.IMPEDANCE_50_OHM: codes.HIGHEST_50_OHM_RANGE}
-    if channel not in (1, 2) or coupling not in (1, 2) or not 1 <= range_id <= highest.get(impedance, 0):
+    """Return the changes of one input; some ranges need another impedance."""
+    range_v = settings.board.range_v(range_id, impedance)
+    if coupling not in (1, 2) or range_v is None:
         return None
     changed = list(settings.inputs)
-    changed[channel - 1] = Input(codes.INPUT_RANGES_V[range_id], impedance)
+    changed[channel.bit_length() - 1] = Input(range_v, impedance)
     return {"inputs": tuple(changed)}
 
 
@@ -53,10 +54,11 @@ def external_trigger(coupling: int, range_id: int) -> Changes | None:
     return {"external_range_v": codes.EXTERNAL_RANGES_V[range_id]}
 
 
-def record_size(pre: int, post: int, samples_per_channel: int) -> Changes | None:
+def record_size(board: BoardType, pre: int, post: int, samples_per_channel: int) -> Changes | None:
     """Return the changes of a record's samples before and after the trigger."""
     samples = pre + post
-    valid = samples >= 128 and samples % 16 == 0 and pre % 64 == 0 and 0 <= pre <= samples - 64
+    valid = samples >= board.shortest_record and samples % board.granule == 0
+    valid = valid and pre % board.pre_trigger_granule == 0 and 0 <= pre <= samples - 64
     if not valid or samples + 16 > samples_per_channel:
         return None
     return {"pre_samples": pre, "post_samples": post}
@@ -65,3 +67,8 @@ def record_size(pre: int, post: int, samples_per_channel: int) -> Changes | None
 def within(field: str, value: int, lowest: int, highest: int) -> Changes | None:
     """Return the change of one setting that takes a range of numbers."""
     return {field: value} if lowest <= value <= highest else None
+
+
+def trigger_delay(board: BoardType, samples: int) -> Changes | None:
+    """Return the change of the trigger delay."""
+    return None if samples % board.delay_granule else within("delay_samples", samples, 0, codes.MOST_DELAY_SAMPLES)

@@ -1,4 +1,4 @@
-"""State of a simulated ATS460 as its library drives it: settings, captures, records, AutoDMA; plain numbers."""
+"""State of a simulated board as its library drives it: settings, captures, records, AutoDMA; plain numbers."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.auto_dma import BufferQueue, Transfer, clipped_channels, timestamps
 from sim_backend.digitizer.board import Arming, Board, BoardSettings, Taken, words
+from sim_backend.digitizer.boards import BoardType
 from sim_backend.digitizer.codes import Code
 from sim_backend.digitizer.settings import Changes
 from sim_backend.settings import Instruments
@@ -48,7 +49,21 @@ class AlazarState:
         self._reset_option = codes.TIMESTAMP_ALWAYS
         self._reset_ps = self._clock.now_ps
         self._board.stop(self._clock.now_ps)
-        self._board.settings = BoardSettings()
+        self._board.settings = BoardSettings(self._board.type)
+
+    @property
+    def type(self) -> BoardType:
+        """Which board this is."""
+        return self._board.type
+
+    @property
+    def dual_port(self) -> bool:
+        """Whether records can leave the board while others come in."""
+        return self.type.dual_port or self.instruments.dual_port_memory
+
+    def has_channel(self, channel: int) -> bool:
+        """Return whether ``channel``, a bit of a channel mask, is one of the board's inputs."""
+        return channel in (1, 2, 4, 8)[: self.type.channels]
 
     @property
     def settings(self) -> BoardSettings:
@@ -57,12 +72,12 @@ class AlazarState:
 
     def capabilities(self) -> dict[int, int]:
         """Return the fixed properties by their number."""
-        dual_port = codes.OPTION_DUAL_PORT if self.instruments.dual_port_memory else 0
+        dual_port = codes.OPTION_DUAL_PORT if self.dual_port else 0
         return {
             codes.CAPABILITY_SERIAL: codes.SERIAL_NUMBER,
             codes.CAPABILITY_CALIBRATION: 10110,
             codes.CAPABILITY_MEMORY: self.instruments.samples_per_channel,
-            codes.CAPABILITY_BOARD: codes.BOARD_KIND,
+            codes.CAPABILITY_BOARD: self.type.kind,
             codes.CAPABILITY_FPGA: self.instruments.fpga_version,
             codes.CAPABILITY_OPTIONS: codes.OPTION_EXTERNAL_CLOCK | dual_port,
         }
@@ -72,11 +87,11 @@ class AlazarState:
         complete, queue = self._complete(), self._queue
         posted, full = (len(queue.posted), queue.full(complete)) if queue else (0, 0)
         return {
-            codes.PARAMETER_DATA_WIDTH: codes.RESOLUTION_BITS,
+            codes.PARAMETER_DATA_WIDTH: self.type.bits,
             codes.PARAMETER_BUFFER_BYTES: queue.transfer.buffer_bytes if queue else 0,
             codes.PARAMETER_BUFFER_COUNT: posted,
             codes.PARAMETER_GET_FORMAT: int(self.settings.signed),
-            codes.PARAMETER_SAMPLES_PER_TIMESTAMP: codes.SAMPLES_PER_TIMESTAMP,
+            codes.PARAMETER_SAMPLES_PER_TIMESTAMP: self.type.samples_per_count,
             codes.PARAMETER_RECORDS_CAPTURED: complete,
             codes.PARAMETER_MOST_PRETRIGGER: max(0, self.settings.record_samples - 64),
             codes.PARAMETER_BUFFERS_PENDING: posted,
@@ -149,30 +164,33 @@ class AlazarState:
         return self.refuse_record(record)
 
     def samples(self, channel: int, record: int, offset: int, count: int) -> bytes | None:
-        """Return ``count`` samples of a record of channel 1 or 2 as it lies in memory; None where it has none."""
+        """Return ``count`` samples of a record of one channel as it lies in memory; None where it has none."""
         settings = self._arming.settings
         start = settings.pre_samples + offset
         if start < 0 or start + count > settings.record_samples:
             return None
         volts = self._recorder.volts(self._clock.now_ps, slice(record - 1, record))[0, start : start + count]
         at_input = volts if channel == 1 else np.zeros_like(volts)
-        return words(at_input, settings.inputs[channel - 1], settings.signed).tobytes()
+        return words(at_input, settings.inputs[channel.bit_length() - 1], settings).tobytes()
 
     def timestamp(self, record: int) -> int:
-        """Return when a record was triggered, in sample clock periods; even, as the counter behind it counts two."""
+        """Return when a record was triggered, in sample clock periods, as finely as the counter behind it counts."""
         taken = self._recorder.taken(self._clock.now_ps)
         count = int(timestamps(self._arming, taken.tick_ps[record - 1 : record], self._reset_ps)[0])
-        return count * codes.SAMPLES_PER_TIMESTAMP
+        return count * self.type.samples_per_count
 
     def begin_transfer(self, transfer: Transfer, offset: int) -> Code:
         """Prepare AutoDMA, and start it at once where the program does not do so itself."""
         if self._queue is not None:
             return Code.DMA_IN_PROGRESS
-        dual_port = self.instruments.dual_port_memory
-        refusal = transfer.refusal(self.settings, offset) if dual_port else Code.UNSUPPORTED_FUNCTION
+        refusal = transfer.refusal(self.settings, offset) if self.dual_port else Code.UNSUPPORTED_FUNCTION
         if refusal is not Code.SUCCESS:
             return refusal
-        self._queue = BufferQueue(transfer, self.instruments.samples_per_channel // (transfer.record_samples + 16))
+        self._queue = BufferQueue(
+            transfer,
+            self.instruments.samples_per_channel // (transfer.record_samples + 16),
+            self.type.most_buffer_bytes,
+        )
         if not transfer.flags & codes.ADMA_EXTERNAL_STARTCAPTURE:
             self._arm()
         return Code.SUCCESS
@@ -220,7 +238,7 @@ class AlazarState:
 
     @property
     def _old_fpga(self) -> bool:
-        return self.instruments.fpga_version <= codes.OLD_FPGA
+        return self.instruments.fpga_version <= self.type.old_fpga
 
     def _arm(self) -> None:
         settings = self.settings

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.alazar.ats460 import Ats460
+from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import InstrumentError
 from hpe_rig.acquire.run import Setup, record_run
@@ -222,7 +222,7 @@ def transport() -> str:
 def tapped(monkeypatch: pytest.MonkeyPatch, transport: str) -> Callable[[Tap], None]:
     """Return a function that puts a tap on every bench opened from then on."""
     wire, library = World.connect, World.alazar_library
-    records, make_buffer = Ats460.records, PageBuffer.__init__
+    records, make_buffer = AlazarDigitizer.records, PageBuffer.__init__
     make_world, over_visa = opening._world, opening._visa_connections
 
     def put(tap: Tap) -> None:
@@ -240,7 +240,7 @@ def tapped(monkeypatch: pytest.MonkeyPatch, transport: str) -> Callable[[Tap], N
             connect = over_visa(*arguments)
             return lambda role: TappedLine(connect(role), tap)
 
-        def counted(board: Ats460, deadline_s: float) -> Iterator[Any]:
+        def counted(board: AlazarDigitizer, deadline_s: float) -> Iterator[Any]:
             for block in records(board, deadline_s):
                 tap.arrived += len(block.codes)
                 yield block
@@ -253,7 +253,7 @@ def tapped(monkeypatch: pytest.MonkeyPatch, transport: str) -> Callable[[Tap], N
         monkeypatch.setattr(opening, "_visa_connections", tapped_lines)
         monkeypatch.setattr(World, "connect", tapped_wire)
         monkeypatch.setattr(World, "alazar_library", lambda world: TappedLibrary(library(world), tap))
-        monkeypatch.setattr(Ats460, "records", counted)
+        monkeypatch.setattr(AlazarDigitizer, "records", counted)
         monkeypatch.setattr(PageBuffer, "__init__", noted)
 
     return put
@@ -395,7 +395,8 @@ def test_a_fault_over_a_real_transport_leaves_the_bench_safe(
         cases = list(zip(range(14, clean.calls, 29), cycle(OVER_A_LINE), strict=False))
     unsafe, raised, reported, off_s, ended_s, since_fault_s = [], 0, 0, [], [], []
     for number, (index, kind) in enumerate(cases):
-        tap = Tap(index, kind, proven=kind == "foreign" and index >= clean.last_switch)
+        # The lines end at the same time: which call of theirs is the last to switch is chance.
+        tap = Tap(index, kind, proven=kind == "foreign" and index >= clean.last_switch - 10)
         tapped(tap)
         started.clear()
         path = tmp_path / f"{number}.h5"

@@ -45,7 +45,7 @@ RUNNER = """
 import json, os, signal, sys, threading, time, typer
 from contextlib import suppress
 from pathlib import Path
-from drivers.alazar.ats460 import Ats460
+from drivers.alazar.digitizer import AlazarDigitizer
 from hpe_rig.bench import opening
 from hpe_rig.cli.app import main
 import hpe_rig.acquire, hpe_rig.processing, hpe_rig.cli.watch, hpe_rig.cli.tables, hpe_rig.live, pyvisa_py, scipy.linalg
@@ -79,14 +79,14 @@ def both(simulation, bench, first_shot, stack, lock=True):
     connect = lambda role: Both(there.connect(role), here.connect(role))
     return opening.Reach(connect, here.alazar_library, here.clock, None)
 opening._reach = both
-records = Ats460.records
+records = AlazarDigitizer.records
 def slowly(board, deadline_s):
     for block in records(board, deadline_s):
         # As long as a shot takes, in the small pieces that a wait has.
         for _ in range(4):
             time.sleep(SLOWLY_S)
         yield block
-Ats460.records = slowly
+AlazarDigitizer.records = slowly
 
 def hold(scene, bench):
     import hpe_rig
@@ -250,7 +250,7 @@ def judged(rig: Rig, said: str, code: int) -> list[str]:
 
 
 # Before an instrument was opened, or when the run was over and the result was worked out, there is nothing to say.
-QUIET = {"hpe-rig: interrupted", "hpe-rig: ended by SIGTERM", "hpe-rig: ended by SIGHUP"}
+QUIET = {"", "hpe-rig: interrupted", "hpe-rig: ended by SIGTERM", "hpe-rig: ended by SIGHUP"}
 
 
 @pytest.mark.parametrize("number", SIGNALS)

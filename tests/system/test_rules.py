@@ -77,7 +77,7 @@ def test_the_import_contracts_hold(tree: Path) -> None:
     ("file", "statement"),
     [
         ("hpe_rig/plan/shots.py", "import hpe_rig.acquire.run"),
-        ("hpe_rig/acquire/sequencer.py", "import drivers.alazar.ats460"),
+        ("hpe_rig/acquire/sequencer.py", "import drivers.alazar.digitizer"),
         ("hpe_rig/processing/motion.py", "import sim_backend.echoes.engine"),
         ("sim_backend/echoes/engine.py", "import hpe_rig.processing"),
         ("sim_backend/world.py", "import drivers.interfaces"),

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from drivers.interfaces import InstrumentError
+from hpe_rig.acquire import sequencer
 from hpe_rig.acquire.run import Setup, record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Observer, Progress, Step
@@ -80,6 +81,28 @@ def test_an_output_switched_off_by_another_program_is_found(
     meddler = another_program(worlds, role, "OUTP 0")
     with pytest.raises(InstrumentError, match=rf"{role}: .*output_on \(OUTP\) programmed 1, read back 0"):
         record_run(prepared("bovine-muscle-synchronous", TWICE), tmp_path / "run.h5", meddler)
+
+
+def test_looking_at_the_instruments_during_a_shot_changes_no_record(
+    prepared: Prepare, tmp_path: Path, worlds: list[World], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup = prepared("bovine-muscle-synchronous", TWICE)
+    monkeypatch.setattr(sequencer, "WATCH_S", 0.02)
+    watched = read_run(record_run(setup, tmp_path / "watched.h5"))
+    monkeypatch.undo()
+    whole = read_run(record_run(setup, tmp_path / "whole.h5"))
+    for one, other in zip(watched.records, whole.records, strict=True):
+        assert (one.codes == other.codes).all()
+
+
+def test_a_change_in_a_long_shot_ends_it_before_its_last_record(
+    prepared: Prepare, tmp_path: Path, worlds: list[World], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sequencer, "WATCH_S", 0.02)
+    meddler = another_program(worlds, "toneburst", "VOLT 2")
+    with pytest.raises(InstrumentError, match="shot 1 is not to be trusted: toneburst"):
+        record_run(prepared("bovine-muscle-synchronous", TWICE), tmp_path / "run.h5", meddler)
+    assert 0 < read_run(tmp_path / "run.h5").records[0].valid.sum() < 800
 
 
 @pytest.mark.parametrize("role", FOREIGN)

@@ -142,7 +142,7 @@ def capture_mode(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckRe
     board, capture = bench.digitizer, plan.shots[0].capture
     channels = "channel A" if capture.channels == 1 else "channels A and B"
     text = f"digitizer.acquisition_mode = {board.mode}, {channels}"
-    if board.mode != "single_port" and not board.dual_port_memory:
+    if board.mode != "single_port" and not board.has_dual_port_memory:
         remedy = 'acquisition_mode = "single_port", or dual_port_memory = true where the board has it'
         yield CheckResult("capture mode", "refused", f"{text}: needs dual-port memory", remedy)
     # What the board cannot do of one channel in the plainest mode is said by the check above.

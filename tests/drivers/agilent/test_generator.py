@@ -373,3 +373,30 @@ def test_an_instrument_that_never_ends_its_self_test_is_an_error_that_names_it(s
     instrument = scripted(replies={"OUTP": "0"})
     with pytest.raises(InstrumentError, match=r"burst_train: no reply to '\*TST\?'"):
         Agilent33250A(instrument, "burst_train").self_test()
+
+
+@pytest.mark.parametrize(("stuck", "switch"), [("0", "enable_output"), ("1", "make_safe")])
+def test_a_stuck_relay_is_blamed_on_the_relay_and_not_on_the_scene(scripted, stuck: str, switch: str) -> None:
+    connection = scripted()
+    generator = Agilent33250A(connection, "toneburst")
+    generator.configure(BURST)
+    connection.replies["OUTP"] = stuck
+    with pytest.raises(InstrumentError, match=r"read back [01]\. the relay at the output is stuck") as caught:
+        getattr(generator, switch)()
+    assert "scene" not in str(caught.value)
+
+
+def test_what_another_program_changed_is_found_and_the_next_task_starts_from_the_reset_state(scripted) -> None:
+    connection = scripted()
+    generator = Agilent33250A(connection, "toneburst")
+    generator.configure(BURST)
+    generator.enable_output()
+    generator.recheck()
+    connection.replies["VOLT"] = "+2.0000000000000E+00"
+    with pytest.raises(InstrumentError, match=r"amplitude_vpp .*read back \+2\.0.*another program, or somebody"):
+        generator.recheck()
+    # The next task is programmed from the reset state, whatever else was changed.
+    del connection.replies["VOLT"]
+    connection.messages.clear()
+    generator.configure(BURST)
+    assert any("*RST" in message for message in connection.messages)

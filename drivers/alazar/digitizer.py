@@ -1,4 +1,4 @@
-"""AlazarTech ATS460 as the bench's digitizer: external trigger, AUX trigger output, echoes at channel A."""
+"""AlazarTech board as the bench's digitizer: external trigger, AUX trigger output, echoes at channel A."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.alazar.api import AlazarLibrary, Capability, Channel, Parameter
 from drivers.alazar.board import AlazarBoard
 from drivers.alazar.captures import DualPortCapture, SinglePortCapture
 from drivers.alazar.limits import Mode, level_code, mistakes
-from drivers.alazar.models import ATS460_BOARD
+from drivers.alazar.models import ATS460_BOARD, BoardModel
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.alazar.samples import RawRecords
 from drivers.interfaces import Capture, Clock, Identity, InstrumentError, MonitorRecords, RecordBlock, Setting
@@ -24,8 +24,8 @@ ZERO_LEVEL_CODE: Final = 128
 
 
 @final
-class Ats460:
-    """One board; which of its ways to capture is taken follows from its memory, unless ``mode`` says.
+class AlazarDigitizer:
+    """One board of ``model``; which of its ways to capture is taken follows from its memory, unless ``mode`` says.
 
     ``allocate`` makes the page-aligned memory that the board writes into. At the end of a ``with`` statement the
     capture is aborted, verified, and its memory freed.
@@ -40,8 +40,10 @@ class Ats460:
         board_id: int = 1,
         allocate: Callable[[int], PageBuffer] = PageBuffer,
         mode: Mode | None = None,
+        model: BoardModel = ATS460_BOARD,
     ) -> None:
-        self._board = AlazarBoard(library, role, system_id, board_id, ATS460_BOARD.kind)
+        self._board = AlazarBoard(library, role, system_id, board_id, model)
+        self._model = model
         self._clock = clock
         self._allocate = allocate
         self._wanted_mode = mode
@@ -65,15 +67,15 @@ class Ats460:
         board = self._board
         fpga = board.capability(Capability.FPGA_VERSION)
         firmware = f"FPGA {fpga}, driver {board.driver_version()}, SDK {board.sdk_version()}"
-        return Identity("AlazarTech", "ATS460", str(board.capability(Capability.SERIAL_NUMBER)), firmware)
+        return Identity("AlazarTech", self._model.name, str(board.capability(Capability.SERIAL_NUMBER)), firmware)
 
     def configure(self, capture: Capture) -> None:
         """Program the board; raise ``InstrumentError`` for what it cannot do, all of it at once."""
         chosen = self._chosen_mode()
         fpga = self._board.capability(Capability.FPGA_VERSION)
-        found = "; ".join(refusal.text for refusal in mistakes(capture, ATS460_BOARD, chosen, fpga))
+        found = "; ".join(refusal.text for refusal in mistakes(capture, self._model, chosen, fpga))
         if found:
-            why = f"the {ATS460_BOARD.name} cannot do this, and nothing was sent to it"
+            why = f"the {self._model.name} cannot do this, and nothing was sent to it"
             raise InstrumentError(self.role, found, why, "change the value in the scene or bench file")
         self._disarm()
         self._capture = self._mode = None
@@ -88,11 +90,10 @@ class Ats460:
         The vendor's interface reads most settings back nowhere; what it can report is compared.
         """
         _, mode = self._configured("verify")
-        parameter, samples_a_stamp = self._board.parameter, Parameter.SAMPLES_PER_TIMESTAMP_CLOCK
+        parameter = self._board.parameter
         expected = {
-            "bits per sample": (samples.CODE_BITS, self._board.channel_info()[1]),
+            "bits per sample": (self._model.code_bits, self._board.channel_info()[1]),
             "data format": (UNSIGNED_FORMAT, parameter(Parameter.DATA_FORMAT)),
-            "samples per time stamp": (samples.SAMPLES_PER_COUNT, parameter(samples_a_stamp)),
             "capture running": (mode.armed, self._board.busy()),
             "buffers pending": (mode.buffers_posted(), parameter(Parameter.ASYNC_BUFFERS_PENDING)),
         }
@@ -193,11 +194,11 @@ class Ats460:
 
     def _program(self, capture: Capture) -> None:
         board, lib = self._board, self._board.library
-        level = level_code(capture.trigger_level_v)
-        rate_id = ATS460_BOARD.rate_ids[capture.sample_rate_hz]
+        level = level_code(capture.trigger_level_v, self._model.trigger_range_v)
+        rate_id = self._model.rate_ids[capture.sample_rate_hz]
         board.call(lib.AlazarSetCaptureClock, api.CLOCK_INTERNAL, rate_id, 0, 0)
         for channel, range_v in _ranges_v(capture).items():
-            inputs = api.COUPLING_DC, ATS460_BOARD.range_ids[range_v], api.IMPEDANCE_50_OHM
+            inputs = api.COUPLING_DC, self._model.range_ids[range_v], api.IMPEDANCE_50_OHM
             board.call(lib.AlazarInputControl, int(channel), *inputs)
             board.call(lib.AlazarSetBWLimit, int(channel), 0)
         external = api.ENGINE_J, api.SOURCE_EXTERNAL, api.SLOPE_POSITIVE, level
@@ -220,11 +221,12 @@ class Ats460:
             self._disarm()
 
     def _block(self, capture: Capture, raw: RawRecords) -> RecordBlock:
-        values, range_v = samples.codes(raw.words), capture.input_range_v
-        self._clipped = self._clipped or samples.any_at_full_scale(values) or self._board.input_clipped()
-        volts = samples.volts_per_code(range_v), samples.volts_offset(range_v)
-        time_s, monitor = raw.trigger_samples / capture.sample_rate_hz, _monitor(capture, values)
-        return RecordBlock(raw.first_record, values[0], time_s, *volts, samples.CODE_LIMITS, monitor)
+        model, range_v = self._model, capture.input_range_v
+        values = samples.codes(raw.words, model)
+        self._clipped = self._clipped or samples.any_at_full_scale(values, model) or self._board.input_clipped()
+        volts = samples.volts_per_code(range_v, model), samples.volts_offset(range_v, model)
+        time_s, monitor = raw.trigger_samples / capture.sample_rate_hz, _monitor(capture, values, model)
+        return RecordBlock(raw.first_record, values[0], time_s, *volts, model.code_limits, monitor)
 
     def _programmed(self) -> dict[str, Setting]:
         if self._capture is None or self._mode is None:
@@ -233,7 +235,7 @@ class Ats460:
         return programmed | {
             "acquisition_mode": self._mode.name,
             "records_per_block": self._mode.records_per_block,
-            "trigger_level_code": level_code(self._capture.trigger_level_v),
+            "trigger_level_code": level_code(self._capture.trigger_level_v, self._model.trigger_range_v),
             "input_channels": "".join(channel.name for channel in _ranges_v(self._capture)),
             "input_coupling": "DC",
             "input_impedance_ohm": 50.0,
@@ -257,8 +259,8 @@ def _ranges_v(capture: Capture) -> dict[Channel, float]:
     return {Channel.A: capture.input_range_v, **monitor}
 
 
-def _monitor(capture: Capture, values: NDArray[np.int16]) -> MonitorRecords | None:
+def _monitor(capture: Capture, values: NDArray[np.int16], model: BoardModel) -> MonitorRecords | None:
     range_v = capture.monitor_range_v
     if range_v is None:
         return None
-    return MonitorRecords(values[1], samples.volts_per_code(range_v), samples.volts_offset(range_v))
+    return MonitorRecords(values[1], samples.volts_per_code(range_v, model), samples.volts_offset(range_v, model))

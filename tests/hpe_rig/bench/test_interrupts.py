@@ -1,0 +1,130 @@
+"""Signals around an open bench: the first unwinds, those after it wait, and none gets lost on a good way out."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+
+import pytest
+
+from hpe_rig.bench import interrupts
+from hpe_rig.bench.interrupts import Terminated, interruptible, uninterrupted
+
+posix = pytest.mark.skipif(os.name == "nt", reason="Windows has neither SIGHUP nor signals sent to oneself")
+
+
+@posix
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGQUIT"])
+def test_what_ends_a_program_unwinds_like_ctrl_c(name: str) -> None:
+    number = getattr(signal, name)
+    before = signal.getsignal(number)
+    with pytest.raises(Terminated, match=name) as caught, interruptible():
+        signal.raise_signal(number)
+    assert caught.value.number == number
+    assert signal.getsignal(number) is before
+
+
+@posix
+def test_a_hang_up_that_is_ignored_on_purpose_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with interruptible():
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@posix
+def test_a_signal_that_is_held_back_comes_through_once_the_block_is_done() -> None:
+    done = []
+
+    def make_safe() -> None:
+        with uninterrupted():
+            signal.raise_signal(signal.SIGTERM)
+            done.append("safe")
+        done.append("never")
+
+    with pytest.raises(Terminated), interruptible():
+        make_safe()
+    assert done == ["safe"]
+
+
+@posix
+def test_a_signal_on_the_way_into_what_makes_safe_keeps_nobody_from_it() -> None:
+    """A second one comes where the first is being unwound, before anything holds it back."""
+    done = []
+
+    def unwind() -> None:
+        try:
+            with interruptible():
+                signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            signal.raise_signal(signal.SIGTERM)
+            done.append("safe")
+            raise
+
+    with pytest.raises(KeyboardInterrupt), uninterrupted():
+        unwind()
+    assert done == ["safe"]
+
+
+@posix
+def test_a_signal_that_somebody_swallowed_can_be_given_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(interrupts, "REPEAT_S", 0.0)
+    swallowed = []
+
+    def swallow() -> None:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except Terminated:
+            swallowed.append(1)
+        signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(Terminated), interruptible():
+        swallow()
+    assert swallowed == [1]
+
+
+@posix
+def test_what_went_wrong_takes_precedence_over_a_signal_that_came_meanwhile() -> None:
+    def unsafe() -> None:
+        signal.raise_signal(signal.SIGINT)
+        raise ValueError("unsafe")
+
+    with pytest.raises(ValueError, match="unsafe"), interruptible(), uninterrupted():
+        unsafe()
+
+
+def test_another_thread_is_left_alone() -> None:
+    before, seen = signal.getsignal(signal.SIGTERM), []
+
+    def work() -> None:
+        with interruptible(), uninterrupted():
+            seen.append(signal.getsignal(signal.SIGTERM))
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [before]
+
+
+def test_a_closing_windows_console_waits_until_the_bench_is_safe() -> None:
+    """By what the console's own thread calls; whether Windows calls it, only Windows can show."""
+    guard = interrupts._Interrupts()
+    guard._quiet.clear()
+    asked: list[str] = []
+    answers: list[bool] = []
+    console = threading.Thread(
+        target=lambda: answers.append(guard.console_goes(2, lambda: asked.append("interrupt"))), daemon=True
+    )
+    console.start()
+    console.join(0.2)
+    assert asked == ["interrupt"]
+    assert not answers
+    guard._quiet.set()
+    console.join(10.0)
+    assert answers == [True]
+    # Ctrl-C and Ctrl-Break are the C library's.
+    assert not guard.console_goes(0, lambda: asked.append("again"))
+    assert asked == ["interrupt"]

@@ -1,0 +1,102 @@
+"""A bench that cannot be opened: no earlier run is lost, no stub is left, and the message names what is wrong."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from drivers.interfaces import InstrumentError
+from drivers.visa import NoVisaError, VisaConnection
+from hpe_rig.acquire.run import prepare, record_run
+from hpe_rig.bench import opening
+from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.store import WriteOptions, read_run
+
+
+@pytest.fixture
+def metal(tmp_path: Path) -> Path:
+    text = read_bench().text
+    for simulated, real in (
+        ("simulated = true", "simulated = false"),
+        ("Simulated bench, wired as Fig. 2 of the paper", "Bench at the wrong address"),
+        ("assumed: no hydrophone has seen it", "A. Tester, with a hydrophone"),
+        ('model = "33250A"\n', 'model = "33250A"\naddress = "TCPIP0::127.0.0.1::1::SOCKET"\n'),
+    ):
+        assert simulated in text
+        text = text.replace(simulated, real)
+    path = tmp_path / "metal.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def rig(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "hpe_rig", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
+
+
+def test_overwriting_with_a_bench_at_a_wrong_address_loses_nothing(tmp_path: Path, metal: Path) -> None:
+    path = record_run(prepare("table-1"), tmp_path / "run.h5")
+    before = path.read_bytes()
+    done = rig(tmp_path, "run", "bovine-muscle", "--bench", str(metal), "--output", "run.h5", "--overwrite")
+    assert done.returncode == 1, done.stderr
+    assert path.read_bytes() == before
+    assert "no record had arrived: run.h5 is what it was before" in done.stderr
+    assert "holds the records" not in done.stderr
+
+
+def test_a_failed_open_leaves_no_stub_and_claims_no_records(tmp_path: Path, metal: Path) -> None:
+    before = set(tmp_path.iterdir())
+    done = rig(tmp_path, "run", "bovine-muscle", "--bench", str(metal), "--output", "run.h5")
+    assert done.returncode == 1
+    assert set(tmp_path.iterdir()) == before
+    assert "nothing was measured, and no run file is left" in done.stderr
+    assert "not identified, so not proven off: master, burst_train, toneburst" in done.stderr
+
+
+def test_an_earlier_run_is_replaced_once_a_record_has_arrived(tmp_path: Path) -> None:
+    path = record_run(prepare("table-1"), tmp_path / "run.h5")
+    record_run(prepare("bovine-muscle-synchronous"), path, options=WriteOptions(overwrite=True))
+    assert read_run(path).scene_name == "bovine-muscle-synchronous"
+    assert [item.name for item in tmp_path.glob("*.h5")] == ["run.h5"]
+
+
+def test_those_that_are_there_are_made_safe_where_another_cannot_be_reached(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup = prepare("bovine-muscle-synchronous")
+    worlds, make = [], opening._world
+
+    def left_on(*arguments: object) -> object:
+        worlds.append(make(*arguments))  # type: ignore[arg-type]
+        for role in ("master", "toneburst"):
+            worlds[0].connect(role).write("OUTP 1")
+        return worlds[0]
+
+    instrument = opening.Reach.instrument
+
+    def nobody(reached: opening.Reach, role: str, bench: object) -> object:
+        if role == "burst_train":
+            raise InstrumentError(role, "cannot open", "the address is wrong", "correct it")
+        return instrument(reached, role, bench)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(opening, "_world", left_on)
+    monkeypatch.setattr(opening.Reach, "instrument", nobody)
+    with pytest.raises(InstrumentError, match="burst_train: cannot open") as caught:
+        record_run(setup, tmp_path / "run.h5")
+    assert not any(worlds[0].outputs_on().values())
+    assert any("not proven off: burst_train: look" in note for note in caught.value.__notes__)
+
+
+def test_a_missing_driver_is_named_as_what_it_is(tmp_path: Path, metal: Path) -> None:
+    with pytest.raises(NoVisaError, match="no VISA driver for GPIB is installed") as caught:
+        VisaConnection("GPIB0::10::INSTR", backend="@py")
+    assert "NI-VISA or Keysight IO Libraries, or linux-gpib" in caught.value.remedy
+    text = metal.read_text(encoding="utf-8").replace("TCPIP0::127.0.0.1::1::SOCKET", "GPIB0::10::INSTR")
+    metal.write_text(text, encoding="utf-8")
+    done = rig(tmp_path, "run", "bovine-muscle", "--bench", str(metal))
+    assert done.returncode == 1
+    assert "lacks the driver for such an address, which may be right. Try: install NI-VISA" in done.stderr
+    assert "the address, the cable or the power is wrong" not in done.stderr
