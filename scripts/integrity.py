@@ -3,6 +3,7 @@
 Usage: python scripts/integrity.py flips [--cases 1000]         one bit of a run file inverted
        python scripts/integrity.py truncations [--cases 400]    a run file cut at a random length
        python scripts/integrity.py faults [--every 1]           the n-th write, sync or truncation fails (cc; Linux)
+       python scripts/integrity.py hangs [--every 12]           it never returns, and somebody presses Ctrl-C (the same)
        python scripts/integrity.py lost                         the file cut, removed, moved or replaced during a run
 Each is done with plain and with compressed records. A change is silent where a result differs from that of the whole
 file and nothing says so. The exit code is 0 where nothing was silent, crashed or hung.
@@ -15,8 +16,10 @@ import ctypes
 import errno
 import io
 import itertools
+import math
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -41,6 +44,8 @@ SMALL = (
 )
 MESSAGES = (StoreError, SettingsError, PlanError)
 KINDS = {"plain": False, "compressed": True}
+EXIT_INTERRUPTED = 130
+CTRL_C_S = 3.0
 LONGEST_S = 60.0
 """A run of a second that takes longer hangs."""
 
@@ -89,7 +94,8 @@ def damaged(kind: str, cases: int, damage: Callable[[bytearray, np.random.Genera
             outcomes[found] += 1
             outcomes["found by verify"] += found_by_verify(path)
             if found == "SILENT":
-                where = next(place for place, (old, new) in enumerate(zip(data, copy, strict=False)) if old != new)
+                pairs = enumerate(zip(data, copy, strict=False))
+                where = next((place for place, (old, new) in pairs if old != new), len(copy))
                 print(f"silent: byte {where} of {len(data)}", file=sys.stderr)
     return outcomes
 
@@ -130,7 +136,34 @@ def faults(kind: str, every: int) -> Counter[str]:
     return outcomes
 
 
-GOOD = ("exit 2, message, file readable", "exit 2, message, no file")
+def hangs(kind: str, every: int) -> Counter[str]:
+    """Return how runs ended whose n-th step on the disk never returned, when Ctrl-C came 3 s after their start."""
+    library, setup, outcomes = ctypes.CDLL(None), small_setup(), Counter[str]()
+    folder = Path(tempfile.mkdtemp()).resolve()
+    steps = steps_of(setup, folder, KINDS[kind], library)
+    # Without those before the bench is opened, and those after: the file is closed then, and waited for, for 60 s.
+    for number in range(3, steps - 8, every):
+        (folder / "disk").mkdir()
+        code = in_child(partial(hang, setup, folder / "disk", KINDS[kind], library, number), folder / "said")
+        said = (folder / "said").read_text()
+        after_s = float(said.partition("safe after ")[2].split()[0]) if "safe after" in said else math.inf
+        good = code == EXIT_INTERRUPTED and after_s < CTRL_C_S + 2 and "outputs on" not in said
+        outcomes["exit 130, outputs off within 2 s" if good else f"HANG, exit {code}: {said[-300:]!r}"] += 1
+        shutil.rmtree(folder / "disk")
+    shutil.rmtree(folder)
+    return outcomes
+
+
+def hang(setup: Setup, disk: Path, compress: bool, library: ctypes.CDLL, number: int) -> None:
+    """Measure onto a disk whose step ``number`` never returns, interrupted as by Ctrl-C after ``CTRL_C_S``."""
+    library.disk_faults_arm(str(disk).encode(), number, 0, 0, 1)
+    signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+    signal.setitimer(signal.ITIMER_REAL, CTRL_C_S)
+    measure(setup, disk, compress)
+
+
+NOT_REACHED = "no step failed"
+GOOD = ("exit 2, message, file readable", "exit 2, message, no file", NOT_REACHED)
 
 
 def steps_of(setup: Setup, folder: Path, compress: bool, library: ctypes.CDLL) -> int:
@@ -158,6 +191,7 @@ def one_fault(setup: Setup, folder: Path, compress: bool, whole: Path, arm: Call
     def child() -> None:
         arm()
         measure(setup, disk, compress)
+        print(NOT_REACHED)
 
     code = in_child(child, folder / "said")
     said = (folder / "said").read_text()
@@ -165,6 +199,9 @@ def one_fault(setup: Setup, folder: Path, compress: bool, whole: Path, arm: Call
     try:
         if code < 0:
             return "HANG" if code == -9 else f"CRASH by signal {-code}"
+        if code == 0 and said.endswith(f"{NOT_REACHED}\n"):
+            # It synced once less than the run whose steps were counted, which took longer.
+            return GOOD[2]
         if code != 2 or "Try:" not in said or "Traceback" in said or "outputs on" in said:
             return f"exit {code}: {said[-300:]!r}"
         if not left.exists():
@@ -183,11 +220,17 @@ def measure(setup: Setup, disk: Path, compress: bool) -> None:
     worlds: list[Any] = []
     opened = bench.open_bench
 
+    start_s = time.monotonic()
+
     @contextmanager
     def noted(*arguments: Any) -> Iterator[Any]:
-        with opened(*arguments) as one:
-            worlds.append(one.world)
-            yield one
+        try:
+            with opened(*arguments) as one:
+                worlds.append(one.world)
+                yield one
+        finally:
+            # Left in order, which proves every output off.
+            print(f"safe after {time.monotonic() - start_s:.2f} s")
 
     vars(sys.modules[acquire.record_run.__module__])["open_bench"] = noted
     try:
@@ -195,6 +238,8 @@ def measure(setup: Setup, disk: Path, compress: bool) -> None:
     except StoreError as error:
         print(f"hpe-rig: {error}")
         sys.exit(2)
+    except KeyboardInterrupt:
+        sys.exit(EXIT_INTERRUPTED)
     finally:
         if any(on for world in worlds for on in world.outputs_on().values()):
             print("outputs on")
@@ -316,28 +361,32 @@ def preloaded(arguments: list[str]) -> int:
         return subprocess.run(command, env=os.environ | {"LD_PRELOAD": str(library)}, check=False).returncode
 
 
+BAD = ("SILENT", "AFTER MORE", "HANG")
+
+
 def main() -> int:
-    """Do one of the four and print the counts."""
+    """Do one of the five and print the counts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("flips", "truncations", "faults", "lost"))
+    parser.add_argument("what", choices=("flips", "truncations", "faults", "hangs", "lost"))
     parser.add_argument("--cases", type=int)
-    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--every", type=int)
     given = parser.parse_args()
-    if given.what == "faults" and "disk_faults" not in os.environ.get("LD_PRELOAD", ""):
+    if given.what in ("faults", "hangs") and "disk_faults" not in os.environ.get("LD_PRELOAD", ""):
         return preloaded(sys.argv[1:])
     bad = 0
     for kind in KINDS:
         found = {
             "flips": lambda kind=kind: damaged(kind, given.cases or 1000, flip),
             "truncations": lambda kind=kind: damaged(kind, given.cases or 400, cut),
-            "faults": lambda kind=kind: faults(kind, given.every),
+            "faults": lambda kind=kind: faults(kind, given.every or 1),
+            "hangs": lambda kind=kind: hangs(kind, given.every or 12),
             "lost": lambda kind=kind: lost(kind),
         }[given.what]()
         print(
             f"{given.what}, {kind}: " + "; ".join(f"{count} {what}" for what, count in found.most_common()), flush=True
         )
         bad += sum(count for what, count in found.items() if given.what == "faults" and what not in GOOD)
-        bad += sum(count for what, count in found.items() if "SILENT" in what or "AFTER MORE" in what)
+        bad += sum(count for what, count in found.items() if any(word in what for word in BAD))
     return int(bad > 0)
 
 

@@ -4,14 +4,15 @@ Usage: python scripts/survival.py stream FOLDER --gigabytes 20
        python scripts/survival.py throughput FOLDER
        python scripts/survival.py full --sizes 50        (as root: mounts a tmpfs of each size)
 `stream` measures a simulated scene into FOLDER, printing resident memory as the file grows, then does what
-`throughput` does: write the same records with the run file's writer and with plain h5py, in turns. `full` measures
-onto each disk, moves what is left to a larger one, goes on there, and compares the table with that of an undisturbed
-run. Linux.
+`throughput` does: write the same records with the run file's writer and with plain h5py, without checksums and with
+the same checksums of the same bytes, in turns. `full` measures onto each disk, moves what is left to a larger one, goes
+on there, and compares the table with that of an undisturbed run. Linux.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import shutil
 import statistics
@@ -21,6 +22,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -99,12 +101,19 @@ def stream(folder: Path, gigabytes: float) -> None:
 
 
 def throughput(folder: Path, gigabytes: float = 1.0, rounds: int = 5) -> None:
-    """Write the same records with the run file's writer and with plain h5py in turns; print median and range, MB/s."""
+    """Write the same records with the run file's writer and with plain h5py in turns; print median and range, MB/s.
+
+    Plain h5py once without and once with the checksums that the run file has.
+    """
     setup = long_setup(gigabytes)
     first = replace(setup.plan, shots=setup.plan.shots[:1])
     with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
         blocks = [event.block for event in acquire(first, bench) if isinstance(event, ShotBlock)]
-    writers = {"run file": write_run, "plain h5py": write_plain}
+    writers = {
+        "run file": write_run,
+        "h5py, checksums": partial(write_plain, checksums=True),
+        "plain h5py": write_plain,
+    }
     took_s: dict[str, list[float]] = {name: [] for name in writers}
     for _ in range(rounds):
         for name, write in writers.items():
@@ -116,7 +125,7 @@ def throughput(folder: Path, gigabytes: float = 1.0, rounds: int = 5) -> None:
     megabytes = len(setup.plan.shots) * SHOT_BYTES / 1e6
     for name, each_s in took_s.items():
         rate, low, high = (megabytes / value(each_s) for value in (statistics.median, max, min))
-        print(f"{name:10}  {rate:6.0f} MB/s ({low:.0f} to {high:.0f}), {rounds} times {megabytes:.0f} MB, synced")
+        print(f"{name:15}  {rate:6.0f} MB/s ({low:.0f} to {high:.0f}), {rounds} times {megabytes:.0f} MB, synced")
 
 
 def write_run(path: Path, setup: Setup, blocks: list[RecordBlock]) -> None:
@@ -128,14 +137,19 @@ def write_run(path: Path, setup: Setup, blocks: list[RecordBlock]) -> None:
             writer.finish(shot)
 
 
-def write_plain(path: Path, setup: Setup, blocks: list[RecordBlock]) -> None:
+def write_plain(path: Path, setup: Setup, blocks: list[RecordBlock], checksums: bool = False) -> None:
     """Write the same codes into one chunked dataset, without marks, flushes or readers, synced at the end."""
+    found = []
     shots = len(setup.plan.shots)
     with h5py.File(path, "w", libver="v110") as file:
         echo = file.create_dataset("echo", (shots, 500, 10_000), "<i2", chunks=(1, 50, 10_000))
         for shot in range(shots):
             for block in blocks:
                 echo[shot, block.first_record : block.first_record + block.codes.shape[0]] = block.codes
+                if checksums:
+                    found.append(hashlib.blake2b(block.codes.tobytes(), digest_size=8).digest())
+        if checksums:
+            file["checksum"] = np.frombuffer(b"".join(found), "<u8")
         file.flush()
         os.fsync(file.id.get_vfd_handle())
 
@@ -209,21 +223,26 @@ def table(path: Path) -> dict[str, object]:
 
 
 def main() -> None:
-    """Run one of the two."""
+    """Run one of the three."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True, dest="command")
     streaming = commands.add_parser("stream")
     streaming.add_argument("folder", type=Path)
     streaming.add_argument("--gigabytes", type=float, default=20.0)
-    commands.add_parser("throughput").add_argument("folder", type=Path)
+    writing = commands.add_parser("throughput")
+    writing.add_argument("folder", type=Path)
+    writing.add_argument("--gigabytes", type=float, default=1.0)
+    writing.add_argument("--rounds", type=int, default=5)
     commands.add_parser("full").add_argument("--sizes", type=int, default=50)
     given = parser.parse_args()
-    if given.command == "full":
-        full(given.sizes)
-        return
-    if given.command == "stream":
-        stream(given.folder, given.gigabytes)
-    throughput(given.folder)
+    match given.command:
+        case "full":
+            full(given.sizes)
+        case "stream":
+            stream(given.folder, given.gigabytes)
+            throughput(given.folder)
+        case "throughput":
+            throughput(given.folder, given.gigabytes, given.rounds)
 
 
 if __name__ == "__main__":

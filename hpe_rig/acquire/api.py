@@ -89,6 +89,9 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
     if not scene.wanted_frequencies_hz:
         yield "prediction: left out, no vibration frequency is wanted"
         return
+    if any(finding.check == "driven harmonics" for finding in setup.findings):
+        yield "prediction: left out, the fit is larger than memory"
+        return
     yield from prediction.detection_text(scene, bench.simulated, shot)
     yield from prediction.aliasing_text(scene, shot, bench.simulated)
     yield from prediction.calibration_text(scene, bench)

@@ -28,6 +28,7 @@ from hpe_rig.scene import (
     VoltageV,
     mistakes_of,
     parse_toml,
+    unreadable,
 )
 
 GeneratorRole = Literal["master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"]
@@ -257,8 +258,8 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
         return parse_bench("simulated", shipped.read_text(encoding="utf-8"))
     try:
         found = parse_bench(path.stem, path.read_text(encoding="utf-8-sig"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
+    except (OSError, ValueError) as error:
+        reason = unreadable(error)
         remedy = "hpe-rig new my-bench --like bench writes one to start from"
         raise SettingsError(f"bench {path}", [Mistake("", f"cannot be read ({reason})", remedy)]) from None
     return found if any_title else _own(found)

@@ -38,6 +38,7 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
     @functools.wraps(command)
     def guard(*args: P.args, **kwargs: P.kwargs) -> None:
         from hpe_rig.bench import interruptible, uninterrupted
+        from hpe_rig.scene import printable
 
         with uninterrupted():
             try:
@@ -49,7 +50,7 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
                 failure = _failure(error) or (_unforeseen(error), EXIT_PROGRAM)
                 # A terminal that was closed takes no message any more.
                 with suppress(OSError):
-                    typer.echo(f"hpe-rig: {failure[0]}", err=True)
+                    typer.echo(f"hpe-rig: {printable(failure[0])}", err=True)
                 raise typer.Exit(failure[1]) from None
 
     return guard

@@ -39,6 +39,9 @@ def fitted_over_true(
     true = 1j * motion[0] * force_spectrum(harmonic, rate_hz, length_s)
     parts = np.stack([true.real, true.imag], axis=-1).ravel()
     time_s, spec = select(scene, shot).time_s, spec_of(estimator or scene.processing.estimator)
+    if not time_s.size:
+        # a plan with conflicts may have no pulse in its window
+        return None
     displacement_m = harmonic_columns(time_s, frequency_hz) @ parts
     try:
         found = fitted(scene, shot, spec, displacement_m)

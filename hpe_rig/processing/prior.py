@@ -44,6 +44,8 @@ BROAD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
 UNTOLD = 1e-3
 """Noise that the test takes a pulse to have at least, relative to the rms motion: less is the ensemble's own error."""
+UNEXPLAINED = 4.0
+"""Mean square of a residual, over that of the steps' noise, from which on more than this noise is in it."""
 UNSEEN = 1e-10
 """Singular value over the largest up to which pulses see nothing of a direction."""
 SCAN = np.arange(0.0, 9.0, 0.1) * np.log(10)
@@ -224,13 +226,17 @@ def medium_fit(
     gain = start * seen.value / (evidence.variance_m2[..., None] + start * seen.value**2)
     weights = seen.rows * gain[..., None, :]
     taken = gain * seen.value
-    if motion.walk is None:
-        noise = evidence.variance_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
-    else:
+    noise = evidence.variance_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
+    if motion.walk is not None:
         residual, walk = data - (taken * along) @ seen.left.T, np.asarray(motion.walk)
         columns = np.hstack([seen.background, seen.left])
         shares = np.concatenate([np.ones((*taken.shape[:-1], seen.background.shape[1])), taken], axis=-1)
-        noise = step_covariance(residual, walk, weights @ seen.left.T, steps_freedom(columns, shares, walk))[1]
+        freedom = steps_freedom(columns, shares, walk)
+        pulse, of_steps = step_covariance(residual, walk, weights @ seen.left.T, freedom)
+        # Steps do not see what drifts slowly, a creep say; where a residual is far larger than they explain, it counts.
+        explained = pulse * (1 + walk * len(seen.left) / 6)
+        drifts = evidence.variance_m2 > UNEXPLAINED * explained
+        noise = of_steps + np.where(drifts[..., None, None], noise, 0.0)
     aliasing = _aliasing(seen, weights, evidence)
     state = (gain * along) @ seen.rows.T
     variance, used = evidence.variance_m2, len(seen.left)

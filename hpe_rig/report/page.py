@@ -55,6 +55,8 @@ def write_report(path: Path, estimator: str | None = None, output: Path | None =
     ``StoreError`` for a file that cannot be read or written, or would be lost, and ``SettingsError`` for what the file
     says or the caller asks.
     """
+    if not path.name:
+        raise StoreError(f"{path} is a folder. Try: the path of a run file.")
     target = output or path.with_suffix(".html")
     _refuse_other(target)
     refuse_unwritable(target)

@@ -43,5 +43,7 @@ from .validation import (
     mistakes_of as mistakes_of,
     named_text as named_text,
     parse_toml as parse_toml,
+    printable as printable,
+    unreadable as unreadable,
     validated as validated,
 )

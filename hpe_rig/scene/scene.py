@@ -57,6 +57,8 @@ def _one_line(text: str) -> str:
 
 
 MOST_TITLE = 300
+MOST_WIDTHS = 8.0
+"""Sigmas from the middle of a force beyond which it moves 1e-14 of what it does there."""
 Title = Annotated[str, AfterValidator(_one_line)]
 
 
@@ -324,6 +326,18 @@ class Scene(Section):
         if self.processing.harmonic == "medium_prior" and self.without_prior is not None:
             raise ValueError(
                 f'processing.harmonic = "medium_prior" needs more, {self.without_prior}: set harmonic = "least_squares"'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _gate_meets_the_force(self) -> Scene:
+        if self.beams is None or self.beams.focus_depth_m is None:
+            return self
+        off_m, width_m = abs(self.acquisition.gate_depth_m - self.beams.focus_depth_m), self.beams.excitation_width_m[2]
+        if off_m > MOST_WIDTHS * width_m:
+            raise ValueError(
+                f"acquisition.gate_depth_m lies {off_m:.3g} m from beams.focus_depth_m, {off_m / width_m:.3g} times "
+                "beams.excitation_width_m along the beam, where nothing moves: equal depths, or no focus_depth_m"
             )
         return self
 

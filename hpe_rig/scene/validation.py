@@ -18,6 +18,11 @@ Model = TypeVar("Model", bound=BaseModel)
 KeyPath = tuple[str | int, ...]
 
 
+def printable(text: str) -> str:
+    """Return ``text`` with everything but line ends escaped that a terminal would obey, such as names from files."""
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
 @dataclass(frozen=True, slots=True)
 class Mistake:
     """One thing wrong with a settings file: where it stands, what is wrong and what to do."""
@@ -27,7 +32,8 @@ class Mistake:
     remedy: str
 
     def __str__(self) -> str:
-        return f"{self.path}: {self.what}. Try: {self.remedy}." if self.path else f"{self.what}. Try: {self.remedy}."
+        where = f"{self.path}: " if self.path else ""
+        return printable(f"{where}{self.what}. Try: {self.remedy}.")
 
 
 class SettingsError(Exception):
@@ -36,7 +42,7 @@ class SettingsError(Exception):
     def __init__(self, source: str, mistakes: Sequence[Mistake]) -> None:
         plural = "mistake" if len(mistakes) == 1 else "mistakes"
         lines = "\n".join(f"  {mistake}" for mistake in mistakes)
-        super().__init__(f"{source}: {len(mistakes)} {plural}\n{lines}")
+        super().__init__(f"{printable(source)}: {len(mistakes)} {plural}\n{lines}")
         self.source = source
         self.mistakes = tuple(mistakes)
 
@@ -93,11 +99,18 @@ def named_text(
     path = folder / source
     try:
         return path.stem, path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error.strerror).lower()
+    except (OSError, ValueError) as error:
+        reason = unreadable(error)
         what = f"neither a shipped {kind} nor a readable file ({reason})"
         mistake = Mistake("", what, f"a path, or one of {', '.join(shipped)}")
         raise SettingsError(f"{kind} {source}", [mistake]) from None
+
+
+def unreadable(error: OSError | ValueError) -> str:
+    """Return in words why a settings file cannot be read."""
+    if isinstance(error, OSError):
+        return str(error.strerror).lower()
+    return "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else "no file can have that name"
 
 
 def mistakes_of(model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPath = ()) -> list[Mistake]:

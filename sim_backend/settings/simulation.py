@@ -305,7 +305,7 @@ class Instruments(Section):
     """Trigger input to rising edge of the AUX trigger output (assumed)."""
     aux_waits_for_trigger_delay: Annotated[bool, Field(strict=True)] = False
     """Whether that edge comes only after the digitizer's trigger delay (assumed: not, whatever the delay)."""
-    message_time_s: TimeS = 1.0e-3
+    message_time_s: Annotated[TimeS, Field(ge=1e-6)] = 1.0e-3
     """Time one SCPI message takes (assumed)."""
     trigger_jitter_s: JitterS = 0.0
     """Jitter of each 33250A from trigger to output, root mean square; 0 where it does not matter."""

@@ -17,7 +17,7 @@ MOST_BYTES = 1 << 20
 """The longest message: an arbitrary waveform of 65 536 points with 16 characters each. Who sends more is cut off."""
 MOST_PEERS = 64
 """How many connections a listener serves at a time; one more is closed at once."""
-CLOSING_S = 1.5
+CLOSING_S = 1.0
 LOOK_S = 0.05
 """How often a thread that waits looks whether its peer is still there."""
 

@@ -9,21 +9,32 @@ from __future__ import annotations
 
 import copy
 import json
+import math
+import os
 import re
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
+import typer
+from typer.testing import CliRunner
 
-from hpe_rig.acquire import Setup, check, json_schema, prepare, process, record_run
+from hpe_rig.acquire import Setup, check, json_schema, open_run, prepare, process, record_run, request_stop
 from hpe_rig.bench import read_bench
+from hpe_rig.cli.app import app
+from hpe_rig.cli.console import guarded, refuse_undecodable
 from hpe_rig.plan import PlanError, plan_text
-from hpe_rig.scene import SettingsError, parse_toml, shipped_scenes
-from hpe_rig.store import StoreError
+from hpe_rig.scene import SettingsError, parse_toml, path_of, shipped_scenes, with_values
+from hpe_rig.store import StoreError, read_snapshots
+from hpe_rig.study.cases import points_of
+from hpe_rig.study.definition import read_studies
 
 Tables = dict[str, Any]
 Path_ = tuple[str | int, ...]
@@ -31,8 +42,9 @@ Rng = np.random.Generator
 MESSAGES = (StoreError, SettingsError, PlanError)
 LIBRARY_WORDS = re.compile(r"nable to|synchronously|\berrno\b|\bH5[A-Z]|Traceback|object at 0x")
 MOST_S = 30.0
-MOST_BYTES = 2 << 30
-"""Beyond what the process holds already: nothing that a small scene asks for takes more."""
+
+MOST_BYTES = 3 << 30
+"""Beyond what the process holds already, which a small scene does not need."""
 
 EXTREMES: Sequence[Any] = (
     *(0, -1, 1, 2, 0.0, -0.0, 1e-300, -1e-300, 1e300, -1e300, float("nan"), float("inf"), float("-inf")),
@@ -189,8 +201,11 @@ def document(tables: Tables) -> str:
 
 
 def text_of(tables: Tables, rng: Rng) -> str:
-    """Return ``tables`` as TOML, now and then with a line doubled, or nested beyond all measure."""
+    """Return ``tables`` as TOML, now and then with a character or line too many, or nested beyond all measure."""
     text = document(tables)
+    if rng.random() < 0.05:
+        place = int(rng.integers(len(text) + 1))
+        text = text[:place] + chr(int(rng.integers(1, 0x300))) + text[place + int(rng.integers(2)) :]
     if rng.random() < 0.05:
         lines = text.splitlines()
         place = int(rng.integers(len(lines))) if lines else 0
@@ -264,7 +279,22 @@ def planned_of(folder: Path, scene: str, bench: str) -> Setup:
     return setup
 
 
-@pytest.mark.parametrize("cases", [900, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.fixture(autouse=True)
+def bounded_memory() -> Iterator[None]:
+    """Let nothing here take much more memory than there is already, where the system can say so."""
+    if not Path("/proc/self/statm").exists():
+        yield
+        return
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MOST_BYTES, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+@pytest.mark.parametrize("cases", [1000, pytest.param(12_000, marks=pytest.mark.slow)])
 def test_mutated_scenes_and_benches_end_in_a_plan_or_a_message(tmp_path: Path, cases: int) -> None:
     rng = np.random.default_rng(6)
 
@@ -283,11 +313,157 @@ def test_mutated_scenes_and_benches_end_in_a_plan_or_a_message(tmp_path: Path, c
     assert found["message"] >= cases // 3
 
 
+STUDY = """
+title = "Two rates and two noises"
+scene = "table-1"
+scatterers = 2
+common = ["f_prf"]
+set = {"processing.expected_snr_db" = 20.0}
+[[axes]]
+name = "f_prf"
+unit = "Hz"
+keys = {"tracking.pulse_rate_hz" = [2000.0, 4000.0], "tracking.pulse_count" = [50, 100]}
+[[axes]]
+name = "snr"
+keys = {"simulation.receiver.snr_db" = {start = 20.0, stop = 40.0, count = 2}}
+"""
+
+
+@pytest.mark.parametrize("cases", [300, pytest.param(3000, marks=pytest.mark.slow)])
+def test_mutated_studies_end_in_cases_or_a_message(tmp_path: Path, cases: int) -> None:
+    rng, tables, path = np.random.default_rng(8), parse_toml(STUDY, "study"), tmp_path / "study.toml"
+    tables["set"] = {"simulation.scatterers.per_cell": 5.0}
+
+    def expanded(text: str) -> None:
+        path.write_text(text, encoding="utf-8")
+        for name, (definition, folder) in read_studies(path).items():
+            # What is large is no mistake, but takes its time.
+            if math.prod(len(axis.values()) for axis in definition.axes) <= 100:
+                points_of(name, definition, folder)
+
+    def calls() -> Iterator[tuple[str, Callable[[], object]]]:
+        for _ in range(cases):
+            text = text_of(mutated(tables, (), rng), rng)
+            yield repr(text[:3000]), partial(expanded, text)
+
+    found = outcomes_of(calls())
+    assert found["success"] >= cases // 20
+    assert found["message"] >= cases // 3
+
+
+def changed_file(path: Path, rng: Rng) -> str:
+    """Change one attribute or dataset of a run file: its value, its type, its shape, its place; return what."""
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        datasets: list[str] = []
+        file.visititems(lambda name, item: datasets.append(name) if isinstance(item, h5py.Dataset) else None)
+        name = datasets[int(rng.integers(len(datasets)))]
+        owner = file if rng.random() < 0.3 else file[name]
+        value: Any = [*EXTREMES[:18], *TEXTS[:8], np.arange(3), np.zeros((2, 2)), np.float32(1), True]
+        value = value[int(rng.integers(len(value)))]
+        if isinstance(value, str):
+            value = np.array(value.encode(), dtype=h5py.string_dtype("utf-8", max(1, len(value.encode()))))
+        kind = int(rng.integers(5))
+        if kind < 2 and len(owner.attrs):
+            key = list(owner.attrs)[int(rng.integers(len(owner.attrs)))]
+            with suppress(TypeError, ValueError, OverflowError, OSError):
+                owner.attrs[key] = value
+            return f"attribute {key} of {owner.name}: {value!r}"
+        if kind == 2:
+            del file[name]
+        elif kind == 3 and file[name].shape != () and file[name].dtype.kind in "iuf":
+            with suppress(TypeError, ValueError, OverflowError, OSError):
+                file[name][(int(rng.integers(file[name].shape[0])), ...)] = value
+        else:
+            del file[name]
+            with suppress(TypeError, ValueError, OverflowError):
+                file[name] = value
+        return f"{name}: {('deleted', 'values', 'replaced')[kind - 2] if kind > 1 else 'replaced'} {value!r}"
+
+
+@pytest.fixture(scope="module")
+def small_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a small run file, its result and its log beside it."""
+    folder = tmp_path_factory.mktemp("run")
+    (folder / "s.toml").write_text(document(scene_tables()[0]), encoding="utf-8")
+    path = record_run(prepare(str(folder / "s.toml")), folder / "run.h5")
+    process(path)
+    return path
+
+
+@pytest.mark.parametrize("cases", [150, pytest.param(2000, marks=pytest.mark.slow)])
+def test_mutated_run_files_end_in_a_run_or_a_message(small_run: Path, tmp_path: Path, cases: int) -> None:
+    rng, data, path = np.random.default_rng(9), small_run.read_bytes(), tmp_path / "run.h5"
+
+    def calls() -> Iterator[tuple[str, Callable[[], object]]]:
+        for _ in range(cases):
+            path.write_bytes(data)
+            yield changed_file(path, rng), lambda: (open_run(path).records[0], read_snapshots(path))
+
+    found = outcomes_of(calls())
+    assert found["message"] >= cases // 3
+
+
+@pytest.mark.parametrize("cases", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_whatever_stands_beside_a_run_file_is_no_traceback(small_run: Path, tmp_path: Path, cases: int) -> None:
+    rng, run, path = np.random.default_rng(10), small_run.read_bytes(), tmp_path / "run.h5"
+    beside = {file.name: file.read_bytes() for file in small_run.parent.glob("run.*") if file != small_run}
+    beside |= {"run.h5.stop": b"", "run.h5.lock": b"", "run.log": b"x\n"}
+
+    def calls() -> Iterator[tuple[str, Callable[[], object]]]:
+        for _ in range(cases):
+            name = sorted(beside)[int(rng.integers(len(beside)))]
+            content = bytearray(beside[name])
+            for _ in range(int(rng.integers(1, 30))):
+                content[int(rng.integers(len(content) + 1)) :] = rng.bytes(int(rng.integers(0, 40)))
+            path.write_bytes(run)
+            (tmp_path / name).write_bytes(content)
+            # A result that is damaged is replaced; a run that has ended cannot be asked to stop.
+            yield f"{name} {bytes(content)[:200]!r}", partial(process, path)
+            yield f"{name} {bytes(content)[:200]!r}", partial(request_stop, path)
+
+    outcomes_of(calls())
+
+
+OPTIONS: Mapping[str, Sequence[str]] = {
+    "check": ("--bench", "--target"),
+    "process": ("--estimator",),
+    "report": ("--estimator", "--shot", "--output"),
+    "resume": ("--scene", "--output", "--bench"),
+    "bench": ("--compare",),
+    "schema": (),
+    "new": ("--like",),
+    "design": ("--over", "--minimise", "--bound", "--longest-s", "--target", "--seed", "--draws", "--output"),
+    "study": ("--points", "--scatterers", "--noise", "--seed", "--workers", "--tls-ca"),
+}
+
+
+@pytest.mark.parametrize("cases", [450, pytest.param(4000, marks=pytest.mark.slow)])
+def test_mutated_arguments_end_in_a_result_or_a_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cases: int
+) -> None:
+    """No argument is right here, so that nothing long is computed: what is tested is what is said."""
+    monkeypatch.chdir(tmp_path)
+    rng, runner = np.random.default_rng(11), CliRunner()
+    words = [*TEXTS, *(repr(value) for value in EXTREMES), "no/such/file.h5", "x" * 300, "--", "-", ".", "loop"]
+    (tmp_path / "loop").symlink_to("loop")
+    failed = []
+    for _ in range(cases):
+        command = list(OPTIONS)[int(rng.integers(len(OPTIONS)))]
+        arguments = [command, words[int(rng.integers(len(words)))]]
+        for option in OPTIONS[command]:
+            if rng.random() < 0.5:
+                arguments += [option, words[int(rng.integers(len(words)))]]
+        done = runner.invoke(app, arguments)
+        good = done.exit_code in (0, 1, 2) and isinstance(done.exception, SystemExit | None)
+        if not good or "Traceback" in done.output:
+            failed.append(f"{arguments}: {done.exit_code} {done.output[-300:]} {done.exception!r}")
+    assert not failed, f"{len(failed)} of {cases}\n" + "\n".join(failed[:20])
+
+
 def measured(folder: Path, scene: str, bench: str) -> str:
-    """Do what ``check``, ``run`` and ``report`` do; what ``check`` accepts must come to a result."""
+    """Do what ``check`` and ``run`` do; what ``check`` accepts must come to a result."""
     try:
         setup = planned_of(folder, scene, bench)
-        check(folder / "s.toml", folder / "b.toml")
     except MESSAGES:
         return "message"
     if any(finding.level == "refused" for finding in setup.findings):
@@ -298,7 +474,7 @@ def measured(folder: Path, scene: str, bench: str) -> str:
     return "result"
 
 
-@pytest.mark.parametrize("cases", [12, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [40, pytest.param(1500, marks=pytest.mark.slow)])
 def test_what_check_accepts_is_measured_and_estimated(tmp_path: Path, cases: int) -> None:
     rng = np.random.default_rng(7)
     found = {"message": 0, "refused": 0, "result": 0}
@@ -309,6 +485,9 @@ def test_what_check_accepts_is_measured_and_estimated(tmp_path: Path, cases: int
             _plausible(tables, ("scene", "simulation"), rng)
         if number % 4 == 0:
             _plausible(bench, ("bench",), rng)
+        if tables["tracking"].get("pulse_count", 0) > 10_000:
+            # Right, and long.
+            continue
         texts = document(tables), document(bench)
         try:
             found[measured(tmp_path, *texts)] += 1
@@ -316,3 +495,159 @@ def test_what_check_accepts_is_measured_and_estimated(tmp_path: Path, cases: int
             failed.append(f"{texts}: {type(error).__name__}: {error}")
     assert not failed, f"{len(failed)} of {cases}\n" + "\n".join(failed[:20])
     assert found["result"] >= cases // 10
+
+
+DEEP, LONG = f"x = {'[' * 5000}{']' * 5000}\n", f"x = {'9' * 5000}\n"
+MUSCLE, TABLE_1 = "bovine-muscle", "table-1"
+SPECIMEN, MOTION = "simulation.specimen", "simulation.motion[0]"
+FOUND: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
+    "pulses at twice the burst rate": (MUSCLE, {"tracking.pulse_rate_hz": 200.0}, "no vibration frequency is wanted"),
+    "pulses slower than bursts": (MUSCLE, {"tracking.pulse_rate_hz": 90.0}, "no vibration frequency is wanted"),
+    "attenuation of 60": (MUSCLE, {f"{SPECIMEN}.attenuation_db_per_cm_mhz": 60.0}, "at most 40 dB/cm/MHz"),
+    "echoes lost on the way": (MUSCLE, {"simulation.scatterers.attenuation_db_per_cm_mhz": 40.0}, "400 dB leave no"),
+    "force of 1e300": (MUSCLE, {f"{SPECIMEN}.force_density_n_per_m3": 1e300}, "at most 1e\\+10 N/m3"),
+    "a force that moves too far": (MUSCLE, {f"{SPECIMEN}.force_density_n_per_m3": 1e10}, "ambiguous"),
+    "vibration of 1e300 Hz": (TABLE_1, {f"{MOTION}.frequency_hz": 1e300}, "at most 1e\\+06 Hz"),
+    "wanted frequency of 1e300 Hz": (TABLE_1, {"processing.frequencies_hz": [1e300]}, "at most 1e\\+06 Hz"),
+    "burst rate of 1e300 Hz": (MUSCLE, {"excitation.burst_rate_hz": 1e300}, "at most 1e\\+09 Hz"),
+    "bursts for ever": (MUSCLE, {"excitation.burst_rate_hz": 0.5}, "drive 20000 harmonics"),
+    "SNR of 1e6 dB": (MUSCLE, {"simulation.receiver.snr_db": 1e6}, "at most 200 dB"),
+    "SNR of -1e6 dB": (MUSCLE, {"simulation.receiver.snr_db": -1e6}, "at least -100 dB"),
+    "noise without echo": (MUSCLE, {"simulation.receiver.snr_db": -40.0}, "below its noise"),
+    "expected SNR of 1e6 dB": (MUSCLE, {"processing.expected_snr_db": 1e6}, "at most 200 dB"),
+    "seed of 1e30": (MUSCLE, {"simulation.seed": 10**30}, "out of bounds"),
+    "motion of 1e300 m": (TABLE_1, {f"{MOTION}.amplitude_m": 1e300}, "at most 1 m"),
+    "motion of 1 mm": (TABLE_1, {f"{MOTION}.amplitude_m": 1e-3}, "a quarter wavelength"),
+    "an echo of 1 uV": (TABLE_1, {"simulation.receiver.echo_rms_v": 1e-6}, "steps of the digitizer"),
+    "jitter of half a period": (TABLE_1, {"simulation.instruments.trigger_jitter_s": 1e-7}, "phase is ambiguous"),
+    "a box of 1 m3": (TABLE_1, {"simulation.scatterers.volume_m": [1.0, 1.0, 1.0]}, "scatterers, memory"),
+    "1e12 scatterers a cell": (TABLE_1, {"simulation.scatterers.per_cell": 1e12}, "scatterers, memory"),
+    "no scatterer": (TABLE_1, {"simulation.scatterers.per_cell": 0.0}, "nothing echoes"),
+    "beams that do not meet": (TABLE_1, {"simulation.beams.lateral_offset_m": [1.0, 0.0]}, "do not meet"),
+    "gate of 1e300 m": (TABLE_1, {"acquisition.gate_length_m": 1e300}, "at most 10 m"),
+    "gate of a period": (TABLE_1, {"acquisition.gate_length_m": 0.09e-3}, "periods of tracking.carrier_hz"),
+    "no sound speed": (TABLE_1, {"acquisition.sound_speed_m_per_s": 1e-300}, "at least 10 m/s"),
+    "delay of 1e300 s": (MUSCLE, {"tracking.delay_s": 1e300}, "at most 1000 s"),
+    "modulus of 1e300 Pa": (MUSCLE, {f"{SPECIMEN}.shear_modulus_pa": 1e300}, "at most 1e\\+12 Pa"),
+    "viscosity of 1e300": (MUSCLE, {f"{SPECIMEN}.shear_viscosity_pa_s": 1e300}, "at most 1e\\+06 Pa s"),
+    "a pulse of 1 um": (MUSCLE, {"beams.pulse_length_m": 1e-6}, "a single cycle"),
+    "beams of no width": (MUSCLE, {"beams.excitation_width_m": [1e-300, 1e-300, 1e-300]}, "at least 1e-09 m"),
+    "another board's memory": (
+        TABLE_1,
+        {"acquisition.record_samples": 2048, "simulation.instruments.samples_per_channel": 1024},
+        "board holds 0 of 101 records",
+    ),
+    "messages that take no time": (MUSCLE, {"simulation.instruments.message_time_s": 0.0}, "at least 1e-06 s"),
+    "a board that comes late": (TABLE_1, {"simulation.instruments.digitizer_latency_s": 1e-3}, "nothing echoes more"),
+    "a force that is not a number": (MUSCLE, {"excitation.force_fraction": [float("nan")]}, "not finite"),
+}
+
+
+@pytest.mark.parametrize("case", FOUND)
+def test_what_mutation_found_once_is_refused_with_a_message(tmp_path: Path, case: str) -> None:
+    name, changes, message = FOUND[case]
+    tables = with_values(
+        parse_toml(shipped_scenes()[name], name), {path_of(key): value for key, value in changes.items()}
+    )
+    path = tmp_path / "s.toml"
+    path.write_text(document(tables), encoding="utf-8")
+    try:
+        checked = check(path)
+    except MESSAGES as error:
+        said = str(error)
+    else:
+        assert checked.refused
+        said = str(checked)
+    assert re.search(message, said), said
+    assert "Try:" in said
+
+
+@pytest.mark.parametrize("text", [DEEP, LONG, "x = 0x" + "f" * 5000 + "\n", "x = " + "{a=" * 3000 + "1" + "}" * 3000])
+@pytest.mark.parametrize("place", ["scene", "bench", "study", "stored scene", "stored bench"])
+def test_numbers_and_nesting_without_end_are_refused(small_run: Path, tmp_path: Path, place: str, text: str) -> None:
+    path = tmp_path / "x.toml"
+    bodies = {"scene": document(scene_tables()[0]), "bench": read_bench().text, "study": STUDY}
+    path.write_text(text + bodies.get(place, ""), encoding="utf-8")
+    reads: Mapping[str, Callable[[], object]] = {
+        "scene": lambda: prepare(str(path)),
+        "bench": lambda: prepare(TABLE_1, path),
+        "study": lambda: read_studies(path),
+    }
+    read = reads.get(place)
+    if read is None:
+        run, name = tmp_path / "run.h5", place.split()[1]
+        run.write_bytes(small_run.read_bytes())
+        with h5py.File(run, "r+", libver=("v110", "v110")) as file:
+            stored = text + file[name].asstr()[()]
+            del file[name]
+            file[name] = np.array(stored.encode(), dtype=h5py.string_dtype("utf-8", len(stored.encode())))
+        read = partial(process, run)
+    with pytest.raises(MESSAGES, match="Try:"):
+        read()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="names and links that Windows does not have")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "s.toml", "--output", "a" * 300 + ".h5"], "cannot be written"),
+        (["run", "s.toml", "--output", "a" * 251 + ".h5"], "cannot be written"),
+        (["run", "s.toml", "--output", "file/x.h5"], "cannot be written"),
+        (["run", "s.toml", "--output", "no/x.h5"], "cannot be written"),
+        (["run", "s.toml", "--output", "stopped.h5"], "Try:"),
+        (["run", "s.toml", "--output", "loop.h5"], "Try:"),
+        (["run", "s.toml", "--bench", "loop.toml"], "cannot be read"),
+        (["check", "loop.toml"], "readable file"),
+        (["check", "s.toml", "--target", "1e-300"], "no length"),
+        (["report", "a" * 300 + ".h5"], "Try:"),
+        (["live", "a" * 300 + ".h5"], "Try:"),
+        (["live", "file/x.h5"], "no run can be followed"),
+        (["live", "no/x.h5"], "no run can be followed"),
+        (["live", "loop.h5"], "no run can be followed"),
+        (["accuracy", "motion", "--output", "folder.csv"], "cannot be written"),
+        (["accuracy", "harmonic", "--figure", "file/x.svg"], "no folder"),
+        (["design", "s.toml", "--over", "pulse_rate_hz", "--seed", str(10**30)], "no seed"),
+        (["design", "s.toml", "--over", "pulse_rate_hz", "--draws", str(10**12)], "never end"),
+        (["study", "fig-7", "--seed", str(10**30)], "out of bounds"),
+        (["study", "fig-7", "--output", "file"], "cannot be written"),
+        (["study", "endless.toml"], "points in all"),
+    ],
+)
+def test_paths_and_numbers_that_cannot_be_are_told_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "s.toml").write_text(document(scene_tables()[0]), encoding="utf-8")
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    (tmp_path / "folder.csv").mkdir()
+    (tmp_path / "stopped.h5.stop").mkdir()
+    (tmp_path / "loop.toml").symlink_to("loop.toml")
+    (tmp_path / "loop.h5").symlink_to("loop.h5")
+    axes = "".join(f'[[axes]]\nname = "{n}"\nkeys = {{"{n}" = {{start = 1, stop = 2, count = 99999}}}}\n' for n in "ab")
+    (tmp_path / "endless.toml").write_text(f'title = "x"\nscene = "table-1"\n{axes}', encoding="utf-8")
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 2
+    assert isinstance(done.exception, SystemExit)
+    assert message in done.output
+    assert "Try:" in done.output
+
+
+def test_an_argument_that_is_no_text_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        refuse_undecodable(["hpe-rig", "check", os.fsdecode(b"\xff.toml")])
+    assert ended.value.code == 2
+    assert "no UTF-8 text. Try: rename" in capsys.readouterr().err
+
+
+def test_what_nobody_foresaw_is_one_message_and_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    @guarded
+    def command() -> None:
+        raise LookupError("nobody foresaw this")
+
+    with pytest.raises(typer.Exit) as ended:
+        command()
+    assert ended.value.exit_code == 70
+    (kept,) = tmp_path.glob("hpe-rig-*.txt")
+    assert "LookupError: nobody foresaw this" in kept.read_text(encoding="utf-8")

@@ -5,12 +5,13 @@ from __future__ import annotations
 import http.client
 import itertools
 import json
+import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -24,6 +25,7 @@ from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress, Step, unobserved
 from hpe_rig.acquire.stop_request import StopRequested, clear_stop, request_stop, stop_path, stoppable
 from hpe_rig.cli.app import app
+from hpe_rig.live import server
 from hpe_rig.live.alignment import AlignSource, align, without_pushing
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
@@ -121,6 +123,71 @@ def test_a_port_that_is_taken_is_refused_with_a_message(page: LivePage) -> None:
 def test_a_foreign_page_cannot_watch(page: LivePage) -> None:
     with pytest.raises(InvalidStatus, match="403"), connect(watch(page), origin="http://evil.example"):
         pass
+
+
+def half_open(page: LivePage, start: bytes) -> socket.socket:
+    """Return a connection that has sent the ``start`` of a request and sends no more."""
+    connection = socket.create_connection(("127.0.0.1", urlsplit(page.address).port or 0), timeout=10)
+    connection.sendall(start)
+    return connection
+
+
+def is_ended(connection: socket.socket) -> bool:
+    """Wait until the other end is gone; raises ``TimeoutError`` where it stays for ten seconds."""
+    with connection, suppress(ConnectionError):
+        return connection.recv(1000) == b""
+    return True
+
+
+WHOLE = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"
+
+
+@pytest.mark.parametrize(
+    "start", [b"", b"GET / HT", WHOLE[:-2], b"GET / HTTP/1.1\r\nHost: localhost\r\nA: " + b"b" * 5000]
+)
+def test_a_half_open_request_is_ended_within_ten_seconds(page: LivePage, start: bytes) -> None:
+    assert is_ended(half_open(page, start))
+
+
+def test_a_second_request_that_stays_half_open_is_ended_too(page: LivePage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "REQUEST_S", 0.3)
+    monkeypatch.setattr(server, "LOOK_S", 0.05)
+    connection = half_open(page, WHOLE)
+    assert connection.recv(1000).startswith(b"HTTP/1.1 404")
+    connection.sendall(b"GET")
+    assert is_ended(connection)
+
+
+def test_a_viewer_stays_though_it_says_nothing(page: LivePage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "REQUEST_S", 0.2)
+    monkeypatch.setattr(server, "LOOK_S", 0.05)
+    with connect(watch(page), max_size=None) as viewer:
+        first = json.loads(viewer.recv(timeout=10))["count"]
+        time.sleep(1.0)
+        while json.loads(viewer.recv(timeout=10))["count"] < first + 3:
+            pass
+
+
+def test_only_so_many_connections_are_open_at_once(page: LivePage, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "MOST_CONNECTIONS", 3)
+    some = [half_open(page, b"GET / HT") for _ in range(3)]
+    assert is_ended(half_open(page, b""))
+    for connection in some:
+        connection.close()
+    # Once these are gone there is room again, as soon as the server has noticed.
+    for _ in range(100):
+        with suppress(ConnectionError, http.client.HTTPException):
+            assert asked(page, urlsplit(page.address).path)[0] == 200
+            break
+        time.sleep(0.05)
+    else:
+        pytest.fail("no room was made")
+
+
+def test_a_run_that_has_ended_is_not_asked_to_stop(run_file: Path) -> None:
+    with pytest.raises(StoreError, match="nothing to stop"):
+        RunSource(run_file).stop()
+    assert not stop_path(run_file).exists()
 
 
 def test_stop_reaches_the_source(page: LivePage, counter: Counter) -> None:

@@ -1,4 +1,4 @@
-"""`check`, report and design print the same detection floor and the same noise for the same scene."""
+"""`check`, report and design print the same detection floor, noise, bias and speckle for the same scene."""
 
 from __future__ import annotations
 
@@ -47,6 +47,9 @@ def test_every_page_prints_the_same_floor_and_the_same_noise(name: str, tmp_path
     estimator, hz = scene.processing.estimator, scene.wanted_frequencies_hz[0]
     noise = printed(rf"\n  {estimator} +\S+ nm +(\S+) nm", checked)
     assert designed["noise of a quadrature"] == f"{noise} nm"
+    figures = re.findall(r"(\S+) nm", printed(rf"\n  ({estimator} .*)", checked))
+    for what, figure in (("bias, predicted", figures[0]), ("speckle", figures[-1])):
+        assert float(designed[what].split()[0]) == pytest.approx(float(figure), rel=6e-3)
     row = printed(rf'<tr><th scope="row">{hz:g}</th>((?:<td>[^<]*</td>){{6}})\s*</tr>', html)
     assert re.findall(r"<td>([^<]*)</td>", row)[2] == noise
 

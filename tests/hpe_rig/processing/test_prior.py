@@ -402,3 +402,18 @@ def test_a_train_of_the_same_times_is_not_worked_out_again() -> None:
     first = seen_by(PRIOR, SHIFTING.time_s, SHIFTING.valid, WANTED_HZ)
     assert seen_by(PRIOR, SHIFTING.time_s.copy(), SHIFTING.valid.copy(), WANTED_HZ) is first
     assert medium_prior(BEAMS, RATE_HZ, LENGTH_S) is PRIOR
+
+
+def test_a_slow_creep_counts_where_the_steps_of_a_sum_do_not_see_it() -> None:
+    """Loupas's noise comes from changes between pulses, and a creep over the whole train changes little between two."""
+    prior = medium_prior(BEAMS, 100.0, 100e-6)
+    time_s = np.arange(600) / 3990.0
+    creep = 800e-9 * ((time_s / time_s[-1]) ** 3 - 1.5 * time_s / time_s[-1])
+    moved = 800e-9 * np.sin(2 * np.pi * 100.0 * time_s) + 10e-9 * np.random.default_rng(3).standard_normal(time_s.size)
+    each = []
+    for walk, drift in ((None, creep), (np.asarray(1e-4), creep), (np.asarray(1e-4), 0 * creep)):
+        motion = Motion(time_s, moved + drift, np.full(600, 1e-16), np.ones(600, bool), walk=walk)
+        each.append(float(np.sqrt(np.trace(medium_fit(motion, [100.0], prior).noise_m2))))
+    white, of_steps, still = each
+    assert white < of_steps < 1.1 * white
+    assert still < white / 3

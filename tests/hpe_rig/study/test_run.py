@@ -21,7 +21,15 @@ from typer.testing import CliRunner
 from hpe_rig.cli.app import app
 from hpe_rig.scene.validation import SettingsError
 from hpe_rig.study.definition import Definition
-from hpe_rig.study.executor import MOST_LOSSES, cluster, completed, processes
+from hpe_rig.study.executor import (
+    MOST_LOSSES,
+    NO_TLS,
+    TlsFiles,
+    cluster,
+    completed,
+    processes,
+    untrusted_network,
+)
 from hpe_rig.study.results import FIELDS, CaseStore, StudyResult
 from hpe_rig.study.run import run_study
 
@@ -111,6 +119,40 @@ def test_a_damaged_file_of_a_case_is_computed_again(study: str, tmp_path: Path) 
     second.write_text("[]", encoding="utf-8")
     third.write_text(json.dumps({"case": third.stem}), encoding="utf-8")
     assert numbers(run_study(study, tmp_path / "out", threads)) == numbers(whole)
+
+
+def test_a_single_changed_digit_of_a_case_is_found_told_of_and_computed_again(study: str, tmp_path: Path) -> None:
+    whole = run_study(study, tmp_path / "out", threads)
+    paths = sorted((tmp_path / "out" / "cases").rglob("*.json"))
+    for path in paths[:3]:
+        text = path.read_text(encoding="utf-8")
+        value = json.loads(text)["record"]["estimates"][0]["amplitude_jitter_m"]
+        path.write_text(text.replace(repr(value), repr(1.25 * value)), encoding="utf-8")
+    told: list[str] = []
+    again = run_study(study, tmp_path / "out", threads, tell=told.append)
+    assert numbers(again) == numbers(whole)
+    assert told == [
+        f"3 case files in {tmp_path / 'out' / 'cases'} are damaged or older than their hashes: computed again"
+    ]
+    assert run_study(study, tmp_path / "out", threads, tell=told.append)
+    assert len(told) == 1
+
+
+@pytest.mark.parametrize("address", ["tcp://10.0.0.5:8786", "tcp://cluster.example:8786", "[::2]:8786"])
+def test_a_scheduler_without_tls_is_told_of(address: str) -> None:
+    assert "trusted networks only" in untrusted_network(address)
+
+
+@pytest.mark.parametrize("address", ["local", "tls://10.0.0.5:8786", "tcp://127.0.0.1:8786", "tcp://[::1]:8786"])
+def test_a_scheduler_that_nobody_else_reaches_is_not(address: str) -> None:
+    assert not untrusted_network(address)
+
+
+def test_files_of_tls_are_all_there_or_none(tmp_path: Path) -> None:
+    (tmp_path / "ca.pem").write_text("", encoding="ascii")
+    assert not NO_TLS.mistakes()
+    found = TlsFiles(ca=tmp_path / "ca.pem", cert=tmp_path / "no.pem").mistakes()
+    assert [mistake.path for mistake in found] == ["--tls-cert", "--tls-key"]
 
 
 def test_a_finished_study_computes_nothing(study: str, tmp_path: Path) -> None:

@@ -1,0 +1,167 @@
+"""A run file has one writer, and a request to stop is for one run: neither can be taken for another's."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.acquire import (
+    Progress,
+    Setup,
+    Step,
+    StopRequested,
+    clear_leftover,
+    clear_stop,
+    record_run,
+    request_stop,
+    stop_path,
+    stop_requested,
+    stoppable,
+)
+from hpe_rig.acquire.resumption import prepare_rest
+from hpe_rig.acquire.run_file import process
+from hpe_rig.cli.app import app
+from hpe_rig.store import StoreError, WriteOptions, read_run, result_path
+
+Prepare = Callable[..., Setup]
+SMALL = (
+    ("pulse_count = 101", "pulse_count = 48"),
+    ("[acquisition]", "[acquisition]\nrepeats = 2\nrecord_samples = 256"),
+)
+MINE, OTHER = "a" * 32, "b" * 32
+
+
+@pytest.fixture
+def setup(prepared: Prepare) -> Setup:
+    """Return a measurement of two shots."""
+    return prepared("table-1", *SMALL)
+
+
+def during(setup: Setup, path: Path, act: Callable[[], object], run_id: str = MINE) -> None:
+    """Measure, and do ``act`` as the second shot's records come."""
+
+    def observe(progress: Progress) -> None:
+        if progress.shot.index == 1 and progress.step is Step.COLLECT and not progress.records:
+            act()
+
+    clock = iter(range(10**6)).__next__
+    record_run(setup, path, stoppable(observe, path, run_id, clock), options=WriteOptions(run_id=run_id))
+
+
+def test_another_run_into_the_same_file_is_refused_and_the_first_goes_on(setup: Setup, tmp_path: Path) -> None:
+    path, refused = tmp_path / "run.h5", []
+
+    def another() -> None:
+        for overwrite in (False, True):
+            with pytest.raises(StoreError) as raised:
+                record_run(setup, path, options=WriteOptions(overwrite=overwrite))
+            refused.append(str(raised.value))
+        with pytest.raises(StoreError, match="being written by a run that goes on"):
+            prepare_rest(path)
+
+    during(setup, path, another)
+    assert "already exists" in refused[0]
+    assert "is being written by another run" in refused[1]
+    assert read_run(path).status == "complete"
+    assert read_run(path).shot_complete.all()
+
+
+def test_only_a_run_file_is_overwritten_and_no_result_or_other_file(setup: Setup, tmp_path: Path) -> None:
+    path = record_run(setup, tmp_path / "run.h5")
+    result = result_path(path, process(path).estimator)
+    before = result.read_bytes()
+    scene = tmp_path / "table-1.toml"
+    done = CliRunner().invoke(app, ["run", str(scene), "--output", str(result), "--overwrite"])
+    assert done.exit_code == 2
+    assert "not replaced" in done.output
+    assert result.read_bytes() == before
+    done = CliRunner().invoke(app, ["run", str(scene), "--output", str(path), "--overwrite", "--json"])
+    assert done.exit_code == 0, done.output
+
+
+def test_a_stop_is_for_the_run_that_it_names(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with pytest.raises(StopRequested):
+        during(setup, path, lambda: request_stop(path))
+    assert stop_path(path).read_text() == MINE
+    assert not stop_requested(path, OTHER)
+    # Another run of that name neither ends by it nor takes it away; the run that it was for does.
+    clear_stop(path, OTHER)
+    assert stop_path(path).exists()
+    clear_stop(path, MINE)
+    assert not stop_path(path).exists()
+
+
+def test_a_request_left_by_an_earlier_run_stops_no_later_one(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    stop_path(path).write_text(OTHER)
+    during(setup, path, lambda: None)
+    assert read_run(path).status == "complete"
+    clear_leftover(path)
+    assert not stop_path(path).exists()
+
+
+def test_a_run_about_to_be_refused_takes_no_request_from_the_run_that_goes_on(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+
+    def request_and_clear() -> None:
+        request_stop(path)
+        clear_leftover(path)
+
+    with pytest.raises(StopRequested):
+        during(setup, path, request_and_clear)
+
+
+def test_a_request_made_by_hand_stops_whatever_run_finds_it(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with pytest.raises(StopRequested):
+        during(setup, path, stop_path(path).touch)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links need rights there")
+def test_a_request_follows_no_link_and_a_link_is_no_request(setup: Setup, tmp_path: Path) -> None:
+    path, precious = tmp_path / "run.h5", tmp_path / "precious"
+    precious.write_text("precious")
+    stop_path(path).symlink_to(precious)
+    assert not stop_requested(path, MINE)
+    with pytest.raises(StopRequested):
+        during(setup, path, lambda: request_stop(path))
+    assert precious.read_text() == "precious"
+    assert not stop_path(path).is_symlink()
+
+
+def test_a_run_that_has_ended_cannot_be_asked_to_stop(setup: Setup, tmp_path: Path) -> None:
+    path = record_run(setup, tmp_path / "run.h5")
+    with pytest.raises(StoreError, match=r"has ended \(complete\)"):
+        request_stop(path)
+    with pytest.raises(StoreError, match="does not exist"):
+        request_stop(tmp_path / "other.h5")
+    assert not list(tmp_path.glob("*.stop"))
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs fork and SIGKILL")
+def test_a_run_that_was_killed_cannot_be_asked_to_stop_and_goes_on_at_once(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    pid = os.fork()
+    if not pid:
+        during(setup, path, lambda: os.kill(os.getpid(), signal.SIGKILL))
+    os.waitpid(pid, 0)
+    assert read_run(path).status == "running"
+    with pytest.raises(StoreError, match="its program was killed"):
+        request_stop(path)
+    # The system has released its lock.
+    assert prepare_rest(path).complete == 1
+
+
+def test_a_folder_in_the_requests_place_is_a_message(setup: Setup, tmp_path: Path) -> None:
+    stop_path(tmp_path / "run.h5").mkdir()
+    scene = str(tmp_path / "table-1.toml")
+    done = CliRunner().invoke(app, ["run", scene, "--output", str(tmp_path / "run.h5")])
+    assert done.exit_code == 2, done.output
+    assert "run.h5.stop stands where" in done.output
+    assert not (tmp_path / "run.h5").exists()
