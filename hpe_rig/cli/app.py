@@ -13,6 +13,7 @@ import typer
 from hpe_rig.cli.console import (
     EXIT_DAMAGED,
     EXIT_INSTRUMENT,
+    EXIT_INTERRUPTED,
     EXIT_MISTAKE,
     EXIT_NO_CHECKSUMS,
     BenchPath,
@@ -58,6 +59,10 @@ def main() -> None:
     refuse_undecodable(sys.argv)
     try:
         app()
+    except KeyboardInterrupt:
+        # It came before the command began, and so before anything was opened.
+        announce("hpe-rig: interrupted")
+        sys.exit(EXIT_INTERRUPTED)
     finally:
         # All is said and every output is off: nothing may turn the exit code into another one.
         ignore_interrupts()

@@ -46,7 +46,8 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
                     command(*args, **kwargs)
             except (typer.Exit, SystemExit):
                 raise
-            except BaseException as error:
+            except BaseException as raised:
+                error = _interrupt_in(raised) or raised
                 failure = _failure(error) or (_unforeseen(error), EXIT_PROGRAM)
                 # A terminal that was closed takes no message any more.
                 with suppress(OSError):
@@ -54,6 +55,14 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
                 raise typer.Exit(failure[1]) from None
 
     return guard
+
+
+def _interrupt_in(error: BaseException) -> BaseException | None:
+    """Return the interrupt that Python wrapped into ``error``, as it does while it makes a class; None for others."""
+    from hpe_rig.bench import INTERRUPTS
+
+    cause = error.__cause__
+    return cause if isinstance(error, RuntimeError) and isinstance(cause, INTERRUPTS) else None
 
 
 def ignore_interrupts() -> None:
