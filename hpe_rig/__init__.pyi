@@ -3,6 +3,7 @@ from .acquire import (
     Run as Run,
     check as check,
     estimate as estimate,
+    fit_moduli as fit_moduli,
     measure as measure,
     open_bench as open_bench,
     open_run as open_run,

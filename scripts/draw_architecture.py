@@ -49,15 +49,15 @@ PANELS = {
     "hpe_rig": Panel(
         *("hpe_rig: the application", "#0B62A0", "#EBF2F8", 3.8, ("scene", "result")),
         {
-            "cli": (0, 11, "the commands"),
-            "validation": (1, 10, "accuracy, paper"),
-            "live": (0, 8, "the live page"),
-            "study": (1, 8, "Monte Carlo studies"),
-            "report": (0, 7, "the page of a run"),
-            "design": (1, 9, "the best scene"),
-            "acquire": (0, 6, "scene to result"),
+            "cli": (0, 12, "the commands"),
+            "validation": (1, 11, "accuracy, paper"),
+            "live": (0, 9, "the live page"),
+            "study": (1, 9, "Monte Carlo studies"),
+            "report": (0, 8, "the page of a run"),
+            "design": (1, 10, "the best scene"),
+            "acquire": (0, 7, "scene to result"),
             "prediction": (0, 5, "expected errors"),
-            "moduli": (1, 5, "moduli of the medium"),
+            "moduli": (0, 6, "moduli of the medium"),
             "processing": (0, 4, "echoes to estimates"),
             "store": (0, 3, "run files"),
             "plan": (0, 2, "shots, edges, checks"),
@@ -199,7 +199,7 @@ def draw_crossings(axes: Axes, package: str, edge: float, side: int) -> None:
 
 def draw() -> Figure:
     """Return the picture of the three packages side by side."""
-    figure = Figure(figsize=(13.2, 8.2))
+    figure = Figure(figsize=(13.2, 8.8))
     axes = figure.add_axes((0, 0, 1, 1))
     edges = {package: draw_panel(axes, package) for package in PANELS}
     draw_crossings(axes, "drivers", edges["drivers"][1], -1)
@@ -213,8 +213,8 @@ def draw() -> Figure:
         "of the package.",
     )
     for line, text in enumerate(notes):
-        axes.text(edges["drivers"][0] + 0.1, 11.7 - 0.36 * line, text, fontsize=8.5, color=INK, va="center")
-    axes.set(xlim=(edges["drivers"][0] - 0.2, edges["sim_backend"][1] + 0.2), ylim=(-0.8, 12.2), aspect="equal")
+        axes.text(edges["drivers"][0] + 0.1, 12.7 - 0.36 * line, text, fontsize=8.5, color=INK, va="center")
+    axes.set(xlim=(edges["drivers"][0] - 0.2, edges["sim_backend"][1] + 0.2), ylim=(-0.8, 13.2), aspect="equal")
     axes.axis("off")
     return figure
 

@@ -125,7 +125,8 @@ class World:
         self._settings = settings
         self._cables = cables_of(wiring, SOURCES, TARGETS)
         trigger_order(self._cables, (*GENERATORS, "digitizer"))
-        self._physics = acoustics
+        self._given_physics = self._physics = acoustics
+        self._beside_m = 0.0
         self.clock = SimulatedClock()
         self._generators = {
             role: Generator33250A(
@@ -148,6 +149,11 @@ class World:
         return GeneratorConnection(
             self._generators[role], self.clock, self._settings.instruments.message_time_s, over_serial
         )
+
+    def move_tracking(self, lateral_m: float) -> None:
+        """Move the tracking transducer to ``lateral_m`` beside the push; captures from now on are taken there."""
+        if lateral_m != self._beside_m:
+            self._beside_m, self._physics = lateral_m, self._given_physics
 
     def alazar_library(self) -> AlazarLibrary:
         """Return the digitizer's function table, freshly loaded."""
@@ -243,7 +249,7 @@ class World:
         if self._physics is None:
             from sim_backend.acoustics import Acoustics, with_reception
 
-            self._physics = with_reception(Acoustics(self._settings), self._settings)
+            self._physics = with_reception(Acoustics(self._settings, self._beside_m), self._settings)
         return self._physics
 
     def _evaluate(self, until_ps: int) -> Evaluation:

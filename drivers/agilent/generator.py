@@ -158,8 +158,8 @@ class Agilent33250A:
                 except RefusedError:
                     raise
                 except InstrumentError as error:
-                    if isinstance(error, DroppedError) and not self._session.reopen():
-                        raise
+                    if isinstance(error, DroppedError):
+                        self._session.reopen()
                     self._session.verify("settings after the shot", expected)
         except RefusedError as error:
             # Whatever somebody else sent, the next shot starts from the reset state.

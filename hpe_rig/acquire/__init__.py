@@ -2,6 +2,7 @@
 
     api.py            measure, check, estimate, open_bench: what ``hpe_rig`` offers to scripts
     run.py            scene and bench file -> plan -> a run file with every shot's records
+    places.py         who moves the tracking transducer between shots
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
     recording.py      what the sequencer yields, into a run file that appears with its first record
     stop_request.py   a safe stop that another process asks for

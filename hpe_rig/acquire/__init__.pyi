@@ -2,10 +2,12 @@ from .api import (
     CheckedScene as CheckedScene,
     check as check,
     estimate as estimate,
+    fit_moduli as fit_moduli,
     measure as measure,
     open_bench as open_bench,
 )
 from .log import log_path as log_path, logged as logged
+from .places import Mover as Mover
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import (
     Setup as Setup,

@@ -17,10 +17,11 @@ from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings,
 from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.plan import CheckResult
 from hpe_rig.result import Result, ShotResult, Stages
-from hpe_rig.scene import Estimator, SceneSource
-from hpe_rig.store import versions
+from hpe_rig.scene import Estimator, Mistake, SceneSource, SettingsError
+from hpe_rig.store import StoreError, versions
 
 if TYPE_CHECKING:
+    from hpe_rig.moduli import ModuliResult
     from hpe_rig.processing import Estimates
 
 BenchSource = str | os.PathLike[str] | None
@@ -97,6 +98,10 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
     yield from prediction.calibration_text(scene, bench)
     yield from prediction.averaging_text(scene)
     yield from prediction.prediction_text(scene, shot, target_m, bench.simulated)
+    if len(scene.places) > 1:
+        from hpe_rig.moduli import moduli_text
+
+        yield from moduli_text(scene, setup.plan, bench.simulated)
 
 
 @contextmanager
@@ -111,6 +116,40 @@ def open_bench(scene: SceneSource, bench: BenchSource = None) -> Iterator[Bench]
     setup = prepare(scene, _bench_path(bench))
     with open_instruments(setup.scene.scene, setup.bench.bench, setup.plan.roles) as opened:
         yield opened
+
+
+def fit_moduli(
+    *runs: str | os.PathLike[str] | Run,
+    laws: Sequence[str] = (),
+    estimator: str | None = None,
+    width_uncertainty: float = 0.05,
+    common_amplitude: bool = True,
+) -> ModuliResult:
+    """Return the moduli of the medium that explain the vibrations of one or more runs, at all their places.
+
+    ``laws``: the media tried, absent all; ``estimator`` in place of the scenes' own; ``width_uncertainty``: relative,
+    of the widths of the force; ``common_amplitude``: whether the force was the same at all places, so that how the
+    amplitude falls with distance counts. Raises as ``open_run``, ``SettingsError`` where a scene has no tonebursts, no
+    [beams], or runs push differently, and ``StoreError`` where nothing can be estimated.
+
+    >>> print(hpe.fit_moduli("gelatin-moduli.h5"))
+    """
+    from hpe_rig.moduli import LAWS, Source, moduli_of
+
+    if unknown := [law for law in laws if law not in LAWS]:
+        raise SettingsError(
+            "moduli", [Mistake("law", f"there is no {each} medium", ", ".join(LAWS)) for each in unknown]
+        )
+    chosen = [law for law in LAWS if law in laws] or list(LAWS)
+    opened = [run if isinstance(run, Run) else open_run(run) for run in runs]
+    if not opened:
+        raise SettingsError("moduli", [Mistake("", "no run is named", "hpe-rig moduli RUN.h5")])
+    chosen_estimator(estimator, opened[0].scene)
+    try:
+        sources = [Source(run.path.name, run.scene, run.plan, run.stored) for run in opened]
+        return moduli_of(sources, chosen, estimator, width_uncertainty, common_amplitude)
+    except ValueError as error:
+        raise StoreError(f"{opened[0].path}: {error}") from error
 
 
 def estimate(

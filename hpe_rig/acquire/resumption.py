@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hpe_rig.acquire.places import Mover
 from hpe_rig.acquire.run import Setup, prepare_text, record_run
 from hpe_rig.acquire.run_file import Run, open_run
 from hpe_rig.acquire.sequencer import Observer, unobserved
@@ -49,12 +50,13 @@ def resume(
     observer: Observer = unobserved,
     stages: Stages | None = None,
     options: WriteOptions | None = None,
+    move: Mover | None = None,
 ) -> Path:
     """Copy the complete shots into a new run file, measure the others, and return its path; as ``record_run``."""
     old = rest.earlier.path
     path = path or free_path(old.stem, old.parent)
     going_on = replace(options or WriteOptions(), predecessor=Predecessor(old.name, rest.complete))
-    return record_run(rest.setup, path, observer, stages, going_on, rest.earlier.stored)
+    return record_run(rest.setup, path, observer, stages, going_on, rest.earlier.stored, move)
 
 
 def _sound_shots(stored: StoredRun) -> int:

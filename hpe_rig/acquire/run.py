@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from hpe_rig.acquire.places import Mover, mover_of, require_mover
 from hpe_rig.acquire.recording import Recording
 from hpe_rig.acquire.sequencer import Observer, Progress, ShotDone, Step, acquire, unobserved
 from hpe_rig.bench import (
@@ -95,14 +96,17 @@ def record_run(
     stages: Stages | None = None,
     options: WriteOptions | None = None,
     earlier: StoredRun | None = None,
+    move: Mover | None = None,
 ) -> Path:
     """Acquire every shot into a new run file and return its path; every output is off when it returns or raises.
 
-    ``earlier`` is a run of the same plan: the shots ``options.predecessor`` counts are taken over from it. Where
-    ``stages`` are given their times stand in the file, which is otherwise the same bit for bit at every simulated run.
+    ``move`` moves the tracking transducer between places on a bench that has no stage of its own. ``earlier`` is a run
+    of the same plan: the shots ``options.predecessor`` counts are taken over from it. Where ``stages`` are given their
+    times stand in the file, which is otherwise the same bit for bit at every simulated run.
     """
     taken, options = stages or Stages(), options or WriteOptions()
     refuse_conflicts(setup.findings)
+    require_mover(setup.plan, setup.bench.bench.simulated, move)
     path = path or free_path(setup.scene.name, Path())
     first = options.predecessor.shots
     rest = replace(setup.plan, shots=setup.plan.shots[first:])
@@ -119,8 +123,8 @@ def record_run(
                 recording.take_over(earlier, first)
         with taken("open bench"):
             bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
-        observers = _timed(_looking(observer, recording), taken)
-        with taken("configure"), closing(acquire(rest, bench, observers)) as events:
+        observers, mover = _timed(_looking(observer, recording), taken), mover_of(setup.plan, bench, move)
+        with taken("configure"), closing(acquire(rest, bench, observers, mover)) as events:
             for event in events:
                 with taken("store"):
                     recording.take(event, setup.scene.scene, bench, taken)

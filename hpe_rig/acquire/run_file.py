@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from hpe_rig.acquire.run import planned
 from hpe_rig.bench import BenchFile, parse_bench
-from hpe_rig.plan import CheckResult, Plan, omissions, reference_gate, select
-from hpe_rig.result import Result, Stages
+from hpe_rig.plan import CheckResult, Plan, omissions, places_of, reference_gate, select
+from hpe_rig.result import Result, ShotResult, Stages
 from hpe_rig.scene import (
     Estimator,
     Processing,
@@ -194,13 +194,18 @@ def phase_reference(scene: Scene) -> str:
 
 def _shots(run: Run, estimator: Estimator) -> Estimates:
     from hpe_rig.prediction import beam_widths, predicted_averaging
-    from hpe_rig.processing import NO_RECORDS, estimate_run
+    from hpe_rig.processing import NO_RECORDS, Estimates, estimate_run
 
-    try:
-        averaging, beams = predicted_averaging(run.scene, estimator), beam_widths(run.scene, estimator)
-    except ValueError as error:
-        raise _no_estimate(run, str(error)) from error
-    estimates = estimate_run(run.scene, run.plan, run.stored, estimator, averaging, beams)
+    shots, without = list[ShotResult](), dict[int, str]()
+    for scene, plan in places_of(run.scene, run.plan):
+        try:
+            averaging, beams = predicted_averaging(scene, estimator), beam_widths(scene, estimator)
+        except ValueError as error:
+            raise _no_estimate(run, str(error)) from error
+        here = estimate_run(scene, plan, run.stored, estimator, averaging, beams)
+        shots += here.shots
+        without |= here.without
+    estimates = Estimates(tuple(shots), without)
     if estimates.shots:
         return estimates
     for why in estimates.without.values():

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from drivers.interfaces import DeadlineError, InstrumentError, RecordBlock, Setting
+from hpe_rig.acquire.places import Mover, mover_of
 from hpe_rig.bench import Bench
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 
@@ -19,6 +20,7 @@ WATCH_S = 1.0
 class Step(StrEnum):
     """What the sequencer is about to do."""
 
+    MOVE = "move tracking transducer"
     CONFIGURE = "configure"
     VERIFY = "verify"
     ARM = "arm"
@@ -87,15 +89,23 @@ def unobserved(progress: Progress) -> None:
     """Ignore every step."""
 
 
-def acquire(plan: Plan, bench: Bench, observer: Observer = unobserved) -> Generator[Event, None, None]:
+def acquire(
+    plan: Plan, bench: Bench, observer: Observer = unobserved, move: Mover | None = None
+) -> Generator[Event, None, None]:
     """Yield what happens in every shot of ``plan``; after each shot, and on any exception, every output is off.
 
     A shot whose records stop before the deadline yields those that came; ``DeadlineError`` is raised when none did.
     Outputs and settings are read back after the last record as before the first: a shot in which one has changed yields
-    ``ShotUntrusted`` and ends with ``UntrustedShotError``, unless the plan goes on.
+    ``ShotUntrusted`` and ends with ``UntrustedShotError``, unless the plan goes on. Where the tracking transducer
+    stands elsewhere in a shot than in the one before, it is moved before anything is programmed.
     """
     next_start_s = bench.clock.now_s()
+    mover, place_m = move or mover_of(plan, bench, None), None
     for shot in plan.shots:
+        if shot.lateral_offset_m != place_m:
+            observer(Progress(Step.MOVE, shot))
+            mover(shot.lateral_offset_m)
+            place_m = shot.lateral_offset_m
         try:
             yield ShotReady(shot, _configure(shot, bench, observer))
             _enable(shot, bench, observer)

@@ -7,6 +7,7 @@ Files, from what is typed to what is shown::
     watch.py    stop request, log and live page around a run
     bench.py    the report of a bench, and its comparison with another
     verify.py   what is damaged in a file
+    moduli.py   what a medium is made of, and its figure
     study.py    workers, progress and closing table of a study
     tables.py   a result as a table
     console.py  exit codes, error messages, progress, arguments that several commands share

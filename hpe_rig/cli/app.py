@@ -13,12 +13,14 @@ import typer
 from hpe_rig.cli.console import (
     EXIT_DAMAGED,
     EXIT_INSTRUMENT,
+    EXIT_INTERRUPTED,
     EXIT_MISTAKE,
     EXIT_NO_CHECKSUMS,
     BenchPath,
     RunFile,
     SceneName,
     announce,
+    asking,
     guarded,
     ignore_interrupts,
     progress,
@@ -41,6 +43,7 @@ Compress = Annotated[bool, typer.Option("--compress", help="Compress the records
 Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]. Default: the scene's.")]
 Live = Annotated[bool, typer.Option("--live", help="Serve a live page with a stop button (needs the extra 'live').")]
 Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to RUN.log beside the run file.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Between places, go on without asking whether the transducer moved.")]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="Local port of the live page. 0: any free port.")]
 
 
@@ -56,6 +59,10 @@ def main() -> None:
     refuse_undecodable(sys.argv)
     try:
         app()
+    except KeyboardInterrupt:
+        # It came before the command began, and so before anything was opened.
+        announce("hpe-rig: interrupted")
+        sys.exit(EXIT_INTERRUPTED)
     finally:
         # All is said and every output is off: nothing may turn the exit code into another one.
         ignore_interrupts()
@@ -74,6 +81,7 @@ def run(
     csv: Csv = False,
     compress: Compress = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")] = False,
+    yes: Yes = False,
     live: Live = False,
     verbose: Verbose = False,
 ) -> None:
@@ -92,7 +100,7 @@ def run(
     with watched(setup, path, run_id, live, verbose, announce) as watching:
         with progress(setup, quiet=json or csv) as observer:
             options = WriteOptions(compress, overwrite, run_id=run_id)
-            record_run(setup, path, watching(observer), stages, options)
+            record_run(setup, path, watching(observer), stages, options, move=asking(yes))
         show(process(path, estimator, stages), json, csv)
 
 
@@ -109,6 +117,7 @@ def resume(
     json: Json = False,
     csv: Csv = False,
     compress: Compress = False,
+    yes: Yes = False,
     live: Live = False,
     verbose: Verbose = False,
 ) -> None:
@@ -127,7 +136,7 @@ def resume(
     refuse_unwritable(result_path(path, chosen))
     with watched(rest.setup, path, run_id, live, verbose, announce) as watching:
         with progress(rest.setup, quiet=json or csv) as observer:
-            resume_run(rest, path, watching(observer), stages, WriteOptions(compress, run_id=run_id))
+            resume_run(rest, path, watching(observer), stages, WriteOptions(compress, run_id=run_id), asking(yes))
         show(process(path, estimator, stages), json, csv)
 
 
@@ -171,6 +180,43 @@ def report(
     from hpe_rig.report import write_report
 
     typer.echo(f"{write_report(run_file, estimator, output, shot)}: open it in any browser")
+
+
+@app.command()
+@guarded
+def moduli(
+    run_files: Annotated[
+        list[Path], typer.Argument(metavar="RUN.h5 ...", help="Run files, each of one place or more.")
+    ],
+    law: Annotated[
+        list[str] | None,
+        typer.Option(metavar="LAW", help="Medium to try: voigt, zener, power_law, maxwell; repeatable. Default: all."),
+    ] = None,
+    estimator: Estimator = None,
+    width_uncertainty: Annotated[
+        float, typer.Option(min=0.0, max=1.0, help="Relative uncertainty of the widths of the force.")
+    ] = 0.05,
+    per_place: Annotated[
+        bool, typer.Option("--per-place", help="The force was not the same at all places: every amplitude is free.")
+    ] = False,
+    figure: Annotated[Path | None, typer.Option(help="Measured and fitted vibrations, .svg, .png or .pdf.")] = None,
+    json: Json = False,
+) -> None:
+    """Fit the shear modulus and viscosity of the medium to the vibrations at all places of one or more runs."""
+    from hpe_rig.acquire import fit_moduli
+    from hpe_rig.cli.moduli import print_moduli
+
+    print_moduli(
+        fit_moduli(
+            *run_files,
+            laws=law or (),
+            estimator=estimator,
+            width_uncertainty=width_uncertainty,
+            common_amplitude=not per_place,
+        ),
+        figure,
+        json,
+    )
 
 
 @app.command()

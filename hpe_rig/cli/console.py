@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 import typer
 
 if TYPE_CHECKING:
-    from hpe_rig.acquire import Observer, Setup
+    from hpe_rig.acquire import Mover, Observer, Setup
     from hpe_rig.result import Result
 
 P = ParamSpec("P")
@@ -46,7 +46,8 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
                     command(*args, **kwargs)
             except (typer.Exit, SystemExit):
                 raise
-            except BaseException as error:
+            except BaseException as raised:
+                error = _interrupt_in(raised) or raised
                 failure = _failure(error) or (_unforeseen(error), EXIT_PROGRAM)
                 # A terminal that was closed takes no message any more.
                 with suppress(OSError):
@@ -54,6 +55,14 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
                 raise typer.Exit(failure[1]) from None
 
     return guard
+
+
+def _interrupt_in(error: BaseException) -> BaseException | None:
+    """Return the interrupt that Python wrapped into ``error``, as it does while it makes a class; None for others."""
+    from hpe_rig.bench import INTERRUPTS
+
+    cause = error.__cause__
+    return cause if isinstance(error, RuntimeError) and isinstance(cause, INTERRUPTS) else None
 
 
 def ignore_interrupts() -> None:
@@ -113,6 +122,19 @@ def progress(setup: Setup, quiet: bool) -> Iterator[Observer]:
             bar.update(task, completed=done, description=f"shot {progress.shot.index + 1}: {progress.step.value}")
 
         yield observe
+
+
+def asking(yes: bool) -> Mover:
+    """Return what asks at the terminal for the tracking transducer to be moved; with ``yes`` it only says where to."""
+
+    def move(lateral_m: float) -> None:
+        where = f"move the tracking transducer to {lateral_m * 1e3:g} mm beside the push"
+        if yes:
+            announce(where)
+        else:
+            typer.prompt(f"{where}; all outputs are off. Enter when it stands there", "", show_default=False, err=True)
+
+    return move
 
 
 def _failure(error: BaseException) -> tuple[str, int] | None:

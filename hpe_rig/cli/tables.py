@@ -107,6 +107,10 @@ def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:
         yield f"f_prf = {of.pulse_rate_hz:g} Hz"
     if of.window_length_s is not None:
         yield f"T_s = {of.window_length_s * 1e3:g} ms"
+    if of.lateral_offset_m:
+        yield f"{of.lateral_offset_m * 1e3:g} mm beside the push"
+    if of.axial_offset_m:
+        yield f"{of.axial_offset_m * 1e3:+g} mm deep"
 
 
 def _row(estimate: Estimate, known: bool, corrected: bool) -> list[str]:

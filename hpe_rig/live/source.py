@@ -20,7 +20,7 @@ from hpe_rig.processing import (
     shot_prior,
 )
 from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
-from hpe_rig.store import StoredRun, StoreError
+from hpe_rig.store import ShotRecords, StoredRun, StoreError
 
 LONGEST_HISTORY = 240
 
@@ -113,6 +113,7 @@ class RunSource:
         state: State = {
             "rf": rf_state(echoes),
             "level": level_state(echoes, shot.capture.input_range_v),
+            **_damage_state(records),
             "image": image_state(echoes.image_v, echoes.image_depth_m, float(echoes.image_time_s[-1]) * 1e3, "ms"),
         }
         try:
@@ -135,3 +136,10 @@ class RunSource:
 
 def _arrived(stored: StoredRun, shot: int) -> int:
     return int(np.count_nonzero(stored.records.recorded(shot)))
+
+
+def _damage_state(records: ShotRecords) -> State:
+    """Return what the page says of records that fail their checksums; nothing where none does."""
+    if records.damaged is None or not records.damaged.any():
+        return {}
+    return {"why": f"{int(records.damaged.sum())} records of this shot fail their checksums and are left out"}

@@ -2,11 +2,13 @@
 
     y_pn = g_p S_n exp(-j w_n tau) U(w_n, r_p, z_p; mu, A_p, B)
 
-media.py (laws of the complex modulus), shear_field.py (U, with its derivatives), inversion.py (the fit, its covariance,
-which laws the data exclude, what each datum brings), shear_speed.py (speed from the phase's fall with distance, and the
-plane wave's moduli).
+places.py (vibrations of stored runs, place by place), media.py (laws of the complex modulus), inversion.py (the fit,
+its covariance, which laws the data exclude, what each datum brings), outcome.py (all laws, as text and JSON),
+figure.py, forecast.py (how well a scene will tell the moduli), shear_speed.py (speed from the phase's fall with
+distance, and the plane wave's moduli). U is ``hpe_rig.processing.shear_motion``.
 
-Others use ``fit_medium``, ``compare_media``, ``bound``, ``speed_of_runs`` and ``fit_voigt``; docs/theory/moduli.md.
+Others use ``moduli_of`` on stored runs, ``moduli_forecast`` on scenes, ``fit_medium`` and ``bound`` on vibrations;
+docs/theory/moduli.md.
 """
 
 import lazy_loader

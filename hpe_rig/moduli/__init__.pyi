@@ -1,3 +1,4 @@
+from .forecast import ModuliForecast as ModuliForecast, moduli_forecast as moduli_forecast, moduli_text as moduli_text
 from .inversion import (
     Moduli as Moduli,
     Push as Push,
@@ -7,4 +8,6 @@ from .inversion import (
     fit_medium as fit_medium,
 )
 from .media import LAWS as LAWS, MediumLaw as MediumLaw
+from .outcome import ModuliResult as ModuliResult, moduli_of as moduli_of
+from .places import Source as Source, push_of as push_of, vibrations_of as vibrations_of
 from .shear_speed import fit_voigt as fit_voigt, speed_of_runs as speed_of_runs

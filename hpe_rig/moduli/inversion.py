@@ -23,13 +23,15 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from hpe_rig.moduli.media import LAWS, Law, MediumLaw
-from hpe_rig.moduli.shear_field import shear_field
+from hpe_rig.processing import shear_motion
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 STARTS_FOLLOWED = 3
 """Starting points from which the fit is run, the best of a grid; each in a neighbourhood of its own."""
+MOST_STEPS = 60
+"""Of the solver from one start; a law that cannot explain the data would crawl on."""
 SECOND_MINIMUM = 12.0
 """Chi-square above the best up to which another minimum is told of: it is as likely as one in 400."""
 REJECTED = 1e-3
@@ -155,9 +157,14 @@ def fit_medium(vibrations: Sequence[Vibration], push: Push, law: MediumLaw = "vo
 def compare_media(
     vibrations: Sequence[Vibration], push: Push, laws: Sequence[MediumLaw] = tuple(LAWS)
 ) -> tuple[tuple[Moduli, ...], FloatArray]:
-    """Return the fit of every law, the likeliest first, and the laws' probabilities (law,), equal beforehand."""
-    fits = sorted((fit_medium(vibrations, push, law) for law in laws), key=lambda each: -each.log_evidence)
-    weight = np.exp([each.log_evidence - fits[0].log_evidence for each in fits])
+    """Return the fit of every law, the likeliest first, and the laws' probabilities (law,), equal beforehand.
+
+    A law with a parameter at the end of its range comes after those that the data leave inside: it is a simpler one.
+    """
+    fits = [fit_medium(vibrations, push, law) for law in laws]
+    fits.sort(key=lambda each: (each.excluded, bool(each.at_limit), -each.log_evidence))
+    highest = max(each.log_evidence for each in fits)
+    weight = np.exp([each.log_evidence - highest for each in fits])
     return tuple(fits), np.asarray(weight / weight.sum())
 
 
@@ -301,7 +308,7 @@ class Problem:
         frequency_hz = ones[0].frequency_hz
         omega, values = 2 * np.pi * frequency_hz, self.law.values(unknown[:count])
         modulus, by_values = self.law.modulus(np.asarray(1j * omega, np.complex128), values)
-        field = shear_field(
+        field = shear_motion(
             modulus,
             frequency_hz,
             push.density_kg_per_m3,
@@ -376,7 +383,15 @@ def _solved(problem: Problem, start: FloatArray) -> tuple[FloatArray, float]:
     inside = start.copy()
     inside[: len(limits)] = np.clip(inside[: len(limits)], limits[:, 0] + 1e-6, limits[:, 1] - 1e-6)
     found = least_squares(
-        problem.residual, inside, problem.jacobian, (low, high), x_scale="jac", xtol=1e-12, ftol=1e-12, gtol=1e-10
+        problem.residual,
+        inside,
+        problem.jacobian,
+        (low, high),
+        x_scale="jac",
+        xtol=1e-9,
+        ftol=1e-8,
+        gtol=1e-10,
+        max_nfev=MOST_STEPS,
     )
     return np.asarray(found.x), 2 * float(found.cost)
 

@@ -22,6 +22,7 @@ from .shots import (
     Plan as Plan,
     Shot as Shot,
     make_plan as make_plan,
+    places_of as places_of,
     reference_gate as reference_gate,
 )
 from .timeline import plan_text as plan_text

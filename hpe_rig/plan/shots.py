@@ -67,6 +67,9 @@ class Shot:
     tracking_pulser: Toneburst
     capture: Capture
     timeline: Timeline
+    lateral_offset_m: float = 0.0
+    """Where the tracking transducer stands beside the push."""
+    axial_offset_m: float = 0.0
 
     @property
     def gate(self) -> slice:
@@ -105,6 +108,11 @@ class Plan:
     stops_when_changed: bool = True
 
     @property
+    def places_m(self) -> tuple[float, ...]:
+        """Where the tracking transducer stands beside the push, in the order of the shots."""
+        return tuple(dict.fromkeys(shot.lateral_offset_m for shot in self.shots))
+
+    @property
     def duration_s(self) -> float:
         """Expected time of the measurement: the shots without the instruments' programming."""
         return self.shot_period_s * (len(self.shots) - 1) + self.shots[-1].train_end_s
@@ -121,6 +129,9 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
 
     Raises ``SettingsError`` where the scene asks for more shots or pulses than anyone could wait for.
     """
+    if len(scene.places) > 1:
+        return _joined([make_plan(each, bench) for each in scene.places])
+    (scene,) = scene.places
     if len(scene.rates) > 1:
         return _joined([make_plan(each, bench) for each in scene.rates])
     (scene,) = scene.rates
@@ -136,6 +147,14 @@ def _joined(plans: list[Plan]) -> Plan:
     """Return one plan of the shots of all; what is omitted is the same in each."""
     shots = tuple(replace(shot, index=index) for index, shot in enumerate(s for plan in plans for s in plan.shots))
     return replace(plans[0], shots=shots, shot_period_s=max(plan.shot_period_s for plan in plans))
+
+
+def places_of(scene: Scene, plan: Plan) -> Iterator[tuple[Scene, Plan]]:
+    """Yield the scene at every place of the tracking transducer, with the shots that are taken there."""
+    for place in scene.places:
+        where = place.tracking.lateral_offset_m, place.tracking.axial_offset_m
+        shots = tuple(shot for shot in plan.shots if (shot.lateral_offset_m, shot.axial_offset_m) == where)
+        yield place, replace(plan, shots=shots)
 
 
 def pulse_count(scene: Scene) -> int:
@@ -156,7 +175,7 @@ def reference_gate(scene: Scene, shot: Shot) -> slice | None:
     acquisition = scene.acquisition
     length_m = scene.processing.reference_gate_length_m or acquisition.gate_length_m
     per_metre = 2 / acquisition.sound_speed_m_per_s * shot.capture.sample_rate_hz
-    shift = round((depth_m - length_m / 2 - acquisition.gate_depth_m + acquisition.gate_length_m / 2) * per_metre)
+    shift = round((depth_m - length_m / 2 - scene.gate_depth_m + acquisition.gate_length_m / 2) * per_metre)
     start = shot.gate.start + shift
     return slice(start, start + round(length_m * per_metre))
 
@@ -219,6 +238,8 @@ def _shots(scene: Scene, bench: BenchFile) -> Iterator[Shot]:
             tracking_pulser=Toneburst(tracking.carrier_hz, tracking.cycles, pulse_vpp, 0.0, pulser.load_ohm),
             capture=capture,
             timeline=timelines[burst_length_s],
+            lateral_offset_m=tracking.lateral_offset_m,
+            axial_offset_m=tracking.axial_offset_m,
         )
 
 
@@ -246,7 +267,7 @@ def _toneburst(scene: Scene, bench: BenchFile, length_s: float | None, force: fl
 def _gate_offset_s(scene: Scene) -> tuple[float, float]:
     gate = scene.acquisition
     half_s = gate.gate_length_m / gate.sound_speed_m_per_s
-    middle_s = 2 * gate.gate_depth_m / gate.sound_speed_m_per_s
+    middle_s = 2 * scene.gate_depth_m / gate.sound_speed_m_per_s
     return middle_s - half_s, middle_s + half_s
 
 

@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 from hpe_rig.bench import twin_of
 from hpe_rig.prediction.error_model import Conditions, Speckle, draw_speckle, tracked_over_peak
 from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, scatterer_density
-from hpe_rig.processing import BeamWidths, Ensemble, Window, displacement, harmonic_range_hz, medium_ensemble, spec_of
+from hpe_rig.processing import (
+    BeamWidths,
+    Ensemble,
+    Window,
+    displacement,
+    harmonic_range_hz,
+    medium_ensemble,
+    seen_beside,
+    spec_of,
+)
 from hpe_rig.result import Averaging
 from hpe_rig.scene import Scene
 
@@ -62,6 +71,14 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     columns = np.stack([factor, np.angle(ratio), speckle.real, *uncertain, speckle.imag], axis=-1).tolist()
     rest = {"carrier_relative": carrier, "area_spread": area_spread, "loss_scale": loss_scale}
     return tuple(_off_focus(scene, replace(Averaging(*each), **rest)) for each in columns)
+
+
+def tracked_area_spread(scene: Scene, estimator: str) -> float:
+    """Return the relative standard deviation over speckle of the area across that is tracked; 0 without beams."""
+    beams, resting = beam_widths(scene, estimator), resting_conditions(scene)
+    if beams is None or resting is None:
+        return 0.0
+    return speckle_spread(resting, estimator)[0] / -_gaussian_steepness(beams)
 
 
 def resting_conditions(scene: Scene) -> Conditions | None:
@@ -122,6 +139,9 @@ def _seen_through(
     logarithm, its standard deviation, and the root mean square of the steepness.
     """
     known = medium_of(scene, frequency_hz, simulated=False)
+    if known is not None and beams.lateral_m:
+        tracked, peak, change = seen_beside(*known, frequency_hz, beams)
+        return tracked / peak, np.zeros_like(tracked), change / tracked
     if known is not None:
         (tracked, peak), (wider, _) = (
             medium_motion(*known, frequency_hz, beams.force_width_m, width_m, beams.axial_spread_m)
@@ -144,7 +164,9 @@ def _seen_through(
 def _ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ensemble:
     """Return the ensemble of the prior, unless a frequency lies outside its range."""
     assert scene.excitation is not None  # noqa: S101 (as its caller knows)
-    lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz)
+    lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz, beams.lateral_m)
+    if beams.lateral_m:
+        return medium_ensemble(beams, lowest_hz, highest_hz)
     return medium_ensemble(beams, min(lowest_hz, float(frequency_hz.min())), max(highest_hz, float(frequency_hz.max())))
 
 
@@ -154,7 +176,8 @@ def beam_widths(scene: Scene, estimator: str) -> BeamWidths | None:
         return None
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
     gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
-    return BeamWidths(*widths, depth_spread(widths[1], *gate, spec_of(estimator).gate_window))
+    depth_m = depth_spread(widths[1], *gate, spec_of(estimator).gate_window)
+    return BeamWidths(*widths, depth_m, lateral_m=abs(scene.tracking.lateral_offset_m))
 
 
 def _gaussian_steepness(beams: BeamWidths) -> float:
@@ -177,11 +200,14 @@ def _off_focus(scene: Scene, averaging: Averaging) -> Averaging:
     A gate that was put on the focus by its echoes stays there whatever the sound speed; one that was put there by its
     distance is off by what the sound speed is off.
     """
-    if scene.beams is None or scene.beams.focus_depth_m is None:
+    if scene.beams is None or (scene.beams.focus_depth_m is None and not scene.tracking.axial_offset_m):
         return averaging
-    gate_m, relative = scene.acquisition.gate_depth_m, scene.acquisition.sound_speed_uncertainty
-    width_m = scene.beams.excitation_width_m[2]
-    factor, spread = off_focus(gate_m - scene.beams.focus_depth_m, gate_m * relative, width_m)
+    gate_m, relative = scene.gate_depth_m, scene.acquisition.sound_speed_uncertainty
+    width_m, focus_m = scene.beams.excitation_width_m[2], scene.beams.focus_depth_m
+    if focus_m is None:
+        # put there by its echoes, from where the gate is moved by a known distance
+        focus_m, relative = scene.acquisition.gate_depth_m, 0.0
+    factor, spread = off_focus(gate_m - focus_m, gate_m * relative, width_m)
     return replace(averaging, factor=averaging.factor * factor, offset_relative=spread, offset_factor=factor)
 
 

@@ -17,6 +17,7 @@
                        then off with sinc(f_i / f_prf), T_prf / 2, 90 deg
 
     what a medium can do of tonebursts, as a prior of the fit               ensemble.py, prior.py
+    how it moves beside the push                                            shear_field.py
     what harmonics it does not resolve leave in a fit without prior         unresolved.py
     what distinguishes them, one row each                                   estimators.py
     the uncertainty of each estimate, source by source                      budget.py

@@ -24,6 +24,7 @@ from .ensemble import (
     KnownMedium as KnownMedium,
     displacement as displacement,
     medium_ensemble as medium_ensemble,
+    seen_beside as seen_beside,
 )
 from .estimators import (
     ESTIMATORS as ESTIMATORS,
@@ -67,6 +68,11 @@ from .prior import (
     medium_prior as medium_prior,
     seen_by as seen_by,
 )
+from .shear_field import (
+    ShearMotion as ShearMotion,
+    shear_displacement as shear_displacement,
+    shear_motion as shear_motion,
+)
 from .shots import (
     NO_RECORDS as NO_RECORDS,
     Estimates as Estimates,
@@ -75,6 +81,7 @@ from .shots import (
     options_of as options_of,
     samples_needed as samples_needed,
     shot_echoes as shot_echoes,
+    shot_fit as shot_fit,
     shot_media as shot_media,
     shot_model as shot_model,
     shot_motion as shot_motion,

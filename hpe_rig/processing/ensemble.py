@@ -13,16 +13,19 @@ docs/theory/medium-prior.md.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtri, wofz
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray
+from hpe_rig.processing.shear_field import shear_displacement, shear_motion
 
 Triple = tuple[float, float, float]
 
 MEMBERS = 240
+MEMBERS_BESIDE = 60
+"""The same beside the push, where a member takes some ms."""
 FAMILIES = 5
 DIRECTIONS = 12
 """Quadrature nodes over wave directions: the displacement is good to 3e-4 of itself, in the paper's beams."""
@@ -47,13 +50,15 @@ class BeamWidths:
     """Sigmas of the Gaussian body force and of the tracking beam (x, y, z), m; both round, x counts.
 
     ``axial_spread_m``: standard deviation of depth in the gate, weighted by echo energy. ``width_spread``: standard
-    deviation of the logarithm of the force's widths, which no one has measured in the medium.
+    deviation of the logarithm of the force's widths, which no one has measured in the medium. ``lateral_m``: where the
+    tracking beam lies beside the force.
     """
 
     force_width_m: Triple
     tracking_width_m: Triple
     axial_spread_m: float
     width_spread: float = 0.3
+    lateral_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +75,10 @@ class KnownMedium:
 class Ensemble:
     """Displacement per unit force of every member, complex (member, node), at the frequencies ``node_hz`` (node,).
 
-    ``tracked`` is the mean over the tracking beam and gate, ``peak`` that at the focus; both but for one real factor a
-    member. ``steepness``: derivative of ``tracked`` by the logarithm of the tracking beam's area, which is what speckle
-    changes. ``voigt`` (member,) tells Voigt media. Read-only.
+    ``tracked`` is the mean over the tracking beam and gate, ``peak`` that on its axis at the focus; both but for one
+    real factor a member. ``steepness``: how ``tracked`` changes with the logarithm of the tracking beam's area, which
+    is what speckle changes; beside the push also with the beam's place. ``voigt`` (member,) tells Voigt media.
+    Read-only.
     """
 
     node_hz: FloatArray
@@ -80,9 +86,15 @@ class Ensemble:
     peak: ComplexArray
     steepness: ComplexArray
     voigt: BoolArray
+    at_harmonics: bool = False
 
     def interpolation(self, frequency_hz: FloatArray) -> FloatArray:
-        """Return the matrix (frequency, node) that takes values at the nodes to ``frequency_hz`` within their range."""
+        """Return the matrix (frequency, node) that takes values at the nodes to ``frequency_hz`` within their range.
+
+        Beside the push the nodes are the harmonics themselves: waves that have run turn too fast to interpolate.
+        """
+        if self.at_harmonics:
+            return np.isclose(frequency_hz[:, None], self.node_hz).astype(np.float64)
         order = self.node_hz.size - 1
         position, node = (_position(each, self.node_hz[0], self.node_hz[-1]) for each in (frequency_hz, self.node_hz))
         chebyshev = np.polynomial.chebyshev.chebvander
@@ -102,6 +114,8 @@ def medium_ensemble(
 
     The parameters fill their ranges evenly by a low-discrepancy sequence: no chance, hence no seed.
     """
+    if beams.lateral_m:
+        return _beside(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
     count = max(8, round(NODES_PER_E_FOLD * np.log(highest_hz / lowest_hz)))
     node_hz = np.sqrt(lowest_hz * highest_hz) * (highest_hz / lowest_hz) ** (-np.cos(np.linspace(0, np.pi, count)) / 2)
     spread = _even_sequence(members, 5)
@@ -123,6 +137,43 @@ def medium_ensemble(
     for array in (found.node_hz, found.tracked, found.peak, found.steepness, found.voigt):
         array.flags.writeable = False
     return found
+
+
+def _beside(
+    beams: BeamWidths, lowest_hz: float, highest_hz: float, known: KnownMedium | None, density_kg_per_m3: float
+) -> Ensemble:
+    """Return the ensemble where the tracking beam lies beside the force, by ``shear_displacement``."""
+    harmonic_hz = lowest_hz * np.arange(1.0, round(highest_hz / lowest_hz) + 1)
+    spread = _even_sequence(MEMBERS_BESIDE, 5)
+    s = np.asarray(2j * np.pi * harmonic_hz, np.complex128)
+    modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
+    wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
+    found = np.empty((3, MEMBERS_BESIDE, harmonic_hz.size), np.complex128)
+    for member, (across_m, along_m) in enumerate(
+        zip(beams.force_width_m[0] * wide, beams.force_width_m[2] * deep, strict=True)
+    ):
+        own = replace(beams, force_width_m=(across_m, across_m, along_m))
+        found[:, member] = seen_beside(modulus_pa[member], density_kg_per_m3, harmonic_hz, own)
+    found.flags.writeable = False
+    voigt = np.arange(MEMBERS_BESIDE) % FAMILIES == 0 if known is None else np.ones(MEMBERS_BESIDE, bool)
+    return Ensemble(harmonic_hz, found[0], found[1], found[2], voigt, at_harmonics=True)
+
+
+def seen_beside(
+    modulus_pa: ComplexArray, density_kg_per_m3: float, frequency_hz: FloatArray, beams: BeamWidths
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return tracked and peak displacement and steepness (frequency,), per body force, beside the push.
+
+    Speckle moves the middle of what is tracked as well as its area, each by the same share of its radius: the steepness
+    is the root sum of squares of both, real part along the tracked phasor, imaginary part across.
+    """
+    (x, _, z), seen, place = beams.force_width_m, beams.tracking_width_m[0] ** 2 / 2, np.array([beams.lateral_m])
+    medium = modulus_pa, frequency_hz, density_kg_per_m3, (x, z)
+    moved = shear_motion(*medium, x**2 + seen, z**2 + beams.axial_spread_m**2, place)
+    tracked = moved.value[:, 0]
+    wider, aside = seen * moved.by_across[:, 0] / tracked, np.sqrt(seen) * moved.by_lateral[:, 0] / tracked
+    steep = np.hypot(wider.real, aside.real) + 1j * np.hypot(wider.imag, aside.imag)
+    return tracked, shear_displacement(*medium, x**2, z**2, place)[:, 0], tracked * steep
 
 
 def displacement(

@@ -101,6 +101,27 @@ def _windows_of_shot(
     return results
 
 
+def shot_fit(
+    scene: Scene, shot: Shot, stored: StoredRun, estimator: str, beams: BeamWidths | None = None
+) -> HarmonicFit:
+    """Return the fit of one shot, with the covariance of all its harmonics; as ``estimate_run`` fits it.
+
+    Of the scene's own window. Raises ``ValueError`` where the shot cannot be estimated.
+    """
+    spec, margin = spec_of(estimator), margin_needed(scene, shot)
+    records = stored.records.in_blocks(shot.index, samples_needed(scene, shot), margin=margin)
+    if not records.valid.any():
+        raise ValueError(NO_RECORDS)
+    chosen, gate = select(scene, shot), reference_gate(scene, shot)
+    echoes, reference = shot_echoes(scene, shot, records, chosen), None
+    if gate is not None:
+        still = stored.records.in_blocks(shot.index, gate, margin=margin)
+        reference = coherent(shot_echoes(scene, shot, still, chosen))
+    motion = None if spec.motion is None else shot_motion(scene, shot, echoes, spec.motion)
+    options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
+    return _fit(echoes, motion, reference, chosen, spec, options)[0]
+
+
 def options_of(processing: Processing, prior: MediumPrior | None = None) -> Options:
     """Return what of the estimation the scene chooses, apart from the estimator; without ``prior`` least squares."""
     default: Harmonic = "least_squares" if prior is None else "medium_prior"
@@ -180,6 +201,8 @@ def _estimate_shot(
         residual_m=float(fit.residual_rms_m),
         pulse_rate_hz=shot.tracking_train.rate_hz,
         window_length_s=scene.processing.window_length_s,
+        lateral_offset_m=shot.lateral_offset_m,
+        axial_offset_m=shot.axial_offset_m,
         estimates=estimates_of(fit, here, averaging, true_m),
         warnings=(
             *(_missing_warnings(recorded, damaged) if complete else ()),

@@ -57,6 +57,12 @@ def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
     """Return the curves of ``shots``; None for a single shot."""
     if len(shots) < 2:
         return None
+    for label, places_m in (
+        ("place beside the push (mm)", [shot.lateral_offset_m for shot in shots]),
+        ("place along the beam (mm)", [shot.axial_offset_m for shot in shots]),
+    ):
+        if len(set(places_m)) > 1:
+            return _sweep(label, shots, [place_m * 1e3 for place_m in places_m], [_setting(s, shots) for s in shots])
     if len({shot.force_fraction for shot in shots}) > 1:
         forces = [shot.force_fraction for shot in shots]
         return _sweep("force F / F_0", shots, forces, [_setting(shot, shots) for shot in shots])

@@ -96,7 +96,7 @@ def echo_view(scene: Scene, shot: Shot, records: ShotRecords, line: int = 0, fir
         image_v=image.T,
         image_depth_m=depth_m[rows],
         image_time_s=pulses / shot.tracking_train.rate_hz,
-        gate_m=(scene.acquisition.gate_depth_m - half_m, scene.acquisition.gate_depth_m + half_m),
+        gate_m=(scene.gate_depth_m - half_m, scene.gate_depth_m + half_m),
     )
 
 

@@ -194,6 +194,8 @@ class ShotResult:
     warnings: tuple[str, ...]
     pulse_rate_hz: float | None = None
     window_length_s: float | None = None
+    lateral_offset_m: float = 0.0
+    axial_offset_m: float = 0.0
     complete: bool = True
     untrusted: str = ""
 

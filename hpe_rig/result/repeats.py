@@ -50,6 +50,8 @@ class RepeatMean:
     agrees: bool
     true_amplitude_m: float | None = None
     true_phase_rad: float | None = None
+    lateral_offset_m: float = 0.0
+    axial_offset_m: float = 0.0
 
 
 def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
@@ -67,7 +69,8 @@ def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
 
 
 def _setting(shot: ShotResult) -> tuple[float | None, ...]:
-    return shot.burst_length_s, shot.force_fraction, shot.pulse_rate_hz, shot.window_length_s
+    place = shot.lateral_offset_m, shot.axial_offset_m
+    return shot.burst_length_s, shot.force_fraction, shot.pulse_rate_hz, shot.window_length_s, *place
 
 
 def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
@@ -105,6 +108,8 @@ def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
         force_fraction=first.force_fraction,
         pulse_rate_hz=first.pulse_rate_hz,
         window_length_s=first.window_length_s,
+        lateral_offset_m=first.lateral_offset_m,
+        axial_offset_m=first.axial_offset_m,
         frequency_hz=estimates[0].frequency_hz,
         corrected=all(item.corrected for item in each),
         amplitude_m=abs(mean),

@@ -23,6 +23,7 @@ from .scene import (
     DEFAULT_SPECIMEN as DEFAULT_SPECIMEN,
     Estimator as Estimator,
     Excitation as Excitation,
+    Medium as Medium,
     Processing as Processing,
     Scene as Scene,
     SceneSource as SceneSource,

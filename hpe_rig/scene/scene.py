@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -30,6 +31,7 @@ from hpe_rig.scene.quantities import (
 )
 from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, named_text, parse_toml, validated
 
+Offset = Annotated[float, Field(ge=-0.1, le=0.1, strict=True)]
 Widths = tuple[LengthM, LengthM, LengthM]
 Estimator = Literal["coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum"]
 
@@ -94,6 +96,12 @@ class Tracking(Section):
     """Number of tracking pulses; absent: as many periods as the burst train lasts."""
     cycles: Annotated[int, Field(ge=1, le=1000, strict=True)] = 3
     """Cycles of one tracking pulse."""
+    lateral_offset_m: Offset = 0.0
+    """Where the tracking transducer's axis lies beside the push, along x; what moves is tracked there."""
+    axial_offset_m: Offset = 0.0
+    """Where the gate's middle lies beyond acquisition.gate_depth_m."""
+    offset_uncertainty_m: Annotated[float, Field(ge=0, le=0.01, strict=True)] = 20e-6
+    """Standard uncertainty of the lateral offset, as the stage or its operator can set it (assumed)."""
     carrier_hz: FrequencyHz = 9.0e6
     """Frequency f_f of the tracking pulse."""
     disturbed: Literal["refuse", "skip", "keep"] = "refuse"
@@ -221,6 +229,11 @@ class Sweep(Section):
     """Pulse rates f_prf, measured in turn in place of tracking.pulse_rate_hz, with equally many pulses each."""
     window_length_s: Annotated[tuple[DurationS, ...], Field(min_length=1, max_length=100)] = ()
     """Slow-time windows T_s, taken in turn from the same records in place of processing.window_length_s."""
+    lateral_offset_m: Annotated[tuple[Offset, ...], Field(min_length=1, max_length=100)] = ()
+    """Places of the tracking transducer beside the push, taken in turn in place of tracking.lateral_offset_m; between
+    them every output is off, and a stage or the operator moves it."""
+    axial_offset_m: Annotated[tuple[Offset, ...], Field(min_length=1, max_length=100)] = ()
+    """Offsets of the gate along the beam, taken in turn in place of tracking.axial_offset_m."""
 
 
 class Scene(Section):
@@ -293,6 +306,11 @@ class Scene(Section):
         return None
 
     @property
+    def gate_depth_m(self) -> float:
+        """Distance from the transducer to the middle of the gate where it stands now."""
+        return self.acquisition.gate_depth_m + self.tracking.axial_offset_m
+
+    @property
     def pulse_rates_hz(self) -> tuple[float, ...]:
         """Pulse rates that are measured in turn."""
         return self.sweep.pulse_rate_hz or (self.tracking.pulse_rate_hz,)
@@ -303,6 +321,18 @@ class Scene(Section):
         lengths_s = self.sweep.window_length_s or (self.processing.window_length_s,)
         each = (self.processing.model_copy(update={"window_length_s": length_s}) for length_s in lengths_s)
         return tuple(self.model_copy(update={"processing": processing}) for processing in each)
+
+    @property
+    def places(self) -> tuple[Scene, ...]:
+        """The scene once for each place of the tracking transducer, its other settings the same."""
+        sweep, tracking = self.sweep, self.tracking
+        if not (sweep.lateral_offset_m or sweep.axial_offset_m):
+            return (self,)
+        alike = {"sweep": sweep.model_copy(update={"lateral_offset_m": (), "axial_offset_m": ()})}
+        lateral, axial = sweep.lateral_offset_m or (tracking.lateral_offset_m,), sweep.axial_offset_m
+        each = itertools.product(lateral, axial or (tracking.axial_offset_m,))
+        moved = (tracking.model_copy(update={"lateral_offset_m": x, "axial_offset_m": z}) for x, z in each)
+        return tuple(self.model_copy(update={**alike, "tracking": one}) for one in moved)
 
     @property
     def rates(self) -> tuple[Scene, ...]:

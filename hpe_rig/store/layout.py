@@ -195,6 +195,9 @@ def _create_records(file: h5py.File, plan: Plan, code_limits: tuple[int, int], c
     group["force_set"] = np.full(len(shots), math.nan)
     group["force_fraction"] = [math.nan if shot.force_fraction is None else shot.force_fraction for shot in shots]
     group["repeat"] = [shot.repeat for shot in shots]
+    for name in ("lateral_offset_m", "axial_offset_m"):
+        if any(offsets := [getattr(shot, name) for shot in shots]):
+            group[name] = offsets
     group["shot_complete"] = np.zeros(len(shots), np.uint8)
     group["clipped"] = np.zeros(len(shots), np.uint8)
     sample_s = shots[0].timeline.record_offset_s[0] + np.arange(capture.record_samples) / capture.sample_rate_hz

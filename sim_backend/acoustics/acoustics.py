@@ -23,6 +23,7 @@ from sim_backend.echoes import (
     draw_field,
     echo_pulse,
     echoes,
+    gaussian_weight,
     noticeable,
     rectangular_burst,
 )
@@ -72,18 +73,24 @@ class Passage:
 
 
 class Acoustics:
-    """The specimen, its scatterers and the receive chain of one world; the scatterers stay for all captures."""
+    """The specimen, its scatterers and the receive chain of one world; the scatterers stay for all captures.
 
-    def __init__(self, settings: SimulationSettings) -> None:
-        self._settings = settings
+    The tracking transducer stands ``beside_m`` off the push along x, besides what ``settings.beams`` say of its axis.
+    """
+
+    def __init__(self, settings: SimulationSettings, beside_m: float = 0.0) -> None:
+        x, y = settings.beams.lateral_offset_m
+        beams = settings.beams.model_copy(update={"lateral_offset_m": (x + beside_m, y)})
+        self._settings = settings = settings.model_copy(update={"beams": beams})
+        self._beside_m = beside_m
         self._travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
         placing = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_SCATTERER_STREAM,)))
-        self._field = draw_field(settings.scatterers, settings.beams, placing)
+        self._field = draw_field(settings.scatterers, settings.beams, placing, beside_m, self._placing)
         self._noise = RecordStream(settings.seed, _NOISE_STREAM)
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._gain_v = echo_gain_v(settings, self._delay_s, self._field.tracking_weight)
         self._focus_motion = _focus_motion(settings, self._travel_s)
-        self._medium = _medium_motion(settings, self._field.offset_m, self._travel_s)
+        self._medium = _medium_motion(settings, self._field.offset_m, self._travel_s, beside_m)
         self._background_m = _background_motion(settings)
 
     def focus_displacement_m(
@@ -91,12 +98,23 @@ class Acoustics:
     ) -> Floats:
         """Return the displacement at the focus at ``time_ps`` (time,), positive away from the transducer, m.
 
-        ``tonebursts`` move a specimen; ``origin_ps`` is the master trigger's edge, from which a prescribed motion
-        counts. Neither specimen nor motion: zeros.
+        Where the tracking transducer was moved beside the push, that on its axis. ``tonebursts`` move a specimen;
+        ``origin_ps`` is the master trigger's edge, from which a prescribed motion counts. Neither specimen nor motion:
+        zeros.
         """
         if self._focus_motion is None:
             return np.zeros(len(time_ps))
-        return self._focus_motion(tonebursts, time_ps, origin_ps)
+        if self._beside_m and self._medium is not None:
+            return self._medium.displacement_m(tonebursts, time_ps, self._beside_m)
+        beside = np.array([[self._beside_m, 0.0, 0.0]])
+        share = float(gaussian_weight(beside, self._settings.beams.motion_width_m())[0])
+        return share * self._focus_motion(tonebursts, time_ps, origin_ps)
+
+    def _placing(self, box: int) -> np.random.Generator:
+        """Return what places the scatterers of the ``box``-th of a row of boxes, that on the axis the 0th."""
+        return np.random.default_rng(
+            np.random.SeedSequence(self._settings.seed, spawn_key=(_SCATTERER_STREAM, box % 2**32))
+        )
 
     def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> Floats:
         """Return what reaches the digitizer's input, float64 (record, sample), V.
@@ -169,7 +187,9 @@ class Acoustics:
         """Return the amplitude of every motion shape when pulses pass, at ``passage_ps`` (burst,): (burst, shape)."""
         if self._medium is not None:
             return self._medium.amplitudes_m(tonebursts, passage_ps)
-        return self.focus_displacement_m(tonebursts, passage_ps, capture.origin_ps)[:, None]
+        if self._focus_motion is None:
+            return np.zeros((len(passage_ps), 1))
+        return self._focus_motion(tonebursts, passage_ps, capture.origin_ps)[:, None]
 
     def _add_echoes(
         self,
@@ -336,13 +356,15 @@ def _background_motion(settings: SimulationSettings) -> Callable[[Picoseconds], 
     return lambda time_ps: background_at(settings.background, time_ps)
 
 
-def _medium_motion(settings: SimulationSettings, offset_m: Floats, travel_s: float) -> MediumMotion | None:
+def _medium_motion(
+    settings: SimulationSettings, offset_m: Floats, travel_s: float, beside_m: float
+) -> MediumMotion | None:
     """Return how the medium's own field moves the scatterers; None where they move by the Gaussian of eq. (12)."""
     if settings.specimen is None or settings.specimen.field == "gaussian":
         return None
     from sim_backend.motion import medium_motion
 
-    return medium_motion(settings, offset_m, travel_s)
+    return medium_motion(settings, offset_m, travel_s, beside_m)
 
 
 def _after_arrival_s(sample_ps: NDArray[np.int64], arrival_s: float) -> Floats:

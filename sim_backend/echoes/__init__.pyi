@@ -21,6 +21,7 @@ from .scatterers import (
     draw_field as draw_field,
     draw_thinned as draw_thinned,
     field_at as field_at,
+    gaussian_weight as gaussian_weight,
     noticeable as noticeable,
 )
 from .series import ScattererRows as ScattererRows

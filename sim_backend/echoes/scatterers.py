@@ -7,6 +7,7 @@ need speed (`draw_thinned`; docs/theory/echoes.md, section 6).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,11 +49,26 @@ def noticeable(weight: Floats) -> NDArray[np.bool_]:
     return np.abs(weight) >= NEGLIGIBLE_WEIGHT
 
 
-def draw_field(scatterers: Scatterers, beams: Beams, rng: np.random.Generator) -> ScattererField:
-    """Return scatterers placed uniformly in the box around the focus, and the reflectors among them."""
+def draw_field(
+    scatterers: Scatterers,
+    beams: Beams,
+    rng: np.random.Generator,
+    beside_m: float = 0.0,
+    rng_of: Callable[[int], np.random.Generator] | None = None,
+) -> ScattererField:
+    """Return scatterers placed uniformly in the box around the focus, and the reflectors among them.
+
+    Where the box stands ``beside_m`` off the axis along x, the tissue is a row of boxes, the one on the axis drawn from
+    ``rng``, the n-th beside it from ``rng_of(n)``: places that share tissue share its scatterers.
+    """
     box = np.array(scatterers.volume_m)
-    offset_m = rng.uniform(-0.5, 0.5, (scatterer_count(scatterers, beams), 3)) * box
-    strength, moves = reflectivity(scatterers, len(offset_m), rng), np.ones(len(offset_m))
+    first = math.floor(beside_m / box[0])
+    row = [first] if first * box[0] == beside_m else [first, first + 1]
+    drawn = [_drawn_box(scatterers, beams, rng if n == 0 or rng_of is None else rng_of(n)) for n in row]
+    offset_m = np.concatenate([each + np.array([n * box[0], 0, 0]) for n, (each, _) in zip(row, drawn, strict=True)])
+    inside = np.abs(offset_m[:, 0] - beside_m) <= box[0] / 2
+    offset_m, strength = offset_m[inside], np.concatenate([each for _, each in drawn])[inside]
+    moves = np.ones(len(offset_m))
     for reflector in scatterers.reflectors:
         place_m, share = reflector_points(reflector, beams)
         offset_m = np.concatenate([offset_m, place_m])
@@ -60,6 +76,12 @@ def draw_field(scatterers: Scatterers, beams: Beams, rng: np.random.Generator) -
         moves = np.concatenate([moves, np.full(len(share), float(reflector.moves))])
     loss = depth_loss(scatterers, offset_m[:, 2])
     return field_at(offset_m, beams, strength if loss is None else strength * loss, moves)
+
+
+def _drawn_box(scatterers: Scatterers, beams: Beams, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Return places in a box around its middle (scatterer, 3), and reflectivities (scatterer,)."""
+    offset_m = rng.uniform(-0.5, 0.5, (scatterer_count(scatterers, beams), 3)) * np.array(scatterers.volume_m)
+    return offset_m, reflectivity(scatterers, len(offset_m), rng)
 
 
 def reflectivity(scatterers: Scatterers, count: int, rng: np.random.Generator) -> Floats:

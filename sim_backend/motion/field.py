@@ -54,7 +54,10 @@ _AXIAL_DEGREES = 10
 
 @dataclass(frozen=True, slots=True)
 class FocusField:
-    """The medium's step response in a cylinder around the focus, as few shapes, each with its own course in time."""
+    """The medium's step response in a cylinder around the focus, as few shapes, each with its own course in time.
+
+    Of a place beside the axis it is a shell, from ``lateral_inner_m`` outwards.
+    """
 
     lateral_reach_m: float
     axial_reach_m: float
@@ -62,34 +65,44 @@ class FocusField:
     """Amplitude of every mode, m per N/m^3."""
     shape: Floats
     """Chebyshev coefficients of every mode in the squares of both coordinates, (mode, lateral, axial)."""
+    lateral_inner_m: float = 0.0
 
     def shapes(self, lateral_m: Floats, axial_m: Floats) -> Floats:
         """Return every mode's shape at points (point,), distances from axis and focal plane: (point, mode)."""
-        reach = (self.lateral_reach_m, self.axial_reach_m)
-        if lateral_m.size and (lateral_m.max() > reach[0] * 1.0001 or np.abs(axial_m).max() > reach[1] * 1.0001):
+        reach, inner = (self.lateral_reach_m, self.axial_reach_m), (self.lateral_inner_m, 0.0)
+        outside = lateral_m.size and (lateral_m.max() > reach[0] * 1.0001 or np.abs(axial_m).max() > reach[1] * 1.0001)
+        if outside or lateral_m.min(initial=inner[0]) < inner[0] * 0.9999:
             raise ValueError(
                 f"a point {lateral_m.max() * 1e3:.3g} mm off the axis and {np.abs(axial_m).max() * 1e3:.3g} mm off the "
                 f"focal plane lies outside the tabulated field of {reach[0] * 1e3:.3g} and {reach[1] * 1e3:.3g} mm. "
                 "Try: a field that reaches as far as the scatterers."
             )
-        # Squared, from the axis or focal plane (0) to the reach (1), then led to the -1 to 1 of the polynomials.
-        places = [
-            np.clip(2 * (at / most) ** 2 - 1, -1.0, 1.0) for at, most in zip((lateral_m, axial_m), reach, strict=True)
-        ]
+        # Squared, from the inner edge (0) to the reach (1), then led to the -1 to 1 of the polynomials.
+        squares = zip((lateral_m, axial_m), inner, reach, strict=True)
+        places = [np.clip(2 * (at**2 - least**2) / (most**2 - least**2) - 1, -1.0, 1.0) for at, least, most in squares]
         rows = chebvander(places[0], self.shape.shape[1] - 1)
         columns = chebvander(places[1], self.shape.shape[2] - 1)
         return np.asarray(np.einsum("pl,mla,pa->pm", rows, self.shape, columns, optimize=True))
 
 
 def focus_field(
-    specimen: Specimen, width_m: Triple, lateral_reach_m: float, axial_reach_m: float, tolerance: float = 1e-5
+    specimen: Specimen,
+    width_m: Triple,
+    lateral_reach_m: float,
+    axial_reach_m: float,
+    tolerance: float = 1e-5,
+    lateral_inner_m: float = 0.0,
 ) -> FocusField:
     """Return the field of ``specimen`` around the focus, good to ``tolerance`` of the static displacement there.
 
+    From ``lateral_inner_m`` off the axis to ``lateral_reach_m``.
+
     Raises ``ValueError`` for a force of unequal lateral widths.
     """
-    across = max(_LATERAL_DEGREES, math.ceil(_LATERAL_DEGREES_A_WIDTH * lateral_reach_m / width_m[0]))
-    lateral_m = lateral_reach_m * np.sqrt(_nodes(across))
+    across = max(
+        _LATERAL_DEGREES, math.ceil(_LATERAL_DEGREES_A_WIDTH * (lateral_reach_m - lateral_inner_m) / width_m[0])
+    )
+    lateral_m = np.sqrt(lateral_inner_m**2 + (lateral_reach_m**2 - lateral_inner_m**2) * _nodes(across))
     axial_m = axial_reach_m * np.sqrt(_nodes(_AXIAL_DEGREES))
     spectrum = _Spectrum(width_m, lateral_m, axial_m)
     panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
@@ -102,7 +115,7 @@ def focus_field(
     grid = right[:modes].reshape(modes, across, _AXIAL_DEGREES)
     shape = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(_AXIAL_DEGREES), optimize=True)
     response = StepResponse(memory_s(specimen, Panels(courses)), Panels(courses))
-    return FocusField(lateral_reach_m, axial_reach_m, response, shape)
+    return FocusField(lateral_reach_m, axial_reach_m, response, shape, lateral_inner_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,15 +134,30 @@ class MediumMotion:
         force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter)
         return transients(self.field.response, force, time_ps)
 
+    def displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, lateral_m: float) -> Floats:
+        """Return the displacement beside the focus at ``time_ps`` (time,)."""
+        shape = self.field.shapes(np.array([abs(lateral_m)]), np.zeros(1))
+        return np.asarray(self.amplitudes_m(tonebursts, time_ps) @ shape[0])
 
-def medium_motion(settings: SimulationSettings, offset_m: Floats, travel_s: float) -> MediumMotion:
-    """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus; needs ``settings.specimen``."""
+
+def medium_motion(
+    settings: SimulationSettings, offset_m: Floats, travel_s: float, beside_m: float = 0.0
+) -> MediumMotion:
+    """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus, and of a point beside it.
+
+    Needs ``settings.specimen``; ``beside_m`` is that point's distance from the axis.
+    """
     specimen = settings.specimen or Specimen()
     lateral_m, axial_m = np.hypot(offset_m[:, 0], offset_m[:, 1]), np.abs(offset_m[:, 2])
     # At least the force's own widths, so that a single scatterer at the focus leaves a field to tabulate.
     width_m = settings.beams.excitation_width_m
-    reach_m = [max(float(at.max(initial=0.0)), width) for at, width in ((lateral_m, width_m[0]), (axial_m, width_m[2]))]
-    field = _kept_field(specimen, width_m, *reach_m)
+    reach_m = [
+        max(float(at.max(initial=least)), width)
+        for at, least, width in ((lateral_m, abs(beside_m), width_m[0]), (axial_m, 0.0, width_m[2]))
+    ]
+    # Far beside the axis only the shell that holds scatterers is tabulated.
+    inner_m = float(lateral_m.min(initial=abs(beside_m)))
+    field = _kept_field(specimen, width_m, *reach_m, lateral_inner_m=inner_m if inner_m > width_m[0] else 0.0)
     return MediumMotion(field.shapes(lateral_m, axial_m).T, field, specimen, settings.transmitter, travel_s)
 
 

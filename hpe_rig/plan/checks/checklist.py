@@ -16,7 +16,7 @@ from hpe_rig.plan.checks.sampling import driven_harmonics, resolution, wanted_fr
 from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
 from hpe_rig.plan.checks.tracking import trackable
-from hpe_rig.plan.shots import Plan
+from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import Scene
 
 Check = Callable[[Scene, BenchFile, Plan], Iterator[CheckResult]]
@@ -47,13 +47,19 @@ CHECKS: Final[tuple[Check, ...]] = (
 
 def check_plan(scene: Scene, bench: BenchFile, plan: Plan) -> list[CheckResult]:
     """Return what every check found, passed ones included; of a sweep once each."""
-    parts = [(window, _at(rate, plan)) for rate in scene.rates for window in rate.windows]
+    rates = [rate for place in scene.places for rate in place.rates]
+    parts = [(window, _at(rate, plan)) for rate in rates for window in rate.windows]
     return list(
         dict.fromkeys(result for check in CHECKS for part in parts for result in check(part[0], bench, part[1]))
     )
 
 
 def _at(scene: Scene, plan: Plan) -> Plan:
-    """Return the part of ``plan`` that has the scene's pulse rate."""
-    rate_hz = scene.tracking.pulse_rate_hz
-    return replace(plan, shots=tuple(shot for shot in plan.shots if shot.tracking_train.rate_hz == rate_hz))
+    """Return the part of ``plan`` that has the scene's pulse rate and place."""
+    own = scene.tracking
+    wanted = own.pulse_rate_hz, own.lateral_offset_m, own.axial_offset_m
+    return replace(plan, shots=tuple(shot for shot in plan.shots if _setting(shot) == wanted))
+
+
+def _setting(shot: Shot) -> tuple[float, float, float]:
+    return shot.tracking_train.rate_hz, shot.lateral_offset_m, shot.axial_offset_m

@@ -69,7 +69,7 @@ def gate_in_twin_m(scene: Scene, bench: BenchFile, twin: TwinDeclaration, plan: 
     """
     acquisition, capture = scene.acquisition, plan.shots[0].capture
     later_m = twin.later_m(bench, capture.trigger_delay_samples / capture.sample_rate_hz)
-    return acquisition.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s + later_m, later_m
+    return scene.gate_depth_m * twin.sound_speed_m_per_s / acquisition.sound_speed_m_per_s + later_m, later_m
 
 
 def _unwanted_motion(scene: Scene, twin: TwinDeclaration, plan: Plan) -> Iterator[CheckResult]:

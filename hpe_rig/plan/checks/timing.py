@@ -37,11 +37,11 @@ def record_in_period(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
 def depth(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
     """Yield whether the gate's echoes are back before the next pulse, and the gate is in front of the transducer."""
     acquisition, rate_hz = scene.acquisition, scene.tracking.pulse_rate_hz
-    far_m = acquisition.gate_depth_m + acquisition.gate_length_m / 2
+    far_m = scene.gate_depth_m + acquisition.gate_length_m / 2
     limit_hz = acquisition.sound_speed_m_per_s / (2 * far_m)
     text = f"tracking.pulse_rate_hz = {rate_hz:g} Hz, c/2z at the gate's far end is {limit_hz:.5g} Hz"
     yield judged("depth", rate_hz <= limit_hz, text, f"a pulse rate of at most {limit_hz:.5g} Hz")
-    near_m = acquisition.gate_depth_m - acquisition.gate_length_m / 2
+    near_m = scene.gate_depth_m - acquisition.gate_length_m / 2
     text = f"the gate starts {near_m * 1e3:.4g} mm from the transducer"
     yield judged("gate depth", near_m > 0, text, "acquisition.gate_depth_m of more than half acquisition.gate_length_m")
 

@@ -18,6 +18,7 @@ from hpe_rig.acquire import Setup, prepare_text, record_run, resume
 from hpe_rig.acquire.resumption import prepare_rest
 from hpe_rig.acquire.run_file import open_run, process
 from hpe_rig.cli.app import app
+from hpe_rig.live.source import RunSource
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import StoreError, WriteOptions, read_run, read_snapshots, result_path, verify
 from hpe_rig.store.verification import ranges
@@ -79,6 +80,11 @@ def test_one_bit_of_an_echo_costs_its_chunk_and_is_listed_by_shot_and_record(pat
     assert [found.shots[shot].estimates == whole.shots[shot].estimates for shot in range(3)] == [True, False, True]
     assert any(text.startswith("123 of 400 records fail their checksums") for text in found.shots[1].warnings)
     assert not any("triggers were lost" in text for text in found.shots[1].warnings)
+
+
+def test_the_live_page_of_a_damaged_run_says_so(path: Path) -> None:
+    flipped(path, "records/echo", (2, 130, 7))
+    assert (RunSource(path).poll() or {})["why"] == "123 records of this shot fail their checksums and are left out"
 
 
 @pytest.mark.parametrize(

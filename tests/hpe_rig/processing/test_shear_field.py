@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hpe_rig.moduli.shear_field import shear_field
 from hpe_rig.processing.ensemble import displacement
+from hpe_rig.processing.shear_field import shear_motion
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import Specimen
 
@@ -21,7 +21,7 @@ MEDIA = ((500.0, 0.0), (500.0, 50.0), (9e3, 0.0), (9e3, 2.0), (500e3, 0.0), (500
 def ours(mu1: float, mu2: float, width_m: tuple[float, float], lateral_m: np.ndarray, axial_m: float) -> np.ndarray:
     modulus = mu1 + 2j * np.pi * FREQUENCY_HZ * mu2
     squares = width_m[0] ** 2, width_m[1] ** 2
-    return shear_field(modulus, FREQUENCY_HZ, 1000.0, width_m, *squares, lateral_m, axial_m).value
+    return shear_motion(modulus, FREQUENCY_HZ, 1000.0, width_m, *squares, lateral_m, axial_m).value
 
 
 @pytest.mark.parametrize("width_m", [NARROW, WIDE])
@@ -56,7 +56,7 @@ def test_waves_from_a_tenth_of_the_force_to_a_thousand_of_it(wavelengths_over_wi
     # a little loss, so that the plain quadrature along its own path has no pole on it
     modulus = np.array([1000.0 * speed**2 * (1 + 0.1j)])
     lateral_m = np.array([0.0, 0.4e-3, 1.1e-3])
-    found = shear_field(modulus, np.array([frequency_hz]), 1000.0, NARROW, NARROW[0] ** 2, NARROW[1] ** 2, lateral_m)
+    found = shear_motion(modulus, np.array([frequency_hz]), 1000.0, NARROW, NARROW[0] ** 2, NARROW[1] ** 2, lateral_m)
     expected = brute_force(modulus[0], frequency_hz, NARROW, lateral_m)
     assert np.abs(found.value[0] - expected).max() < 1e-8 * np.abs(expected).max()
 
@@ -88,7 +88,7 @@ def test_derivatives_are_those_of_finite_differences() -> None:
     modulus, across, along = 9e3 + 4j * np.pi * frequency_hz, 0.36e-3**2, 3.65e-3**2
 
     def value(modulus=modulus, across=across, along=along, lateral_m=lateral_m, axial_m=axial_m):
-        return shear_field(modulus, frequency_hz, 1000.0, WIDE, across, along, lateral_m, axial_m)
+        return shear_motion(modulus, frequency_hz, 1000.0, WIDE, across, along, lateral_m, axial_m)
 
     found, step = value(), 1e-5
     peak = np.abs(found.value).max()
@@ -110,7 +110,7 @@ def test_derivatives_are_those_of_finite_differences() -> None:
 def test_areas_of_their_own_at_every_place_are_those_of_one_at_a_time() -> None:
     modulus, lateral_m = 9e3 + 4j * np.pi * FREQUENCY_HZ, np.array([0.0, 1e-3, 4e-3])
     across = np.array([1.0, 1.1, 1.3]) * 0.34e-3**2
-    together = shear_field(modulus, FREQUENCY_HZ, 1000.0, WIDE, across, 3.6e-3**2, lateral_m)
+    together = shear_motion(modulus, FREQUENCY_HZ, 1000.0, WIDE, across, 3.6e-3**2, lateral_m)
     for place in range(3):
-        alone = shear_field(modulus, FREQUENCY_HZ, 1000.0, WIDE, float(across[place]), 3.6e-3**2, lateral_m[[place]])
+        alone = shear_motion(modulus, FREQUENCY_HZ, 1000.0, WIDE, float(across[place]), 3.6e-3**2, lateral_m[[place]])
         np.testing.assert_allclose(together.value[:, place], alone.value[:, 0], atol=1e-11 * np.abs(alone.value).max())

@@ -38,7 +38,7 @@ NODES = 12
 
 
 @dataclass(frozen=True, slots=True)
-class ShearField:
+class ShearMotion:
     """Displacement per body force and its derivatives at every frequency and place, complex (frequency, place).
 
     ``value`` in m per N/m^3; ``by_modulus`` its derivative with respect to the complex modulus, ``by_across`` and
@@ -53,7 +53,7 @@ class ShearField:
     by_axial: ComplexArray
 
 
-def shear_field(
+def shear_motion(
     modulus_pa: ComplexArray,
     frequency_hz: FloatArray,
     density_kg_per_m3: float,
@@ -62,7 +62,7 @@ def shear_field(
     along_m2: float,
     lateral_m: FloatArray,
     axial_m: float = 0.0,
-) -> ShearField:
+) -> ShearMotion:
     """Return the field of a round force with the sigmas ``force_width_m`` (across, along) where it is tracked.
 
     ``modulus_pa`` and ``frequency_hz`` (frequency,); ``across_m2``, one or (place,), and ``along_m2``: squared widths
@@ -70,23 +70,16 @@ def shear_field(
     focal plane. Good to 1e-10 of the largest displacement: 0.5 to 500 kPa, viscosities from none to 50 Pa s, places to
     20 mm, waves from a tenth of the force's width to some thousand of it.
     """
-    frequency_hz = np.asarray(frequency_hz, dtype=np.float64)
-    omega = 2 * np.pi * frequency_hz
-    q2 = density_kg_per_m3 * omega**2 / modulus_pa
-    reach_m = float(np.max(np.abs(lateral_m), initial=0.0))
-    k, weight = _path(np.sqrt(np.abs(q2)), float(np.min(across_m2)), along_m2, reach_m)
-    k2, kr = (k**2)[:, None], k[:, None] * np.abs(lateral_m)
-    spectrum = (weight * k**3)[:, None] * np.exp(-k2 * across_m2 / 2)
-    waves = spectrum * jv(0, kr)
-    slope = -spectrum * k[:, None] * jv(1, kr) * np.sign(lateral_m)
-    half = along_m2 / 2
+    k, waves, slope, q2, front = _waves(
+        modulus_pa, frequency_hz, density_kg_per_m3, force_width_m, across_m2, along_m2, lateral_m
+    )
+    half, k2 = along_m2 / 2, (k**2)[:, None]
     dynamic = _along(np.sqrt(k**2 - q2[:, None]), half, axial_m)
     static = _along(k[None], half, axial_m)
-    front = force_width_m[0] ** 2 * force_width_m[1] / (np.sqrt(2 * np.pi) * density_kg_per_m3 * omega**2)
     kernel, _, by_half, by_axial = (front[:, None] * (own - rest) for own, rest in zip(dynamic, static, strict=True))
     # the static part does not hang on the modulus: dq2/dmu = -q2/mu, dkappa2/dq2 = -1
     by_modulus = (front * q2 / modulus_pa)[:, None] * dynamic[1]
-    return ShearField(
+    return ShearMotion(
         value=kernel @ waves,
         by_modulus=by_modulus @ waves,
         by_across=kernel @ (-k2 / 2 * waves),
@@ -94,6 +87,47 @@ def shear_field(
         by_lateral=kernel @ slope,
         by_axial=by_axial @ waves,
     )
+
+
+def shear_displacement(
+    modulus_pa: ComplexArray,
+    frequency_hz: FloatArray,
+    density_kg_per_m3: float,
+    force_width_m: tuple[float, float],
+    across_m2: FloatArray | float,
+    along_m2: float,
+    lateral_m: FloatArray,
+) -> ComplexArray:
+    """Return ``shear_motion(...).value`` in the focal plane alone, (frequency, place), in a fraction of the time."""
+    k, waves, _, q2, front = _waves(
+        modulus_pa, frequency_hz, density_kg_per_m3, force_width_m, across_m2, along_m2, lateral_m, with_slope=False
+    )
+    root = np.sqrt(along_m2 / 2)
+    dynamic, static = (np.pi / kappa * wofz(1j * root * kappa) for kappa in (np.sqrt(k**2 - q2[:, None]), k[None]))
+    return np.asarray((front[:, None] * (dynamic - static)) @ waves)
+
+
+def _waves(
+    modulus_pa: ComplexArray,
+    frequency_hz: FloatArray,
+    density_kg_per_m3: float,
+    force_width_m: tuple[float, float],
+    across_m2: FloatArray | float,
+    along_m2: float,
+    lateral_m: FloatArray,
+    with_slope: bool = True,
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, FloatArray]:
+    """Return wave numbers (k,), weighted waves and their slopes (k, place), q^2 and the front factor (frequency,)."""
+    omega = 2 * np.pi * np.asarray(frequency_hz, dtype=np.float64)
+    q2 = density_kg_per_m3 * omega**2 / modulus_pa
+    reach_m = float(np.max(np.abs(lateral_m), initial=0.0))
+    k, weight = _path(np.sqrt(np.abs(q2)), float(np.min(across_m2)), along_m2, reach_m)
+    kr = k[:, None] * np.abs(lateral_m)
+    spectrum = (weight * k**3)[:, None] * np.exp(-(k**2)[:, None] * across_m2 / 2)
+    waves = spectrum * jv(0, kr)
+    slope = -spectrum * k[:, None] * jv(1, kr) * np.sign(lateral_m) if with_slope else waves
+    front = force_width_m[0] ** 2 * force_width_m[1] / (np.sqrt(2 * np.pi) * density_kg_per_m3 * omega**2)
+    return k, waves, slope, q2, front
 
 
 def _along(kappa: ComplexArray, half: float, axial_m: float) -> tuple[ComplexArray, ...]:

@@ -1,0 +1,211 @@
+"""Outcome of an inversion: the media that explain the vibrations, likeliest first, beside the plane wave's moduli."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hpe_rig.moduli.inversion import Moduli, Vibration, compare_media
+from hpe_rig.moduli.media import LAWS, MediumLaw
+from hpe_rig.moduli.places import WIDTH_UNCERTAINTY, Source, push_of, vibrations_of
+from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ANY_GAIN = 5.0
+"""Uncertainty of the logarithm of a gain of which nothing is known."""
+UNITS = {"shear_modulus_pa": (1e-3, "kPa"), "branch_modulus_pa": (1e-3, "kPa"), "viscosity_pa_s": (1.0, "Pa s")}
+NAMES = {
+    "shear_modulus_pa": "shear modulus mu1",
+    "branch_modulus_pa": "branch modulus E",
+    "viscosity_pa_s": "viscosity mu2",
+    "power": "power p",
+}
+TITLES: dict[MediumLaw, str] = {
+    "voigt": "Voigt",
+    "zener": "Zener",
+    "power_law": "Power law",
+    "maxwell": "Maxwell",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ModuliResult:
+    """Media fitted to the vibrations of one or more runs, the likeliest first.
+
+    ``probability`` of each, all equally likely beforehand; ``omitted``: what was left out, in words; ``plane_wave``:
+    the Voigt moduli that the phase's fall with distance gives, None with one place or where it does not fall
+    (``why_not``): for comparison, since near the push the wave is not plane.
+    """
+
+    title: str
+    simulated: bool
+    fits: tuple[Moduli, ...]
+    probability: tuple[float, ...]
+    vibrations: tuple[Vibration, ...]
+    omitted: tuple[str, ...]
+    plane_wave: Voigt | None
+    why_not: str
+
+    @property
+    def best(self) -> Moduli:
+        """The likeliest medium."""
+        return self.fits[0]
+
+    def __str__(self) -> str:
+        """Return the moduli with their uncertainties, what else was tried, and what was left out."""
+        return "\n".join(_lines(self))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        fits = [
+            {
+                **{name: getattr(fit, name) for name in ("law", "values", "uncertainty", "chi_square", "freedom")},
+                "significance": fit.significance,
+                "probability": probability,
+                "excluded": fit.excluded,
+                "covariance": fit.covariance.tolist(),
+                "adjusted": fit.adjusted,
+                "second": None if fit.second is None else {"values": fit.second[0], "chi_square": fit.second[1]},
+                "at_limit": fit.at_limit,
+                "by_place": [asdict(each) for each in fit.by_place],
+                "by_frequency": [asdict(each) for each in fit.by_frequency],
+            }
+            for fit, probability in zip(self.fits, self.probability, strict=True)
+        ]
+        places = [
+            {
+                "label": one.label,
+                "lateral_m": one.lateral_m,
+                "axial_m": one.axial_m,
+                "frequency_hz": one.frequency_hz.tolist(),
+                "amplitude_m": np.abs(one.phasor_m).tolist(),
+                "phase_rad": np.angle(one.phasor_m).tolist(),
+                "modelled_amplitude_m": np.abs(modelled).tolist(),
+                "modelled_phase_rad": np.angle(modelled).tolist(),
+            }
+            for one, modelled in zip(self.vibrations, self.best.modelled_m, strict=True)
+        ]
+        wave = self.plane_wave
+        plane = (
+            None if wave is None else {"shear_modulus_pa": wave.elasticity_pa, "viscosity_pa_s": wave.viscosity_pa_s}
+        )
+        known = {"title": self.title, "simulated": self.simulated, "omitted": self.omitted}
+        return {**known, "fits": fits, "places": places, "plane_wave": plane}
+
+    @property
+    def headline(self) -> str:
+        """The likeliest medium with its parameters and their standard uncertainties, one line."""
+        best = self.best
+        values = [f"{NAMES[name]} {_with_u(best, name, '±')}" for name in best.values]
+        return f"{TITLES[best.law]}: {', '.join(values)}"
+
+    def figure(self) -> Figure:
+        """Return measured and fitted amplitude and phase over frequency, a colour a place, with bars of 2 u."""
+        from hpe_rig.moduli.figure import moduli_figure
+
+        return moduli_figure(self)
+
+
+def moduli_of(
+    sources: Sequence[Source],
+    laws: Sequence[MediumLaw] = tuple(LAWS),
+    estimator: str | None = None,
+    width_uncertainty: float = WIDTH_UNCERTAINTY,
+    common_amplitude: bool = True,
+) -> ModuliResult:
+    """Return what the vibrations in ``sources`` say of the medium.
+
+    ``width_uncertainty``: relative, of the widths of the force; ``common_amplitude``: whether its strength was the same
+    at all places. Raises ``SettingsError`` where a scene lacks what that needs or scenes push differently, and
+    ``ValueError`` where no place has a vibration.
+    """
+    push = push_of([source.scene for source in sources], width_uncertainty)
+    vibrations, omitted = vibrations_of(sources, estimator)
+    if not common_amplitude:
+        vibrations = [replace(one, gain_uncertainty=ANY_GAIN) for one in vibrations]
+    if not vibrations:
+        raise ValueError("no place has a vibration that stands out of its noise: " + "; ".join(omitted))
+    fits, probability = compare_media(vibrations, push, laws)
+    wave, why_not = _plane_wave(vibrations, push.density_kg_per_m3)
+    simulated = any(source.stored.simulated for source in sources)
+    title = sources[0].scene.title
+    return ModuliResult(
+        title, simulated, fits, tuple(probability.tolist()), tuple(vibrations), tuple(omitted), wave, why_not
+    )
+
+
+def _plane_wave(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> tuple[Voigt | None, str]:
+    """Return the moduli by phase gradient, of the frequencies that all places have; None and why where it fails."""
+    common = set.intersection(*(set(one.frequency_hz.tolist()) for one in vibrations))
+    ordered = sorted(vibrations, key=lambda one: abs(one.lateral_m))
+    parts = [one.only(np.isin(one.frequency_hz, sorted(common))) for one in ordered]
+    sigma = [np.sqrt(np.diag(one.covariance_m2)[::2]) / np.abs(one.phasor_m) for one in parts]
+    try:
+        speed = shear_speed(
+            [abs(one.lateral_m) for one in parts],
+            parts[0].frequency_hz,
+            np.array([np.angle(one.phasor_m) for one in parts]),
+            np.array(sigma),
+        )
+        return fit_voigt(speed, density_kg_per_m3), ""
+    except ValueError as error:
+        return None, str(error)
+
+
+def _lines(result: ModuliResult) -> Iterator[str]:
+    best, places = result.best, result.vibrations
+    yield result.title
+    numbers = sum(2 * one.frequency_hz.size for one in places)
+    source = "SIMULATED, " if result.simulated else ""
+    yield f"{source}{len(places)} place{'s' if len(places) > 1 else ''}, {numbers} numbers"
+    yield ""
+    for fit, probability in zip(result.fits, result.probability, strict=True):
+        yield f"{TITLES[fit.law]}, {_verdict(fit, probability)}"
+        if fit is best or not fit.excluded:
+            yield from (f"  {line}" for line in _values(fit))
+    if result.plane_wave is not None:
+        wave = result.plane_wave
+        yield f"plane wave, for comparison: mu1 {wave.elasticity_pa * 1e-3:.4g} kPa, mu2 {wave.viscosity_pa_s:.3g} Pa s"
+        yield "  within a wavelength or two of the push the wave is not plane: its speed comes out by a sixth too low"
+    else:
+        yield f"plane wave: {result.why_not}"
+    if best.excluded:
+        yield "no medium tried explains these vibrations: widths, places or the medium are not as assumed"
+    for line in result.omitted:
+        yield f"left out: {line}"
+
+
+def _verdict(fit: Moduli, probability: float) -> str:
+    misfit = f"chi-square {fit.chi_square:.4g} over {fit.freedom}"
+    return f"EXCLUDED by the data ({misfit})" if fit.excluded else f"probability {probability:.2g} ({misfit})"
+
+
+def _values(fit: Moduli) -> Iterator[str]:
+    for name, value in fit.values.items():
+        share = f" ({100 * fit.uncertainty[name] / value:.2g} %)" if value else ""
+        yield f"{NAMES[name]} {_with_u(fit, name, '+-')}{share}"
+    if fit.second is not None:
+        other = ", ".join(
+            f"{NAMES[name]} {value * UNITS.get(name, (1, ''))[0]:.3g}" for name, value in fit.second[0].items()
+        )
+        yield f"nearly as good: {other} (chi-square {fit.second[1]:.2g} higher)"
+    for name in fit.at_limit:
+        yield f"{NAMES[name]} stands at the end of its range"
+    for kind, by in ((fit.by_place, "place"), (fit.by_frequency, "frequency")):
+        if kind:
+            most = max(kind, key=lambda part: part.growth[0])
+            yield f"most is owed to the {by} {most.label}: without it u of mu1 is {most.growth[0]:.2f} times as large"
+
+
+def _with_u(fit: Moduli, name: str, sign: str) -> str:
+    """Return a parameter with its uncertainty and unit, as many decimals as two digits of the uncertainty have."""
+    factor, unit = UNITS.get(name, (1.0, ""))
+    value, u = fit.values[name] * factor, fit.uncertainty[name] * factor
+    decimals = max(0, 1 - math.floor(math.log10(u))) if 0 < u < math.inf else 4
+    return f"{value:.{decimals}f} {sign} {u:.2g} {unit}".rstrip()

@@ -1,0 +1,179 @@
+"""Vibrations at the places of a run, with their covariance and what is not known of each place.
+
+Shots at the same place are averaged, weighted by their covariance. What cannot serve is left out, and said so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.moduli.inversion import ComplexArray, FloatArray, Push, Vibration
+from hpe_rig.plan import Plan, Shot, places_of
+from hpe_rig.prediction import beam_widths, tracked_area_spread
+from hpe_rig.processing import HarmonicFit, shot_fit
+from hpe_rig.scene import Mistake, Scene, SettingsError
+from hpe_rig.store import StoredRun
+
+DETECTED = 3.0
+"""Amplitude over its uncertainty from which a harmonic counts: below, its phase says nothing."""
+GAIN_UNCERTAINTY = 0.005
+"""Relative, of one place against another: echo strength does not enter, what the gate's depth does is as small."""
+PHASE_UNCERTAINTY_RAD = 0.002
+WIDTH_UNCERTAINTY = 0.05
+"""Relative, of the widths of the force, unless told otherwise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A run to take vibrations from: its name, scene, plan and records."""
+
+    name: str
+    scene: Scene
+    plan: Plan
+    stored: StoredRun
+
+
+def push_of(scenes: Sequence[Scene], width_uncertainty: float = WIDTH_UNCERTAINTY) -> Push:
+    """Return the force of the tonebursts; raise ``SettingsError`` where ``scenes`` do not say it, or unlike ones."""
+    mistakes, pushes = list[Mistake](), list[Push]()
+    for scene in scenes:
+        excitation, beams = scene.excitation, scene.beams
+        if excitation is None:
+            what = "nothing pushes, so nothing tells of the medium"
+            mistakes.append(Mistake("excitation", what, "a run with tonebursts"))
+        if beams is None:
+            mistakes.append(Mistake("beams", "the widths of force and tracking beam are not known", "[beams]"))
+        elif not np.isclose(*beams.excitation_width_m[:2]):
+            what = f"a force of {beams.excitation_width_m[0]:g} m by {beams.excitation_width_m[1]:g} m is not round"
+            mistakes.append(Mistake("beams.excitation_width_m", what, "equal widths across"))
+        if excitation is not None and beams is not None:
+            width_m = beams.excitation_width_m[0], beams.excitation_width_m[2]
+            density = scene.medium.density_kg_per_m3 if scene.medium else 1000.0
+            burst = excitation.burst_rate_hz, excitation.burst_length_s[0]
+            pushes.append(Push(width_m, *burst, density, (width_uncertainty, width_uncertainty)))
+    if any(push != pushes[0] for push in pushes):
+        what = "runs push with unlike widths, burst rates or lengths, or in media of unlike density"
+        mistakes.append(Mistake("excitation", what, "runs of one push, or each on its own"))
+    if mistakes:
+        raise SettingsError("the scene" if len(scenes) == 1 else "the scenes", list(dict.fromkeys(mistakes)))
+    return pushes[0]
+
+
+def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tuple[list[Vibration], list[str]]:
+    """Return the vibration at every place of all runs, and in words what was left out.
+
+    ``estimator`` in place of each scene's own.
+    """
+    found, omitted = list[Vibration](), list[str]()
+    for source in sources:
+        for scene, plan in places_of(source.scene, source.plan):
+            label = _label(scene, source, len(sources))
+            fits = list(_fits(scene, plan, source.stored, estimator or scene.processing.estimator, label, omitted))
+            if not fits:
+                omitted.append(f"{label}: no shot there can be estimated")
+                continue
+            vibration = _vibration(scene, label, fits, estimator or scene.processing.estimator)
+            kept = detected(vibration)
+            if not kept.all():
+                lost = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~kept])
+                omitted.append(f"{label}: {lost} Hz, less than {DETECTED:g} times its uncertainty")
+            if kept.any():
+                found.append(vibration.only(kept))
+    return found, omitted
+
+
+def _fits(
+    scene: Scene, plan: Plan, stored: StoredRun, estimator: str, label: str, omitted: list[str]
+) -> Iterator[HarmonicFit]:
+    """Yield the fit of every shot that can serve: whole, trusted, of the strongest force and the first burst length."""
+    beams = beam_widths(scene, estimator)
+    for shot in plan.shots:
+        why = _unfit(shot, stored, plan)
+        if not why:
+            try:
+                yield shot_fit(scene, shot, stored, estimator, beams)
+                continue
+            except ValueError as error:
+                why = str(error)
+        omitted.append(f"{label}: shot {shot.index + 1}, {why}")
+
+
+def _unfit(shot: Shot, stored: StoredRun, plan: Plan) -> str:
+    """Return why a shot does not serve, "" where it does."""
+    if not stored.shot_complete[shot.index]:
+        return "incomplete"
+    if why := stored.untrusted.get(shot.index):
+        return f"untrusted: {why}"
+    return "" if strongest(shot, plan) else "of a weaker force or another burst length"
+
+
+def strongest(shot: Shot, plan: Plan) -> bool:
+    """Return whether ``shot`` has the strongest force of ``plan`` and its first burst length: only such serve."""
+    force = max(each.force_fraction or 0.0 for each in plan.shots)
+    same = shot.timeline.burst_length_s == plan.shots[0].timeline.burst_length_s
+    return same and (shot.force_fraction or 0.0) == force
+
+
+def _vibration(scene: Scene, label: str, fits: Sequence[HarmonicFit], estimator: str) -> Vibration:
+    frequency_hz = fits[0].frequency_hz
+    information = [np.linalg.inv(_states(each, frequency_hz.size)[1]) for each in fits]
+    covariance = np.linalg.inv(np.sum(information, axis=0))
+    weighted = [own @ _states(each, frequency_hz.size)[0] for own, each in zip(information, fits, strict=True)]
+    state = covariance @ np.sum(weighted, axis=0)
+    phasor_m = state[0::2] + 1j * state[1::2]
+    return vibration_at(scene, estimator, label, frequency_hz, phasor_m, (covariance + covariance.T) / 2)
+
+
+def vibration_at(
+    scene: Scene,
+    estimator: str,
+    label: str,
+    frequency_hz: FloatArray,
+    phasor_m: ComplexArray,
+    covariance_m2: FloatArray,
+) -> Vibration:
+    """Return the vibration at the place of ``scene`` with what is known of that place; the scene has [beams]."""
+    beams = beam_widths(scene, estimator)
+    assert beams is not None  # noqa: S101 (push_of has asked for them)
+    seen = beams.tracking_width_m[0] ** 2 / 2
+    area = tracked_area_spread(scene, estimator)
+    return Vibration(
+        label=label,
+        frequency_hz=frequency_hz,
+        phasor_m=phasor_m,
+        covariance_m2=covariance_m2,
+        lateral_m=scene.tracking.lateral_offset_m,
+        axial_m=scene.gate_depth_m - _focus_m(scene),
+        tracking_m2=(seen, beams.axial_spread_m**2),
+        lateral_uncertainty_m=float(np.hypot(scene.tracking.offset_uncertainty_m, np.sqrt(seen) * area)),
+        gain_uncertainty=GAIN_UNCERTAINTY,
+        phase_uncertainty_rad=PHASE_UNCERTAINTY_RAD,
+        area_uncertainty=area,
+    )
+
+
+def _focus_m(scene: Scene) -> float:
+    declared = scene.beams.focus_depth_m if scene.beams else None
+    return scene.acquisition.gate_depth_m if declared is None else declared
+
+
+def _states(fit: HarmonicFit, frequencies: int) -> tuple[FloatArray, FloatArray]:
+    """Return the wanted harmonics' states A cos(phase), A sin(phase) in turn, and their covariance."""
+    return fit.state[: 2 * frequencies], fit.state_covariance[: 2 * frequencies, : 2 * frequencies]
+
+
+def detected(vibration: Vibration) -> NDArray[np.bool_]:
+    """Return which frequencies stand out of their noise (frequency,), the larger of the two quadratures'."""
+    sigma_m = np.sqrt(np.diag(vibration.covariance_m2).reshape(-1, 2).max(axis=1))
+    return np.asarray(np.abs(vibration.phasor_m) > DETECTED * sigma_m)
+
+
+def _label(scene: Scene, source: Source, sources: int) -> str:
+    where = f"{scene.tracking.lateral_offset_m * 1e3:g} mm"
+    if scene.tracking.axial_offset_m:
+        where += f", {scene.tracking.axial_offset_m * 1e3:+g} mm deep"
+    return where if sources == 1 else f"{where} ({source.name})"
