@@ -10,6 +10,8 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
+import io
+import multiprocessing
 import os
 import random
 import shutil
@@ -51,6 +53,16 @@ SWAPPED: dict[type[ast.AST], type[ast.AST]] = {
     ]
     for one, other in (pair, pair[::-1])
 }  # fmt: skip
+PRELOADED = [
+    "numpy",
+    "scipy.signal",
+    "scipy.optimize",
+    "h5py",
+    "pydantic",
+    "pytest",
+    "hypothesis",
+    "hypothesis.extra.numpy",
+]
 UNSEEN_KEYWORDS = {"strict", "frozen", "slots", "dtype", "encoding"}
 
 
@@ -121,17 +133,32 @@ def tests_of(tree: Path, room: str, path: Path) -> list[str]:
     return [str(file.relative_to(tree)) for file in fitting or every]
 
 
+def run_tests(tree: Path, tests: list[str]) -> None:
+    """Run ``tests`` in ``tree`` and exit with pytest's code; for a process of its own."""
+    import pytest
+
+    # A program in the background may have been told to ignore Ctrl-C, and hands that down to the tests.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.chdir(tree)
+    sys.path.insert(0, str(tree))
+    sys.dont_write_bytecode = True
+    quiet = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        code = pytest.main([*quiet, *tests])
+    os._exit(int(code))
+
+
 def verdict(tree: Path, tests: list[str], limit_s: float) -> str:
     """Return "killed", "timed out" or "survived"."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
-    with subprocess.Popen(
-        command, cwd=tree, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    ) as process:
-        try:
-            return "killed" if process.wait(limit_s) else "survived"
-        except subprocess.TimeoutExpired:
-            process.kill()
-            return "timed out"
+    context = multiprocessing.get_context("forkserver" if os.name == "posix" else "spawn")
+    process = context.Process(target=run_tests, args=(tree, tests))
+    process.start()
+    process.join(limit_s)
+    if process.is_alive():
+        process.kill()
+        process.join()
+        return "timed out"
+    return "killed" if process.exitcode else "survived"
 
 
 def main() -> None:
@@ -149,8 +176,8 @@ def main() -> None:
     shutil.copytree(root, copy, ignore=shutil.ignore_patterns(".git", "__pycache__", ".*_cache"))
     subprocess.run(["git", "init", "-q"], cwd=copy, check=True)
     os.environ.update(PYTHONPATH=str(copy), PYTHONDONTWRITEBYTECODE="1")
-    # A program in the background may have been told to ignore Ctrl-C, and hands that down to the tests.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if os.name == "posix":
+        multiprocessing.set_forkserver_preload(PRELOADED)
     found: Counter[tuple[str, str]] = Counter()
     sound: set[tuple[str, ...]] = set()
     with contextlib.suppress(KeyboardInterrupt):
