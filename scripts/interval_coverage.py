@@ -53,8 +53,6 @@ ALIKE = {
     "muscle-repeats": "muscle-force-200us",
 }
 """Scenes left out: each is another one once the medium is drawn, but for settings that change no interval."""
-SWEPT = 5
-"""Scenes with a sweep are measured with so many times fewer seeds: their many shots share their speckle."""
 WRAPS = "quarter wavelengths from pulse to pulse"
 """Of the warning that the displacement may be off by half wavelengths: the drive is too strong for the pulse rate."""
 TOO_FAST = "motion between pulses"
@@ -95,7 +93,7 @@ def main() -> None:
     asked = parser.parse_args()
     rows: list[Row] = []
     for name in asked.scenes:
-        rows += coverage(name, asked.estimators, range(seeds_of(name, asked.seeds)), asked.workers)
+        rows += coverage(name, asked.estimators, range(asked.seeds), asked.workers)
         asked.output.write_text(page(rows, asked.seeds), encoding="utf-8")
         print(f"{name}: done", flush=True)
 
@@ -103,14 +101,6 @@ def main() -> None:
 def measured_scenes() -> list[str]:
     """Return the shipped scenes that are measured by default."""
     return [name for name in shipped_scenes() if name not in ALIKE]
-
-
-def seeds_of(name: str, seeds: int) -> int:
-    """Return how many seeds the scene ``name`` is measured with."""
-    scene = hpe.load_scene(name)
-    lengths = () if scene.excitation is None else scene.excitation.force_fraction
-    swept = len(lengths) > 1 or scene.sweep.pulse_rate_hz or scene.sweep.window_length_s
-    return max(1, seeds // SWEPT) if swept else seeds
 
 
 def coverage(name: str, estimators: Sequence[str], seeds: Sequence[int], workers: int | None = 1) -> list[Row]:
@@ -285,7 +275,7 @@ What a seed draws is what the uncertainty says is not known, and nothing else:
 
 The medium that the scene's own twin has is one of these. Coverage is an average over all of them: for a medium and
 a force in the middle of the ranges u is too wide, for a force half as wide as `[beams]` says it is too narrow. Shots
-are thinned: no repeats, three of sixteen forces; scenes with a sweep have a fifth of the seeds. A stiff, nearly elastic
+are thinned: no repeats, three of sixteen forces. A stiff, nearly elastic
 medium can move so fast that the echo jumps by a quarter wavelength from pulse to pulse. `check` refuses that or the
 result warns, and asks for less drive or a higher pulse rate: such runs are counted as warned and are in no share.
 """
