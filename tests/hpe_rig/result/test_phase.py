@@ -19,7 +19,7 @@ def squared_ratio(amplitude: float | np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("amplitude", [5.0, 8.0, 30.0])
 def test_far_out_of_noise_it_is_noise_over_amplitude(amplitude: float) -> None:
-    assert phase_variance_rad2(amplitude, 1.0, 1.0) == pytest.approx(amplitude**-2, rel=1e-3)
+    assert phase_variance_rad2(amplitude, 1.0, 1.0) == pytest.approx(amplitude**-2, rel=4e-3)
     # The first order in noise over amplitude leaves 4 % at 5; three standard deviations of a mean of squares.
     assert np.mean(squared_ratio(amplitude)) == pytest.approx(1, abs=0.04 + 3 * np.sqrt(2 / TRIALS))
 
