@@ -341,7 +341,7 @@ def test_of_two_programs_at_one_bench_the_second_is_refused_or_safe(
     other_place, other = rig.start(*command)
     if second == "align":
         # It goes on until it is stopped, where it is not refused.
-        wait_for(lambda: "in use" in (other_place / "err").read_text(encoding="utf-8") or holds(rig, other))
+        wait_for(lambda: "in use" in text_of(other_place / "err") or holds(rig, other))
         os.kill(other, signal.SIGINT)
     code = rig.ended(other)
     if first == "align":
