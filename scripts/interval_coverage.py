@@ -276,8 +276,9 @@ What a seed draws is what the uncertainty says is not known, and nothing else:
 
 The medium that the scene's own twin has is one of these. Coverage is an average over all of them: for a medium and
 a force in the middle of the ranges u is too wide, for a force half as wide as `[beams]` says it is too narrow. Shots
-are thinned: no repeats, three of sixteen forces. A stiff, nearly elastic medium can move so fast that the echo jumps by a quarter wavelength from pulse to pulse. `check` refuses that or the
-result warns, and asks for less drive or a higher pulse rate: such runs are counted as warned and are in no share.
+are thinned: no repeats, three of sixteen forces. A stiff, nearly elastic medium can move so fast that the echo jumps by a
+quarter wavelength from pulse to pulse. `check` refuses that or the result warns, and asks for less drive or a higher
+pulse rate: such runs are counted as warned and are in no share.
 """
 
 NOTES = """\
@@ -291,8 +292,8 @@ has a gate that follows, so it is refused there.
 The weakest of the three forces of `muscle-force` and `muscle-force-200us`, 1 % of the drive, moves a fifth of u at
 100 Hz: no motion is found there, and its phase may be anything. u says so
 ([the phase of a weak amplitude](theory/estimation.md#uncertainties)); a phase's u that is noise over amplitude whatever
-the amplitude gave NEV 1.58 and 3.16 in these two scenes, 3 to 6 for that force alone and 0.96 where the amplitude is above
-5 u. Neither speckle, trigger timing nor the start-up had a part in it.
+the amplitude gave NEV 1.58 and 3.16 in these two scenes, 3 to 6 for that force alone and 0.96 where the amplitude is
+above 5 u. Neither speckle, trigger timing nor the start-up had a part in it.
 
 Where every burst period is sampled alike, phase has NEV 0.64 to 0.8 (`bovine-muscle-synchronous`, `gelatin-8`,
 `muscle-window`): u is up to a quarter too wide. A large part of it is aliasing that no pulse can see, for which u
