@@ -276,8 +276,8 @@ What a seed draws is what the uncertainty says is not known, and nothing else:
 
 The medium that the scene's own twin has is one of these. Coverage is an average over all of them: for a medium and
 a force in the middle of the ranges u is too wide, for a force half as wide as `[beams]` says it is too narrow. Shots
-are thinned: no repeats, three of sixteen forces. A stiff, nearly elastic medium can move so fast that the echo jumps by a
-quarter wavelength from pulse to pulse. `check` refuses that or the result warns, and asks for less drive or a higher
+are thinned: no repeats, three of sixteen forces. A stiff, nearly elastic medium can move so fast that the echo jumps by
+a quarter wavelength from pulse to pulse. `check` refuses that or the result warns, and asks for less drive or a higher
 pulse rate: such runs are counted as warned and are in no share.
 """
 
