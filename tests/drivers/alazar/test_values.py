@@ -10,9 +10,16 @@ import pytest
 from hypothesis import given, strategies as st
 
 from drivers.alazar.limits import level_code, mistakes, records_per_buffer
-from drivers.alazar.models import MODELS
+from drivers.alazar.models import MODELS, BoardModel
 from drivers.alazar.page_buffer import PageBuffer
-from drivers.alazar.samples import codes, header_record_dtype, timestamp_counts, volts_offset, volts_per_code
+from drivers.alazar.samples import (
+    any_at_full_scale,
+    codes,
+    header_record_dtype,
+    timestamp_counts,
+    volts_offset,
+    volts_per_code,
+)
 from drivers.interfaces import Capture
 from sim_backend.digitizer.boards import HERTZ_BY_ID
 
@@ -70,6 +77,16 @@ def test_all_mistakes_are_found_at_once() -> None:
 @pytest.mark.parametrize("delay", [0, 8000, 1, -64, -1984])
 def test_delays_and_pre_triggers_the_board_can_do_are_accepted(delay: int) -> None:
     assert mistakes(dataclasses.replace(CAPTURE, trigger_delay_samples=delay)) == []
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
+def test_the_lowest_and_the_highest_code_alone_are_full_scale(model: BoardModel) -> None:
+    lowest, highest = model.code_limits
+    inside = np.array([lowest + 1, 0, highest - 1], np.int16)
+    assert not any_at_full_scale(inside, model)
+    for end in (lowest, highest):
+        assert any_at_full_scale(np.append(inside, np.int16(end)), model)
+        assert any_at_full_scale(np.full(3, end, np.int16), model)
 
 
 @pytest.mark.parametrize(("level_v", "code"), [(0.0, 128), (1.0, 153), (1.5, 166), (2.0, 178), (5.0, 255)])
