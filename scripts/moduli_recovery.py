@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 import hpe_rig as hpe
 from hpe_rig.bench import twin_of
 from hpe_rig.moduli import Push, Vibration, bound, fit_medium, push_of
+from hpe_rig.plan import PlanError
 from hpe_rig.scene import Scene
 
 SCENE = "gelatin-moduli"
@@ -57,7 +58,11 @@ def main() -> None:
     asked = parser.parse_args()
     with ProcessPoolExecutor(asked.workers) as pool:
         for name in asked.media:
-            trials = list(pool.map(partial(trial, name), range(asked.seeds)))
+            try:
+                trials = list(pool.map(partial(trial, name), range(asked.seeds)))
+            except PlanError:
+                print(f"| {name} | check refuses a run with this drive |", flush=True)
+                continue
             print("\n".join(rows(name, trials)), flush=True)
 
 
