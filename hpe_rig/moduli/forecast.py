@@ -53,8 +53,8 @@ def moduli_forecast(scene: Scene, plan: Plan, simulated: bool = True) -> ModuliF
         raise ValueError("a medium without viscosity has none to tell")
     modulus_pa = values[0] + 2j * np.pi * frequency_hz * values[1]
     places = [(place, part) for place, part in places_of(scene, plan) if part.shots]
-    # what noise hangs on is the same at all places: pulses, echoes, fit
-    noise_m = _noise_m(*places[0], simulated)
+    # what noise hangs on is the same at all places, pulses and echoes: as on the axis
+    noise_m = _noise_m(_on_axis(places[0][0]), places[0][1], simulated)
     peak_m = expected_amplitude_m(scene, float(frequency_hz[0]), plan.shots[0])
     expected = [_expected(place, push, modulus_pa, peak_m, noise_m) for place, _ in places]
     seen = [one.only(detected(one)) for one in expected if detected(one).any()]
@@ -83,6 +83,10 @@ def _voigt(scene: Scene, frequency_hz: FloatArray, simulated: bool) -> tuple[tup
         return TYPICAL, "a typical medium"
     stiffness, loss = found[0].real.mean(), np.mean(found[0].imag / (2 * np.pi * frequency_hz))
     return (float(stiffness), float(loss)), "the declared medium" if scene.medium is not None else "the twin's medium"
+
+
+def _on_axis(scene: Scene) -> Scene:
+    return scene.model_copy(update={"tracking": scene.tracking.model_copy(update={"lateral_offset_m": 0.0})})
 
 
 def _noise_m(scene: Scene, plan: Plan, simulated: bool) -> FloatArray:
