@@ -1,4 +1,4 @@
-"""Checks of sampling in slow time: aliasing of the wanted frequencies and of higher harmonics, window, resolution, fit."""
+"""Checks of sampling in slow time: aliasing of the wanted frequencies and of higher harmonics, resolution and fit."""
 
 from __future__ import annotations
 
