@@ -199,7 +199,7 @@ def draw_crossings(axes: Axes, package: str, edge: float, side: int) -> None:
 
 def draw() -> Figure:
     """Return the picture of the three packages side by side."""
-    figure = Figure(figsize=(13.2, 8.2))
+    figure = Figure(figsize=(13.2, 8.8))
     axes = figure.add_axes((0, 0, 1, 1))
     edges = {package: draw_panel(axes, package) for package in PANELS}
     draw_crossings(axes, "drivers", edges["drivers"][1], -1)
@@ -213,8 +213,8 @@ def draw() -> Figure:
         "of the package.",
     )
     for line, text in enumerate(notes):
-        axes.text(edges["drivers"][0] + 0.1, 11.7 - 0.36 * line, text, fontsize=8.5, color=INK, va="center")
-    axes.set(xlim=(edges["drivers"][0] - 0.2, edges["sim_backend"][1] + 0.2), ylim=(-0.8, 12.2), aspect="equal")
+        axes.text(edges["drivers"][0] + 0.1, 12.7 - 0.36 * line, text, fontsize=8.5, color=INK, va="center")
+    axes.set(xlim=(edges["drivers"][0] - 0.2, edges["sim_backend"][1] + 0.2), ylim=(-0.8, 13.2), aspect="equal")
     axes.axis("off")
     return figure
 

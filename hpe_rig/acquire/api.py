@@ -98,6 +98,10 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
     yield from prediction.calibration_text(scene, bench)
     yield from prediction.averaging_text(scene)
     yield from prediction.prediction_text(scene, shot, target_m, bench.simulated)
+    if len(scene.places) > 1:
+        from hpe_rig.moduli import moduli_text
+
+        yield from moduli_text(scene, setup.plan, bench.simulated)
 
 
 @contextmanager

@@ -36,7 +36,7 @@ def prepare_rest(
     if is_taken(path):
         raise StoreError(f"{path} is being written by a run that goes on. Try: wait for its end, or stop it.")
     own = earlier.stored.scene_name, earlier.stored.scene_toml
-    setup = prepare_text(*(own if scene is None else scene_text(scene)), bench_path, stages)
+    setup = prepare_text(*(own if scene is None else scene_text(scene)), bench_path, stages, stored=scene is None)
     _refuse_other(earlier, setup)
     complete = _sound_shots(earlier.stored)
     if complete == len(setup.plan.shots):

@@ -59,13 +59,18 @@ def prepare(
 
 
 def prepare_text(
-    name: str, text: str, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
+    name: str,
+    text: str,
+    bench_path: Path | None = None,
+    stages: Stages | None = None,
+    refuse: bool = True,
+    stored: bool = False,
 ) -> Setup:
-    """Return the planned measurement of a scene's text; raises as ``prepare``."""
+    """Return the planned measurement of a scene's text, ``stored`` where a run file holds it; raises as ``prepare``."""
     with (stages or Stages())("plan"):
         bench = read_bench(bench_path)
         check = check_simulation if bench.bench.simulated else None
-        scene = parse_scene(name, text, check)
+        scene = parse_scene(name, text, check, stored)
         if bench.bench.simulated:
             # Filled in here and in open_run alone: everything behind a plan meets a described specimen.
             scene = replace(scene, scene=with_default_specimen(scene.scene))

@@ -144,7 +144,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
         raise TypeError(f"a run is taken as the path of a run file, not as {type(path).__name__}")
     stored = read_run(Path(path))
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench
-    scene = parse_scene(stored.scene_name, stored.scene_toml).scene
+    scene = parse_scene(stored.scene_name, stored.scene_toml, stored=True).scene
     if bench.simulated:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)

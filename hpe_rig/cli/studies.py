@@ -65,7 +65,10 @@ def design(
     scene: SceneName,
     over: Annotated[str, typer.Option(help="Keys to vary, such as pulse_rate_hz,gate_length_m.")],
     minimise: Annotated[
-        str, typer.Option(help="One of jitter, bias (both relative to the amplitude), phase-jitter, time.")
+        str,
+        typer.Option(
+            help="One of jitter, bias (both relative to the amplitude), phase-jitter, time, modulus-uncertainty."
+        ),
     ] = "jitter",
     bench: BenchPath = None,
     bound: Annotated[

@@ -14,6 +14,7 @@ from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Co
 from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import Simulated, simulate
 from hpe_rig.design.variables import variables
+from hpe_rig.moduli import push_of
 from hpe_rig.prediction import Expected, as_averaged, detection_text, predict, predicted_averaging
 from hpe_rig.result import text_table
 from hpe_rig.scene import Mistake, SettingsError, edited_text, length_m, parse_toml
@@ -87,6 +88,8 @@ def _problem(request: Request) -> tuple[Problem, str]:
     names = [name.strip() for name in request.over.split(",") if name.strip()]
     space = tried(lambda: variables(tables, scene, setup.bench.bench, longest_s, names, request.bounds))
     tried(lambda: baseline(scene))
+    if request.minimise == "modulus-uncertainty":
+        tried(lambda: push_of([scene]))
     if request.output is not None and space is not None:
         first = {variable.key.path: variable.value(0) for variable in space}
         tried(lambda: edited_text(text, first))
@@ -169,11 +172,24 @@ def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> di
         "phase jitter, predicted": f"{math.degrees(expected.phase_jitter_rad):.3g} deg",
         "phase jitter, simulated": _simulated(phase, "jitter", math.degrees(1), "deg"),
         "model": _agreement(candidate, simulated),
+        **_moduli(problem, candidate),
         "time": f"{plan.duration_s:.4g} s",
         "derated MI": "not calibrated" if output is None else f"{output.mechanical_index:.3g}",
         "I_spta": "not calibrated" if output is None else f"{output.spta_w_per_m2 / 10:.3g} mW/cm2",
     }
     return rows if draws else {name: text for name, text in rows.items() if "simulated" not in name and name != "model"}
+
+
+def _moduli(problem: Problem, candidate: Candidate) -> dict[str, str]:
+    """Return the uncertainties of the moduli where they are what is minimised."""
+    if problem.goal != "modulus-uncertainty":
+        return {}
+    try:
+        found = candidate.moduli
+    except ValueError as error:
+        return {"u of mu1": str(error)}
+    pairs = zip(("u of mu1", "u of mu2"), found.uncertainty, found.values, strict=True)
+    return {name: f"{100 * u / value:.3g} %" for name, u, value in pairs}
 
 
 def _expected(candidate: Candidate) -> Expected:

@@ -18,6 +18,7 @@ from hpe_rig.acquire import Setup, planned
 from hpe_rig.bench import BenchFile, check_simulation
 from hpe_rig.design.model import Baseline, baseline, design_setting, predicted
 from hpe_rig.design.variables import Variable
+from hpe_rig.moduli import ModuliForecast, moduli_forecast
 from hpe_rig.plan import AcousticOutput, CheckResult, Plan, highest_output
 from hpe_rig.prediction import Conditions, Expected
 from hpe_rig.scene import (
@@ -31,7 +32,7 @@ from hpe_rig.scene import (
     with_values,
 )
 
-Goal = Literal["jitter", "phase-jitter", "bias", "time"]
+Goal = Literal["jitter", "phase-jitter", "bias", "time", "modulus-uncertainty"]
 GOALS: tuple[Goal, ...] = get_args(Goal)
 
 SEARCH_DRAWS = 200
@@ -69,6 +70,19 @@ class Candidate:
     def expected(self) -> Expected:
         """Bias and jitter as the search sees them."""
         return self.predict(SEARCH_DRAWS, 0)
+
+    @cached_property
+    def moduli(self) -> ModuliForecast:
+        """How well the places tell the medium, with SNR and amplitude of the model; raises as ``moduli_forecast``."""
+        assert self.scene is not None  # noqa: S101
+        assert self.plan is not None  # noqa: S101
+        assert self.setting is not None  # noqa: S101
+        expected = {
+            "expected_snr_db": 10 * math.log10(self.setting.snr),
+            "expected_amplitude_m": self.setting.amplitude_m,
+        }
+        processing = self.scene.processing.model_copy(update=expected)
+        return moduli_forecast(self.scene.model_copy(update={"processing": processing}), self.plan)
 
     def predict(self, draws: int, seed: int) -> Expected:
         """Return bias and jitter by the scene's own estimator."""
@@ -131,6 +145,10 @@ class Problem:
         assert candidate.plan is not None  # noqa: S101
         assert candidate.setting is not None  # noqa: S101
         found, amplitude_m = candidate.expected, candidate.setting.amplitude_m
+        if self.goal == "modulus-uncertainty":
+            forecast = candidate.moduli
+            relative = forecast.uncertainty[0] / forecast.values[0]
+            return math.log(relative) + SIDE_WEIGHT * math.log(candidate.plan.duration_s)
         time, jitter = math.log(candidate.plan.duration_s), math.log(found.jitter_m / amplitude_m)
         if self.goal == "time":
             return time + SIDE_WEIGHT * jitter
@@ -169,7 +187,10 @@ class Problem:
         if candidate.setting is not None or candidate.scene is None or candidate.plan is None:
             return candidate
         try:
-            return replace(candidate, setting=design_setting(candidate.scene, candidate.plan, self.baseline))
+            found = replace(candidate, setting=design_setting(candidate.scene, candidate.plan, self.baseline))
+            if self.goal == "modulus-uncertainty":
+                _ = found.moduli
+            return found
         except ValueError as error:
             conflict = CheckResult("estimate", "refused", str(error))
             return replace(candidate, conflicts=(*candidate.conflicts, conflict))

@@ -4,10 +4,11 @@
 
 places.py (vibrations of stored runs, place by place), media.py (laws of the complex modulus), inversion.py (the fit,
 its covariance, which laws the data exclude, what each datum brings), outcome.py (all laws, as text and JSON),
-figure.py, shear_speed.py (speed from the phase's fall with distance, and the plane wave's moduli). U is
-``hpe_rig.processing.shear_motion``.
+figure.py, forecast.py (how well a scene will tell the moduli), shear_speed.py (speed from the phase's fall with
+distance, and the plane wave's moduli). U is ``hpe_rig.processing.shear_motion``.
 
-Others use ``moduli_of`` on stored runs, ``fit_medium`` and ``bound`` on vibrations; docs/theory/moduli.md.
+Others use ``moduli_of`` on stored runs, ``moduli_forecast`` on scenes, ``fit_medium`` and ``bound`` on vibrations;
+docs/theory/moduli.md.
 """
 
 import lazy_loader

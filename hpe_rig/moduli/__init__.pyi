@@ -1,3 +1,4 @@
+from .forecast import ModuliForecast as ModuliForecast, moduli_forecast as moduli_forecast, moduli_text as moduli_text
 from .inversion import (
     Moduli as Moduli,
     Push as Push,

@@ -37,7 +37,5 @@ def moduli_figure(result: ModuliResult) -> Figure:
     for axes in (amplitude, phase):
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
-    best = result.best
-    values = ", ".join(f"{name} {value:.4g} ± {best.uncertainty[name]:.2g}" for name, value in best.values.items())
-    figure.suptitle(f"{best.law}: {values}", fontsize="medium")
+    figure.suptitle(result.headline, fontsize="medium")
     return figure

@@ -34,6 +34,8 @@ MOST_STEPS = 60
 """Of the solver from one start; a law that cannot explain the data would crawl on."""
 SECOND_MINIMUM = 12.0
 """Chi-square above the best up to which another minimum is told of: it is as likely as one in 400."""
+FARTHEST_M = 20e-3
+"""Distance from the axis to which the field has been compared with independent ones."""
 REJECTED = 1e-3
 """Probability of so large a misfit below which a law is said to be excluded."""
 
@@ -141,7 +143,7 @@ class Moduli:
 def fit_medium(vibrations: Sequence[Vibration], push: Push, law: MediumLaw = "voigt") -> Moduli:
     """Return the parameters of ``law`` that explain ``vibrations`` best; no starting values are needed.
 
-    Raises ``ValueError`` for fewer data than free parameters.
+    Raises ``ValueError`` for fewer data than free parameters and for a place farther than ``FARTHEST_M``.
     """
     problem = Problem.of(vibrations, push, LAWS[law])
     if problem.data_count <= problem.free:
@@ -203,6 +205,10 @@ class Problem:
         """Return the problem of explaining ``vibrations`` by ``law``."""
         if not vibrations:
             raise ValueError("no place has a vibration to explain")
+        if far := [one.label for one in vibrations if abs(one.lateral_m) > FARTHEST_M]:
+            raise ValueError(
+                f"{', '.join(far)}: the field is tested to {FARTHEST_M * 1e3:g} mm from the axis; try nearer places"
+            )
         known = [("across", -1, push.width_uncertainty[0]), ("along", -1, push.width_uncertainty[1])]
         known.append(("onset", -1, push.onset_uncertainty_s))
         for place, one in enumerate(vibrations):

@@ -26,6 +26,12 @@ NAMES = {
     "viscosity_pa_s": "viscosity mu2",
     "power": "power p",
 }
+TITLES: dict[MediumLaw, str] = {
+    "voigt": "Voigt",
+    "zener": "Zener",
+    "power_law": "Power law",
+    "maxwell": "Maxwell",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +98,13 @@ class ModuliResult:
         known = {"title": self.title, "simulated": self.simulated, "omitted": self.omitted}
         return {**known, "fits": fits, "places": places, "plane_wave": plane}
 
+    @property
+    def headline(self) -> str:
+        """The likeliest medium with its parameters and their standard uncertainties, one line."""
+        best = self.best
+        values = [f"{NAMES[name]} {_with_u(best, name, '±')}" for name in best.values]
+        return f"{TITLES[best.law]}: {', '.join(values)}"
+
     def figure(self) -> Figure:
         """Return measured and fitted amplitude and phase over frequency, a colour a place, with bars of 2 u."""
         from hpe_rig.moduli.figure import moduli_figure
@@ -153,7 +166,7 @@ def _lines(result: ModuliResult) -> Iterator[str]:
     yield f"{source}{len(places)} place{'s' if len(places) > 1 else ''}, {numbers} numbers"
     yield ""
     for fit, probability in zip(result.fits, result.probability, strict=True):
-        yield f"{_law(fit.law)}, {_verdict(fit, probability)}"
+        yield f"{TITLES[fit.law]}, {_verdict(fit, probability)}"
         if fit is best or not fit.excluded:
             yield from (f"  {line}" for line in _values(fit))
     if result.plane_wave is not None:
@@ -168,10 +181,6 @@ def _lines(result: ModuliResult) -> Iterator[str]:
         yield f"left out: {line}"
 
 
-def _law(law: MediumLaw) -> str:
-    return {"voigt": "Voigt", "zener": "Zener", "power_law": "Power law", "maxwell": "Maxwell"}[law]
-
-
 def _verdict(fit: Moduli, probability: float) -> str:
     misfit = f"chi-square {fit.chi_square:.4g} over {fit.freedom}"
     return f"EXCLUDED by the data ({misfit})" if fit.excluded else f"probability {probability:.2g} ({misfit})"
@@ -179,10 +188,8 @@ def _verdict(fit: Moduli, probability: float) -> str:
 
 def _values(fit: Moduli) -> Iterator[str]:
     for name, value in fit.values.items():
-        factor, unit = UNITS.get(name, (1.0, ""))
-        u = fit.uncertainty[name]
-        share = f" ({100 * u / value:.2g} %)" if value else ""
-        yield f"{NAMES[name]} {_figure(value * factor, u * factor)} +- {u * factor:.2g} {unit}{share}".rstrip()
+        share = f" ({100 * fit.uncertainty[name] / value:.2g} %)" if value else ""
+        yield f"{NAMES[name]} {_with_u(fit, name, '+-')}{share}"
     if fit.second is not None:
         other = ", ".join(
             f"{NAMES[name]} {value * UNITS.get(name, (1, ''))[0]:.3g}" for name, value in fit.second[0].items()
@@ -196,7 +203,9 @@ def _values(fit: Moduli) -> Iterator[str]:
             yield f"most is owed to the {by} {most.label}: without it u of mu1 is {most.growth[0]:.2f} times as large"
 
 
-def _figure(value: float, u: float) -> str:
-    """Return ``value`` with as many decimals as two digits of its uncertainty have."""
+def _with_u(fit: Moduli, name: str, sign: str) -> str:
+    """Return a parameter with its uncertainty and unit, as many decimals as two digits of the uncertainty have."""
+    factor, unit = UNITS.get(name, (1.0, ""))
+    value, u = fit.values[name] * factor, fit.uncertainty[name] * factor
     decimals = max(0, 1 - math.floor(math.log10(u))) if 0 < u < math.inf else 4
-    return f"{value:.{decimals}f}"
+    return f"{value:.{decimals}f} {sign} {u:.2g} {unit}".rstrip()

@@ -9,10 +9,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hpe_rig.moduli.inversion import FloatArray, Push, Vibration
+from hpe_rig.moduli.inversion import ComplexArray, FloatArray, Push, Vibration
 from hpe_rig.plan import Plan, Shot, places_of
-from hpe_rig.prediction import beam_widths, predicted_averaging
+from hpe_rig.prediction import beam_widths, tracked_area_spread
 from hpe_rig.processing import HarmonicFit, shot_fit
 from hpe_rig.scene import Mistake, Scene, SettingsError
 from hpe_rig.store import StoredRun
@@ -76,7 +77,7 @@ def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tu
                 omitted.append(f"{label}: no shot there can be estimated")
                 continue
             vibration = _vibration(scene, label, fits, estimator or scene.processing.estimator)
-            kept = np.abs(vibration.phasor_m) > DETECTED * _uncertainty_m(vibration)
+            kept = detected(vibration)
             if not kept.all():
                 lost = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~kept])
                 omitted.append(f"{label}: {lost} Hz, less than {DETECTED:g} times its uncertainty")
@@ -89,9 +90,9 @@ def _fits(
     scene: Scene, plan: Plan, stored: StoredRun, estimator: str, label: str, omitted: list[str]
 ) -> Iterator[HarmonicFit]:
     """Yield the fit of every shot that can serve: whole, trusted, of the strongest force and the first burst length."""
-    beams, force = beam_widths(scene, estimator), max(shot.force_fraction or 0.0 for shot in plan.shots)
+    beams = beam_widths(scene, estimator)
     for shot in plan.shots:
-        why = _unfit(shot, stored, force, plan.shots[0].timeline.burst_length_s)
+        why = _unfit(shot, stored, plan)
         if not why:
             try:
                 yield shot_fit(scene, shot, stored, estimator, beams)
@@ -101,15 +102,20 @@ def _fits(
         omitted.append(f"{label}: shot {shot.index + 1}, {why}")
 
 
-def _unfit(shot: Shot, stored: StoredRun, force: float, burst_length_s: float) -> str:
+def _unfit(shot: Shot, stored: StoredRun, plan: Plan) -> str:
     """Return why a shot does not serve, "" where it does."""
     if not stored.shot_complete[shot.index]:
         return "incomplete"
     if why := stored.untrusted.get(shot.index):
         return f"untrusted: {why}"
-    if (shot.force_fraction or 0.0) != force:
-        return "of a weaker force"
-    return "of another burst length" if shot.timeline.burst_length_s != burst_length_s else ""
+    return "" if strongest(shot, plan) else "of a weaker force or another burst length"
+
+
+def strongest(shot: Shot, plan: Plan) -> bool:
+    """Return whether ``shot`` has the strongest force of ``plan`` and its first burst length: only such serve."""
+    force = max(each.force_fraction or 0.0 for each in plan.shots)
+    same = shot.timeline.burst_length_s == plan.shots[0].timeline.burst_length_s
+    return same and (shot.force_fraction or 0.0) == force
 
 
 def _vibration(scene: Scene, label: str, fits: Sequence[HarmonicFit], estimator: str) -> Vibration:
@@ -118,15 +124,28 @@ def _vibration(scene: Scene, label: str, fits: Sequence[HarmonicFit], estimator:
     covariance = np.linalg.inv(np.sum(information, axis=0))
     weighted = [own @ _states(each, frequency_hz.size)[0] for own, each in zip(information, fits, strict=True)]
     state = covariance @ np.sum(weighted, axis=0)
+    phasor_m = state[0::2] + 1j * state[1::2]
+    return vibration_at(scene, estimator, label, frequency_hz, phasor_m, (covariance + covariance.T) / 2)
+
+
+def vibration_at(
+    scene: Scene,
+    estimator: str,
+    label: str,
+    frequency_hz: FloatArray,
+    phasor_m: ComplexArray,
+    covariance_m2: FloatArray,
+) -> Vibration:
+    """Return the vibration at the place of ``scene`` with what is known of that place; the scene has [beams]."""
     beams = beam_widths(scene, estimator)
     assert beams is not None  # noqa: S101 (push_of has asked for them)
     seen = beams.tracking_width_m[0] ** 2 / 2
-    area = max(each.area_spread for each in predicted_averaging(scene, estimator) if each is not None)
+    area = tracked_area_spread(scene, estimator)
     return Vibration(
         label=label,
         frequency_hz=frequency_hz,
-        phasor_m=state[0::2] + 1j * state[1::2],
-        covariance_m2=(covariance + covariance.T) / 2,
+        phasor_m=phasor_m,
+        covariance_m2=covariance_m2,
         lateral_m=scene.tracking.lateral_offset_m,
         axial_m=scene.gate_depth_m - _focus_m(scene),
         tracking_m2=(seen, beams.axial_spread_m**2),
@@ -147,9 +166,10 @@ def _states(fit: HarmonicFit, frequencies: int) -> tuple[FloatArray, FloatArray]
     return fit.state[: 2 * frequencies], fit.state_covariance[: 2 * frequencies, : 2 * frequencies]
 
 
-def _uncertainty_m(vibration: Vibration) -> FloatArray:
-    """Return the standard uncertainty of each amplitude (frequency,), the larger of its quadratures."""
-    return np.asarray(np.sqrt(np.diag(vibration.covariance_m2).reshape(-1, 2).max(axis=1)))
+def detected(vibration: Vibration) -> NDArray[np.bool_]:
+    """Return which frequencies stand out of their noise (frequency,), the larger of the two quadratures'."""
+    sigma_m = np.sqrt(np.diag(vibration.covariance_m2).reshape(-1, 2).max(axis=1))
+    return np.asarray(np.abs(vibration.phasor_m) > DETECTED * sigma_m)
 
 
 def _label(scene: Scene, source: Source, sources: int) -> str:

@@ -1,10 +1,16 @@
 from .aliasing import fitted_over_true as fitted_over_true
-from .amplitude import expected_snr_db as expected_snr_db, relative_drive as relative_drive
+from .amplitude import (
+    expected_amplitude_m as expected_amplitude_m,
+    expected_snr_db as expected_snr_db,
+    relative_drive as relative_drive,
+)
 from .beam_averaging import (
     beam_widths as beam_widths,
     medium_motion as medium_motion,
+    medium_of as medium_of,
     predicted_averaging as predicted_averaging,
     pulse_length_m as pulse_length_m,
+    tracked_area_spread as tracked_area_spread,
 )
 from .bounds import echo_bound as echo_bound
 from .detection import FALSE_ALARMS as FALSE_ALARMS, detection_floor as detection_floor

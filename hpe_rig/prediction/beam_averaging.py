@@ -73,6 +73,14 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     return tuple(_off_focus(scene, replace(Averaging(*each), **rest)) for each in columns)
 
 
+def tracked_area_spread(scene: Scene, estimator: str) -> float:
+    """Return the relative standard deviation over speckle of the area across that is tracked; 0 without beams."""
+    beams, resting = beam_widths(scene, estimator), resting_conditions(scene)
+    if beams is None or resting is None:
+        return 0.0
+    return speckle_spread(resting, estimator)[0] / -_gaussian_steepness(beams)
+
+
 def resting_conditions(scene: Scene) -> Conditions | None:
     """Return the conditions of echoes that are at rest and without noise; None without beams.
 

@@ -49,6 +49,19 @@ def noise_gain(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatA
     return np.full(chosen.wanted_hz.size, math.sqrt(2 * spec.slow_time_noise / chosen.used.sum()))
 
 
+def larger_quadrature(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatArray:
+    """Return the noise of the larger principal quadrature of each wanted frequency over their mean (frequency,).
+
+    1 where every phase is as well known as any other, up to sqrt(2) where skipped pulses leave one alone uncertain.
+    """
+    spec = spec_of(estimator or scene.processing.estimator)
+    if not spec.fits_all_at_once:
+        return np.ones(select(scene, shot).wanted_hz.size)
+    weights = fit_weights(scene, shot, spec)[0]
+    variance = np.linalg.eigvalsh(weights @ np.swapaxes(weights, -1, -2))
+    return np.asarray(np.sqrt(variance[:, 1] / variance.mean(axis=-1)))
+
+
 def fit_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> tuple[FloatArray, FloatArray]:
     """Return weights (frequency, 2, pulse) of the used pulses' displacement, and when these sense it (pulse,)."""
     chosen = select(scene, shot)

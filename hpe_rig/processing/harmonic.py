@@ -13,9 +13,7 @@ import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model
-
-PHASE_VARIANCE_LIMIT = np.pi**2 / 3
-"""Variance of a phase about which nothing is known, rad^2."""
+from hpe_rig.result import phase_variance_rad2
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +161,8 @@ def fit_from_state(
     amplitude = np.hypot(in_phase, quadrature)
     phase = np.arctan2(quadrature, in_phase)
     radial = _along_phasor(state_covariance, phase)
-    weights = _polar_weights(radial, amplitude)
-    aliasing = None if aliasing_m2 is None else np.asarray(_along_phasor(aliasing_m2, phase) * weights)
+    unresolved = np.zeros_like(radial) if aliasing_m2 is None else _along_phasor(aliasing_m2, phase)
+    weights = _polar_weights(radial, unresolved, amplitude)
     return HarmonicFit(
         frequency_hz,
         amplitude,
@@ -177,7 +175,7 @@ def fit_from_state(
         pulses,
         condition,
         innovations,
-        aliasing,
+        None if aliasing_m2 is None else np.asarray(unresolved * weights),
     )
 
 
@@ -190,7 +188,7 @@ def with_aliasing(fit: HarmonicFit, aliasing_m2: FloatArray, known: HarmonicFit)
     wanted, total = 2 * fit.frequency_hz.size, fit.state_covariance.copy()
     total[..., :wanted, :wanted] += aliasing_m2
     radial, added = (_along_phasor(each, fit.phase_rad) for each in (total, aliasing_m2))
-    weights = _polar_weights(radial, known.amplitude_m)
+    weights = _polar_weights(radial, added, known.amplitude_m)
     return replace(
         fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=known.medium
     )
@@ -209,13 +207,14 @@ def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray
     return np.asarray((turned + np.swapaxes(turned, -1, -2)) / 2)
 
 
-def _polar_weights(radial: FloatArray, amplitude: FloatArray) -> FloatArray:
+def _polar_weights(radial: FloatArray, unresolved: FloatArray, amplitude: FloatArray) -> FloatArray:
     """Return the factors (..., frequency, 2, 2) from covariance along and across the phasor to (amplitude, phase).
 
-    The phase's variance stops at that of an unknown phase, so that a vanishing amplitude stays finite.
+    ``unresolved`` is the part of ``radial`` that is aliasing. Where the amplitude may be noise alone, the phase's
+    variance is up to that of an unknown phase.
     """
-    across = radial[..., 1, 1]
-    # variance of phase is across / amplitude^2 unless that passes the limit: one scale covers both
-    scale = 1 / np.sqrt(np.maximum(amplitude**2, across / PHASE_VARIANCE_LIMIT).clip(min=np.finfo(np.float64).tiny))
+    across, tiny = radial[..., 1, 1], np.finfo(np.float64).tiny
+    variance = phase_variance_rad2(amplitude, across, across - unresolved[..., 1, 1])
+    scale = np.sqrt(np.where(across > tiny, variance, 0.0) / np.maximum(across, tiny))
     weights = np.stack([np.ones_like(scale), scale], axis=-1)
     return np.asarray(weights[..., :, None] * weights[..., None, :])

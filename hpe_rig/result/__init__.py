@@ -2,6 +2,7 @@
 
     estimates.py   Estimate (one frequency) -> ShotResult -> Result
     repeats.py     mean over repeats, tested against the stated uncertainties
+    phase.py       uncertainty of a phase, also of an amplitude that may be noise
     rows.py        one row a shot and frequency: CSV, pandas, printed
     figure.py      amplitude and phase over frequency
     html_repr.py   figure and tables, as a notebook shows a result

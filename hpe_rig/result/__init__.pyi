@@ -8,6 +8,7 @@ from .estimates import (
     shot_warnings as shot_warnings,
 )
 from .palette import PALETTE as PALETTE
+from .phase import PHASE_VARIANCE_LIMIT as PHASE_VARIANCE_LIMIT, phase_variance_rad2 as phase_variance_rad2
 from .repeats import RepeatMean as RepeatMean
 from .rows import result_csv as result_csv
 from .stages import Stages as Stages

@@ -13,9 +13,12 @@ from dataclasses import dataclass
 from statistics import fmean
 
 from hpe_rig.result.estimates import Estimate, Headline, ShotResult
+from hpe_rig.result.phase import phase_variance_rad2
 
 INDEPENDENT = ("noise", "trigger jitter")
 """Components that are drawn anew in every repeat; all others are common to them."""
+OUT_OF_NOISE = 4.0
+"""Amplitude over its u from which on no phase is that of noise."""
 DISAGREE = 0.01
 """Probability of as large a chi-square by chance below which the repeats disagree with their uncertainties."""
 
@@ -90,11 +93,11 @@ def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
     probability = float(gammaincc(freedom / 2, chi_square / 2))
     agrees = probability >= DISAGREE
     common = [_parts(item, independent=False) for item in estimates]
+    stated = _of_the_mean(each, independent, abs(mean))
     u_m, u_rad = (
         math.hypot(
             # Scatter beyond what is stated has a cause that nobody listed: then what was found counts.
-            max(_root_mean_square(part[axis] for part in independent), 0.0 if agrees else _spread(deviations))
-            / math.sqrt(count),
+            max(stated[axis], 0.0 if agrees else _spread(deviations) / math.sqrt(count)),
             sum(part[axis] for part in common) / count,
         )
         for axis, deviations in enumerate((along_m, turned_rad))
@@ -133,6 +136,17 @@ def _deviations(each: Sequence[Headline], mean: complex) -> tuple[list[float], l
     turned = [math.remainder(item.phase_rad - cmath.phase(mean), 2 * math.pi) for item in each]
     middle_rad = sum(turned) / len(turned)
     return [item.amplitude_m - middle_m for item in each], [angle - middle_rad for angle in turned]
+
+
+def _of_the_mean(
+    each: Sequence[Headline], parts: Sequence[tuple[float, float]], amplitude_m: float
+) -> tuple[float, float]:
+    """Return what independent ``parts`` of u of amplitude and phase leave of the mean phasor's, m and rad."""
+    u_m, u_rad = (_root_mean_square(part[axis] for part in parts) / math.sqrt(len(parts)) for axis in (0, 1))
+    if all(item.amplitude_m > OUT_OF_NOISE * part[0] for item, part in zip(each, parts, strict=True)):
+        return u_m, u_rad
+    # Phases of amplitudes that may be noise say little each, and their mean nothing that the mean phasor does not.
+    return u_m, math.sqrt(phase_variance_rad2(amplitude_m, u_m**2, u_m**2))
 
 
 def _parts(estimate: Estimate, independent: bool) -> tuple[float, float]:

@@ -11,7 +11,16 @@ from functools import cache
 from importlib import resources
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    ValidationInfo,
+    model_validator,
+)
 
 from hpe_rig.scene.quantities import (
     AmplitudeM,
@@ -29,7 +38,15 @@ from hpe_rig.scene.quantities import (
     ViscosityPaS,
     VoltageV,
 )
-from hpe_rig.scene.validation import Mistake, SettingsError, mistakes_of, named_text, parse_toml, validated
+from hpe_rig.scene.validation import (
+    STORED,
+    Mistake,
+    SettingsError,
+    mistakes_of,
+    named_text,
+    parse_toml,
+    validated,
+)
 
 Offset = Annotated[float, Field(ge=-0.1, le=0.1, strict=True)]
 Widths = tuple[LengthM, LengthM, LengthM]
@@ -200,7 +217,9 @@ class Processing(Section):
     """Require a burst period that is a whole multiple of the pulse period."""
 
     @model_validator(mode="after")
-    def _one_that_follows(self) -> Processing:
+    def _one_that_follows(self, info: ValidationInfo) -> Processing:
+        if info.context == STORED:
+            return self
         if self.follow_gate and self.estimator == "joint":
             raise ValueError('joint has no displacements to follow: set estimator = "coherent", or follow_gate = false')
         if self.follow_gate and self.reference_gate_depth_m is not None:
@@ -208,7 +227,9 @@ class Processing(Section):
         return self
 
     @model_validator(mode="after")
-    def _harmonic_that_is_used(self) -> Processing:
+    def _harmonic_that_is_used(self, info: ValidationInfo) -> Processing:
+        if info.context == STORED:
+            return self
         if self.harmonic == "medium_prior" and self.estimator == "cross_spectrum":
             raise ValueError(
                 'cross_spectrum has its own way to amplitude and phase and takes no harmonic = "medium_prior": '
@@ -352,7 +373,9 @@ class Scene(Section):
         return tuple(self.model_copy(update={**alike, "tracking": tracking}) for tracking in each)
 
     @model_validator(mode="after")
-    def _prior_only_of_tonebursts(self) -> Scene:
+    def _prior_only_of_tonebursts(self, info: ValidationInfo) -> Scene:
+        if info.context == STORED:
+            return self
         if self.processing.harmonic == "medium_prior" and self.without_prior is not None:
             raise ValueError(
                 f'processing.harmonic = "medium_prior" needs more, {self.without_prior}: set harmonic = "least_squares"'
@@ -360,7 +383,9 @@ class Scene(Section):
         return self
 
     @model_validator(mode="after")
-    def _gate_meets_the_force(self) -> Scene:
+    def _gate_meets_the_force(self, info: ValidationInfo) -> Scene:
+        if info.context == STORED:
+            return self
         if self.beams is None or self.beams.focus_depth_m is None:
             return self
         off_m, width_m = abs(self.acquisition.gate_depth_m - self.beams.focus_depth_m), self.beams.excitation_width_m[2]
@@ -372,7 +397,9 @@ class Scene(Section):
         return self
 
     @model_validator(mode="after")
-    def _pulse_has_a_cycle(self) -> Scene:
+    def _pulse_has_a_cycle(self, info: ValidationInfo) -> Scene:
+        if info.context == STORED:
+            return self
         length_m = None if self.beams is None else self.beams.pulse_length_m
         half_wave_m = self.acquisition.sound_speed_m_per_s / (2 * self.tracking.carrier_hz)
         if length_m is not None and length_m < half_wave_m:
@@ -383,7 +410,9 @@ class Scene(Section):
         return self
 
     @model_validator(mode="after")
-    def _windows_within_slow_trains(self) -> Scene:
+    def _windows_within_slow_trains(self, info: ValidationInfo) -> Scene:
+        if info.context == STORED:
+            return self
         windows_s = self.sweep.window_length_s or (self.processing.window_length_s,)
         if self.sweep.pulse_rate_hz and None in windows_s:
             raise ValueError(
@@ -405,18 +434,22 @@ class SceneText:
 SimulationCheck = Callable[[Mapping[str, Any]], list[Mistake]]
 
 
-def parse_scene(name: str, text: str, simulation_check: SimulationCheck | None = None) -> SceneText:
+def parse_scene(
+    name: str, text: str, simulation_check: SimulationCheck | None = None, stored: bool = False
+) -> SceneText:
     """Return the scene in ``text``; raise ``SettingsError`` with every mistake.
 
-    ``simulation_check`` is the twin's own check of ``[simulation]`` in the scene's tables; None leaves it unread.
+    ``simulation_check`` is the twin's own check of ``[simulation]`` in the scene's tables; None leaves it unread. A
+    ``stored`` scene, of a run file, has been measured: rules on which settings go together do not hold for it, since
+    they may be younger than the run.
     """
-    tables = parse_toml(text, f"scene {name}")
-    mistakes = mistakes_of(Scene, tables)
+    tables, context = parse_toml(text, f"scene {name}"), STORED if stored else None
+    mistakes = mistakes_of(Scene, tables, context=context)
     if simulation_check is not None:
         mistakes += simulation_check(tables)
     if mistakes:
         raise SettingsError(f"scene {name}", mistakes)
-    return SceneText(name, text, Scene.model_validate(tables))
+    return SceneText(name, text, Scene.model_validate(tables, context=context))
 
 
 def shipped_scenes() -> dict[str, str]:

@@ -16,6 +16,8 @@ from pydantic import BaseModel, ValidationError
 
 Model = TypeVar("Model", bound=BaseModel)
 KeyPath = tuple[str | int, ...]
+STORED = "stored"
+"""Context of settings that were measured with: which of them go together is not asked again."""
 
 
 def printable(text: str) -> str:
@@ -113,10 +115,15 @@ def unreadable(error: OSError | ValueError) -> str:
     return "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else "no file can have that name"
 
 
-def mistakes_of(model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPath = ()) -> list[Mistake]:
-    """Return all mistakes of ``tables`` as settings of ``model``; empty where there are none."""
+def mistakes_of(
+    model: type[BaseModel], tables: Mapping[str, Any], prefix: KeyPath = (), context: str | None = None
+) -> list[Mistake]:
+    """Return all mistakes of ``tables`` as settings of ``model``; empty where there are none.
+
+    ``context`` is what the model's own rules are told: `STORED`, or None.
+    """
     try:
-        model.model_validate(tables)
+        model.model_validate(tables, context=context)
     except ValidationError as error:
         entries = [dict(entry) for entry in error.errors(include_url=False)]
         return [_mistake(entry, model, tables, prefix) for entry in entries if not _follows(entry)]

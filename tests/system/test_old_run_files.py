@@ -11,8 +11,9 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.acquire import prepare, prepare_rest, process, record_run, resume
+from hpe_rig.acquire import open_run, prepare, prepare_rest, process, record_run, resume
 from hpe_rig.report import write_report
+from hpe_rig.scene import SettingsError, parse_scene
 from hpe_rig.store import read_run, read_snapshots
 
 FIXTURES = Path(__file__).parents[1] / "fixtures" / "run_files"
@@ -118,6 +119,41 @@ def test_an_old_run_is_resumed_and_equals_one_that_was_not_interrupted(copied: P
         # The first shot is the old version's; the others this version has measured in both files.
         np.testing.assert_array_equal(resumed.records[shot].codes, whole.records[shot].codes)
     np.testing.assert_array_equal(resumed.records[0].codes, read_run(copied / "aborted.h5").records[0].codes)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "process_noise = 1e-3",
+        'harmonic = "medium_prior"',
+        'harmonic = "medium_prior"\nestimator = "cross_spectrum"',
+        "[beams]\nexcitation_width_m = [1.7e-4, 1.7e-4, 1.8e-3]\ntracking_width_m = [7.8e-5, 7.8e-5, 8.3e-4]\n"
+        "pulse_length_m = 1e-5\nfocus_depth_m = 50e-3",
+    ],
+)
+def test_a_run_opens_whose_settings_a_younger_rule_would_refuse(copied: Path, setting: str) -> None:
+    path = copied / "aborted.h5"
+    with h5py.File(path, "r+") as file:
+        text = bytes(file["scene"][()]).decode()
+        younger = (
+            f"{text}{setting}\n" if "[beams]" in setting else text.replace("[processing]", f"[processing]\n{setting}")
+        )
+        del file["scene"]
+        file["scene"] = np.bytes_(younger.encode())
+    with pytest.raises(SettingsError):
+        parse_scene("of today", younger)
+    run = open_run(path)
+    assert run.stored.scene_toml == younger
+    assert len(run.estimate(CHAIN).shots) == 2
+
+
+def test_a_run_is_resumed_whose_settings_a_younger_rule_would_refuse(copied: Path) -> None:
+    path = copied / "aborted.h5"
+    with h5py.File(path, "r+") as file:
+        younger = bytes(file["scene"][()]).decode().replace("[processing]", "[processing]\nprocess_noise = 1e-3")
+        del file["scene"]
+        file["scene"] = np.bytes_(younger.encode())
+    assert read_run(resume(prepare_rest(path))).shot_complete.all()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
 from hpe_rig.acquire.run import Setup
 from hpe_rig.acquire.sequencer import Progress, Step, acquire
-from hpe_rig.bench.instruments import Bench
+from hpe_rig.bench.instruments import Bench, UnsafeBenchError
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.bench.opening import open_bench
 
@@ -73,6 +74,37 @@ def test_outputs_are_on_when_the_master_fires(prepared: Prepare) -> None:
             pass
     assert all(on.values())
     assert_safe(bench)
+
+
+def test_shots_start_one_shot_period_apart_and_the_observer_is_asked_meanwhile(prepared: Prepare) -> None:
+    setup = prepared("bovine-muscle", ("[acquisition]\n", "[acquisition]\nrepeats = 3\nshot_period_s = 1.3\n"))
+    fired_s: list[float] = []
+    waits = [0]
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+
+        def observe(progress: Progress) -> None:
+            if progress.step is Step.WAIT:
+                waits[-1] += 1
+            if progress.step is Step.FIRE:
+                fired_s.append(bench.clock.now_s())
+                waits.append(0)
+
+        for _ in acquire(setup.plan, bench, observe):
+            pass
+    assert [late - early for early, late in pairwise(fired_s)] == pytest.approx([1.3, 1.3], abs=1e-9)
+    # The train takes 0.2 s, the rest of the period is slept in pieces of at most 0.2 s.
+    assert waits[0] == 0
+    assert all(3 <= count <= 6 for count in waits[1:-1])
+
+
+def test_an_error_concerns_the_instruments_that_were_tried_and_no_others(prepared: Prepare) -> None:
+    setup = prepared("bovine-muscle")
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        first, *others = bench.instruments
+        error = UnsafeBenchError([(first.role, RuntimeError("no reply"))], {}, [first])
+        assert error.concerns([first])
+        assert not error.concerns(others)
+        assert not error.concerns([first, *others])
 
 
 def test_a_consumer_that_stops_early_leaves_outputs_off(prepared: Prepare) -> None:

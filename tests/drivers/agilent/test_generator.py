@@ -54,6 +54,7 @@ def test_the_tracking_train_is_programmed_as_the_reference_recipe_says(scripted)
         "TRIG:DEL": "1.000000000000E-02",
         "BURS:MODE": "TRIG",
         "BURS:NCYC": "1000",
+        "BURS:PHAS": "0.000000000000E+00",
         "BURS:STAT": "1",
         "PULS:WIDT": "1.000000000000E-05",
         "FREQ": "5.000000000000E+03",
@@ -70,6 +71,8 @@ def test_the_toneburst_is_a_counted_sine_burst_on_external_trigger(scripted) -> 
     assert float(connection.held["VOLT"]) == 0.5
     assert float(connection.held["VOLT:OFFS"]) == 0.0
     assert connection.held["BURS:NCYC"] == "600"
+    # From its rising zero crossing: what the twin emits, and does not ask for.
+    assert float(connection.held["BURS:PHAS"]) == 0.0
     assert connection.held["TRIG:SOUR"] == "EXT"
     assert float(connection.held["OUTP:LOAD"]) == 50.0
 

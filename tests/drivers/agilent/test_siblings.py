@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from drivers.agilent.generator import Agilent33250A
 from drivers.agilent.limits import mistakes
-from drivers.agilent.models import MODELS, model_named
+from drivers.agilent.models import MODELS, GeneratorModel, model_named
 from drivers.interfaces import InstrumentError, PulseTrain, Toneburst, TriggerPulse
 from sim_backend.generator import models as models_33250a
 from sim_backend.generator.instrument import Generator33250A
@@ -43,6 +43,20 @@ def twin(name: str) -> Generator33250A:
 def test_the_second_field_of_the_identity_chooses_the_series(answer: str, name: str | None) -> None:
     model = model_named(answer)
     assert (model.name if model else None) == name
+
+
+@pytest.mark.parametrize("model", MODELS, ids=NAMES)
+def test_headers_name_the_channel_on_the_models_that_have_more_than_one(model: GeneratorModel) -> None:
+    numbered = model.name in ("33500B", "33600A")
+    for plain, with_channel in (("OUTP", "OUTP1"), ("TRIG:SOUR", "TRIG1:SOUR"), ("OUTP:TRIG", "OUTP:TRIG")):
+        assert model.header(plain) == (with_channel if numbered else plain)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=NAMES)
+def test_a_trigger_pulse_fills_at_most_half_of_the_longest_period(model: GeneratorModel) -> None:
+    widest_s = model.width_s[1] / 2
+    assert mistakes(dataclasses.replace(PULSE, width_s=widest_s), model) == []
+    assert mistakes(dataclasses.replace(PULSE, width_s=math.nextafter(widest_s, math.inf)), model)
 
 
 @pytest.mark.parametrize("name", NAMES)

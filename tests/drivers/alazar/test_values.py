@@ -10,9 +10,18 @@ import pytest
 from hypothesis import given, strategies as st
 
 from drivers.alazar.limits import level_code, mistakes, records_per_buffer
+from drivers.alazar.models import MODELS, BoardModel
 from drivers.alazar.page_buffer import PageBuffer
-from drivers.alazar.samples import codes, header_record_dtype, timestamp_counts, volts_offset, volts_per_code
+from drivers.alazar.samples import (
+    any_at_full_scale,
+    codes,
+    header_record_dtype,
+    timestamp_counts,
+    volts_offset,
+    volts_per_code,
+)
 from drivers.interfaces import Capture
+from sim_backend.digitizer.boards import HERTZ_BY_ID
 
 CAPTURE = Capture(
     sample_rate_hz=100e6,
@@ -22,6 +31,20 @@ CAPTURE = Capture(
     input_range_v=0.8,
     trigger_level_v=1.5,
 )
+
+# The vendor's numbers for the internal clock's rates, as its header lists them.
+RATES = [
+    (1e3, 0x01), (2e3, 0x02), (5e3, 0x04), (10e3, 0x08), (20e3, 0x0A), (50e3, 0x0C), (100e3, 0x0E), (200e3, 0x10),
+    (500e3, 0x12), (1e6, 0x14), (2e6, 0x18), (5e6, 0x1A), (10e6, 0x1C), (20e6, 0x1E), (50e6, 0x22), (100e6, 0x24),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("rate_hz", "number"), RATES)
+def test_every_board_takes_the_common_rates_under_the_vendors_numbers(rate_hz: float, number: int) -> None:
+    assert [model.rate_ids[rate_hz] for model in MODELS] == [number] * len(MODELS)
+    assert HERTZ_BY_ID[number] == rate_hz
+    assert mistakes(dataclasses.replace(CAPTURE, sample_rate_hz=rate_hz, trigger_delay_samples=0)) == []
+
 
 REFUSED = [
     ({"record_samples": 112}, ["record_samples = 112", "128"]),
@@ -54,6 +77,16 @@ def test_all_mistakes_are_found_at_once() -> None:
 @pytest.mark.parametrize("delay", [0, 8000, 1, -64, -1984])
 def test_delays_and_pre_triggers_the_board_can_do_are_accepted(delay: int) -> None:
     assert mistakes(dataclasses.replace(CAPTURE, trigger_delay_samples=delay)) == []
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
+def test_the_lowest_and_the_highest_code_alone_are_full_scale(model: BoardModel) -> None:
+    lowest, highest = model.code_limits
+    inside = np.array([lowest + 1, 0, highest - 1], np.int16)
+    assert not any_at_full_scale(inside, model)
+    for end in (lowest, highest):
+        assert any_at_full_scale(np.append(inside, np.int16(end)), model)
+        assert any_at_full_scale(np.full(3, end, np.int16), model)
 
 
 @pytest.mark.parametrize(("level_v", "code"), [(0.0, 128), (1.0, 153), (1.5, 166), (2.0, 178), (5.0, 255)])

@@ -91,6 +91,27 @@ def test_what_holds_the_best_scene_back_is_said(most_pulses: DesignResult) -> No
     assert "more tracking.pulse_count: time" in words
 
 
+def test_places_are_moved_to_where_the_moduli_are_told_best() -> None:
+    setup = prepare("gelatin-moduli")
+    short = {"excitation.burst_count": 8, "processing.window_start_s": 20e-3}
+    setup = prepare(setup.scene.scene.with_({**short, "sweep.lateral_offset_m": [1e-3, 1.5e-3]}))
+    place = "sweep.lateral_offset_m[1]"
+    problem = _problem(setup, place, "modulus-uncertainty", f"{place}=0.0012:0.006")
+    grid = np.linspace(0.0, 1.0, 5)
+    cost = [problem.cost(problem.values_at(np.array([each]))) for each in grid]
+    # two places that hardly differ tell little of the medium; what they tell is the bound that check prints
+    assert cost[0] > cost[2] + 0.5
+    best = problem.candidate(problem.values_at(np.array([grid[int(np.argmin(cost))]])))
+    mu1 = best.moduli.uncertainty[0] / best.moduli.values[0]
+    assert min(cost) == pytest.approx(math.log(mu1), abs=1e-4)
+    assert mu1 < problem.start.moduli.uncertainty[0] / problem.start.moduli.values[0]
+
+
+def test_moduli_need_a_push_to_be_designed_for() -> None:
+    with pytest.raises(SettingsError, match="nothing pushes"):
+        write_design(Request("table-1", "gate_length_m", "modulus-uncertainty"), print, print)
+
+
 def test_the_same_seed_gives_the_same_design() -> None:
     setup = prepare_text("no-speckle", NO_SPECKLE)
     first, again = (find_design(_problem(setup, "gate_length_m", "phase-jitter"), 7, generations=1) for _ in range(2))

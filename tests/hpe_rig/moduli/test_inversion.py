@@ -139,3 +139,9 @@ def test_too_few_data_are_refused() -> None:
         fit_medium([one], PUSH)
     with pytest.raises(ValueError, match="no place"):
         fit_medium([], PUSH)
+
+
+def test_a_place_beyond_what_the_field_was_tested_to_is_refused() -> None:
+    specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
+    with pytest.raises(ValueError, match=r"25 mm: the field is tested to 20 mm"):
+        fit_medium(vibrations(specimen, (1e-3, 25e-3)), PUSH)

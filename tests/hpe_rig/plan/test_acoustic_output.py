@@ -12,7 +12,7 @@ from drivers.interfaces import InstrumentError
 from hpe_rig.acquire.run import prepare
 from hpe_rig.bench.bench_file import DriveCalibration, OutputLimits, read_bench
 from hpe_rig.bench.opening import open_bench
-from hpe_rig.plan.checks.acoustic_output import derating_db, drive_output
+from hpe_rig.plan.checks.acoustic_output import AcousticOutput, derating_db, drive_output, highest_output
 from hpe_rig.plan.checks.check_result import CheckResult, PlanError, refuse_conflicts
 from hpe_rig.scene.scene import shipped_scenes
 
@@ -41,6 +41,13 @@ def of(check: str, found: tuple[CheckResult, ...]) -> list[CheckResult]:
 
 def test_output_is_derated_by_a_third_of_a_decibel_a_centimetre_and_megahertz() -> None:
     assert derating_db(3e6, 0.07) == pytest.approx(6.3, rel=1e-12)
+
+
+def test_nothing_is_estimated_without_a_calibration() -> None:
+    setup = prepare("bovine-muscle")
+    bench = setup.bench.bench.model_copy(update={"calibration": None})
+    assert highest_output(bench, setup.plan.shots) == AcousticOutput(0.0, 0.0, 0.0)
+    assert highest_output(setup.bench.bench, setup.plan.shots).mechanical_index > 0
 
 
 def test_the_mechanical_index_of_3_29_megapascal_at_3_megahertz_is_the_limit() -> None:

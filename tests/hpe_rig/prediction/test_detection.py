@@ -5,7 +5,7 @@ import pytest
 
 from hpe_rig.acquire.run import prepare, prepare_text
 from hpe_rig.bench.twin import twin_dose
-from hpe_rig.prediction.detection import detection_floor
+from hpe_rig.prediction.detection import FALSE_ALARMS, amplitude_quantile, detection_floor
 from hpe_rig.prediction.text import calibration_text, detection_text
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 
@@ -42,6 +42,22 @@ def test_floor_is_what_noise_exceeds_once_in_twenty():
     share = np.mean(np.hypot(*normal) > found.detected_m)
     # Three standard deviations of a binomial share of 1/20 in 40000.
     assert share == pytest.approx(0.05, abs=3 * np.sqrt(0.05 * 0.95 / 40_000))
+
+
+@pytest.mark.parametrize(
+    ("larger", "closed_form"), [(1.0, np.sqrt(2 * np.log(20))), (np.sqrt(2), np.sqrt(2) * 1.959964)]
+)
+def test_the_quantile_of_like_quadratures_is_rayleigh_s_and_of_one_alone_the_normal_one(larger, closed_form):
+    assert amplitude_quantile(larger) == pytest.approx(closed_form, rel=1e-6)
+
+
+@pytest.mark.parametrize("larger", [1.1, 1.3, 1.41])
+def test_the_quantile_of_unlike_quadratures_is_exceeded_once_in_twenty(larger):
+    deviations = np.array([larger, np.sqrt(2 - larger**2)])
+    amplitude = np.hypot(*(np.random.default_rng(2).standard_normal((40_000, 2)) * deviations).T)
+    # Three standard deviations of a binomial share of 1/20 in 40000.
+    tolerance = 3 * np.sqrt(FALSE_ALARMS * (1 - FALSE_ALARMS) / 40_000)
+    assert np.mean(amplitude > amplitude_quantile(larger)) == pytest.approx(FALSE_ALARMS, abs=tolerance)
 
 
 @pytest.mark.parametrize("name", WITH_SPECIMEN)

@@ -17,7 +17,7 @@ from hpe_rig.processing import (
     velocity_to_harmonics,
 )
 from hpe_rig.processing.echoes import EchoGate
-from hpe_rig.processing.harmonic import PHASE_VARIANCE_LIMIT
+from hpe_rig.result import PHASE_VARIANCE_LIMIT
 
 FloatArray = NDArray[np.float64]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from hpe_rig.result.estimates import Component, Estimate, ShotResult
+from hpe_rig.result.phase import phase_variance_rad2
 from hpe_rig.result.repeats import DISAGREE, RepeatMean, repeat_means
 
 AMPLITUDE_M, PHASE_RAD = 1e-7, 3.1
@@ -71,3 +73,21 @@ def test_only_complete_shots_of_equal_settings_are_repeats() -> None:
     stopped = replace(shot(2, 0, 0), complete=False)
     (mean,) = repeat_means([shot(0, 0, 0), shot(1, 0, 0), stopped, shot(3, 0, 0, force=0.5)])
     assert mean.shots == (0, 1)
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 1.0, 6.0])
+def test_the_phase_of_the_mean_of_weak_repeats_is_as_uncertain_as_stated(amplitude: float) -> None:
+    generator, trials = np.random.default_rng(9), 2000
+    ratio = []
+    for each in (amplitude + generator.standard_normal((trials, 5, 2)) @ np.array([1, 1j])).tolist():
+        shots = []
+        for index, phasor in enumerate(each):
+            u_rad = math.sqrt(phase_variance_rad2(abs(phasor), 1.0, 1.0))
+            estimate = Estimate(
+                100.0, abs(phasor), 1.0, cmath.phase(phasor), u_rad, components=(Component("noise", 1.0, u_rad),)
+            )
+            shots.append(ShotResult(index, index, 1e-4, 1.0, 100, 0, 1.0, (estimate,), ()))
+        mean = mean_of(shots)
+        ratio.append(mean.phase_rad / mean.phase_uncertainty_rad)
+    # On noise alone the mean of five would state a fifth of the variance of each, and be off by five times that.
+    assert 0.4 < np.mean(np.square(ratio)) < 1.7

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
+import inspect
 import io
 import json
 import os
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
@@ -23,6 +24,7 @@ import xarray as xr
 from drivers.interfaces import RecordBlock
 from hpe_rig.acquire.run import Setup, prepare, record_run
 from hpe_rig.acquire.run_file import process
+from hpe_rig.cli.app import resume, run
 from hpe_rig.result.html_repr import result_html
 from hpe_rig.result.rows import result_csv, result_frame
 from hpe_rig.scene.scene import shipped_scenes
@@ -121,6 +123,14 @@ def test_a_gate_is_read_alone(setup: Setup, tmp_path: Path) -> None:
     np.testing.assert_array_equal(stored.records.gated(1, gate).codes, stored.records[1].codes[:, gate])
 
 
+@pytest.mark.parametrize("pulses", [1, 7, 48, 100])
+def test_codes_come_in_steps_of_any_length_each_once(setup: Setup, tmp_path: Path, pulses: int) -> None:
+    records = read_run(written(setup, tmp_path / "run.h5", block_of(setup, 0, 48, 0.5))).records
+    steps = list(records.chunks(0, pulses))
+    assert [first for first, _ in steps] == list(range(0, 48, pulses))
+    np.testing.assert_array_equal(np.concatenate([codes for _, codes in steps])[:, 0], np.arange(48))
+
+
 def test_a_block_in_other_volts_than_the_range_says_is_refused(setup: Setup, tmp_path: Path) -> None:
     other = replace(block_of(setup, 0, 4, 0.5), volts_per_code=1e-3)
     with pytest.raises(StoreError, match="V per code"):
@@ -202,6 +212,21 @@ def test_compressed_records_are_the_same_records(setup: Setup, tmp_path: Path) -
         assert [item[0] for item in _filters(file["records/echo"])] == [32008]
     for one, other in zip(read_run(plain).records, read_run(packed).records, strict=True):
         np.testing.assert_array_equal(one.codes, other.codes)
+
+
+def test_records_are_compressed_only_where_that_is_asked_for(setup: Setup, tmp_path: Path) -> None:
+    images = [empty_run(setup.scene, setup.bench, setup.plan, *asked) for asked in ((), (False,), (True,))]
+    (tmp_path / "empty.h5").write_bytes(images[0])
+    assert images[0] == images[1] != images[2]
+    for path in (record_run(setup, tmp_path / "run.h5"), tmp_path / "empty.h5"):
+        with h5py.File(path) as file:
+            assert 32008 not in [item[0] for item in _filters(file["records/echo"])]
+            assert file["records/echo"].compression is None
+
+
+@pytest.mark.parametrize("command", [run, resume])
+def test_the_commands_do_not_compress_unless_told(command: Callable[..., None]) -> None:
+    assert inspect.signature(command).parameters["compress"].default is False
 
 
 def _filters(dataset: h5py.Dataset) -> list[tuple[int, ...]]:

@@ -188,6 +188,8 @@ def test_a_mistake_ends_the_message_but_not_what_stood_before_it(generator):
         ("TRIG:DEL 1", -221, "TRIG:DEL?", 9e-3 - 200e-9),
         ("TRIG:SOUR EXT;:OUTP:TRIG 1", -221, "OUTP:TRIG?", 0),
         ("OUTP:TRIG 1;:TRIG:SOUR EXT", -221, "OUTP:TRIG?", 0),
+        ("OUTP:TRIG 1;:BURS:MODE GAT", -221, "OUTP:TRIG?", 0),
+        ("BURS:MODE GAT;STAT 1;:OUTP:TRIG 1", -221, "OUTP:TRIG?", 0),
         ("FUNC DC;:BURS:STAT 1", -221, "BURS:STAT?", 0),
         ("BURS:STAT 1;:FUNC DC", -221, "BURS:STAT?", 0),
         ("TRIG:SOUR EXT;:FREQ 30 MHZ;:BURS:STAT 1", -221, "FREQ?", 25e6),
@@ -199,6 +201,14 @@ def test_a_setting_that_does_not_fit_is_bent_and_reported(generator, message, nu
     queued = errors(generator)
     assert number in queued
     assert set(queued) <= {-221, -222}
+
+
+@pytest.mark.parametrize(
+    "message", ["BURS:STAT 1;:OUTP:TRIG 1", "BURS:MODE GAT;:OUTP:TRIG 1", "OUTP:TRIG 1;:BURS:MODE TRIG;STAT 1"]
+)
+def test_trig_out_is_free_where_its_connector_is_no_input(generator, message):
+    generator.write(message)
+    assert (ask(generator, "OUTP:TRIG?"), errors(generator)) == ("1", [])
 
 
 def test_an_endless_burst_and_the_internal_trigger_exclude_each_other(generator):

@@ -1,0 +1,65 @@
+"""Forecast of the moduli: the bound that ``check`` prints is what the fit of such a run then states."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hpe_rig as hpe
+from hpe_rig.acquire import prepare
+from hpe_rig.moduli.forecast import ModuliForecast, moduli_forecast, moduli_text
+
+SHORT = {"excitation.burst_count": 15, "processing.window_start_s": 50e-3}
+
+
+def forecast(values: dict[str, object]) -> ModuliForecast:
+    setup = prepare(hpe.load_scene("gelatin-moduli").with_({**SHORT, **values}), None)
+    return moduli_forecast(setup.scene.scene, setup.plan)
+
+
+def test_what_is_forecast_is_what_the_fit_states(tmp_path: Path) -> None:
+    values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 3e-3, 5e-3]}
+    run = hpe.measure(hpe.load_scene("gelatin-moduli").with_(values), path=tmp_path / "run.h5")
+    fit = hpe.fit_moduli(run, laws=["voigt"]).best
+    expected = forecast(values)
+    assert expected.values == pytest.approx((7.25e3, 1.0))
+    # one run's own phasors and speckle turn the bound by some percent
+    np.testing.assert_allclose(expected.uncertainty, list(fit.uncertainty.values()), rtol=0.15)
+
+
+def test_more_places_and_better_known_ones_tell_more() -> None:
+    two = forecast({"sweep.lateral_offset_m": [1e-3, 3e-3]})
+    five = forecast({})
+    known = forecast({"tracking.offset_uncertainty_m": 1e-6})
+    assert two.uncertainty[0] > five.uncertainty[0] > known.uncertainty[0]
+    noisy = forecast({"processing.expected_snr_db": 10.0})
+    repeated = forecast({"processing.expected_snr_db": 10.0, "acquisition.repeats": 10})
+    assert noisy.uncertainty[1] > repeated.uncertainty[1] > five.uncertainty[1]
+
+
+def test_the_declared_medium_counts_before_the_twins_and_a_typical_one_where_neither_is() -> None:
+    declared = forecast({"medium": {"shear_modulus_pa": 4e3, "shear_viscosity_pa_s": 0.5}})
+    assert declared.values == pytest.approx((4e3, 0.5))
+    assert declared.known == "the declared medium"
+    typical = forecast({"simulation.specimen.field": "gaussian"})
+    assert typical.values == (9e3, 2.0)
+    assert "a typical medium of 9 kPa and 2 Pa s" in str(typical)
+
+
+def test_check_prints_it_for_a_scene_of_several_places_and_says_why_not_otherwise() -> None:
+    line = [line for line in str(hpe.check("gelatin-moduli")).splitlines() if line.startswith("moduli")]
+    assert len(line) == 1
+    assert "from 5 places" in line[0]
+    assert "moduli" not in str(hpe.check("gelatin-12")).split("prediction at")[1]
+    setup = prepare(hpe.load_scene("gelatin-moduli").with_({"simulation.receiver.snr_db": 80.0}), None)
+    flat = setup.scene.scene.with_(
+        {"beams.excitation_width_m": [0.34e-3, 0.2e-3, 3.6e-3], "simulation.specimen.field": "gaussian"}
+    )
+    assert list(moduli_text(flat, setup.plan)) == ["moduli: left out, a force of 0.00034 m by 0.0002 m is not round"]
+
+
+def test_a_scene_in_which_nothing_stands_out_is_told_so() -> None:
+    with pytest.raises(ValueError, match="too few harmonics"):
+        forecast({"simulation.specimen.force_density_n_per_m3": 1e3})

@@ -1,0 +1,86 @@
+"""Vibrations of stored runs: what cannot serve is left out and said so; places may have a strength of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hpe_rig as hpe
+from hpe_rig.moduli import ModuliResult, Source, moduli_of
+from hpe_rig.store import StoredRun
+
+TRUTH = {"shear_modulus_pa": 7.25e3, "viscosity_pa_s": 1.0}
+FORCE = "simulation.specimen.force_density_n_per_m3"
+
+
+def measured(path: Path, places_m: list[float], **values: object) -> hpe.Run:
+    scene = hpe.load_scene("gelatin-moduli").with_(
+        {
+            "sweep.lateral_offset_m": places_m,
+            "excitation.burst_count": 15,
+            "processing.window_start_s": 50e-3,
+            **values,
+        }
+    )
+    return hpe.measure(scene, path=path)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> hpe.Run:
+    return measured(tmp_path_factory.mktemp("places") / "run.h5", [1e-3, 2.5e-3, 4e-3, 14e-3])
+
+
+def fitted(run: hpe.Run, stored: StoredRun) -> ModuliResult:
+    return moduli_of([Source(run.path.name, run.scene, run.plan, stored)], ["voigt"])
+
+
+def require_truth(result: ModuliResult) -> None:
+    assert not result.best.excluded
+    for name, true in TRUTH.items():
+        assert abs(result.best.values[name] - true) < 3 * result.best.uncertainty[name]
+
+
+def test_harmonics_below_their_noise_are_left_out_and_named(run: hpe.Run) -> None:
+    result = fitted(run, run.stored)
+    require_truth(result)
+    (line,) = result.omitted
+    assert line.startswith("14 mm: ")
+    assert "1000 Hz, less than 3 times its uncertainty" in line
+    assert result.vibrations[-1].frequency_hz.size < 10
+    assert f"left out: {line}" in str(result)
+
+
+def test_missing_and_untrusted_shots_are_left_out_and_named(run: hpe.Run) -> None:
+    whole = fitted(run, run.stored)
+    complete = np.array(run.stored.shot_complete)
+    complete[1] = False
+    harmed = replace(run.stored, shot_complete=complete, untrusted={2: "the settings changed"})
+    result = fitted(run, harmed)
+    require_truth(result)
+    assert [one.label for one in result.vibrations] == ["1 mm", "14 mm"]
+    said = "\n".join(result.omitted)
+    for words in (
+        "2.5 mm: shot 2, incomplete",
+        "2.5 mm: no shot there can be estimated",
+        "4 mm: shot 3, untrusted: the settings changed",
+    ):
+        assert words in said
+    assert result.best.uncertainty["shear_modulus_pa"] > whole.best.uncertainty["shear_modulus_pa"]
+
+
+def test_a_run_without_one_good_shot_is_refused_with_the_reasons(run: hpe.Run) -> None:
+    nothing = replace(run.stored, shot_complete=np.zeros(4, bool))
+    with pytest.raises(ValueError, match=r"no place has a vibration.*1 mm: shot 1, incomplete"):
+        fitted(run, nothing)
+
+
+def test_a_force_that_changed_between_places_needs_an_amplitude_a_place(tmp_path: Path, run: hpe.Run) -> None:
+    strong = measured(tmp_path / "strong.h5", [1e-3, 2.5e-3])
+    weak = measured(tmp_path / "weak.h5", [4e-3, 5.5e-3], **{FORCE: 3.5e6})
+    common = hpe.fit_moduli(strong, weak, laws=["voigt"])
+    assert common.best.excluded
+    own = hpe.fit_moduli(strong, weak, laws=["voigt"], common_amplitude=False)
+    require_truth(own)

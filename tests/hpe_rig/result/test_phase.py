@@ -1,0 +1,41 @@
+"""The uncertainty of a phase: that of a phasor in noise, also where there is nothing but noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hpe_rig.result.phase import PHASE_VARIANCE_LIMIT, phase_variance_rad2
+
+TRIALS = 40_000
+
+
+def squared_ratio(amplitude: float | np.ndarray) -> np.ndarray:
+    """Return (error / u)^2 of the phases of phasors of ``amplitude``, phase 0, in noise of 1 a quadrature."""
+    quadratures = np.random.default_rng(4).standard_normal((2, TRIALS))
+    found = amplitude + quadratures[0] + 1j * quadratures[1]
+    return np.asarray(np.angle(found) ** 2 / phase_variance_rad2(np.abs(found), 1.0, 1.0))
+
+
+@pytest.mark.parametrize("amplitude", [5.0, 8.0, 30.0])
+def test_far_out_of_noise_it_is_noise_over_amplitude(amplitude: float) -> None:
+    assert phase_variance_rad2(amplitude, 1.0, 1.0) == pytest.approx(amplitude**-2, rel=4e-3)
+    # The first order in noise over amplitude leaves 4 % at 5; three standard deviations of a mean of squares.
+    assert np.mean(squared_ratio(amplitude)) == pytest.approx(1, abs=0.04 + 3 * np.sqrt(2 / TRIALS))
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.1, 0.3])
+def test_of_noise_alone_it_is_nearly_that_of_an_unknown_phase(amplitude: float) -> None:
+    assert phase_variance_rad2(1.0, 1.0, 1.0) == pytest.approx(PHASE_VARIANCE_LIMIT, rel=0.2)
+    # Noise over amplitude alone would have 6.6 there.
+    assert 1.0 < np.mean(squared_ratio(amplitude)) < 1.7
+
+
+def test_over_amplitudes_of_any_decade_it_is_true_on_the_mean() -> None:
+    decades = np.random.default_rng(5).uniform(-2, 2, TRIALS)
+    assert 0.8 < np.mean(squared_ratio(10**decades)) < 1.25
+
+
+def test_what_a_motion_makes_wrong_of_itself_is_no_sign_that_there_is_none() -> None:
+    assert phase_variance_rad2(10.0, 36.0, 1.0) == pytest.approx(0.36)
+    assert phase_variance_rad2(0.0, 0.0, 0.0) <= PHASE_VARIANCE_LIMIT
