@@ -42,7 +42,8 @@ class ShearMotion:
     """Displacement per body force and its derivatives at every frequency and place, complex (frequency, place).
 
     ``value`` in m per N/m^3; ``by_modulus`` its derivative with respect to the complex modulus, ``by_across``,
-    ``by_across_twice`` (the second) and ``by_along`` with respect to the squared widths A and B, ``by_lateral`` and ``by_axial`` to the place.
+    ``by_across_twice`` (the second) and ``by_along`` with respect to the squared widths A and B, ``by_lateral`` and
+    ``by_axial`` to the place.
     """
 
     value: ComplexArray
