@@ -90,7 +90,7 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
     if not scene.wanted_frequencies_hz:
         yield "prediction: left out, no vibration frequency is wanted"
         return
-    if any(finding.check == "driven harmonics" for finding in setup.findings):
+    if any(finding.check == "fit size" for finding in setup.findings):
         yield "prediction: left out, the fit is larger than memory"
         return
     yield from prediction.detection_text(scene, bench.simulated, shot)

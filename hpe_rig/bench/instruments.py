@@ -102,12 +102,16 @@ class Bench:
 
 
 def proven_off(roles: Sequence[str], proven: Mapping[str, str]) -> str:
-    """Return in words which outputs of ``roles`` are known to be off, and how, once those in ``proven`` are safe."""
-    unknown = ", ".join(role for role in roles if role not in proven)
+    """Return in words which outputs of ``roles`` are known to be off, and how, once those in ``proven`` are safe.
+
+    The digitizer drives nothing by itself: what it triggers is a generator of its own role.
+    """
+    unknown = [role for role in roles if role not in proven and role != "digitizer"]
     if not unknown:
         return f"every output is off, verified: {_in_words(proven)}"
     others = f"the others are off, verified: {_in_words(proven)}" if proven else "there are no others"
-    return f"not identified, so not proven off: {unknown}: look whether they are on; {others}"
+    whether = "it is" if len(unknown) == 1 else "they are"
+    return f"not identified, so not proven off: {', '.join(unknown)}: look whether {whether} on; {others}"
 
 
 def make_safe(instruments: Sequence[Instrument]) -> dict[str, str]:

@@ -56,7 +56,10 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
                 yield opened
         except BaseException as error:
             if not (isinstance(error, UnsafeBenchError) and error.concerns(known)):
-                error.add_note(proven_off(roles, make_safe(known)))
+                proven = make_safe(known)
+                # Of a simulated bench that nobody reached yet nothing is on, and nobody can go and look.
+                if known or not bench.simulated:
+                    error.add_note(proven_off(roles, proven))
             # Else just tried, as stubbornly as it is worth.
             raise
         make_safe(known)

@@ -91,6 +91,14 @@ class TwinDeclaration:
         receiver = self.settings.receiver
         return 0.0 if receiver.snr_db is None else float(receiver.echo_rms_v * 10 ** (-receiver.snr_db / 20))
 
+    def echo_pulse_s(self, carrier_hz: float) -> float:
+        """Return about how long the echo of one scatterer is: one over its bandwidth, or as it was measured."""
+        scatterers = self.settings.scatterers
+        if scatterers.measured_pulse is not None:
+            return len(scatterers.measured_pulse) / scatterers.measured_pulse_rate_hz
+        centre_hz = scatterers.band_centre_hz if scatterers.pulse == "burst" else carrier_hz
+        return 1 / (scatterers.bandwidth * centre_hz)
+
     def echo_v(self, amplitude_vpp: float, cycles: float, carrier_hz: float, off_focus_m: float = 0.0) -> float:
         """Return the resting echo of such a tracking pulse at the digitizer without receive chain, root mean square.
 

@@ -53,7 +53,10 @@ def all_off(path: Path | None) -> int:
     switched = switch_off(bench, announce)
     console = wide_console()
     console.print(f"{bench.title} ({'SIMULATED' if bench.simulated else 'real'})", style="bold")
-    rows = [(item.role, item.address, "off" if item.proven else "NOT PROVEN", item.how) for item in switched]
+    rows = [
+        (item.role, item.address, "off" if item.proven else "NOT PROVEN", item.how.removeprefix(f"{item.role}: "))
+        for item in switched
+    ]
     console.print(rich_table(("role", "address", "output", "known because"), rows, words=4))
     left = [item.role for item in switched if not item.proven]
     outputs = [role for role in left if role != "digitizer"]

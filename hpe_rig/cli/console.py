@@ -67,7 +67,7 @@ def _interrupt_in(error: BaseException) -> BaseException | None:
 
 def ignore_interrupts() -> None:
     """Let no signal end the process any more but by itself."""
-    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGBREAK"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)
 

@@ -30,6 +30,8 @@ ComplexArray = NDArray[np.complex128]
 
 STARTS_FOLLOWED = 3
 """Starting points from which the fit is run, the best of a grid; each in a neighbourhood of its own."""
+LEAST_AREA = 0.05
+"""Tracked area, over its mean, below which no speckle leads."""
 MOST_STEPS = 60
 """Of the solver from one start; a law that cannot explain the data would crawl on."""
 SECOND_MINIMUM = 12.0
@@ -217,6 +219,7 @@ class Problem:
                 ("gain", place, one.gain_uncertainty),
                 ("phase", place, one.phase_uncertainty_rad),
                 ("area", place, one.area_uncertainty),
+                ("shape", place, one.area_uncertainty),
             ]
         whitening = tuple(np.linalg.inv(np.linalg.cholesky(one.covariance_m2)) for one in vibrations)
         unit_m = float(np.sqrt(np.mean(np.concatenate([np.abs(one.phasor_m) ** 2 for one in vibrations]))))
@@ -304,9 +307,9 @@ class Problem:
         push, count, ones = self.push, self.free - 1, [self.vibrations[place] for place in places]
         across = push.width_m[0] * np.exp(known.get(("across", -1), 0.0))
         along = push.width_m[1] * np.exp(known.get(("along", -1), 0.0))
-        area = np.array(
-            [one.tracking_m2[0] * np.exp(known.get(("area", p), 0.0)) for p, one in zip(places, ones, strict=True)]
-        )
+        mean_area = np.array([one.tracking_m2[0] for one in ones])
+        # a solver's step may ask for an area below none
+        area = mean_area * np.maximum(1 + np.array([known.get(("area", p), 0.0) for p in places]), LEAST_AREA)
         lateral = np.array(
             [one.lateral_m + known.get(("lateral", p), 0.0) for p, one in zip(places, ones, strict=True)]
         )
@@ -328,7 +331,10 @@ class Problem:
         # the force's peak is free: what counts is how the field's amplitude hangs on frequency and place
         scale = self.unit_m / self._unit_field * np.exp(unknown[count] + own)
         front = (push.spectrum(frequency_hz) * onset)[:, None] * scale
-        value = front * field.value
+        # Speckle's second mode: the weight at the middle and at the edge against that in between, of the same area.
+        shape = np.array([known.get(("shape", p), 0.0) for p in places])
+        bent = front * field.by_across_twice * mean_area**2 / 2
+        value = front * field.value + shape * bent
         by_law = by_values * self.law.slopes(values)
         return {
             "gain": value,
@@ -337,7 +343,8 @@ class Problem:
             "across": 2 * value + front * field.by_across * 2 * across**2,
             "along": value + front * field.by_along * 2 * along**2,
             "lateral": front * field.by_lateral,
-            "area": front * field.by_across * area,
+            "area": front * field.by_across * mean_area,
+            "shape": bent,
             **{f"law {i}": front * field.by_modulus * by_law[:, i, None] for i in range(count)},
         }
 

@@ -12,6 +12,7 @@ from .checks.checklist import check_plan as check_plan
 from .interference import disturbed_pulses as disturbed_pulses
 from .omitted import omissions as omissions
 from .selection import (
+    LARGEST_CONDITION as LARGEST_CONDITION,
     Selection as Selection,
     driven_frequencies_hz as driven_frequencies_hz,
     select as select,

@@ -19,6 +19,8 @@ from hpe_rig.scene import Excitation, Scene
 
 HIGHEST_DRIVEN_HZ = 2e4
 """A specimen follows no further: at 20 kHz a shear wave is far shorter than the beam is wide."""
+LARGEST_CONDITION = 100.0
+"""Condition number of a fit from which on frequencies are refused as not resolved."""
 
 
 @dataclass(frozen=True, slots=True)

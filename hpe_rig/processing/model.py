@@ -15,11 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
+from hpe_rig.plan import LARGEST_CONDITION as LARGEST_CONDITION
 from hpe_rig.processing.echoes import BoolArray, FloatArray
-
-LARGEST_CONDITION = 100.0
-"""Condition number from which on frequencies are refused as not resolved."""
-
 
 SURE_CONDITION = 1e4
 """Condition number up to which products of columns, its square, leave half of the digits; QR keeps them all."""

@@ -41,13 +41,15 @@ NODES = 12
 class ShearMotion:
     """Displacement per body force and its derivatives at every frequency and place, complex (frequency, place).
 
-    ``value`` in m per N/m^3; ``by_modulus`` its derivative with respect to the complex modulus, ``by_across`` and
-    ``by_along`` with respect to the squared widths A and B, ``by_lateral`` and ``by_axial`` to the place.
+    ``value`` in m per N/m^3; ``by_modulus`` its derivative with respect to the complex modulus, ``by_across``,
+    ``by_across_twice`` (the second) and ``by_along`` with respect to the squared widths A and B, ``by_lateral`` and
+    ``by_axial`` to the place.
     """
 
     value: ComplexArray
     by_modulus: ComplexArray
     by_across: ComplexArray
+    by_across_twice: ComplexArray
     by_along: ComplexArray
     by_lateral: ComplexArray
     by_axial: ComplexArray
@@ -83,6 +85,7 @@ def shear_motion(
         value=kernel @ waves,
         by_modulus=by_modulus @ waves,
         by_across=kernel @ (-k2 / 2 * waves),
+        by_across_twice=kernel @ (k2**2 / 4 * waves),
         by_along=by_half @ waves / 2,
         by_lateral=kernel @ slope,
         by_axial=by_axial @ waves,

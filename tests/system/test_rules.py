@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,12 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("hpe_rig", "drivers", "sim_backend")
 HEAVY = ("numpy", "scipy", "matplotlib", "pyvisa", "h5py", "sim_backend", "xarray")
+
+
+@cache
+def parsed(text: str) -> ast.Module:
+    """Return the syntax tree of a file's text, which most copies of the tree share."""
+    return ast.parse(text)
 
 
 def modules_after(statement: str, root: Path = ROOT) -> set[str]:
@@ -101,7 +108,7 @@ def faces(root: Path) -> dict[str, Path]:
 
 def offers(face: Path) -> dict[str, str]:
     """Return each name that a face offers, and the file of the room that it comes from, dotted."""
-    statements = [item for item in ast.parse(face.read_text(encoding="utf-8")).body if isinstance(item, ast.ImportFrom)]
+    statements = [item for item in parsed(face.read_text(encoding="utf-8")).body if isinstance(item, ast.ImportFrom)]
     return {alias.asname or alias.name: item.module or "" for item in statements for alias in item.names}
 
 
@@ -132,7 +139,7 @@ def face_mistakes(root: Path) -> list[str]:
             stub = source.with_suffix(".pyi")
             known = set(offers(stub)) if stub.exists() else set()
             if source.exists():
-                known |= set(defined(ast.parse(source.read_text(encoding="utf-8")).body))
+                known |= set(defined(parsed(source.read_text(encoding="utf-8")).body))
             if name not in known:
                 mistakes.append(f"{room} offers {name}, which {module} does not define")
             shadow = face.parent / name
@@ -143,7 +150,7 @@ def face_mistakes(root: Path) -> list[str]:
 
 def imports(file: Path) -> Iterator[tuple[int, str, list[str]]]:
     """Yield line, module and names (none: the module itself) of every import, wherever in the file it stands."""
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in ast.walk(parsed(file.read_text(encoding="utf-8"))):
         match node:
             case ast.ImportFrom(module=str(module), level=0, names=names):
                 yield node.lineno, module, [alias.name for alias in names]
@@ -236,7 +243,7 @@ def unlisted(root: Path) -> list[str]:
     """Return the files and folders that their room's docstring does not list, and those that it lists in vain."""
     mistakes = []
     for face in sorted(file for package in PACKAGES for file in (root / package).rglob("__init__.py")):
-        room, text = face.parent, ast.get_docstring(ast.parse(face.read_text(encoding="utf-8"))) or ""
+        room, text = face.parent, ast.get_docstring(parsed(face.read_text(encoding="utf-8"))) or ""
         # A file is listed as `name`, as name.py, or with others at the start of a line; a folder may be name/.
         lists = re.findall(r"(\w+)\.py\b|(\w+)/|`(\w+)`|^ +(\w+(?:, \w+)*) {2}", text, flags=re.MULTILINE)
         listed = {name for found in lists for name in ", ".join(found).split(", ")}

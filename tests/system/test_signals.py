@@ -20,7 +20,7 @@ from hpe_rig.acquire.run import Setup, record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import acquire
 from hpe_rig.bench import instruments as open_instruments, opening as bench_module
-from hpe_rig.bench.instruments import UnsafeBenchError
+from hpe_rig.bench.instruments import UnsafeBenchError, proven_off
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.plan.shots import SAFETY_MARGIN_S
 from hpe_rig.store import RunWriter, read_run
@@ -285,3 +285,25 @@ def test_the_checks_of_these_tests_can_fail(
     record_run(prepared("bovine-muscle-synchronous"), tmp_path / "run.h5")
     with pytest.raises(AssertionError):
         assert_safe(worlds[0])
+
+
+def test_of_a_simulated_bench_that_was_never_reached_nobody_is_sent_to_look(
+    prepared: Prepare, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> World:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(bench_module, "_world", interrupted)
+    setup = prepared("bovine-muscle-synchronous")
+    with (
+        pytest.raises(KeyboardInterrupt) as caught,
+        open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles),
+    ):
+        pass
+    assert not getattr(caught.value, "__notes__", [])
+
+
+def test_nobody_is_sent_to_look_at_a_digitizer_which_has_no_output() -> None:
+    proven = {"master": "read back as off"}
+    assert "every output is off" in proven_off(["master", "digitizer"], proven)
+    assert "burst_train: look whether it is on" in proven_off(["master", "burst_train", "digitizer"], proven)

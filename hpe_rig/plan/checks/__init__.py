@@ -7,7 +7,7 @@
     output            tasks against what the generators can do
     acoustic_output   estimated output at the focus against its limits
     timing            periods, record and depth
-    sampling          aliasing, window and resolution
+    sampling          aliasing, window, resolution and size of the fit
     digitizer         records against what the board can do
     checklist         every check in order
 

@@ -12,7 +12,7 @@ from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.checks.digitizer import background, board, capture_mode, gate_in_record, memory
 from hpe_rig.plan.checks.excitation import excitation, interference
 from hpe_rig.plan.checks.output import drive, generators
-from hpe_rig.plan.checks.sampling import driven_harmonics, resolution, wanted_frequencies
+from hpe_rig.plan.checks.sampling import driven_harmonics, fit_condition, fit_size, resolution, wanted_frequencies
 from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
 from hpe_rig.plan.checks.tracking import trackable
@@ -35,6 +35,8 @@ CHECKS: Final[tuple[Check, ...]] = (
     wanted_frequencies,
     driven_harmonics,
     resolution,
+    fit_size,
+    fit_condition,
     gate_in_record,
     background,
     board,

@@ -37,11 +37,21 @@ def trackable(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResul
 
 
 def _echo(scene: Scene, bench: BenchFile, shot: Shot, twin: TwinDeclaration, off_m: float) -> Iterator[CheckResult]:
-    """Yield whether the resting echo, ``off_m`` from the focus, is above a step of the digitizer and the noise."""
+    """Yield whether the resting echo, ``off_m`` from the focus, ends in time and is above digitizer step and noise."""
     if not twin.echoes:
         text = "simulation.scatterers has neither scatterers (per_cell = 0) nor reflectors: nothing echoes"
         yield CheckResult("echo level", "refused", text, "per_cell above 0, such as 11")
         return
+    pulse_s, period_s = twin.echo_pulse_s(scene.tracking.carrier_hz), 1 / scene.tracking.pulse_rate_hz
+    if pulse_s > period_s:
+        text = f"simulation.scatterers make an echo {pulse_s * 1e3:.3g} ms long, from one tracking pulse "
+        text += f"to the next are {period_s * 1e3:.3g} ms"
+        yield CheckResult(
+            "echo length",
+            "refused",
+            text,
+            "a larger bandwidth, a shorter measured_pulse, or a lower tracking.pulse_rate_hz",
+        )
     if twin.has_receive_chain:
         # What reaches the digitizer is then the filters' and amplifiers' doing.
         return

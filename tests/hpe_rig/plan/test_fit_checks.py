@@ -1,0 +1,58 @@
+"""Checks of the fit and of the twin's echo: what passes can be estimated, what is refused could not be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.plan.checks.checklist import check_plan
+from hpe_rig.plan.selection import LARGEST_CONDITION, select
+from hpe_rig.plan.shots import make_plan
+from hpe_rig.processing.model import linear_model
+from hpe_rig.scene.scene import load_scene
+
+BENCH = read_bench().bench
+SHORT = {"processing.window_start_s": 0.05, "processing.window_length_s": 0.012}
+
+
+def levels(changes: Mapping[str, object], name: str = "bovine-muscle") -> dict[str, str]:
+    own = load_scene(name).with_(changes)
+    return {found.check: found.level for found in check_plan(own, BENCH, make_plan(own, BENCH))}
+
+
+@pytest.mark.parametrize("order", range(0, 21, 2))
+@pytest.mark.parametrize("length_s", [0.012, 0.03, 0.1])
+def test_a_background_is_refused_where_least_squares_would_refuse_it(order: int, length_s: float) -> None:
+    changes = SHORT | {"processing.window_length_s": length_s, "processing.background_order": order}
+    changes |= {"processing.harmonic": "least_squares"}
+    own = load_scene("bovine-muscle").with_(changes)
+    chosen = select(own, make_plan(own, BENCH).shots[0])
+    condition = linear_model(chosen.time_s, chosen.used, chosen.wanted_hz, np.inf, background_order=order).condition
+    assert ("fit" in levels(changes)) == (condition > LARGEST_CONDITION)
+
+
+@pytest.mark.parametrize("estimator", ["cross_spectrum", "joint"])
+def test_an_estimator_without_prior_needs_what_least_squares_need(estimator: str) -> None:
+    changes = SHORT | {"processing.background_order": 20}
+    assert levels(changes | {"processing.estimator": estimator})["fit"] == "refused"
+    assert "fit" not in levels(changes)
+
+
+def test_more_unknowns_than_pulses_are_refused() -> None:
+    changes = {"processing.window_length_s": 0.005, "processing.background_order": 5}
+    assert levels(changes | {"processing.harmonic": "least_squares"})["fit"] == "refused"
+
+
+def test_a_fit_larger_than_memory_is_refused() -> None:
+    many = {"tracking.pulse_count": 1_000_000, "processing.window_start_s": 0.05}
+    assert levels(many)["fit size"] == "refused"
+    assert "fit size" not in levels(many | {"processing.window_length_s": 20.0})
+
+
+@pytest.mark.parametrize(("bandwidth", "refused"), [(1e-4, True), (1e-3, False)])
+def test_an_echo_longer_than_the_time_between_pulses_is_refused(bandwidth: float, refused: bool) -> None:
+    found = levels({"simulation.scatterers.bandwidth": bandwidth})
+    assert (found.get("echo length") == "refused") == refused
