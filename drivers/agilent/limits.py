@@ -59,7 +59,7 @@ def _beyond_wiring(task: GeneratorTask, max_vpp: float) -> list[str]:
 
 def _pulse_timing(train: PulseTrain, model: GeneratorModel) -> list[str]:
     rate = _outside("rate_hz", train.rate_hz, model.pulse_rate_hz)
-    return rate or _width(train.width_s, 1.0 / train.rate_hz, model)
+    return rate or _width(train.width_s, model.shortest_period_s(train.rate_hz), model)
 
 
 def _width(width_s: float, period_s: float, model: GeneratorModel) -> list[str]:

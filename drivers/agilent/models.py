@@ -77,6 +77,11 @@ class GeneratorModel:
             return self.frequency_resolution.at(value)
         return LEVEL_RESOLUTION.at(value) if header in LEVELS else 0.0
 
+    def shortest_period_s(self, rate_hz: float) -> float:
+        """Return the shortest period that a rate may be held as: rounded up to the resolution, if it lies between."""
+        step_hz = self.resolution("FREQ", rate_hz)
+        return 1 / max(rate_hz, step_hz * math.ceil(rate_hz / step_hz * (1 - 1e-12)))
+
     def least_width_s(self, period_s: float) -> float:
         """Return the narrowest pulse at a period."""
         return next((width for above_s, width in self.narrowest_s if period_s > above_s), self.width_s[0])

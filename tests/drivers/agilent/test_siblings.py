@@ -86,8 +86,9 @@ def test_every_role_is_programmed_and_read_back_on_every_model(name: str) -> Non
 def test_trains_at_and_between_the_limits_of_every_model_read_back(model, rate, count, delay, width) -> None:
     low_hz, high_hz = model.pulse_rate_hz
     rate_hz = min(max(low_hz * (high_hz / low_hz) ** rate, low_hz), high_hz)
-    least_s = model.least_width_s(1 / rate_hz)
-    widest_s = min(model.width_s[1], 1 / rate_hz - max(model.width_s[0], 1.6 * model.edge_s))
+    period_s = model.shortest_period_s(rate_hz)
+    least_s = model.least_width_s(period_s)
+    widest_s = min(model.width_s[1], period_s - max(model.width_s[0], 1.6 * model.edge_s))
     train = PulseTrain(
         rate_hz=rate_hz,
         count=round(model.cycles[0] + count * (model.cycles[1] - model.cycles[0])),
