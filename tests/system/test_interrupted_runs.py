@@ -268,7 +268,7 @@ def test_a_signal_at_any_time_leaves_all_outputs_of_another_process_off(
         wrong += [f"{number.name} after {delay_s:.3f} s: {what}" for what in judged(rig, said, code)]
     print(f"{number.name}: {runs} runs, {while_on} struck while outputs were on, exit codes {dict(codes)}")
     assert not wrong, "\n".join(wrong)
-    assert while_on >= runs / 10
+    assert while_on >= runs // 10
 
 
 @pytest.mark.parametrize("storms", [2, pytest.param(40, marks=pytest.mark.slow)])
