@@ -260,7 +260,7 @@ def test_a_signal_at_any_time_leaves_all_outputs_of_another_process_off(
 ) -> None:
     chance = random.Random(1000 * runs + number)
     wrong, while_on, codes = [], 0, Counter[int]()
-    for run in range(runs):
+    for _ in range(runs):
         delay_s = chance.uniform(0.0, 1.05 * undisturbed_s) if runs > 1 else 0.5 * undisturbed_s
         said, code, on = struck(rig, [number], [delay_s])
         while_on += len(on) >= OUTPUTS - 1
