@@ -32,7 +32,7 @@ STARTS_FOLLOWED = 3
 """Starting points from which the fit is run, the best of a grid; each in a neighbourhood of its own."""
 LEAST_AREA = 0.05
 """Tracked area, over its mean, below which no speckle leads."""
-MOST_STEPS = 60
+MOST_STEPS = 100
 """Of the solver from one start; a law that cannot explain the data would crawl on."""
 SECOND_MINIMUM = 12.0
 """Chi-square above the best up to which another minimum is told of: it is as likely as one in 400."""

@@ -140,7 +140,7 @@ LAWS: dict[MediumLaw, Law] = {
         "zener",
         (
             _stiffness("shear_modulus_pa", _STIFF),
-            _stiffness("branch_modulus_pa", (2e3, 15e3, 100e3)),
+            _stiffness("branch_modulus_pa", (2e3, 15e3, 100e3, 1e6)),
             _viscosity((0.5, 2.0, 8.0)),
         ),
         _zener,

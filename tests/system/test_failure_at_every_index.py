@@ -361,7 +361,16 @@ def outputs_watched(tap: Tap) -> Iterator[dict[str, float]]:
         watcher.join()
 
 
-@pytest.mark.parametrize("transport", OVER)
+@pytest.mark.parametrize(
+    "transport",
+    [
+        TRANSPORTS[0],
+        *(
+            pytest.param(name, marks=[pytest.mark.slow, *([needs_pty] if name == "serial" else [])])
+            for name in TRANSPORTS[1:]
+        ),
+    ],
+)
 @pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["few", "many"])
 def test_a_fault_over_a_real_transport_leaves_the_bench_safe(
     prepared: Prepare,

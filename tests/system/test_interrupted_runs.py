@@ -238,7 +238,7 @@ def judged(rig: Rig, said: str, code: int) -> list[str]:
     wrong = [f"{role} is on" for role in rig.outputs_on()]
     if "Traceback" in said or "Error" in said:
         wrong.append(f"not a message: {said}")
-    if code < 0 and said:
+    if code < 0 and said and not said.endswith("\n"):
         wrong.append(f"killed by {-code} in the middle of {said!r}")
     if code not in (0, 3) and code > 0:
         wrong += [] if code in {130, 143, 129} else [f"exit code {code}: {said}"]

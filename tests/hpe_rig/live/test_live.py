@@ -142,8 +142,11 @@ def is_ended(connection: socket.socket) -> bool:
 WHOLE = b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n"
 
 
+LONG = b"GET / HTTP/1.1\r\nHost: localhost\r\nA: " + b"b" * 5000
+
+
 @pytest.mark.parametrize(
-    "start", [b"", b"GET / HT", WHOLE[:-2], b"GET / HTTP/1.1\r\nHost: localhost\r\nA: " + b"b" * 5000]
+    "start", [b"GET / HT", *(pytest.param(each, marks=pytest.mark.slow) for each in (b"", WHOLE[:-2], LONG))]
 )
 def test_a_half_open_request_is_ended_within_ten_seconds(page: LivePage, start: bytes) -> None:
     assert is_ended(half_open(page, start))

@@ -24,7 +24,7 @@ def ours(mu1: float, mu2: float, width_m: tuple[float, float], lateral_m: np.nda
     return shear_motion(modulus, FREQUENCY_HZ, 1000.0, width_m, *squares, lateral_m, axial_m).value
 
 
-@pytest.mark.parametrize("width_m", [NARROW, WIDE])
+@pytest.mark.parametrize("width_m", [pytest.param(NARROW, marks=pytest.mark.slow), WIDE])
 @pytest.mark.parametrize("medium", MEDIA)
 def test_the_field_is_the_twins_to_1e_9_of_the_peak(medium: tuple[float, float], width_m: tuple[float, float]) -> None:
     specimen = Specimen(shear_modulus_pa=medium[0], shear_viscosity_pa_s=medium[1])
