@@ -33,7 +33,6 @@ from sim_backend.world import World
 
 Prepare = Callable[..., Setup]
 needs_pty = pytest.mark.skipif(os.name == "nt", reason="needs a pseudo terminal")
-OVER = [pytest.param(name, marks=needs_pty) if name == "serial" else name for name in TRANSPORTS]
 
 PASSING = (
     "exception",
