@@ -7,6 +7,7 @@ function that takes the lateral offset in metres and returns when it is there), 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.metadata import entry_points
 
 from hpe_rig.bench import Bench
 from hpe_rig.plan import Plan
@@ -45,9 +46,6 @@ def mover_of(plan: Plan, bench: Bench, move: Mover | None) -> Mover:
 
 
 def _stages() -> dict[str, Callable[[], Mover]]:
-    # slow to import, and asked for on a bench alone
-    from importlib.metadata import entry_points
-
     return {each.name: each.load for each in entry_points(group=STAGES)}
 
 

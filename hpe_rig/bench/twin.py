@@ -9,7 +9,6 @@ import cmath
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,8 +18,8 @@ from hpe_rig.scene import Mistake, Scene, mistakes_of
 
 if TYPE_CHECKING:
     from hpe_rig.bench.bench_file import BenchFile
-    from sim_backend.motion import Dose, StepResponse
-    from sim_backend.settings import SimulationSettings, Specimen
+    from sim_backend.motion import Dose
+    from sim_backend.settings import SimulationSettings
 
 REFERENCE_CYCLES = 3
 """Cycles of the tracking pulse that gives the twin's stated echo."""
@@ -141,7 +140,7 @@ class TwinDeclaration:
         burst_length_s: float,
         drive: tuple[float, float],
     ) -> NDArray[np.float64]:
-        from sim_backend.motion import radiation_force, transient_displacement
+        from sim_backend.motion import radiation_force, tabulate_step_response, transient_displacement
         from sim_backend.wiring import Bursts
 
         settings, specimen = self.settings, self.settings.specimen
@@ -151,7 +150,7 @@ class TwinDeclaration:
         carrier_hz, amplitude_vpp = (np.full(onset_ps.shape, value) for value in drive)
         length_ps = round(burst_length_s * 1e12)
         bursts = Bursts(onset_ps, onset_ps + length_ps, carrier_hz, burst_length_s * carrier_hz, amplitude_vpp)
-        response = _step_response(specimen, settings.beams.excitation_width_m)
+        response = tabulate_step_response(specimen, settings.beams.excitation_width_m)
         travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
         force = radiation_force(bursts, specimen, travel_s, settings.transmitter)
         return np.asarray(transient_displacement(response, force, time_ps))
@@ -240,13 +239,6 @@ class TwinDeclaration:
 
         s_per_s = np.asarray(2j * np.pi * frequency_hz, np.complex128)
         return np.asarray(shear_modulus(specimen, s_per_s)), specimen.density_kg_per_m3
-
-
-@lru_cache(maxsize=8)
-def _step_response(specimen: Specimen, width_m: tuple[float, float, float]) -> StepResponse:
-    from sim_backend.motion import tabulate_step_response
-
-    return tabulate_step_response(specimen, width_m)
 
 
 def twin_of(scene: Scene) -> TwinDeclaration | None:

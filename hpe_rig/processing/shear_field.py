@@ -69,8 +69,9 @@ def shear_motion(
 
     ``modulus_pa`` and ``frequency_hz`` (frequency,); ``across_m2``, one or (place,), and ``along_m2``: squared widths
     with what the tracking averages over; ``lateral_m`` (place,) distances from the axis, ``axial_m`` that from the
-    focal plane. Good to 1e-10 of the largest displacement: 0.5 to 500 kPa, viscosities from none to 50 Pa s, places to
-    20 mm, waves from a tenth of the force's width to some thousand of it.
+    focal plane. Good to 1e-10 of the largest displacement, 1e-8 for waves of a tenth of the force's width: 0.5 to
+    500 kPa, viscosities from none to 50 Pa s, places to 20 mm, waves from a tenth of the force's width to some thousand
+    of it.
     """
     k, waves, slope, q2, front = _waves(
         modulus_pa, frequency_hz, density_kg_per_m3, force_width_m, across_m2, along_m2, lateral_m

@@ -235,11 +235,17 @@ def _shot_count(run: Run, result: Result) -> str:
 
 
 def _scene_of(run: Run, shown: ShotResult) -> Scene:
-    """Return the scene at the pulse rate and with the slow-time window of the shown shot."""
-    rates = [rate for rate in run.scene.rates if rate.tracking.pulse_rate_hz == shown.pulse_rate_hz]
+    """Return the scene at the place and pulse rate, and with the slow-time window, of the shown shot."""
+    wanted = shown.pulse_rate_hz, shown.lateral_offset_m, shown.axial_offset_m
+    rates = [rate for place in run.scene.places for rate in place.rates if _setting(rate) == wanted]
     windows = [window for rate in rates for window in rate.windows]
     own = [window for window in windows if window.processing.window_length_s == shown.window_length_s]
     return (own or [run.scene])[0]
+
+
+def _setting(scene: Scene) -> tuple[float, float, float]:
+    tracking = scene.tracking
+    return tracking.pulse_rate_hz, tracking.lateral_offset_m, tracking.axial_offset_m
 
 
 def _dose(run: Run, shown: ShotResult) -> list[tuple[str, str]]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,8 +129,12 @@ class StepResponse:
         return self.panels.at(time_s)[..., 0]
 
 
+@lru_cache(maxsize=8)
 def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
-    """Return the specimen's step response, good to 1e-10 of itself at any time from 1 ps to 10^4 s."""
+    """Return the specimen's step response, good to 1e-10 of itself at any time from 1 ps to 10^4 s.
+
+    Kept: a plan's checks and the measurement of a scene ask for the same one.
+    """
     panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None])
     return StepResponse(memory_s(specimen, panels), panels)
 

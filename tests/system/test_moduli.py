@@ -13,6 +13,7 @@ import hpe_rig as hpe
 from hpe_rig.acquire import prepare, record_run
 from hpe_rig.acquire.places import require_mover
 from hpe_rig.cli.app import app
+from hpe_rig.report.page import _scene_of
 from hpe_rig.scene import SettingsError, load_scene
 
 
@@ -81,6 +82,12 @@ def test_a_scene_that_cannot_tell_moduli_says_all_that_is_missing(tmp_path: Path
         hpe.fit_moduli(lacking)
     with pytest.raises(SettingsError, match="no run is named"):
         hpe.fit_moduli()
+
+
+def test_the_report_describes_the_place_of_the_shot_it_shows(run: hpe.Run) -> None:
+    last = run.estimate().shots[-1]
+    assert _scene_of(run, last).tracking.lateral_offset_m == 6e-3
+    assert not _scene_of(run, last).sweep.lateral_offset_m
 
 
 def test_several_places_on_a_bench_need_somebody_to_move_the_transducer() -> None:
