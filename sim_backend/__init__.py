@@ -19,6 +19,5 @@
     what [simulation] may say                                  settings/
 
 It stands in at the wire: SCPI text for the generators, the ATSApi function table for the digitizer, and sees of a scene
-only what the drivers programmed. The theory beyond the paper is in docs/theory/medium.md,
-echoes.md and transducer.md.
+only what the drivers programmed. The theory beyond the paper is in docs/theory/: medium.md, echoes.md, transducer.md.
 """

@@ -87,10 +87,9 @@ def _moments(transducer: Transducer, orders: int) -> Floats:
     """Return W_n, (order,): Legendre moments of the apodisation over the bowl."""
     edge = math.sqrt(1 - transducer.half_aperture**2)
     if transducer.apodisation == "uniform":
-        value = [1.0, *_legendre(np.array([edge]), orders + 1)]
         # int_x^1 P_n = (P_{n-1}(x) - P_{n+1}(x)) / (2n + 1), with P_{-1} = 1
-        pairs = zip(value[:-2], value[2:], strict=True)
-        return np.array([float((before - after)[0]) / (2 * n + 1) for n, (before, after) in enumerate(pairs)])
+        value = np.concatenate([np.ones(1), *_legendre(np.array([edge]), orders + 1)])
+        return np.asarray((value[:-2] - value[2:]) / (2 * np.arange(orders) + 1))
     node, weight = np.polynomial.legendre.leggauss(max(_APODISATION_NODES, orders))
     cosine = edge + (1 - edge) * (node + 1) / 2
     share = np.sqrt(1 - cosine**2) / transducer.half_aperture
