@@ -79,9 +79,7 @@ def _plain(entry: RunEntry) -> dict[str, Any]:
         **{name: getattr(entry, name) for name in ("title", "status", "shots_complete", "shots", "simulated")},
         **{name: getattr(entry, name) for name in ("user", "host")},
         "lead": lead and {name: _finite(getattr(lead, name)) for name in (*names, "phase_uncertainty_rad")},
-        "notes": {
-            name: note if isinstance(note, str | int | float) else str(note) for name, note in entry.notes.items()
-        },
+        "notes": {name: note if isinstance(note, str | int | float) else str(note) for name, note in notes},
     }
 
 
