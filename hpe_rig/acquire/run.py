@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,7 +25,7 @@ from hpe_rig.bench import (
     uninterrupted,
 )
 from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
-from hpe_rig.result import Stages
+from hpe_rig.result import Stages, result_schema
 from hpe_rig.scene import (
     Mistake,
     Scene,
@@ -174,8 +175,13 @@ def _looking(observer: Observer, recording: Recording) -> Observer:
 
 
 def json_schema(of: str) -> dict[str, Any]:
-    """Return the JSON schema of a scene, a bench file or the twin's settings."""
-    schemas = {"scene": Scene.model_json_schema, "bench": BenchFile.model_json_schema, "simulation": simulation_schema}
+    """Return the JSON schema of a scene, a bench file, the twin's settings or a result as ``--json`` prints it."""
+    schemas: dict[str, Callable[[], dict[str, Any]]] = {
+        "scene": Scene.model_json_schema,
+        "bench": BenchFile.model_json_schema,
+        "simulation": simulation_schema,
+        "result": result_schema,
+    }
     if of not in schemas:
         raise SettingsError(f"schema {of}", [Mistake("", "there is no such schema", f"one of {', '.join(schemas)}")])
     return schemas[of]()

@@ -76,7 +76,9 @@ from .shear_field import (
 from .shots import (
     NO_RECORDS as NO_RECORDS,
     Estimates as Estimates,
+    FittedMotion as FittedMotion,
     estimate_run as estimate_run,
+    fitted_motion as fitted_motion,
     margin_needed as margin_needed,
     options_of as options_of,
     samples_needed as samples_needed,
