@@ -10,6 +10,7 @@ from .keys import (
 from .quantities import (
     AmplitudeM as AmplitudeM,
     Count as Count,
+    DelayS as DelayS,
     DurationS as DurationS,
     FrequencyHz as FrequencyHz,
     IntensityWPerM2 as IntensityWPerM2,
@@ -17,6 +18,7 @@ from .quantities import (
     LengthM as LengthM,
     PressurePa as PressurePa,
     Seed as Seed,
+    SpeedMPerS as SpeedMPerS,
     VoltageV as VoltageV,
 )
 from .scene import (

@@ -250,7 +250,7 @@ class Sweep(Section):
     """Pulse rates f_prf, measured in turn in place of tracking.pulse_rate_hz, with equally many pulses each."""
     window_length_s: Annotated[tuple[DurationS, ...], Field(min_length=1, max_length=100)] = ()
     """Slow-time windows T_s, taken in turn from the same records in place of processing.window_length_s."""
-    lateral_offset_m: Annotated[tuple[Offset, ...], Field(min_length=1, max_length=100)] = ()
+    lateral_offset_m: Annotated[tuple[Offset, ...], Field(min_length=1, max_length=1000)] = ()
     """Places of the tracking transducer beside the push, taken in turn in place of tracking.lateral_offset_m; between
     them every output is off, and a stage or the operator moves it."""
     axial_offset_m: Annotated[tuple[Offset, ...], Field(min_length=1, max_length=100)] = ()
