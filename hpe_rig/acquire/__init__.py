@@ -9,7 +9,6 @@
     log.py            every step beside the run file
     run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result
     importing.py      a recording of another program becomes a run file
-    importing.py      a recording of another program becomes a run file
     resumption.py     a stopped run continued: its complete shots kept, the others measured
 
 A run file is opened with ``open_run`` alone: scene, bench, plan and checks come with it, validated. ``prepare`` and

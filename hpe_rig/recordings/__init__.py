@@ -11,7 +11,7 @@ In the order of the flow::
     lines.py         lines chosen, or their mean
     baseband.py      I and Q -> samples around the carrier
 
-``read_recording`` is what others use. How it becomes a run file: ``hpe_rig/acquire/importing.py``.
+``read_recording`` is what others use. ``acquire`` makes a run file of it.
 """
 
 import lazy_loader
