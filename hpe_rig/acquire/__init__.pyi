@@ -11,7 +11,6 @@ from .places import Mover as Mover
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import (
     Setup as Setup,
-    json_schema as json_schema,
     planned as planned,
     prepare as prepare,
     prepare_text as prepare_text,
@@ -30,6 +29,11 @@ from .sequencer import (
     Step as Step,
     acquire as acquire,
     unobserved as unobserved,
+)
+from .settings_files import (
+    full_text as full_text,
+    json_schema as json_schema,
+    settings_tables as settings_tables,
 )
 from .stop_request import (
     StopRequested as StopRequested,

@@ -6,7 +6,6 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from hpe_rig.acquire.places import Mover, mover_of, require_mover
 from hpe_rig.acquire.recording import Recording
@@ -19,7 +18,6 @@ from hpe_rig.bench import (
     interruptible,
     open_bench,
     read_bench,
-    simulation_schema,
     uninterrupted,
 )
 from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
@@ -158,11 +156,3 @@ def _looking(observer: Observer, recording: Recording) -> Observer:
         recording.look()
 
     return observe
-
-
-def json_schema(of: str) -> dict[str, Any]:
-    """Return the JSON schema of a scene, a bench file or the twin's settings."""
-    schemas = {"scene": Scene.model_json_schema, "bench": BenchFile.model_json_schema, "simulation": simulation_schema}
-    if of not in schemas:
-        raise SettingsError(f"schema {of}", [Mistake("", "there is no such schema", f"one of {', '.join(schemas)}")])
-    return schemas[of]()

@@ -301,6 +301,9 @@ def scenes() -> None:
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the copy. NAME.toml is written to this folder.")],
     like: Annotated[str, typer.Option(help="Scene to copy, or 'bench' for a bench file.")] = "bovine-muscle",
+    full: Annotated[
+        bool, typer.Option("--full", help="With every key there is in a comment: meaning, unit, bounds, default.")
+    ] = False,
 ) -> None:
     """Copy a shipped scene or bench file, to edit."""
     from hpe_rig.bench import read_bench, titled
@@ -308,6 +311,10 @@ def new(
 
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     text = titled(read_bench().text, f"Bench {path.stem}") if like == "bench" else scene_text(like)[1]
+    if full:
+        from hpe_rig.acquire import full_text
+
+        text = full_text("bench" if like == "bench" else "scene", text)
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

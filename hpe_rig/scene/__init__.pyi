@@ -1,3 +1,9 @@
+from .description import (
+    DescribedKey as DescribedKey,
+    DescribedTable as DescribedTable,
+    annotated as annotated,
+    described as described,
+)
 from .editing import edited_text as edited_text
 from .keys import (
     Key as Key,
