@@ -20,6 +20,7 @@ EXAMPLES = {
     "digitizer.acquisition_mode": '"npt"',
     "generators.amplitude_vpp": "1.0",
     "medium.shear_modulus_pa": "9e3",
+    "notes": '{ operator = "initials", temperature_c = 21.5 }',
     "medium.shear_viscosity_pa_s": "2.0",
     "sweep.axial_offset_m": "[-2e-3, 0.0, 2e-3]",
     "simulation.receive_chain.notch.centre_hz": "3e6",

@@ -5,6 +5,7 @@
     places.py         who moves the tracking transducer between shots
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
     recording.py      what the sequencer yields, into a run file that appears with its first record
+    provenance.py     who measures, when and where
     stop_request.py   a safe stop that another process asks for
     log.py            every step beside the run file
     run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result

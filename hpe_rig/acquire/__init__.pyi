@@ -8,6 +8,7 @@ from .api import (
 )
 from .log import log_path as log_path, logged as logged
 from .places import Mover as Mover
+from .provenance import provenance_now as provenance_now
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import (
     Setup as Setup,
@@ -15,6 +16,7 @@ from .run import (
     prepare as prepare,
     prepare_text as prepare_text,
     record_run as record_run,
+    source_text as source_text,
 )
 from .run_file import (
     Run as Run,

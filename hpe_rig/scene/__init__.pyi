@@ -13,6 +13,7 @@ from .keys import (
     resolve as resolve,
     with_values as with_values,
 )
+from .notes import Note as Note
 from .quantities import (
     AmplitudeM as AmplitudeM,
     Count as Count,
