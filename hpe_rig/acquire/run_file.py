@@ -107,6 +107,8 @@ class Run:
             simulated_specimen=self.scene.default_specimen,
             shots_without_result=tuple(estimates.without.items()),
             imported=None if self.bench.recording is None else self.bench.recording.words,
+            notes=self.scene.notes,
+            provenance=self.stored.provenance,
         )
 
     def save(self, result: Result) -> Path:

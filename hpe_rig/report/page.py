@@ -209,6 +209,8 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
         facts = [("imported", f"{run.bench.recording.source}, read as {run.bench.recording.format}"), *facts[1:]]
         facts.append(("SHA-256", run.bench.recording.sha256))
         facts += [("taken as", text) for text in run.bench.recording.inferred]
+    if result.provenance.started:
+        facts.append(("started", result.provenance.started.replace("T", " ")))
     if result.simulated_specimen:
         facts.append(("simulated specimen", result.simulated_specimen))
     if scene.excitation:
