@@ -25,9 +25,9 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "gelatin_12": _gelatin(7.25e3),
     "gelatin_15": _gelatin(13.5e3),
     "bovine_muscle": {
-        # The paper gives no moduli. These are bovine muscle in vitro across the fibres, by shear wave dispersion, of the
-        # same group: Chen, Urban, Pislaru, Kinnick, Zheng, Yao and Greenleaf, IEEE Trans. UFFC 56 (2009), p. 55 (from
-        # memory; along the fibres 29 kPa and 9.9 Pa s). That the paper's beam crossed the fibres is assumed.
+        # The paper gives no moduli. Bovine muscle in vitro across the fibres, by shear wave dispersion, from the same
+        # group: Chen, Urban, Pislaru, Kinnick, Zheng, Yao and Greenleaf, IEEE Trans. UFFC 56 (2009), p. 55 (from
+        # memory; along the fibres 29 kPa and 9.9 Pa s). That the paper's waves crossed the fibres is assumed.
         "medium": "voigt",
         "shear_modulus_pa": 12.0e3,
         "shear_viscosity_pa_s": 5.7,
