@@ -494,18 +494,25 @@ DEFAULT_SPECIMEN_SCENE = "bovine-muscle"
 
 
 def with_default_specimen(scene: Scene) -> Scene:
-    """Return ``scene`` with the default muscle, in focus at the gate, where it has no [simulation]."""
+    """Return ``scene`` with the default muscle, in focus at the gate, where it has no [simulation].
+
+    Without [beams] the muscle's own push it, those of the transducer.
+    """
     if scene.simulation is not None:
         return scene
-    simulation = {**_default_specimen(), "beams": {"focus_depth_m": scene.acquisition.gate_depth_m}}
+    muscle = _default_specimen()
+    beams: dict[str, Any] = {"focus_depth_m": scene.acquisition.gate_depth_m}
+    if scene.beams is None and muscle.beams is not None:
+        beams["excitation_width_m"] = muscle.beams.excitation_width_m
+    simulation = {**(muscle.simulation or {}), "beams": beams}
     filled = scene.model_copy(update={"simulation": simulation})
     filled._default_specimen = DEFAULT_SPECIMEN
     return filled
 
 
 @cache
-def _default_specimen() -> Mapping[str, Any]:
-    return load_scene(DEFAULT_SPECIMEN_SCENE).simulation or {}
+def _default_specimen() -> Scene:
+    return load_scene(DEFAULT_SPECIMEN_SCENE)
 
 
 def _tables(scene: Scene) -> dict[str, Any]:
