@@ -30,7 +30,7 @@ from .inventory import (
     survey as survey,
     switch_off as switch_off,
 )
-from .lock import BenchInUseError as BenchInUseError
+from .lock import BenchInUseError as BenchInUseError, hold as hold, resources as resources
 from .opening import open_bench as open_bench
 from .twin import (
     TwinDeclaration as TwinDeclaration,

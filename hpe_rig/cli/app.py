@@ -330,6 +330,31 @@ def emulate(
     serve(setup.scene.scene, setup.bench, transport, typer.echo)
 
 
+@app.command()
+@guarded
+def queue(
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="SCENE ...", help="Scenes or run files in order, or one TOML list: [[run]]."),
+    ] = None,
+    bench: BenchPath = None,
+    output: Annotated[Path | None, typer.Option(help="New folder for the run files. Default: queue, numbered.")] = None,
+    resume: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Go on with the queue in FOLDER that was stopped or failed.")
+    ] = None,
+    stop_on_failure: Annotated[
+        bool, typer.Option("--stop-on-failure", help="A run that fails ends the queue. Default: the others go on.")
+    ] = False,
+    yes: Yes = False,
+    live: Live = False,
+    verbose: Verbose = False,
+) -> None:
+    """Measure several scenes one after another. All are checked first; p pauses between two shots, Ctrl-C stops."""
+    from hpe_rig.cli.queue import queue_command
+
+    raise typer.Exit(queue_command(scenes or (), bench, output, resume, stop_on_failure, live, verbose, yes))
+
+
 @app.command("list")
 @guarded
 def list_command(
