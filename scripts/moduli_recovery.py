@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 
 import hpe_rig as hpe
 from hpe_rig.bench import twin_of
-from hpe_rig.moduli import Push, Vibration, bound, fit_medium, fit_voigt, push_of, shear_speed, vibration_at
+from hpe_rig.moduli import Push, Vibration, bound, fit_medium, push_of, vibration_at
+from hpe_rig.moduli.shear_speed import fit_voigt, shear_speed
 from hpe_rig.scene import Scene
 
 SCENE = "gelatin-moduli"
