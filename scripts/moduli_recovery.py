@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 
 import hpe_rig as hpe
 from hpe_rig.bench import twin_of
-from hpe_rig.moduli import Push, Vibration, bound, fit_medium, push_of, vibration_at
-from hpe_rig.moduli.shear_speed import fit_voigt, shear_speed
+from hpe_rig.moduli import Push, Vibration, bound, fit_medium, plane_wave_of, push_of, vibration_at
 from hpe_rig.scene import Scene
 
 SCENE = "gelatin-moduli"
@@ -142,12 +141,8 @@ def drawn(scene: Scene, name: str, seed: int, rng: np.random.Generator) -> Scene
 
 def plane_wave(places: Sequence[Vibration]) -> NDArray[np.float64]:
     """Return the Voigt moduli (2,) of the phase's fall with distance; NaN where it does not fall."""
-    sigma = [np.sqrt(np.diag(one.covariance_m2)[::2]) / np.abs(one.phasor_m) for one in places]
-    phase = [np.angle(one.phasor_m) for one in places]
-    try:
-        hz = places[0].frequency_hz
-        wave = fit_voigt(shear_speed([one.lateral_m for one in places], hz, np.array(phase), np.array(sigma)))
-    except ValueError:
+    wave, _ = plane_wave_of(places, 1000.0)
+    if wave is None:
         return np.full(2, np.nan)
     return np.array([wave.elasticity_pa, wave.viscosity_pa_s])
 

@@ -8,7 +8,7 @@ from .inversion import (
     fit_medium as fit_medium,
 )
 from .media import LAWS as LAWS, MediumLaw as MediumLaw
-from .outcome import ModuliResult as ModuliResult, moduli_of as moduli_of
+from .outcome import ModuliResult as ModuliResult, moduli_of as moduli_of, plane_wave_of as plane_wave_of
 from .places import (
     Source as Source,
     push_of as push_of,
