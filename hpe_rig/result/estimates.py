@@ -208,7 +208,7 @@ class Result:
     ``run_file`` is "" where there is none; ``omitted``: what the scene did not need, and why; ``run_time_s``: wall time
     by stage; ``simulated_specimen`` names the default one, None where the scene describes its own or none was needed;
     ``shots_without_result``: the shots, counted from 0, that have no estimate, and why; ``notes``: the scene's;
-    ``provenance``: who measured when and where.
+    ``provenance``: who measured when and where; ``imported``: file and hash of imported records, None for others.
 
     >>> print(result)
     >>> result.shots[0].estimates[0].amplitude_m
@@ -231,6 +231,14 @@ class Result:
     shots_without_result: tuple[tuple[int, str], ...] = ()
     notes: Mapping[str, str | int | float | bool] = field(default_factory=dict)
     provenance: Provenance = UNKNOWN
+    imported: str | None = None
+
+    @property
+    def origin(self) -> str:
+        """Whether this was measured, simulated or imported, and from where, as it stands on every output."""
+        if self.imported is not None:
+            return f"IMPORTED from {self.imported}"
+        return "SIMULATED" if self.simulated else "measured"
 
     @property
     def means(self) -> tuple[RepeatMean, ...]:
@@ -247,6 +255,8 @@ class Result:
         tables = {**asdict(self), "left_out": self.omitted}
         if self.simulated_specimen is None:
             del tables["simulated_specimen"]
+        if self.imported is None:
+            del tables["imported"]
         if means := [asdict(each) for each in self.means]:
             # What a reader should take first stands first.
             tables = {"means": means, **tables}
