@@ -70,7 +70,7 @@ from .prior import (
 )
 from .shear_field import (
     ShearMotion as ShearMotion,
-    shear_displacement as shear_displacement,
+    focal_motion as focal_motion,
     shear_motion as shear_motion,
 )
 from .shots import (
