@@ -35,6 +35,7 @@ from hpe_rig.processing import (
     BRANCH_OVER_MODULUS,
     ESTIMATORS,
     LOW_VISCOSITY_PA_S,
+    MAXWELL_VISCOSITY_PA_S,
     MODULUS_PA,
     POWER,
     POWER_REFERENCE_HZ,
@@ -186,6 +187,8 @@ def drawn_medium(rng: np.random.Generator) -> dict[str, Any]:
         case "power_law":
             found["power"] = float(rng.uniform(*POWER))
             found["reference_frequency_hz"] = POWER_REFERENCE_HZ
+        case "maxwell":
+            found["shear_viscosity_pa_s"] = log_even(MAXWELL_VISCOSITY_PA_S)
     return found
 
 
