@@ -106,6 +106,8 @@ class Run:
             run_time_s=stages.run_time_s,
             simulated_specimen=self.scene.default_specimen,
             shots_without_result=tuple(estimates.without.items()),
+            notes=self.scene.notes,
+            provenance=self.stored.provenance,
         )
 
     def save(self, result: Result) -> Path:

@@ -220,6 +220,8 @@ class BenchFile(Section):
     """The digitizer."""
     wiring: tuple[Cable, ...]
     """The cables."""
+    store_user: Annotated[bool, Field(strict=True)] = True
+    """Whether the name of the account that measures is stored in run files; hpe-rig never sends it anywhere."""
 
     def path_delay_s(self, source: str, target: str) -> float:
         """Return the delay of the cable from ``source`` to ``target``; NaN where there is none."""

@@ -205,6 +205,8 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
     scene, shot = run.scene, run.plan.shots[0]
     gate, tracking = scene.acquisition, scene.tracking
     facts = [("bench", run.bench.title), ("run file", result.run_file), ("run", result.status)]
+    if result.provenance.started:
+        facts.append(("started", result.provenance.started.replace("T", " ")))
     if result.simulated_specimen:
         facts.append(("simulated specimen", result.simulated_specimen))
     if scene.excitation:

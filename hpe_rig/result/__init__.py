@@ -8,6 +8,7 @@
     html_repr.py   figure and tables, as a notebook shows a result
     tables.py      any rows as CSV and as text
     palette.py     the colours of every figure
+    provenance.py  who measured when, and on which machine
     stages.py      wall time by stage
 
 All rooms but ``scene`` may use it; it uses ``scene`` alone.

@@ -9,6 +9,7 @@ from .estimates import (
 )
 from .palette import PALETTE as PALETTE
 from .phase import PHASE_VARIANCE_LIMIT as PHASE_VARIANCE_LIMIT, phase_variance_rad2 as phase_variance_rad2
+from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance
 from .repeats import RepeatMean as RepeatMean
 from .rows import result_csv as result_csv
 from .stages import Stages as Stages

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from hpe_rig.result.provenance import UNKNOWN, Provenance
 from hpe_rig.scene import Estimator
 
 if TYPE_CHECKING:
@@ -206,7 +207,8 @@ class Result:
 
     ``run_file`` is "" where there is none; ``omitted``: what the scene did not need, and why; ``run_time_s``: wall time
     by stage; ``simulated_specimen`` names the default one, None where the scene describes its own or none was needed;
-    ``shots_without_result``: the shots, counted from 0, that have no estimate, and why.
+    ``shots_without_result``: the shots, counted from 0, that have no estimate, and why; ``notes``: the scene's;
+    ``provenance``: who measured when and where.
 
     >>> print(result)
     >>> result.shots[0].estimates[0].amplitude_m
@@ -227,6 +229,8 @@ class Result:
     run_time_s: Mapping[str, float]
     simulated_specimen: str | None = None
     shots_without_result: tuple[tuple[int, str], ...] = ()
+    notes: Mapping[str, str | int | float | bool] = field(default_factory=dict)
+    provenance: Provenance = UNKNOWN
 
     @property
     def means(self) -> tuple[RepeatMean, ...]:

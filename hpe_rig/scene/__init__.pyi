@@ -1,3 +1,9 @@
+from .description import (
+    DescribedKey as DescribedKey,
+    DescribedTable as DescribedTable,
+    annotated as annotated,
+    described as described,
+)
 from .editing import edited_text as edited_text
 from .keys import (
     Key as Key,
@@ -7,6 +13,7 @@ from .keys import (
     resolve as resolve,
     with_values as with_values,
 )
+from .notes import Note as Note
 from .quantities import (
     AmplitudeM as AmplitudeM,
     Count as Count,

@@ -22,6 +22,7 @@ from pydantic import (
     model_validator,
 )
 
+from hpe_rig.scene.notes import Notes
 from hpe_rig.scene.quantities import (
     AmplitudeM,
     Count,
@@ -276,6 +277,8 @@ class Scene(Section):
     """How records become amplitude and phase."""
     sweep: Sweep = Sweep()
     """Pulse rates and windows that are taken in turn."""
+    notes: Notes = Field(default_factory=dict)
+    """Operator, sample, temperature or anything else, by names of one's own; kept with run, result and report."""
     simulation: dict[str, Any] | None = None
     """What the twin simulates, in the twin's own words; a real bench leaves it out."""
     _default_specimen: str | None = PrivateAttr(default=None)
