@@ -323,6 +323,7 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
         speckle_phase_rad=turned,
         factor_uncertainty=factor * relative,
         phase_uncertainty_rad=phase_rad,
+        shared=(float(fit.medium.shared[index, 0]), float(fit.medium.shared[index, 1])),
     )
 
 
