@@ -12,11 +12,12 @@
       I(x, y, z)        tracking beam                (8)       echoes/: scatterers.py
       w(t) cos(w_f t)   echo pulse                   (9)       echoes/: pulse.py
       r_k(t)            sum over scatterers          (7) (10)  echoes/: engine.py
+      I(x, y, z)        of a real transducer                   transducer/: radiation.py
       n_k(t)            noise                        (16)      receiver/: front_end.py
       receive chain, trigger jitter                  III.B     receiver/: chain.py, timing.py
     volts -> codes, when the clock takes them                  digitizer/
     what [simulation] may say                                  settings/
 
 It stands in at the wire: SCPI text for the generators, the ATSApi function table for the digitizer, and sees of a scene
-only what the drivers programmed. The theory beyond the paper is in docs/theory/medium.md and docs/theory/echoes.md.
+only what the drivers programmed. The theory beyond the paper is in docs/theory/: medium.md, echoes.md, transducer.md.
 """

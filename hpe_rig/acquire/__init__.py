@@ -5,9 +5,12 @@
     places.py         who moves the tracking transducer between shots
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
     recording.py      what the sequencer yields, into a run file that appears with its first record
+    provenance.py     who measures, when and where
     stop_request.py   a safe stop that another process asks for
     log.py            every step beside the run file
     run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result
+    importing.py      a recording of another program becomes a run file
+    settings_files.py the schema of scene, bench and simulation; a file with every key
     resumption.py     a stopped run continued: its complete shots kept, the others measured
 
 A run file is opened with ``open_run`` alone: scene, bench, plan and checks come with it, validated. ``prepare`` and

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hpe_rig.acquire.provenance import provenance_now
 from hpe_rig.acquire.run import Setup, prepare, record_run
 from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings, open_run
 from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.plan import CheckResult
 from hpe_rig.result import Result, ShotResult, Stages
 from hpe_rig.scene import Estimator, Mistake, SceneSource, SettingsError
-from hpe_rig.store import StoreError, versions
+from hpe_rig.store import StoreError, WriteOptions, versions
 
 if TYPE_CHECKING:
     from hpe_rig.moduli import ModuliResult
@@ -39,7 +40,9 @@ def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLi
     >>> run.displacement_m(0).shape
     >>> print(run.estimate("coherent").to_frame())
     """
-    return open_run(record_run(prepare(scene, _bench_path(bench)), _path(path, "a run file is taken as its path")))
+    setup, run_file = prepare(scene, _bench_path(bench)), _path(path, "a run file is taken as its path")
+    options = WriteOptions(provenance=provenance_now(setup.bench.bench))
+    return open_run(record_run(setup, run_file, options=options))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hpe_rig.acquire.places import Mover
-from hpe_rig.acquire.run import Setup, prepare_text, record_run
+from hpe_rig.acquire.run import Setup, prepare_text, record_run, source_text
 from hpe_rig.acquire.run_file import Run, open_run
 from hpe_rig.acquire.sequencer import Observer, unobserved
 from hpe_rig.result import Stages
-from hpe_rig.scene import SceneSource, scene_text
+from hpe_rig.scene import SceneSource
 from hpe_rig.store import Predecessor, StoredRun, StoreError, WriteOptions, free_path, is_taken
 
 
@@ -33,10 +33,15 @@ def prepare_rest(
     goes on, where scene or bench differ from the run's or nothing is left, else as ``prepare``.
     """
     earlier = open_run(path)
+    if earlier.bench.recording is not None:
+        source = earlier.bench.recording.source
+        raise StoreError(
+            f"{path} was imported from {source}: no instrument can go on with it. Try: hpe-rig import {source} anew."
+        )
     if is_taken(path):
         raise StoreError(f"{path} is being written by a run that goes on. Try: wait for its end, or stop it.")
     own = earlier.stored.scene_name, earlier.stored.scene_toml
-    setup = prepare_text(*(own if scene is None else scene_text(scene)), bench_path, stages, stored=scene is None)
+    setup = prepare_text(*(own if scene is None else source_text(scene)), bench_path, stages, stored=scene is None)
     _refuse_other(earlier, setup)
     complete = _sound_shots(earlier.stored)
     if complete == len(setup.plan.shots):

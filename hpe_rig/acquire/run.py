@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from hpe_rig.acquire.places import Mover, mover_of, require_mover
 from hpe_rig.acquire.recording import Recording
@@ -19,7 +19,6 @@ from hpe_rig.bench import (
     interruptible,
     open_bench,
     read_bench,
-    simulation_schema,
     uninterrupted,
 )
 from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
@@ -34,7 +33,10 @@ from hpe_rig.scene import (
     scene_text,
     with_default_specimen,
 )
-from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path, refuse_to_replace
+from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path, read_run, refuse_to_replace
+
+RUN_FILE = ".h5"
+"""Ending by which a run file is told from a scene where either is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +54,19 @@ def prepare(
 ) -> Setup:
     """Return the planned measurement of ``scene`` on the bench file ``bench_path``, None: the simulated bench.
 
+    ``scene``: also the path of a run file, whose scene is measured again, by the rules that hold for scenes now.
     Raises ``SettingsError`` with every mistake, ``PlanError`` with every conflict unless ``refuse`` is off, and
     ``TypeError`` for what is no scene.
     """
-    return prepare_text(*scene_text(scene), bench_path, stages, refuse)
+    return prepare_text(*source_text(scene), bench_path, stages, refuse)
+
+
+def source_text(scene: SceneSource) -> tuple[str, str]:
+    """Return name and text of a scene, or of that which the run file ``scene`` was measured with."""
+    if isinstance(scene, str | os.PathLike) and Path(scene).suffix == RUN_FILE:
+        stored = read_run(Path(scene))
+        return stored.scene_name, stored.scene_toml
+    return scene_text(scene)
 
 
 def prepare_text(
@@ -69,6 +80,9 @@ def prepare_text(
     """Return the planned measurement of a scene's text, ``stored`` where a run file holds it; raises as ``prepare``."""
     with (stages or Stages())("plan"):
         bench = read_bench(bench_path)
+        if bench.bench.recording is not None:
+            what = "this bench stands for an imported recording, no instrument of it is known"
+            raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file of your own")])
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check, stored)
         if bench.bench.simulated:
@@ -158,11 +172,3 @@ def _looking(observer: Observer, recording: Recording) -> Observer:
         recording.look()
 
     return observe
-
-
-def json_schema(of: str) -> dict[str, Any]:
-    """Return the JSON schema of a scene, a bench file or the twin's settings."""
-    schemas = {"scene": Scene.model_json_schema, "bench": BenchFile.model_json_schema, "simulation": simulation_schema}
-    if of not in schemas:
-        raise SettingsError(f"schema {of}", [Mistake("", "there is no such schema", f"one of {', '.join(schemas)}")])
-    return schemas[of]()

@@ -6,6 +6,7 @@ Files, from what is typed to what is shown::
     studies.py  commands that study scenes and estimators by simulation
     watch.py    stop request, log and live page around a run
     bench.py    the report of a bench, and its comparison with another
+    listing.py  the runs of a folder
     verify.py   what is damaged in a file
     moduli.py   what a medium is made of, and its figure
     study.py    workers, progress and closing table of a study

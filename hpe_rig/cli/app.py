@@ -46,6 +46,23 @@ Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to RUN.
 Yes = Annotated[bool, typer.Option("--yes", help="Between places, go on without asking whether the transducer moved.")]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="Local port of the live page. 0: any free port.")]
 
+RecordingFile = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="NPY, NPZ, MATLAB, HDF5, CSV, raw or AlazarTech file of echoes.")
+]
+ImportScene = Annotated[
+    str, typer.Option(help="Scene: gate, frequencies, beams. How it was recorded, the recording says.")
+]
+Lines = Annotated[
+    str | None, typer.Option(help="Of several lines: 12, 10-20 or all, each a place, or mean, mean:10-20.")
+]
+Setting = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", "-s", metavar="KEY=VALUE", help="Of the recording, such as axes=line,pulse,sample; repeatable."
+    ),
+]
+Sidecar = Annotated[Path | None, typer.Option(help="TOML file about the recording. Default: RECORDING.toml, if any.")]
+
 
 def main() -> None:
     """Run the command line."""
@@ -85,10 +102,10 @@ def run(
     live: Live = False,
     verbose: Verbose = False,
 ) -> None:
-    """Measure a scene, from the plan to the printed result."""
+    """Measure a scene, from the plan to the printed result. SCENE may be a run file, whose scene is measured again."""
     stages = Stages()
     with stages("load"):
-        from hpe_rig.acquire import chosen_estimator, prepare, process, record_run
+        from hpe_rig.acquire import chosen_estimator, prepare, process, provenance_now, record_run
         from hpe_rig.cli.watch import watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
         from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
@@ -99,7 +116,7 @@ def run(
     refuse_unwritable(result_path(path, chosen))
     with watched(setup, path, run_id, live, verbose, announce) as watching:
         with progress(setup, quiet=json or csv) as observer:
-            options = WriteOptions(compress, overwrite, run_id=run_id)
+            options = WriteOptions(compress, overwrite, run_id=run_id, provenance=provenance_now(setup.bench.bench))
             record_run(setup, path, watching(observer), stages, options, move=asking(yes))
         show(process(path, estimator, stages), json, csv)
 
@@ -124,7 +141,7 @@ def resume(
     """Continue a stopped run, keeping its complete shots. They are copied to a new file, which gets the others too."""
     stages = Stages()
     with stages("load"):
-        from hpe_rig.acquire import chosen_estimator, prepare_rest, process, resume as resume_run
+        from hpe_rig.acquire import chosen_estimator, prepare_rest, process, provenance_now, resume as resume_run
         from hpe_rig.cli.watch import watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
         from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
@@ -136,7 +153,8 @@ def resume(
     refuse_unwritable(result_path(path, chosen))
     with watched(rest.setup, path, run_id, live, verbose, announce) as watching:
         with progress(rest.setup, quiet=json or csv) as observer:
-            resume_run(rest, path, watching(observer), stages, WriteOptions(compress, run_id=run_id), asking(yes))
+            options = WriteOptions(compress, run_id=run_id, provenance=provenance_now(rest.setup.bench.bench))
+            resume_run(rest, path, watching(observer), stages, options, asking(yes))
         show(process(path, estimator, stages), json, csv)
 
 
@@ -147,6 +165,32 @@ def process(run_file: RunFile, estimator: Estimator = None, json: Json = False, 
     from hpe_rig.acquire import process as process_run
 
     show(process_run(run_file, estimator, Stages()), json, csv)
+
+
+@app.command("import")
+@guarded
+def import_command(
+    recording: RecordingFile,
+    scene: ImportScene,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Run file. Default: RECORDING.h5 in this folder, numbered.")
+    ] = None,
+    lines: Lines = None,
+    setting: Setting = None,
+    sidecar: Sidecar = None,
+    compress: Compress = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")] = False,
+) -> None:
+    """Make a run file of echoes that another program recorded. Prints what is inferred; hpe-rig process goes on."""
+    from hpe_rig.acquire import import_recording
+    from hpe_rig.recordings import parse_options
+    from hpe_rig.store import WriteOptions
+
+    options = parse_options(setting or []) | ({} if lines is None else {"lines": lines})
+    made = import_recording(recording, scene, output, sidecar, options, WriteOptions(compress, overwrite))
+    for text in made.inferred:
+        typer.echo(text)
+    typer.echo(f"{made.path}: hpe-rig process {made.path} estimates it, hpe-rig report {made.path} shows it")
 
 
 @app.command()
@@ -286,6 +330,28 @@ def emulate(
     serve(setup.scene.scene, setup.bench, transport, typer.echo)
 
 
+@app.command("list")
+@guarded
+def list_command(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder with run files. Default: this one.")
+    ] = Path(),
+    find: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEXT", help="Only runs with TEXT in file name, title, state or notes; repeatable."),
+    ] = None,
+    since: Annotated[str | None, typer.Option(metavar="DATE", help="Only runs from this date on.")] = None,
+    until: Annotated[str | None, typer.Option(metavar="DATE", help="Only runs up to this date.")] = None,
+    below: Annotated[bool, typer.Option("--below", help="Also in the folders below.")] = False,
+    json: Json = False,
+    csv: Annotated[bool, typer.Option("--csv", help="Print CSV, one row per run, a column per note.")] = False,
+) -> None:
+    """List the runs in a folder with date, title, result and notes."""
+    from hpe_rig.cli.listing import print_runs
+
+    print_runs(folder, below, find or (), since, until, json, csv)
+
+
 @app.command()
 @guarded
 def scenes() -> None:
@@ -300,14 +366,23 @@ def scenes() -> None:
 @guarded
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the copy. NAME.toml is written to this folder.")],
-    like: Annotated[str, typer.Option(help="Scene to copy, or 'bench' for a bench file.")] = "bovine-muscle",
+    like: Annotated[
+        str, typer.Option(help="Scene or run file to copy, or 'bench' for a bench file.")
+    ] = "bovine-muscle",
+    full: Annotated[
+        bool, typer.Option("--full", help="With every key there is in a comment: meaning, unit, bounds, default.")
+    ] = False,
 ) -> None:
-    """Copy a shipped scene or bench file, to edit."""
+    """Copy a shipped scene, the scene of a run file or a bench file, to edit."""
+    from hpe_rig.acquire import source_text
     from hpe_rig.bench import read_bench, titled
-    from hpe_rig.scene import scene_text
 
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
-    text = titled(read_bench().text, f"Bench {path.stem}") if like == "bench" else scene_text(like)[1]
+    text = titled(read_bench().text, f"Bench {path.stem}") if like == "bench" else source_text(like)[1]
+    if full:
+        from hpe_rig.acquire import full_text
+
+        text = full_text("bench" if like == "bench" else "scene", text)
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
@@ -323,9 +398,9 @@ def new(
 @app.command()
 @guarded
 def schema(
-    of: Annotated[str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation.")] = "scene",
+    of: Annotated[str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation, result.")] = "scene",
 ) -> None:
-    """Print the JSON schema of a settings file, for use in editors."""
+    """Print the JSON schema of a settings file, for use in editors, or of what --json prints."""
     import json
 
     from hpe_rig.acquire import json_schema

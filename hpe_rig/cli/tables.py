@@ -9,7 +9,7 @@ from itertools import groupby
 from rich.console import Console
 from rich.table import Table
 
-from hpe_rig.result import Component, Estimate, RepeatMean, Result, ShotResult, rich_table, shot_warnings
+from hpe_rig.result import Component, Estimate, Provenance, RepeatMean, Result, ShotResult, rich_table, shot_warnings
 
 TABLE_WIDTH = 110
 LEAST_S = 0.005
@@ -21,9 +21,12 @@ LEAST_SHARE = 0.01
 def print_result(result: Result) -> None:
     """Print means over repeats, the table of each shot, the warnings, what was omitted, and the run time by stage."""
     console = wide_console()
-    source = "SIMULATED" if result.simulated else "measured"
     console.print(f"\n{result.title}", style="bold")
-    console.print(f"{source}, {result.run_file}, estimator {result.estimator}")
+    console.print(f"{result.origin}, {result.run_file}, estimator {result.estimator}")
+    if result.provenance.started:
+        console.print(f"{times_text(result.provenance)}, {result.provenance.host}")
+    for name, note in result.notes.items():
+        console.print(f"{name}: {note}")
     if result.simulated_specimen:
         console.print(f"simulated specimen: {result.simulated_specimen}")
     for _, means in groupby(result.means, key=lambda mean: mean.shots):
@@ -44,6 +47,14 @@ def print_result(result: Result) -> None:
     total_s = sum(result.run_time_s.values())
     stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.run_time_s.items() if seconds >= LEAST_S)
     console.print(f"run time: {total_s:.2f} s ({stages})")
+
+
+def times_text(provenance: Provenance) -> str:
+    """Return in words when a run was: 2026-03-05 14:02:11+01:00 to 14:10:07."""
+    started, ended = provenance.started.replace("T", " "), provenance.ended.replace("T", " ")
+    day, _, time = ended.partition(" ")
+    until = time[:8] if ended[:10] == started[:10] and ended[19:] == started[19:] else f"{day} {time}".strip()
+    return f"{started} to {until}" if ended else started
 
 
 def wide_console() -> Console:

@@ -26,12 +26,13 @@ FIRST = (
 def result_rows(result: Result) -> list[dict[str, Value]]:
     """Return one row a shot and frequency, in SI units with the unit in every name; unknown is None.
 
-    The headline stands first, the components of its uncertainty last.
+    The headline stands first, the components of its uncertainty and the scene's notes last.
     """
+    notes: dict[str, Value] = {f"note_{name.replace(' ', '_')}": note for name, note in result.notes.items()}
     rows: list[dict[str, Value]] = []
     for shot in result.as_dict()["shots"]:
         of_shot = _single_values(shot)
-        rows += [of_shot | _estimate_row(estimate) for estimate in shot["estimates"]]
+        rows += [of_shot | _estimate_row(estimate) | notes for estimate in shot["estimates"]]
     return rows
 
 
@@ -91,5 +92,5 @@ def result_text(result: Result) -> str:
     peak = all(item.headline.corrected for shot in result.shots for item in shot.estimates)
     headers = ("shot", "f / Hz", f"{'peak' if peak else 'amplitude'} / nm", "u / nm", "phase / deg", "u / deg")
     table = text_table(headers, [*means, *rows], words=0)
-    source = ", ".join(text for text in ("SIMULATED" if result.simulated else "measured", result.run_file) if text)
+    source = ", ".join(text for text in (result.origin, result.run_file) if text)
     return f"{result.title}\n{source}, estimator {result.estimator}\n{table}"

@@ -1,3 +1,9 @@
+from .description import (
+    DescribedKey as DescribedKey,
+    DescribedTable as DescribedTable,
+    annotated as annotated,
+    described as described,
+)
 from .editing import edited_text as edited_text
 from .keys import (
     Key as Key,
@@ -7,9 +13,11 @@ from .keys import (
     resolve as resolve,
     with_values as with_values,
 )
+from .notes import Note as Note
 from .quantities import (
     AmplitudeM as AmplitudeM,
     Count as Count,
+    DelayS as DelayS,
     DurationS as DurationS,
     FrequencyHz as FrequencyHz,
     IntensityWPerM2 as IntensityWPerM2,
@@ -17,6 +25,7 @@ from .quantities import (
     LengthM as LengthM,
     PressurePa as PressurePa,
     Seed as Seed,
+    SpeedMPerS as SpeedMPerS,
     VoltageV as VoltageV,
 )
 from .scene import (

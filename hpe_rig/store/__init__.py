@@ -14,6 +14,7 @@ Files, in the order in which a run passes through them::
     validation.py    reading a file that anybody may have written: nothing is taken for granted
     reader.py        ``read_run``: the run file, shot by shot, when asked for
     result_file.py   ``write_result``: the result beside the run file
+    listing.py       the runs of a folder, with title, result and notes
     verification.py  ``verify``: every checksum of a file compared
 
 Other rooms write with ``RunWriter`` and ``write_result``, read with ``read_run`` and ``read_snapshots``, and catch

@@ -13,6 +13,7 @@ from .format import (
     versions as versions,
 )
 from .layout import Predecessor as Predecessor
+from .listing import RunEntry as RunEntry, chosen as chosen, list_runs as list_runs
 from .lock import is_taken as is_taken
 from .reader import (
     StoredGroundTruth as StoredGroundTruth,

@@ -32,7 +32,7 @@ BY_SHOT: Final = (
 """Datasets with a checksum for each shot."""
 BY_CHUNK: Final = ("records/echo", "records/monitor", "records/recorded")
 """Datasets with a checksum for each shot and chunk of echoes; that of ``recorded`` covers the trigger times too."""
-AT_ONCE: Final = ("run_time/run_time_s",)
+AT_ONCE: Final = ("run_time/run_time_s", "provenance/ended")
 """Datasets that are written again as a whole."""
 COVERED_ELSEWHERE: Final = ("records/trigger_time_s",)
 

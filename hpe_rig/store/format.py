@@ -45,6 +45,8 @@ CHUNK_BYTES: Final = 1_000_000
 """Target size of one chunk of echoes, which is the most that a crash can cost."""
 ROW_CHUNK: Final = 65536
 """Most pulses in one chunk of a quantity with one value per pulse."""
+TIME_BYTES: Final = 32
+"""Enough for a time in seconds with its offset from UTC, ISO 8601."""
 UNTRUSTED_BYTES: Final = 1024
 """Enough to say why a shot is not to be trusted; more is cut."""
 BITSHUFFLE: Final = 32008

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.bench import BenchText, twin_settings
 from hpe_rig.plan import Plan
+from hpe_rig.result import Provenance
 from hpe_rig.scene import SceneText
 from hpe_rig.store.checksum import add_checksums
 from hpe_rig.store.format import (
@@ -31,6 +32,7 @@ from hpe_rig.store.format import (
     STAGE_BYTES,
     STAGES,
     STATUS_BYTES,
+    TIME_BYTES,
     UNTRUSTED_BYTES,
     StoreError,
     extra,
@@ -61,6 +63,7 @@ def empty_run(
     compress: bool = False,
     predecessor: Predecessor | None = None,
     run_id: str = "",
+    provenance: Provenance | None = None,
 ) -> bytes:
     """Return the bytes of a run file without records; the same for the same arguments, bit for bit."""
     with h5py.File("empty", "w", driver="core", backing_store=False, libver=LIBVER) as file:
@@ -75,6 +78,8 @@ def empty_run(
             _create_rows(ground_truth, "displacement_m", plan, np.dtype("<f8"), math.nan)
             name_axes(ground_truth, _shot_and_pulse(plan), {"displacement_m": "m"})
             _create_true_harmonics(file, len(plan.shots), scene.scene.wanted_frequencies_hz)
+        if provenance is not None:
+            _create_provenance(file, provenance)
         add_checksums(file)
         file.flush()
         image: bytes = file.id.get_file_image()
@@ -168,6 +173,14 @@ def _create_codes(
     echo.attrs.update({"scale_factor": scale, "add_offset": offset, "_FillValue": MISSING})
     lowest, highest = map(np.int16, code_limits)
     echo.attrs.update({"valid_min": lowest, "valid_max": highest})
+
+
+def _create_provenance(file: h5py.File, provenance: Provenance) -> None:
+    group = file.create_group("provenance")
+    for name in ("started", "host", "user", "drivers"):
+        group[name] = _fixed(getattr(provenance, name))
+    # Written once the run is over; until then nobody knows.
+    group["ended"] = np.zeros((), f"S{TIME_BYTES}")
 
 
 def _filter() -> Mapping[str, Any]:

@@ -21,8 +21,17 @@ from numpy.typing import NDArray
 
 from drivers.interfaces import Setting
 from hpe_rig.plan import Plan
+from hpe_rig.result import UNKNOWN, Provenance
 from hpe_rig.store.checksum import BY_SHOT, GROUP, blank, digest, stored_bytes
-from hpe_rig.store.format import MOST_STAGES, SNAPSHOT_BYTES, STAGE_BYTES, STATUSES, UNTRUSTED_BYTES, StoreError
+from hpe_rig.store.format import (
+    MOST_STAGES,
+    SNAPSHOT_BYTES,
+    STAGE_BYTES,
+    STATUSES,
+    TIME_BYTES,
+    UNTRUSTED_BYTES,
+    StoreError,
+)
 from hpe_rig.store.layout import TRUE_HARMONICS, volts_of_codes
 from hpe_rig.store.records import MISSING, GatedRecords, ShotRecords, with_margin
 from hpe_rig.store.validation import Trusted, UntrustedError, trusted
@@ -222,7 +231,8 @@ class StoredRun:
     one continued, "" where there is none. ``run_time_s`` is the wall time of the acquisition by stage, empty where it
     was not measured. ``force_set`` (shot,) is the force over F_0 as the toneburst generator was read back to hold it,
     NaN where nothing pushes, nothing was set or the file does not say. ``damage`` says what of the file but its echoes
-    cannot be trusted, and what stands for it; ``vouched`` whether the file has checksums at all.
+    cannot be trusted, and what stands for it; ``vouched`` whether the file has checksums at all. ``provenance`` is
+    empty in files of earlier releases and of scripts that leave it out.
     """
 
     path: Path
@@ -243,6 +253,7 @@ class StoredRun:
     damage: tuple[str, ...] = ()
     vouched: bool = False
     run_id: str = ""
+    provenance: Provenance = UNKNOWN
 
     def rows(self, shot: int) -> ShotRows:
         """Return everything of ``shot`` but its echoes; blank where the file has nothing that can be trusted."""
@@ -334,6 +345,8 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
         ]
     run_time_s, times_sound = _run_time_s(trust)
     damage += [] if times_sound else ["/run_time fails its checksum: the run times are left out"]
+    provenance, end_sound = _provenance(trust)
+    damage += [] if end_sound else ["/provenance/ended fails its checksum: when the run ended is left out"]
     damage += _damaged_truth(trust, shape) if simulated else []
     if trust.missing_bytes:
         damage.insert(0, f"the file is cut short: {trust.missing_bytes} bytes are missing at its end")
@@ -356,6 +369,7 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
         damage=tuple(damage),
         vouched=trust.vouched,
         run_id=trust.attribute("run_id", str) if "run_id" in trust.file.attrs else "",
+        provenance=provenance,
     )
 
 
@@ -389,6 +403,16 @@ def _run_time_s(trust: Trusted) -> tuple[dict[str, float], bool]:
     stages = [name.decode("ascii", "replace") for name in names[()]]
     pairs = zip(stages, times_s, strict=True)
     return {stage: float(time_s) for stage, time_s in pairs if stage.isprintable() and 0 <= time_s < math.inf}, sound
+
+
+def _provenance(trust: Trusted) -> tuple[Provenance, bool]:
+    """Return who measured where and when, and whether the time of the end is sound."""
+    if not trust.has("provenance"):
+        return UNKNOWN, True
+    texts = {name: trust.text(f"provenance/{name}") for name in ("started", "host", "user", "drivers")}
+    ended, sound = _row(trust, "provenance/ended", trust.dataset("provenance/ended", f"S{TIME_BYTES}", ()), None)
+    text = ended.item().decode("ascii", "replace")
+    return Provenance(**texts, ended=text if text.isprintable() else ""), sound
 
 
 def _damaged_truth(trust: Trusted, shape: Shape) -> Iterator[str]:

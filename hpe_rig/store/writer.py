@@ -16,6 +16,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, final
 
@@ -27,9 +28,10 @@ from numpy.typing import NDArray
 from drivers.interfaces import RecordBlock
 from hpe_rig.bench import BenchText, uninterrupted
 from hpe_rig.plan import Plan, Shot
+from hpe_rig.result import Provenance
 from hpe_rig.scene import SceneText
 from hpe_rig.store.atomic import atomic_file
-from hpe_rig.store.checksum import BY_SHOT, GROUP, digest, stored_bytes
+from hpe_rig.store.checksum import AT_ONCE, BY_SHOT, GROUP, digest, stored_bytes
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, STATUSES, UNTRUSTED_BYTES, StoreError, reason
 from hpe_rig.store.journal import Journal, Write
 from hpe_rig.store.layout import LIBVER, TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
@@ -48,12 +50,14 @@ class WriteOptions:
     """Options of writing a run file; ``predecessor`` is the run that a resumed run continues.
 
     ``run_id``: hexadecimal digits that tell the run from others of its name, for those who may ask it to stop.
+    ``provenance``: when and where the run starts; without it the same simulated run gives the same file bit for bit.
     """
 
     compress: bool = False
     overwrite: bool = False
     predecessor: Predecessor = field(default_factory=Predecessor)
     run_id: str = ""
+    provenance: Provenance | None = None
 
 
 @final
@@ -75,9 +79,10 @@ class RunWriter:
         """Create ``path``; raise ``StoreError`` if it exists, cannot be written or would not hold the records."""
         self.path = path
         self._clock = clock
-        self._checkpoint_s = self._looked_s = clock()
+        self._checkpoint_s = self._looked_s = self._started_s = clock()
+        self._provenance = options.provenance
         self._broken = False
-        image = empty_run(scene, bench, plan, options.compress, options.predecessor, options.run_id)
+        image = empty_run(scene, bench, plan, options.compress, options.predecessor, options.run_id, options.provenance)
         _refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
         _publish(image, path, options.overwrite)
         with self._writing():
@@ -87,7 +92,7 @@ class RunWriter:
         if not self._journal.locked:
             logging.getLogger(__name__).warning("%s: its disk knows no locks. Let no other run write it.", path)
         self._volts = volts_of_codes(plan.shots[0].capture.input_range_v, bench.bench.digitizer.board_model.code_limits)
-        self._tables = {name: _Table(self._file, name) for name in (*BY_SHOT, "run_time/run_time_s")}
+        self._tables = {name: _Table(self._file, name) for name in (*BY_SHOT, *AT_ONCE)}
         self._chunk = _Chunk(self._file, "records/echo")
         self._chunks = (
             self._chunk,
@@ -248,6 +253,13 @@ class RunWriter:
         self._file.flush()
         self._arrivals.put(shot, number, self._shot.recorded, self._shot.trigger_time_s)
 
+    def _write_end(self) -> None:
+        """Write when the run ended: by a clock that nobody sets meanwhile, from when it started."""
+        if self._provenance is not None and self._provenance.started:
+            lasted = timedelta(seconds=round(self._clock() - self._started_s))
+            ended = datetime.fromisoformat(self._provenance.started) + lasted
+            self._tables["provenance/ended"].put(None, ended.isoformat(timespec="seconds").encode("ascii"))
+
     def _end(self, status: str) -> None:
         """Write what is left and the status, and close the file; the library never learns of what fails here."""
         failure: StoreError | None = None
@@ -255,6 +267,7 @@ class RunWriter:
             if not self._broken:
                 with self._committing(sync=True):
                     self._write_chunk()
+                    self._write_end()
                     self._file.flush()
         except StoreError as error:
             failure, status = error, "failed"

@@ -11,6 +11,7 @@ from .simulation import (
     Scatterers as Scatterers,
     SimulationSettings as SimulationSettings,
     Specimen as Specimen,
+    Transducer as Transducer,
     Transmitter as Transmitter,
     resolution_cell_m3 as resolution_cell_m3,
     scatterer_count as scatterer_count,

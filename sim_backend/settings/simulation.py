@@ -43,6 +43,8 @@ MOST_SCATTERERS = 10_000_000
 
 MOST_LOSS_DB = 400.0
 """Twice what separates the strongest pulse from the weakest noise."""
+LARGEST_HALF_APERTURE = 0.95
+"""Of a bowl: an f-number of 0.53."""
 MOST_WIDTHS = 8.0
 """Sigmas between the axes of two beams beyond which one sees 1e-14 of what it would on the other's."""
 
@@ -144,9 +146,38 @@ class BackgroundMotion(Section):
 Ratio = Annotated[float, Field(ge=1e-3, allow_inf_nan=True, strict=True)]
 
 
-class Beams(Section):
-    """Gaussian excitation and tracking beams; widths are the sigmas E and T of eq. (8) and (12)."""
+class Transducer(Section):
+    """A circular transducer with the shape of a spherical bowl: what radiates both beams and hears the echoes."""
 
+    diameter_m: LengthM = 45.0e-3
+    """Diameter of the aperture (paper: 45 mm)."""
+    focal_length_m: LengthM = 70.0e-3
+    """Radius of curvature of the bowl, from its middle to the geometric focus (paper: 70 mm)."""
+    apodisation: Literal["uniform", "parabolic", "hann"] = "uniform"
+    """Velocity over the aperture, of its radius share s: 1, 1 - s^2, or cos^2(pi s / 2) (assumed: uniform)."""
+
+    @property
+    def half_aperture(self) -> float:
+        """Sine of the angle between the axis and the rim, seen from the focus."""
+        return self.diameter_m / 2 / self.focal_length_m
+
+    @model_validator(mode="after")
+    def _is_a_bowl(self) -> Transducer:
+        if self.half_aperture > LARGEST_HALF_APERTURE:
+            raise ValueError(
+                f"a bowl of diameter_m {self.diameter_m:g} and focal_length_m {self.focal_length_m:g} is deeper than "
+                "half a sphere or nearly so: a smaller diameter, or a longer focal length"
+            )
+        return self
+
+
+class Beams(Section):
+    """Excitation and tracking beams; widths are the sigmas E and T of eq. (8) and (12)."""
+
+    field: Literal["gaussian", "aperture"] = "gaussian"
+    """Shape of both beams: Gaussians of the widths below, or what ``transducer`` radiates."""
+    transducer: Transducer = Transducer()
+    """The transducer, of ``field = "aperture"``."""
     excitation_width_m: Widths = (0.17e-3, 0.17e-3, 1.80e-3)
     """E_x, E_y, E_z (paper, Table I)."""
     tracking_width_m: Widths = (0.078e-3, 0.078e-3, 0.83e-3)

@@ -66,7 +66,8 @@ SHORT = (
     ("delay_s = 130e-6", "delay_s = 130e-6\npulse_count = 16"),
     ("window_start_s = 50e-3", "frequencies_hz = [100.0] #"),
     ("[simulation.specimen]", "[[simulation.motion]]\nfrequency_hz = 100.0\namplitude_m = 1e-6 #"),
-    ("shear_modulus_pa = 9.0e3\nshear_viscosity_pa_s = 2.0\nforce_density_n_per_m3 = 5.0e6\n", ""),
+    ('preset = "bovine_muscle" ', "#"),
+    ("force_density_n_per_m3 = 2.2e6 ", "#"),
     ("[simulation.receiver]", "[simulation.scatterers]\nper_cell = 0.05\n[simulation.receiver]"),
 )
 SINGLE_PORT = ("[simulation]\n", "[simulation]\ninstruments = {dual_port_memory = false}\n")

@@ -1,0 +1,109 @@
+"""Command ``list``: the runs of a folder as a table, as CSV or as JSON."""
+
+from __future__ import annotations
+
+import json as json_format
+import math
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from hpe_rig.cli.console import announce
+from hpe_rig.cli.tables import wide_console
+from hpe_rig.result import csv_text, rich_table
+from hpe_rig.scene import Mistake, SettingsError, printable
+from hpe_rig.store import RunEntry, chosen, list_runs
+
+LONGEST_NOTE = 40
+
+
+def print_runs(
+    folder: Path, below: bool, words: Sequence[str], since: str | None, until: str | None, json: bool, csv: bool
+) -> None:
+    """Print the runs of ``folder`` that ``words`` and dates leave, and say which files cannot be read."""
+    first, last = _instant(since, "--since"), _instant(until, "--until", end=True)
+    entries, unreadable = list_runs(folder, below)
+    found = chosen(entries, words, first, last)
+    for text in unreadable:
+        announce(f"hpe-rig: {printable(text)}")
+    if json:
+        typer.echo(json_format.dumps([_plain(entry) for entry in found], indent=2))
+    elif csv:
+        typer.echo(csv_text(_alike([_flat(entry) for entry in found])), nl=False)
+    elif not found:
+        typer.echo(f"none of {len(entries)} runs in {folder} is asked for" if entries else f"no run in {folder}")
+    else:
+        headers = ("date", "file", "title", "state", "result", "notes")
+        console = wide_console()
+        console.print(rich_table(headers, [_row(entry, folder) for entry in found], words=6))
+
+
+def _row(entry: RunEntry, folder: Path) -> tuple[str, ...]:
+    state = entry.status if entry.shots_complete == entry.shots else f"{entry.shots_complete} of {entry.shots} shots"
+    notes = ", ".join(f"{name}: {_short(note)}" for name, note in entry.notes.items())
+    date = f"{entry.date:%Y-%m-%d %H:%M}"
+    texts = (date, str(entry.path.relative_to(folder)), entry.title, state, _result(entry), notes)
+    return tuple(printable(text) for text in texts)
+
+
+def _short(note: Any) -> str:
+    text = " ".join(str(note).split())
+    return text if len(text) <= LONGEST_NOTE else f"{text[:LONGEST_NOTE]}..."
+
+
+def _result(entry: RunEntry) -> str:
+    lead = entry.lead
+    if lead is None:
+        return "-"
+    amplitude = f"{lead.amplitude_m * 1e9:.4g} +- {lead.amplitude_uncertainty_m * 1e9:.2g} nm"
+    phase = f"{math.degrees(lead.phase_rad):.1f} +- {math.degrees(lead.phase_uncertainty_rad):.2g} deg"
+    return f"{amplitude}, {phase} at {lead.frequency_hz:g} Hz"
+
+
+def _flat(entry: RunEntry) -> dict[str, Any]:
+    """Return the entry as one row: result and notes as columns of their own."""
+    row = _plain(entry)
+    lead, notes = row.pop("lead") or {}, row.pop("notes")
+    return {**row, **lead, **{f"note_{name.replace(' ', '_')}": note for name, note in notes.items()}}
+
+
+def _plain(entry: RunEntry) -> dict[str, Any]:
+    lead, notes = entry.lead, entry.notes.items()
+    names = ("estimator", "frequency_hz", "amplitude_m", "amplitude_uncertainty_m", "phase_rad")
+    return {
+        "date": entry.date.isoformat(timespec="seconds"),
+        "file": str(entry.path),
+        **{name: getattr(entry, name) for name in ("title", "status", "shots_complete", "shots", "simulated")},
+        **{name: getattr(entry, name) for name in ("user", "host")},
+        "lead": lead and {name: _finite(getattr(lead, name)) for name in (*names, "phase_uncertainty_rad")},
+        "notes": {name: note if isinstance(note, str | int | float) else str(note) for name, note in notes},
+    }
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _alike(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return ``rows`` with the columns of all."""
+    columns = dict.fromkeys(name for row in rows for name in row)
+    return [{name: row.get(name) for name in columns} for row in rows]
+
+
+def _instant(text: str | None, option: str, end: bool = False) -> datetime | None:
+    """Return a date or time of the command line, a date alone as its first or, at the ``end``, its last moment."""
+    if text is None:
+        return None
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        what = f"{text!r} is no date"
+        raise SettingsError(
+            "command line", [Mistake(option, what, "one such as 2026-03-05 or 2026-03-05T14:30")]
+        ) from None
+    if end and len(text) <= len("2026-03-05"):
+        found = found.replace(hour=23, minute=59, second=59, microsecond=999_999)
+    return found.astimezone()

@@ -1,0 +1,156 @@
+"""Listing of the runs in a folder: when, what, how it ended, the strongest harmonic of its latest result, its notes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from hpe_rig.scene import SettingsError, parse_toml
+from hpe_rig.store.format import FORMAT, RESULT_FORMAT, StoreError, reason
+from hpe_rig.store.reader import StoredRun, read_run
+
+LARGEST_JSON = 64_000_000
+"""Bytes of a result's JSON beyond which a listing does without it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lead:
+    """Strongest harmonic of a result: of the means over repeats where there are any, else of all shots."""
+
+    estimator: str
+    frequency_hz: float
+    amplitude_m: float
+    amplitude_uncertainty_m: float
+    phase_rad: float
+    phase_uncertainty_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunEntry:
+    """One run file of a folder; ``date`` is when the run started, of files that do not say when they were written."""
+
+    path: Path
+    date: datetime
+    title: str
+    status: str
+    shots_complete: int
+    shots: int
+    simulated: bool
+    user: str
+    host: str
+    notes: Mapping[str, Any]
+    lead: Lead | None
+
+    def words(self) -> str:
+        """Return everything that a search looks through, a piece a line."""
+        kind = "simulated" if self.simulated else "measured"
+        notes = [f"{name}: {note}" for name, note in self.notes.items()]
+        return "\n".join([self.path.name, self.title, self.status, kind, self.user, self.host, *notes])
+
+
+def list_runs(folder: Path, below: bool = False) -> tuple[list[RunEntry], list[str]]:
+    """Return the runs in ``folder``, and in the folders ``below`` it, by date, and why files are none that can be read.
+
+    Result files and files of other programs are passed over in silence. Raises ``StoreError`` for what is no folder.
+    """
+    if not folder.is_dir():
+        raise StoreError(f"{folder} is no folder. Try: the folder that holds the run files.")
+    entries, unreadable = list[RunEntry](), list[str]()
+    for path in sorted(folder.rglob("*.h5") if below else folder.glob("*.h5")):
+        kind = _format(path)
+        if kind in (FORMAT, None):
+            try:
+                entries.append(_entry(read_run(path)))
+            except (StoreError, OSError) as error:
+                unreadable.append(str(error))
+    return sorted(entries, key=lambda entry: entry.date), unreadable
+
+
+def chosen(
+    entries: Sequence[RunEntry], words: Sequence[str], since: datetime | None = None, until: datetime | None = None
+) -> list[RunEntry]:
+    """Return the entries in which each of ``words`` stands somewhere, in either case, from ``since`` to ``until``."""
+    return [
+        entry
+        for entry in entries
+        if all(word.casefold() in entry.words().casefold() for word in words)
+        and (since is None or entry.date >= since)
+        and (until is None or entry.date <= until)
+    ]
+
+
+def _entry(stored: StoredRun) -> RunEntry:
+    tables = _tables(stored)
+    notes = tables.get("notes")
+    return RunEntry(
+        path=stored.path,
+        date=_date(stored),
+        title=str(tables.get("title", stored.scene_name)),
+        status=stored.status,
+        shots_complete=int(stored.shot_complete.sum()),
+        shots=stored.shot_complete.size,
+        simulated=stored.simulated,
+        user=stored.provenance.user,
+        host=stored.provenance.host,
+        notes=notes if isinstance(notes, dict) else {},
+        lead=_lead(stored.path),
+    )
+
+
+def _tables(stored: StoredRun) -> Mapping[str, Any]:
+    try:
+        return parse_toml(stored.scene_toml, stored.scene_name)
+    except SettingsError:
+        return {}
+
+
+def _date(stored: StoredRun) -> datetime:
+    try:
+        return datetime.fromisoformat(stored.provenance.started).astimezone()
+    except ValueError:
+        return datetime.fromtimestamp(stored.path.stat().st_mtime).astimezone()
+
+
+def _format(path: Path) -> str | None:
+    """Return what kind of file ``path`` says it is, "" where it does not say; None where it cannot be opened."""
+    try:
+        with h5py.File(path, "r") as file:
+            kind = file.attrs.get("format", "")
+            return kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError):
+        return None
+
+
+def _lead(run: Path) -> Lead | None:
+    """Return the strongest harmonic of the latest result beside the run file; None where there is none."""
+    beside = [path for path in run.parent.glob(f"{run.stem}.*.h5") if _format(path) == RESULT_FORMAT]
+    if not beside:
+        return None
+    latest = max(beside, key=lambda path: path.stat().st_mtime)
+    try:
+        with h5py.File(latest, "r") as file:
+            text = file["json"]
+            result = json.loads(text.asstr()[()]) if text.dtype.itemsize <= LARGEST_JSON else {}
+        return max(_leads(result), key=lambda lead: lead.amplitude_m, default=None)
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
+        raise StoreError(
+            f"{latest} is no readable result file ({reason(error)}). Try: hpe-rig process {run}."
+        ) from None
+
+
+def _leads(result: Mapping[str, Any]) -> Iterator[Lead]:
+    estimator, means = str(result["estimator"]), result.get("means", ())
+    names = ("amplitude_m", "amplitude_uncertainty_m", "phase_rad", "phase_uncertainty_rad")
+    corrected = ("corrected_amplitude_m", "corrected_uncertainty_m", "corrected_phase_rad")
+    of_peak = (*corrected, "corrected_phase_uncertainty_rad")
+    for row in means or [estimate for shot in result["shots"] for estimate in shot["estimates"]]:
+        taken = of_peak if row.get(of_peak[0]) is not None else names
+        values = [math.nan if row[name] is None else float(row[name]) for name in taken]
+        yield Lead(estimator, float(row["frequency_hz"]), *values)

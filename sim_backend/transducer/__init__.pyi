@@ -1,0 +1,6 @@
+from .radiation import (
+    NEPER_PER_DB as NEPER_PER_DB,
+    apodisation as apodisation,
+    bowl_pressure as bowl_pressure,
+    wave_number as wave_number,
+)
