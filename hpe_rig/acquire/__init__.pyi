@@ -6,6 +6,7 @@ from .api import (
     measure as measure,
     open_bench as open_bench,
 )
+from .importing import Imported as Imported, import_recording as import_recording, import_records as import_records
 from .log import log_path as log_path, logged as logged
 from .places import Mover as Mover
 from .provenance import provenance_now as provenance_now

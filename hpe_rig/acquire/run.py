@@ -80,6 +80,9 @@ def prepare_text(
     """Return the planned measurement of a scene's text, ``stored`` where a run file holds it; raises as ``prepare``."""
     with (stages or Stages())("plan"):
         bench = read_bench(bench_path)
+        if bench.bench.recording is not None:
+            what = "this bench stands for an imported recording, no instrument of it is known"
+            raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file of your own")])
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check, stored)
         if bench.bench.simulated:

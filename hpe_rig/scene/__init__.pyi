@@ -17,6 +17,7 @@ from .notes import Note as Note
 from .quantities import (
     AmplitudeM as AmplitudeM,
     Count as Count,
+    DelayS as DelayS,
     DurationS as DurationS,
     FrequencyHz as FrequencyHz,
     IntensityWPerM2 as IntensityWPerM2,
@@ -24,6 +25,7 @@ from .quantities import (
     LengthM as LengthM,
     PressurePa as PressurePa,
     Seed as Seed,
+    SpeedMPerS as SpeedMPerS,
     VoltageV as VoltageV,
 )
 from .scene import (
