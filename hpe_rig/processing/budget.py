@@ -99,13 +99,10 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     random = np.maximum(total - aliasing, 0.0)
     residual_m2 = float(fit.residual_rms_m) ** 2
     share = min(known.jitter_m**2 / residual_m2, 1.0) if residual_m2 > 0 else 0.0
-    lost = np.array(
-        [
-            averaging.factor_uncertainty * float(fit.amplitude_m[index]) / averaging.factor,
-            averaging.phase_uncertainty_rad,
-        ]
-    )
-    aliasing, lost = _with_shared(aliasing, lost**2, np.array(averaging.shared) * [fit.amplitude_m[index] ** 2, 1.0])
+    unit = np.array([fit.amplitude_m[index], 1.0])
+    lost = np.array([averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad]) * unit
+    shared = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * unit**2
+    aliasing, lost = _with_shared(aliasing, lost**2, shared)
 
     def fitted(source: str, variance: NDArray[np.float64]) -> Component:
         amplitude_m, phase_rad = np.sqrt(variance).tolist()

@@ -298,9 +298,10 @@ def medium_posterior(prior: MediumPrior, evidence: Evidence, fit: HarmonicFit, m
     places, likelihood = list(prior.places(fit.frequency_hz)), evidence.likelihood
     ratio, steepness = np.log(prior.averaging[:, places]), _parts(prior.steepness[:, places])
     mean = likelihood @ ratio
-    off = _parts(ratio - mean[..., None, :])
+    off = _parts(np.asarray(ratio - mean[..., None, :]))
     size = fit.amplitude_m * np.exp(1j * fit.phase_rad)
-    short = _parts((missed[..., ::2] + 1j * missed[..., 1::2]) / np.where(size == 0, np.inf, size)[..., None, :])
+    each = missed[..., ::2] + 1j * missed[..., 1::2]
+    short = _parts(np.asarray(each / np.where(size == 0, np.inf, size)[..., None, :], np.complex128))
     return MediumPosterior(
         evidence.significance,
         np.exp(mean),

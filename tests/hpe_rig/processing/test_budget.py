@@ -64,7 +64,9 @@ def test_what_aliasing_and_beam_averaging_share_is_in_the_sum(shared: float) -> 
     # 0.02 rad of aliasing, 0.01 of averaging, correlated by `shared`; 3 and 2 % of the amplitude
     aliasing = np.array([[[9e-18, 0], [0, 4e-4]]])
     whole = replace(fit(), covariance=fit().covariance + aliasing, aliasing=aliasing)
-    averaging = Averaging(1.0, 0.0, 0.0, 0.02, 0.01, shared=(shared * 0.03 * 0.02, shared * 0.02 * 0.01))
+    averaging = Averaging(
+        1.0, 0.0, 0.0, 0.02, 0.01, shared_relative=shared * 0.03 * 0.02, shared_phase_rad2=shared * 0.02 * 0.01
+    )
     (estimate,) = estimates_of(whole, Known(sound_speed_uncertainty=0.0), (averaging,))
     noise, lead = parts(estimate)["noise"], estimate.headline
     relative = (lead.amplitude_uncertainty_m**2 - noise.amplitude_m**2) / 1e-14
