@@ -47,6 +47,7 @@ from .sequencer import (
     ShotBlock as ShotBlock,
     Step as Step,
     acquire as acquire,
+    programmed as programmed,
     unobserved as unobserved,
 )
 from .settings_files import (

@@ -13,7 +13,11 @@ from .bench_file import (
     read_bench as read_bench,
     titled as titled,
 )
-from .comparison import file_differences as file_differences, settings_differences as settings_differences
+from .comparison import (
+    Difference as Difference,
+    file_differences as file_differences,
+    settings_differences as settings_differences,
+)
 from .emulation import emulate as emulate
 from .instruments import Bench as Bench, UnsafeBenchError as UnsafeBenchError
 from .interrupts import (

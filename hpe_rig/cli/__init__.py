@@ -7,6 +7,7 @@ Files, from what is typed to what is shown::
     keys.py     keys pressed while a run goes on
     queue.py    several runs, one after another
     watch.py    stop request, pause, log and live page around a run
+    comparison.py  two runs side by side
     bench.py    the report of a bench, and its comparison with another
     listing.py  the runs of a folder
     verify.py   what is damaged in a file

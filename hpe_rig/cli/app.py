@@ -254,6 +254,21 @@ def report(
 
 @app.command()
 @guarded
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A.h5", help="Run file.")],
+    second: Annotated[Path, typer.Argument(metavar="B.h5", help="Run file to compare with it.")],
+    estimator: Estimator = None,
+    figure: Annotated[Path | None, typer.Option(help="Both results and their differences, .svg, .png or .pdf.")] = None,
+    json: Json = False,
+) -> None:
+    """Compare two runs. Settings that differ, results side by side, and how significant each difference is."""
+    from hpe_rig.cli.comparison import print_comparison
+
+    print_comparison(first, second, estimator, figure, json)
+
+
+@app.command()
+@guarded
 def moduli(
     run_files: Annotated[
         list[Path], typer.Argument(metavar="RUN.h5 ...", help="Run files, each of one place or more.")
