@@ -78,8 +78,11 @@ class Journal:
     def readinto(self, buffer: memoryview) -> int:
         """Fill ``buffer`` as if all that was written here were in the file already; zeros where there is nothing."""
         self._view.seek(self._place)
-        found = self._view.read(len(buffer)) or b""
-        buffer[:] = found.ljust(len(buffer), b"\0")
+        found = 0
+        # One read may bring less than there is, over a network or beyond 2 GB; nothing at all is the file's end.
+        while found < len(buffer) and (count := self._view.readinto(buffer[found:])):
+            found += count
+        buffer[found:] = bytes(len(buffer) - found)
         for offset, data in self._pending:
             first, last = max(offset, self._place), min(offset + len(data), self._place + len(buffer))
             if first < last:
