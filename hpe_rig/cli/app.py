@@ -398,9 +398,9 @@ def new(
 @app.command()
 @guarded
 def schema(
-    of: Annotated[str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation.")] = "scene",
+    of: Annotated[str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation, result.")] = "scene",
 ) -> None:
-    """Print the JSON schema of a settings file, for use in editors."""
+    """Print the JSON schema of a settings file, for use in editors, or of what --json prints."""
     import json
 
     from hpe_rig.acquire import json_schema

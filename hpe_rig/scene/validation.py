@@ -48,6 +48,10 @@ class SettingsError(Exception):
         self.source = source
         self.mistakes = tuple(mistakes)
 
+    def __reduce__(self) -> tuple[type[SettingsError], tuple[str, tuple[Mistake, ...]]]:
+        """Return how it is made again: an error comes back from another process as it left."""
+        return SettingsError, (self.source, self.mistakes)
+
 
 MOST_LEVELS = 20
 """Tables and lists within one another in a settings file; a scene has five."""

@@ -24,6 +24,7 @@ from sim_backend.motion.inverse_laplace import FIELD_CONTOUR, Contour, Panels, p
 from sim_backend.motion.specimen import (
     StepResponse,
     Triple,
+    creeps_for_ever,
     force_volume,
     memory_s,
     polar_nodes,
@@ -47,10 +48,15 @@ _NODES_WHERE_WAVES_ARE_SHORT = 36
 _SHORT_OCTAVES = 5
 # exp(-32) = 1e-14: a share of the spectrum below that puts nothing into any point.
 _NEGLIGIBLE_EXPONENT = 32.0
+# Most octaves see so short a way that J0 is a short power series, at a tenth of the price.
+_SHORT_ARGUMENT = 0.5
+_SERIES_TERMS = 7
 # Chebyshev degrees of the shapes; laterally more where the field reaches over many widths of the force.
 _LATERAL_DEGREES = 16
 _LATERAL_DEGREES_A_WIDTH = 3.8
 _AXIAL_DEGREES = 10
+# From about when on errors count against how far a medium has crept: shear waves have then left the force.
+_CREEP_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +102,7 @@ def focus_field(
 ) -> FocusField:
     """Return the field of ``specimen`` around the focus, good to ``tolerance`` of the static displacement there.
 
+    Of a medium that creeps for ever: of what it has moved so far, or in the first millisecond where that is more.
     From ``lateral_inner_m`` off the axis to ``lateral_reach_m``.
 
     Raises ``ValueError`` for a force of unequal lateral widths.
@@ -109,14 +116,25 @@ def focus_field(
     panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
     # A matrix of courses in time by points in space: its singular vectors are the modes, few of which are large.
     degrees, count, points = panels.coefficient.shape
-    left, size, right = np.linalg.svd(panels.coefficient.reshape(-1, points), full_matrices=False)
+    worth = _worth(specimen, panels)[:, None]
+    left, size, right = np.linalg.svd((panels.coefficient / worth).reshape(-1, points), full_matrices=False)
     modes = max(1, int(np.count_nonzero(size > 0.1 * tolerance * size[0])))
-    courses = (left[:, :modes] * size[:modes]).reshape(degrees, count, modes)
+    courses = (left[:, :modes] * size[:modes]).reshape(degrees, count, modes) * worth
     # From values at the grid's Chebyshev points to coefficients, along both axes.
     grid = right[:modes].reshape(modes, across, _AXIAL_DEGREES)
     shape = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(_AXIAL_DEGREES), optimize=True)
     response = StepResponse(memory_s(specimen, Panels(courses)), Panels(courses))
     return FocusField(lateral_reach_m, axial_reach_m, response, shape, lateral_inner_m)
+
+
+def _worth(specimen: Specimen, panels: Panels) -> Floats:
+    """Return the displacement that an error counts against in every panel (panel,), but for a common factor."""
+    if not creeps_for_ever(specimen):
+        return np.ones(panels.coefficient.shape[1])
+    # In hours a medium creeps so far that all its motion under a toneburst would be less than the tolerance.
+    farthest = np.maximum.accumulate(np.abs(panels.coefficient).sum(axis=0).max(axis=1))
+    least = farthest[np.searchsorted(panels.begins_s, _CREEP_S) - 1]
+    return np.asarray(np.maximum(farthest, least) / least)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +157,11 @@ class MediumMotion:
     def displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, lateral_m: float) -> Floats:
         """Return the displacement beside the focus at ``time_ps`` (time,)."""
         shape = self.field.shapes(np.array([abs(lateral_m)]), np.zeros(1))
-        return np.asarray(self.amplitudes_m(tonebursts, time_ps) @ shape[0])
+        # one response in place of as many as there are modes: the table is summed over them first
+        response = self.field.response
+        there = StepResponse(response.memory_s, Panels(response.panels.coefficient @ shape.T))
+        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter)
+        return transients(there, force, time_ps)[:, 0]
 
 
 def medium_motion(
@@ -237,13 +259,22 @@ def _ray_spectrum(width_m: Triple, lateral_m: Floats, axial_m: Floats, ray: floa
         sine, cosine = np.sqrt(1 - m[seen] ** 2)[:, None], m[seen][:, None]
         spread = np.exp(-np.outer(k**2, a[seen])) * share[seen]
         # (k, direction, lateral) and (k, direction, axial): the wave across the axis and along it.
-        across = jv(0, k[:, None, None] * sine * lateral_m)
+        waves = k[:, None, None] * sine * lateral_m
+        across = jv(0, waves) if high * lateral_m.max() > _SHORT_ARGUMENT else _bessel_near_0(waves)
         along = np.cos(k[:, None, None] * cosine * axial_m)
         # Summed over directions: what these wave numbers put into every point, (k, lateral, axial).
         block = np.einsum("km,kml,kma->kla", spread, across, along, optimize=True)
         k2.append(k**2)
         into.append(block.reshape(len(k), -1) * (turn * (high - low) / 2 * weight)[:, None])
     return np.concatenate(k2), np.concatenate(into)
+
+
+def _bessel_near_0(z: Complexes) -> Complexes:
+    """Return J0(z) for |z| up to ``_SHORT_ARGUMENT`` by its power series, good to 1e-17."""
+    square, value = -(z**2) / 4, np.ones_like(z)
+    for order in range(_SERIES_TERMS, 0, -1):
+        value = 1 + value * square / order**2
+    return value
 
 
 def _highest(a: Floats, distance_m: Floats, ray: float) -> Floats:

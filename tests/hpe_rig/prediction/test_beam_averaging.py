@@ -12,6 +12,7 @@ from hpe_rig.prediction.beam_averaging import (
     medium_motion,
     off_focus,
     predicted_averaging,
+    region_spread,
     resting_conditions,
     speckle_spread,
     width_scale,
@@ -228,3 +229,25 @@ def test_speckle_turns_the_phase_where_the_lag_varies_over_the_beam() -> None:
     # 0.487 degrees, known to a tenth with speckle's dark spots.
     assert [each.speckle_relative for each in muscle] == pytest.approx([0.0132, 0.0194], rel=0.15)
     assert np.degrees(turned) == pytest.approx([0.093, 0.487], rel=0.15)
+
+
+def test_speckle_moves_the_middle_of_what_is_tracked_as_independent_cells_would():
+    """Of a long gate: sigma^2 / 2 over its number of independent cells, less one.
+
+    Echo and echo weighted by place are circular Gaussian and independent of each other; cells by the pulse's own
+    correlation. 2000 draws: 1.6 % of a standard deviation, three of them, and as much for cells that are not whole.
+    """
+    gate_m, deep_m = 6e-3, 50e-3
+    resting = resting_conditions(load_scene("gelatin-moduli"))
+    # as many scatterers, in a beam so deep that all of the gate counts alike
+    resting = replace(resting, gate_length_m=gate_m, tracking_width_m=(*TRACKING_M[:2], deep_m))
+    instant_m = (np.arange(256) + 0.5) / 256 * gate_m
+    lag = np.abs(instant_m[:, None] - instant_m) / PULSE_M
+    shift = np.linspace(-1, 1, 2001)
+    pulse = np.where(np.abs(shift) < 0.5, np.cos(np.pi * shift) ** 2, 0.0)
+    correlation = np.interp(lag, shift[1000:] * 2, np.correlate(pulse, pulse, "full")[2000::2] / (pulse @ pulse))
+    cells = lag.size / np.sum(correlation**2)
+    area, middle_m = region_spread(resting, "coherent")
+    assert middle_m == pytest.approx(TRACKING_M[0] / np.sqrt(2) / np.sqrt(2 * (cells - 1)), rel=0.065)
+    # r^2 / 2 of both axes spreads by sigma^2, as x does by sigma
+    assert area == pytest.approx(middle_m / (TRACKING_M[0] / np.sqrt(2)), rel=0.065)
