@@ -15,7 +15,16 @@ import numpy as np
 from scipy.special import jv
 
 from sim_backend.settings import Beams, Propagation, SimulationSettings, Specimen, Transducer
-from sim_backend.transducer import Accuracy, Layer, advance, bowl_pressure, nonlinear_beam, path, push_of
+from sim_backend.transducer import (
+    Accuracy,
+    Layer,
+    advance,
+    bowl_pressure,
+    equivalent_force,
+    nonlinear_beam,
+    path,
+    push_of,
+)
 
 FREQUENCY_HZ, SPEED = 3e6, 1540.0
 BOWL = Transducer()
@@ -116,8 +125,6 @@ def published() -> Iterator[str]:
 
 def accuracy() -> Iterator[str]:
     """Yield what harmonics and steps do to the force and the peaks in muscle, against the finest."""
-    from sim_backend.transducer.push import equivalent_force
-
     yield "muscle, 0.28 MPa at the surface: difference from the finest, against processor time"
     yield "| harmonics | step | force | p+ | p- | s |"
     yield "|---:|---:|---:|---:|---:|---:|"
