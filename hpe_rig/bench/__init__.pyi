@@ -43,4 +43,5 @@ from .twin import (
     twin_of as twin_of,
     twin_push as twin_push,
     twin_settings as twin_settings,
+    twin_tables as twin_tables,
 )
