@@ -14,6 +14,7 @@ from .echoes import (
 from .ensemble import (
     BRANCH_OVER_MODULUS as BRANCH_OVER_MODULUS,
     LOW_VISCOSITY_PA_S as LOW_VISCOSITY_PA_S,
+    MAXWELL_VISCOSITY_PA_S as MAXWELL_VISCOSITY_PA_S,
     MEMBERS as MEMBERS,
     MODULUS_PA as MODULUS_PA,
     POWER as POWER,
@@ -57,6 +58,7 @@ from .motion import (
     loupas as loupas,
     peak_phase as peak_phase,
 )
+from .motion_map import MapSettings as MapSettings, map_pixels as map_pixels
 from .prior import (
     WEIGHT as WEIGHT,
     Evidence as Evidence,

@@ -13,7 +13,7 @@ import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model
-from hpe_rig.result import phase_variance_rad2
+from hpe_rig.result import phase_variance_at_rad2, phase_variance_rad2
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +43,15 @@ class MediumPosterior:
     ``peak_over_tracked``, complex (..., frequency): the motion's peak over what the beam tracks of it, and
     ``peak_covariance`` (..., frequency, 2, 2) of its relative amplitude and its phase. ``steepness`` (..., frequency,
     2): root mean square of the changes of tracked amplitude, relative, and phase with the logarithm of the beam's area.
+    ``shared``, the same shape: covariance of the error of ``peak_over_tracked`` with that of aliasing, relative
+    amplitude and phase: both hang on which medium it is.
     """
 
     significance: FloatArray
     peak_over_tracked: ComplexArray
     peak_covariance: FloatArray
     steepness: FloatArray
+    shared: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,19 +182,21 @@ def fit_from_state(
     )
 
 
-def with_aliasing(fit: HarmonicFit, aliasing_m2: FloatArray, known: HarmonicFit) -> HarmonicFit:
+def with_aliasing(
+    fit: HarmonicFit, aliasing_m2: FloatArray, known: HarmonicFit, medium: MediumPosterior
+) -> HarmonicFit:
     """Return ``fit`` with the covariance ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) of its states added.
 
-    A ``known`` fit, with a prior of media, tells the medium and how large the amplitudes are without that error, which
-    can be as large as they: it is a phase's error by them.
+    A ``known`` fit, with a prior of media, tells how large the amplitudes are without that error, which can be as large
+    as they: it is a phase's error by them. ``medium`` is what the motion says of it.
     """
     wanted, total = 2 * fit.frequency_hz.size, fit.state_covariance.copy()
     total[..., :wanted, :wanted] += aliasing_m2
     radial, added = (_along_phasor(each, fit.phase_rad) for each in (total, aliasing_m2))
-    weights = _polar_weights(radial, added, known.amplitude_m)
-    return replace(
-        fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=known.medium
-    )
+    aliased = 0.0 if known.aliasing is None else known.aliasing[..., 0, 0]
+    variance = phase_variance_at_rad2(known.amplitude_m, known.covariance[..., 0, 0] - aliased, radial[..., 1, 1])
+    weights = _factors(radial, variance)
+    return replace(fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=medium)
 
 
 def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray:
@@ -213,8 +218,12 @@ def _polar_weights(radial: FloatArray, unresolved: FloatArray, amplitude: FloatA
     ``unresolved`` is the part of ``radial`` that is aliasing. Where the amplitude may be noise alone, the phase's
     variance is up to that of an unknown phase.
     """
+    across = radial[..., 1, 1]
+    return _factors(radial, phase_variance_rad2(amplitude, across, across - unresolved[..., 1, 1]))
+
+
+def _factors(radial: FloatArray, variance: FloatArray) -> FloatArray:
     across, tiny = radial[..., 1, 1], np.finfo(np.float64).tiny
-    variance = phase_variance_rad2(amplitude, across, across - unresolved[..., 1, 1])
     scale = np.sqrt(np.where(across > tiny, variance, 0.0) / np.maximum(across, tiny))
     weights = np.stack([np.ones_like(scale), scale], axis=-1)
     return np.asarray(weights[..., :, None] * weights[..., None, :])

@@ -389,6 +389,8 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
         speckle_phase_rad=turned,
         factor_uncertainty=factor * relative,
         phase_uncertainty_rad=phase_rad,
+        shared_relative=float(fit.medium.shared[index, 0]),
+        shared_phase_rad2=float(fit.medium.shared[index, 1]),
     )
 
 

@@ -42,8 +42,9 @@ class Averaging:
 
     Speckle changes the tracked amplitude by ``speckle_relative`` and its phase by ``speckle_phase_rad`` from place to
     place; ``factor_uncertainty`` and ``phase_uncertainty_rad`` come from what is not known of the medium, and
-    ``offset_relative`` from what is not known of the gate's distance to the focus; ``carrier_relative`` is the spread
-    of the echo's mean frequency about the carrier, for an estimator that divides by that. All standard deviations.
+    ``shared_relative`` and ``shared_phase_rad2`` are the covariance of that with aliasing. ``offset_relative`` comes
+    from what is not known of the gate's distance to the focus; ``carrier_relative`` is the spread of the echo's mean
+    frequency about the carrier, for an estimator that divides by that. The others are standard deviations.
 
     ``offset_factor`` is what of ``factor`` a gate off the focus makes. For other media: speckle changes the logarithm
     of the tracking beam's area by ``area_spread``, and few speckles and scatterers make what is lost ``loss_scale``
@@ -61,6 +62,8 @@ class Averaging:
     carrier_relative: float = 0.0
     area_spread: float = 0.0
     loss_scale: float = 1.0
+    shared_relative: float = 0.0
+    shared_phase_rad2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +199,8 @@ class ShotResult:
     """The estimates of one shot, with what was varied and what was missing.
 
     ``complete`` is False for a shot in which the run stopped. ``untrusted`` says why its records are not to be trusted,
-    "" where nothing speaks against them. ``motion``: displacement, model and residual pulse by pulse, where it is kept.
+    "" where nothing speaks against them. ``swept``: values of the
+    sweep's axes by their full names. ``motion``: displacement, model and residual pulse by pulse, where it is kept.
     """
 
     shot: int
@@ -214,6 +218,7 @@ class ShotResult:
     axial_offset_m: float = 0.0
     complete: bool = True
     untrusted: str = ""
+    swept: Mapping[str, float] = field(default_factory=dict)
     motion: ShotMotion | None = field(default=None, repr=False, compare=False)
 
 
