@@ -463,7 +463,10 @@ def main() -> None:
         shutil.rmtree(tree, ignore_errors=True)
         root = Path(__file__).resolve().parents[1]
         shutil.copytree(root, tree, ignore=shutil.ignore_patterns(".git", "__pycache__", ".*_cache"))
-        subprocess.run(["git", "init", "-q"], cwd=tree, check=True)
+        for command in ("init", "-q"), ("add", "-A"):
+            subprocess.run(["git", *command], cwd=tree, check=True)
+    # A run that was killed may have left its last fault there.
+    subprocess.run(["git", "checkout-index", "-f", "-a"], cwd=tree, check=True)
     os.environ.update(PYTHONPATH=str(tree), PYTHONDONTWRITEBYTECODE="1")
     os.chdir(tree)
     for module in PRELOADED:
