@@ -332,10 +332,10 @@ def sample_span(start_ps: int, end_ps: int, capture: Capture) -> slice:
 def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion | None:
     """Return what moves the focus, or None; the medium's transient is tabulated once, here."""
     if settings.specimen is not None:
-        from sim_backend.motion import radiation_force, tabulate_step_response, transient_displacement
+        from sim_backend.motion import focus_response, force_shape, radiation_force, transient_displacement
 
         specimen = settings.specimen
-        response = tabulate_step_response(specimen, settings.beams.excitation_width_m)
+        response = focus_response(specimen, force_shape(settings))
         return lambda tonebursts, time_ps, _origin_ps: transient_displacement(
             response, radiation_force(tonebursts, specimen, travel_s, settings.transmitter), time_ps
         )

@@ -1,3 +1,4 @@
+from .intensity import GaussianSum as GaussianSum, gaussian_sum as gaussian_sum, push_intensity as push_intensity
 from .radiation import (
     NEPER_PER_DB as NEPER_PER_DB,
     apodisation as apodisation,
