@@ -77,7 +77,7 @@ def choices(
     if method in (None, "interpolated") and len(delays.shape) == 1:
         largest_s = float(spread_s[0] * np.abs(delays.shape).max())
         share = edge_share(delays.rest_s, weight, pulse, largest_s, sample_time_s)
-        nodes = node_count(pulse, largest_s, share, tolerance)
+        nodes = node_count(pulse, largest_s, share, tolerance, delays.colour)
         if nodes < MOST_NODES:
             found.append(
                 Choice("interpolated", 4e-4 * stretches + (nodes + CHECKED) * exact_s + nodes * combining_s, nodes)
@@ -85,7 +85,7 @@ def choices(
     angle = largest_angle(pulse, delays.shape, delays.about_middle().amplitude_s[None])
     orders = terms_needed(angle, tolerance)
     columns = math.comb(orders - 1 + len(delays.shape), orders - 1)
-    if method in (None, "series") and angle <= MOST_ANGLE_RAD and columns <= _MOST_COLUMNS:
+    if delays.colour is None and method in (None, "series") and angle <= MOST_ANGLE_RAD and columns <= _MOST_COLUMNS:
         period_s = float(sample_time_s[-1] - sample_time_s[0]) / max(1, samples - 1) or 1.0
         reach_s = spread_s @ np.abs(delays.shape)
         crossings = 4 * float(reach_s.sum()) / period_s

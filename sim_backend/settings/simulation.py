@@ -410,13 +410,34 @@ class SimulationSettings(Section):
         return self
 
     @model_validator(mode="after")
+    def _aperture_fits(self) -> SimulationSettings:
+        if self.beams.field == "gaussian":
+            return self
+        wrong = []
+        focus_m, focal_m = self.beams.focus_depth_m, self.beams.transducer.focal_length_m
+        if abs(focus_m - focal_m) > 1e-9 * focal_m:
+            wrong.append(
+                f"beams.focus_depth_m is {focus_m:g} m and beams.transducer.focal_length_m {focal_m:g} m: the focus of "
+                "a bowl is its centre of curvature; make both equal"
+            )
+        if any(reflector.kind == "plane" for reflector in self.scatterers.reflectors):
+            wrong.append("a plane among scatterers.reflectors is summed over a Gaussian beam: points, or no aperture")
+        if self.scatterers.axial_delay == "none":
+            wrong.append(
+                'scatterers.axial_delay = "none" has no depths, an aperture\'s beam has: "two_way" or Gaussians'
+            )
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        return self
+
+    @model_validator(mode="after")
     def _without_contradictions(self) -> SimulationSettings:
         if self.receive_chain is not None and self.receiver.snr_db is not None:
             raise ValueError(
                 "receiver.snr_db and receive_chain exclude each other: with a chain the noise is the preamplifier's, "
                 "receive_chain.noise_v_per_sqrt_hz"
             )
-        if self.specimen is not None and self.specimen.field == "medium":
+        if self.specimen is not None and self.specimen.field == "medium" and self.beams.field == "gaussian":
             x, y, _ = self.beams.excitation_width_m
             remedy = 'specimen.field = "gaussian"'
             if abs(x - y) > 1e-12 * x:

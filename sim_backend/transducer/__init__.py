@@ -2,6 +2,8 @@
 
     diameter, focal length, apodisation   `sim_backend.settings.Transducer`, the one description
     P(r, z)                               pressure of the bowl: O'Neil's Rayleigh integral   radiation.py
+    |P|^2                                 its intensity as a sum of Gaussians: the push      intensity.py
+    P^2                                   what is heard of a scatterer: tracking             pulse_echo.py
 
 The theory, and its error against closed forms, is docs/theory/transducer.md.
 """
