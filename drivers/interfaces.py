@@ -26,6 +26,10 @@ class InstrumentError(Exception):
         self.why = why
         self.remedy = remedy
 
+    def __reduce__(self) -> tuple[type[InstrumentError], tuple[str, str, str, str]]:
+        """Return how it is made again: an error comes back from another process as it left."""
+        return type(self), (self.role, self.what, self.why, self.remedy)
+
 
 class DeadlineError(InstrumentError):
     """The records that were expected did not arrive in time."""

@@ -4,6 +4,7 @@ from .acquire import (
     check as check,
     estimate as estimate,
     fit_moduli as fit_moduli,
+    import_records as import_records,
     measure as measure,
     open_bench as open_bench,
     open_run as open_run,

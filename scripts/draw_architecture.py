@@ -47,7 +47,7 @@ PANELS = {
         },
     ),
     "hpe_rig": Panel(
-        *("hpe_rig: the application", "#0B62A0", "#EBF2F8", 3.8, ("scene", "result")),
+        *("hpe_rig: the application", "#0B62A0", "#EBF2F8", 3.8, ("scene", "result", "extensions")),
         {
             "cli": (0, 12, "the commands"),
             "validation": (1, 11, "accuracy, paper"),
@@ -59,11 +59,13 @@ PANELS = {
             "prediction": (0, 5, "expected errors"),
             "moduli": (0, 6, "moduli of the medium"),
             "processing": (0, 4, "echoes to estimates"),
+            "recordings": (1, 3, "foreign files"),
             "store": (0, 3, "run files"),
             "plan": (0, 2, "shots, edges, checks"),
             "bench": (0, 1, "the instruments"),
             "scene": (0, 0, "what is measured"),
-            "result": (1, 0, "estimates"),
+            "result": (1, 1, "estimates"),
+            "extensions": (1, 0, "what others bring"),
         },
     ),
     "sim_backend": Panel(

@@ -9,6 +9,8 @@
     stop_request.py   a safe stop that another process asks for
     log.py            every step beside the run file
     run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result
+    importing.py      a recording of another program becomes a run file
+    settings_files.py the schema of scene, bench and simulation; a file with every key
     resumption.py     a stopped run continued: its complete shots kept, the others measured
 
 A run file is opened with ``open_run`` alone: scene, bench, plan and checks come with it, validated. ``prepare`` and

@@ -6,13 +6,13 @@ from .api import (
     measure as measure,
     open_bench as open_bench,
 )
+from .importing import Imported as Imported, import_recording as import_recording, import_records as import_records
 from .log import log_path as log_path, logged as logged
 from .places import Mover as Mover
 from .provenance import provenance_now as provenance_now
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import (
     Setup as Setup,
-    json_schema as json_schema,
     planned as planned,
     prepare as prepare,
     prepare_text as prepare_text,
@@ -32,6 +32,11 @@ from .sequencer import (
     Step as Step,
     acquire as acquire,
     unobserved as unobserved,
+)
+from .settings_files import (
+    full_text as full_text,
+    json_schema as json_schema,
+    settings_tables as settings_tables,
 )
 from .stop_request import (
     StopRequested as StopRequested,

@@ -33,6 +33,11 @@ def prepare_rest(
     goes on, where scene or bench differ from the run's or nothing is left, else as ``prepare``.
     """
     earlier = open_run(path)
+    if earlier.bench.recording is not None:
+        source = earlier.bench.recording.source
+        raise StoreError(
+            f"{path} was imported from {source}: no instrument can go on with it. Try: hpe-rig import {source} anew."
+        )
     if is_taken(path):
         raise StoreError(f"{path} is being written by a run that goes on. Try: wait for its end, or stop it.")
     own = earlier.stored.scene_name, earlier.stored.scene_toml

@@ -7,7 +7,6 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from hpe_rig.acquire.places import Mover, mover_of, require_mover
 from hpe_rig.acquire.recording import Recording
@@ -20,7 +19,6 @@ from hpe_rig.bench import (
     interruptible,
     open_bench,
     read_bench,
-    simulation_schema,
     uninterrupted,
 )
 from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
@@ -82,6 +80,9 @@ def prepare_text(
     """Return the planned measurement of a scene's text, ``stored`` where a run file holds it; raises as ``prepare``."""
     with (stages or Stages())("plan"):
         bench = read_bench(bench_path)
+        if bench.bench.recording is not None:
+            what = "this bench stands for an imported recording, no instrument of it is known"
+            raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file of your own")])
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check, stored)
         if bench.bench.simulated:
@@ -171,11 +172,3 @@ def _looking(observer: Observer, recording: Recording) -> Observer:
         recording.look()
 
     return observe
-
-
-def json_schema(of: str) -> dict[str, Any]:
-    """Return the JSON schema of a scene, a bench file or the twin's settings."""
-    schemas = {"scene": Scene.model_json_schema, "bench": BenchFile.model_json_schema, "simulation": simulation_schema}
-    if of not in schemas:
-        raise SettingsError(f"schema {of}", [Mistake("", "there is no such schema", f"one of {', '.join(schemas)}")])
-    return schemas[of]()

@@ -106,6 +106,7 @@ class Run:
             run_time_s=stages.run_time_s,
             simulated_specimen=self.scene.default_specimen,
             shots_without_result=tuple(estimates.without.items()),
+            imported=None if self.bench.recording is None else self.bench.recording.words,
             notes=self.scene.notes,
             provenance=self.stored.provenance,
         )
@@ -151,13 +152,25 @@ def open_run(path: str | os.PathLike[str]) -> Run:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)
     stored.refuse_unlike(plan)
-    return Run(stored.path, scene, bench, _as_set(plan, stored), found, stored)
+    plan = _as_set(plan, stored)
+    if bench.recording is not None:
+        plan = _at_imported_times(plan, stored)
+    return Run(stored.path, scene, bench, plan, found, stored)
 
 
 def _as_set(plan: Plan, stored: StoredRun) -> Plan:
     """Return ``plan`` with the forces that the generator really was set to, which rounds what it is sent."""
     pairs = zip(plan.shots, stored.force_set.tolist(), strict=True)
     shots = (replace(shot, force_fraction=force) if math.isfinite(force) else shot for shot, force in pairs)
+    return replace(plan, shots=tuple(shots))
+
+
+def _at_imported_times(plan: Plan, stored: StoredRun) -> Plan:
+    """Return ``plan`` with its pulses when the file says that they were fired, in place of a regular train's times."""
+    onset_s = stored.rows(0).tables["records/pulse_onset_s"]
+    if not np.isfinite(onset_s).all():
+        return plan
+    shots = (replace(shot, timeline=replace(shot.timeline, pulse_onset_s=onset_s)) for shot in plan.shots)
     return replace(plan, shots=tuple(shots))
 
 

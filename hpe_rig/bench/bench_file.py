@@ -15,6 +15,7 @@ from pydantic import Field
 from drivers.alazar import BoardModel, model_named
 from hpe_rig.scene import (
     Count,
+    DelayS,
     DurationS,
     FrequencyHz,
     IntensityWPerM2,
@@ -201,6 +202,26 @@ class Calibration(Section):
     """The pulse that tracks."""
 
 
+class ForeignRecording(Section):
+    """Where the records come from that were imported instead of measured; the bench then stands for another one."""
+
+    source: Annotated[str, Field(max_length=1000)]
+    """Name of the file, or "array"."""
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    """SHA-256 of its bytes."""
+    format: str
+    """Format it was read as."""
+    first_sample_s: DelayS
+    """Time of a record's first sample after the onset of its tracking pulse."""
+    inferred: tuple[str, ...] = ()
+    """What was not stated, in words, with where it was taken from."""
+
+    @property
+    def words(self) -> str:
+        """Where the records come from, as results name it."""
+        return f"{self.source}, SHA-256 {self.sha256}"
+
+
 class BenchFile(Section):
     """One bench."""
 
@@ -220,6 +241,8 @@ class BenchFile(Section):
     """The digitizer."""
     wiring: tuple[Cable, ...]
     """The cables."""
+    recording: ForeignRecording | None = None
+    """Where imported records come from; only in run files that hpe-rig import wrote."""
     store_user: Annotated[bool, Field(strict=True)] = True
     """Whether the name of the account that measures is stored in run files; hpe-rig never sends it anywhere."""
 
@@ -284,7 +307,7 @@ def _own(found: BenchText) -> BenchText:
 
 
 def _missing_addresses(bench: BenchFile) -> list[Mistake]:
-    if bench.simulated:
+    if bench.simulated or bench.recording is not None:
         return []
     simulated_only = [Mistake("transport", "only the simulated bench has one", "remove it: the address says it all")]
     what, remedy = "this key is required on a real bench", 'a VISA name such as "GPIB0::10::INSTR"'

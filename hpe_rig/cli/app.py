@@ -46,6 +46,23 @@ Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to RUN.
 Yes = Annotated[bool, typer.Option("--yes", help="Between places, go on without asking whether the transducer moved.")]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="Local port of the live page. 0: any free port.")]
 
+RecordingFile = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="NPY, NPZ, MATLAB, HDF5, CSV, raw or AlazarTech file of echoes.")
+]
+ImportScene = Annotated[
+    str, typer.Option(help="Scene: gate, frequencies, beams. How it was recorded, the recording says.")
+]
+Lines = Annotated[
+    str | None, typer.Option(help="Of several lines: 12, 10-20 or all, each a place, or mean, mean:10-20.")
+]
+Setting = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", "-s", metavar="KEY=VALUE", help="Of the recording, such as axes=line,pulse,sample; repeatable."
+    ),
+]
+Sidecar = Annotated[Path | None, typer.Option(help="TOML file about the recording. Default: RECORDING.toml, if any.")]
+
 
 def main() -> None:
     """Run the command line."""
@@ -148,6 +165,32 @@ def process(run_file: RunFile, estimator: Estimator = None, json: Json = False, 
     from hpe_rig.acquire import process as process_run
 
     show(process_run(run_file, estimator, Stages()), json, csv)
+
+
+@app.command("import")
+@guarded
+def import_command(
+    recording: RecordingFile,
+    scene: ImportScene,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Run file. Default: RECORDING.h5 in this folder, numbered.")
+    ] = None,
+    lines: Lines = None,
+    setting: Setting = None,
+    sidecar: Sidecar = None,
+    compress: Compress = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")] = False,
+) -> None:
+    """Make a run file of echoes that another program recorded. Prints what is inferred; hpe-rig process goes on."""
+    from hpe_rig.acquire import import_recording
+    from hpe_rig.recordings import parse_options
+    from hpe_rig.store import WriteOptions
+
+    options = parse_options(setting or []) | ({} if lines is None else {"lines": lines})
+    made = import_recording(recording, scene, output, sidecar, options, WriteOptions(compress, overwrite))
+    for text in made.inferred:
+        typer.echo(text)
+    typer.echo(f"{made.path}: hpe-rig process {made.path} estimates it, hpe-rig report {made.path} shows it")
 
 
 @app.command()
@@ -326,6 +369,9 @@ def new(
     like: Annotated[
         str, typer.Option(help="Scene or run file to copy, or 'bench' for a bench file.")
     ] = "bovine-muscle",
+    full: Annotated[
+        bool, typer.Option("--full", help="With every key there is in a comment: meaning, unit, bounds, default.")
+    ] = False,
 ) -> None:
     """Copy a shipped scene, the scene of a run file or a bench file, to edit."""
     from hpe_rig.acquire import source_text
@@ -333,6 +379,10 @@ def new(
 
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     text = titled(read_bench().text, f"Bench {path.stem}") if like == "bench" else source_text(like)[1]
+    if full:
+        from hpe_rig.acquire import full_text
+
+        text = full_text("bench" if like == "bench" else "scene", text)
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
@@ -348,9 +398,9 @@ def new(
 @app.command()
 @guarded
 def schema(
-    of: Annotated[str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation.")] = "scene",
+    of: Annotated[str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation, result.")] = "scene",
 ) -> None:
-    """Print the JSON schema of a settings file, for use in editors."""
+    """Print the JSON schema of a settings file, for use in editors, or of what --json prints."""
     import json
 
     from hpe_rig.acquire import json_schema

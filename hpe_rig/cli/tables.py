@@ -21,9 +21,8 @@ LEAST_SHARE = 0.01
 def print_result(result: Result) -> None:
     """Print means over repeats, the table of each shot, the warnings, what was omitted, and the run time by stage."""
     console = wide_console()
-    source = "SIMULATED" if result.simulated else "measured"
     console.print(f"\n{result.title}", style="bold")
-    console.print(f"{source}, {result.run_file}, estimator {result.estimator}")
+    console.print(f"{result.origin}, {result.run_file}, estimator {result.estimator}")
     if result.provenance.started:
         console.print(f"{times_text(result.provenance)}, {result.provenance.host}")
     for name, note in result.notes.items():

@@ -8,6 +8,11 @@ from .inversion import (
     fit_medium as fit_medium,
 )
 from .media import LAWS as LAWS, MediumLaw as MediumLaw
-from .outcome import ModuliResult as ModuliResult, moduli_of as moduli_of
-from .places import Source as Source, push_of as push_of, vibrations_of as vibrations_of
+from .outcome import ModuliResult as ModuliResult, moduli_of as moduli_of, plane_wave_of as plane_wave_of
+from .places import (
+    Source as Source,
+    push_of as push_of,
+    vibration_at as vibration_at,
+    vibrations_of as vibrations_of,
+)
 from .shear_speed import fit_voigt as fit_voigt, speed_of_runs as speed_of_runs

@@ -181,7 +181,7 @@ def bound(vibrations: Sequence[Vibration], push: Push, law: MediumLaw, values: S
     coordinates = np.array(
         [one.to_coordinate(value) for one, value in zip(problem.law.parameters, values, strict=True)]
     )
-    return problem.covariance(problem.start(coordinates))
+    return problem.covariance(problem.start(coordinates)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,14 +235,18 @@ class Problem:
         """How many unknowns nothing is known of: the law's parameters and the amplitude."""
         return len(self.law.parameters) + 1
 
-    def start(self, coordinates: FloatArray) -> FloatArray:
-        """Return the unknowns at the law's ``coordinates``, the amplitude the best, all else as known beforehand."""
+    def start(self, coordinates: FloatArray) -> tuple[FloatArray, float]:
+        """Return the unknowns at the law's ``coordinates``, the amplitude the best, all else as known beforehand.
+
+        And their chi-square.
+        """
         unknown = np.zeros(self.free + len(self.nuisances))
         unknown[: self.free - 1] = coordinates
         model, data = self.whitened(self.modelled(unknown)), self.whitened([v.phasor_m for v in self.vibrations])
         ratio, size = float(model @ data) / float(model @ model), float(np.sqrt((data @ data) / (model @ model)))
-        unknown[self.free - 1] = np.log(max(ratio, 1e-6 * size))
-        return unknown
+        best = max(ratio, 1e-6 * size)
+        unknown[self.free - 1] = np.log(best)
+        return unknown, float(np.sum((data - best * model) ** 2))
 
     def whitened(self, phasors_m: Sequence[ComplexArray]) -> FloatArray:
         """Return all phasors as real numbers of unit variance."""
@@ -376,8 +380,7 @@ class Problem:
 
 def _starts(problem: Problem) -> list[FloatArray]:
     """Return the unknowns at the best points of a coarse grid, no two next to each other."""
-    tried = [problem.start(each) for each in problem.law.starts()]
-    cost = [float(np.sum(problem.residual(each) ** 2)) for each in tried]
+    tried, cost = zip(*(problem.start(each) for each in problem.law.starts()), strict=True)
     kept: list[FloatArray] = []
     for index in np.argsort(cost):
         count = problem.free - 1

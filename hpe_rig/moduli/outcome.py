@@ -132,7 +132,7 @@ def moduli_of(
     if not vibrations:
         raise ValueError("no place has a vibration that stands out of its noise: " + "; ".join(omitted))
     fits, probability = compare_media(vibrations, push, laws)
-    wave, why_not = _plane_wave(vibrations, push.density_kg_per_m3)
+    wave, why_not = plane_wave_of(vibrations, push.density_kg_per_m3)
     simulated = any(source.stored.simulated for source in sources)
     title = sources[0].scene.title
     return ModuliResult(
@@ -140,7 +140,7 @@ def moduli_of(
     )
 
 
-def _plane_wave(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> tuple[Voigt | None, str]:
+def plane_wave_of(vibrations: Sequence[Vibration], density_kg_per_m3: float) -> tuple[Voigt | None, str]:
     """Return the moduli by phase gradient, of the frequencies that all places have; None and why where it fails."""
     common = set.intersection(*(set(one.frequency_hz.tolist()) for one in vibrations))
     ordered = sorted(vibrations, key=lambda one: abs(one.lateral_m))

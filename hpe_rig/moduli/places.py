@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.moduli.inversion import ComplexArray, FloatArray, Push, Vibration
 from hpe_rig.plan import Plan, Shot, places_of
-from hpe_rig.prediction import beam_widths, tracked_area_spread
+from hpe_rig.prediction import beam_widths, tracked_spread
 from hpe_rig.processing import HarmonicFit, shot_fit
 from hpe_rig.scene import Mistake, Scene, SettingsError
 from hpe_rig.store import StoredRun
@@ -140,7 +140,7 @@ def vibration_at(
     beams = beam_widths(scene, estimator)
     assert beams is not None  # noqa: S101 (push_of has asked for them)
     seen = beams.tracking_width_m[0] ** 2 / 2
-    area = tracked_area_spread(scene, estimator)
+    area, middle_m = tracked_spread(scene, estimator)
     return Vibration(
         label=label,
         frequency_hz=frequency_hz,
@@ -149,7 +149,7 @@ def vibration_at(
         lateral_m=scene.tracking.lateral_offset_m,
         axial_m=scene.gate_depth_m - _focus_m(scene),
         tracking_m2=(seen, beams.axial_spread_m**2),
-        lateral_uncertainty_m=float(np.hypot(scene.tracking.offset_uncertainty_m, np.sqrt(seen) * area)),
+        lateral_uncertainty_m=float(np.hypot(scene.tracking.offset_uncertainty_m, middle_m)),
         gain_uncertainty=GAIN_UNCERTAINTY,
         phase_uncertainty_rad=PHASE_UNCERTAINTY_RAD,
         area_uncertainty=area,

@@ -32,6 +32,8 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
         out.append(Omission("predicted beam averaging", "the scene has no [beams]"))
     if bench.simulated:
         return [*out, *_omitted_of_twin(twin_of(scene))]
+    if bench.recording is not None:
+        return [*out, Omission("instruments", "the records were imported")]
     unread = ", [simulation] is not read" if declares_twin(scene) else ""
     return [*out, Omission("the twin", "the bench is real" + unread)]
 

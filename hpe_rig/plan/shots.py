@@ -280,6 +280,8 @@ def _capture(scene: Scene, bench: BenchFile) -> Capture:
     delay = 0 if board.aux_waits_for_trigger_delay else max(0, delay)
     # Rounded down: the gate then lies a little later in the record.
     delay -= delay % board.board_model.trigger_delay_multiple
+    # What was imported begins where it began.
+    delay = delay if bench.recording is None else 0
     return Capture(
         sample_rate_hz=acquisition.sample_rate_hz,
         record_samples=acquisition.record_samples,
@@ -303,6 +305,7 @@ def _timeline(scene: Scene, bench: BenchFile, burst_length_s: float | None, capt
     tracking, excitation = scene.tracking, scene.excitation
     trigger_s, onset_s = tracking_path_s(bench)
     start_s = trigger_s + bench.digitizer.latency_s + capture.trigger_delay_samples / capture.sample_rate_hz - onset_s
+    start_s = start_s if bench.recording is None else bench.recording.first_sample_s
     bursts = np.arange(excitation.burst_count if excitation else 0, dtype=np.float64)
     burst_rate_hz = excitation.burst_rate_hz if excitation else 1.0
     return Timeline(

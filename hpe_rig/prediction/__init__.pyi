@@ -10,7 +10,7 @@ from .beam_averaging import (
     medium_of as medium_of,
     predicted_averaging as predicted_averaging,
     pulse_length_m as pulse_length_m,
-    tracked_area_spread as tracked_area_spread,
+    tracked_spread as tracked_spread,
 )
 from .bounds import echo_bound as echo_bound
 from .detection import FALSE_ALARMS as FALSE_ALARMS, detection_floor as detection_floor

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
-from hpe_rig.prediction.error_model import Conditions, Speckle, draw_speckle, tracked_over_peak
+from hpe_rig.prediction.error_model import Conditions, Moved, Speckle, draw_speckle, tracked_over_peak
 from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, scatterer_density
 from hpe_rig.processing import (
     BeamWidths,
@@ -73,12 +73,29 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     return tuple(_off_focus(scene, replace(Averaging(*each), **rest)) for each in columns)
 
 
-def tracked_area_spread(scene: Scene, estimator: str) -> float:
-    """Return the relative standard deviation over speckle of the area across that is tracked; 0 without beams."""
-    beams, resting = beam_widths(scene, estimator), resting_conditions(scene)
-    if beams is None or resting is None:
-        return 0.0
-    return speckle_spread(resting, estimator)[0] / -_gaussian_steepness(beams)
+def tracked_spread(scene: Scene, estimator: str) -> tuple[float, float]:
+    """Return over speckle the standard deviations of the area across that is tracked, relative, and of its middle, m.
+
+    What tracks, weights the scatterers' motion: the mean of their x and of their (x^2 + y^2) / 2 under those weights.
+    (0, 0) without beams.
+    """
+    resting = resting_conditions(scene)
+    return (0.0, 0.0) if resting is None else region_spread(resting, estimator)
+
+
+@functools.lru_cache(maxsize=16)
+def region_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
+    """Return ``tracked_spread`` of ``resting`` echoes."""
+
+    def spread(moved: Moved) -> tuple[float, float]:
+        # a fixed seed: a prediction is a function of the scene alone
+        speckle = draw_speckle(resting, np.random.default_rng(0), SPECKLE_DRAWS, moved)
+        found = tracked_over_peak(resting, estimator, speckle)
+        return float(found.mean()), float(found.std())
+
+    unit_m = resting.tracking_width_m[0]
+    mean, area = spread(lambda place: np.square(place[:2] / unit_m).sum(axis=0) / 2)
+    return area / mean, unit_m * spread(lambda place: np.asarray(place[0] / unit_m))[1]
 
 
 def resting_conditions(scene: Scene) -> Conditions | None:

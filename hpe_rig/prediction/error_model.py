@@ -8,6 +8,7 @@ part of it: echoes are aligned before the gate cuts them, as far as the record r
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,9 @@ from hpe_rig.processing import EstimatorSpec, hann, spec_of
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Triple = tuple[float, float, float]
+
+Moved = Callable[[FloatArray], FloatArray]
+"""Displacement (scatterer,) of scatterers at (3, scatterer), m from the focus, over one of its own."""
 
 INSTANTS = 64
 BAND_OF_CARRIER = 1.0
@@ -141,20 +145,31 @@ class Scattering:
         return Speckle(self.echo @ blur, self.moved @ blur)
 
 
-def draw_speckle(conditions: Conditions, generator: np.random.Generator, draws: int = 1000) -> Speckle:
-    """Return envelopes of ``draws`` independent speckles: scatterers of the conditions's density, placed at random."""
+def draw_speckle(
+    conditions: Conditions, generator: np.random.Generator, draws: int = 1000, moved: Moved | None = None
+) -> Speckle:
+    """Return envelopes of ``draws`` independent speckles: scatterers of the conditions's density, placed at random.
+
+    ``moved`` as in ``draw_scattering``.
+    """
     deep_m = conditions.gate_length_m + conditions.pulse_length_m
     cells = int(np.clip(4 * np.ceil(deep_m / conditions.pulse_length_m), 48, 192))
-    scattering = draw_scattering(conditions, generator, draws, deep_m, cells)
+    scattering = draw_scattering(conditions, generator, draws, deep_m, cells, moved)
     return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
 
 
 def draw_scattering(
-    conditions: Conditions, generator: np.random.Generator, draws: int, deep_m: float, cells: int
+    conditions: Conditions,
+    generator: np.random.Generator,
+    draws: int,
+    deep_m: float,
+    cells: int,
+    moved: Moved | None = None,
 ) -> Scattering:
     """Return ``draws`` draws of the conditions's scatterers in ``cells`` cells within ``deep_m`` around the focus.
 
-    Beams and density alone count: the same draws serve any gate and pulse that stay within.
+    They are displaced as ``moved`` says of places (3, scatterer), without it by the Gaussian of eq. (12). Beams and
+    density alone count: the same draws serve any gate and pulse that stay within.
     """
     lateral_m = [2 * LATERAL * width for width in conditions.tracking_width_m[:2]]
     count = generator.poisson(conditions.scatterers_per_m3 * np.prod(lateral_m) * deep_m, draws)
@@ -168,8 +183,8 @@ def draw_scattering(
         parts = [np.bincount(flat, part, draws * cells) for part in (values.real, values.imag)]
         return np.asarray((parts[0] + 1j * parts[1]).reshape(draws, cells))
 
-    moved = echo * _gaussian(place, conditions.excitation_width_m)
-    return Scattering(summed(echo), summed(moved), ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m)
+    weight = _gaussian(place, conditions.excitation_width_m) if moved is None else moved(place)
+    return Scattering(summed(echo), summed(echo * weight), ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m)
 
 
 def _gaussian(place: FloatArray, width_m: Triple) -> FloatArray:

@@ -14,6 +14,7 @@ from .echoes import (
 from .ensemble import (
     BRANCH_OVER_MODULUS as BRANCH_OVER_MODULUS,
     LOW_VISCOSITY_PA_S as LOW_VISCOSITY_PA_S,
+    MAXWELL_VISCOSITY_PA_S as MAXWELL_VISCOSITY_PA_S,
     MEMBERS as MEMBERS,
     MODULUS_PA as MODULUS_PA,
     POWER as POWER,
@@ -70,13 +71,15 @@ from .prior import (
 )
 from .shear_field import (
     ShearMotion as ShearMotion,
-    shear_displacement as shear_displacement,
+    focal_motion as focal_motion,
     shear_motion as shear_motion,
 )
 from .shots import (
     NO_RECORDS as NO_RECORDS,
     Estimates as Estimates,
+    FittedMotion as FittedMotion,
     estimate_run as estimate_run,
+    fitted_motion as fitted_motion,
     margin_needed as margin_needed,
     options_of as options_of,
     samples_needed as samples_needed,

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import ndtri, wofz
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray
-from hpe_rig.processing.shear_field import shear_displacement, shear_motion
+from hpe_rig.processing.shear_field import focal_motion
 
 Triple = tuple[float, float, float]
 
@@ -101,7 +101,7 @@ class Ensemble:
         return np.asarray(np.linalg.solve(chebyshev(node, order).T, chebyshev(position, order).T).T)
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=32)
 def medium_ensemble(
     beams: BeamWidths,
     lowest_hz: float,
@@ -115,6 +115,7 @@ def medium_ensemble(
     The parameters fill their ranges evenly by a low-discrepancy sequence: no chance, hence no seed.
     """
     if beams.lateral_m:
+        # its own memory: however a caller words its arguments, an ensemble of waves beside the push is made once
         return _beside(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
     count = max(8, round(NODES_PER_E_FOLD * np.log(highest_hz / lowest_hz)))
     node_hz = np.sqrt(lowest_hz * highest_hz) * (highest_hz / lowest_hz) ** (-np.cos(np.linspace(0, np.pi, count)) / 2)
@@ -139,10 +140,11 @@ def medium_ensemble(
     return found
 
 
+@functools.lru_cache(maxsize=8)
 def _beside(
     beams: BeamWidths, lowest_hz: float, highest_hz: float, known: KnownMedium | None, density_kg_per_m3: float
 ) -> Ensemble:
-    """Return the ensemble where the tracking beam lies beside the force, by ``shear_displacement``."""
+    """Return the ensemble where the tracking beam lies beside the force, by ``focal_motion``."""
     harmonic_hz = lowest_hz * np.arange(1.0, round(highest_hz / lowest_hz) + 1)
     spread = _even_sequence(MEMBERS_BESIDE, 5)
     s = np.asarray(2j * np.pi * harmonic_hz, np.complex128)
@@ -169,11 +171,12 @@ def seen_beside(
     """
     (x, _, z), seen, place = beams.force_width_m, beams.tracking_width_m[0] ** 2 / 2, np.array([beams.lateral_m])
     medium = modulus_pa, frequency_hz, density_kg_per_m3, (x, z)
-    moved = shear_motion(*medium, x**2 + seen, z**2 + beams.axial_spread_m**2, place)
-    tracked = moved.value[:, 0]
-    wider, aside = seen * moved.by_across[:, 0] / tracked, np.sqrt(seen) * moved.by_lateral[:, 0] / tracked
+    tracked, by_area, by_place = (
+        each[:, 0] for each in focal_motion(*medium, x**2 + seen, z**2 + beams.axial_spread_m**2, place)
+    )
+    wider, aside = seen * by_area / tracked, np.sqrt(seen) * by_place / tracked
     steep = np.hypot(wider.real, aside.real) + 1j * np.hypot(wider.imag, aside.imag)
-    return tracked, shear_displacement(*medium, x**2, z**2, place)[:, 0], tracked * steep
+    return tracked, focal_motion(*medium, x**2, z**2, place)[0][:, 0], tracked * steep
 
 
 def displacement(

@@ -205,6 +205,10 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
     scene, shot = run.scene, run.plan.shots[0]
     gate, tracking = scene.acquisition, scene.tracking
     facts = [("bench", run.bench.title), ("run file", result.run_file), ("run", result.status)]
+    if run.bench.recording is not None:
+        facts = [("imported", f"{run.bench.recording.source}, read as {run.bench.recording.format}"), *facts[1:]]
+        facts.append(("SHA-256", run.bench.recording.sha256))
+        facts += [("taken as", text) for text in run.bench.recording.inferred]
     if result.provenance.started:
         facts.append(("started", result.provenance.started.replace("T", " ")))
     if result.simulated_specimen:

@@ -22,7 +22,8 @@ def result_figure(result: Result) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6.0, 5.0), layout="constrained")
-    figure.suptitle(f"SIMULATED: {result.title}" if result.simulated else result.title, wrap=True, fontsize="medium")
+    title = result.title if result.origin == "measured" else f"{result.origin.partition(',')[0]}: {result.title}"
+    figure.suptitle(title, wrap=True, fontsize="medium")
     for panel, (value, uncertainty, label, factor) in zip(figure.subplots(2, sharex=True), PANELS, strict=True):
         for shot, colour in zip(result.shots, PALETTE, strict=False):
             panel.errorbar(

@@ -38,8 +38,7 @@ def result_html(result: Result) -> str:
 
 
 def _origin(result: Result) -> str:
-    words = "SIMULATED" if result.simulated else "measured"
-    return words + (f", simulated specimen: {result.simulated_specimen}" if result.simulated_specimen else "")
+    return result.origin + (f", simulated specimen: {result.simulated_specimen}" if result.simulated_specimen else "")
 
 
 def _image(result: Result) -> str:

@@ -92,5 +92,5 @@ def result_text(result: Result) -> str:
     peak = all(item.headline.corrected for shot in result.shots for item in shot.estimates)
     headers = ("shot", "f / Hz", f"{'peak' if peak else 'amplitude'} / nm", "u / nm", "phase / deg", "u / deg")
     table = text_table(headers, [*means, *rows], words=0)
-    source = ", ".join(text for text in ("SIMULATED" if result.simulated else "measured", result.run_file) if text)
+    source = ", ".join(text for text in (result.origin, result.run_file) if text)
     return f"{result.title}\n{source}, estimator {result.estimator}\n{table}"

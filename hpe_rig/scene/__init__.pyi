@@ -1,3 +1,9 @@
+from .description import (
+    DescribedKey as DescribedKey,
+    DescribedTable as DescribedTable,
+    annotated as annotated,
+    described as described,
+)
 from .editing import edited_text as edited_text
 from .keys import (
     Key as Key,
@@ -11,6 +17,7 @@ from .notes import Note as Note
 from .quantities import (
     AmplitudeM as AmplitudeM,
     Count as Count,
+    DelayS as DelayS,
     DurationS as DurationS,
     FrequencyHz as FrequencyHz,
     IntensityWPerM2 as IntensityWPerM2,
@@ -18,6 +25,7 @@ from .quantities import (
     LengthM as LengthM,
     PressurePa as PressurePa,
     Seed as Seed,
+    SpeedMPerS as SpeedMPerS,
     VoltageV as VoltageV,
 )
 from .scene import (

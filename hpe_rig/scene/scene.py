@@ -251,7 +251,7 @@ class Sweep(Section):
     """Pulse rates f_prf, measured in turn in place of tracking.pulse_rate_hz, with equally many pulses each."""
     window_length_s: Annotated[tuple[DurationS, ...], Field(min_length=1, max_length=100)] = ()
     """Slow-time windows T_s, taken in turn from the same records in place of processing.window_length_s."""
-    lateral_offset_m: Annotated[tuple[Offset, ...], Field(min_length=1, max_length=100)] = ()
+    lateral_offset_m: Annotated[tuple[Offset, ...], Field(min_length=1, max_length=1000)] = ()
     """Places of the tracking transducer beside the push, taken in turn in place of tracking.lateral_offset_m; between
     them every output is off, and a stage or the operator moves it."""
     axial_offset_m: Annotated[tuple[Offset, ...], Field(min_length=1, max_length=100)] = ()
@@ -494,18 +494,25 @@ DEFAULT_SPECIMEN_SCENE = "bovine-muscle"
 
 
 def with_default_specimen(scene: Scene) -> Scene:
-    """Return ``scene`` with the default muscle, in focus at the gate, where it has no [simulation]."""
+    """Return ``scene`` with the default muscle, in focus at the gate, where it has no [simulation].
+
+    Without [beams] the muscle's own push it, those of the transducer.
+    """
     if scene.simulation is not None:
         return scene
-    simulation = {**_default_specimen(), "beams": {"focus_depth_m": scene.acquisition.gate_depth_m}}
+    muscle = _default_specimen()
+    beams: dict[str, Any] = {"focus_depth_m": scene.acquisition.gate_depth_m}
+    if scene.beams is None and muscle.beams is not None:
+        beams["excitation_width_m"] = muscle.beams.excitation_width_m
+    simulation = {**(muscle.simulation or {}), "beams": beams}
     filled = scene.model_copy(update={"simulation": simulation})
     filled._default_specimen = DEFAULT_SPECIMEN
     return filled
 
 
 @cache
-def _default_specimen() -> Mapping[str, Any]:
-    return load_scene(DEFAULT_SPECIMEN_SCENE).simulation or {}
+def _default_specimen() -> Scene:
+    return load_scene(DEFAULT_SPECIMEN_SCENE)
 
 
 def _tables(scene: Scene) -> dict[str, Any]:

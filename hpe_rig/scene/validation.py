@@ -48,6 +48,10 @@ class SettingsError(Exception):
         self.source = source
         self.mistakes = tuple(mistakes)
 
+    def __reduce__(self) -> tuple[type[SettingsError], tuple[str, tuple[Mistake, ...]]]:
+        """Return how it is made again: an error comes back from another process as it left."""
+        return SettingsError, (self.source, self.mistakes)
+
 
 MOST_LEVELS = 20
 """Tables and lists within one another in a settings file; a scene has five."""
@@ -254,11 +258,16 @@ _UNITS = {
 }
 
 
+def unit_of(key: str) -> str:
+    """Return the unit that the name of a key ends with; empty where it has none."""
+    endings = sorted((ending for ending in _UNITS if key.endswith(f"_{ending}")), key=len)
+    return _UNITS[endings[-1]] if endings else ""
+
+
 def _unit(path: KeyPath) -> str:
-    """Return the unit that the name of a key ends with, behind a space; empty where it has none."""
-    name = next((part for part in reversed(path) if isinstance(part, str)), "")
-    endings = sorted((ending for ending in _UNITS if name.endswith(f"_{ending}")), key=len)
-    return f" {_UNITS[endings[-1]]}" if endings else ""
+    """Return the unit of the last key of ``path`` behind a space; empty where it has none."""
+    unit = unit_of(next((part for part in reversed(path) if isinstance(part, str)), ""))
+    return f" {unit}" if unit else ""
 
 
 def _written(path: KeyPath, tables: Any) -> KeyPath:

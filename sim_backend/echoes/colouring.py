@@ -18,7 +18,7 @@ from sim_backend.transducer import pulse_echo_beam
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
-_NODES = 7
+_NODES = 9
 """Frequencies that a pulse's band is interpolated between."""
 _LINES = 3
 """Frequencies up to which a pulse is a window's few lines, whose shape only a colour linear in frequency keeps."""

@@ -23,6 +23,7 @@ from sim_backend.motion.inverse_laplace import FIELD_CONTOUR, Contour, Panels, p
 from sim_backend.motion.specimen import (
     StepResponse,
     Triple,
+    creeps_for_ever,
     force_volume,
     frequency_response,
     memory_s,
@@ -49,10 +50,15 @@ _NODES_WHERE_WAVES_ARE_SHORT = 36
 _SHORT_OCTAVES = 5
 # exp(-32) = 1e-14: a share of the spectrum below that puts nothing into any point.
 _NEGLIGIBLE_EXPONENT = 32.0
+# Most octaves see so short a way that J0 is a short power series, at a tenth of the price.
+_SHORT_ARGUMENT = 0.5
+_SERIES_TERMS = 7
 # Chebyshev degrees of the shapes; laterally more where the field reaches over many widths of the force.
 _LATERAL_DEGREES = 16
 _LATERAL_DEGREES_A_WIDTH = 3.8
 _AXIAL_DEGREES = 10
+# From about when on errors count against how far a medium has crept: shear waves have then left the force.
+_CREEP_S = 1e-3
 _UNEVEN_DEGREES = 20
 """Of a force that is not the same before and behind the focal plane, in the depth itself instead of its square."""
 
@@ -112,6 +118,7 @@ def focus_field(
 ) -> FocusField:
     """Return the field of ``specimen`` around the focus, good to ``tolerance`` of the static displacement there.
 
+    Of a medium that creeps for ever: of what it has moved so far, or in the first millisecond where that is more.
     From ``lateral_inner_m`` off the axis to ``lateral_reach_m``.
 
     Raises ``ValueError`` for a force of unequal lateral widths.
@@ -129,9 +136,10 @@ def focus_field(
     panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
     # A matrix of courses in time by points in space: its singular vectors are the modes, few of which are large.
     degrees, count, points = panels.coefficient.shape
-    left, size, right = np.linalg.svd(panels.coefficient.reshape(-1, points), full_matrices=False)
+    worth = _worth(specimen, panels)[:, None]
+    left, size, right = np.linalg.svd((panels.coefficient / worth).reshape(-1, points), full_matrices=False)
     modes = max(1, int(np.count_nonzero(size > 0.1 * tolerance * size[0])))
-    courses = (left[:, :modes] * size[:modes]).reshape(degrees, count, modes)
+    courses = (left[:, :modes] * size[:modes]).reshape(degrees, count, modes) * worth
     # From values at the grid's Chebyshev points to coefficients, along both axes.
     grid = right[:modes].reshape(modes, across, along)
     series = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(along), optimize=True)
@@ -162,6 +170,16 @@ def focus_transfer(specimen: Specimen, force: Force, frequency_hz: Floats) -> Co
     return field_transfer(specimen, force, np.zeros(1), np.zeros(1), frequency_hz)[:, 0, 0]
 
 
+def _worth(specimen: Specimen, panels: Panels) -> Floats:
+    """Return the displacement that an error counts against in every panel (panel,), but for a common factor."""
+    if not creeps_for_ever(specimen):
+        return np.ones(panels.coefficient.shape[1])
+    # In hours a medium creeps so far that all its motion under a toneburst would be less than the tolerance.
+    farthest = np.maximum.accumulate(np.abs(panels.coefficient).sum(axis=0).max(axis=1))
+    least = farthest[np.searchsorted(panels.begins_s, _CREEP_S) - 1]
+    return np.asarray(np.maximum(farthest, least) / least)
+
+
 @dataclass(frozen=True, slots=True)
 class MediumMotion:
     """The field's modes at the scatterers, and what drives them."""
@@ -181,7 +199,11 @@ class MediumMotion:
     def displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, lateral_m: float) -> Floats:
         """Return the displacement beside the focus at ``time_ps`` (time,)."""
         shape = self.field.shapes(np.array([abs(lateral_m)]), np.zeros(1))
-        return np.asarray(self.amplitudes_m(tonebursts, time_ps) @ shape[0])
+        # one response in place of as many as there are modes: the table is summed over them first
+        response = self.field.response
+        there = StepResponse(response.memory_s, Panels(response.panels.coefficient @ shape.T))
+        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter)
+        return transients(there, force, time_ps)[:, 0]
 
 
 def medium_motion(
@@ -316,16 +338,25 @@ def _ray_spectrum(
         sine, cosine = np.sqrt(1 - m[seen] ** 2)[:, None], m[seen][:, None]
         even, odd = directions.spectra(k, seen)
         # (k, direction, lateral) and (k, direction, axial): the wave across the axis and along it.
-        across = jv(0, k[:, None, None] * sine * lateral_m)
-        wave = k[:, None, None] * cosine * axial_m
-        along = even[:, :, None] * np.cos(wave)
+        waves = k[:, None, None] * sine * lateral_m
+        across = jv(0, waves) if high * lateral_m.max() > _SHORT_ARGUMENT else _bessel_near_0(waves)
+        phase = k[:, None, None] * cosine * axial_m
+        along = even[:, :, None] * np.cos(phase)
         if odd is not None:
-            along += odd[:, :, None] * np.sin(wave)
+            along += odd[:, :, None] * np.sin(phase)
         # Summed over directions: what these wave numbers put into every point, (k, lateral, axial).
         block = np.einsum("kml,kma->kla", across, along, optimize=True)
         k2.append(k**2)
         into.append(block.reshape(len(k), -1) * (turn * (high - low) / 2 * weight)[:, None])
     return np.concatenate(k2), np.concatenate(into)
+
+
+def _bessel_near_0(z: Complexes) -> Complexes:
+    """Return J0(z) for |z| up to ``_SHORT_ARGUMENT`` by its power series, good to 1e-17."""
+    square, value = -(z**2) / 4, np.ones_like(z)
+    for order in range(_SERIES_TERMS, 0, -1):
+        value = 1 + value * square / order**2
+    return value
 
 
 def _highest(a: Floats, distance_m: Floats, ray: float) -> Floats:

@@ -56,8 +56,8 @@ SIGNALS["hang up"] = getattr(signal, "SIGHUP", signal.SIGTERM)
 IMPATIENCE = 10
 """How many calls in a row the impatient user's Ctrl-C strikes: the first unwinds, the others meet what makes safe."""
 WAIT_TIMEOUT, BUFFER_OVERFLOW = 579, 582
-STRIDE = 3
-"""The default suite takes every third call, with the kinds in turn; all calls with all kinds are marked slow."""
+STRIDE = 5
+"""The default suite takes every fifth call, with the kinds in turn; all calls with all kinds are marked slow."""
 
 # Five generators and short trains on prescribed motion: every kind of call is made, the physics costs nothing.
 SHORT = (
@@ -66,7 +66,8 @@ SHORT = (
     ("delay_s = 130e-6", "delay_s = 130e-6\npulse_count = 16"),
     ("window_start_s = 50e-3", "frequencies_hz = [100.0] #"),
     ("[simulation.specimen]", "[[simulation.motion]]\nfrequency_hz = 100.0\namplitude_m = 1e-6 #"),
-    ("shear_modulus_pa = 9.0e3\nshear_viscosity_pa_s = 2.0\nforce_density_n_per_m3 = 5.0e6\n", ""),
+    ('preset = "bovine_muscle" ', "#"),
+    ("force_density_n_per_m3 = 2.2e6 ", "#"),
     ("[simulation.receiver]", "[simulation.scatterers]\nper_cell = 0.05\n[simulation.receiver]"),
 )
 SINGLE_PORT = ("[simulation]\n", "[simulation]\ninstruments = {dual_port_memory = false}\n")
@@ -333,7 +334,7 @@ def test_a_fault_at_any_io_call_leaves_the_bench_safe_and_the_records_kept(
     print(f"{memory}: {len(cases)} faults at {clean.calls} calls, {raised} ended the run, ", end="")
     print(f"{reported} named an instrument as unreachable, {len(unsafe)} unsafe")
     assert not unsafe, "\n".join(unsafe)
-    assert len(cases) >= 80
+    assert len(cases) >= 50
     # A measurement may ride out one lost reply of a query asked again; it must not ride out everything.
     assert raised > len(cases) / 2
     # Nor can an instrument that is gone be proven off.

@@ -30,6 +30,10 @@ class PlanError(Exception):
         super().__init__(f"the plan has {len(conflicts)} conflict{'s' if len(conflicts) != 1 else ''}\n{lines}")
         self.conflicts = tuple(conflicts)
 
+    def __reduce__(self) -> tuple[type[PlanError], tuple[tuple[CheckResult, ...]]]:
+        """Return how it is made again: an error comes back from another process as it left."""
+        return PlanError, (self.conflicts,)
+
 
 def refuse_conflicts(results: Sequence[CheckResult]) -> None:
     """Raise ``PlanError`` with all conflicts among ``results``, if there are any."""

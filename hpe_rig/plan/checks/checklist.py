@@ -45,14 +45,30 @@ CHECKS: Final[tuple[Check, ...]] = (
     periods,
 )
 """Every check, in the order in which ``hpe-rig check`` prints them."""
+OF_RECORDS: Final[tuple[Check, ...]] = (
+    interference,
+    tracking_train,
+    wanted_frequencies,
+    driven_harmonics,
+    resolution,
+    fit_size,
+    fit_condition,
+    gate_in_record,
+    background,
+)
+"""The checks that records have to pass which were imported: they ask nothing of instruments."""
 
 
 def check_plan(scene: Scene, bench: BenchFile, plan: Plan) -> list[CheckResult]:
-    """Return what every check found, passed ones included; of a sweep once each."""
+    """Return what every check found, passed ones included; of a sweep once each.
+
+    Of imported records those alone that ask nothing of instruments.
+    """
+    checks = CHECKS if bench.recording is None else OF_RECORDS
     rates = [rate for place in scene.places for rate in place.rates]
     parts = [(window, _at(rate, plan)) for rate in rates for window in rate.windows]
     return list(
-        dict.fromkeys(result for check in CHECKS for part in parts for result in check(part[0], bench, part[1]))
+        dict.fromkeys(result for check in checks for part in parts for result in check(part[0], bench, part[1]))
     )
 
 

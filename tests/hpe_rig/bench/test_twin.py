@@ -31,8 +31,8 @@ def test_a_voigt_specimen_is_declared_as_modulus_and_density() -> None:
     assert twin is not None
     assert not twin.prescribed
     modulus_pa, density = twin.medium(np.array([100.0, 200.0])) or (np.zeros(2), 0.0)
-    np.testing.assert_allclose(modulus_pa, 9.0e3 + 2j * np.pi * np.array([100.0, 200.0]) * 2.0, rtol=1e-12)
-    assert density == 1000.0
+    np.testing.assert_allclose(modulus_pa, 12.0e3 + 2j * np.pi * np.array([100.0, 200.0]) * 5.7, rtol=1e-12)
+    assert density == 1060.0
 
 
 def test_a_preset_brings_the_chains_noise_along() -> None:

@@ -136,7 +136,7 @@ def test_a_declared_medium_narrows_the_ensemble_and_a_wrong_one_is_told() -> Non
         medium = {"medium.shear_modulus_pa": modulus_pa, "medium.shear_viscosity_pa_s": viscosity_pa_s}
         return fitted(run().scene.with_(medium))
 
-    right, wrong, unknown = declared(9e3, 2.0), declared(1e3, 10.0), fitted(run().scene)
+    right, wrong, unknown = declared(12e3, 5.7), declared(1e3, 10.0), fitted(run().scene)
     assert right.aliasing is not None
     assert unknown.aliasing is not None
     assert np.trace(right.aliasing.sum(axis=0)) < np.trace(unknown.aliasing.sum(axis=0))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hpe_rig.processing.ensemble import displacement
-from hpe_rig.processing.shear_field import shear_motion
+from hpe_rig.processing.shear_field import focal_motion, shear_motion
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import Specimen
 
@@ -34,6 +34,19 @@ def test_the_field_is_the_twins_to_1e_9_of_the_peak(medium: tuple[float, float],
         for axial_m in (0.0, 1.5e-3):
             twin = field_transfer(specimen, round_width, lateral_m, np.array([axial_m]), FREQUENCY_HZ)[:, :, 0]
             np.testing.assert_array_less(np.abs(ours(*medium, width_m, lateral_m, axial_m) - twin) / peak, 1e-9)
+
+
+@pytest.mark.parametrize("medium", MEDIA)
+@pytest.mark.parametrize("lateral_m", [0.0, 1e-3, 20e-3])
+def test_the_quick_field_is_the_full_one_to_1e_5_of_the_peak(medium: tuple[float, float], lateral_m: float) -> None:
+    modulus = medium[0] + 2j * np.pi * FREQUENCY_HZ * medium[1]
+    there = modulus, FREQUENCY_HZ, 1000.0, WIDE, WIDE[0] ** 2, WIDE[1] ** 2, np.array([lateral_m])
+    full, peak = shear_motion(*there), np.abs(ours(*medium, WIDE, np.zeros(1), 0.0))
+    slopes = full.by_across * WIDE[0] ** 2, full.by_lateral * WIDE[0]
+    value, by_across, by_lateral = focal_motion(*there)
+    quick = value, by_across * WIDE[0] ** 2, by_lateral * WIDE[0]
+    for found, expected in zip(quick, (full.value, *slopes), strict=True):
+        np.testing.assert_array_less(np.abs(found - expected) / peak, 1.2e-5)
 
 
 @pytest.mark.parametrize("medium", MEDIA)

@@ -89,7 +89,11 @@ WRONG = [
     ("gate_length_m = 1.0e-3", "repeats = 0", ["acquisition.repeats", "at least 1"]),
     ("seed = 1", "seed = -1", ["simulation.seed", "-1", "at least 0"]),
     ("seed = 1", "sede = 1", ["simulation.sede", "did you mean seed"]),
-    ("shear_modulus_pa = 9.0e3", "shear_modulus_pa = 0", ["simulation.specimen.shear_modulus_pa", "at least 0.01 Pa"]),
+    (
+        "force_density_n_per_m3 = 2.2e6",
+        "shear_modulus_pa = 0",
+        ["simulation.specimen.shear_modulus_pa", "at least 0.01 Pa"],
+    ),
     (
         "[simulation.specimen]",
         "[[simulation.motion]]\nfrequency_hz = 1.0\namplitude_m = 1e-6\n[simulation.specimen]",

@@ -1,0 +1,9 @@
+from .entry_points import (
+    ESTIMATORS as ESTIMATORS,
+    IMPORTERS as IMPORTERS,
+    MEDIA as MEDIA,
+    ExtensionError as ExtensionError,
+    installed as installed,
+    load as load,
+    origin as origin,
+)

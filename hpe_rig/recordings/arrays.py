@@ -1,0 +1,242 @@
+"""Importers of array files: NPY, NPZ, MATLAB, HDF5, CSV and raw values."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.recordings.contents import Contents
+from hpe_rig.recordings.settings import RecordingSettings
+
+MOST_STATED = 1_000_000
+"""Most entries of an array that is taken for a statement, such as the times of the pulses."""
+
+# Names that common programs give to what a recording needs, lower case, by our key; the unit is that of the key.
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "sample_rate_hz": ("fs", "sampling_frequency", "samplingfrequency", "sample_rate", "samplerate"),
+    "pulse_rate_hz": ("prf", "pulse_repetition_frequency", "pulserepetitionfrequency"),
+    "carrier_hz": ("fc", "f0", "center_frequency", "centerfrequency", "centre_frequency", "transmit_frequency"),
+    "demodulation_hz": ("fdemod", "demodulation_frequency", "modulation_frequency", "modulationfrequency"),
+    "sound_speed_m_per_s": ("c", "c0", "sound_speed", "speed_of_sound", "speedofsound"),
+    "first_sample_s": ("t0", "initial_time", "initial_times", "time_to_first_sample"),
+    "pulse_time_s": ("pulse_time", "pulse_times", "t_slow"),
+    "line_position_m": ("line_positions", "xl", "lateral"),
+}
+LISTS = ("pulse_time_s", "line_position_m")
+
+
+class Npy:
+    """NumPy's format for one array."""
+
+    suffixes = (".npy",)
+
+    def read(self, path: Path, settings: RecordingSettings) -> Contents:
+        """Return the one array of ``path``."""
+        try:
+            with path.open("rb") as file:
+                return contents({path.stem: np.load(file, allow_pickle=False)})
+        except (EOFError, ValueError, zipfile.BadZipFile) as error:
+            raise ValueError(f"it is no NPY file of numbers ({_first_line(error)}): numpy.save writes one") from error
+
+
+class Npz:
+    """NumPy's format for several arrays."""
+
+    suffixes = (".npz",)
+
+    def read(self, path: Path, settings: RecordingSettings) -> Contents:
+        """Return the arrays of ``path``."""
+        try:
+            # Opened here, since NumPy leaves a file open that is no archive.
+            with path.open("rb") as file:
+                loaded = np.load(file, allow_pickle=False)
+                if isinstance(loaded, np.ndarray):
+                    return contents({path.stem: loaded})
+                with loaded:
+                    return contents({name: loaded[name] for name in loaded.files})
+        except (EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise ValueError(f"it is no NPZ file of numbers ({_first_line(error)}): numpy.savez writes one") from error
+
+
+class Matlab:
+    """MATLAB's files: version 5 through SciPy, version 7.3 as HDF5, whose axes stand in reverse order."""
+
+    suffixes = (".mat",)
+
+    def read(self, path: Path, settings: RecordingSettings) -> Contents:
+        """Return the variables of ``path``, and the fields of its structures."""
+        import h5py
+
+        if h5py.is_hdf5(path):
+            return Hdf5(reverse=True).read(path, settings)
+        from scipy.io import loadmat
+        from scipy.io.matlab import MatReadError
+
+        try:
+            found = loadmat(path, struct_as_record=True, squeeze_me=False)
+        except (MatReadError, ValueError, TypeError, EOFError, KeyError, IndexError, NotImplementedError) as error:
+            raise ValueError(
+                f"it is no MATLAB file of version 5 or 7.3 ({_first_line(error)}): save it anew"
+            ) from error
+        except Exception as error:
+            # A damaged file raises whatever its bytes lead to.
+            raise ValueError(f"it is a damaged MATLAB file ({_first_line(error)}): save it anew") from error
+        arrays = dict(_fields({name: value for name, value in found.items() if not name.startswith("__")}))
+        return contents(arrays)
+
+
+def _fields(values: Mapping[str, Any]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield arrays by name; those in a structure of one element as STRUCTURE.FIELD."""
+    for name, value in values.items():
+        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
+            inside = {f"{name}.{key}": value.reshape(-1)[0][key] for key in value.dtype.names}
+            yield from _fields(inside)
+        elif isinstance(value, np.ndarray):
+            yield name, value
+
+
+class Hdf5:
+    """HDF5; complex numbers as h5py and MATLAB write them."""
+
+    suffixes = (".h5", ".hdf5", ".hdf")
+
+    def __init__(self, reverse: bool = False) -> None:
+        """Read arrays with their axes in ``reverse`` where MATLAB wrote them."""
+        self._reverse = reverse
+
+    def read(self, path: Path, settings: RecordingSettings) -> Contents:
+        """Return the datasets and attributes of ``path``; of the large ones that which ``settings`` name."""
+        import h5py
+
+        found: dict[str, NDArray[Any]] = {}
+        try:
+            with h5py.File(path, "r") as file:
+                wanted = settings.variable
+
+                def visit(name: str, item: Any) -> None:
+                    for key, value in item.attrs.items():
+                        found.setdefault(f"{name}.{key}" if name else key, np.asarray(value))
+                    if isinstance(item, h5py.Dataset) and _is_numbers(item.dtype) and not item.is_virtual:
+                        large = item.size > MOST_STATED and wanted is not None
+                        if not large or _same(name, wanted or ""):
+                            found[name] = _plain(item[()], self._reverse)
+
+                visit("", file)
+                file.visititems(visit)
+        except (OSError, RuntimeError, KeyError) as error:
+            raise ValueError(f"it is no readable HDF5 file ({_first_line(error)}): a whole copy of it") from error
+        return contents(found)
+
+
+class Csv:
+    """Text with a row a line, numbers separated by commas, semicolons, tabs or blanks."""
+
+    suffixes = (".csv", ".txt", ".tsv")
+
+    def read(self, path: Path, settings: RecordingSettings) -> Contents:
+        """Return the numbers of ``path`` as (row, column); lines that begin with # and one of names are passed over."""
+        try:
+            text = path.read_text(encoding="utf-8-sig")
+        except UnicodeDecodeError:
+            raise ValueError("it is no UTF-8 text: a CSV file of numbers") from None
+        lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
+        lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
+        if not lines:
+            raise ValueError("it holds no line of numbers: rows of values separated by commas")
+        separator = next((each for each in ";\t," if each in lines[0][1]), None)
+        rows = list[list[complex] | list[float]]()
+        start = 0 if _numbers(lines[0][1], separator) is not None else 1
+        for number, line in lines[start:]:
+            values = _numbers(line, separator)
+            if values is None:
+                raise ValueError(f"line {number} holds something else than numbers: {line[:40]!r}")
+            if rows and len(values) != len(rows[0]):
+                raise ValueError(f"line {number} has {len(values)} values, those before it {len(rows[0])}: equal rows")
+            rows.append(values)
+        if not rows:
+            raise ValueError("it holds no line of numbers: rows of values separated by commas")
+        return contents({path.stem: np.array(rows)})
+
+
+def _numbers(line: str, separator: str | None) -> list[complex] | list[float] | None:
+    parts = [part.strip() for part in line.split(separator)]
+    try:
+        return [float(part) for part in parts]
+    except ValueError:
+        try:
+            return [complex(part.replace(" ", "").replace("i", "j")) for part in parts]
+        except ValueError:
+            return None
+
+
+class Raw:
+    """Values without anything around them, described by a sidecar file."""
+
+    suffixes = (".raw", ".bin", ".dat", ".i16", ".f32", ".rf")
+
+    def read(self, path: Path, settings: RecordingSettings) -> Contents:
+        """Return the values of ``path`` in the stated shape."""
+        if settings.dtype is None or settings.shape is None:
+            absent = [name for name in ("dtype", "shape") if getattr(settings, name) is None]
+            raise ValueError(
+                f"raw values say nothing of themselves, {' and '.join(absent)} is not stated: a sidecar file "
+                f'{path.name}.toml with dtype = "int16", shape = [60, 512], axes = "pulse,sample" and the rates'
+            )
+        dtype = np.dtype(settings.dtype).newbyteorder("<" if settings.byte_order == "little" else ">")
+        size, wanted = path.stat().st_size, math.prod(settings.shape) * dtype.itemsize + settings.header_bytes
+        if size != wanted:
+            raise ValueError(
+                f"it has {size} bytes, {settings.shape} values of {settings.dtype} and a header of "
+                f"{settings.header_bytes} bytes take {wanted}: the right shape, dtype or header_bytes"
+            )
+        values = np.fromfile(path, dtype, offset=settings.header_bytes).reshape(settings.shape)
+        return contents({path.stem: values.astype(dtype.newbyteorder("="), copy=False)})
+
+
+def contents(found: Mapping[str, NDArray[Any]]) -> Contents:
+    """Return ``found`` sorted into samples and statements; a number or list by a common name is one."""
+    arrays, stated = dict[str, NDArray[Any]](), dict[str, tuple[Any, str]]()
+    for name, value in found.items():
+        if not _is_numbers(value.dtype):
+            continue
+        key = _key(name)
+        squeezed = value.reshape(-1) if value.ndim and value.size == max(value.shape) else value
+        if key in LISTS and squeezed.ndim == 1 and squeezed.size > 1:
+            stated.setdefault(key, (tuple(map(float, np.real(squeezed).tolist())), name))
+        elif key is not None and key not in LISTS and value.size == 1:
+            stated.setdefault(key, (float(np.real(value.reshape(-1)[0])), name))
+        elif squeezed.ndim >= 2:
+            arrays[name] = value
+    return Contents(arrays, stated)
+
+
+def _key(name: str) -> str | None:
+    """Return the key of ours that ``name`` stands for: its last part counts, in capitals or not."""
+    last = name.replace("/", ".").rpartition(".")[2].lower()
+    return next((key for key, names in NAMES.items() if last == key or last in names), None)
+
+
+def _same(name: str, wanted: str) -> bool:
+    return name.strip("/") == wanted.strip("/")
+
+
+def _is_numbers(dtype: np.dtype[Any]) -> bool:
+    return dtype.kind in "iufc" or dtype.names in (("real", "imag"), ("r", "i"))
+
+
+def _plain(values: Any, reverse: bool) -> NDArray[Any]:
+    array = np.asarray(values)
+    if array.dtype.names:
+        real, imag = (array[name] for name in array.dtype.names)
+        array = real + 1j * imag
+    return array.T if reverse else array
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).partition("\n")[0][:160] or type(error).__name__

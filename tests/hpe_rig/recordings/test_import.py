@@ -1,0 +1,357 @@
+"""Recordings of every format become the same run; what is wrong with one is said at once, each mistake in one line."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.io import savemat
+
+import hpe_rig as hpe
+from hpe_rig.acquire import import_recording, prepare_rest
+from hpe_rig.recordings import chosen_lines
+from hpe_rig.scene import Mistake, SettingsError
+from hpe_rig.store import StoreError, verify
+
+RATE_HZ, PULSE_RATE_HZ, CARRIER_HZ, SPEED = 50e6, 4000.0, 5e6, 1540.0
+PULSES, SAMPLES, LINES = 40, 160, 3
+AMPLITUDE_M, PHASE_RAD, MOVED_HZ = 500e-9, 0.5, 200.0
+SCENE = """
+title = "Echoes of another program"
+[tracking]
+cycles = 2
+[acquisition]
+gate_depth_m = 1.2e-3
+gate_length_m = 1.0e-3
+[processing]
+frequencies_hz = [200.0]
+harmonic = "least_squares"
+"""
+RATES = {"sample_rate_hz": RATE_HZ, "pulse_rate_hz": PULSE_RATE_HZ, "carrier_hz": CARRIER_HZ}
+
+
+def echoes(pulse_time_s: NDArray[np.float64], lines: int = LINES, demodulated: bool = False) -> NDArray[Any]:
+    """Return echoes (line, pulse, sample) of rigid scatterers, directly by their formula; |values| below 1."""
+    rng = np.random.default_rng(5)
+    depth_m, weight = rng.uniform(-1e-3, 3.5e-3, (lines, 1, 300)), rng.normal(size=(lines, 1, 300))
+    at_s = pulse_time_s[:, None] + depth_m / SPEED
+    moved_m = AMPLITUDE_M * np.sin(2 * np.pi * MOVED_HZ * at_s + PHASE_RAD)
+    late_s = np.arange(SAMPLES) / RATE_HZ - (2 * (depth_m + moved_m) / SPEED)[..., None]
+    envelope = np.exp(-2 * (late_s * CARRIER_HZ / 1.5) ** 2)
+    turning = np.exp(2j * np.pi * CARRIER_HZ * (late_s - np.arange(SAMPLES) / RATE_HZ)) if demodulated else None
+    each = envelope * (np.cos(2 * np.pi * CARRIER_HZ * late_s) if turning is None else turning)
+    summed = np.einsum("lps,lpst->lpt", np.broadcast_to(weight, each.shape[:3]), each)
+    return np.asarray(summed / (1.01 * np.abs(summed).max()))
+
+
+TIME_S = np.arange(PULSES) / PULSE_RATE_HZ
+RF = echoes(TIME_S)
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE, encoding="utf-8")
+    return path
+
+
+def npy(path: Path) -> dict[str, Any]:
+    np.save(path.with_suffix(".npy"), RF[0].T)
+    return RATES | {"axes": "sample,pulse"}
+
+
+def npz(path: Path) -> dict[str, Any]:
+    rates = {"fs": RATE_HZ, "prf": PULSE_RATE_HZ, "fc": CARRIER_HZ, "c": SPEED}
+    np.savez(path.with_suffix(".npz"), rf=RF[0].astype(np.float32), pulse_time_s=TIME_S, **rates)  # type: ignore[arg-type]
+    return {}
+
+
+def matlab_5(path: Path) -> dict[str, Any]:
+    savemat(path.with_suffix(".mat"), {"RF": RF[0].T, "param": {"fs": RATE_HZ, "fc": CARRIER_HZ, "PRF": PULSE_RATE_HZ}})
+    return {"axes": "sample,pulse", "variable": "RF"}
+
+
+def matlab_73(path: Path) -> dict[str, Any]:
+    # As MATLAB writes it: axes in reverse order, numbers as arrays of 1 x 1, behind 512 bytes of its own.
+    with h5py.File(path.with_suffix(".mat"), "w", userblock_size=512) as file:
+        file["RF"] = RF[0]
+        for name, value in (("fs", RATE_HZ), ("fc", CARRIER_HZ), ("PRF", PULSE_RATE_HZ)):
+            file[f"param/{name}"] = np.array([[value]])
+    return {"axes": "sample,pulse"}
+
+
+def hdf5(path: Path) -> dict[str, Any]:
+    with h5py.File(path.with_suffix(".h5"), "w") as file:
+        file["data/raw_data"] = RF[0]
+        file["scan/sampling_frequency"], file["scan/center_frequency"] = RATE_HZ, CARRIER_HZ
+        file["data"].attrs["prf"] = PULSE_RATE_HZ
+    return {"axes": ["pulse", "sample"]}
+
+
+def csv(path: Path) -> dict[str, Any]:
+    np.savetxt(path.with_suffix(".csv"), RF[0], delimiter=",", header="echoes, volts")
+    return RATES | {"axes": "pulse,sample"}
+
+
+def raw_float32(path: Path) -> dict[str, Any]:
+    path.with_suffix(".raw").write_bytes(b"head" + RF[0].astype(">f4").tobytes())
+    sidecar = {"dtype": "float32", "byte_order": "big", "header_bytes": 4, "axes": "pulse,sample"} | RATES
+    lines = [f"{key} = {json.dumps(value)}" for key, value in sidecar.items()]
+    lines.append(f"shape = [{PULSES}, {SAMPLES}]")
+    path.with_suffix(".raw.toml").write_text("\n".join(lines), encoding="utf-8")
+    return {}
+
+
+def raw_int16(path: Path) -> dict[str, Any]:
+    path.with_suffix(".bin").write_bytes(np.rint(RF[0] * 30000).astype("<i2").tobytes())
+    return RATES | {"dtype": "int16", "shape": [PULSES, SAMPLES], "axes": "pulse,sample", "scale_v": 1 / 30000}
+
+
+def alazar_words() -> NDArray[np.uint16]:
+    """Return the words that a board of 14 bits makes of plus and minus 1 V: codes from -8192 on in the upper bits."""
+    codes = np.floor(RF[0] * (2**14 - 1) / 2).astype(np.int32) + 8192
+    return np.asarray(codes << 2, np.uint16)
+
+
+def alazar_headers(path: Path) -> dict[str, Any]:
+    # 50 MS/s and 1 V by the vendor's numbers; a count of the time stamp is two samples.
+    header = np.zeros((PULSES, 4), "<u4")
+    header[:, 1] = np.arange(PULSES)
+    header[:, 2] = np.rint(TIME_S * RATE_HZ / 2) + 12345
+    header[:, 3] = 0x22 << 11 | 10 << 18
+    data = np.concatenate([header.view(np.uint8), alazar_words().astype("<u2").view(np.uint8)], axis=1)
+    path.with_suffix(".alz").write_bytes(data.tobytes())
+    return {"board": "ATS460", "record_samples": SAMPLES, "carrier_hz": CARRIER_HZ}
+
+
+def alazar_npt(path: Path) -> dict[str, Any]:
+    words = alazar_words().reshape(4, 1, -1, SAMPLES)
+    both = np.concatenate([np.full_like(words, 1 << 15), words], axis=1)
+    path.with_suffix(".bin").write_bytes(both.astype("<u2").tobytes())
+    board = {"board": "ATS460", "record_samples": SAMPLES, "channels": 2, "channel": "B", "headers": False}
+    return RATES | board | {"records_per_buffer": PULSES // 4, "input_range_v": 1.0}
+
+
+def iq(path: Path) -> dict[str, Any]:
+    np.save(path.with_suffix(".npy"), echoes(TIME_S, 1, demodulated=True)[0].astype(np.complex64))
+    return RATES | {"axes": "pulse,sample", "demodulation_hz": CARRIER_HZ}
+
+
+def iq_pairs_reversed(path: Path) -> dict[str, Any]:
+    values = echoes(TIME_S, 1, demodulated=True)[0].conj()
+    np.save(path.with_suffix(".npy"), np.stack([values.real, values.imag], axis=-1))
+    return RATES | {"axes": "pulse,sample,iq", "demodulation_hz": CARRIER_HZ, "sign": -1}
+
+
+FORMATS = [npy, npz, matlab_5, matlab_73, hdf5, csv, raw_float32, raw_int16, alazar_headers, alazar_npt]
+
+
+@pytest.mark.parametrize("write", [*FORMATS, iq, iq_pairs_reversed])
+def test_every_format_gives_the_motion_that_made_its_echoes(
+    write: Callable[[Path], dict[str, Any]], scene: Path, tmp_path: Path
+) -> None:
+    settings = write(tmp_path / "rf")
+    (source,) = (each for each in tmp_path.iterdir() if each.name.startswith("rf.") and each.suffix != ".toml")
+    run = hpe.import_records(source, scene, tmp_path / "run.h5", **settings)
+    records = run.records[0]
+    volts = records.codes * records.volts_per_code + records.volts_offset
+    if not write.__name__.startswith("iq"):
+        # Half a step of the board's 14 bits; of 16 bits a whole one, of which half is the offset of code 0.
+        most = 1.0 / (2**14 - 1) if "alazar" in write.__name__ else 2.0 / 2**15
+        assert np.abs(volts - RF[0]).max() <= most * (1 + 1e-6)
+    assert run.bench.recording is not None
+    assert not run.stored.simulated
+    (found,) = run.estimate().shots[0].estimates
+    # What 40 pulses of exact echoes leave: gate edge 0.1 %, and 5 nm of speckle's own motion within the gate.
+    assert found.amplitude_m == pytest.approx(AMPLITUDE_M, abs=3 * found.amplitude_uncertainty_m + 1e-3 * AMPLITUDE_M)
+    assert found.phase_rad == pytest.approx(PHASE_RAD, abs=3e-3)
+
+
+def test_an_imported_run_is_whole_says_where_it_comes_from_and_is_not_resumed(scene: Path, tmp_path: Path) -> None:
+    path = tmp_path / "rf.npz"
+    npz(tmp_path / "rf")
+    made = import_recording(path, scene, tmp_path / "run.h5")
+    assert any("carrier_hz = 5e+06, by 'fc' of the file" in text for text in made.inferred)
+    assert verify(made.path).as_dict()["sound"]
+    result = hpe.open_run(made.path).estimate()
+    assert result.origin.startswith("IMPORTED from rf.npz, SHA-256 ")
+    assert str(result.as_dict()["imported"]) in result.origin
+    with pytest.raises(StoreError, match=r"imported from rf\.npz: no instrument can go on"):
+        prepare_rest(made.path)
+
+
+def test_lines_become_places_or_their_mean(scene: Path) -> None:
+    rates = RATES | {"axes": "line,pulse,sample", "line_pitch_m": 0.3e-3}
+    places = hpe.import_records(RF, scene, scene.parent / "all.h5", lines="all", **rates)
+    assert [shot.lateral_offset_m for shot in places.plan.shots] == pytest.approx([-0.3e-3, 0.0, 0.3e-3])
+    assert len(places.estimate().shots) == LINES
+    mean = hpe.import_records(RF, scene, scene.parent / "mean.h5", lines="mean:2-3", **rates)
+    volts = mean.records[0].codes * mean.records[0].volts_per_code
+    assert np.abs(volts - RF[1:].mean(axis=0)).max() <= 2.0 / 2**15
+
+
+def test_uneven_pulses_are_taken_at_their_own_times(scene: Path) -> None:
+    # Every fourth pulse late by a third of the period: at even times the estimate would be off by many per cent.
+    time_s = TIME_S + np.where(np.arange(PULSES) % 4 == 3, 0.3 / PULSE_RATE_HZ, 0.0)
+    settings = RATES | {"axes": "pulse,sample", "pulse_time_s": time_s.tolist()}
+    del settings["pulse_rate_hz"]
+    run = hpe.import_records(echoes(time_s, 1)[0], scene, scene.parent / "uneven.h5", **settings)
+    (found,) = run.estimate().shots[0].estimates
+    assert found.amplitude_m == pytest.approx(AMPLITUDE_M, rel=1e-3)
+
+
+def test_records_that_are_not_finite_may_count_as_missing(scene: Path) -> None:
+    holed = RF[0].copy()
+    holed[[3, 17, 18]] = np.nan
+    settings = RATES | {"axes": "pulse,sample"}
+    with pytest.raises(SettingsError, match="3 of 40 records hold values that are not finite: line 1 shot 1 pulse 4"):
+        hpe.import_records(holed, scene, scene.parent / "run.h5", **settings)
+    run = hpe.import_records(holed, scene, scene.parent / "run.h5", not_finite="missing", **settings)
+    assert np.flatnonzero(~run.records[0].valid).tolist() == [3, 17, 18]
+    assert run.estimate().shots[0].pulses_missing == 3
+
+
+@pytest.mark.parametrize("text", ["", "0", "4", "3-1", "1-9", "x", "mean:7", "1,2", "-1", "1-"])
+def test_lines_that_are_not_there_are_a_mistake(text: str) -> None:
+    assert isinstance(chosen_lines(text, 3), Mistake)
+
+
+GOOD: Mapping[str, Any] = RATES | {"axes": "pulse,sample"}
+BOARD = {"board": "ATS460", "record_samples": SAMPLES, "input_range_v": 1.0}
+
+
+def _with(index: Any, value: float) -> NDArray[np.float64]:
+    spoilt = RF[0].copy()
+    spoilt[index] = value
+    return spoilt
+
+
+def _without(key: str) -> dict[str, Any]:
+    return {name: value for name, value in GOOD.items() if name != key}
+
+
+MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
+    # file, what it holds (bytes, array or arrays by name), settings, a part of the message
+    "empty npy": ("a.npy", b"", GOOD, "it is empty"),
+    "text as npy": ("a.npy", b"hello world", GOOD, "no NPY file"),
+    "cut npy": ("a.npy", b"\x93NUMPY\x01\x00v\x00", GOOD, "no NPY file"),
+    "pickled npy": ("a.npy", np.array([{}]), GOOD, "no NPY file"),
+    "texts as npy": ("a.npy", np.array([["a", "b"]]), GOOD, "no array of numbers"),
+    "one axis": ("a.npy", RF[0, 0], GOOD, "no array of numbers with two axes"),
+    "five axes": ("a.npy", np.ones((2, 2, 2, 2, 2)), {**GOOD, "axes": None}, "5 axes"),
+    "three axes of two": ("a.npy", RF, GOOD, "are 2 axes, 'a' has 3"),
+    "unstated order": ("a.npy", RF[0], _without("axes"), "the order of axes"),
+    "axis twice": ("a.npy", RF[0], {**GOOD, "axes": "pulse,pulse"}, "named twice"),
+    "no pulse axis": ("a.npy", RF[0], {**GOOD, "axes": "line,sample"}, "lacks pulse or sample"),
+    "unknown axis": ("a.npy", RF[0], {**GOOD, "axes": "pulse,depth"}, "not one of the choices"),
+    "iq of three": ("a.npy", RF[0][..., :3, None].repeat(3, -1), {**GOOD, "axes": "pulse,sample,iq"}, "length of 3"),
+    "one pulse": ("a.npy", RF[0, :1], GOOD, "no array of numbers with two axes"),
+    "seven samples": ("a.npy", RF[0, :, :7], GOOD, "40 pulses of 7 samples"),
+    "three pulses": ("a.npy", RF[0, :3], GOOD, "cannot show a vibration"),
+    "nan": ("a.npy", _with((3, 7), np.nan), GOOD, "1 of 40 records hold values that are not finite"),
+    "infinite": ("a.npy", _with(slice(None), np.inf), GOOD, "40 of 40 records"),
+    "constant": ("a.npy", np.ones((PULSES, SAMPLES)), GOOD, "hold the same value everywhere"),
+    "dead pulse": ("a.npy", _with(5, 0.25), GOOD, "1 records hold one value throughout: line 1 shot 1 pulse 6"),
+    "no rate": ("a.npy", RF[0], _without("sample_rate_hz"), "sample_rate_hz: neither"),
+    "no pulse rate": ("a.npy", RF[0], _without("pulse_rate_hz"), "pulse_rate_hz: neither"),
+    "no carrier": ("a.npy", RF[0], _without("carrier_hz"), "carrier_hz: neither"),
+    "negative rate": ("a.npy", RF[0], {**GOOD, "sample_rate_hz": -1.0}, "sample_rate_hz: -1.0 is out of bounds"),
+    "rate in MHz": ("a.npy", RF[0], {**GOOD, "sample_rate_hz": 50.0}, "does not fit a sampling rate"),
+    "rate of text": ("a.npy", RF[0], {**GOOD, "pulse_rate_hz": "fast"}, "is not a number"),
+    "carrier above": ("a.npy", RF[0], {**GOOD, "carrier_hz": 30e6}, "carrier of 3e+07 Hz does not fit"),
+    "misspelt key": ("a.npy", RF[0], {**GOOD, "carier_hz": 5e6}, "did you mean carrier_hz"),
+    "demodulated rf": ("a.npy", RF[0], {**GOOD, "demodulation_hz": 5e6}, "the samples are real"),
+    "iq unmixed": ("a.npy", RF[0] + 1j, GOOD, "demodulation_hz: neither"),
+    "times fall": ("a.npy", RF[0], {**_without("pulse_rate_hz"), "pulse_time_s": TIME_S[::-1].tolist()}, "not ascend"),
+    "times too few": ("a.npy", RF[0], {**_without("pulse_rate_hz"), "pulse_time_s": [0.0, 1e-3]}, "2 times"),
+    "times before 0": (
+        "a.npy",
+        RF[0],
+        {**_without("pulse_rate_hz"), "pulse_time_s": (TIME_S - 1).tolist()},
+        "seconds from 0 on",
+    ),
+    "times and rate": ("a.npy", RF[0], {**GOOD, "pulse_time_s": TIME_S.tolist()}, "say the same"),
+    "samples outside": ("a.npy", RF[0], {**GOOD, "samples": [0, 999]}, "reach over the 160 samples"),
+    "samples backwards": ("a.npy", RF[0], {**GOOD, "samples": [90, 10]}, "ends before it begins"),
+    "depth alone": ("a.npy", RF[0], {**GOOD, "first_sample_depth_m": 1e-3}, "a depth needs a sound speed"),
+    "gate outside": ("a.npy", RF[0], {**GOOD, "first_sample_s": 1e-4}, "the gate takes samples"),
+    "line outside": ("a.npy", RF[0], {**GOOD, "lines": "2"}, "not within the 1 lines"),
+    "no line chosen": ("a.npy", RF, {**GOOD, "axes": "line,pulse,sample"}, "3 lines and none is chosen"),
+    "places unknown": ("a.npy", RF, {**GOOD, "axes": "line,pulse,sample", "lines": "all"}, "nobody says where"),
+    "positions few": (
+        "a.npy",
+        RF,
+        {**GOOD, "axes": "line,pulse,sample", "lines": "all", "line_position_m": [0.0]},
+        "1 positions for 3 lines",
+    ),
+    "shots": ("a.npy", RF, {**GOOD, "axes": "shot,pulse,sample", "lines": "mean:2"}, "not within the 1 lines"),
+    "text as npz": ("a.npz", b"PK\x03\x04rubbish", GOOD, "no NPZ file"),
+    "npz of numbers": ("a.npz", {"fs": np.array(1.0)}, GOOD, "no array of numbers"),
+    "npz of two": ("a.npz", {"a": RF[0], "b": RF[0]}, GOOD, "several arrays may be the samples: a, b"),
+    "npz without": ("a.npz", {"a": RF[0]}, {**GOOD, "variable": "rf"}, "'rf' is no array"),
+    "npz of bad rate": ("a.npz", {"a": RF[0], "fs": np.array(-5.0)}, _without("sample_rate_hz"), "'fs' of the file"),
+    "text as mat": ("a.mat", b"MATLAB 4.2" * 20, GOOD, "MATLAB file"),
+    "empty mat": ("a.mat", {"mat": {"x": np.array(2.0)}}, GOOD, "no array of numbers"),
+    "text as hdf5": ("a.h5", b"\x89HDF\r\n\x1a\n" + b"0" * 100, GOOD, "no readable HDF5 file"),
+    "csv of words": ("a.csv", b"1,2,3\n4,five,6\n", GOOD, "line 2 holds something else"),
+    "ragged csv": ("a.csv", b"1,2,3\n4,5\n", GOOD, "line 2 has 2 values"),
+    "csv of comments": ("a.csv", b"# nothing\n", GOOD, "no line of numbers"),
+    "csv of bytes": ("a.csv", b"\xff\xfe\x00", GOOD, "no UTF-8 text"),
+    "raw unsaid": ("a.raw", b"1234", GOOD, "dtype and shape is not stated"),
+    "raw too short": ("a.raw", b"1234", {**GOOD, "dtype": "int16", "shape": [40, 160]}, "it has 4 bytes"),
+    "raw of no type": ("a.raw", b"1234", {**GOOD, "dtype": "int12", "shape": [2, 1]}, "not one of the choices"),
+    "alazar unsaid": ("a.alz", b"1234", GOOD, "board and record_samples is not stated"),
+    "alazar cut": ("a.alz", b"1234", {**GOOD, **BOARD}, "no whole records"),
+    "alazar other board": ("a.alz", b"1234", {**GOOD, **BOARD, "board": "ATS1"}, "not one of the choices"),
+    "alazar channel B": ("a.alz", bytes(320 * 40), {**GOOD, **BOARD, "channel": "B"}, "channels = 2"),
+    "alazar without range": (
+        "a.alz",
+        bytes(320 * 40),
+        {**GOOD, "board": "ATS460", "record_samples": SAMPLES},
+        "the input range is not stated",
+    ),
+    "alazar buffers": ("a.alz", bytes(320 * 40), {**GOOD, **BOARD, "records_per_buffer": 7}, "no whole buffers"),
+    "no ending": ("a", b"12345678", GOOD, "tells no format"),
+    "unknown ending": ("a.xyz", b"12345678", GOOD, "the ending .xyz tells no format"),
+    "unknown format": ("a.npy", RF[0], {**GOOD, "format": "npyy"}, "did you mean npy"),
+    "absent": ("b.npy", None, GOOD, "does not exist"),
+}
+
+
+@pytest.mark.parametrize("case", MALFORMED)
+def test_a_malformed_recording_is_refused_with_one_clear_message(case: str, scene: Path, tmp_path: Path) -> None:
+    from hpe_rig.plan import PlanError
+
+    name, holds, settings, said = MALFORMED[case]
+    path = tmp_path / name
+    if isinstance(holds, bytes):
+        path.write_bytes(holds)
+    elif isinstance(holds, dict) and "mat" in holds:
+        savemat(path, holds["mat"])
+    elif isinstance(holds, dict):
+        np.savez(path, **holds)
+    elif holds is not None:
+        np.save(path, holds, allow_pickle=True)
+    stated = {key: value for key, value in settings.items() if value is not None}
+    with pytest.raises((SettingsError, PlanError)) as refused:
+        hpe.import_records(path, scene, tmp_path / "run.h5", **stated)
+    text = str(refused.value)
+    assert said in text
+    assert "Try: " in text
+    assert not (tmp_path / "run.h5").exists()
+    assert sum(said in line for line in text.splitlines()) == 1
+
+
+def test_all_mistakes_of_a_recording_come_at_once(scene: Path) -> None:
+    spoilt = _with((3, 7), np.nan)
+    with pytest.raises(SettingsError) as refused:
+        hpe.import_records(spoilt, scene, scene.parent / "run.h5", axes="pulse,sample", lines="9", samples=[0, 999])
+    text = str(refused.value)
+    for part in ("sample_rate_hz", "pulse_rate_hz", "carrier_hz", "not finite", "lines: '9'", "samples: 0 to 999"):
+        assert part in text
