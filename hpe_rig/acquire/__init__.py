@@ -10,6 +10,7 @@
     log.py            every step beside the run file
     run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result
     importing.py      a recording of another program becomes a run file
+    mapping.py        one of many lines becomes a map of its motion
     settings_files.py the schema of scene, bench and simulation; a file with every key
     resumption.py     a stopped run continued: its complete shots kept, the others measured
 

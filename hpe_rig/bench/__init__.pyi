@@ -42,4 +42,5 @@ from .twin import (
     twin_dose as twin_dose,
     twin_of as twin_of,
     twin_settings as twin_settings,
+    twin_tables as twin_tables,
 )

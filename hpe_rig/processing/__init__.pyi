@@ -58,6 +58,7 @@ from .motion import (
     loupas as loupas,
     peak_phase as peak_phase,
 )
+from .motion_map import MapSettings as MapSettings, map_pixels as map_pixels
 from .prior import (
     WEIGHT as WEIGHT,
     Evidence as Evidence,

@@ -10,6 +10,7 @@
     figure.py      amplitude and phase over frequency
     html_repr.py   figure and tables, as a notebook shows a result
     tables.py      any rows as CSV and as text
+    motion_map.py  amplitude, phase and velocity of every line and depth
     palette.py     the colours of every figure
     provenance.py  who measured when, and on which machine
     stages.py      wall time by stage
