@@ -85,7 +85,7 @@ def choices(
     angle = largest_angle(pulse, delays.shape, delays.about_middle().amplitude_s[None])
     orders = terms_needed(angle, tolerance)
     columns = math.comb(orders - 1 + len(delays.shape), orders - 1)
-    if delays.colour is None and method in (None, "series") and angle <= MOST_ANGLE_RAD and columns <= _MOST_COLUMNS:
+    if method in (None, "series") and angle <= MOST_ANGLE_RAD and columns <= _MOST_COLUMNS:
         period_s = float(sample_time_s[-1] - sample_time_s[0]) / max(1, samples - 1) or 1.0
         reach_s = spread_s @ np.abs(delays.shape)
         crossings = 4 * float(reach_s.sum()) / period_s

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sim_backend.echoes.pulse import Pulse
 from sim_backend.settings import SimulationSettings
-from sim_backend.transducer import pulse_echo_beam
+from sim_backend.transducer import Mixture, pulse_echo_beam
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -41,30 +41,31 @@ def coloured(settings: SimulationSettings, offset_m: Floats, pulse: Pulse) -> Co
     """Return what the aperture's beam makes of the echo of ``pulse`` from ``offset_m`` (scatterer, 3) off the focus."""
     x, y = settings.beams.lateral_offset_m
     lateral_m, axial_m = np.hypot(offset_m[:, 0] - x, offset_m[:, 1] - y), offset_m[:, 2]
-    node_hz, to_lines = _band(pulse)
-    beam = pulse_echo_beam(
-        settings, node_hz, float(lateral_m.max(initial=0.0)), float(np.abs(axial_m).max(initial=0.0))
-    )
-    seen, sensed = beam.at(lateral_m, axial_m)
+    node_hz, mixture, to_lines = _band(pulse)
+    reach_m = float(lateral_m.max(initial=0.0)), float(np.abs(axial_m).max(initial=0.0))
+    seen, sensed = pulse_echo_beam(settings, node_hz, *reach_m, mixture).at(lateral_m, axial_m)
     share = to_lines @ seen
     weight = np.abs(share).max(axis=0)
     return Colouring(weight, share / np.where(weight > 0, weight, 1.0), sensed)
 
 
-def _band(pulse: Pulse) -> tuple[tuple[float, ...], Floats]:
-    """Return frequencies to know the beam at, (node,), and what leads from there to the pulse's own, (line, node).
+def _band(pulse: Pulse) -> tuple[tuple[float, ...], Mixture | None, Floats]:
+    """Return frequencies to know the beam at, what to tabulate of them, and what leads to the pulse's (line, table).
 
     Of three lines, a window's, the least squares straight line by their energies: anything else would make steps where
     the window ends. Of many, the polynomial through Chebyshev's points of the band.
     """
     line_hz, size = np.array(pulse.frequency_hz), np.abs(pulse.amplitude)
     if len(line_hz) == 1:
-        return pulse.frequency_hz, np.ones((1, 1))
+        return pulse.frequency_hz, None, np.ones((1, 1))
     if len(line_hz) <= _LINES:
         energy = size**2 / (size**2).sum()
         off_hz = line_hz - energy @ line_hz
-        slope = np.outer(off_hz, energy * off_hz) / (energy @ off_hz**2)
-        return pulse.frequency_hz, energy + slope
+        # Two tables: the mean, and the slope times the largest departure from the mean's frequency.
+        most_hz = np.abs(off_hz).max()
+        slope = energy * off_hz * most_hz / (energy @ off_hz**2)
+        mixture = tuple(energy.tolist()), tuple(slope.tolist())
+        return pulse.frequency_hz, mixture, np.stack([np.ones(len(line_hz)), off_hz / most_hz], axis=1)
     heard = line_hz[size > _FAINT * size.max()]
     low, high = float(heard.min()), float(heard.max())
     point = np.cos((np.arange(_NODES) + 0.5) * np.pi / _NODES)[::-1]
@@ -73,4 +74,4 @@ def _band(pulse: Pulse) -> tuple[tuple[float, ...], Floats]:
     to_series = np.cos(np.outer(degree, np.arccos(point))) * (2 / _NODES)
     to_series[0] /= 2
     node_hz = tuple((low + (high - low) * (point + 1) / 2).tolist())
-    return node_hz, np.cos(np.outer(np.arccos(at), degree)) @ to_series
+    return node_hz, None, np.cos(np.outer(np.arccos(at), degree)) @ to_series

@@ -201,9 +201,9 @@ def _series_by_blocks(
         # One beyond on each side: the sums above are rounded.
         near = slice(max(0, int(begin) - 1), int(end) + 1)
         row = np.zeros(len(delays.rest_s[near]), dtype=np.int64)
-        scene = ScattererRows(
-            row, delays.rest_s[near] - origin_s, weight[near], delays.shape[:, near], delays.amplitude_s[None]
-        )
+        colour = None if delays.colour is None else delays.colour[:, near]
+        rest_s, amplitude_s = delays.rest_s[near] - origin_s, delays.amplitude_s[None]
+        scene = ScattererRows(row, rest_s, weight[near], delays.shape[:, near], amplitude_s, colour)
         out.append(series(scene, pulse, time_s - origin_s, tolerance)[0])
     return out[0] if len(out) == 1 else np.concatenate(out, axis=1)
 

@@ -15,7 +15,7 @@ from sim_backend.echoes.delays import EchoDelays, refuse_aliasing, refuse_misfit
 from sim_backend.echoes.engine import DEFAULT_TOLERANCE, synthesise
 from sim_backend.echoes.exact_sums import blocks
 from sim_backend.echoes.pulse import Pulse, angular_rates
-from sim_backend.echoes.scatterers import ThinnedDraws, draw_thinned
+from sim_backend.echoes.scatterers import draw_thinned
 from sim_backend.echoes.series import MOST_ANGLE_RAD, ScattererRows, largest_angle, series
 from sim_backend.settings import SimulationSettings
 
@@ -51,7 +51,8 @@ def batch(
         begin = scene.row.searchsorted(np.arange(len(scene.amplitude_s) + 1)).tolist()
         for row, (first, last) in enumerate(itertools.pairwise(begin)):
             own = slice(first, last)
-            delays = EchoDelays(scene.rest_s[own], scene.shape[:, own], scene.amplitude_s[row])
+            colour = None if scene.colour is None else scene.colour[:, own]
+            delays = EchoDelays(scene.rest_s[own], scene.shape[:, own], scene.amplitude_s[row], colour)
             out[row] = synthesise(delays, scene.weight[own], pulse, sample_time_s, tolerance).echo
     return out
 
@@ -81,7 +82,7 @@ def numba_installed() -> bool:
 
 def compilable(scene: ScattererRows, pulse: Pulse) -> bool:
     """Return whether the compiled loop covers the case: one shape, evenly spaced frequencies."""
-    return len(scene.shape) == 1 and numba_installed() and angular_rates(pulse)[1] is not None
+    return len(scene.shape) == 1 and scene.colour is None and numba_installed() and angular_rates(pulse)[1] is not None
 
 
 def drawn_echoes(
@@ -110,35 +111,15 @@ def drawn_echoes(
         field = draw_thinned(settings, reach_s, tolerance, stream, DRAWS_AT_ONCE)
         # A whole chunk always, so that the last one's draws do not depend on how many of them are wanted.
         row = np.minimum(np.arange(first, first + DRAWS_AT_ONCE), draws - 1)
+        weight, shape, colour = field.tracking_weight, field.motion_weight, None
         if settings.beams.field != "gaussian":
-            return _coloured_rows(settings, field, amplitude_s[row[: draws - first]], pulse, sample_time_s, tolerance)
-        scene = ScattererRows(
-            field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s[row]
-        )
+            beam = coloured(settings, field.offset_m, pulse)
+            weight, shape, colour = beam.weight * field.strength, beam.sensed * shape, beam.colour
+        scene = ScattererRows(field.row, field.delay_s, weight, shape[None], amplitude_s[row], colour)
         return batch(scene, pulse, sample_time_s, tolerance, compiled)[: draws - first]
 
     firsts = range(0, draws, DRAWS_AT_ONCE)
     yield from map(chunk, firsts, rng.spawn(len(firsts)))
-
-
-def _coloured_rows(
-    settings: SimulationSettings,
-    field: ThinnedDraws,
-    amplitude_s: Floats,
-    pulse: Pulse,
-    sample_time_s: Floats,
-    tolerance: float,
-) -> Floats:
-    """Return the echoes of every row through the aperture's beam, (row, echo, sample), by nodes or exact sums."""
-    beam = coloured(settings, field.offset_m, pulse)
-    weight, shape = beam.weight * field.strength, (beam.sensed * field.motion_weight)[None]
-    out = np.empty((*amplitude_s.shape[:2], len(sample_time_s)))
-    begin = field.row.searchsorted(np.arange(len(amplitude_s) + 1)).tolist()
-    for row, (first, last) in enumerate(itertools.pairwise(begin)):
-        own = slice(first, last)
-        delays = EchoDelays(field.delay_s[own], shape[:, own], amplitude_s[row], beam.colour[:, own])
-        out[row] = synthesise(delays, weight[own], pulse, sample_time_s, tolerance).echo
-    return out
 
 
 def _refuse_unusable(scene: ScattererRows, sample_time_s: Floats, tolerance: float) -> None:

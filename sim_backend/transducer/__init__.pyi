@@ -1,5 +1,5 @@
 from .intensity import GaussianSum as GaussianSum, gaussian_sum as gaussian_sum, push_intensity as push_intensity
-from .pulse_echo import PulseEchoBeam as PulseEchoBeam, pulse_echo_beam as pulse_echo_beam
+from .pulse_echo import Mixture as Mixture, PulseEchoBeam as PulseEchoBeam, pulse_echo_beam as pulse_echo_beam
 from .radiation import (
     NEPER_PER_DB as NEPER_PER_DB,
     apodisation as apodisation,

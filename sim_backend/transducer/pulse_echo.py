@@ -23,6 +23,8 @@ from sim_backend.transducer.radiation import bowl_pressure, wave_number
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
+Mixture = tuple[tuple[float, ...], ...]
+"""Shares of the frequencies in each table, where a table is not of one frequency."""
 
 STEPS_A_WIDTH = 25
 """Steps of the table across over lambda F / D, of the highest frequency."""
@@ -36,19 +38,19 @@ _EDGE = 12
 
 @dataclass(frozen=True, slots=True)
 class PulseEchoBeam:
-    """Table of G around the focus at a few frequencies."""
+    """Tables of G around the focus, at a few frequencies or of mixtures of them."""
 
     frequency_hz: tuple[float, ...]
     lateral_step_m: float
     axial_step_m: float
     axial_reach_m: float
     coefficient: Complexes
-    """Spline coefficients of G, (frequency, axial, lateral)."""
+    """Spline coefficients of G, (table, axial, lateral)."""
     sensed: Floats
     """Delay that a displacement makes over 2 u / c, at the middle frequency, (axial, lateral)."""
 
     def at(self, lateral_m: Floats, axial_m: Floats) -> tuple[Complexes, Floats]:
-        """Return G (frequency, place) and what share of a displacement is sensed, (place,)."""
+        """Return G (table, place) and what share of a displacement is sensed, (place,)."""
         from scipy.ndimage import map_coordinates
 
         place = np.stack([(axial_m + self.axial_reach_m) / self.axial_step_m, lateral_m / self.lateral_step_m])
@@ -57,9 +59,13 @@ class PulseEchoBeam:
 
 
 def pulse_echo_beam(
-    settings: SimulationSettings, frequency_hz: tuple[float, ...], lateral_reach_m: float, axial_reach_m: float
+    settings: SimulationSettings,
+    frequency_hz: tuple[float, ...],
+    lateral_reach_m: float,
+    axial_reach_m: float,
+    mixture: Mixture | None = None,
 ) -> PulseEchoBeam:
-    """Return the transducer's beam at ``frequency_hz``, to ``lateral_reach_m`` off its axis.
+    """Return the transducer's beam at ``frequency_hz``, or in mixtures of it, to ``lateral_reach_m`` off its axis.
 
     In the medium of ``settings``, with its attenuation. Kept: a table for each transducer, medium and band.
     """
@@ -71,6 +77,7 @@ def pulse_echo_beam(
         # To two digits up, so that places drawn at random share a table.
         _rounded_up(lateral_reach_m),
         _rounded_up(axial_reach_m),
+        mixture,
     )
 
 
@@ -87,6 +94,7 @@ def _kept(
     frequency_hz: tuple[float, ...],
     lateral_reach_m: float,
     axial_reach_m: float,
+    mixture: Mixture | None,
 ) -> PulseEchoBeam:
     from scipy.ndimage import spline_filter
 
@@ -106,6 +114,8 @@ def _kept(
     turning = np.gradient(table[middle], axial_step_m, axis=0)
     size = np.maximum(np.square(np.abs(table[middle])), 1e-12)
     sensed = 1 - (turning * table[middle].conj()).imag / size / (2 * k)
+    if mixture is not None:
+        table = list(np.tensordot(np.array(mixture), np.stack(table), axes=1))
     return PulseEchoBeam(
         frequency_hz,
         lateral_step_m,
