@@ -364,12 +364,18 @@ def sample_span(start_ps: int, end_ps: int, capture: Capture) -> slice:
 def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion | None:
     """Return what moves the focus, or None; the medium's transient is tabulated once, here."""
     if settings.specimen is not None:
-        from sim_backend.motion import focus_response, force_shape, radiation_force, transient_displacement
+        from sim_backend.motion import (
+            focus_response,
+            force_shape,
+            force_share,
+            radiation_force,
+            transient_displacement,
+        )
 
         specimen = settings.specimen
-        response = focus_response(specimen, force_shape(settings))
+        response, share = focus_response(specimen, force_shape(settings)), force_share(settings)
         return lambda tonebursts, time_ps, _origin_ps: transient_displacement(
-            response, radiation_force(tonebursts, specimen, travel_s, settings.transmitter), time_ps
+            response, radiation_force(tonebursts, specimen, travel_s, settings.transmitter, share), time_ps
         )
     if settings.motion:
         from sim_backend.motion import motion_at

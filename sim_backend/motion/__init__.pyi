@@ -9,6 +9,7 @@ from .field import (
 )
 from .force import (
     ForcePulses as ForcePulses,
+    force_share as force_share,
     harmonic_v as harmonic_v,
     radiation_force as radiation_force,
     transmit_response as transmit_response,
