@@ -222,8 +222,7 @@ def _in_phase(settings: SimulationSettings, offset_m: Floats) -> Floats:
     """Return the medium's displacement at 200 Hz at the scatterers, in phase with the focus' and over it."""
     from scipy.interpolate import RectBivariateSpline
 
-    from sim_backend.motion import force_shape
-    from sim_backend.motion.field import field_transfer
+    from sim_backend.motion import field_transfer, force_shape
 
     key = settings.beams.field
     if key not in _SHAPES:

@@ -2,6 +2,7 @@ from .acoustic_dose import Dose as Dose, dose as dose
 from .field import (
     Force as Force,
     MediumMotion as MediumMotion,
+    field_transfer as field_transfer,
     focus_response as focus_response,
     focus_transfer as focus_transfer,
     force_shape as force_shape,

@@ -5,8 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import j0
 
-from sim_backend.motion import focus_transfer, force_shape, frequency_response, shear_modulus
-from sim_backend.motion.field import field_transfer
+from sim_backend.motion import field_transfer, focus_transfer, force_shape, frequency_response, shear_modulus
 from sim_backend.settings import SimulationSettings, Specimen, Transducer
 from sim_backend.transducer import GaussianSum, bowl_pressure, push_intensity, wave_number
 
