@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import itertools
 import math
 import os
@@ -9,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
@@ -22,6 +23,7 @@ from pydantic import (
     model_validator,
 )
 
+from hpe_rig.extensions import ESTIMATORS, installed
 from hpe_rig.scene.notes import Notes
 from hpe_rig.scene.quantities import (
     AmplitudeM,
@@ -51,7 +53,30 @@ from hpe_rig.scene.validation import (
 
 Offset = Annotated[float, Field(ge=-0.1, le=0.1, strict=True)]
 Widths = tuple[LengthM, LengthM, LengthM]
-Estimator = Literal["coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum"]
+BUILT_IN_ESTIMATORS: Final = ("coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum")
+
+
+def estimator_names() -> tuple[str, ...]:
+    """Return the names of all estimators: ours, then those that other packages bring."""
+    return (*BUILT_IN_ESTIMATORS, *(name for name in installed(ESTIMATORS) if name not in BUILT_IN_ESTIMATORS))
+
+
+def _known_estimator(name: str) -> str:
+    if name not in BUILT_IN_ESTIMATORS and name not in estimator_names():
+        close = difflib.get_close_matches(name, estimator_names(), n=1)
+        also = f"did you mean {close[0]}? " if close else ""
+        raise ValueError(
+            f"{name[:80]!r} is not one of the choices: {also}one of {', '.join(map(repr, estimator_names()))}"
+        )
+    return name
+
+
+Estimator = Annotated[
+    str,
+    Field(strict=True, json_schema_extra={"examples": list(BUILT_IN_ESTIMATORS)}),
+    AfterValidator(_known_estimator),
+]
+"""Name of an estimator, one of ours or of an installed package's."""
 
 
 def _as_list(value: Any) -> Any:
