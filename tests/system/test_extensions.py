@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -95,6 +96,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Any:
     )
 
 
+@pytest.mark.slow
 def test_what_a_package_brings_is_listed_with_its_version(found: Any) -> None:
     assert found["lines"] == [
         "demodulated (hpe_rig.estimators, of hpe-example 1.0)",
@@ -103,8 +105,9 @@ def test_what_a_package_brings_is_listed_with_its_version(found: Any) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_an_installed_estimator_is_predicted_measured_and_compared_like_ours(found: Any) -> None:
-    assert "expected at" in found["check"] or "prediction" in found["check"] or "u of" in found["check"]
+    assert re.search(r"^ +demodulated +-?[0-9.]+ nm", found["check"], flags=re.MULTILINE)
     assert any("demodulated" in way for way in found["ways"])
     (amplitude_m, uncertainty_m), true_m = found["estimate"], found["truth"]
     # Three standard uncertainties, and what a prior of Voigt media makes of a medium that is none.
@@ -112,11 +115,14 @@ def test_an_installed_estimator_is_predicted_measured_and_compared_like_ours(fou
     assert "demodulated (hpe_rig.estimators, of hpe-example 1.0)" in found["report"]
 
 
+@pytest.mark.slow
 def test_an_installed_medium_moves_the_twin_and_is_fitted(found: Any) -> None:
-    assert "Fractional Voigt" in found["moduli"]
-    assert "springpot_modulus" in found["moduli"] or "springpot" in found["moduli"]
+    value, u = map(float, re.findall(r"power p ([0-9.]+) \+- ([0-9.]+)", found["moduli"])[0])
+    assert "Fractional Voigt, probability" in found["moduli"]
+    assert abs(value - 0.5) < 3 * u < 0.3
 
 
+@pytest.mark.slow
 def test_an_installed_importer_reads_its_files_and_names_itself_where_it_cannot(found: Any) -> None:
     assert found["imported"] == [True, "bench_x"]
     assert "importer bench_x (hpe_rig.importers, of hpe-example 1.0): it is no file of bench X" in found["refused"]
