@@ -23,4 +23,4 @@ def extension_lines() -> tuple[list[str], bool]:
             except ValueError as error:
                 lines.append(f"FAILS {error}")
                 sound = False
-    return lines or ["no package brings an extension; the page Extending says how one does"], sound
+    return lines or ["no package brings an extension; docs/how-to/extend.md says how one does"], sound

@@ -8,7 +8,7 @@
     hpe_rig.importers      ``recordings.Importer``                                 recordings
 
 Names are read without loading anything; a package is imported when its name is asked for. A name of ours cannot be
-taken. The page docs/extending.md has a worked example.
+taken. The page docs/how-to/extend.md has a worked example.
 """
 
 import lazy_loader
