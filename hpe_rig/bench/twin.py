@@ -339,7 +339,27 @@ def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
 
 def check_declared(scene: Scene) -> list[Mistake]:
     """Return the mistakes of ``[simulation]`` together with what the scene declares of beams and sound speed."""
-    return check_simulation({"simulation": twin_tables(scene)}) if declares_twin(scene) else []
+    if not declares_twin(scene):
+        return []
+    return check_simulation({"simulation": twin_tables(scene)}) or _unreadable_scans(scene)
+
+
+def _unreadable_scans(scene: Scene) -> list[Mistake]:
+    """Return what keeps the scans of measured beams from being read."""
+    beams = twin_settings(scene).beams
+    if beams.field != "measured":
+        return []
+    from sim_backend.transducer import read_scan
+
+    found = []
+    for name in ("excitation_scan", "tracking_scan"):
+        try:
+            read_scan(getattr(beams, name))
+        except (OSError, ValueError) as error:
+            found.append(
+                Mistake(f"simulation.beams.{name}", str(error), "a scan as docs/theory/transducer.md describes")
+            )
+    return found
 
 
 def simulation_schema() -> dict[str, Any]:
