@@ -190,7 +190,10 @@ class TwinDeclaration:
             return None
         from sim_backend.motion import background_at
 
-        return background_at(self.settings.background, np.rint(time_s * 1e12).astype(np.int64))
+        time_ps = np.rint(time_s * 1e12)
+        if np.any(np.abs(time_ps) >= 2.0**63):
+            raise OverflowError(f"a time of {np.max(np.abs(time_s)):.3g} s, beyond the twin's clock of 106 days")
+        return background_at(self.settings.background, time_ps.astype(np.int64))
 
     @property
     def focus_depth_m(self) -> float:
