@@ -163,7 +163,9 @@ def _lines(result: ModuliResult) -> Iterator[str]:
     yield result.title
     numbers = sum(2 * one.frequency_hz.size for one in places)
     source = "SIMULATED, " if result.simulated else ""
-    yield f"{source}{len(places)} place{'s' if len(places) > 1 else ''}, {numbers} numbers"
+    beside = len({(one.place, one.lateral_m) for one in places})
+    gates = f", {len(places)} gates" if len(places) > beside else ""
+    yield f"{source}{beside} place{'s' * (beside > 1)}{gates}, {numbers} numbers"
     yield ""
     for fit, probability in zip(result.fits, result.probability, strict=True):
         yield f"{TITLES[fit.law]}, {_verdict(fit, probability)}"

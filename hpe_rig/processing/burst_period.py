@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hpe_rig.plan import Shot, reference_gate, select
-from hpe_rig.processing.echoes import FloatArray, relative_to
+from hpe_rig.plan import Selection, Shot, reference_gate, select
+from hpe_rig.processing.echoes import FloatArray, Motion, relative_to
+from hpe_rig.processing.model import linear_model
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.shots import margin_needed, samples_needed, shot_echoes, shot_motion
 from hpe_rig.scene import Scene
@@ -16,6 +17,34 @@ from hpe_rig.store import StoredRun
 
 PARTS = (8, 200)
 """Fewest and most parts of the burst period."""
+
+
+def shot_displacement(scene: Scene, shot: Shot, stored: StoredRun) -> tuple[Motion, Selection]:
+    """Return the motion in the processing window by the estimator "coherent", and which pulses it is of.
+
+    Raises ``ValueError`` where the echoes carry no displacement.
+    """
+    margin, gate, chosen = margin_needed(scene, shot), reference_gate(scene, shot), select(scene, shot)
+    records = stored.records.in_blocks(shot.index, samples_needed(scene, shot), margin=margin)
+    motion = shot_motion(scene, shot, shot_echoes(scene, shot, records, chosen), coherent)
+    if gate is not None:
+        still = stored.records.in_blocks(shot.index, gate, margin=margin)
+        motion = relative_to(motion, coherent(shot_echoes(scene, shot, still, chosen)))
+    return motion, chosen
+
+
+def residual_m(scene: Scene, shot: Shot, stored: StoredRun) -> FloatArray | None:
+    """Return what least squares leave of the displacement, (pulse,), m, NaN where there is none; None without any."""
+    try:
+        motion, chosen = shot_displacement(scene, shot, stored)
+        order = scene.processing.background_order
+        found = motion.time_s, motion.valid, chosen.wanted_hz
+        matrix = linear_model(*found, background_order=order, also_hz=chosen.driven_hz).matrix
+    except ValueError:
+        return None
+    rest, moved_m = np.full(motion.time_s.size, np.nan), motion.displacement_m[motion.valid]
+    rest[motion.valid] = moved_m - matrix @ np.linalg.lstsq(matrix, moved_m, rcond=None)[0]
+    return rest
 
 
 def burst_period_motion(scene: Scene, shot: Shot, stored: StoredRun) -> tuple[FloatArray, FloatArray]:
@@ -28,13 +57,8 @@ def burst_period_motion(scene: Scene, shot: Shot, stored: StoredRun) -> tuple[Fl
     nothing = np.zeros(0), np.zeros(0)
     if scene.excitation is None:
         return nothing
-    margin, gate, chosen = margin_needed(scene, shot), reference_gate(scene, shot), select(scene, shot)
     try:
-        records = stored.records.in_blocks(shot.index, samples_needed(scene, shot), margin=margin)
-        motion = shot_motion(scene, shot, shot_echoes(scene, shot, records, chosen), coherent)
-        if gate is not None:
-            still = stored.records.in_blocks(shot.index, gate, margin=margin)
-            motion = relative_to(motion, coherent(shot_echoes(scene, shot, still, chosen)))
+        motion, _ = shot_displacement(scene, shot, stored)
     except ValueError:
         return nothing
     burst_rate_hz = scene.excitation.burst_rate_hz

@@ -38,7 +38,8 @@ def gates_over_depth(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
         gate for gate, at in own if at.shots[0].gate.start < 0 or at.shots[0].gate.stop > shot.capture.record_samples
     ]
     start_m, end_m = (edge * scene.acquisition.sound_speed_m_per_s / 2 for edge in shot.timeline.record_offset_s)
-    text = f"the record goes from {start_m * 1e3:.4g} to {end_m * 1e3:.4g} mm, processing.gates has "
+    key = "gates" if processing.gates else "gate_profile_step_m"
+    text = f"the record goes from {start_m * 1e3:.4g} to {end_m * 1e3:.4g} mm, processing.{key} has "
     yield judged(
         name,
         not outside,
