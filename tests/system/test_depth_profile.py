@@ -72,11 +72,11 @@ def test_the_motion_within_the_burst_period_is_that_of_the_harmonics(run: hpe.Ru
     time_s, moved_m = np.array(gate.motion_time_s), np.array(gate.motion_m)
     assert time_s.size == 40
     turn = np.exp(-2j * np.pi * 100.0 * time_s)
-    # the first harmonic of what was laid over one another, less what a part of its width averages away
-    first = 2 * np.mean(moved_m * turn) * 1j / np.sinc(100.0 * 250e-6)
+    first = 2 * np.mean(moved_m * turn) * 1j
     estimate = gate.shot.estimates[0]
     expected = estimate.amplitude_m * np.exp(1j * estimate.phase_rad)
-    assert abs(first - expected) < 0.02 * abs(expected)
+    # pulses stand anywhere in a part of the period: at most half of its 250 us from the middle
+    assert abs(first - expected) < 2 * np.pi * 100.0 * 125e-6 * abs(expected)
 
 
 def test_the_result_file_holds_profile_and_motion_over_depth(run: hpe.Run, result: Result) -> None:
@@ -97,7 +97,7 @@ def test_a_stored_run_gives_the_profile_that_its_scene_did_not_ask_for(run: hpe.
     assert table.exit_code == 0, table.output
     assert table.output.count("OVER DEPTH at 100 Hz") == 2
     again = run.with_profile(1e-3).estimate()
-    coarse = [gate for gate in result.profile if (gate.depth_m - 70e-3) % 1e-3 < 1e-9]
+    coarse = [gate for gate in result.profile if round(gate.depth_m * 1e6) % 1000 == 0]
     assert [gate.shot.estimates for gate in again.profile] == [gate.shot.estimates for gate in coarse]
     refused = CliRunner().invoke(app, ["process", str(run.path), "--gate-profile-step", "50mm"])
     assert refused.exit_code != 0

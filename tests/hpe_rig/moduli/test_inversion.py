@@ -194,12 +194,13 @@ def test_slopes_by_everything_that_depths_add_are_those_of_finite_differences() 
 
 def test_depths_tell_more_but_not_of_what_the_stage_is_off() -> None:
     """Three depths share the stage's error: they tell more than one, and less than if each had an error of its own."""
-    deep = at_depths((9e3, 2.0), (-1e-3, 0.0, 1e-3))
+    # a stage so bad that little else counts
+    deep = [replace(one, place_uncertainty_m=0.3e-3) for one in at_depths((9e3, 2.0), (-1e-3, 0.0, 1e-3))]
     alone = [replace(one, place="") for one in deep]
     flat = [one for one in deep if not one.axial_m]
     shared, independent, one = (np.sqrt(bound(each, PUSH, "voigt", (9e3, 2.0))[0, 0]) for each in (deep, alone, flat))
-    assert independent < 0.95 * shared
-    assert shared < 0.95 * one
+    assert independent < 0.9 * shared
+    assert shared < one
     fit = fit_medium(deep, PUSH)
     assert abs(fit.values["shear_modulus_pa"] - 9e3) < fit.uncertainty["shear_modulus_pa"]
     assert "stage at 4 mm" in fit.adjusted

@@ -7,6 +7,7 @@ import pytest
 
 from hpe_rig.bench import read_bench
 from hpe_rig.plan import DepthGate, apart, check_plan, depth_gates, make_plan, shots_with_gate
+from hpe_rig.plan.interference import admissible_delays_s
 from hpe_rig.scene import Scene, SettingsError, load_scene
 
 BENCH = read_bench(None).bench
@@ -68,11 +69,13 @@ def test_a_step_that_makes_one_gate_or_thousands_is_refused(step_m: float) -> No
 
 
 def test_a_deeper_gate_that_a_toneburst_reaches_is_named() -> None:
-    clear = {"tracking__disturbed": "refuse", "tracking__pulse_rate_hz": 4000.0, "tracking__delay_s": 107e-6}
+    clear = {"tracking__disturbed": "refuse", "tracking__pulse_rate_hz": 4000.0}
     wide = {"acquisition__record_samples": 1024, "simulation__scatterers__volume_m": [1e-3, 1e-3, 12e-3]}
     scene = scene_with(**clear, **wide)
+    latest_s = max(high for _, high in admissible_delays_s(make_plan(scene, BENCH).shots[0]))
+    # a pulse whose gate ends half a microsecond before the next toneburst: one a millimetre deeper ends 1.3 us later
+    scene = scene.with_({"tracking.delay_s": latest_s - 0.5e-6})
     assert not refusals(scene)
-    # the record reaches 3.9 mm beyond the focus: twice that in sound's way is 5 us later than the clear gate ends
     refused = "\n".join(refusals(scene.with_({"processing.gate_profile_step_m": 1e-3})))
     assert "disturb pulses in the gate at" in refused
 
