@@ -5,9 +5,11 @@ from .acquire import (
     estimate as estimate,
     fit_moduli as fit_moduli,
     import_records as import_records,
+    map_motion as map_motion,
     measure as measure,
     open_bench as open_bench,
     open_run as open_run,
+    sweep as sweep,
 )
 from .result import Result as Result
 from .scene import Scene as Scene, load_scene as load_scene

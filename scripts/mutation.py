@@ -1,8 +1,14 @@
-"""Mutation run: small faults put into the code one at a time, and whether the tests that belong to it notice.
+"""Mutation run: small faults put into the code one at a time, and whether the tests notice; POSIX only.
 
-Works in a copy of the tree, never in the tree itself. Messages (f-strings), annotations and decorators stay as they
-are. A mutant whose tests fail or run out of time is killed; one whose tests pass has survived. Where the tests fail on
-the unchanged code as well, nothing is known.
+The first call copies the tree and records, under coverage.py, which tests run which lines. Then each mutant gets the
+tests that run its lines, those of its own room and the fastest first, until one fails, with a time limit. A fault in a
+function is put into a fork of a process that has collected every test already: the function's code object is replaced,
+wherever the function is known. Everything else, such as the value of a constant, is imported anew. Messages
+(f-strings), annotations and decorators stay as they are.
+
+    python scripts/mutation.py FOLDER --count 400
+
+goes on where it was left, for the results are in FOLDER/results.tsv. Needs coverage.py.
 """
 
 from __future__ import annotations
@@ -10,17 +16,27 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
+import gc
+import importlib
 import io
-import multiprocessing
+import json
 import os
 import random
+import resource
 import shutil
 import signal
 import subprocess
 import sys
-from collections import Counter
-from collections.abc import Iterator
+import time
+import types
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+
+import pytest
+from coverage import Coverage, CoverageData
 
 ROOMS = {
     "plan": (["hpe_rig/plan"], ["tests/hpe_rig/plan"]),
@@ -53,16 +69,15 @@ SWAPPED: dict[type[ast.AST], type[ast.AST]] = {
     ]
     for one, other in (pair, pair[::-1])
 }  # fmt: skip
-PRELOADED = [
+PRELOADED = (
     "numpy",
     "scipy.signal",
     "scipy.optimize",
     "h5py",
     "pydantic",
-    "pytest",
-    "hypothesis",
     "hypothesis.extra.numpy",
-]
+    "matplotlib.figure",
+)
 UNSEEN_KEYWORDS = {"strict", "frozen", "slots", "dtype", "encoding"}
 
 
@@ -115,103 +130,337 @@ def _is_text(node: ast.AST) -> bool:
     )
 
 
-def mutated(source: str, node: ast.expr | ast.stmt, new: str) -> str:
-    """Return ``source`` with the text of ``node`` replaced."""
-    lines = source.encode().splitlines(keepends=True)
-    start = sum(map(len, lines[: node.lineno - 1])) + node.col_offset
-    end = sum(map(len, lines[: (node.end_lineno or 0) - 1])) + (node.end_col_offset or 0)
-    text = new if isinstance(node, ast.stmt) else f"({new})"
-    return (source.encode()[:start] + text.encode() + source.encode()[end:]).decode()
+@dataclass(frozen=True)
+class Mutant:
+    """One fault: the file, relative to the copy, the node and the text that takes its place."""
+
+    room: str
+    file: str
+    node: ast.expr | ast.stmt
+    new: str
+    source: str
+
+    @cached_property
+    def text(self) -> str:
+        """The file's text with the fault in it, as many lines as before."""
+        lines = self.source.encode().splitlines(keepends=True)
+        first, last = self.node.lineno, self.node.end_lineno or self.node.lineno
+        start = sum(map(len, lines[: first - 1])) + self.node.col_offset
+        end = sum(map(len, lines[: last - 1])) + (self.node.end_col_offset or 0)
+        filling = "\n" * (last - first)
+        text = f"{self.new}{filling}" if isinstance(self.node, ast.stmt) else f"({self.new}{filling})"
+        return (self.source.encode()[:start] + text.encode() + self.source.encode()[end:]).decode()
+
+    @property
+    def name(self) -> str:
+        old = " ".join((ast.get_source_segment(self.source, self.node) or "").split())
+        return f"{self.file}:{self.node.lineno}:{self.node.col_offset}\t{old}\t{self.new}"
+
+    def lines(self) -> range:
+        """The lines of the statement that the node is in, up to the node's end; one of them runs if the node does."""
+        around = [
+            item
+            for item in ast.walk(ast.parse(self.source))
+            if isinstance(item, ast.stmt) and item.lineno <= self.node.lineno <= (item.end_lineno or 0)
+        ]
+        return range(max(item.lineno for item in around), (self.node.end_lineno or 0) + 1)
 
 
-def tests_of(tree: Path, room: str, path: Path) -> list[str]:
-    """Return the room's test files that import the file at ``path`` themselves; all of the room's where none does."""
-    module = ".".join(path.relative_to(tree).with_suffix("").parts)
-    places = [tree / place for place in ROOMS[room][1]]
-    every = [file for place in places for file in (sorted(place.rglob("test_*.py")) if place.is_dir() else [place])]
-    fitting = [file for file in every if f"from {module} import" in file.read_text("utf-8")]
-    return [str(file.relative_to(tree)) for file in fitting or every]
-
-
-def run_tests(tree: Path, tests: list[str]) -> None:
-    """Run ``tests`` in ``tree`` and exit with pytest's code; for a process of its own."""
-    import pytest
-
-    # A program in the background may have been told to ignore Ctrl-C, and hands that down to the tests.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    os.chdir(tree)
-    sys.path.insert(0, str(tree))
-    sys.dont_write_bytecode = True
-    quiet = ["-x", "-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        code = pytest.main([*quiet, *tests])
-    os._exit(int(code))
-
-
-def verdict(tree: Path, tests: list[str], limit_s: float) -> str:
-    """Return "killed", "timed out" or "survived"."""
-    context = multiprocessing.get_context("forkserver" if os.name == "posix" else "spawn")
-    process = context.Process(target=run_tests, args=(tree, tests))
-    process.start()
-    process.join(limit_s)
-    if process.is_alive():
-        process.kill()
-        process.join()
-        return "timed out"
-    return "killed" if process.exitcode else "survived"
-
-
-def main() -> None:
-    """Mutate, test, print one line a mutant and a table at the end or at Ctrl-C."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("copy", type=Path, help="folder for the copy of the tree; replaced")
-    parser.add_argument("--count", type=int, default=300)
-    parser.add_argument("--skip", type=int, default=0, help="mutants of the same draw that are done already")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--limit-s", type=float, default=60.0, help="time-out of one mutant's tests")
-    parser.add_argument("--rooms", nargs="*", choices=list(ROOMS), default=list(ROOMS))
-    options = parser.parse_args()
-    root, copy = Path(__file__).resolve().parents[1], options.copy.resolve()
-    shutil.rmtree(copy, ignore_errors=True)
-    shutil.copytree(root, copy, ignore=shutil.ignore_patterns(".git", "__pycache__", ".*_cache"))
-    subprocess.run(["git", "init", "-q"], cwd=copy, check=True)
-    os.environ.update(PYTHONPATH=str(copy), PYTHONDONTWRITEBYTECODE="1")
-    if os.name == "posix":
-        multiprocessing.set_forkserver_preload(PRELOADED)
-    found: Counter[tuple[str, str]] = Counter()
-    sound: set[tuple[str, ...]] = set()
-    with contextlib.suppress(KeyboardInterrupt):
-        for room, path, node, new in list(chosen(copy, options.rooms, options.count, options.seed))[options.skip :]:
-            source = path.read_text("utf-8")
-            path.write_text(mutated(source, node, new), "utf-8")
-            tests = tests_of(copy, room, path)
-            result = verdict(copy, tests, options.limit_s)
-            path.write_text(source, "utf-8")
-            # Whoever kills a mutant must let the code as it is live, or has seen nothing.
-            seen = result == "survived" or tuple(tests) in sound
-            if not seen and verdict(copy, tests, 10 * options.limit_s) != "survived":
-                result = "unknown"
-            else:
-                sound.add(tuple(tests))
-            found[room, result] += 1
-            old = " ".join((ast.get_source_segment(source, node) or "").split())
-            print(f"{result:9} {path.relative_to(copy)}:{node.lineno}: {old}  ->  {new}", flush=True)
-    results = ("killed", "timed out", "survived", "unknown")
-    print(f"\n{'room':20}" + "".join(f"{result:>10}" for result in results))
-    for room in options.rooms:
-        print(f"{room:20}" + "".join(f"{found[room, result]:10}" for result in results))
-
-
-def chosen(tree: Path, rooms: list[str], count: int, seed: int) -> Iterator[tuple[str, Path, ast.expr | ast.stmt, str]]:
+def chosen(tree: Path, rooms: Sequence[str], count: int, seed: int) -> Iterator[Mutant]:
     """Yield ``count`` mutants drawn at random, room by room in turn, so that none is left out when time is short."""
-    generator, queues = random.Random(seed), {}
+    generator, queues = random.Random(seed), []
     for room in rooms:
         places = [tree / place for place in ROOMS[room][0]]
         files = [file for place in places for file in (sorted(place.rglob("*.py")) if place.is_dir() else [place])]
-        every = [(room, file, *mutation) for file in files for mutation in mutations(file.read_text("utf-8"))]
-        queues[room] = generator.sample(every, min(len(every), count))
-    turns = [row for number in range(count) for queue in queues.values() for row in queue[number : number + 1]]
+        texts = {str(file.relative_to(tree)): file.read_text("utf-8") for file in files}
+        every = [Mutant(room, name, *item, text) for name, text in texts.items() for item in mutations(text)]
+        queues.append(generator.sample(every, min(len(every), count)))
+    turns = [mutant for number in range(count) for queue in queues for mutant in queue[number : number + 1]]
     yield from turns[:count]
+
+
+class Recorder:
+    """Tells coverage.py which test is running, or which shared fixture is being made for which test file."""
+
+    def __init__(self, coverage: Coverage) -> None:
+        self.coverage, self.now, self.users = coverage, "", dict[str, list[str]]()
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.failed: set[str] = set()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        self.now = item.nodeid
+        self.coverage.switch_context(self.now)
+        return (yield)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(
+        self, fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
+    ) -> Iterator[None]:
+        before = self.now
+        if fixturedef.scope != "function":
+            self.now = f"{fixturedef.argname} of {before.partition('::')[0]}"
+            self.users[self.now] = [
+                item.nodeid
+                for item in request.session.items
+                if fixturedef.argname in getattr(item, "fixturenames", ())
+                and item.nodeid.partition("::")[0] == before.partition("::")[0]
+            ]
+        self.coverage.switch_context(self.now)
+        try:
+            return (yield)
+        finally:
+            self.now = before
+            self.coverage.switch_context(before)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.seconds[report.nodeid] += report.duration if report.when == "call" else 0.0
+        if not report.passed:
+            self.failed.add(report.nodeid)
+
+
+class Only:
+    """Keeps some tests of those collected, in the order in which they are named."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self.place = {name: number for number, name in enumerate(names)}
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        items[:] = sorted((item for item in items if item.nodeid in self.place), key=lambda i: self.place[i.nodeid])
+
+
+class Deadline:
+    """Ends the process by SIGALRM where a test takes far longer than it did."""
+
+    def __init__(self, seconds: Mapping[str, float]) -> None:
+        self.seconds = seconds
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        signal.setitimer(signal.ITIMER_REAL, 10.0 + 5 * self.seconds[nodeid])
+
+
+def run_pytest(tree: Path, arguments: Iterable[str], plugins: list[object]) -> int:
+    """Return pytest's code for tests of ``tree``; for a fork, which is used up by it."""
+    # A program in the background may have been told to ignore Ctrl-C, and hands that down to the tests.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    sys.path.insert(0, str(tree))
+    sys.dont_write_bytecode = True
+    quiet = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        return int(pytest.main([*quiet, f"--basetemp={tree.parent / 'temporary'}", *arguments], plugins))
+
+
+def forked(call: Callable[[], int]) -> int:
+    """Return the exit code of ``call`` in a fork with a process group of its own, minus the signal that ended it."""
+    child = os.fork()
+    if not child:
+        os.setpgid(0, 0)
+        resource.setrlimit(resource.RLIMIT_AS, (8 << 30, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        code = 70
+        try:
+            code = call()
+        finally:
+            os._exit(code)
+    try:
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    finally:
+        # What a test started goes with it.
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child, signal.SIGKILL)
+
+
+def record(tree: Path, folder: Path) -> int:
+    """Run the tests under coverage.py and write what they run and how long it takes; in a fork."""
+    coverage = Coverage(
+        folder / "coverage", include=[f"{tree}/{place}*" for room in ROOMS.values() for place in room[0]]
+    )
+    recorder = Recorder(coverage)
+    coverage.start()
+    run_pytest(tree, ["tests", "--deselect=tests/system/test_rules.py"], [recorder])
+    coverage.stop()
+    coverage.save()
+    tests = {"seconds": recorder.seconds, "failed": sorted(recorder.failed), "users": recorder.users}
+    (folder / "tests.json").write_text(json.dumps(tests), "utf-8")
+    return 0
+
+
+@dataclass(frozen=True)
+class Record:
+    """Which tests run which lines of the copy at ``tree``."""
+
+    tree: Path
+    data: CoverageData
+    seconds: Mapping[str, float]
+    failed: frozenset[str]
+    users: Mapping[str, Sequence[str]]
+
+    def tests_of(self, mutant: Mutant, budget_s: float) -> list[str]:
+        """Return the tests that run a mutant, those of its room first and the fastest first, up to ``budget_s``."""
+        contexts = self.data.contexts_by_lineno(str(self.tree / mutant.file))
+        names = {name for line in mutant.lines() for name in contexts.get(line, ())}
+        if not names - {""}:
+            # Run at import: whatever runs the file.
+            names = {name for some in contexts.values() for name in some} if names else set()
+        tests = {test for name in names for test in self.users.get(name, (name,))} & self.seconds.keys() - self.failed
+        places = tuple(ROOMS[mutant.room][1])
+        ordered = sorted(tests, key=lambda test: (not test.startswith(places), self.seconds[test]))
+        taken, total_s = list[str](), 0.0
+        for test in ordered:
+            total_s += self.seconds[test] + 0.01
+            if total_s > budget_s and taken:
+                break
+            taken.append(test)
+        return taken
+
+
+def replaced(path: str, text: str) -> bool:
+    """Put the code of ``text`` into every function that was loaded from ``path``; return whether one has changed."""
+    new: dict[tuple[str, int], types.CodeType] = {}
+
+    def gather(code: types.CodeType) -> None:
+        new[code.co_qualname, code.co_firstlineno] = code
+        for inner in code.co_consts:
+            if isinstance(inner, types.CodeType):
+                gather(inner)
+
+    gather(compile(text, path, "exec", dont_inherit=True))
+    changed = False
+    for function in [item for item in gc.get_objects() if isinstance(item, types.FunctionType)]:
+        old = function.__code__
+        code = new.get((old.co_qualname, old.co_firstlineno)) if old.co_filename == path else None
+        if code and code != old and code.co_freevars == old.co_freevars:
+            function.__code__ = code
+            changed = True
+    return changed
+
+
+UNREPLACED = 99
+"""Exit code of a fork that found no function to put the fault into."""
+
+
+class Campaign:
+    """Takes the place of pytest's loop over the tests: a fork a mutant."""
+
+    def __init__(self, record: Record, mutants: Sequence[Mutant], budget_s: float, results: Results) -> None:
+        self.record, self.mutants, self.budget_s, self.results = record, mutants, budget_s, results
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        every = {item.nodeid: item for item in session.items}
+        gc.freeze()
+        for mutant in self.mutants:
+            names = self.record.tests_of(mutant, self.budget_s)
+            some = [every[name] for name in names if name in every]
+            if not some:
+                self.results.add(mutant, "not run", 0, 0.0)
+                continue
+            start_s = time.monotonic()
+            with in_place(self.record.tree, mutant):
+                code = forked(lambda: self.judge(session, mutant, some))  # noqa: B023
+            if code != UNREPLACED:
+                self.results.add(mutant, word(code), len(some), time.monotonic() - start_s)
+        return True
+
+    def judge(self, session: pytest.Session, mutant: Mutant, some: list[pytest.Item]) -> int:
+        gc.unfreeze()
+        if not replaced(str(self.record.tree / mutant.file), mutant.text):
+            return UNREPLACED
+        session.items[:] = some
+        session.config.pluginmanager.unregister(self)
+        session.config.option.maxfail = 1
+        with contextlib.suppress(session.Failed, KeyboardInterrupt):
+            session.config.hook.pytest_runtestloop(session=session)
+            return 0
+        return 1
+
+
+def word(code: int) -> str:
+    return {0: "survived", -signal.SIGALRM: "timed out"}.get(code, "killed")
+
+
+@contextlib.contextmanager
+def in_place(tree: Path, mutant: Mutant) -> Iterator[None]:
+    """Have the fault in the copy as well, for programs that a test starts."""
+    path = tree / mutant.file
+    path.write_text(mutant.text, "utf-8")
+    try:
+        yield
+    finally:
+        path.write_text(mutant.source, "utf-8")
+
+
+class Results:
+    """The file of results, one line a mutant: verdict, room, tests, seconds, place, what was there, what is."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def rows(self) -> list[list[str]]:
+        return [line.split("\t") for line in self.path.read_text("utf-8").splitlines()] if self.path.exists() else []
+
+    def done(self) -> set[str]:
+        return {"\t".join(row[4:]) for row in self.rows()}
+
+    def add(self, mutant: Mutant, verdict: str, tests: int, seconds: float) -> None:
+        line = f"{verdict}\t{mutant.room}\t{tests}\t{seconds:.1f}\t{mutant.name}"
+        print(line, flush=True)
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(f"{line}\n")
+
+    def table(self, rooms: Iterable[str]) -> str:
+        found = Counter((row[1], row[0]) for row in self.rows())
+        verdicts = ("killed", "timed out", "survived", "not run")
+        head = f"{'room':20}" + "".join(f"{verdict:>10}" for verdict in verdicts)
+        rows = [f"{room:20}" + "".join(f"{found[room, verdict]:10}" for verdict in verdicts) for room in rooms]
+        return "\n".join([head, *rows])
+
+
+def main() -> None:
+    """Copy and record where that has not been done, then one line a mutant and a table at the end or at Ctrl-C."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path, help="where the copy of the tree and the results are kept")
+    parser.add_argument("--count", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--budget-s", type=float, default=30.0, help="tests of one mutant, by the time they took")
+    parser.add_argument("--rooms", nargs="*", choices=list(ROOMS), default=list(ROOMS))
+    options = parser.parse_args()
+    folder = options.folder.resolve()
+    tree, results = folder / "tree", Results(folder / "results.tsv")
+    if not (folder / "tests.json").exists():
+        shutil.rmtree(tree, ignore_errors=True)
+        root = Path(__file__).resolve().parents[1]
+        shutil.copytree(root, tree, ignore=shutil.ignore_patterns(".git", "__pycache__", ".*_cache"))
+        subprocess.run(["git", "init", "-q"], cwd=tree, check=True)
+    os.environ.update(PYTHONPATH=str(tree), PYTHONDONTWRITEBYTECODE="1")
+    os.chdir(tree)
+    for module in PRELOADED:
+        importlib.import_module(module)
+    if not (folder / "tests.json").exists():
+        forked(lambda: record(tree, folder))
+    data = CoverageData(str(folder / "coverage"))
+    data.read()
+    tests = json.loads((folder / "tests.json").read_text("utf-8"))
+    known = Record(tree, data, tests["seconds"], frozenset(tests["failed"]), tests["users"])
+    wanted = list(chosen(tree, options.rooms, options.count, options.seed))
+    with contextlib.suppress(KeyboardInterrupt):
+        left = [mutant for mutant in wanted if mutant.name not in results.done()]
+        campaign = Campaign(known, left, options.budget_s, results)
+        if left:
+            forked(lambda: run_pytest(tree, ["tests"], [campaign, Deadline(known.seconds)]))
+        # Constants, defaults and bodies of classes: a fresh import each.
+        for mutant in left:
+            if mutant.name in results.done():
+                continue
+            names = known.tests_of(mutant, options.budget_s)
+            files = sorted({name.partition("::")[0] for name in names})
+            start_s = time.monotonic()
+            with in_place(tree, mutant):
+                plugins: list[object] = [Only(names), Deadline(known.seconds)]
+                code = forked(lambda: run_pytest(tree, ["-x", *files], plugins))  # noqa: B023
+            results.add(mutant, word(code), len(names), time.monotonic() - start_s)
+    print(f"\n{results.table(options.rooms)}")
 
 
 if __name__ == "__main__":

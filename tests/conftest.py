@@ -1,6 +1,25 @@
-"""One thread of linear algebra, as the command line sets it: many small matrices gain nothing from more."""
+"""One thread of linear algebra, as the command line sets it, and the whole suite on every core.
+
+Many small matrices gain nothing from more threads. Where files or tests are named, or workers by ``-n``, or where
+pytest-xdist is missing, all runs in one process; ``pytest -n 0`` runs the whole suite so.
+"""
 
 import os
 
+import pytest
+
 for library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+MOST_WORKERS = 8
+"""Each collects the tests for itself, so that more gain little."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config: pytest.Config) -> None:
+    """Share the whole suite out, file by file: what a file's tests share is made once."""
+    option, workers = config.option, min(os.cpu_count() or 1, MOST_WORKERS)
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS and not hasattr(config, "workerinput")
+    alone = workers == 1 or option.collectonly or option.usepdb or option.capture == "no"
+    if whole and not alone and getattr(option, "numprocesses", 0) is None:
+        option.numprocesses, option.dist = workers, "loadfile"

@@ -5,9 +5,11 @@ from .api import (
     fit_moduli as fit_moduli,
     measure as measure,
     open_bench as open_bench,
+    sweep as sweep,
 )
 from .importing import Imported as Imported, import_recording as import_recording, import_records as import_records
 from .log import log_path as log_path, logged as logged
+from .mapping import map_motion as map_motion, map_recording as map_recording
 from .places import Mover as Mover
 from .provenance import provenance_now as provenance_now
 from .resumption import prepare_rest as prepare_rest, resume as resume

@@ -32,7 +32,7 @@ def depth_profile(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) -
         motion = {shot.index: burst_period_motion(there, shot, stored) for shot in shots.shots}
         for shot in estimates.shots:
             time_s, moved_m = motion[shot.shot]
-            trusted = replace(shot, untrusted=stored.untrusted.get(shot.shot, ""))
+            trusted = replace(shot, motion=None, untrusted=stored.untrusted.get(shot.shot, ""))
             found.append(
                 GateResult(gate.depth_m, gate.length_m, trusted, tuple(time_s.tolist()), tuple(moved_m.tolist()))
             )

@@ -99,7 +99,7 @@ def import_recording(
     name, text = scene_text(scene)
     tables = parse_toml(text, f"scene {name}")
     settings, where = read_settings(source if isinstance(source, Path) else None, sidecar, options)
-    recording = read_recording(source, settings, where, _known(tables))
+    recording = read_recording(source, settings, where, known_of_scene(name, text))
     codes, scale_v, said = _coded(recording)
     limits = parse_bench("imported", _bench_text(recording, ())).bench.digitizer.board_model.code_limits
     range_v = scale_v * (2 * limits[1] + 1) / 2
@@ -120,8 +120,9 @@ def import_recording(
     return Imported(written, inferred)
 
 
-def _known(tables: Mapping[str, Any]) -> Known:
-    """Return what the scene itself states, not what it would assume."""
+def known_of_scene(name: str, text: str) -> Known:
+    """Return what the scene's ``text`` itself states, not what it would assume."""
+    tables = parse_toml(text, f"scene {name}")
     tracking, acquisition = (tables.get(name, {}) for name in ("tracking", "acquisition"))
     if not isinstance(tracking, Mapping) or not isinstance(acquisition, Mapping):
         return Known()

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 from hpe_rig.bench import BenchFile, simulation_schema
+from hpe_rig.result import result_schema
 from hpe_rig.scene import DescribedTable, Mistake, Scene, SettingsError, annotated, described, parse_toml
 
 SIMULATION = "What the twin simulates; read by the simulated bench alone. Without it the default muscle is measured."
 
 
 def json_schema(of: str) -> dict[str, Any]:
-    """Return the JSON schema of a scene, a bench file or the twin's settings."""
-    schemas = {"scene": Scene.model_json_schema, "bench": BenchFile.model_json_schema, "simulation": simulation_schema}
+    """Return the JSON schema of a scene, a bench file, the twin's settings or a result as ``--json`` prints it."""
+    schemas: dict[str, Callable[[], dict[str, Any]]] = {
+        "scene": Scene.model_json_schema,
+        "bench": BenchFile.model_json_schema,
+        "simulation": simulation_schema,
+        "result": result_schema,
+    }
     if of not in schemas:
         raise SettingsError(f"schema {of}", [Mistake("", "there is no such schema", f"one of {', '.join(schemas)}")])
     return schemas[of]()

@@ -8,6 +8,7 @@ Files, from what is typed to what is shown::
     bench.py    the report of a bench, and its comparison with another
     listing.py  the runs of a folder
     verify.py   what is damaged in a file
+    mapping.py  a map's progress and files
     moduli.py   what a medium is made of, and its figure
     study.py    workers, progress and closing table of a study
     tables.py   a result as a table

@@ -210,6 +210,32 @@ def import_command(
     typer.echo(f"{made.path}: hpe-rig process {made.path} estimates it, hpe-rig report {made.path} shows it")
 
 
+@app.command("map")
+@guarded
+def map_command(
+    recording: RecordingFile,
+    scene: ImportScene,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="NetCDF file of the map (needs the extra 'frames').")
+    ] = None,
+    figure: Annotated[Path | None, typer.Option(help="Figure of the map, .png, .svg or .pdf.")] = None,
+    lines: Lines = None,
+    setting: Setting = None,
+    sidecar: Sidecar = None,
+) -> None:
+    """Map amplitude, phase and velocity over lines and depths of a recording. Bad pixels are marked."""
+    from hpe_rig.acquire import map_recording
+    from hpe_rig.cli.mapping import counting, write_map
+    from hpe_rig.recordings import parse_options
+
+    options = parse_options(setting or []) | ({} if lines is None else {"lines": lines})
+    with counting("lines") as progress:
+        found, inferred = map_recording(recording, scene, sidecar, options, progress)
+    for text in (*inferred, str(found)):
+        typer.echo(text)
+    write_map(found, output, figure)
+
+
 @app.command()
 @guarded
 def verify(
@@ -419,9 +445,9 @@ def new(
 @app.command()
 @guarded
 def schema(
-    of: Annotated[str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation.")] = "scene",
+    of: Annotated[str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation, result.")] = "scene",
 ) -> None:
-    """Print the JSON schema of a settings file, for use in editors."""
+    """Print the JSON schema of a settings file, for use in editors, or of what --json prints."""
     import json
 
     from hpe_rig.acquire import json_schema

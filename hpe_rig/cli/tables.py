@@ -162,6 +162,7 @@ def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:
         yield f"{of.lateral_offset_m * 1e3:g} mm beside the push"
     if of.axial_offset_m:
         yield f"{of.axial_offset_m * 1e3:+g} mm deep"
+    yield from (f"{name} = {value:g}" for name, value in of.swept.items())
 
 
 def _row(estimate: Estimate, known: bool, corrected: bool) -> list[str]:

@@ -18,6 +18,7 @@
 
     what a medium can do of tonebursts, as a prior of the fit               ensemble.py, prior.py
     how it moves beside the push                                            shear_field.py
+    many lines and depths at once, a pixel each                             motion_map.py
     what harmonics it does not resolve leave in a fit without prior         unresolved.py
     what distinguishes them, one row each                                   estimators.py
     the uncertainty of each estimate, source by source                      budget.py

@@ -15,6 +15,7 @@ from .echoes import (
 from .ensemble import (
     BRANCH_OVER_MODULUS as BRANCH_OVER_MODULUS,
     LOW_VISCOSITY_PA_S as LOW_VISCOSITY_PA_S,
+    MAXWELL_VISCOSITY_PA_S as MAXWELL_VISCOSITY_PA_S,
     MEMBERS as MEMBERS,
     MODULUS_PA as MODULUS_PA,
     POWER as POWER,
@@ -58,6 +59,7 @@ from .motion import (
     loupas as loupas,
     peak_phase as peak_phase,
 )
+from .motion_map import MapSettings as MapSettings, map_pixels as map_pixels
 from .prior import (
     WEIGHT as WEIGHT,
     Evidence as Evidence,
@@ -77,7 +79,9 @@ from .shear_field import (
 from .shots import (
     NO_RECORDS as NO_RECORDS,
     Estimates as Estimates,
+    FittedMotion as FittedMotion,
     estimate_run as estimate_run,
+    fitted_motion as fitted_motion,
     margin_needed as margin_needed,
     options_of as options_of,
     samples_needed as samples_needed,

@@ -99,6 +99,10 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     random = np.maximum(total - aliasing, 0.0)
     residual_m2 = float(fit.residual_rms_m) ** 2
     share = min(known.jitter_m**2 / residual_m2, 1.0) if residual_m2 > 0 else 0.0
+    unit = np.array([fit.amplitude_m[index], 1.0])
+    lost = np.array([averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad]) * unit
+    shared = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * unit**2
+    aliasing, lost = _with_shared(aliasing, lost**2, shared)
 
     def fitted(source: str, variance: NDArray[np.float64]) -> Component:
         amplitude_m, phase_rad = np.sqrt(variance).tolist()
@@ -113,9 +117,22 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
         fitted("trigger jitter", random * share),
         fitted("aliasing", aliasing),
         relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad),
-        relative("beam averaging", averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad),
+        fitted("beam averaging", lost),
         relative("gate edge", known.gate_edge),
         relative("sound speed", known.sound_speed_uncertainty),
         relative("gate off focus", averaging.offset_relative),
         *carrier,
     )
+
+
+def _with_shared(
+    aliasing: NDArray[np.float64], lost: NDArray[np.float64], shared: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the variances of aliasing and beam averaging whose sum has what they share, a covariance, in it.
+
+    Both are errors about the medium. What beam averaging adds to aliasing is its own; where it makes the sum smaller,
+    aliasing is.
+    """
+    most = np.sqrt(aliasing * lost)
+    added = lost + 2 * np.clip(shared, -most, most)
+    return aliasing + np.minimum(added, 0.0), np.maximum(added, 0.0)

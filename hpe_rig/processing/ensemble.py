@@ -101,7 +101,7 @@ class Ensemble:
         return np.asarray(np.linalg.solve(chebyshev(node, order).T, chebyshev(position, order).T).T)
 
 
-@functools.lru_cache(maxsize=8)
+@functools.lru_cache(maxsize=32)
 def medium_ensemble(
     beams: BeamWidths,
     lowest_hz: float,

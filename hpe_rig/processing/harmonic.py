@@ -43,12 +43,15 @@ class MediumPosterior:
     ``peak_over_tracked``, complex (..., frequency): the motion's peak over what the beam tracks of it, and
     ``peak_covariance`` (..., frequency, 2, 2) of its relative amplitude and its phase. ``steepness`` (..., frequency,
     2): root mean square of the changes of tracked amplitude, relative, and phase with the logarithm of the beam's area.
+    ``shared``, the same shape: covariance of the error of ``peak_over_tracked`` with that of aliasing, relative
+    amplitude and phase: both hang on which medium it is.
     """
 
     significance: FloatArray
     peak_over_tracked: ComplexArray
     peak_covariance: FloatArray
     steepness: FloatArray
+    shared: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,19 +182,19 @@ def fit_from_state(
     )
 
 
-def with_aliasing(fit: HarmonicFit, aliasing_m2: FloatArray, known: HarmonicFit) -> HarmonicFit:
+def with_aliasing(
+    fit: HarmonicFit, aliasing_m2: FloatArray, known: HarmonicFit, medium: MediumPosterior
+) -> HarmonicFit:
     """Return ``fit`` with the covariance ``aliasing_m2`` (..., 2 * frequency, 2 * frequency) of its states added.
 
-    A ``known`` fit, with a prior of media, tells the medium and how large the amplitudes are without that error, which
-    can be as large as they: it is a phase's error by them.
+    A ``known`` fit, with a prior of media, tells how large the amplitudes are without that error, which can be as large
+    as they: it is a phase's error by them. ``medium`` is what the motion says of it.
     """
     wanted, total = 2 * fit.frequency_hz.size, fit.state_covariance.copy()
     total[..., :wanted, :wanted] += aliasing_m2
     radial, added = (_along_phasor(each, fit.phase_rad) for each in (total, aliasing_m2))
     weights = _polar_weights(radial, added, known.amplitude_m)
-    return replace(
-        fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=known.medium
-    )
+    return replace(fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=medium)
 
 
 def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray:

@@ -240,12 +240,12 @@ def medium_fit(
         explained = pulse * (1 + walk * len(seen.left) / 6)
         drifts = evidence.variance_m2 > UNEXPLAINED * explained
         noise = of_steps + np.where(drifts[..., None, None], noise, 0.0)
-    aliasing = _aliasing(seen, weights, evidence)
+    aliasing, missed = _aliasing(seen, weights, evidence)
     state = (gain * along) @ seen.rows.T
     variance, used = evidence.variance_m2, len(seen.left)
     fit = fit_from_state(frequency_hz, state, noise + aliasing, variance, used, aliasing_m2=aliasing)
-    medium = MediumPosterior(evidence.significance, *_averaging(evidence.likelihood, prior, frequency_hz))
-    return MediumFit(replace(fit, medium=medium), noise, aliasing, evidence, taken)
+    fit = replace(fit, medium=medium_posterior(prior, evidence, fit, missed))
+    return MediumFit(fit, noise, aliasing, evidence, taken)
 
 
 def fit_residual(
@@ -289,21 +289,30 @@ def medium_kalman(
     return replace(whole, fit=replace(fit, medium=whole.fit.medium))
 
 
-def _averaging(
-    likelihood: FloatArray, prior: MediumPrior, frequency_hz: FloatArray
-) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """Return peak over tracked motion, complex (..., frequency), its covariance (..., frequency, 2, 2), its steepness.
+def medium_posterior(prior: MediumPrior, evidence: Evidence, fit: HarmonicFit, missed: FloatArray) -> MediumPosterior:
+    """Return what the data say of the medium, every member as likely as they have it.
 
-    The mean of its logarithm over the ensemble, every member as likely as the data have it; covariance of (relative
-    amplitude, phase in rad). Steepness (..., frequency, 2): root mean square of those changes with the beam's area.
+    ``fit`` has the frequencies and how large the amplitudes are; ``missed`` (..., member, 2 * frequency) is by how much
+    the estimate misses the states of every member of scale 1, true less estimated.
     """
-    places = list(prior.places(frequency_hz))
-    ratio, steepness = np.log(prior.averaging[:, places]), prior.steepness[:, places]
+    places, likelihood = list(prior.places(fit.frequency_hz)), evidence.likelihood
+    ratio, steepness = np.log(prior.averaging[:, places]), _parts(prior.steepness[:, places])
     mean = likelihood @ ratio
-    off = ratio - mean[..., None, :]
-    parts = np.stack([off.real, off.imag], axis=-1)
-    steep = np.sqrt(np.einsum("...m,mfi->...fi", likelihood, np.stack([steepness.real, steepness.imag], axis=-1) ** 2))
-    return np.exp(mean), np.einsum("...m,...mfi,...mfj->...fij", likelihood, parts, parts), steep
+    off = _parts(np.asarray(ratio - mean[..., None, :]))
+    size = fit.amplitude_m * np.exp(1j * fit.phase_rad)
+    each = missed[..., ::2] + 1j * missed[..., 1::2]
+    short = _parts(np.asarray(each / np.where(size == 0, np.inf, size)[..., None, :], np.complex128))
+    return MediumPosterior(
+        evidence.significance,
+        np.exp(mean),
+        np.einsum("...m,...mfi,...mfj->...fij", likelihood, off, off),
+        np.sqrt(np.einsum("...m,mfi->...fi", likelihood, steepness**2)),
+        np.einsum("...m,...mfi,...mfi->...fi", likelihood * np.sqrt(evidence.square_m2), short, off),
+    )
+
+
+def _parts(values: ComplexArray) -> FloatArray:
+    return np.stack([values.real, values.imag], axis=-1)
 
 
 def seen_by(
@@ -407,16 +416,16 @@ def _highest(place: FloatArray, height: FloatArray) -> FloatArray:
     return np.asarray(place[top[..., 0]] + np.clip((before - after) / bend / 2, -1, 1) * (place[1] - place[0]))
 
 
-def _aliasing(seen: Seen, weights: FloatArray, evidence: Evidence) -> FloatArray:
-    """Return the covariance (..., state, state) of what ``weights`` (..., state, seen) make wrong without noise."""
-    total = np.zeros((*weights.shape[:-1], weights.shape[-2]))
-    for share, wanted, part in (
-        (evidence.likelihood * evidence.square_m2, seen.wanted_members, seen.members),
-        (evidence.scale_m[..., None] ** 2, seen.wanted_free, seen.free),
-    ):
-        missed = wanted - part @ np.swapaxes(weights, -1, -2)
-        total += np.swapaxes(missed, -1, -2) @ (share[..., None] * missed)
-    return total
+def _aliasing(seen: Seen, weights: FloatArray, evidence: Evidence) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance (..., state, state) of what ``weights`` (..., state, seen) make wrong without noise.
+
+    And by how much they miss the states of every member, of scale 1, (..., member, state).
+    """
+    turned = np.swapaxes(weights, -1, -2)
+    missed, free = seen.wanted_members - seen.members @ turned, seen.wanted_free - seen.free @ turned
+    share = (evidence.likelihood * evidence.square_m2)[..., None]
+    total = np.swapaxes(missed, -1, -2) @ (share * missed)
+    return total + evidence.scale_m[..., None, None] ** 2 * (np.swapaxes(free, -1, -2) @ free), missed
 
 
 def _powers(turn: ComplexArray, count: int) -> ComplexArray:

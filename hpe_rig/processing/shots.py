@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -23,10 +23,12 @@ from hpe_rig.processing.prior import MediumPrior, medium_prior
 from hpe_rig.processing.residual_line import Line, residual_line
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.processing.unresolved import with_unresolved
-from hpe_rig.result import Averaging, ShotResult
+from hpe_rig.result import MOST_PULSES, Averaging, Estimate, ShotMotion, ShotResult
 from hpe_rig.scene import Processing, Scene
 from hpe_rig.store import GatedRecords, ShotRecords, StoredRun
 
+MOST_MODELLED = 20_000
+"""Pulses of a shot up to which the model is laid through its displacement pulse by pulse: it takes a column a state."""
 LARGE_STEP = 0.8
 """Quarter wavelengths a pulse from which on the next period of the carrier is close."""
 LARGE_CONDITION = 10.0
@@ -61,9 +63,12 @@ def estimate_run(
     estimated, such as one in which the run stopped, costs no other its result.
     """
     spec, results, without = spec_of(estimator), list[ShotResult](), dict[int, str]()
+    shots, pulses, _ = stored.records.shape
+    kept = shots * pulses * len(scene.windows) <= MOST_PULSES
     for shot in plan.shots:
         try:
-            results += _windows_of_shot(scene, shot, stored, spec, averaging, beams, UNLIKELY / len(plan.shots))
+            found = _windows_of_shot(scene, shot, stored, spec, averaging, beams, UNLIKELY / len(plan.shots))
+            results += found if kept else [replace(each, motion=None) for each in found]
         except ValueError as error:
             without[shot.index] = str(error)
     return Estimates(tuple(results), without)
@@ -191,6 +196,9 @@ def _estimate_shot(
     )
     drift = _drift(steady, chosen, options) if reference is None else None
     line = None if moved is None else _line(moved, chosen, options)
+    # A displacement of the estimator's own, else the coherent one.
+    tracked = motion if motion is None or reference is None else relative_to(motion, reference)
+    seen, tracked_by = (moved, "coherent") if tracked is None else (tracked, spec.name)
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -215,7 +223,65 @@ def _estimate_shot(
             *_line_warnings(line, shot.tracking_train.rate_hz, unlikely),
         ),
         complete=complete,
+        motion=None if seen is None else _stored_motion(seen, fit, chosen, options.background_order, tracked_by),
     )
+
+
+def _stored_motion(
+    motion: Motion, fit: HarmonicFit, chosen: Selection, background_order: int, tracked_by: str
+) -> ShotMotion:
+    """Return ``motion`` with the uncertainty of each pulse and the model that ``fit`` makes of it."""
+    kept, model_m = motion.valid, np.full(motion.valid.size, np.nan)
+    variance_m2 = np.where(kept, motion.variance_m2, np.nan)
+    if motion.valid.size <= MOST_MODELLED:
+        with suppress(ValueError):
+            fitted = fitted_motion(motion, fit, chosen.driven_hz, background_order)
+            model_m[kept] = fitted.displacement_m
+            left_m2 = float(np.mean((motion.displacement_m[kept] - fitted.displacement_m) ** 2))
+            left_m2 = max(left_m2, float(fit.residual_rms_m) ** 2)
+            # Echoes state their own noise; trigger jitter and motion across the gate show in the residual alone.
+            variance_m2 *= max(1.0, left_m2 / float(np.mean(variance_m2[kept])))
+    return ShotMotion(
+        pulse=np.flatnonzero(chosen.window),
+        time_s=motion.time_s,
+        displacement_m=motion.displacement_m,
+        uncertainty_m=np.sqrt(variance_m2),
+        model_m=model_m,
+        tracked_by=tracked_by,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FittedMotion:
+    """Displacement that a fit makes of a motion's valid pulses, ``displacement_m`` (pulse,).
+
+    ``matrix`` (pulse, unknown): the columns of the harmonics, the background and the others that are there as well.
+    """
+
+    displacement_m: NDArray[np.float64]
+    matrix: NDArray[np.float64]
+
+
+def fitted_motion(
+    motion: Motion, fit: HarmonicFit | Sequence[Estimate], also_hz: NDArray[np.float64], background_order: int
+) -> FittedMotion:
+    """Return harmonics as ``fit`` has them, with background and ``also_hz`` fitted to what they leave of ``motion``.
+
+    Raises ``ValueError`` where the pulses cannot resolve the frequencies.
+    """
+    if isinstance(fit, HarmonicFit):
+        frequency_hz, amplitude_m, phase_rad = fit.frequency_hz, fit.amplitude_m, fit.phase_rad
+    else:
+        columns = [[each.frequency_hz, each.amplitude_m, each.phase_rad] for each in fit]
+        frequency_hz, amplitude_m, phase_rad = np.array(columns, dtype=np.float64).reshape(-1, 3).T
+    matrix = linear_model(
+        motion.time_s, motion.valid, frequency_hz, background_order=background_order, also_hz=also_hz
+    ).matrix
+    wanted, rest = np.split(matrix, [2 * frequency_hz.size], axis=1)
+    state = (amplitude_m[:, None] * np.stack([np.cos(phase_rad), np.sin(phase_rad)], axis=1)).ravel()
+    harmonics_m = wanted @ state
+    left_m = motion.displacement_m[motion.valid] - harmonics_m
+    return FittedMotion(harmonics_m + rest @ np.linalg.lstsq(rest, left_m, rcond=None)[0], matrix)
 
 
 def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[NDArray[np.float64], LinearModel]:
@@ -323,6 +389,8 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
         speckle_phase_rad=turned,
         factor_uncertainty=factor * relative,
         phase_uncertainty_rad=phase_rad,
+        shared_relative=float(fit.medium.shared[index, 0]),
+        shared_phase_rad2=float(fit.medium.shared[index, 1]),
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from hpe_rig.processing.echoes import BoolArray, FloatArray, Motion
 from hpe_rig.processing.estimators import Options, fit_motion
 from hpe_rig.processing.harmonic import HarmonicFit, with_aliasing
-from hpe_rig.processing.prior import MediumPrior, medium_fit
+from hpe_rig.processing.prior import MediumPrior, medium_fit, medium_posterior
 
 
 def with_unresolved(
@@ -31,7 +31,7 @@ def with_unresolved(
     missed, free = _missed(prior, *when, tuple(fit.frequency_hz.tolist()), tuple(also_hz.tolist()), estimator, options)
     share = seen.evidence.likelihood * seen.evidence.square_m2
     covariance = (missed.T * share) @ missed + seen.evidence.scale_m**2 * (free.T @ free)
-    return with_aliasing(fit, covariance, seen.fit)
+    return with_aliasing(fit, covariance, seen.fit, medium_posterior(prior, seen.evidence, seen.fit, missed))
 
 
 @functools.lru_cache(maxsize=8)

@@ -70,6 +70,7 @@ class Recording:
     line_position_m: NDArray[np.float64] | None
     inferred: tuple[str, ...]
     board: str | None = None
+    demodulation_hz: float | None = None
 
 
 def read_recording(
@@ -77,15 +78,18 @@ def read_recording(
     settings: RecordingSettings,
     where: Mapping[str, str] | None = None,
     known: Known | None = None,
+    for_map: bool = False,
 ) -> Recording:
     """Return the recording in the file or array ``source``; ``where``: who states each of ``settings``.
 
+    ``for_map``: all lines where none is chosen, placed or not, I and Q as they are, and whatever is wrong with single
+    values left to the map, which marks them.
     Raises ``SettingsError`` with every mistake: what cannot be read, is not stated, or contradicts itself.
     """
     known = known or Known()
     name = source.name if isinstance(source, Path) else "array"
     format_, contents, sha256 = _opened(source, settings, name)
-    reading = _Reading(settings, contents, known, dict(where or {}), name)
+    reading = _Reading(settings, contents, known, dict(where or {}), name, for_map)
     return reading.recording(format_, sha256)
 
 
@@ -131,8 +135,10 @@ class _Reading:
         known: Known,
         where: dict[str, str],
         name: str,
+        for_map: bool,
     ) -> None:
         self.settings, self.contents, self.known, self.where, self.name = settings, contents, known, where, name
+        self.for_map = for_map
         self.mistakes: list[Mistake] = []
         self.inferred: list[str] = []
 
@@ -154,8 +160,9 @@ class _Reading:
         if mixed_hz is not None and not is_iq and self.settings.demodulation_hz is not None:
             what = "demodulation_hz is stated, and the samples are real"
             self._wrong("demodulation_hz", what, 'I and Q as complex numbers, or as an axis "iq" of two')
-        recorded = self._finite(values)
-        self._not_constant(values, recorded)
+        recorded = np.ones(values.shape[:3], np.bool_) if self.for_map else self._finite(values)
+        if not self.for_map:
+            self._not_constant(values, recorded)
         position_m = self._positions(values.shape[0])
         values, recorded, position_m = self._lines(values, recorded, position_m)
         if rate_hz is not None and carrier_hz is not None and not is_iq and carrier_hz >= rate_hz / 2:
@@ -163,16 +170,18 @@ class _Reading:
             self._wrong("carrier_hz", what, "the right one of the two, or demodulation_hz for I and Q")
         if self.mistakes or rate_hz is None or carrier_hz is None or time_s is None or pulse_rate_hz is None:
             raise self._error()
+        if self.settings.samples is not None:
+            first_s += self.settings.samples[0] / rate_hz
         values = np.where(recorded[..., None], values, 0) if not recorded.all() else values
-        if is_iq:
-            if self.settings.sign < 0:
-                values = values.conj()
+        if is_iq and self.settings.sign < 0:
+            values = values.conj()
+        if is_iq and not self.for_map:
             values, finer_hz = to_radio_frequency(values, rate_hz, float(mixed_hz or 0.0), carrier_hz)
             self.inferred.append(
                 f"I and Q are mixed up by {mixed_hz:g} Hz and interpolated from {rate_hz:g} Hz to {finer_hz:g} Hz"
             )
             rate_hz = finer_hz
-        elif self.settings.sign < 0:
+        elif self.settings.sign < 0 and not is_iq:
             values = -values.astype(np.int32) if values.dtype.kind == "i" else -values
         return Recording(
             name=self.name,
@@ -187,12 +196,11 @@ class _Reading:
             sound_speed_m_per_s=speed,
             pulse_time_s=time_s,
             regular=regular,
-            first_sample_s=first_s + (0.0 if self.settings.samples is None else self.settings.samples[0] / rate_hz)
-            if not is_iq
-            else first_s,
+            first_sample_s=first_s,
             line_position_m=position_m,
             inferred=tuple(self.inferred),
             board=self.contents.board,
+            demodulation_hz=mixed_hz if is_iq else None,
         )
 
     def _error(self) -> SettingsError:
@@ -446,7 +454,7 @@ class _Reading:
     def _lines(
         self, values: NDArray[Any], recorded: NDArray[np.bool_], position_m: NDArray[np.float64] | None
     ) -> tuple[NDArray[Any], NDArray[np.bool_], NDArray[np.float64] | None]:
-        chosen = chosen_lines(self.settings.lines, values.shape[0])
+        chosen = chosen_lines(self.settings.lines or ("all" if self.for_map else None), values.shape[0])
         if isinstance(chosen, Mistake):
             self.mistakes.append(chosen)
             return values[:1], recorded[:1], None if position_m is None else position_m[:1]
@@ -454,7 +462,7 @@ class _Reading:
         values, recorded = values[lines], recorded[lines]
         position_m = None if position_m is None else position_m[lines]
         if not mean:
-            if values.shape[0] > 1 and position_m is None:
+            if values.shape[0] > 1 and position_m is None and not self.for_map:
                 what = f"{values.shape[0]} lines as places, and nobody says where they lie"
                 self._wrong("line_position_m", what, "line_pitch_m = 0.3e-3, or line_position_m with one a line")
             return values, recorded, position_m

@@ -54,21 +54,22 @@ def _motion(gates: Sequence[GateResult]) -> Picture:
     figure, axes = panel()
     depth_mm, time_ms = np.array([gate.depth_m for gate in gates]) * 1e3, np.array(gates[0].motion_time_s) * 1e3
     nothing = (np.nan,) * time_ms.size
-    moved_nm = np.array([gate.motion_m or nothing for gate in gates]) * 1e9
-    limit_nm = float(np.nanmax(np.abs(moved_nm), initial=0.0)) or 1.0
+    # in um: numbers of five digits would push the bar's name off the panel
+    moved_um = np.array([gate.motion_m or nothing for gate in gates]) * 1e6
+    limit_um = float(np.nanmax(np.abs(moved_um), initial=0.0)) or 1.0
     axes.set_facecolor("#BBBBBB")
     image = axes.pcolormesh(
-        time_ms, depth_mm, moved_nm, cmap="RdBu_r", vmin=-limit_nm, vmax=limit_nm, rasterized=True, shading="nearest"
+        time_ms, depth_mm, moved_um, cmap="RdBu_r", vmin=-limit_um, vmax=limit_um, rasterized=True, shading="nearest"
     )
     bar = figure.colorbar(image)
-    bar.set_label("displacement (nm)", size=9)
+    bar.set_label("displacement (um)", size=9)
     bar.ax.tick_params(labelsize=9)
     axes.grid(visible=False)
     axes.invert_yaxis()
     axes.set(xlabel="time after a toneburst's arrival (ms)", ylabel="depth (mm)")
     alt = (
         f"Mean displacement within the burst period of {time_ms[-1] + time_ms[0]:.4g} ms in {len(gates)} gates from "
-        f"{depth_mm[0]:.4g} to {depth_mm[-1]:.4g} mm, between {np.nanmin(moved_nm):.4g} and "
-        f"{np.nanmax(moved_nm):.4g} nm about its mean."
+        f"{depth_mm[0]:.4g} to {depth_mm[-1]:.4g} mm, between {np.nanmin(moved_um):.4g} and "
+        f"{np.nanmax(moved_um):.4g} um about its mean."
     )
     return picture(figure, "depth-motion", "Motion over depth and burst period", alt)

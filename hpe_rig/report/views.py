@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ from hpe_rig.processing import (
     aliased_hz,
     codes_to_volts,
     coherent,
-    linear_model,
+    fitted_motion,
     margin_needed,
     samples_needed,
     shot_echoes,
@@ -119,20 +118,14 @@ def motion_view(scene: Scene, shot: Shot, gated: ShotRecords, estimates: Sequenc
     motion = shot_motion(scene, shot, shot_echoes(scene, shot, gated, shown), coherent)
     kept = motion.valid
     frequency_hz = np.array([item.frequency_hz for item in estimates], dtype=np.float64)
-    also_hz = shown.driven_hz
-    order = scene.processing.background_order
-    matrix = linear_model(motion.time_s, kept, frequency_hz, background_order=order, also_hz=also_hz).matrix
-    wanted, rest = np.split(matrix, [2 * frequency_hz.size], axis=1)
-    displacement_m = motion.displacement_m[kept]
-    state = [part(item.phase_rad) * item.amplitude_m for item in estimates for part in (math.cos, math.sin)]
-    harmonics_m = wanted @ np.array(state, dtype=np.float64)
-    rate_hz = shot.tracking_train.rate_hz
+    also_hz, rate_hz = shown.driven_hz, shot.tracking_train.rate_hz
+    fitted = fitted_motion(motion, estimates, also_hz, scene.processing.background_order)
     return MotionView(
         time_s=motion.time_s[kept],
-        displacement_m=displacement_m,
-        fitted_m=harmonics_m + rest @ np.linalg.lstsq(rest, displacement_m - harmonics_m, rcond=None)[0],
+        displacement_m=motion.displacement_m[kept],
+        fitted_m=fitted.displacement_m,
         noise_m2=motion.variance_m2[kept],
-        matrix=matrix,
+        matrix=fitted.matrix,
         frequencies_hz=np.unique(np.round(aliased_hz(np.concatenate([frequency_hz, also_hz]), rate_hz), 9)),
         pulse_rate_hz=rate_hz,
     )

@@ -4,9 +4,13 @@
     repeats.py     mean over repeats, tested against the stated uncertainties
     phase.py       uncertainty of a phase, also of an amplitude that may be noise
     rows.py        one row a shot and frequency: CSV, pandas, printed
+    motion.py      displacement of a shot, pulse by pulse, with u and model
+    grid.py        arrays over (shot, frequency) and (shot, pulse): result file, xarray
+    json_schema.py what --json prints, as a JSON schema
     figure.py      amplitude and phase over frequency
     html_repr.py   figure and tables, as a notebook shows a result
     tables.py      any rows as CSV and as text
+    motion_map.py  amplitude, phase and velocity of every line and depth
     palette.py     the colours of every figure
     provenance.py  who measured when, and on which machine
     stages.py      wall time by stage

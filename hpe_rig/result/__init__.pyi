@@ -8,6 +8,10 @@ from .estimates import (
     ShotResult as ShotResult,
     shot_warnings as shot_warnings,
 )
+from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
+from .json_schema import result_schema as result_schema
+from .motion import MOST_PULSES as MOST_PULSES, ShotMotion as ShotMotion
+from .motion_map import BadPixel as BadPixel, MotionMap as MotionMap
 from .palette import PALETTE as PALETTE
 from .phase import PHASE_VARIANCE_LIMIT as PHASE_VARIANCE_LIMIT, phase_variance_rad2 as phase_variance_rad2
 from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance

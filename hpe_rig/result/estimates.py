@@ -5,18 +5,33 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from hpe_rig.result.motion import ShotMotion
 from hpe_rig.result.provenance import UNKNOWN, Provenance
 from hpe_rig.scene import Estimator
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray
     from matplotlib.figure import Figure
 
     from hpe_rig.result.repeats import RepeatMean
 
+DERIVED = (
+    "snr_db",
+    "corrected_amplitude_m",
+    "corrected_uncertainty_m",
+    "corrected_phase_rad",
+    "corrected_phase_uncertainty_rad",
+    "corrected_amplitude_error",
+    "corrected_phase_error_rad",
+    "predicted_amplitude_m",
+    "amplitude_error",
+    "phase_error_rad",
+)
+"""Properties of an estimate that JSON and CSV hold too."""
 MOST_NUMBERS = 12
 """Shots that a warning names; of more it says how many."""
 
@@ -27,8 +42,9 @@ class Averaging:
 
     Speckle changes the tracked amplitude by ``speckle_relative`` and its phase by ``speckle_phase_rad`` from place to
     place; ``factor_uncertainty`` and ``phase_uncertainty_rad`` come from what is not known of the medium, and
-    ``offset_relative`` from what is not known of the gate's distance to the focus; ``carrier_relative`` is the spread
-    of the echo's mean frequency about the carrier, for an estimator that divides by that. All standard deviations.
+    ``shared_relative`` and ``shared_phase_rad2`` are the covariance of that with aliasing. ``offset_relative`` comes
+    from what is not known of the gate's distance to the focus; ``carrier_relative`` is the spread of the echo's mean
+    frequency about the carrier, for an estimator that divides by that. The others are standard deviations.
 
     ``offset_factor`` is what of ``factor`` a gate off the focus makes. For other media: speckle changes the logarithm
     of the tracking beam's area by ``area_spread``, and few speckles and scatterers make what is lost ``loss_scale``
@@ -46,6 +62,8 @@ class Averaging:
     carrier_relative: float = 0.0
     area_spread: float = 0.0
     loss_scale: float = 1.0
+    shared_relative: float = 0.0
+    shared_phase_rad2: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +199,8 @@ class ShotResult:
     """The estimates of one shot, with what was varied and what was missing.
 
     ``complete`` is False for a shot in which the run stopped. ``untrusted`` says why its records are not to be trusted,
-    "" where nothing speaks against them.
+    "" where nothing speaks against them. ``swept``: values of the
+    sweep's axes by their full names. ``motion``: displacement, model and residual pulse by pulse, where it is kept.
     """
 
     shot: int
@@ -199,6 +218,8 @@ class ShotResult:
     axial_offset_m: float = 0.0
     complete: bool = True
     untrusted: str = ""
+    swept: Mapping[str, float] = field(default_factory=dict)
+    motion: ShotMotion | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,6 +250,7 @@ class Result:
     >>> print(result)
     >>> result.shots[0].estimates[0].amplitude_m
     >>> result.to_frame().to_csv("result.csv")
+    >>> result.to_xarray().displacement_m.sel(shot=0)
     >>> result.figure().savefig("result.pdf")
     """
 
@@ -269,7 +291,9 @@ class Result:
 
         ``omitted`` stands there as ``left_out`` too, its name in earlier versions.
         """
-        tables = {**asdict(self), "left_out": self.omitted}
+        # Displacements are arrays, for the result file: JSON goes without them.
+        plainly = replace(self, shots=tuple(replace(shot, motion=None) for shot in self.shots))
+        tables = {**asdict(plainly), "left_out": self.omitted}
         if self.simulated_specimen is None:
             del tables["simulated_specimen"]
         if self.imported is None:
@@ -282,20 +306,9 @@ class Result:
         shots = [*self.shots, *(gate.shot for gate in self.profile)]
         own = [*tables["shots"], *(gate["shot"] for gate in tables.get("profile", ()))]
         for shot, table in zip(shots, own, strict=True):
+            del table["motion"]
             for estimate, row in zip(shot.estimates, table["estimates"], strict=True):
-                derived = (
-                    "snr_db",
-                    "corrected_amplitude_m",
-                    "corrected_uncertainty_m",
-                    "corrected_phase_rad",
-                    "corrected_phase_uncertainty_rad",
-                    "corrected_amplitude_error",
-                    "corrected_phase_error_rad",
-                    "predicted_amplitude_m",
-                    "amplitude_error",
-                    "phase_error_rad",
-                )
-                row.update({name: getattr(estimate, name) for name in derived})
+                row.update({name: getattr(estimate, name) for name in DERIVED})
         plain: dict[str, Any] = _finite(tables)
         return plain
 
@@ -313,6 +326,16 @@ class Result:
         from hpe_rig.result.rows import result_frame
 
         return result_frame(self)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return an xarray Dataset: estimates over (shot, frequency), displacement, model and residual over pulses.
+
+        Units are attributes, what was set in each shot coordinates, notes attributes of the whole. Raises
+        ``ModuleNotFoundError`` that names the extra where xarray is not installed.
+        """
+        from hpe_rig.result.grid import result_dataset
+
+        return result_dataset(self)
 
     def figure(self) -> Figure:
         """Return a matplotlib figure of amplitude and phase over frequency, with bars of 2 u."""

@@ -6,6 +6,7 @@
     scene.py        the sections of a scene; read by name, path or value; the shipped scenes; the default specimen
     keys.py         the numbers of a scene: found by a short name, set to a value
     description.py  every key of a settings file in words, from the schema; a file that names them all
+    points.py       the points of a sweep over any numbers
     editing.py      a scene's text with some of its numbers changed, comments kept
 
 Others use ``load_scene`` and ``Scene``, and ``SettingsError`` with its ``Mistake`` for settings files of their own.

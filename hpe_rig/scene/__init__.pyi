@@ -14,6 +14,7 @@ from .keys import (
     with_values as with_values,
 )
 from .notes import Note as Note
+from .points import BENCH as BENCH, ScenePoint as ScenePoint
 from .quantities import (
     AmplitudeM as AmplitudeM,
     Count as Count,
@@ -49,6 +50,7 @@ from .validation import (
     KeyPath as KeyPath,
     Mistake as Mistake,
     SettingsError as SettingsError,
+    dotted as dotted,
     length_m as length_m,
     mistakes_of as mistakes_of,
     named_text as named_text,

@@ -3,43 +3,26 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from pathlib import Path
-from typing import Final
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.result import Result, ShotResult
+from hpe_rig.result import MOTION_UNITS, UNITS, Result, ShotResult, result_grid
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import seal
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.layout import LIBVER, name_axes
 
-RESULT_UNITS: Final = {
-    "amplitude_m": "m",
-    "amplitude_uncertainty_m": "m",
-    "phase_rad": "rad",
-    "phase_uncertainty_rad": "rad",
-    "averaging_factor": "1",
-    "speckle_relative": "1",
-    "true_amplitude_m": "m",
-    "true_phase_rad": "rad",
-    "averaging_phase_rad": "rad",
-    "corrected_amplitude_m": "m",
-    "corrected_uncertainty_m": "m",
-    "corrected_phase_rad": "rad",
-    "corrected_phase_uncertainty_rad": "rad",
-}
-
 
 def write_result(path: Path, result: Result) -> None:
     """Write ``result`` to ``path``, in place of an earlier result there and of nothing else.
 
-    Group ``results``: one dataset for each quantity of an estimate, float64 (shot, frequency), NaN where unknown. Of
-    gates over depth also group ``profile``, the same (shot, depth, frequency), and group ``burst_period`` with
+    Group ``results``: one dataset for each quantity of an estimate, float64 (shot, frequency), NaN where unknown.
+    Group ``motion``: displacement, its uncertainty, model and residual of every pulse, float64 (shot, pulse).
+    Of gates over depth also group ``profile``, as ``results`` (shot, depth, frequency), and group ``burst_period`` with
     ``displacement_m`` (shot, depth, time).
     Raises ``StoreError`` if it cannot be written.
     """
@@ -68,17 +51,27 @@ def _write(file: h5py.File, result: Result) -> None:
         file.attrs[name] = getattr(result, name)
     text = json.dumps(result.as_dict()).encode()
     file["json"] = np.array(text, dtype=h5py.string_dtype("utf-8", len(text)))
-    rows = [shot.estimates for shot in result.shots]
+    grid = result_grid(result)
     group = file.create_group("results")
-    for name in RESULT_UNITS:
-        values = [[_number(getattr(estimate, name)) for estimate in row] for row in rows]
+    for name, values in grid.estimates.items():
         group.create_dataset(name, data=values, dtype="f8")
-    frequency_hz = np.array([estimate.frequency_hz for estimate in rows[0]])
-    shots = np.array([shot.shot for shot in result.shots])
-    name_axes(group, {"shot": shots, "frequency": frequency_hz}, RESULT_UNITS)
-    group["frequency"].attrs["units"] = "Hz"
+    if grid.frequency is None:
+        # Of a sweep that moves the frequencies: the axis counts them.
+        group["frequency_hz"] = grid.frequency_hz
+    axis = np.arange(1.0, grid.frequency_hz.shape[1] + 1) if grid.frequency is None else grid.frequency
+    name_axes(group, {"shot": grid.shot, "frequency": axis}, {**UNITS, "frequency_hz": "Hz"})
+    group["frequency"].attrs["units"] = "1" if grid.frequency is None else "Hz"
+    if grid.motion:
+        motion = file.create_group("motion")
+        for name, values in grid.motion.items():
+            motion[name] = values
+        pulses = np.arange(grid.motion["time_s"].shape[1])
+        name_axes(motion, {"shot": grid.shot, "pulse": pulses}, MOTION_UNITS)
+        motion["time_s"].attrs["long_name"] = f"time of the motion at the gate, {result.phase_reference}"
+        tracked = {shot.motion.tracked_by for shot in result.shots if shot.motion is not None}
+        motion.attrs["tracked_by"] = ", ".join(sorted(tracked))
     if result.profile:
-        _write_profile(file, result, frequency_hz)
+        _write_profile(file, result, axis)
 
 
 def _write_profile(file: h5py.File, result: Result, frequency_hz: NDArray[np.float64]) -> None:
@@ -92,13 +85,15 @@ def _write_profile(file: h5py.File, result: Result, frequency_hz: NDArray[np.flo
     for place, gate in zip(at, result.profile, strict=True):
         lengths_m[place] = gate.length_m
     group.create_dataset("gate_length_m", data=lengths_m)
-    for name in RESULT_UNITS:
+    for name in UNITS:
         values = np.full((len(settings), depth_m.size, frequency_hz.size), np.nan)
         for place, gate in zip(at, result.profile, strict=True):
-            values[place] = [_number(getattr(estimate, name)) for estimate in gate.shot.estimates]
+            row = [getattr(estimate, name) for estimate in gate.shot.estimates]
+            values[place][: len(row)] = [np.nan if value is None else value for value in row]
         group.create_dataset(name, data=values)
-    name_axes(group, scales | {"frequency": frequency_hz}, RESULT_UNITS | {"gate_length_m": "m"})
-    group["frequency"].attrs["units"], group["depth"].attrs["units"] = "Hz", "m"
+    name_axes(group, scales | {"frequency": frequency_hz}, {**UNITS, "gate_length_m": "m"})
+    group["depth"].attrs["units"] = "m"
+    group["frequency"].attrs["units"] = file["results/frequency"].attrs["units"]
     times_s = max((gate.motion_time_s for gate in result.profile), key=len)
     if not times_s:
         return
@@ -131,7 +126,3 @@ def _refuse_foreign(path: Path) -> None:
         raise StoreError(
             f"{path} exists and is not a result file of hpe-rig, so it is not replaced. Try: move it away."
         )
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value

@@ -178,7 +178,8 @@ class RunWriter:
         """Write A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
         with self._writing():
             for name, column_m in zip(TRUE_HARMONICS, harmonics_m.T, strict=True):
-                self._tables[f"true_harmonics/{name}"].put(shot.index, column_m)
+                table = self._tables[f"true_harmonics/{name}"]
+                table.put(shot.index, np.concatenate([column_m, np.full(table.width - column_m.size, np.nan)]))
 
     def run_time(self, run_time_s: Mapping[str, float]) -> None:
         """Write the wall time of each stage so far."""
@@ -347,6 +348,11 @@ class _Table:
         """Take dataset ``name``; one that a real bench has no use for is absent, and never written."""
         self._name = name
         self._values, self._sums = file.get(name), file.get(f"{GROUP}/{name}")
+
+    @property
+    def width(self) -> int:
+        """Length of a row."""
+        return int(self._values.shape[-1])
 
     def put(self, row: int | None, values: Any) -> None:
         """Write ``values`` as row ``row``, None for the whole, then their checksum."""

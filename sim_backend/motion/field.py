@@ -11,6 +11,7 @@ docs/theory/medium.md, section 5.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -18,11 +19,12 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from sim_backend.motion.force import radiation_force
+from sim_backend.motion.force import force_share, radiation_force
 from sim_backend.motion.inverse_laplace import FIELD_CONTOUR, Contour, Panels, panels_of
 from sim_backend.motion.specimen import (
     StepResponse,
     Triple,
+    creeps_for_ever,
     force_volume,
     memory_s,
     polar_nodes,
@@ -53,6 +55,8 @@ _SERIES_TERMS = 7
 _LATERAL_DEGREES = 16
 _LATERAL_DEGREES_A_WIDTH = 3.8
 _AXIAL_DEGREES = 10
+# From about when on errors count against how far a medium has crept: shear waves have then left the force.
+_CREEP_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +102,7 @@ def focus_field(
 ) -> FocusField:
     """Return the field of ``specimen`` around the focus, good to ``tolerance`` of the static displacement there.
 
+    Of a medium that creeps for ever: of what it has moved so far, or in the first millisecond where that is more.
     From ``lateral_inner_m`` off the axis to ``lateral_reach_m``.
 
     Raises ``ValueError`` for a force of unequal lateral widths.
@@ -111,14 +116,25 @@ def focus_field(
     panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
     # A matrix of courses in time by points in space: its singular vectors are the modes, few of which are large.
     degrees, count, points = panels.coefficient.shape
-    left, size, right = np.linalg.svd(panels.coefficient.reshape(-1, points), full_matrices=False)
+    worth = _worth(specimen, panels)[:, None]
+    left, size, right = np.linalg.svd((panels.coefficient / worth).reshape(-1, points), full_matrices=False)
     modes = max(1, int(np.count_nonzero(size > 0.1 * tolerance * size[0])))
-    courses = (left[:, :modes] * size[:modes]).reshape(degrees, count, modes)
+    courses = (left[:, :modes] * size[:modes]).reshape(degrees, count, modes) * worth
     # From values at the grid's Chebyshev points to coefficients, along both axes.
     grid = right[:modes].reshape(modes, across, _AXIAL_DEGREES)
     shape = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(_AXIAL_DEGREES), optimize=True)
     response = StepResponse(memory_s(specimen, Panels(courses)), Panels(courses))
     return FocusField(lateral_reach_m, axial_reach_m, response, shape, lateral_inner_m)
+
+
+def _worth(specimen: Specimen, panels: Panels) -> Floats:
+    """Return the displacement that an error counts against in every panel (panel,), but for a common factor."""
+    if not creeps_for_ever(specimen):
+        return np.ones(panels.coefficient.shape[1])
+    # In hours a medium creeps so far that all its motion under a toneburst would be less than the tolerance.
+    farthest = np.maximum.accumulate(np.abs(panels.coefficient).sum(axis=0).max(axis=1))
+    least = farthest[np.searchsorted(panels.begins_s, _CREEP_S) - 1]
+    return np.asarray(np.maximum(farthest, least) / least)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,10 +147,11 @@ class MediumMotion:
     specimen: Specimen
     transmitter: Transmitter
     travel_s: float
+    share: Callable[[Floats], Floats] | None = None
 
     def amplitudes_m(self, tonebursts: Bursts, time_ps: Picoseconds) -> Floats:
         """Return every mode's amplitude at ``time_ps`` (time,) under ``tonebursts``: (time, mode)."""
-        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter)
+        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter, self.share)
         return transients(self.field.response, force, time_ps)
 
     def displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, lateral_m: float) -> Floats:
@@ -165,7 +182,8 @@ def medium_motion(
     # Far beside the axis only the shell that holds scatterers is tabulated.
     inner_m = float(lateral_m.min(initial=abs(beside_m)))
     field = _kept_field(specimen, width_m, *reach_m, lateral_inner_m=inner_m if inner_m > width_m[0] else 0.0)
-    return MediumMotion(field.shapes(lateral_m, axial_m).T, field, specimen, settings.transmitter, travel_s)
+    shape = field.shapes(lateral_m, axial_m).T
+    return MediumMotion(shape, field, specimen, settings.transmitter, travel_s, force_share(settings))
 
 
 # Of the settings and the draw of scatterers alone: repeated measurements of one scene share it.

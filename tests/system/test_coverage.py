@@ -46,11 +46,25 @@ def check(coverage: ModuleType, scene: str, estimators: list[str], seeds: int, d
             assert 0.8 - deviations * spread < row.nev[axis] < 1.25 + deviations * spread, found
 
 
-def test_a_coverage_page_has_a_row_for_each_estimator(coverage: ModuleType) -> None:
-    rows = coverage.coverage("table-1", ["coherent", "kasai"], range(2))
-    page = coverage.page(rows, 2)
+def test_a_coverage_page_is_made_of_the_parts_that_are_there(
+    coverage: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    coverage.measured(tmp_path, "table-1", ["coherent"], range(2))
+    coverage.measured(tmp_path, "table-1", ["coherent", "kasai"], range(2))
+    coverage.measured(tmp_path, "table-1", ["coherent"], range(2, 3))
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    coverage.measured(tmp_path, "table-1", ["coherent", "kasai"], range(2))
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == kept
+    rows = list(coverage._rows(tmp_path, "table-1"))
+    assert [(row.estimator, row.seeds) for row in rows] == [("coherent", 3), ("kasai", 2)]
+    assert rows[0] == coverage.coverage("table-1", ["coherent"], range(3))[0]
+    page = coverage.page(rows)
     assert "| table-1 | coherent |" in page
     assert "| table-1 | kasai |" in page
+    # Whatever else is drawn makes other runs: the parts no longer count.
+    monkeypatch.setattr(coverage, "WIDTH_SPREAD", 0.2)
+    coverage._key.cache_clear()
+    assert not list(coverage._rows(tmp_path, "table-1"))
 
 
 def test_media_are_drawn_where_the_scene_declares_none(coverage: ModuleType) -> None:
@@ -60,7 +74,7 @@ def test_media_are_drawn_where_the_scene_declares_none(coverage: ModuleType) -> 
         load_scene("table-1"),
     )
     drawn = [coverage.drawn(muscle, seed).simulation for seed in range(40)]
-    assert {each["specimen"]["medium"] for each in drawn} == {"voigt", "zener", "power_law"}
+    assert {each["specimen"]["medium"] for each in drawn} == {"voigt", "zener", "power_law", "maxwell"}
     wide = np.log([each["beams"]["excitation_width_m"][0] / 0.17e-3 for each in drawn])
     assert wide.std() == pytest.approx(0.3, rel=3 / math.sqrt(2 * 40))
     for scene in (declared, prescribed):

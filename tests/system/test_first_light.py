@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
+from click.testing import Result as CommandResult
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
@@ -270,27 +271,32 @@ def test_a_scene_without_excitation_opens_no_excitation_generator(prepared: Prep
     assert sum(event.block.codes.shape[0] for event in blocks) == 101
 
 
-def test_the_command_line_runs_checks_lists_copies_and_processes(tmp_path: Path) -> None:
-    def rig(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", NOTING_MODULES, *arguments]
-        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+def test_the_command_line_runs_checks_lists_copies_and_processes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def rig(*arguments: str) -> CommandResult:
+        return CliRunner().invoke(app, arguments)
 
     assert "bovine-muscle-synchronous" in rig("scenes").stdout
-    assert rig("new", "mine", "--like", "table-1").returncode == 0
-    assert rig("new", "mine", "--like", "table-1").returncode == 2
+    assert rig("new", "mine", "--like", "table-1").exit_code == 0
+    assert rig("new", "mine", "--like", "table-1").exit_code == 2
     assert "checks:" in rig("check", "mine.toml").stdout
-    done = rig("run", "mine.toml", "--json")
+    # As a program of its own, for what it imports.
+    command = [sys.executable, "-c", NOTING_MODULES, "run", "mine.toml", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["shots"][0]["estimates"][0]["frequency_hz"] == 200.0
     assert_imports_what_a_prescribed_motion_needs(set((tmp_path / "modules").read_text(encoding="utf-8").split()))
     assert "SIMULATED" in rig("process", "mine.h5").stdout
     assert json.loads(rig("schema").stdout)["properties"]["tracking"]
     wrong = rig("run", "nowhere")
-    assert wrong.returncode == 2
+    assert wrong.exit_code == 2
     assert "bovine-muscle-synchronous" in wrong.stderr
     assert "Traceback" not in wrong.stderr
     (tmp_path / "mine.toml").write_text("[tracking]\npulse_rate_hz = 0\n", encoding="utf-8")
-    assert rig("check", "mine.toml").returncode == 2
+    assert rig("check", "mine.toml").exit_code == 2
 
 
 RUN_PACKAGES = {"drivers", "h5py", "hpe_rig", "numpy", "pydantic", "scipy", "sim_backend", "typer"}

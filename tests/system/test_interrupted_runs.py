@@ -40,7 +40,7 @@ SHORT = (
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 OUTPUTS = 5
 
-# Loads everything once, then forks a run for each line it is sent: its folder and its command.
+# Loads everything once, then forks a run for each line it is sent: how slow, its folder and its command.
 RUNNER = """
 import json, os, signal, sys, threading, time, typer
 from contextlib import suppress
@@ -50,7 +50,7 @@ from hpe_rig.bench import opening
 from hpe_rig.cli.app import main
 import hpe_rig.acquire, hpe_rig.processing, hpe_rig.cli.watch, hpe_rig.cli.tables, hpe_rig.live, pyvisa_py, scipy.linalg
 signal.signal(signal.SIGINT, signal.default_int_handler)
-MARKER, SLOWLY_S = "drives", 0.05
+SLOWLY_S = [0.0]
 
 class Both:
     '''An instrument in the other process, and the twin's of this one, which triggers the digitizer.'''
@@ -84,7 +84,7 @@ def slowly(board, deadline_s):
     for block in records(board, deadline_s):
         # As long as a shot takes, in the small pieces that a wait has.
         for _ in range(4):
-            time.sleep(SLOWLY_S)
+            time.sleep(SLOWLY_S[0])
         yield block
 AlazarDigitizer.records = slowly
 
@@ -99,7 +99,7 @@ for line in sys.stdin:
     if isinstance(asked, int):
         print(os.waitstatus_to_exitcode(os.waitpid(asked, 0)[1]), flush=True)
         continue
-    folder, *arguments = asked
+    SLOWLY_S[0], folder, *arguments = asked
     child = os.fork()
     if not child:
         os.chdir(folder)
@@ -132,12 +132,12 @@ class Rig:
     runner: subprocess.Popen[str]
     runs: int = 0
 
-    def start(self, *arguments: str) -> tuple[Path, int]:
-        """Start a command and return its folder and process."""
+    def start(self, *arguments: str, slowly_s: float = 0.015) -> tuple[Path, int]:
+        """Start a command and return its folder and process; a record takes four times ``slowly_s``."""
         self.runs += 1
         place = self.folder / f"run-{self.runs}"
         place.mkdir()
-        return place, self._told([str(place), *arguments])
+        return place, self._told([slowly_s, str(place), *arguments])
 
     def ended(self, process: int) -> int:
         """Wait for a process to end and return its exit code, minus the signal where one killed it."""
@@ -338,7 +338,8 @@ def like(run_file: Path, whole: Path) -> bool:
 def test_of_two_programs_at_one_bench_the_second_is_refused_or_safe(
     rig: Rig, whole: Path, first: str, second: str
 ) -> None:
-    place, process = rig.start(*COMMANDS[first])
+    # Slow enough for the second to come in between, on a busy machine too.
+    place, process = rig.start(*COMMANDS[first], slowly_s=0.05)
     wait_for(lambda: bool(rig.outputs_on()) if first in ("run", "resume") else holds(rig, process))
     live = place / "run.h5"
     command = SECOND[second] or ("resume", str(live), "--bench", "../metal.toml", "--output", "run.h5")

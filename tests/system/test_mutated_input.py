@@ -294,7 +294,7 @@ def bounded_memory() -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-@pytest.mark.parametrize("cases", [1000, pytest.param(12_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [1500, pytest.param(12_000, marks=pytest.mark.slow)])
 def test_mutated_scenes_and_benches_end_in_a_plan_or_a_message(tmp_path: Path, cases: int) -> None:
     rng = np.random.default_rng(6)
 
@@ -403,7 +403,7 @@ def test_mutated_run_files_end_in_a_run_or_a_message(small_run: Path, tmp_path: 
     assert found["message"] >= cases // 3
 
 
-@pytest.mark.parametrize("cases", [100, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [30, pytest.param(1000, marks=pytest.mark.slow)])
 def test_whatever_stands_beside_a_run_file_is_no_traceback(small_run: Path, tmp_path: Path, cases: int) -> None:
     rng, run, path = np.random.default_rng(10), small_run.read_bytes(), tmp_path / "run.h5"
     beside = {file.name: file.read_bytes() for file in small_run.parent.glob("run.*") if file != small_run}
@@ -437,7 +437,7 @@ OPTIONS: Mapping[str, Sequence[str]] = {
 }
 
 
-@pytest.mark.parametrize("cases", [450, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [130, pytest.param(4000, marks=pytest.mark.slow)])
 def test_mutated_arguments_end_in_a_result_or_a_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cases: int
 ) -> None:

@@ -12,14 +12,15 @@ import pytest
 
 from drivers.interfaces import InstrumentError
 from hpe_rig.acquire import sequencer
-from hpe_rig.acquire.run import Setup, record_run
+from hpe_rig.acquire.run import Setup, prepare, record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Observer, Progress, Step
 from hpe_rig.bench import opening
 from hpe_rig.cli.tables import print_result
 from hpe_rig.report import write_report
 from hpe_rig.result import result_csv
-from hpe_rig.store import read_run
+from hpe_rig.scene import load_scene
+from hpe_rig.store import StoredRun, read_run
 from sim_backend.world import World
 
 Prepare = Callable[..., Setup]
@@ -46,6 +47,13 @@ def worlds(monkeypatch: pytest.MonkeyPatch) -> list[World]:
 
     monkeypatch.setattr(opening, "_world", noted)
     return made
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    """Return two shots of a run that nobody meddled with."""
+    scene = load_scene("bovine-muscle-synchronous").with_({"acquisition.repeats": 2})
+    return read_run(record_run(prepare(scene), tmp_path_factory.mktemp("undisturbed") / "run.h5"))
 
 
 def another_program(worlds: list[World], role: str, command: str, step: Step = Step.COLLECT) -> Observer:
@@ -84,14 +92,11 @@ def test_an_output_switched_off_by_another_program_is_found(
 
 
 def test_looking_at_the_instruments_during_a_shot_changes_no_record(
-    prepared: Prepare, tmp_path: Path, worlds: list[World], monkeypatch: pytest.MonkeyPatch
+    prepared: Prepare, tmp_path: Path, undisturbed: StoredRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    setup = prepared("bovine-muscle-synchronous", TWICE)
     monkeypatch.setattr(sequencer, "WATCH_S", 0.02)
-    watched = read_run(record_run(setup, tmp_path / "watched.h5"))
-    monkeypatch.undo()
-    whole = read_run(record_run(setup, tmp_path / "whole.h5"))
-    for one, other in zip(watched.records, whole.records, strict=True):
+    watched = read_run(record_run(prepared("bovine-muscle-synchronous", TWICE), tmp_path / "watched.h5"))
+    for one, other in zip(watched.records, undisturbed.records, strict=True):
         assert (one.codes == other.codes).all()
 
 
@@ -107,18 +112,15 @@ def test_a_change_in_a_long_shot_ends_it_before_its_last_record(
 
 @pytest.mark.parametrize("role", FOREIGN)
 def test_a_run_that_goes_on_marks_the_shot_and_programs_the_next_one_anew(
-    prepared: Prepare, tmp_path: Path, worlds: list[World], role: str
+    prepared: Prepare, tmp_path: Path, worlds: list[World], undisturbed: StoredRun, role: str
 ) -> None:
-    path, clean = tmp_path / "run.h5", tmp_path / "clean.h5"
-    setup = prepared("bovine-muscle-synchronous", GO_ON)
-    record_run(setup, clean)
-    worlds.clear()
+    path, setup = tmp_path / "run.h5", prepared("bovine-muscle-synchronous", GO_ON)
     record_run(setup, path, another_program(worlds, role, FOREIGN[role]))
     run = read_run(path)
     assert run.status == "complete"
     assert list(run.untrusted) == [0]
     # The second shot is as in a run that nobody meddled with.
-    assert (run.records[1].codes == read_run(clean).records[1].codes).all()
+    assert (run.records[1].codes == undisturbed.records[1].codes).all()
 
 
 def test_an_untrusted_shot_is_marked_in_the_result_its_table_and_the_report(
@@ -144,7 +146,6 @@ def test_an_untrusted_shot_is_marked_in_the_result_its_table_and_the_report(
     assert "1 of them untrusted" in page
 
 
-def test_a_run_nobody_meddles_with_is_trusted(prepared: Prepare, tmp_path: Path) -> None:
-    run = read_run(record_run(prepared("bovine-muscle-synchronous", TWICE), tmp_path / "run.h5"))
-    assert not run.untrusted
-    assert run.shot_complete.all()
+def test_a_run_nobody_meddles_with_is_trusted(undisturbed: StoredRun) -> None:
+    assert not undisturbed.untrusted
+    assert undisturbed.shot_complete.all()

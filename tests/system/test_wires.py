@@ -22,7 +22,7 @@ from hpe_rig.bench.bench_file import TRANSPORTS, BenchFile, parse_bench, read_be
 from hpe_rig.bench.emulation import addressed
 from hpe_rig.bench.opening import open_bench, open_each
 from hpe_rig.plan.checks.check_result import PlanError
-from hpe_rig.store import read_run
+from hpe_rig.store import StoredRun, read_run
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
 OVER = [pytest.param(name, marks=needs_pty) if name == "serial" else name for name in TRANSPORTS]
@@ -69,16 +69,20 @@ def test_a_measurement_over_a_serial_line_behind_tcp_gives_the_same_records(
         np.testing.assert_array_equal(one.codes, other.codes)
 
 
+@pytest.fixture(scope="module")
+def direct(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
+    return read_run(record_run(prepare("bovine-muscle"), tmp_path_factory.mktemp("direct") / "run.h5"))
+
+
 MODELS = {"33500B": "Agilent Technologies,33522B", "33600A": "Keysight Technologies,33622A"}
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_pulse_trains_from_a_sibling_give_the_same_records(model: str, tmp_path: Path) -> None:
+def test_pulse_trains_from_a_sibling_give_the_same_records(model: str, direct: StoredRun, tmp_path: Path) -> None:
     edits = [
         (f'[generators.{role}]\nmodel = "33250A"', f'[generators.{role}]\nmodel = "{model}"')
         for role in ("master", "burst_train", "tracking_train")
     ]
-    direct = read_run(record_run(prepare("bovine-muscle"), tmp_path / "a.h5"))
     bench = bench_over(tmp_path, "socket", *edits)
     other = read_run(record_run(prepare("bovine-muscle", bench), tmp_path / "b.h5"))
     np.testing.assert_array_equal(other.records[0].codes, direct.records[0].codes)
@@ -112,28 +116,34 @@ def emulated(transport: str, folder: Path, *arguments: str) -> Iterator[BenchFil
     assert sys.platform == "win32" or status == 0
 
 
-@pytest.mark.parametrize("transport", OVER)
-def test_the_printed_bench_file_leads_another_visa_program_to_every_generator(transport: str, tmp_path: Path) -> None:
-    with emulated(transport, tmp_path) as bench:
-        assert bench.transport == transport
-        manager = pyvisa.ResourceManager("@py")
-        opened = {}
-        for role, generator in bench.generators.by_role.items():
-            assert generator.interface is None or transport == "prologix"
-            if generator.interface and "interface" not in opened:
-                opened["interface"] = manager.open_resource(generator.interface)
-            opened[role] = manager.open_resource(generator.address)
-            opened[role].write_termination = "\n"
-            if transport == "socket":
-                opened[role].read_termination = "\n"
-            if transport == "serial":
-                opened[role].write("SYST:REM")
-            opened[role].write(f"FREQ {1000 + len(opened)}")
-            assert "33250A" in opened[role].query("*IDN?")
-        rates = [float(opened[role].query("FREQ?")) for role in bench.generators.by_role]
-        assert len(set(rates)) == len(rates) == 5
-        for resource in reversed(opened.values()):
-            resource.close()
+@pytest.fixture(scope="module", params=OVER)
+def served(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[str, BenchFile]]:
+    """Yield a transport and the bench file of an emulator that serves it while this module's tests use it."""
+    with emulated(request.param, tmp_path_factory.mktemp(request.param)) as bench:
+        yield request.param, bench
+
+
+def test_the_printed_bench_file_leads_another_visa_program_to_every_generator(served: tuple[str, BenchFile]) -> None:
+    transport, bench = served
+    assert bench.transport == transport
+    manager = pyvisa.ResourceManager("@py")
+    opened = {}
+    for role, generator in bench.generators.by_role.items():
+        assert generator.interface is None or transport == "prologix"
+        if generator.interface and "interface" not in opened:
+            opened["interface"] = manager.open_resource(generator.interface)
+        opened[role] = manager.open_resource(generator.address)
+        opened[role].write_termination = "\n"
+        if transport == "socket":
+            opened[role].read_termination = "\n"
+        if transport == "serial":
+            opened[role].write("SYST:REM")
+        opened[role].write(f"FREQ {1000 + len(opened)}")
+        assert "33250A" in opened[role].query("*IDN?")
+    rates = [float(opened[role].query("FREQ?")) for role in bench.generators.by_role]
+    assert len(set(rates)) == len(rates) == 5
+    for resource in reversed(opened.values()):
+        resource.close()
 
 
 def metal(bench: BenchFile, text: str) -> BenchFile:
@@ -144,17 +154,18 @@ def metal(bench: BenchFile, text: str) -> BenchFile:
     return parse_bench("metal", text.replace("simulated = true", "simulated = false")).bench
 
 
-@pytest.mark.parametrize("transport", ["socket", "prologix"])
-def test_a_real_bench_file_reaches_its_generators_at_their_addresses(transport: str, tmp_path: Path) -> None:
-    with emulated(transport, tmp_path) as served, open_each(metal(served, SIMULATED)) as found:
-        for role in served.generators.by_role:
+@pytest.mark.parametrize("served", ["socket", "prologix"], indirect=True)
+def test_a_real_bench_file_reaches_its_generators_at_their_addresses(served: tuple[str, BenchFile]) -> None:
+    with open_each(metal(served[1], SIMULATED)) as found:
+        for role in served[1].generators.by_role:
             assert found[role].identify().model == "33250A"
         assert isinstance(found["digitizer"], InstrumentError)
 
 
-def test_another_model_than_the_bench_file_says_is_refused_by_name(tmp_path: Path) -> None:
+@pytest.mark.parametrize("served", ["socket"], indirect=True)
+def test_another_model_than_the_bench_file_says_is_refused_by_name(served: tuple[str, BenchFile]) -> None:
     text = SIMULATED.replace('[generators.master]\nmodel = "33250A"', '[generators.master]\nmodel = "33600A"')
-    with emulated("socket", tmp_path) as served, open_each(metal(served, text)) as found:
+    with open_each(metal(served[1], text)) as found:
         assert "33250A" in str(found["master"])
         assert "expected model 33600A" in str(found["master"])
         assert not isinstance(found["toneburst"], Exception)

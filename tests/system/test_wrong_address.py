@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from click.testing import Result
+from typer.testing import CliRunner
 
 from drivers.interfaces import InstrumentError
 from drivers.visa import NoVisaError, VisaConnection
 from hpe_rig.acquire.run import prepare, record_run
 from hpe_rig.bench import opening
 from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.cli.app import app
 from hpe_rig.store import WriteOptions, read_run
 
 
@@ -32,25 +33,31 @@ def metal(tmp_path: Path) -> Path:
     return path
 
 
-def rig(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hpe_rig", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
+def rig(folder: Path, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> Result:
+    monkeypatch.chdir(folder)
+    return CliRunner().invoke(app, arguments)
 
 
-def test_overwriting_with_a_bench_at_a_wrong_address_loses_nothing(tmp_path: Path, metal: Path) -> None:
+def test_overwriting_with_a_bench_at_a_wrong_address_loses_nothing(
+    tmp_path: Path, metal: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = record_run(prepare("table-1"), tmp_path / "run.h5")
     before = path.read_bytes()
-    done = rig(tmp_path, "run", "bovine-muscle", "--bench", str(metal), "--output", "run.h5", "--overwrite")
-    assert done.returncode == 1, done.stderr
+    done = rig(
+        tmp_path, monkeypatch, "run", "bovine-muscle", "--bench", str(metal), "--output", "run.h5", "--overwrite"
+    )
+    assert done.exit_code == 1, done.stderr
     assert path.read_bytes() == before
     assert "no record had arrived: run.h5 is what it was before" in done.stderr
     assert "holds the records" not in done.stderr
 
 
-def test_a_failed_open_leaves_no_stub_and_claims_no_records(tmp_path: Path, metal: Path) -> None:
+def test_a_failed_open_leaves_no_stub_and_claims_no_records(
+    tmp_path: Path, metal: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = set(tmp_path.iterdir())
-    done = rig(tmp_path, "run", "bovine-muscle", "--bench", str(metal), "--output", "run.h5")
-    assert done.returncode == 1
+    done = rig(tmp_path, monkeypatch, "run", "bovine-muscle", "--bench", str(metal), "--output", "run.h5")
+    assert done.exit_code == 1
     assert set(tmp_path.iterdir()) == before
     assert "nothing was measured, and no run file is left" in done.stderr
     assert "not identified, so not proven off: master, burst_train, toneburst" in done.stderr
@@ -98,7 +105,7 @@ def test_a_missing_driver_is_named_as_what_it_is(tmp_path: Path, metal: Path, mo
     assert "NI-VISA or Keysight IO Libraries, or linux-gpib" in caught.value.remedy
     text = metal.read_text(encoding="utf-8").replace("TCPIP0::127.0.0.1::1::SOCKET", "GPIB0::10::INSTR")
     metal.write_text(text, encoding="utf-8")
-    done = rig(tmp_path, "run", "bovine-muscle", "--bench", str(metal))
-    assert done.returncode == 1
+    done = rig(tmp_path, monkeypatch, "run", "bovine-muscle", "--bench", str(metal))
+    assert done.exit_code == 1
     assert "lacks the driver for such an address, which may be right. Try: install NI-VISA" in done.stderr
     assert "the address, the cable or the power is wrong" not in done.stderr

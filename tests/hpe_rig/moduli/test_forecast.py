@@ -20,7 +20,7 @@ def forecast(values: dict[str, object]) -> ModuliForecast:
 
 
 def test_what_is_forecast_is_what_the_fit_states(tmp_path: Path) -> None:
-    values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 3e-3, 5e-3]}
+    values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 2.25e-3, 4.75e-3]}
     run = hpe.measure(hpe.load_scene("gelatin-moduli").with_(values), path=tmp_path / "run.h5")
     fit = hpe.fit_moduli(run, laws=["voigt"]).best
     expected = forecast(values)

@@ -30,7 +30,7 @@ def measured(path: Path, places_m: list[float], **values: object) -> hpe.Run:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> hpe.Run:
-    return measured(tmp_path_factory.mktemp("places") / "run.h5", [1e-3, 2.5e-3, 4e-3, 14e-3])
+    return measured(tmp_path_factory.mktemp("places") / "run.h5", [1e-3, 2.25e-3, 3.5e-3, 14e-3])
 
 
 def fitted(run: hpe.Run, stored: StoredRun) -> ModuliResult:
@@ -63,9 +63,9 @@ def test_missing_and_untrusted_shots_are_left_out_and_named(run: hpe.Run) -> Non
     assert [one.label for one in result.vibrations] == ["1 mm", "14 mm"]
     said = "\n".join(result.omitted)
     for words in (
-        "2.5 mm: shot 2, incomplete",
-        "2.5 mm: no shot there can be estimated",
-        "4 mm: shot 3, untrusted: the settings changed",
+        "2.25 mm: shot 2, incomplete",
+        "2.25 mm: no shot there can be estimated",
+        "3.5 mm: shot 3, untrusted: the settings changed",
     ):
         assert words in said
     assert result.best.uncertainty["shear_modulus_pa"] > whole.best.uncertainty["shear_modulus_pa"]
@@ -78,8 +78,8 @@ def test_a_run_without_one_good_shot_is_refused_with_the_reasons(run: hpe.Run) -
 
 
 def test_a_force_that_changed_between_places_needs_an_amplitude_a_place(tmp_path: Path, run: hpe.Run) -> None:
-    strong = measured(tmp_path / "strong.h5", [1e-3, 2.5e-3])
-    weak = measured(tmp_path / "weak.h5", [4e-3, 5.5e-3], **{FORCE: 3.5e6})
+    strong = measured(tmp_path / "strong.h5", [1e-3, 2.25e-3])
+    weak = measured(tmp_path / "weak.h5", [3.5e-3, 4.75e-3], **{FORCE: 3.5e6})
     common = hpe.fit_moduli(strong, weak, laws=["voigt"])
     assert common.best.excluded
     own = hpe.fit_moduli(strong, weak, laws=["voigt"], common_amplitude=False)

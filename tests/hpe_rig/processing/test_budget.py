@@ -59,6 +59,22 @@ def test_aliasing_is_taken_out_of_noise_and_nothing_is_counted_twice() -> None:
     assert total.amplitude_uncertainty_m == pytest.approx(2e-9)
 
 
+@pytest.mark.parametrize("shared", [0.5, -0.2, -0.9])
+def test_what_aliasing_and_beam_averaging_share_is_in_the_sum(shared: float) -> None:
+    # 0.02 rad of aliasing, 0.01 of averaging, correlated by `shared`; 3 and 2 % of the amplitude
+    aliasing = np.array([[[9e-18, 0], [0, 4e-4]]])
+    whole = replace(fit(), covariance=fit().covariance + aliasing, aliasing=aliasing)
+    averaging = Averaging(
+        1.0, 0.0, 0.0, 0.02, 0.01, shared_relative=shared * 0.03 * 0.02, shared_phase_rad2=shared * 0.02 * 0.01
+    )
+    (estimate,) = estimates_of(whole, Known(sound_speed_uncertainty=0.0), (averaging,))
+    noise, lead = parts(estimate)["noise"], estimate.headline
+    relative = (lead.amplitude_uncertainty_m**2 - noise.amplitude_m**2) / 1e-14
+    assert relative == pytest.approx(0.03**2 + 0.02**2 + 2 * shared * 0.03 * 0.02)
+    square_rad2 = lead.phase_uncertainty_rad**2 - noise.phase_rad**2
+    assert square_rad2 == pytest.approx(0.02**2 + 0.01**2 + 2 * shared * 0.02 * 0.01)
+
+
 @pytest.mark.parametrize(("jitter_s", "share"), [(5e-12, 0.148), (1e-10, 1.0)])
 def test_trigger_jitter_takes_its_share_of_the_residual(jitter_s: float, share: float) -> None:
     # 1540 m/s * 5 ps / 2 is 3.85 nm, of a residual of 10 nm; 100 ps would be more than there is.

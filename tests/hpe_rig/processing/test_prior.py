@@ -264,9 +264,13 @@ def _medium(generator: np.random.Generator) -> tuple[ComplexArray, float]:
 
 
 @cache
-def _drawn(count: int) -> list[ComplexArray]:
+def _drawn_pairs(count: int) -> list[tuple[ComplexArray, ComplexArray]]:
     generator = np.random.default_rng(7)
-    return [harmonics(*_medium(generator))[0] for _ in range(count)]
+    return [harmonics(*_medium(generator)) for _ in range(count)]
+
+
+def _drawn(count: int) -> list[ComplexArray]:
+    return [tracked for tracked, _ in _drawn_pairs(count)]
 
 
 def _many(watched: Pulses, noise_m: float, count: int, drive: float = 1.0) -> tuple[FloatArray, FloatArray]:
@@ -289,6 +293,21 @@ def test_intervals_cover_media_of_every_family(watched: Pulses, noise_m: float) 
     assert abs(np.mean(np.abs(over_u) < 1) - 0.683) < 0.07
     assert abs(np.mean(np.abs(over_u) < 1.96) - 0.95) < 0.03
     assert np.mean(significance < 0.01) < 0.05
+
+
+def test_the_peak_s_phase_is_covered_where_aliasing_and_averaging_are_uncertain_together() -> None:
+    noise = 7.7e-9 * np.random.default_rng(8).standard_normal((120, AT_4000.time_s.size))
+    ratios = []
+    for (tracked, peak), each in zip(_drawn_pairs(120), noise, strict=True):
+        found = medium_fit(AT_4000.motion(at(AT_4000, tracked) + each), WANTED_HZ, PRIOR).fit
+        assert found.medium is not None
+        state = found.state[::2] + 1j * found.state[1::2]
+        error = np.angle(state * found.medium.peak_over_tracked / peak[:10])
+        apart = found.covariance[:, 1, 1] + found.medium.peak_covariance[:, 1, 1]
+        ratios.append(error**2 / np.stack([apart, apart + 2 * found.medium.shared[:, 1]]))
+    apart, together = np.mean(ratios, axis=(0, 2))
+    assert apart < 0.95 * together
+    assert 0.8 < together < 1.25
 
 
 @pytest.mark.parametrize("drive", [0.01, 0.1, 10.0])

@@ -106,6 +106,27 @@ def test_modes_on_the_axis_follow_the_exact_transient(gelatin):
     assert (ours[time_ps <= 0] == 0.0).all()
 
 
+@pytest.mark.parametrize(
+    "medium",
+    [
+        {"medium": "maxwell", "shear_modulus_pa": 1.9e3, "shear_viscosity_pa_s": 6.5},
+        {"medium": "maxwell", "shear_modulus_pa": 48e3, "shear_viscosity_pa_s": 0.97},
+        {"medium": "power_law", "power": 0.6},
+    ],
+)
+def test_modes_of_a_medium_that_creeps_hold_the_motion_under_single_bursts(medium):
+    specimen = Specimen.model_validate(medium)
+    field = focus_field(specimen, WIDTH_M, *REACH_M)
+    onset_ps = np.arange(20) * 10_000_000_000
+    force = ForcePulses(onset_ps, onset_ps + 100_000_000, np.full(20, 4e6))
+    time_ps = np.arange(0, 200_000_000_000, 133_000_000)
+    ours = transients(field.response, force, time_ps) @ field.shapes(np.zeros(1), np.zeros(1))[0]
+    expected = transient_displacement(tabulate_step_response(specimen, WIDTH_M), force, time_ps)
+    under_one_burst_m = expected[: len(time_ps) // 20].max()
+    # The field's 1e-5 counts against what a steady force moves the medium in a millisecond, ten times a burst's length.
+    assert np.abs(ours - expected).max() < 2e-4 * under_one_burst_m
+
+
 def test_motion_arrives_later_the_farther_out(gelatin):
     """A shear wave at 2.7 m/s crosses 0.6 mm in 0.22 ms; so near its source it is not yet that late."""
     force = ForcePulses(np.array([0]), np.array([100_000_000]), np.array([4e6]))

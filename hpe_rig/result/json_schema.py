@@ -1,0 +1,62 @@
+"""JSON schema of a result as ``hpe-rig process --json`` prints it, made from the types that it is made of."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from hpe_rig.result.estimates import DERIVED, Estimate, Result, ShotResult
+from hpe_rig.result.repeats import RepeatMean
+
+NUMBER = {"type": ["number", "null"]}
+"""Numbers that JSON cannot hold, such as an infinite ratio, are null."""
+
+
+def result_schema() -> dict[str, Any]:
+    """Return the JSON schema (draft 2020-12) of a result; keys that it does not name do not occur."""
+    schema = _object(Result)
+    derived = {"means": {"type": "array", "items": _object(RepeatMean)}, "left_out": _of(tuple[tuple[str, str], ...])}
+    schema["properties"] |= derived
+    absent = {"means", "simulated_specimen", "imported"}
+    schema["required"] = [name for name in schema["properties"] if name not in absent]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Result of hpe-rig", **schema}
+
+
+def _object(kind: type) -> dict[str, Any]:
+    hints = get_type_hints(kind)
+    left_out = {"motion"} if kind is ShotResult else set[str]()
+    properties = {each.name: _of(hints[each.name]) for each in fields(kind) if each.name not in left_out}
+    if kind is Estimate:
+        properties |= dict.fromkeys(DERIVED, NUMBER)
+    about = " ".join((kind.__doc__ or "").partition("\n\n    >>>")[0].split())
+    return {
+        "type": "object",
+        "description": about,
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+def _of(hint: Any) -> dict[str, Any]:
+    plain = {str: "string", bool: "boolean", int: "integer"}
+    origin, inner = get_origin(hint), get_args(hint)
+    if hint is float:
+        return dict(NUMBER)
+    if hint in plain:
+        return {"type": plain[hint]}
+    if is_dataclass(hint) and isinstance(hint, type):
+        return _object(hint)
+    if origin is Literal:
+        return {"enum": list(inner)}
+    if origin is tuple and Ellipsis in inner:
+        return {"type": "array", "items": _of(inner[0])}
+    if origin is tuple:
+        return {"type": "array", "prefixItems": [_of(each) for each in inner], "items": False, "minItems": len(inner)}
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return {"type": "object", "additionalProperties": _of(inner[1])}
+    if origin in (Union, types.UnionType):
+        return {"anyOf": [{"type": "null"} if each is type(None) else _of(each) for each in inner]}
+    raise TypeError(f"{hint} has no place in a JSON schema")

@@ -1,0 +1,143 @@
+"""Map of motion: amplitude, phase and velocity with their uncertainties, over lines and depths."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
+
+
+class BadPixel(IntEnum):
+    """Why a pixel has no estimate; 0 where it has one."""
+
+    GOOD = 0
+    NOISE = 1
+    NO_ECHO = 2
+    NOT_FINITE = 3
+
+
+@dataclass(frozen=True, slots=True)
+class MotionMap:
+    """Motion of every pixel; NaN where ``bad`` (line, depth) is not 0.
+
+    ``frequency_hz`` (frequency,), ``line_m`` (line,) beside the push, or its number where nobody said, see
+    ``lines_are_placed``; ``depth_m`` (depth,). ``amplitude_m``, ``phase_rad`` (line, depth, frequency) of
+    A sin(2 pi f t + phase), positive away from the transducer, and ``velocity_m_per_s`` (line, depth) of the motion
+    that is left, each with its standard uncertainty: noise by the residual, frequency of the echo, sound speed.
+    ``residual_m``: displacement noise of one pulse; ``power``: of the echoes, in the recording's units squared.
+    """
+
+    frequency_hz: FloatArray
+    line_m: FloatArray
+    depth_m: FloatArray
+    amplitude_m: FloatArray
+    amplitude_uncertainty_m: FloatArray
+    phase_rad: FloatArray
+    phase_uncertainty_rad: FloatArray
+    velocity_m_per_s: FloatArray
+    velocity_uncertainty_m_per_s: FloatArray
+    residual_m: FloatArray
+    power: FloatArray
+    bad: NDArray[np.uint8]
+    lines_are_placed: bool
+    origin: str = ""
+
+    def __str__(self) -> str:
+        return "\n".join(self._lines())
+
+    def _lines(self) -> Iterator[str]:
+        lines, gates = self.bad.shape
+        good = self.bad == 0
+        yield f"{lines} lines of {gates} gates, {int(good.sum())} of {good.size} pixels estimated"
+        for kind in (BadPixel.NOISE, BadPixel.NO_ECHO, BadPixel.NOT_FINITE):
+            if count := int((self.bad == kind).sum()):
+                yield f"{count} pixels left out: {_WHY[kind]}"
+        if not good.any():
+            return
+        for index, hz in enumerate(self.frequency_hz.tolist()):
+            amplitude, u = self.amplitude_m[good, index], self.amplitude_uncertainty_m[good, index]
+            yield (
+                f"{hz:g} Hz: amplitude {np.median(amplitude) * 1e9:.4g} nm in the middle of the pixels, "
+                f"{np.quantile(amplitude, 0.95) * 1e9:.4g} nm at 95 %, u {np.median(u) * 1e9:.3g} nm"
+            )
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return an xarray dataset with axes line, depth and frequency, and units; needs the extra 'frames'."""
+        try:
+            import xarray
+        except ModuleNotFoundError:
+            what = 'MotionMap.to_xarray needs xarray, which is not installed. Try: pip install "hpe-rig[frames]".'
+            raise ModuleNotFoundError(what) from None
+        each, all_three = ("line", "depth"), ("line", "depth", "frequency")
+        variables: dict[str, Any] = {}
+        for name, unit in _VALUES.items():
+            value = getattr(self, name)
+            variables[name] = (all_three if value.ndim == 3 else each, value, {"units": unit})
+        kinds, words = zip(*((int(kind), kind.name.lower()) for kind in BadPixel), strict=True)
+        variables["bad"] = (each, self.bad, {"flag_values": list(kinds), "flag_meanings": " ".join(words)})
+        line_units = {"units": "m", "long_name": "beside the push"} if self.lines_are_placed else {"units": "1"}
+        coordinates = {
+            "line": ("line", self.line_m, line_units),
+            "depth": ("depth", self.depth_m, {"units": "m"}),
+            "frequency": ("frequency", self.frequency_hz, {"units": "Hz"}),
+        }
+        return xarray.Dataset(variables, coordinates, {"title": "Motion map", "source": self.origin})
+
+    def figure(self, frequency: int = 0) -> Figure:
+        """Return amplitude, phase, u and velocity as images, at ``frequency`` by its index; bad pixels are blank."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(9.0, 6.5), layout="constrained")
+        amplitude, u = self.amplitude_m[..., frequency], self.amplitude_uncertainty_m[..., frequency]
+        top = float(np.nanquantile(amplitude, 0.98)) * 1e9 if np.isfinite(amplitude).any() else 1.0
+        fast = float(np.nanquantile(np.abs(self.velocity_m_per_s), 0.98)) * 1e6 if np.isfinite(amplitude).any() else 1.0
+        panels = (
+            (amplitude * 1e9, "amplitude / nm", "viridis", 0.0, top),
+            (np.degrees(self.phase_rad[..., frequency]), "phase / deg", "twilight", -180.0, 180.0),
+            (u * 1e9, "u of the amplitude / nm", "magma", 0.0, None),
+            (self.velocity_m_per_s * 1e6, "velocity / (um/s)", "RdBu_r", -fast, fast),
+        )
+        wide = 1e3 if self.lines_are_placed else 1.0
+        extent = (*_edges(self.line_m * wide), *_edges(self.depth_m * 1e3)[::-1])
+        for axes, (values, label, colours, low, high) in zip(figure.subplots(2, 2).ravel(), panels, strict=True):
+            limit = float(np.nanquantile(values, 0.98)) if high is None and np.isfinite(values).any() else high
+            image = axes.imshow(values.T, extent=extent, aspect="auto", cmap=colours, vmin=low, vmax=limit)
+            axes.set_facecolor("0.85")
+            figure.colorbar(image, ax=axes, label=label)
+            axes.set(xlabel="beside the push / mm" if self.lines_are_placed else "line", ylabel="depth / mm")
+        where = [self.origin.partition(", SHA")[0]] if self.origin else []
+        title = ", ".join([f"{self.frequency_hz[frequency]:g} Hz", *where])
+        figure.suptitle(title, fontsize="medium", wrap=True)
+        return figure
+
+
+_VALUES = {
+    "amplitude_m": "m",
+    "amplitude_uncertainty_m": "m",
+    "phase_rad": "rad",
+    "phase_uncertainty_rad": "rad",
+    "velocity_m_per_s": "m/s",
+    "velocity_uncertainty_m_per_s": "m/s",
+    "residual_m": "m",
+    "power": "1",
+}
+_WHY = {
+    BadPixel.NOISE: "noise, or motion of more than a quarter wavelength between pulses",
+    BadPixel.NO_ECHO: "no echo",
+    BadPixel.NOT_FINITE: "samples that are not finite",
+}
+
+
+def _edges(middle: FloatArray) -> tuple[float, float]:
+    half = float(np.diff(middle).mean()) / 2 if middle.size > 1 else 0.5
+    return float(middle[0]) - half, float(middle[-1]) + half

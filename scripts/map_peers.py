@@ -1,0 +1,92 @@
+"""Time of a map of 128 lines, 200 depths and 60 pulses beside the Doppler estimators of PyMUST and zea.
+
+The same I and Q for all: the peers give one velocity a pixel, the map amplitude, phase, velocity and their
+uncertainties, at one frequency or at ten. Another row has samples in place of I and Q, 16 a pixel. Peers that are not
+installed are left out. The least of many times, taken in turn: what else the machine does is the same for all.
+
+    python scripts/map_peers.py [--rounds 15]
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import time
+from collections.abc import Callable
+from functools import partial
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hpe_rig.processing import MapSettings, map_pixels
+from hpe_rig.result import text_table
+
+LINES, DEPTHS, PULSES = 128, 200, 60
+RATE_HZ, CARRIER_HZ, PULSE_RATE_HZ, SPEED = 10e6, 5e6, 4000.0, 1540.0
+TEN_HZ = tuple(190.0 * n for n in range(1, 11))
+
+
+def speckle() -> NDArray[np.complex64]:
+    """Return I and Q (line, depth, pulse) of speckle that vibrates by 300 nm at 190 Hz, 30 dB above its noise."""
+    rng, time_s = np.random.default_rng(1), np.arange(PULSES) / PULSE_RATE_HZ
+    rate_hz = np.fft.fftfreq(DEPTHS, 1 / RATE_HZ)
+    shape = (LINES, DEPTHS, 1)
+    spectrum = (rng.normal(size=shape) + 1j * rng.normal(size=shape)) * np.exp(-((rate_hz / 1.5e6) ** 2))[:, None]
+    moved_m = 300e-9 * np.sin(2 * np.pi * 190.0 * time_s)
+    late = np.exp(-4j * np.pi * (rate_hz[:, None] + CARRIER_HZ) * moved_m / SPEED)
+    echo = np.fft.ifft(spectrum * late, axis=1)
+    noise = rng.normal(size=echo.shape) + 1j * rng.normal(size=echo.shape)
+    return np.asarray(echo + np.sqrt(np.mean(np.abs(echo) ** 2) / 2e3) * noise, np.complex64)
+
+
+def peers(echo: NDArray[np.complex64]) -> dict[str, Callable[[], Any]]:
+    """Return the peers that are installed, each with the array in the order of axes that it takes."""
+    found: dict[str, Callable[[], Any]] = {}
+    try:
+        pymust = importlib.import_module("pymust")
+        known = pymust.utils.Param()
+        known.fc, known.PRF, known.c = CARRIER_HZ, PULSE_RATE_HZ, SPEED
+        found["PyMUST iq2doppler"] = partial(pymust.iq2doppler, np.ascontiguousarray(echo.swapaxes(0, 1)), known)
+    except ImportError:
+        pass
+    try:
+        doppler = importlib.import_module("zea.doppler")
+        data = np.ascontiguousarray(echo.transpose(2, 1, 0))
+        found["zea color_doppler"] = partial(doppler.color_doppler, data, CARRIER_HZ, PULSE_RATE_HZ, SPEED)
+    except ImportError:
+        pass
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--rounds", type=int, default=15)
+    rounds = parser.parse_args().rounds
+    echo, time_s = speckle(), np.arange(PULSES) / PULSE_RATE_HZ
+    pixels = MapSettings(RATE_HZ, CARRIER_HZ, 1, SPEED, demodulation_hz=CARRIER_HZ)
+    gates = MapSettings(4 * RATE_HZ, CARRIER_HZ, 16, SPEED)
+    samples = np.random.default_rng(2).normal(size=(LINES, PULSES, 16 * DEPTHS)).astype(np.float32)
+    by_pulse = echo.swapaxes(1, 2)
+    ways: dict[str, Callable[[], Any]] = peers(echo) | {
+        "map, one frequency": partial(map_pixels, by_pulse, time_s, TEN_HZ[:1], pixels),
+        "map, ten frequencies": partial(map_pixels, by_pulse, time_s, TEN_HZ, pixels),
+        "map of samples, ten frequencies": partial(map_pixels, samples, time_s, TEN_HZ, gates),
+    }
+    best = dict.fromkeys(ways, np.inf)
+    for _ in range(rounds):
+        for name, way in ways.items():
+            start = time.perf_counter()
+            way()
+            best[name] = min(best[name], time.perf_counter() - start)
+    fastest = min((best[name] for name in peers(echo)), default=np.nan)
+    rows = [(name, f"{1e3 * best[name]:.1f}", f"{best[name] / fastest:.2f}") for name in ways]
+    print(text_table(("128 x 200 x 60", "ms", "over the faster peer"), rows, words=1))
+    if find_spec("resource") is not None:
+        peak = importlib.import_module("resource")
+        print(f"largest memory {peak.getrusage(peak.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

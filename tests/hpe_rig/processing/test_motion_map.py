@@ -1,0 +1,128 @@
+"""Maps: the motion that made the echoes, with u that holds, in every pixel; bad pixels marked and nothing else lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import hpe_rig as hpe
+from hpe_rig.processing import MapSettings, map_pixels
+from hpe_rig.result import BadPixel
+from hpe_rig.scene import SettingsError
+
+RATE_HZ, CARRIER_HZ, SPEED = 40e6, 5e6, 1540.0
+TIME_S = np.arange(60) / 4000.0
+AMPLITUDE_M, PHASE_RAD, VELOCITY_M_PER_S = 1e-6, 0.7, 20e-6
+
+
+def moved() -> NDArray[np.float64]:
+    return np.asarray(AMPLITUDE_M * np.sin(2 * np.pi * 200.0 * TIME_S + PHASE_RAD) + VELOCITY_M_PER_S * TIME_S)
+
+
+def lines(count: int, snr_db: float, seed: int, demodulated: bool = False) -> NDArray[Any]:
+    """Return echoes (line, pulse, sample) of speckle that moves as a whole, delayed frequency by frequency."""
+    rng, samples = np.random.default_rng(seed), 3200
+    rate_hz = np.fft.fftfreq(samples, 1 / RATE_HZ)
+    weight = np.where(rate_hz > 0, np.exp(-(((rate_hz - CARRIER_HZ) / (0.3 * CARRIER_HZ)) ** 2)), 0.0)
+    spectrum = weight * (rng.normal(size=(count, 1, samples)) + 1j * rng.normal(size=(count, 1, samples)))
+    echo = np.fft.ifft(spectrum * np.exp(-4j * np.pi * rate_hz * moved()[:, None] / SPEED))
+    echo /= np.sqrt(np.mean(echo.real**2))
+    echo = echo + 10 ** (-snr_db / 20) * (rng.normal(size=echo.shape) + 1j * rng.normal(size=echo.shape))
+    if demodulated:
+        return np.asarray(echo * np.exp(-2j * np.pi * CARRIER_HZ * np.arange(samples) / RATE_HZ))[..., ::4]
+    return np.asarray(echo.real)
+
+
+@pytest.mark.parametrize(
+    ("demodulated", "gate", "snr_db"), [(False, 16, 30.0), (False, 32, 70.0), (True, 1, 40.0), (True, 4, 30.0)]
+)
+def test_pixels_hold_the_motion_within_their_uncertainty(demodulated: bool, gate: int, snr_db: float) -> None:
+    samples = lines(4, snr_db, 11, demodulated)
+    settings = MapSettings(RATE_HZ / 4 if demodulated else RATE_HZ, CARRIER_HZ, gate, SPEED, 0.0)
+    found = map_pixels(samples, TIME_S, [200.0, 400.0], settings)
+    good = found.bad == 0
+    assert good.mean() > 0.97
+    errors = {
+        "amplitude": (found.amplitude_m[..., 0] - AMPLITUDE_M) / found.amplitude_uncertainty_m[..., 0],
+        "phase": (found.phase_rad[..., 0] - PHASE_RAD) / found.phase_uncertainty_rad[..., 0],
+        "velocity": (found.velocity_m_per_s - VELOCITY_M_PER_S) / found.velocity_uncertainty_m_per_s,
+    }
+    for name, error in errors.items():
+        # 68.3 % of 400 independent pixels or more, give or take four standard deviations of that count.
+        within = np.abs(error[good]) < 1
+        assert within.mean() == pytest.approx(0.683, abs=4 * np.sqrt(0.683 * 0.317 / 400)), name
+
+
+def test_bad_pixels_are_marked_and_the_others_as_without_them() -> None:
+    samples, settings = lines(3, 30.0, 12), MapSettings(RATE_HZ, CARRIER_HZ, 16, SPEED)
+    whole = map_pixels(samples, TIME_S, [200.0], settings)
+    samples[1] = 0.0
+    samples[2] = np.random.default_rng(1).normal(size=samples.shape[1:])
+    samples[0, 7, 1600] = np.nan
+    told: list[tuple[int, int]] = []
+    found = map_pixels(samples, TIME_S, [200.0], settings, progress=lambda done, of: told.append((done, of)))
+    assert (found.bad[1] == BadPixel.NO_ECHO).all()
+    assert (found.bad[2] == BadPixel.NOISE).mean() > 0.99
+    assert np.flatnonzero(found.bad[0]).tolist() == [100]
+    assert found.bad[0, 100] == BadPixel.NOT_FINITE
+    assert np.isnan(found.amplitude_m[found.bad > 0]).all()
+    # Far from the sample that is not there, which one pulse lacks, nothing changes but by the filter's tails.
+    far = np.abs(np.arange(200) - 100) > 20
+    error = found.amplitude_m[0, far, 0] - whole.amplitude_m[0, far, 0]
+    assert np.abs(error).max() < 0.1 * float(np.median(whole.amplitude_uncertainty_m[0, :, 0]))
+    assert told[-1] == (3, 3)
+
+
+def test_motion_of_wavelengths_is_followed() -> None:
+    # 0.4 mm/s along with the vibration: half a wavelength over the train, as in a dragging hand.
+    samples = np.exp(-4j * np.pi * CARRIER_HZ * (moved() + 0.4e-2 * TIME_S) / SPEED)[None, :, None]
+    depths = samples * np.ones((1, 1, 8)) * np.exp(0j)
+    found = map_pixels(depths, TIME_S, [200.0], MapSettings(10e6, CARRIER_HZ, 1, SPEED, 0.0, 0.0, CARRIER_HZ))
+    assert found.velocity_m_per_s[0] == pytest.approx(np.full(8, VELOCITY_M_PER_S + 0.4e-2), rel=1e-4)
+    assert found.amplitude_m[0, :, 0] == pytest.approx(np.full(8, AMPLITUDE_M), rel=1e-3)
+
+
+SCENE = """
+title = "A scan"
+[tracking]
+[acquisition]
+gate_depth_m = 10e-3
+gate_length_m = 0.308e-3
+[processing]
+frequencies_hz = [200.0]
+"""
+
+
+def test_a_recording_becomes_a_dataset_and_a_figure(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE, encoding="utf-8")
+    np.savez(tmp_path / "scan.npz", rf=lines(3, 30.0, 13).astype(np.float32), fs=RATE_HZ, prf=4e3, fc=CARRIER_HZ)
+    found = hpe.map_motion(tmp_path / "scan.npz", scene, axes="line,pulse,sample", line_pitch_m=0.3e-3)
+    dataset = found.to_xarray()
+    assert dataset.sizes == {"line": 3, "depth": 200, "frequency": 1}
+    assert float(dataset.amplitude_m.sel(frequency=200.0).median()) == pytest.approx(AMPLITUDE_M, rel=0.05)
+    assert dataset.amplitude_m.attrs["units"] == "m"
+    assert "SHA-256" in dataset.attrs["source"]
+    assert "600 of 600 pixels estimated" in str(found)
+    found.figure().savefig(tmp_path / "map.png")
+    assert (tmp_path / "map.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"carrier_hz": 30e6}, "carrier"),
+        ({"axes": "shot,pulse,sample"}, "a map is of one shot"),
+        ({"lines": "9"}, "3 lines"),
+    ],
+)
+def test_a_map_that_cannot_be_is_refused(settings: dict[str, Any], said: str, tmp_path: Path) -> None:
+    scene = tmp_path / "scene.toml"
+    scene.write_text(SCENE, encoding="utf-8")
+    known = {"axes": "line,pulse,sample", "sample_rate_hz": RATE_HZ, "pulse_rate_hz": 4e3, "carrier_hz": CARRIER_HZ}
+    with pytest.raises(SettingsError, match=said):
+        hpe.map_motion(np.ones((3, 60, 400)), scene, **(known | settings))
