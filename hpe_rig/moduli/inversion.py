@@ -33,8 +33,6 @@ STARTS_FOLLOWED = 3
 TRAVELS, TRAVEL_UNCERTAINTY = 0.5, 0.5
 """Of the way from the focus to another depth, how much the force's onset travels with the sound, 0 to 1: a force that
 is long against the shear wave's way goes with it, one that acts everywhere at once does not."""
-LEAST_AREA = 0.05
-"""Tracked area, over its mean, below which no speckle leads."""
 MOST_STEPS = 100
 """Of the solver from one start; a law that cannot explain the data would crawl on."""
 SECOND_MINIMUM = 12.0
@@ -329,8 +327,8 @@ class Problem:
         across = push.width_m[0] * np.exp(known.get(("across", -1), 0.0))
         along = push.width_m[1] * np.exp(known.get(("along", -1), 0.0))
         mean_area = np.array([one.tracking_m2[0] for one in ones])
-        # a solver's step may ask for an area below none
-        area = mean_area * np.maximum(1 + np.array([known.get(("area", p), 0.0) for p in places]), LEAST_AREA)
+        # by its logarithm: no step of a solver asks for an area below none
+        area = mean_area * np.exp([known.get(("area", p), 0.0) for p in places])
         off = [known.get(("lateral", p), 0.0) + known.get(("stage", self.leaders[p]), 0.0) for p in places]
         lateral = np.array([one.lateral_m for one in ones]) + off
         own = np.array([known.get(("gain", p), 0.0) + 1j * known.get(("phase", p), 0.0) for p in places])
@@ -369,7 +367,7 @@ class Problem:
             "axial": front * field.by_axial,
             "lateral": front * field.by_lateral,
             "stage": front * field.by_lateral,
-            "area": front * field.by_across * mean_area,
+            "area": front * field.by_across * area,
             "shape": bent,
             **{f"law {i}": front * field.by_modulus * by_law[:, i, None] for i in range(count)},
         }
