@@ -17,6 +17,8 @@ from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+TESTED = {"shear_modulus_pa": (500.0, 500e3), "viscosity_pa_s": (0.0, 50.0)}
+"""Between which the field has been compared with independent ones."""
 ANY_GAIN = 5.0
 """Uncertainty of the logarithm of a gain of which nothing is known."""
 UNITS = {"shear_modulus_pa": (1e-3, "kPa"), "branch_modulus_pa": (1e-3, "kPa"), "viscosity_pa_s": (1.0, "Pa s")}
@@ -73,6 +75,7 @@ class ModuliResult:
                 "adjusted": fit.adjusted,
                 "second": None if fit.second is None else {"values": fit.second[0], "chi_square": fit.second[1]},
                 "at_limit": fit.at_limit,
+                "beyond_tested": beyond_tested(fit),
                 "by_place": [asdict(each) for each in fit.by_place],
                 "by_frequency": [asdict(each) for each in fit.by_frequency],
             }
@@ -110,6 +113,12 @@ class ModuliResult:
         from hpe_rig.moduli.figure import moduli_figure
 
         return moduli_figure(self)
+
+
+def beyond_tested(fit: Moduli) -> tuple[str, ...]:
+    """Return the parameters of ``fit`` whose values lie beyond those that the field was tested with."""
+    inside = {name: low <= fit.values.get(name, low) <= high for name, (low, high) in TESTED.items()}
+    return tuple(name for name, within in inside.items() if not within)
 
 
 def moduli_of(
@@ -197,6 +206,10 @@ def _values(fit: Moduli) -> Iterator[str]:
             f"{NAMES[name]} {value * UNITS.get(name, (1, ''))[0]:.3g}" for name, value in fit.second[0].items()
         )
         yield f"nearly as good: {other} (chi-square {fit.second[1]:.2g} higher)"
+    for name in beyond_tested(fit):
+        (low, high), (factor, unit) = TESTED[name], UNITS[name]
+        tested = f"{low * factor:g} to {high * factor:g} {unit}, with which the field was tested"
+        yield f"WARNING {NAMES[name]} lies outside {tested}"
     for name in fit.at_limit:
         yield f"{NAMES[name]} stands at the end of its range"
     for kind, by in ((fit.by_place, "place"), (fit.by_frequency, "frequency")):

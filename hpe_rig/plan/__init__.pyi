@@ -10,7 +10,7 @@ from .checks.check_result import (
 )
 from .checks.checklist import check_plan as check_plan
 from .checks.depth_gates import gates_over_depth as gates_over_depth
-from .depth_gates import (
+from .gate_profile import (
     DepthGate as DepthGate,
     apart as apart,
     depth_gates as depth_gates,

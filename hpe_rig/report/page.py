@@ -21,6 +21,7 @@ from hpe_rig.processing import margin_needed, samples_needed
 from hpe_rig.report import figures, provenance as report_provenance
 from hpe_rig.report.depth_profile import profile_pictures
 from hpe_rig.report.foreseen import foreseen
+from hpe_rig.report.moduli import moduli_part
 from hpe_rig.report.residual_tests import ResidualTest, residual_tests
 from hpe_rig.report.svg import Picture
 from hpe_rig.report.sweep import Sweep, make_sweep
@@ -106,6 +107,7 @@ def render(
         pictures, checks, motion = _look(run, shown)
         sweep = make_sweep(result.shots)
         swept = figures.sweep_pictures(sweep) if sweep else ()
+        fitted = moduli_part(run, estimator)
         deep = profile_pictures([gate for gate in result.profile if _alike(gate.shot, shown)])
     return _page(
         result=result,
@@ -115,6 +117,7 @@ def render(
         pictures={picture.key: picture for picture in pictures},
         swept=swept,
         deep=deep,
+        fitted=fitted,
         sweep=sweep,
         checks=checks,
         errors=error_stages(shown, motion),

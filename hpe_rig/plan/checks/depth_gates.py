@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from hpe_rig.bench import BenchFile, twin_of
 from hpe_rig.plan.checks.check_result import CheckResult, Level, judged
-from hpe_rig.plan.depth_gates import DepthGate, depth_gates, shots_with_gate
+from hpe_rig.plan.gate_profile import DepthGate, depth_gates, shots_with_gate
 from hpe_rig.plan.interference import disturbed_pulses
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
