@@ -5,6 +5,8 @@
     places.py         who moves the tracking transducer between shots
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
     recording.py      what the sequencer yields, into a run file that appears with its first record
+    pause.py          a pause between two shots, from the terminal or the live page
+    queue.py          several runs one after another under one lock
     provenance.py     who measures, when and where
     stop_request.py   a safe stop that another process asks for
     log.py            every step beside the run file

@@ -273,6 +273,21 @@ def report(
 
 @app.command()
 @guarded
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A.h5", help="Run file.")],
+    second: Annotated[Path, typer.Argument(metavar="B.h5", help="Run file to compare with it.")],
+    estimator: Estimator = None,
+    figure: Annotated[Path | None, typer.Option(help="Both results and their differences, .svg, .png or .pdf.")] = None,
+    json: Json = False,
+) -> None:
+    """Compare two runs. Settings that differ, results side by side, and how significant each difference is."""
+    from hpe_rig.cli.comparison import print_comparison
+
+    print_comparison(first, second, estimator, figure, json)
+
+
+@app.command()
+@guarded
 def moduli(
     run_files: Annotated[
         list[Path], typer.Argument(metavar="RUN.h5 ...", help="Run files, each of one place or more.")
@@ -375,6 +390,31 @@ def emulate(
 
     setup = prepare(scene, bench, refuse=False)
     serve(setup.scene.scene, setup.bench, transport, typer.echo)
+
+
+@app.command()
+@guarded
+def queue(
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="SCENE ...", help="Scenes or run files in order, or one TOML list: [[run]]."),
+    ] = None,
+    bench: BenchPath = None,
+    output: Annotated[Path | None, typer.Option(help="New folder for the run files. Default: queue, numbered.")] = None,
+    resume: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Go on with the queue in FOLDER that was stopped or failed.")
+    ] = None,
+    stop_on_failure: Annotated[
+        bool, typer.Option("--stop-on-failure", help="A run that fails ends the queue. Default: the others go on.")
+    ] = False,
+    yes: Yes = False,
+    live: Live = False,
+    verbose: Verbose = False,
+) -> None:
+    """Measure several scenes one after another. All are checked first; p pauses between two shots, Ctrl-C stops."""
+    from hpe_rig.cli.queue import queue_command
+
+    raise typer.Exit(queue_command(scenes or (), bench, output, resume, stop_on_failure, live, verbose, yes))
 
 
 @app.command("list")

@@ -46,7 +46,8 @@ class Averaging:
     from what is not known of the gate's distance to the focus; ``carrier_relative`` is the spread of the echo's mean
     frequency about the carrier, for an estimator that divides by that. The others are standard deviations.
 
-    ``offset_factor`` is what of ``factor`` a gate off the focus makes. For other media: speckle changes the logarithm
+    ``offset_factor`` is what of ``factor`` a gate off the focus and oblique waves make, ``shape_relative`` what beams
+    that are no Gaussians leave uncertain. For other media: speckle changes the logarithm
     of the tracking beam's area by ``area_spread``, and few speckles and scatterers make what is lost ``loss_scale``
     times that of many.
     """
@@ -59,6 +60,7 @@ class Averaging:
     speckle_phase_rad: float = 0.0
     offset_relative: float = 0.0
     offset_factor: float = 1.0
+    shape_relative: float = 0.0
     carrier_relative: float = 0.0
     area_spread: float = 0.0
     loss_scale: float = 1.0

@@ -199,6 +199,8 @@ class Beams(Section):
     """Axial length c T / 2 of the tracking pulse as received, T its full length; absent: that of its cycles."""
     focus_depth_m: LengthM | None = None
     """Distance from the transducer to the common focus; absent: the middle of the gate, put there by its echoes."""
+    transducer_diameter_m: Annotated[LengthM, Field(le=1.0)] | None = None
+    """Diameter of the focused aperture, whose oblique waves sense less of a displacement; absent: plane waves."""
 
 
 class Medium(Section):
