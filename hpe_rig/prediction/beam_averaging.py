@@ -77,18 +77,33 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     return tuple(_as_sensed(scene, replace(Averaging(*each), **rest)) for each in columns)
 
 
-def tracked_spread(scene: Scene, estimator: str) -> tuple[float, float]:
-    """Return over speckle the standard deviations of the area across that is tracked, relative, and of its middle, m.
+def tracked_spread(scene: Scene, estimator: str) -> tuple[float, float, float]:
+    """Return standard deviations over speckle: of the area across that is tracked, relative, its middle and depth, m.
 
-    What tracks, weights the scatterers' motion: the mean of their x and of their (x^2 + y^2) / 2 under those weights.
-    (0, 0) without beams.
+    What tracks, weights the scatterers' motion: the mean of their (x^2 + y^2) / 2, x and z under those weights. Zeros
+    without beams.
     """
     resting = resting_conditions(scene)
-    return (0.0, 0.0) if resting is None else region_spread(resting, estimator)
+    return (0.0, 0.0, 0.0) if resting is None else region_spread(resting, estimator)
+
+
+def depth_in_gate(scene: Scene, estimator: str, off_focus_m: float) -> tuple[float, float]:
+    """Return how far from a gate's middle its echoes come on the mean, and their standard deviation in depth, m.
+
+    Of a gate whose middle lies ``off_focus_m`` behind the focus, where the tracking beam is stronger on the near side:
+    the energy of a gate at the focus times exp(-2 z_c z / T_z^2).
+    """
+    assert scene.beams is not None  # noqa: S101 (as its callers know)
+    widths, lengths = scene.beams.tracking_width_m, (scene.acquisition.gate_length_m, pulse_length_m(scene))
+    depth_m, energy = gate_energy(widths, *lengths, spec_of(estimator).gate_window)
+    exponent = -2 * off_focus_m * depth_m / widths[2] ** 2
+    energy = energy * np.exp(exponent - exponent.max())
+    mean_m = float(energy @ depth_m / energy.sum())
+    return mean_m, float(np.sqrt(energy @ (depth_m - mean_m) ** 2 / energy.sum()))
 
 
 @functools.lru_cache(maxsize=16)
-def region_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
+def region_spread(resting: Conditions, estimator: str) -> tuple[float, float, float]:
     """Return ``tracked_spread`` of ``resting`` echoes."""
 
     def spread(moved: Moved) -> tuple[float, float]:
@@ -99,7 +114,12 @@ def region_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
 
     unit_m = resting.tracking_width_m[0]
     mean, area = spread(lambda place: np.square(place[:2] / unit_m).sum(axis=0) / 2)
-    return area / mean, unit_m * spread(lambda place: np.asarray(place[0] / unit_m))[1]
+    across, along = (unit_m * spread(functools.partial(_along_axis, axis, unit_m))[1] for axis in (0, 2))
+    return area / mean, across, along
+
+
+def _along_axis(axis: int, unit_m: float, place: FloatArray) -> FloatArray:
+    return np.asarray(place[axis] / unit_m)
 
 
 def resting_conditions(scene: Scene) -> Conditions | None:

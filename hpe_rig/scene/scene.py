@@ -217,6 +217,15 @@ class Medium(Section):
     """Mass density."""
 
 
+class Gate(Section):
+    """One more gate of the same records."""
+
+    depth_m: LengthM
+    """Distance from the transducer to its middle."""
+    length_m: LengthM | None = None
+    """Its length; absent: acquisition.gate_length_m."""
+
+
 class Processing(Section):
     """How records become amplitude and phase."""
 
@@ -241,6 +250,10 @@ class Processing(Section):
     subtracted. Not with joint."""
     reference_gate_length_m: LengthM | None = None
     """Length of that gate; absent: acquisition.gate_length_m."""
+    gates: Annotated[tuple[Gate, ...], Field(max_length=1000)] = ()
+    """More gates, inside the record: amplitude and phase over depth from one acquisition."""
+    gate_profile_step_m: LengthM | None = None
+    """The same in gates of acquisition.gate_length_m, so far apart, as many as the record holds around the gate."""
     expected_snr_db: RatioDb | None = None
     """Echo power over noise power in the gate, for the prediction; absent: as the twin simulates."""
     expected_amplitude_m: AmplitudeM | None = None
@@ -262,6 +275,16 @@ class Processing(Section):
             raise ValueError('joint has no displacements to follow: set estimator = "coherent", or follow_gate = false')
         if self.follow_gate and self.reference_gate_depth_m is not None:
             raise ValueError("a reference gate stands still where follow_gate moves: remove one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _one_profile_of_standing_gates(self, info: ValidationInfo) -> Processing:
+        if info.context == STORED:
+            return self
+        if self.gates and self.gate_profile_step_m is not None:
+            raise ValueError("gates and gate_profile_step_m both say where gates over depth lie: remove one of them")
+        if self.follow_gate and (self.gates or self.gate_profile_step_m is not None):
+            raise ValueError("gates over depth stand still where follow_gate moves: remove one of them")
         return self
 
     @model_validator(mode="after")

@@ -250,7 +250,7 @@ def test_speckle_moves_the_middle_of_what_is_tracked_as_independent_cells_would(
     pulse = np.where(np.abs(shift) < 0.5, np.cos(np.pi * shift) ** 2, 0.0)
     correlation = np.interp(lag, shift[1000:] * 2, np.correlate(pulse, pulse, "full")[2000::2] / (pulse @ pulse))
     cells = lag.size / np.sum(correlation**2)
-    area, middle_m = region_spread(resting, "coherent")
+    area, middle_m, _ = region_spread(resting, "coherent")
     assert middle_m == pytest.approx(TRACKING_M[0] / np.sqrt(2) / np.sqrt(2 * (cells - 1)), rel=0.065)
     # r^2 / 2 of both axes spreads by sigma^2, as x does by sigma
     assert area == pytest.approx(middle_m / (TRACKING_M[0] / np.sqrt(2)), rel=0.065)
