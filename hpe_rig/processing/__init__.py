@@ -24,6 +24,7 @@
     what distinguishes them, one row each                                   estimators.py
     the uncertainty of each estimate, source by source                      budget.py
     a stored run, shot by shot, with its warnings                           shots.py, stationarity.py
+    the motion of all burst periods over one another                        burst_period.py
     motion that nobody fitted                               residual_line.py
     the same from the twin's motion, at every instant                       ground_truth.py
 

@@ -1,5 +1,6 @@
 from .band import Band as Band, band_grid as band_grid, band_of as band_of
 from .budget import Known as Known, estimates_of as estimates_of, known_of as known_of
+from .burst_period import burst_period_motion as burst_period_motion, residual_m as residual_m
 from .conditioning import codes_to_volts as codes_to_volts, hann as hann, unlike_pulses as unlike_pulses
 from .correlation import cross_correlation as cross_correlation
 from .echoes import (
