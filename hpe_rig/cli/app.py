@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -49,6 +50,10 @@ Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [pr
 Live = Annotated[bool, typer.Option("--live", help="Serve a live page with a stop button (needs the extra 'live').")]
 Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to RUN.log beside the run file.")]
 Yes = Annotated[bool, typer.Option("--yes", help="Between places, go on without asking whether the transducer moved.")]
+Open = Annotated[bool, typer.Option("--open", help="Open the live page in the browser.")]
+Close = Annotated[
+    bool, typer.Option("--close", help="The live page ends with the run. Default: it stays until closed.")
+]
 Port = Annotated[int, typer.Option(min=0, max=65535, help="Local port of the live page. 0: any free port.")]
 
 RecordingFile = Annotated[
@@ -105,13 +110,16 @@ def run(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")] = False,
     yes: Yes = False,
     live: Live = False,
+    port: Port = 0,
+    opened: Open = False,
+    closes: Close = False,
     verbose: Verbose = False,
 ) -> None:
     """Measure a scene, from the plan to the printed result. SCENE may be a run file, whose scene is measured again."""
     stages = Stages()
     with stages("load"):
         from hpe_rig.acquire import chosen_estimator, prepare, process, provenance_now, record_run
-        from hpe_rig.cli.watch import watched
+        from hpe_rig.cli.watch import page_options, watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
         from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
@@ -119,7 +127,8 @@ def run(
     chosen = chosen_estimator(estimator, setup.scene.scene)
     path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
     refuse_unwritable(result_path(path, chosen))
-    with watched(setup, path, run_id, live, verbose, announce) as watching:
+    page = page_options(live, port, opened, closes)
+    with watched(setup, path, run_id, page, verbose, announce) as watching:
         with progress(setup, quiet=json or csv) as observer:
             options = WriteOptions(compress, overwrite, run_id=run_id, provenance=provenance_now(setup.bench.bench))
             record_run(setup, path, watching(observer), stages, options, move=asking(yes))
@@ -141,13 +150,16 @@ def resume(
     compress: Compress = False,
     yes: Yes = False,
     live: Live = False,
+    port: Port = 0,
+    opened: Open = False,
+    closes: Close = False,
     verbose: Verbose = False,
 ) -> None:
     """Continue a stopped run, keeping its complete shots. They are copied to a new file, which gets the others too."""
     stages = Stages()
     with stages("load"):
         from hpe_rig.acquire import chosen_estimator, prepare_rest, process, provenance_now, resume as resume_run
-        from hpe_rig.cli.watch import watched
+        from hpe_rig.cli.watch import page_options, watched
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
         from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
@@ -156,7 +168,8 @@ def resume(
     announce(f"{rest.complete} of {len(rest.setup.plan.shots)} shots are complete")
     path, run_id = output or free_path(run_file.stem, run_file.parent), new_run_id()
     refuse_unwritable(result_path(path, chosen))
-    with watched(rest.setup, path, run_id, live, verbose, announce) as watching:
+    page = page_options(live, port, opened, closes)
+    with watched(rest.setup, path, run_id, page, verbose, announce) as watching:
         with progress(rest.setup, quiet=json or csv) as observer:
             options = WriteOptions(compress, run_id=run_id, provenance=provenance_now(rest.setup.bench.bench))
             resume_run(rest, path, watching(observer), stages, options, asking(yes))
@@ -330,20 +343,21 @@ def moduli(
 def live(
     run_file: RunFile,
     port: Port = 0,
+    opened: Open = False,
     attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
 ) -> None:
-    """Serve the live page of a run, ongoing or ended. On this machine only; stop with Ctrl-C."""
+    """Serve the live page of a run, ongoing or ended. On this machine only; ends with Ctrl-C or Close page."""
     from hpe_rig.store import extra
 
     with extra("live"):
         from hpe_rig.live import serve_run
 
-    serve_run(run_file, port, attached)
+    serve_run(run_file, port, attached, opened)
 
 
 @app.command()
 @guarded
-def align(scene: SceneName, bench: BenchPath = None, port: Port = 0) -> None:
+def align(scene: SceneName, bench: BenchPath = None, port: Port = 0, opened: Open = False) -> None:
     """Align the focus on a live page, without excitation. Single tracking shots are repeated until stopped."""
     from hpe_rig.acquire import prepare
     from hpe_rig.store import extra
@@ -352,8 +366,16 @@ def align(scene: SceneName, bench: BenchPath = None, port: Port = 0) -> None:
         from hpe_rig.live import align as align_focus, without_pushing
 
     setup = without_pushing(prepare(scene, bench, refuse=False))
-    shots = align_focus(setup, port, announce)
+    shots = align_focus(setup, port, partial(_say_page, opened))
     typer.echo(f"stopped after {shots} single shots; all outputs verified off")
+
+
+def _say_page(opened: bool, address: str) -> None:
+    from hpe_rig.live import open_page
+
+    announce(f"live page: {address}")
+    if opened and not open_page(address):
+        announce("there is no browser to open here: open the address yourself")
 
 
 @app.command()
@@ -409,12 +431,17 @@ def queue(
     ] = False,
     yes: Yes = False,
     live: Live = False,
+    port: Port = 0,
+    opened: Open = False,
+    closes: Close = False,
     verbose: Verbose = False,
 ) -> None:
     """Measure several scenes one after another. All are checked first; p pauses between two shots, Ctrl-C stops."""
     from hpe_rig.cli.queue import queue_command
+    from hpe_rig.cli.watch import page_options
 
-    raise typer.Exit(queue_command(scenes or (), bench, output, resume, stop_on_failure, live, verbose, yes))
+    page = page_options(live, port, opened, closes)
+    raise typer.Exit(queue_command(scenes or (), bench, output, resume, stop_on_failure, page, verbose, yes))
 
 
 @app.command("list")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from hpe_rig.acquire import (
@@ -18,7 +19,7 @@ from hpe_rig.acquire import (
 )
 from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, asking, progress
 from hpe_rig.cli.tables import wide_console
-from hpe_rig.cli.watch import watched
+from hpe_rig.cli.watch import PageOptions, watched
 from hpe_rig.result import Result, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
 
@@ -32,7 +33,7 @@ def queue_command(
     output: Path | None,
     resume: Path | None,
     stops: bool,
-    live: bool,
+    live: PageOptions | None,
     verbose: bool,
     yes: bool,
 ) -> int:
@@ -54,7 +55,9 @@ def queue_command(
 
     @contextmanager
     def watch(setup: Setup, path: Path, run_id: str) -> Iterator[Observer]:
-        page = watched(setup, path, run_id, live, verbose, announce, stays=False)
+        # The next run must not wait for a reader; its own page follows.
+        live_page = None if live is None else replace(live, closes=True)
+        page = watched(setup, path, run_id, live_page, verbose, announce)
         with page as watching, progress(setup, quiet=False) as observer:
             yield watching(observer)
 

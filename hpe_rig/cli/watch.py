@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from hpe_rig.acquire import (
@@ -27,20 +28,34 @@ LOOK_EVERY_S = 0.1
 Watch = Callable[[Observer], Observer]
 
 
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """Live page of a run: its port, 0 for any; ``opened`` in the browser; it ``closes`` with the run."""
+
+    port: int = 0
+    opened: bool = False
+    closes: bool = False
+
+
+def page_options(live: bool, port: int, opened: bool, closes: bool) -> PageOptions | None:
+    """Return the live page that the command line asks for; None where it asks for none. Each option asks for one."""
+    return PageOptions(port, opened, closes) if live or port or opened or closes else None
+
+
 @contextmanager
 def watched(
     setup: Setup,
     path: Path,
     run_id: str,
-    live: bool,
+    live: PageOptions | None,
     verbose: bool,
     announce: Callable[[str], None],
-    stays: bool = True,
 ) -> Iterator[Watch]:
     """Yield a function that wraps an observer so that the run ``run_id`` into ``path`` can be stopped and is logged.
 
-    The key p, and the live page, pause it between two shots. A live page started from a terminal ``stays`` open after
-    the run until Ctrl-C. Raises ``StoreError`` where the log or the page cannot start.
+    The key p, and the live page, pause it between two shots. A ``live`` page stays after a run that has ended
+    well until Ctrl-C or its own button, unless it ``closes``. Raises ``StoreError`` where the log or the page cannot
+    start.
     """
     with ExitStack() as stack:
         # Before the run file is there nobody can ask for a stop of this run.
@@ -50,11 +65,14 @@ def watched(
             from hpe_rig.acquire import log_path, logged
 
             log = stack.enter_context(logged(setup, log_path(path)))
-        if live:
+        if live is not None:
             with extra("live"):
-                from hpe_rig.live import live_page_of
+                from hpe_rig.live import live_page_of, open_page
 
-            announce(f"live page: {stack.enter_context(live_page_of(path))}")
+            page = stack.enter_context(live_page_of(path, live.port))
+            announce(f"live page: {page.address}")
+            if live.opened and not open_page(page.address):
+                announce("there is no browser to open here: open the address yourself")
         stack.callback(_forget_stop, path, run_id)
         stack.callback(clear_pause, path, run_id)
         with keyboard() as pressed:
@@ -62,11 +80,13 @@ def watched(
             yield lambda observer: pausable(
                 stoppable(log(observer) if log else observer, path, run_id), pauses, announce
             )
-        if live and stays and sys.stdin.isatty():
-            announce("the live page stays open until Ctrl-C")
+        if live is not None and not live.closes:
+            # What the run printed must be read before anybody is waited for, also where it goes to a file.
+            sys.stdout.flush()
+            announce("the live page stays open until Ctrl-C, or Close page on it; --close ends it with the run")
             with suppress(KeyboardInterrupt):
-                while True:
-                    time.sleep(0.5)
+                while not page.is_closed():
+                    time.sleep(0.2)
 
 
 def _pauses(path: Path, run_id: str, pressed: Pressed, announce: Callable[[str], None]) -> Callable[[], bool]:

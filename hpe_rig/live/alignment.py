@@ -122,7 +122,7 @@ def align(setup: Setup, port: int, announce: Callable[[str], None]) -> int:
     page = LivePage(source, port)
     server = threading.Thread(target=page.serve, daemon=True)
     server.start()
-    announce(f"live page: {page.address}")
+    announce(page.address)
     shots, status = 0, "failed"
     try:
         with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:

@@ -7,7 +7,8 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +22,27 @@ GRACE_S = 15.0
 """Longest time for the last state to be read and to reach every viewer; it ends as soon as it has."""
 
 
-def serve_run(run_file: Path, port: int = 0, attached: bool = False) -> None:
-    """Print the address of the live page of ``run_file`` and serve it until Ctrl-C.
+@dataclass(frozen=True, slots=True)
+class PageProcess:
+    """The page of a run: where it is, and whether somebody has closed it."""
 
-    ``attached``: until standard input ends, which is when the process that started this one does. A file that is not
-    there yet is waited for; raises ``StoreError`` where there is one that is no run file.
+    address: str
+    is_closed: Callable[[], bool]
+
+
+def serve_run(run_file: Path, port: int = 0, attached: bool = False, opened: bool = False) -> None:
+    """Print the address of the live page of ``run_file`` and serve it until Ctrl-C or the page's own button.
+
+    ``opened``: in the browser too. ``attached``: until standard input ends, which is when the process that started this
+    one does. A file that is not there yet is waited for; raises ``StoreError`` where there is one that is no run file.
     """
     # A run that starts its own page may be about to replace the file.
     if not attached:
         _refuse_never(run_file)
     page = LivePage(RunSource(run_file), port)
     print(page.address, flush=True)
+    if opened:
+        open_page(page.address)
     if attached:
         threading.Thread(target=_close_with_input, args=(page,), daemon=True).start()
     with contextlib.suppress(KeyboardInterrupt):
@@ -39,8 +50,8 @@ def serve_run(run_file: Path, port: int = 0, attached: bool = False) -> None:
 
 
 @contextlib.contextmanager
-def live_page_of(run_file: Path, port: int = 0) -> Iterator[str]:
-    """Start the live page of ``run_file`` in a process of its own and yield its address; end it afterwards.
+def live_page_of(run_file: Path, port: int = 0) -> Iterator[PageProcess]:
+    """Start the live page of ``run_file`` in a process of its own and yield it; end it afterwards.
 
     Raises ``StoreError`` where it does not start.
     """
@@ -58,7 +69,7 @@ def live_page_of(run_file: Path, port: int = 0) -> Iterator[str]:
     }
     child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, **apart)  # noqa: S603
     try:
-        yield _address(child)
+        yield PageProcess(_address(child), lambda: child.poll() is not None)
     finally:
         if child.stdin is not None:
             child.stdin.close()
@@ -68,6 +79,18 @@ def live_page_of(run_file: Path, port: int = 0) -> Iterator[str]:
             child.kill()
         if child.stdout is not None:
             child.stdout.close()
+
+
+def open_page(address: str) -> bool:
+    """Open ``address`` in the user's browser and return whether there is one; a browser must not hold up a run."""
+    import webbrowser
+
+    try:
+        browser = webbrowser.get()
+    except webbrowser.Error:
+        return False
+    threading.Thread(target=browser.open, args=(address,), daemon=True).start()
+    return True
 
 
 def _address(child: subprocess.Popen[str]) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import os
 import secrets
 import socket
 import time
@@ -76,6 +77,9 @@ class LivePage:
         self._source = source
         self._token = token or secrets.token_urlsafe(24)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        if os.name == "posix":
+            # The page of the next run may have the port of one that has just ended; on Windows it may anyway.
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             self._socket.bind((HOST, port))
             # From here on whoever comes before the server has started waits instead of being refused.
@@ -125,6 +129,7 @@ class LivePage:
             Route(f"{base}/", self._page),
             Route(f"{base}/stop", self._stop, methods=["POST"]),
             Route(f"{base}/pause", self._pause, methods=["POST"]),
+            Route(f"{base}/close", self._close, methods=["POST"]),
             Route(f"{base}/state", self._state),
             WebSocketRoute(f"{base}/ws", self._watch),
         ]
@@ -205,6 +210,15 @@ class LivePage:
         except StoreError as error:
             return JSONResponse({"error": str(error)}, status_code=409)
         return JSONResponse({"asked": True})
+
+    async def _close(self, request: Request) -> Response:
+        """End the page, where the run has ended."""
+        if not self._welcome(request.headers):
+            return Response(status_code=403)
+        if not self._ended:
+            return JSONResponse({"error": "the run goes on. Try: Stop safely first."}, status_code=409)
+        self._server.should_exit = True
+        return JSONResponse({"closed": True})
 
     async def _watch(self, viewer: WebSocket) -> None:
         """Send every state that this viewer is quick enough for, the latest first."""

@@ -16,6 +16,7 @@ from hpe_rig.acquire import (
     stop_requested,
     toggle_pause,
 )
+from hpe_rig.live.history import ShotHistory, TimeLeft, setting_of, warnings_of
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
 from hpe_rig.plan import scene_of
 from hpe_rig.prediction import beam_widths
@@ -62,12 +63,13 @@ class RunSource:
         self._shot = 0
         self._before = 0
         self._history: list[State] = []
+        self._shots, self._behind, self._time = ShotHistory(), False, TimeLeft()
 
     def poll(self) -> State | None:
         """Return the state; None where the file has not changed since."""
         try:
             seen = self._fingerprint()
-            if seen == self._seen:
+            if seen == self._seen and not self._behind:
                 return None
             # Scene and plan stay the same while records arrive.
             self._run = open_run(self._path) if self._run is None else self._run.refreshed()
@@ -102,22 +104,31 @@ class RunSource:
     def _state(self, run: Run) -> State:
         stored, plan = run.stored, run.plan
         here = self._advance(stored)
+        records, planned = self._before + here, sum(shot.capture.record_count for shot in plan.shots)
+        running = stored.status == "running" and not pause_requested(self._path, stored.run_id)
         state: State = {
             "mode": "run",
             "title": run.scene.title,
+            "file": self._path.name,
             "simulated": stored.simulated,
             "status": stored.status,
             "pause_requested": stored.status == "running" and pause_requested(self._path, stored.run_id),
             "stop_requested": stored.status == "running" and stop_requested(self._path, stored.run_id),
             "shot": self._shot + 1,
             "shots": len(plan.shots),
-            "records": self._before + here,
-            "records_planned": sum(shot.capture.record_count for shot in plan.shots),
+            "setting": setting_of(plan.shots[self._shot]),
+            "records": records,
+            "records_planned": planned,
+            "left_s": self._time.left_s(records, planned, running),
         }
         if not here or (state["stop_requested"] and stored.status == "running"):
             # An estimate would keep the run's core busy while somebody waits for it to stop.
             return state
-        return state | self._measured(run, here)
+        self._behind = self._shots.advance(run)
+        measured = self._measured(run, here)
+        clipped = bool(measured.get("level", {}).get("clipped"))
+        warnings = list(warnings_of(run, plan.shots[self._shot], clipped))
+        return state | measured | {"over_shots": self._shots.state, "warning": warnings[-1] if warnings else ""}
 
     def _advance(self, stored: StoredRun) -> int:
         """Move on to the last shot that has records and return how many it has."""

@@ -25,8 +25,10 @@ from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress, Step, unobserved
 from hpe_rig.acquire.stop_request import StopRequested, clear_stop, request_stop, stop_path, stoppable
 from hpe_rig.cli.app import app
+from hpe_rig.cli.watch import PageOptions, watched
 from hpe_rig.live import server
 from hpe_rig.live.alignment import AlignSource, align, without_pushing
+from hpe_rig.live.history import TimeLeft
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
 from hpe_rig.live.state import State
@@ -239,8 +241,59 @@ def test_the_source_shows_what_the_result_says(run_file: Path) -> None:
     assert harmonic["u_nm"] == pytest.approx(estimate.amplitude_uncertainty_m * 1e9, rel=1e-5)
     assert (state["records"], state["records_planned"], state["status"]) == (101, 101, "complete")
     assert state["simulated"] is True
+    (shot,) = state["over_shots"]
+    assert shot["nm"] == [harmonic["nm"]]
+    assert shot["u_nm"] == [harmonic["u_nm"]]
     assert len(json.dumps(state, allow_nan=False)) < 100_000
     assert source.poll() is None
+
+
+def post(address: str, path: str) -> int:
+    parts = urlsplit(address)
+    connection = http.client.HTTPConnection("127.0.0.1", parts.port or 0, timeout=10)
+    try:
+        connection.request("POST", parts.path + path)
+        return connection.getresponse().status
+    finally:
+        connection.close()
+
+
+def test_the_page_of_a_run_that_goes_on_is_not_closed_from_the_browser(page: LivePage) -> None:
+    assert post(page.address, "close") == 409
+
+
+def test_the_page_stays_after_a_run_until_it_is_closed_and_the_address_serves_to_the_end(run_file: Path) -> None:
+    said: list[str] = []
+
+    def close_it() -> None:
+        while not any("stays open" in text for text in said):
+            time.sleep(0.02)
+        address = said[0].removeprefix("live page: ")
+        while post(address, "close") == 409:
+            # its first state is being read
+            time.sleep(0.05)
+
+    closer = threading.Thread(target=close_it, daemon=True)
+    with watched(prepare("table-1"), run_file, read_run(run_file).run_id, PageOptions(), False, said.append):
+        closer.start()
+    closer.join(10)
+    assert not closer.is_alive()
+
+
+def test_the_time_left_follows_from_the_records_so_far_and_a_pause_does_not_count(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_s = [100.0]
+    monkeypatch.setattr("hpe_rig.live.history.time.monotonic", lambda: now_s[0])
+    clock = TimeLeft()
+    assert clock.left_s(10, 110, running=True) is None
+    now_s[0] += 5.0
+    assert clock.left_s(60, 110, running=True) == 5.0
+    now_s[0] += 1000.0
+    assert clock.left_s(60, 110, running=False) is None
+    assert clock.left_s(60, 110, running=True) is None
+    now_s[0] += 1.0
+    assert clock.left_s(85, 110, running=True) == 1.0
 
 
 def test_a_file_that_is_not_there_yet_is_waited_for(tmp_path: Path, run_file: Path) -> None:
@@ -353,7 +406,7 @@ def test_alignment_repeats_single_shots_until_stopped_from_the_page() -> None:
     states: list[State] = []
 
     def look(text: str) -> None:
-        addresses.append(text.removeprefix("live page: "))
+        addresses.append(text)
         threading.Thread(target=stop_after_some, daemon=True).start()
 
     def stop_after_some() -> None:
@@ -390,7 +443,7 @@ def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tm
         "from hpe_rig.cli.app import app\n"
         "from hpe_rig.cli.watch import watched\nsetup = prepare('table-1')\n"
         f"path = Path({str(tmp_path / 'run.h5')!r})\n"
-        "with watched(setup, path, '', False, False, print) as watching:\n"
+        "with watched(setup, path, '', None, False, print) as watching:\n"
         "    record_run(setup, path, watching(lambda progress: None))\n"
         "print(*sorted({name.partition('.')[0] for name in sys.modules}))\n"
     )
