@@ -45,7 +45,7 @@ EXAMPLES = {
     "simulation.receive_chain.recovery_time_s": "5e-6",
     "simulation.scatterers.echo_tolerance": "1e-3",
     "simulation.scatterers.measured_pulse": "[0.0, 0.4, -1.0, 0.4, 0.0]",
-    "simulation.specimen.preset": '"gelatin-8"',
+    "simulation.specimen.preset": '"gelatin_8"',
     "simulation.transmitter.saturation_v": "100.0",
     "tracking.pulse_count": "800",
     "transport": '"socket"',
@@ -83,7 +83,7 @@ def pages() -> dict[str, str]:
 def write_pages(folder: Path) -> None:
     """Write the generated pages into ``folder``; a page that has not changed is left alone, and not built again."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in pages().items():
+    for name, text in {**pages(), "messages.md": messages_page()}.items():
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
@@ -181,9 +181,9 @@ def command_names() -> list[tuple[str, ...]]:
     """Return the words of every command, the program itself first: ``()``, ``("run",)``, ..."""
     import typer
 
-    from hpe_rig.cli.app import app
+    from hpe_rig.cli import commands
 
-    return list(_commands(typer.main.get_command(app)))
+    return list(_commands(typer.main.get_command(commands)))
 
 
 def _commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -196,10 +196,10 @@ def _commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, 
 def _help(words: tuple[str, ...]) -> str:
     from typer.testing import CliRunner
 
-    from hpe_rig.cli.app import app
+    from hpe_rig.cli import commands
 
     environment = {"COLUMNS": "100", "TERMINAL_WIDTH": "100"}
-    done = CliRunner().invoke(app, [*words, "--help"], env=environment, prog_name="hpe-rig")
+    done = CliRunner().invoke(commands, [*words, "--help"], env=environment, prog_name="hpe-rig")
     return done.stdout.strip("\n")
 
 

@@ -21,17 +21,19 @@ from hpe_rig.cli.console import (
     SceneName,
     announce,
     asking,
+    file_named,
     guarded,
     ignore_interrupts,
+    print_version,
     progress,
     refuse_undecodable,
     show,
 )
+from hpe_rig.cli.log_level import LogLevel, start_logging
 from hpe_rig.cli.studies import studies
 from hpe_rig.result import Stages
 
 app = typer.Typer(
-    help="Measure harmonic motion in tissue with pulsed ultrasound excitation, on a real or simulated bench.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -39,6 +41,7 @@ app = typer.Typer(
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Csv = Annotated[bool, typer.Option("--csv", help="Print CSV instead of a table, one row per shot and frequency.")]
+Wide = Annotated[bool, typer.Option("--wide", help="Print every column, and a table for every shot.")]
 Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (needs the extra 'compression').")]
 Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]. Default: the scene's.")]
 Live = Annotated[bool, typer.Option("--live", help="Serve a live page with a stop button (needs the extra 'live').")]
@@ -85,17 +88,33 @@ def main() -> None:
         ignore_interrupts()
 
 
+@app.callback()
+def program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=print_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+    log_level: Annotated[
+        LogLevel,
+        typer.Option("--log-level", help="Logged to standard error; debug: every message to an instrument."),
+    ] = LogLevel.WARNING,
+) -> None:
+    """Measure harmonic motion in tissue with pulsed ultrasound excitation, on a real or simulated bench."""
+    start_logging(log_level)
+
+
 @app.command()
 @guarded
 def run(
     scene: SceneName,
     bench: BenchPath = None,
     output: Annotated[
-        Path | None, typer.Option(help="Run file. Default: SCENE.h5 in this folder, numbered if it exists.")
+        Path | None,
+        typer.Option(callback=file_named, help="Run file. Default: SCENE.h5 in this folder, numbered if it exists."),
     ] = None,
     estimator: Estimator = None,
     json: Json = False,
     csv: Csv = False,
+    wide: Wide = False,
     compress: Compress = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")] = False,
     yes: Yes = False,
@@ -118,7 +137,7 @@ def run(
         with progress(setup, quiet=json or csv) as observer:
             options = WriteOptions(compress, overwrite, run_id=run_id, provenance=provenance_now(setup.bench.bench))
             record_run(setup, path, watching(observer), stages, options, move=asking(yes))
-        show(process(path, estimator, stages), json, csv)
+        show(process(path, estimator, stages), json, csv, wide)
 
 
 @app.command()
@@ -129,10 +148,14 @@ def resume(
         str | None, typer.Option(help="Scene that must equal the run's. Default: the scene in the run file.")
     ] = None,
     bench: BenchPath = None,
-    output: Annotated[Path | None, typer.Option(help="New run file. Default: beside the old one, numbered.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(callback=file_named, help="New run file. Default: beside the old one, numbered."),
+    ] = None,
     estimator: Estimator = None,
     json: Json = False,
     csv: Csv = False,
+    wide: Wide = False,
     compress: Compress = False,
     yes: Yes = False,
     live: Live = False,
@@ -155,16 +178,18 @@ def resume(
         with progress(rest.setup, quiet=json or csv) as observer:
             options = WriteOptions(compress, run_id=run_id, provenance=provenance_now(rest.setup.bench.bench))
             resume_run(rest, path, watching(observer), stages, options, asking(yes))
-        show(process(path, estimator, stages), json, csv)
+        show(process(path, estimator, stages), json, csv, wide)
 
 
 @app.command()
 @guarded
-def process(run_file: RunFile, estimator: Estimator = None, json: Json = False, csv: Csv = False) -> None:
+def process(
+    run_file: RunFile, estimator: Estimator = None, json: Json = False, csv: Csv = False, wide: Wide = False
+) -> None:
     """Estimate again from a stored run. The result is printed and written beside the run file."""
     from hpe_rig.acquire import process as process_run
 
-    show(process_run(run_file, estimator, Stages()), json, csv)
+    show(process_run(run_file, estimator, Stages()), json, csv, wide)
 
 
 @app.command("import")
@@ -241,7 +266,10 @@ def verify(
 def report(
     run_file: RunFile,
     estimator: Estimator = None,
-    output: Annotated[Path | None, typer.Option(help="HTML file. Default: RUN.html beside the run file.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(callback=file_named, help="HTML file. Default: RUN.html beside the run file."),
+    ] = None,
     shot: Annotated[
         int | None, typer.Option(help="Shot to draw, counted from 1. Default: the one with the largest motion.")
     ] = None,
@@ -269,7 +297,10 @@ def moduli(
     per_place: Annotated[
         bool, typer.Option("--per-place", help="The force was not the same at all places: every amplitude is free.")
     ] = False,
-    figure: Annotated[Path | None, typer.Option(help="Measured and fitted vibrations, .svg, .png or .pdf.")] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(callback=file_named, help="Measured and fitted vibrations, .svg, .png or .pdf."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Fit the shear modulus and viscosity of the medium to the vibrations at all places of one or more runs."""
@@ -331,12 +362,15 @@ def check(
             help="Wanted uncertainty, such as 20nm. Print the pulse count, pulse rate or SNR that reaches it."
         ),
     ] = None,
+    verbose: Annotated[bool, typer.Option("--verbose", help="List the checks that passed as well.")] = False,
 ) -> None:
-    """Print timeline, conflicts and expected errors of a scene. No instrument is opened."""
+    """Say whether a scene can be measured, with timeline, conflicts and expected errors. No instrument is opened."""
     from hpe_rig.acquire import check as check_scene
+    from hpe_rig.cli.terminal import terminal_columns, wrapped
 
     checked = check_scene(scene, bench, target)
-    typer.echo(checked)
+    columns = terminal_columns()
+    typer.echo(wrapped(checked.in_words(columns, verbose), columns))
     if checked.refused:
         raise typer.Exit(EXIT_MISTAKE)
 
@@ -470,3 +504,5 @@ def bench_command(
 
 
 app.add_typer(studies)
+commands = app
+"""The whole command line, for programs that run or document it."""

@@ -39,7 +39,8 @@ def rich_table(headers: Sequence[str], rows: Iterable[Sequence[str]], words: int
 
     table = Table(box=None, header_style="bold", pad_edge=False)
     for index, header in enumerate(headers):
-        table.add_column(header, justify="left" if index < words else "right")
+        # Folded where the terminal is narrow: an address that is cut is none.
+        table.add_column(header, justify="left" if index < words else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
     return table

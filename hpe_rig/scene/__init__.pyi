@@ -13,6 +13,7 @@ from .keys import (
     resolve as resolve,
     with_values as with_values,
 )
+from .notation import engineering as engineering
 from .notes import Note as Note
 from .quantities import (
     AmplitudeM as AmplitudeM,
@@ -54,6 +55,7 @@ from .validation import (
     named_text as named_text,
     parse_toml as parse_toml,
     printable as printable,
+    read_remedy as read_remedy,
     unreadable as unreadable,
     validated as validated,
 )
