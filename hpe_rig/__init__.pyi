@@ -9,6 +9,7 @@ from .acquire import (
     measure as measure,
     open_bench as open_bench,
     open_run as open_run,
+    sweep as sweep,
 )
 from .result import Result as Result
 from .scene import Scene as Scene, load_scene as load_scene

@@ -34,9 +34,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
-from coverage import Coverage, CoverageData
+from coverage import Coverage
 
 ROOMS = {
     "plan": (["hpe_rig/plan"], ["tests/hpe_rig/plan"]),
@@ -78,6 +79,7 @@ PRELOADED = (
     "hypothesis.extra.numpy",
     "matplotlib.figure",
 )
+LONGEST_S = 2.5
 UNSEEN_KEYWORDS = {"strict", "frozen", "slots", "dtype", "encoding"}
 
 
@@ -231,12 +233,13 @@ class Only:
 
 
 class Deadline:
-    """Ends the process by SIGALRM where a test takes far longer than it did."""
+    """Ends the process by SIGALRM where a test takes far longer than it did; keeps the name of the last in a file."""
 
-    def __init__(self, seconds: Mapping[str, float]) -> None:
-        self.seconds = seconds
+    def __init__(self, seconds: Mapping[str, float], last: Path) -> None:
+        self.seconds, self.last = seconds, last
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
+        self.last.write_text(nodeid, "utf-8")
         signal.setitimer(signal.ITIMER_REAL, 10.0 + 5 * self.seconds[nodeid])
 
 
@@ -271,19 +274,29 @@ def forked(call: Callable[[], int]) -> int:
             os.killpg(child, signal.SIGKILL)
 
 
-def record(tree: Path, folder: Path) -> int:
-    """Run the tests under coverage.py and write what they run and how long it takes; in a fork."""
-    coverage = Coverage(
-        folder / "coverage", include=[f"{tree}/{place}*" for room in ROOMS.values() for place in room[0]]
-    )
+def record(tree: Path, folder: Path, slow: Path | None) -> int:
+    """Run the rooms' tests under coverage.py and write what they run and how long it takes; in a fork."""
+    places = [tree / place for room in ROOMS.values() for place in room[0]]
+    coverage = Coverage(None, include=[f"{place}/*" if place.is_dir() else str(place) for place in places])
     recorder = Recorder(coverage)
     coverage.start()
-    run_pytest(tree, ["tests", "--deselect=tests/system/test_rules.py"], [recorder])
+    paths = sorted({path for room in ROOMS.values() for path in room[1]} | {"tests/system"})
+    run_pytest(tree, [*paths, *(f"--deselect={name}" for name in slow_tests(slow))], [recorder])
     coverage.stop()
-    coverage.save()
-    tests = {"seconds": recorder.seconds, "failed": sorted(recorder.failed), "users": recorder.users}
+    data = coverage.get_data()
+    lines = {str(Path(file).relative_to(tree)): data.contexts_by_lineno(file) for file in data.measured_files()}
+    tests = {"seconds": recorder.seconds, "failed": sorted(recorder.failed), "users": recorder.users, "lines": lines}
     (folder / "tests.json").write_text(json.dumps(tests), "utf-8")
     return 0
+
+
+def slow_tests(report: Path | None) -> list[str]:
+    """Return the tests that took longer than ``LONGEST_S`` by a report of pytest's option ``--junitxml``."""
+    cases = ElementTree.parse(report).iter("testcase") if report else ()
+    slow = [case for case in cases if float(case.get("time", 0.0)) > LONGEST_S]
+    names = [f"{case.get('classname', '').replace('.', '/')}.py::{case.get('name')}" for case in slow]
+    # What starts copies of the tree says nothing of a fault in this one.
+    return ["tests/system/test_rules.py", *names]
 
 
 @dataclass(frozen=True)
@@ -291,15 +304,15 @@ class Record:
     """Which tests run which lines of the copy at ``tree``."""
 
     tree: Path
-    data: CoverageData
+    lines: Mapping[str, Mapping[str, Sequence[str]]]
     seconds: Mapping[str, float]
     failed: frozenset[str]
     users: Mapping[str, Sequence[str]]
 
     def tests_of(self, mutant: Mutant, budget_s: float) -> list[str]:
         """Return the tests that run a mutant, those of its room first and the fastest first, up to ``budget_s``."""
-        contexts = self.data.contexts_by_lineno(str(self.tree / mutant.file))
-        names = {name for line in mutant.lines() for name in contexts.get(line, ())}
+        contexts = self.lines.get(mutant.file, {})
+        names = {name for line in mutant.lines() for name in contexts.get(str(line), ())}
         if not names - {""}:
             # Run at import: whatever runs the file.
             names = {name for some in contexts.values() for name in some} if names else set()
@@ -343,8 +356,11 @@ UNREPLACED = 99
 class Campaign:
     """Takes the place of pytest's loop over the tests: a fork a mutant."""
 
-    def __init__(self, record: Record, mutants: Sequence[Mutant], budget_s: float, results: Results) -> None:
-        self.record, self.mutants, self.budget_s, self.results = record, mutants, budget_s, results
+    def __init__(
+        self, record: Record, mutants: Sequence[Mutant], budget_s: float, results: Results, killer: Killer
+    ) -> None:
+        self.record, self.mutants, self.budget_s = record, mutants, budget_s
+        self.results, self.killer = results, killer
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
@@ -360,12 +376,14 @@ class Campaign:
             with in_place(self.record.tree, mutant):
                 code = forked(lambda: self.judge(session, mutant, some))  # noqa: B023
             if code != UNREPLACED:
-                self.results.add(mutant, word(code), len(some), time.monotonic() - start_s)
+                word = self.killer.word(code, lambda name: forked(lambda: self.judge(session, None, [every[name]])))
+                self.results.add(mutant, word, len(some), time.monotonic() - start_s)
         return True
 
-    def judge(self, session: pytest.Session, mutant: Mutant, some: list[pytest.Item]) -> int:
+    def judge(self, session: pytest.Session, mutant: Mutant | None, some: list[pytest.Item]) -> int:
+        """Run ``some`` tests on the mutant, or on the code as it is, until one fails; in a fork."""
         gc.unfreeze()
-        if not replaced(str(self.record.tree / mutant.file), mutant.text):
+        if mutant and not replaced(str(self.record.tree / mutant.file), mutant.text):
             return UNREPLACED
         session.items[:] = some
         session.config.pluginmanager.unregister(self)
@@ -376,8 +394,20 @@ class Campaign:
         return 1
 
 
-def word(code: int) -> str:
-    return {0: "survived", -signal.SIGALRM: "timed out"}.get(code, "killed")
+class Killer:
+    """The test that killed a mutant, which must let the code as it is live, or has seen nothing."""
+
+    def __init__(self, last: Path) -> None:
+        self.last, self.sound = last, dict[str, bool]()
+
+    def word(self, code: int, alone: Callable[[str], int]) -> str:
+        """Return the verdict by an exit code; ``alone`` runs one test on the code as it is."""
+        if not code:
+            return "survived"
+        name = self.last.read_text("utf-8")
+        if name not in self.sound:
+            self.sound[name] = alone(name) == 0
+        return ("timed out" if code == -signal.SIGALRM else "killed") if self.sound[name] else "unknown"
 
 
 @contextlib.contextmanager
@@ -405,13 +435,13 @@ class Results:
 
     def add(self, mutant: Mutant, verdict: str, tests: int, seconds: float) -> None:
         line = f"{verdict}\t{mutant.room}\t{tests}\t{seconds:.1f}\t{mutant.name}"
-        print(line, flush=True)
+        print(line, file=sys.__stdout__, flush=True)
         with self.path.open("a", encoding="utf-8") as file:
             file.write(f"{line}\n")
 
     def table(self, rooms: Iterable[str]) -> str:
         found = Counter((row[1], row[0]) for row in self.rows())
-        verdicts = ("killed", "timed out", "survived", "not run")
+        verdicts = ("killed", "timed out", "survived", "not run", "unknown")
         head = f"{'room':20}" + "".join(f"{verdict:>10}" for verdict in verdicts)
         rows = [f"{room:20}" + "".join(f"{found[room, verdict]:10}" for verdict in verdicts) for room in rooms]
         return "\n".join([head, *rows])
@@ -424,6 +454,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--budget-s", type=float, default=30.0, help="tests of one mutant, by the time they took")
+    parser.add_argument("--slow", type=Path, help="report of --junitxml that says which tests take too long for this")
     parser.add_argument("--rooms", nargs="*", choices=list(ROOMS), default=list(ROOMS))
     options = parser.parse_args()
     folder = options.folder.resolve()
@@ -438,17 +469,17 @@ def main() -> None:
     for module in PRELOADED:
         importlib.import_module(module)
     if not (folder / "tests.json").exists():
-        forked(lambda: record(tree, folder))
-    data = CoverageData(str(folder / "coverage"))
-    data.read()
+        forked(lambda: record(tree, folder, options.slow))
     tests = json.loads((folder / "tests.json").read_text("utf-8"))
-    known = Record(tree, data, tests["seconds"], frozenset(tests["failed"]), tests["users"])
+    known = Record(tree, tests["lines"], tests["seconds"], frozenset(tests["failed"]), tests["users"])
     wanted = list(chosen(tree, options.rooms, options.count, options.seed))
     with contextlib.suppress(KeyboardInterrupt):
         left = [mutant for mutant in wanted if mutant.name not in results.done()]
-        campaign = Campaign(known, left, options.budget_s, results)
+        killer = Killer(folder / "last")
+        deadline = Deadline(known.seconds, killer.last)
+        campaign = Campaign(known, left, options.budget_s, results, killer)
         if left:
-            forked(lambda: run_pytest(tree, ["tests"], [campaign, Deadline(known.seconds)]))
+            forked(lambda: run_pytest(tree, ["tests"], [campaign, deadline]))
         # Constants, defaults and bodies of classes: a fresh import each.
         for mutant in left:
             if mutant.name in results.done():
@@ -457,9 +488,12 @@ def main() -> None:
             files = sorted({name.partition("::")[0] for name in names})
             start_s = time.monotonic()
             with in_place(tree, mutant):
-                plugins: list[object] = [Only(names), Deadline(known.seconds)]
-                code = forked(lambda: run_pytest(tree, ["-x", *files], plugins))  # noqa: B023
-            results.add(mutant, word(code), len(names), time.monotonic() - start_s)
+                code = forked(lambda: run_pytest(tree, ["-x", *files], [Only(names), deadline]))  # noqa: B023
+
+            def alone(name: str) -> int:
+                return forked(lambda: run_pytest(tree, [name.partition("::")[0]], [Only([name]), deadline]))
+
+            results.add(mutant, killer.word(code, alone), len(names), time.monotonic() - start_s)
     print(f"\n{results.table(options.rooms)}")
 
 

@@ -5,6 +5,7 @@ from .api import (
     fit_moduli as fit_moduli,
     measure as measure,
     open_bench as open_bench,
+    sweep as sweep,
 )
 from .importing import Imported as Imported, import_recording as import_recording, import_records as import_records
 from .log import log_path as log_path, logged as logged

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpe_rig.acquire.provenance import provenance_now
-from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.run import Setup, prepare, record_run, source_text
 from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings, open_run
 from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.plan import CheckResult
 from hpe_rig.result import Result, ShotResult, Stages
-from hpe_rig.scene import Estimator, Mistake, SceneSource, SettingsError
+from hpe_rig.scene import Estimator, Mistake, Scene, SceneSource, SettingsError, parse_scene
 from hpe_rig.store import StoreError, WriteOptions, versions
 
 if TYPE_CHECKING:
@@ -43,6 +43,30 @@ def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLi
     setup, run_file = prepare(scene, _bench_path(bench)), _path(path, "a run file is taken as its path")
     options = WriteOptions(provenance=provenance_now(setup.bench.bench))
     return open_run(record_run(setup, run_file, options=options))
+
+
+def sweep(
+    scene: SceneSource,
+    axes: Mapping[str, Sequence[float] | NDArray[Any]],
+    *,
+    together: bool = False,
+    bench: BenchSource = None,
+    path: str | os.PathLike[str] | None = None,
+) -> Run:
+    """Measure ``scene`` at every value of the ``axes`` and return the run, one file of all shots; as ``measure``.
+
+    ``axes``: values by the name of a number of the scene, or of the bench file as "bench.PATH"; each value with each
+    or, where ``together``, the first values of all axes, then the second ones. Every point is checked before the first
+    shot. Raises as ``measure``.
+
+    >>> run = sweep("bovine-muscle", {"tracking.delay_s": [0.0, 50e-6], "simulation.receiver.snr_db": [20.0, 40.0]})
+    >>> run.estimate().to_frame()[["tracking.delay_s", "simulation.receiver.snr_db", "amplitude_m"]]
+    """
+    if not isinstance(axes, Mapping):
+        raise TypeError(f"axes are taken as a mapping from name to values, not as {type(axes).__name__}")
+    values = {str(name): _listed(each) for name, each in axes.items()}
+    taken = {"sweep.axes": values, "sweep.combine": "zip" if together else "product"}
+    return measure(_scene(scene).with_(taken), bench, path)
 
 
 WIDEST = 114
@@ -105,7 +129,8 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
     """Yield what can be said of the result beforehand: detection, aliasing, calibration, averaging, jitter."""
     from hpe_rig import prediction
 
-    scene, bench, shot = setup.scene.scene, setup.bench.bench, setup.plan.shots[0]
+    first, shot = setup.scene.scene.points[0], setup.plan.shots[0]
+    scene, bench = first.scene, setup.bench.bench.with_(first.bench)
     if not scene.wanted_frequencies_hz:
         yield "prediction: left out, no vibration frequency is wanted"
         return
@@ -290,6 +315,16 @@ def _real(rf: ArrayLike) -> NDArray[np.floating[Any]]:
     if not values.size:
         raise ValueError(f"rf has shape {values.shape}: it holds no echo")
     return values if values.dtype == np.float32 else values.astype(np.float64)
+
+
+def _listed(values: Any) -> Any:
+    """Return ``values`` as plain numbers; what is no row of numbers as it is, for the scene's own message."""
+    return np.atleast_1d(values).tolist() if isinstance(values, np.ndarray | int | float) else values
+
+
+def _scene(source: SceneSource) -> Scene:
+    """Return the scene that is meant, also that of a run file."""
+    return source if isinstance(source, Scene) else parse_scene(*source_text(source)).scene
 
 
 def _bench_path(bench: BenchSource) -> Path | None:

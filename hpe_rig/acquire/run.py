@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,6 +21,7 @@ from hpe_rig.bench import (
     interruptible,
     open_bench,
     read_bench,
+    twin_tables,
     uninterrupted,
 )
 from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
@@ -88,13 +91,25 @@ def prepare_text(
         if bench.bench.simulated:
             # Filled in here and in open_run alone: everything behind a plan meets a described specimen.
             scene = replace(scene, scene=with_default_specimen(scene.scene))
-        # What the scene declares of beams and sound speed may contradict its [simulation].
-        if check and (mistakes := check_declared(scene.scene)):
+        if check and (mistakes := _twin_mistakes(scene.scene)):
             raise SettingsError(f"scene {name}", mistakes)
         plan, found = planned(scene.scene, bench.bench)
         if refuse:
             refuse_conflicts(found)
     return Setup(scene, bench, plan, found)
+
+
+def _twin_mistakes(scene: Scene) -> list[Mistake]:
+    """Return what the twin finds wrong at any point of a sweep, each mistake once.
+
+    What the scene declares of beams and sound speed may contradict its [simulation].
+    """
+    found: list[Mistake] = []
+    for point in scene.points:
+        if scene.sweep.axes:
+            found += check_simulation({"simulation": point.scene.simulation or {}})
+        found += check_declared(point.scene) if not found else []
+    return list(dict.fromkeys(found))
 
 
 def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[CheckResult, ...]]:
@@ -128,7 +143,6 @@ def record_run(
     require_mover(setup.plan, setup.bench.bench.simulated, move)
     path = path or free_path(setup.scene.name, Path())
     first = options.predecessor.shots
-    rest = replace(setup.plan, shots=setup.plan.shots[first:])
     late = options.overwrite and path.exists()
     if late:
         refuse_to_replace(path)
@@ -140,16 +154,49 @@ def record_run(
         if earlier is not None:
             with taken("take over"):
                 recording.take_over(earlier, first)
-        with taken("open bench"):
-            bench = stack.enter_context(open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles, first))
-        observers, mover = _timed(_looking(observer, recording), taken), mover_of(setup.plan, bench, move)
-        with taken("configure"), closing(acquire(rest, bench, observers, mover)) as events:
-            for event in events:
-                with taken("store"):
-                    recording.take(event, setup.scene.scene, bench, taken)
-                if stages is not None and isinstance(event, ShotDone):
-                    recording.run_time(stages)
+        watching = _timed(_looking(observer, recording), taken)
+        for part in _parts(setup, first):
+            with ExitStack() as opened:
+                with taken("open bench"):
+                    here = open_bench(part.scenes[0], part.bench, setup.plan.roles, part.plan.shots[0].index)
+                    bench = opened.enter_context(here)
+                mover = mover_of(setup.plan, bench, move)
+                with taken("configure"), closing(acquire(part.plan, bench, watching, mover)) as events:
+                    for event in events:
+                        with taken("store"):
+                            recording.take(event, part.scenes[event.shot.point - part.first_point], bench, taken)
+                        if stages is not None and isinstance(event, ShotDone):
+                            recording.run_time(stages)
     return path
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Shots that one opened bench takes: ``scenes`` are those of its points, from ``first_point`` on."""
+
+    scenes: tuple[Scene, ...]
+    bench: BenchFile
+    plan: Plan
+    first_point: int
+
+
+def _parts(setup: Setup, first_shot: int) -> Iterator[_Part]:
+    """Yield the shots from ``first_shot`` on, apart where a sweep changes the bench file or what the twin is made of.
+
+    A run without such a sweep has one part: its bench is opened once.
+    """
+    base, points = setup.bench.bench, setup.scene.scene.points
+    benches = [base.with_(point.bench) for point in points]
+    twins = [twin_tables(point.scene) if base.simulated else None for point in points]
+    start = setup.plan.shots[first_shot].point
+    while start < len(points):
+        alike = zip(benches[start:], twins[start:], strict=True)
+        same = itertools.takewhile(lambda each, like=(benches[start], twins[start]): each == like, alike)  # type: ignore[misc]
+        end = start + len(list(same))
+        shots = tuple(shot for shot in setup.plan.shots[first_shot:] if start <= shot.point < end)
+        scenes = tuple(point.scene for point in points[start:end])
+        yield _Part(scenes, benches[start], replace(setup.plan, shots=shots), start)
+        start = end
 
 
 def _timed(observer: Observer, stages: Stages) -> Observer:

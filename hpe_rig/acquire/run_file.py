@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.acquire.run import planned
 from hpe_rig.bench import BenchFile, parse_bench
-from hpe_rig.plan import CheckResult, Plan, omissions, places_of, reference_gate, select
+from hpe_rig.plan import CheckResult, Plan, omissions, places_of, reference_gate, scene_of, select
 from hpe_rig.result import Result, ShotResult, Stages
 from hpe_rig.scene import (
     Estimator,
@@ -74,9 +74,10 @@ class Run:
         count = len(self.plan.shots)
         if not -count <= shot < count:
             raise IndexError(f"shot {shot} does not exist: the run has {count}, counted from 0")
-        chosen = spec_of(self.scene.processing.estimator).motion or coherent
-        motion = shot_motion(self.scene, self.plan.shots[shot], self._echoes(shot), chosen)
-        reference = reference_gate(self.scene, self.plan.shots[shot])
+        scene = scene_of(self.scene, self.plan.shots[shot])
+        chosen = spec_of(scene.processing.estimator).motion or coherent
+        motion = shot_motion(scene, self.plan.shots[shot], self._echoes(shot), chosen)
+        reference = reference_gate(scene, self.plan.shots[shot])
         if reference is not None:
             motion = relative_to(motion, coherent(self._echoes(shot, reference)))
         return motion.displacement_m
@@ -122,11 +123,11 @@ class Run:
         from hpe_rig.processing import margin_needed, samples_needed, shot_echoes
 
         whole_train = {"window_start_s": 0.0, "window_length_s": None}
-        processing = self.scene.processing.model_copy(update=whole_train)
-        whole = self.scene.model_copy(update={"processing": processing})
         planned_shot = self.plan.shots[shot]
-        needed = gate or samples_needed(self.scene, planned_shot)
-        records = self.records.gated(shot, needed, margin=margin_needed(self.scene, planned_shot))
+        scene = scene_of(self.scene, planned_shot)
+        whole = scene.model_copy(update={"processing": scene.processing.model_copy(update=whole_train)})
+        needed = gate or samples_needed(scene, planned_shot)
+        records = self.records.gated(shot, needed, margin=margin_needed(scene, planned_shot))
         return shot_echoes(whole, planned_shot, records, select(whole, planned_shot))
 
     def refreshed(self) -> Run:
@@ -220,6 +221,8 @@ def _shots(run: Run, estimator: Estimator) -> Estimates:
         here = estimate_run(scene, plan, run.stored, estimator, averaging, beams)
         shots += here.shots
         without |= here.without
+    swept = [point.values for point in run.scene.points]
+    shots = [replace(shot, swept=swept[run.plan.shots[shot.shot].point]) for shot in shots]
     estimates = Estimates(tuple(shots), without)
     if estimates.shots:
         return estimates

@@ -41,5 +41,7 @@ from .twin import (
     simulation_schema as simulation_schema,
     twin_dose as twin_dose,
     twin_of as twin_of,
+    twin_push as twin_push,
     twin_settings as twin_settings,
+    twin_tables as twin_tables,
 )

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field
 
@@ -19,6 +20,7 @@ from hpe_rig.scene import (
     DurationS,
     FrequencyHz,
     IntensityWPerM2,
+    KeyPath,
     LatencyS,
     LengthM,
     Mistake,
@@ -27,10 +29,12 @@ from hpe_rig.scene import (
     SettingsError,
     Title,
     VoltageV,
+    dotted,
     mistakes_of,
     parse_toml,
     read_remedy,
     unreadable,
+    with_values,
 )
 
 GeneratorRole = Literal["master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"]
@@ -247,6 +251,21 @@ class BenchFile(Section):
     store_user: Annotated[bool, Field(strict=True)] = True
     """Whether the name of the account that measures is stored in run files; hpe-rig never sends it anywhere."""
 
+    def with_(self, values: Mapping[KeyPath, int | float]) -> BenchFile:
+        """Return the bench with ``values`` by path, as a scene's sweep asks for them.
+
+        A real bench keeps what protects the specimen: a limit may be lowered and not raised, and what a hydrophone
+        measured is as it was measured. Raises ``SettingsError`` with every mistake.
+        """
+        if not values:
+            return self
+        mistakes = [] if self.simulated else list(_loosened(self, values))
+        tables = with_values(_plain_tables(self.model_dump(exclude_unset=True, exclude_none=True)), values)
+        mistakes += mistakes_of(BenchFile, tables, ("bench",))
+        if mistakes:
+            raise SettingsError("the sweep", mistakes)
+        return BenchFile.model_validate(tables)
+
     def path_delay_s(self, source: str, target: str) -> float:
         """Return the delay of the cable from ``source`` to ``target``; NaN where there is none."""
         delays = [cable.delay_s for cable in self.wiring if (cable.source, cable.target) == (source, target)]
@@ -293,6 +312,27 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
         remedy = "its path; hpe-rig new my-bench --like bench writes one" if absent else read_remedy(error)
         raise SettingsError(f"bench {path}", [Mistake("", what, remedy)]) from None
     return found if any_title else _own(found)
+
+
+def _loosened(bench: BenchFile, values: Mapping[KeyPath, int | float]) -> Iterator[Mistake]:
+    """Yield which of ``values`` would have a real bench do more than its own file allows."""
+    for path, value in values.items():
+        name = dotted(("bench", *path))
+        if path[0] == "calibration":
+            yield Mistake(name, "what a hydrophone measured is not swept on a real bench", "the bench file")
+        elif path[0] == "limits" or str(path[-1]).startswith("max_"):
+            own: Any = bench
+            for part in path:
+                own = own[part] if isinstance(part, int) else getattr(own, part, None)
+            if own is None or value > own:
+                what = f"{value:g} is above what the bench file allows"
+                yield Mistake(name, what, "at most its own" if own is None else f"at most {own:g}")
+
+
+def _plain_tables(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain_tables(inner) for key, inner in value.items()}
+    return [_plain_tables(inner) for inner in value] if isinstance(value, list | tuple) else value
 
 
 def titled(text: str, title: str) -> str:

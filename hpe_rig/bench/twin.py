@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from hpe_rig.bench.bench_file import BenchFile
     from sim_backend.motion import Dose
     from sim_backend.settings import SimulationSettings
+    from sim_backend.transducer import Push
 
 REFERENCE_CYCLES = 3
 """Cycles of the tracking pulse that gives the twin's stated echo."""
@@ -312,6 +313,16 @@ def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.floa
     train = scene.excitation.burst_rate_hz, burst_length_s
     width_m, speed = twin.settings.beams.excitation_width_m, twin.sound_speed_m_per_s
     return dose(twin.settings.specimen, width_m, *train, frequency_hz, speed, scene.excitation.carrier_hz)
+
+
+def twin_push(scene: Scene) -> Push | None:
+    """Return the simulated push over drive; None where it propagates linearly or nothing is pushed."""
+    twin = twin_of(scene)
+    if twin is None or twin.settings.propagation is None or scene.excitation is None:
+        return None
+    from sim_backend.transducer import push_of
+
+    return push_of(twin.settings)
 
 
 def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:

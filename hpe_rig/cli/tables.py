@@ -187,6 +187,8 @@ def _varied(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[st
     cells = {
         header: [_scaled(getattr(item, name), factor) for item in items] for header, (name, factor) in _SETTINGS.items()
     }
+    for name in items[0].swept:
+        cells[f"{name.rpartition('.')[2]}\n"] = [f"{item.swept[name]:g}" for item in items]
     varied = [header for header, texts in cells.items() if len(set(texts)) > 1]
     return varied, [[cells[header][index] for header in varied] for index in range(len(items))]
 
@@ -279,6 +281,7 @@ def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:
         yield f"{of.lateral_offset_m * 1e3:g} mm beside the push"
     if of.axial_offset_m:
         yield f"{of.axial_offset_m * 1e3:+g} mm deep"
+    yield from (f"{name} = {value:g}" for name, value in of.swept.items())
 
 
 def _row(estimate: Estimate, known: bool, corrected: bool, scale: float) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hpe_rig.acquire import Run, open_run, request_stop, stop_path, stop_requested
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
+from hpe_rig.plan import scene_of
 from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import (
     coherent,
@@ -106,7 +107,8 @@ class RunSource:
         return here
 
     def _measured(self, run: Run, here: int) -> State:
-        scene, shot, records = run.scene, run.plan.shots[self._shot], run.records[self._shot]
+        shot, records = run.plan.shots[self._shot], run.records[self._shot]
+        scene = scene_of(run.scene, shot)
         echoes = echo_view(scene, shot, records, line=-1)
         if echoes is None:
             return {}

@@ -25,5 +25,6 @@ from .shots import (
     make_plan as make_plan,
     places_of as places_of,
     reference_gate as reference_gate,
+    scene_of as scene_of,
 )
 from .timeline import plan_text as plan_text

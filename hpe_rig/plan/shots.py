@@ -70,6 +70,8 @@ class Shot:
     lateral_offset_m: float = 0.0
     """Where the tracking transducer stands beside the push."""
     axial_offset_m: float = 0.0
+    point: int = 0
+    """Number of the scene's point that it is of, where the scene sweeps any numbers."""
 
     @property
     def gate(self) -> slice:
@@ -129,6 +131,8 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
 
     Raises ``SettingsError`` where the scene asks for more shots or pulses than anyone could wait for.
     """
+    if scene.sweep.axes:
+        return _of_points(scene, bench)
     if len(scene.places) > 1:
         return _joined([make_plan(each, bench) for each in scene.places])
     (scene,) = scene.places
@@ -143,6 +147,32 @@ def make_plan(scene: Scene, bench: BenchFile) -> Plan:
     return Plan((*roles, "digitizer"), shots, period_s, tuple(omissions(scene, bench)), stops)
 
 
+def _of_points(scene: Scene, bench: BenchFile) -> Plan:
+    """Return the plan of a sweep over any numbers, as one; raise where its records would not go into one file."""
+    plans, shots = [], 0
+    for number, point in enumerate(scene.points):
+        plan = make_plan(point.scene, bench.with_(point.bench))
+        plans.append(replace(plan, shots=tuple(replace(shot, point=number) for shot in plan.shots)))
+        shots += len(plan.shots)
+        if shots > MOST_SHOTS:
+            what = f"its points have more than {MOST_SHOTS} shots, which is the most that a run holds"
+            raise SettingsError("the sweep", [Mistake("sweep", what, "fewer values, or several runs")])
+    alike = {_shape(plan.shots[0].capture) for plan in plans}
+    if len(alike) > 1:
+        listed = "; ".join(sorted(f"{count} of {samples} samples" for count, samples, *_ in alike))
+        what = f"its points differ in the records of a shot ({listed}, or rate or range), and a run file has one kind"
+        remedy = (
+            "tracking.pulse_count and the keys of [acquisition] the same at all points, or a run each: hpe-rig queue"
+        )
+        raise SettingsError("the sweep", [Mistake("sweep", what, remedy)])
+    return _joined(plans)
+
+
+def _shape(capture: Capture) -> tuple[float, ...]:
+    monitor_v = capture.monitor_range_v or 0.0
+    return capture.record_count, capture.record_samples, capture.sample_rate_hz, capture.input_range_v, monitor_v
+
+
 def _joined(plans: list[Plan]) -> Plan:
     """Return one plan of the shots of all; what is omitted is the same in each."""
     shots = tuple(replace(shot, index=index) for index, shot in enumerate(s for plan in plans for s in plan.shots))
@@ -150,11 +180,17 @@ def _joined(plans: list[Plan]) -> Plan:
 
 
 def places_of(scene: Scene, plan: Plan) -> Iterator[tuple[Scene, Plan]]:
-    """Yield the scene at every place of the tracking transducer, with the shots that are taken there."""
-    for place in scene.places:
-        where = place.tracking.lateral_offset_m, place.tracking.axial_offset_m
-        shots = tuple(shot for shot in plan.shots if (shot.lateral_offset_m, shot.axial_offset_m) == where)
-        yield place, replace(plan, shots=shots)
+    """Yield the scene at every point and place of the tracking transducer, with the shots that are taken there."""
+    for number, point in enumerate(scene.points):
+        for place in point.scene.places:
+            where = number, place.tracking.lateral_offset_m, place.tracking.axial_offset_m
+            shots = (s for s in plan.shots if (s.point, s.lateral_offset_m, s.axial_offset_m) == where)
+            yield place, replace(plan, shots=tuple(shots))
+
+
+def scene_of(scene: Scene, shot: Shot) -> Scene:
+    """Return ``scene`` as it is at the point of its sweep that ``shot`` is of."""
+    return scene.points[shot.point].scene
 
 
 def pulse_count(scene: Scene) -> int:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hpe_rig.bench import BenchFile, twin_dose
+from hpe_rig.bench import BenchFile, twin_dose, twin_of, twin_push
 from hpe_rig.plan import Shot, drive_output
 from hpe_rig.prediction.aliasing import fitted_over_true
 from hpe_rig.prediction.beam_averaging import predicted_averaging, pulse_length_m
@@ -39,6 +39,7 @@ def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = Non
         )
     if scene.excitation is None:
         return
+    yield from _push_text(scene) if simulated else ()
     frequency_hz = np.array(scene.wanted_frequencies_hz[:LISTED])
     for length_s in scene.excitation.burst_length_s:
         found = twin_dose(scene, length_s, frequency_hz) if simulated else None
@@ -52,6 +53,25 @@ def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = Non
             + f"; the twin's force at {found.reference_drive_vpp:g} Vpp is "
             f"{found.intensity_w_per_m2 / found.limit_w_per_m2:.3g} times that"
         )
+
+
+def _push_text(scene: Scene) -> Iterator[str]:
+    """Yield what the tonebursts of full drive do on their way and at the focus, where they propagate nonlinearly."""
+    push, twin = twin_push(scene), twin_of(scene)
+    if push is None or twin is None or twin.settings.specimen is None or scene.excitation is None:
+        return
+    specimen = twin.settings.specimen
+    force = specimen.force_density_n_per_m3
+    surface_pa = push.surface_for(force)
+    known = push.positive_pa, push.negative_pa, push.sppa_w_per_m2, push.heat_w_per_m3
+    high_pa, low_pa, sppa, heat = (float(np.interp(surface_pa, push.surface_pa, each)) for each in known)
+    index = low_pa * 1e-6 / math.sqrt(scene.excitation.carrier_hz * 1e-6)
+    yield (
+        f"push: {surface_pa * 1e-3:.3g} kPa at the transducer make p+ {high_pa * 1e-6:.3g} MPa and p- "
+        f"{low_pa * 1e-6:.2g} MPa in the specimen at {specimen.reference_drive_vpp:g} Vpp, MI {index:.2g}, I_sppa "
+        f"{sppa * 1e-4:.3g} W/cm2, heating {heat * 1e-9:.2g} W/mm3; the force there goes with drive to the power "
+        f"{2 * push.exponent(force):.2g}"
+    )
 
 
 def calibration_text(scene: Scene, bench: BenchFile) -> Iterator[str]:

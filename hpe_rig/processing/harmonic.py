@@ -13,7 +13,7 @@ import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model
-from hpe_rig.result import phase_variance_rad2
+from hpe_rig.result import phase_variance_at_rad2, phase_variance_rad2
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,7 +193,9 @@ def with_aliasing(
     wanted, total = 2 * fit.frequency_hz.size, fit.state_covariance.copy()
     total[..., :wanted, :wanted] += aliasing_m2
     radial, added = (_along_phasor(each, fit.phase_rad) for each in (total, aliasing_m2))
-    weights = _polar_weights(radial, added, known.amplitude_m)
+    aliased = 0.0 if known.aliasing is None else known.aliasing[..., 0, 0]
+    variance = phase_variance_at_rad2(known.amplitude_m, known.covariance[..., 0, 0] - aliased, radial[..., 1, 1])
+    weights = _factors(radial, variance)
     return replace(fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=medium)
 
 
@@ -216,8 +218,12 @@ def _polar_weights(radial: FloatArray, unresolved: FloatArray, amplitude: FloatA
     ``unresolved`` is the part of ``radial`` that is aliasing. Where the amplitude may be noise alone, the phase's
     variance is up to that of an unknown phase.
     """
+    across = radial[..., 1, 1]
+    return _factors(radial, phase_variance_rad2(amplitude, across, across - unresolved[..., 1, 1]))
+
+
+def _factors(radial: FloatArray, variance: FloatArray) -> FloatArray:
     across, tiny = radial[..., 1, 1], np.finfo(np.float64).tiny
-    variance = phase_variance_rad2(amplitude, across, across - unresolved[..., 1, 1])
     scale = np.sqrt(np.where(across > tiny, variance, 0.0) / np.maximum(across, tiny))
     weights = np.stack([np.ones_like(scale), scale], axis=-1)
     return np.asarray(weights[..., :, None] * weights[..., None, :])

@@ -15,6 +15,7 @@ import jinja2
 from markupsafe import Markup
 
 from hpe_rig.acquire import Run, open_run
+from hpe_rig.plan import scene_of
 from hpe_rig.prediction import detection_text
 from hpe_rig.processing import margin_needed, samples_needed
 from hpe_rig.report import figures, provenance as report_provenance
@@ -175,7 +176,8 @@ def _shown(result: Result, shot: int | None) -> ShotResult:
 
 def _look(run: Run, result: ShotResult) -> tuple[list[Picture], list[ResidualTest], MotionView | None]:
     """Return the pictures of one shot, the tests of its residual and its motion, None where there is none."""
-    scene, shot = run.scene, run.plan.shots[result.shot]
+    shot = run.plan.shots[result.shot]
+    scene = scene_of(run.scene, shot)
     whole = 2 * shot.capture.record_count * shot.capture.record_samples <= LARGEST_SHOT_BYTES
     needed, margin, most = samples_needed(scene, shot), margin_needed(scene, shot), shot.capture.record_samples
     around = slice(max(0, needed.start - margin), min(most, needed.stop + margin))
@@ -243,10 +245,11 @@ def _shot_count(run: Run, result: Result) -> str:
 def _scene_of(run: Run, shown: ShotResult) -> Scene:
     """Return the scene at the place and pulse rate, and with the slow-time window, of the shown shot."""
     wanted = shown.pulse_rate_hz, shown.lateral_offset_m, shown.axial_offset_m
-    rates = [rate for place in run.scene.places for rate in place.rates if _setting(rate) == wanted]
+    point = scene_of(run.scene, run.plan.shots[shown.shot])
+    rates = [rate for place in point.places for rate in place.rates if _setting(rate) == wanted]
     windows = [window for rate in rates for window in rate.windows]
     own = [window for window in windows if window.processing.window_length_s == shown.window_length_s]
-    return (own or [run.scene])[0]
+    return (own or [point])[0]
 
 
 def _setting(scene: Scene) -> tuple[float, float, float]:

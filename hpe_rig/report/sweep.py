@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import circmean, linregress
 
-from hpe_rig.result import ShotResult
+from hpe_rig.result import Headline, ShotResult
 
 FloatArray = NDArray[np.float64]
 
@@ -57,6 +58,10 @@ def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
     """Return the curves of ``shots``; None for a single shot."""
     if len(shots) < 2:
         return None
+    for name in shots[0].swept:
+        if len({shot.swept[name] for shot in shots}) > 1:
+            groups = [", ".join([*_others(shot, name, shots), _place(shot, shots)]).strip(", ") for shot in shots]
+            return _sweep(name, shots, [shot.swept[name] for shot in shots], groups)
     for label, places_m in (
         ("place beside the push (mm)", [shot.lateral_offset_m for shot in shots]),
         ("place along the beam (mm)", [shot.axial_offset_m for shot in shots]),
@@ -106,27 +111,59 @@ def _setting(shot: ShotResult, shots: Sequence[ShotResult]) -> str:
     return ", ".join(word for word in words if word)
 
 
+def _others(shot: ShotResult, name: str, shots: Sequence[ShotResult]) -> Iterator[str]:
+    """Yield what other axes are at, where they do not move with the axis ``name``."""
+    along = {(each.swept[name], *each.swept.values()) for each in shots}
+    for other, value in shot.swept.items():
+        pairs = {(each.swept[name], each.swept[other]) for each in shots}
+        # Taken together with the axis it has one value at each of its values, and says nothing new.
+        if other != name and len(pairs) > len({first for first, *_ in along}):
+            yield f"{other} = {value:g}"
+
+
+def _place(shot: ShotResult, shots: Sequence[ShotResult]) -> str:
+    """Return in words what is varied besides the axes."""
+    words = []
+    if len({each.lateral_offset_m for each in shots}) > 1:
+        words.append(f"x = {shot.lateral_offset_m * 1e3:g} mm")
+    if len({each.axial_offset_m for each in shots}) > 1:
+        words.append(f"z = {shot.axial_offset_m * 1e3:g} mm")
+    if len({each.force_fraction for each in shots}) > 1:
+        words.append(f"F = {shot.force_fraction or 0:g} F_0")
+    if len({each.burst_length_s for each in shots}) > 1:
+        words.append(_length(shot))
+    if len({each.window_length_s for each in shots}) > 1:
+        words.append(f"T_s = {(shot.window_length_s or 0) * 1e3:g} ms")
+    return ", ".join(words)
+
+
 def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], groups: Sequence[str]) -> Sweep:
     places = np.array([math.nan if value is None else value for value in x], dtype=np.float64)
     names = list(dict.fromkeys(groups))
-    curves = [
-        _curve(index, name, [shot for shot, group in zip(shots, groups, strict=True) if group == name], inside)
-        for index in range(len(shots[0].estimates))
-        for name in names
-        for inside in [places[[group == name for group in groups]]]
-    ]
+    # An axis that moves the wanted frequencies leaves a curve the shots that have its frequency.
+    frequencies_hz = dict.fromkeys(estimate.frequency_hz for shot in shots for estimate in shot.estimates)
+    curves = []
+    for frequency_hz, name in itertools.product(frequencies_hz, names):
+        own = [
+            (estimate.headline, x)
+            for shot, group, x in zip(shots, groups, places, strict=True)
+            for estimate in shot.estimates
+            if group == name and estimate.frequency_hz == frequency_hz
+        ]
+        if own:
+            curves.append(_curve(frequency_hz, name, [headline for headline, _ in own], np.array([x for _, x in own])))
     return Sweep(label, tuple(curves))
 
 
-def _curve(index: int, group: str, shots: Sequence[ShotResult], x: FloatArray) -> SweepCurve:
-    amplitude = np.array([shot.estimates[index].headline.amplitude_m for shot in shots])
-    phase = np.array([shot.estimates[index].headline.phase_rad for shot in shots])
+def _curve(frequency_hz: float, group: str, found: Sequence[Headline], x: FloatArray) -> SweepCurve:
+    amplitude = np.array([headline.amplitude_m for headline in found])
+    phase = np.array([headline.phase_rad for headline in found])
     values = np.unique(x)
     each = [x == value for value in values]
     amplitudes = [_spread(amplitude[here]) for here in each]
     phases = [_circular(phase[here]) for here in each]
     return SweepCurve(
-        frequency_hz=shots[0].estimates[index].frequency_hz,
+        frequency_hz=frequency_hz,
         group=group,
         x=values,
         amplitude_m=np.array([mean for mean, _ in amplitudes]),

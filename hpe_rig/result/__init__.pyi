@@ -12,7 +12,11 @@ from .json_schema import result_schema as result_schema
 from .motion import MOST_PULSES as MOST_PULSES, ShotMotion as ShotMotion
 from .motion_map import BadPixel as BadPixel, MotionMap as MotionMap
 from .palette import PALETTE as PALETTE
-from .phase import PHASE_VARIANCE_LIMIT as PHASE_VARIANCE_LIMIT, phase_variance_rad2 as phase_variance_rad2
+from .phase import (
+    PHASE_VARIANCE_LIMIT as PHASE_VARIANCE_LIMIT,
+    phase_variance_at_rad2 as phase_variance_at_rad2,
+    phase_variance_rad2 as phase_variance_rad2,
+)
 from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance
 from .repeats import RepeatMean as RepeatMean
 from .rows import result_csv as result_csv

@@ -199,7 +199,8 @@ class ShotResult:
     """The estimates of one shot, with what was varied and what was missing.
 
     ``complete`` is False for a shot in which the run stopped. ``untrusted`` says why its records are not to be trusted,
-    "" where nothing speaks against them. ``motion``: displacement, model and residual pulse by pulse, where it is kept.
+    "" where nothing speaks against them. ``swept``: values of the
+    sweep's axes by their full names. ``motion``: displacement, model and residual pulse by pulse, where it is kept.
     """
 
     shot: int
@@ -217,6 +218,7 @@ class ShotResult:
     axial_offset_m: float = 0.0
     complete: bool = True
     untrusted: str = ""
+    swept: Mapping[str, float] = field(default_factory=dict)
     motion: ShotMotion | None = field(default=None, repr=False, compare=False)
 
 

@@ -23,6 +23,13 @@ PRIOR_ODDS = 0.1
 """Weight of the likelihood at the amplitude found, over that of no motion."""
 
 
+AMPLITUDE_OVER_NOISE = np.arange(0.0, 5.1, 0.5)
+PHASE_VARIANCE_RAD2 = np.array(
+    [np.pi**2 / 3, 2.131, 1.249, 0.6825, 0.368, 0.2097, 0.1318, 0.0911, 0.0674, 0.0521, 0.0418]
+)
+"""Variance of the phase of a phasor in noise, by its true amplitude over a quadrature's standard deviation."""
+
+
 def phase_variance_rad2(
     amplitude_m: FloatArray | float, across_m2: FloatArray | float, noise_m2: FloatArray | float
 ) -> FloatArray:
@@ -31,10 +38,26 @@ def phase_variance_rad2(
     ``noise_m2`` is the part of it that is there without motion: noise, without what a motion makes wrong of itself. All
     of one shape, or scalars.
     """
+    power = np.maximum(np.square(amplitude_m), np.finfo(np.float64).tiny)
+    return _or_nothing(np.minimum(across_m2 / power, PHASE_VARIANCE_LIMIT), power, noise_m2)
+
+
+def phase_variance_at_rad2(amplitude_m: FloatArray, noise_m2: FloatArray, across_m2: FloatArray) -> FloatArray:
+    """Return the variance of the phase of phasors whose amplitude is known besides, as ``amplitude_m``.
+
+    ``noise_m2`` is the variance of that by noise, ``across_m2`` that of the phasors across themselves. All of one
+    shape.
+    """
     tiny = np.finfo(np.float64).tiny
-    power = np.maximum(np.square(amplitude_m), tiny)
-    known = np.minimum(across_m2 / power, PHASE_VARIANCE_LIMIT)
+    ratio = amplitude_m / np.sqrt(np.maximum(across_m2, tiny))
+    near = np.interp(ratio, AMPLITUDE_OVER_NOISE, PHASE_VARIANCE_RAD2)
+    far = 1 / np.maximum(ratio, AMPLITUDE_OVER_NOISE[-1]) ** 2
+    return _or_nothing(np.where(ratio < AMPLITUDE_OVER_NOISE[-1], near, far), amplitude_m**2, noise_m2)
+
+
+def _or_nothing(variance: FloatArray | float, power: FloatArray | float, noise_m2: FloatArray | float) -> FloatArray:
+    """Return ``variance`` or that of an unknown phase, as likely as there is a motion of ``power`` or none."""
     # exp(700) is nearly the largest number there is
-    likelihood_ratio = PRIOR_ODDS * np.exp(np.minimum(power / np.maximum(noise_m2, tiny) / 2, 700.0))
-    nothing = 1 / (1 + likelihood_ratio)
-    return np.asarray(nothing * PHASE_VARIANCE_LIMIT + (1 - nothing) * known)
+    exponent = np.minimum(power / np.maximum(noise_m2, np.finfo(np.float64).tiny) / 2, 700.0)
+    nothing = 1 / (1 + PRIOR_ODDS * np.exp(exponent))
+    return np.asarray(nothing * PHASE_VARIANCE_LIMIT + (1 - nothing) * variance)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from statistics import fmean
 
 from hpe_rig.result.estimates import Estimate, Headline, ShotResult
@@ -55,6 +55,7 @@ class RepeatMean:
     true_phase_rad: float | None = None
     lateral_offset_m: float = 0.0
     axial_offset_m: float = 0.0
+    swept: Mapping[str, float] = field(default_factory=dict)
 
 
 def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
@@ -73,7 +74,8 @@ def repeat_means(shots: Sequence[ShotResult]) -> tuple[RepeatMean, ...]:
 
 def _setting(shot: ShotResult) -> tuple[float | None, ...]:
     place = shot.lateral_offset_m, shot.axial_offset_m
-    return shot.burst_length_s, shot.force_fraction, shot.pulse_rate_hz, shot.window_length_s, *place
+    own = shot.burst_length_s, shot.force_fraction, shot.pulse_rate_hz, shot.window_length_s
+    return *own, *place, *shot.swept.values()
 
 
 def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
@@ -111,6 +113,7 @@ def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
         force_fraction=first.force_fraction,
         pulse_rate_hz=first.pulse_rate_hz,
         window_length_s=first.window_length_s,
+        swept=first.swept,
         lateral_offset_m=first.lateral_offset_m,
         axial_offset_m=first.axial_offset_m,
         frequency_hz=estimates[0].frequency_hz,

@@ -31,7 +31,7 @@ def result_rows(result: Result) -> list[dict[str, Value]]:
     notes: dict[str, Value] = {f"note_{name.replace(' ', '_')}": note for name, note in result.notes.items()}
     rows: list[dict[str, Value]] = []
     for shot in result.as_dict()["shots"]:
-        of_shot = _single_values(shot)
+        of_shot = _single_values(shot) | shot["swept"]
         rows += [of_shot | _estimate_row(estimate) | notes for estimate in shot["estimates"]]
     return rows
 

@@ -15,6 +15,7 @@ from .keys import (
 )
 from .notation import engineering as engineering
 from .notes import Note as Note
+from .points import BENCH as BENCH, ScenePoint as ScenePoint
 from .quantities import (
     AmplitudeM as AmplitudeM,
     Count as Count,
@@ -50,6 +51,7 @@ from .validation import (
     KeyPath as KeyPath,
     Mistake as Mistake,
     SettingsError as SettingsError,
+    dotted as dotted,
     length_m as length_m,
     mistakes_of as mistakes_of,
     named_text as named_text,

@@ -35,7 +35,11 @@ def path_of(key: str) -> KeyPath:
 
 def number_keys(tables: Mapping[str, Any]) -> list[Key]:
     """Return every number that the scene in ``tables`` has or could have; entries of lists one by one."""
-    scene = Scene.model_validate(tables)
+    return keys_of(Scene.model_validate(tables), tables)
+
+
+def keys_of(scene: Scene, tables: Mapping[str, Any]) -> list[Key]:
+    """Return every number of ``scene``, which was made of ``tables``."""
     return [*_of_section(scene, tables, ()), *_of_tables(tables.get("simulation", {}), ("simulation",))]
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -19,6 +19,7 @@ from pydantic import (
     Field,
     PrivateAttr,
     ValidationInfo,
+    WithJsonSchema,
     model_validator,
 )
 
@@ -49,6 +50,9 @@ from hpe_rig.scene.validation import (
     validated,
 )
 
+if TYPE_CHECKING:
+    from hpe_rig.scene.points import ScenePoint
+
 Offset = Annotated[float, Field(ge=-0.1, le=0.1, strict=True)]
 Widths = tuple[LengthM, LengthM, LengthM]
 Estimator = Literal["coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum"]
@@ -76,6 +80,13 @@ def _one_line(text: str) -> str:
     return text
 
 
+def _number(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{str(value)[:40]!r} is no number: a finite number without quotes")
+    return value
+
+
+AnyNumber = Annotated[Any, AfterValidator(_number), WithJsonSchema({"type": "number"})]
 MOST_TITLE = 300
 MOST_WIDTHS = 8.0
 """Sigmas from the middle of a force beyond which it moves 1e-14 of what it does there."""
@@ -244,8 +255,23 @@ class Processing(Section):
         return self
 
 
+def _flat(tables: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield what stands in nested tables by its dotted path."""
+    for name, value in tables.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value
+
+
 class Sweep(Section):
-    """Settings that are taken in turn besides forces and burst lengths; one run, one report."""
+    """Settings that are taken in turn besides forces and burst lengths; one run, one report.
+
+    Besides the keys below, any number of the scene, or of the bench file as "bench.PATH", by its name, with its values:
+    "tracking.delay_s" = [0.0, 1e-4].
+    """
+
+    model_config = ConfigDict(json_schema_extra={"additionalProperties": True})
 
     pulse_rate_hz: Annotated[tuple[FrequencyHz, ...], Field(min_length=1, max_length=100)] = ()
     """Pulse rates f_prf, measured in turn in place of tracking.pulse_rate_hz, with equally many pulses each."""
@@ -256,6 +282,24 @@ class Sweep(Section):
     them every output is off, and a stage or the operator moves it."""
     axial_offset_m: Annotated[tuple[Offset, ...], Field(min_length=1, max_length=100)] = ()
     """Offsets of the gate along the beam, taken in turn in place of tracking.axial_offset_m."""
+    axes: dict[str, Annotated[tuple[AnyNumber, ...], Field(min_length=1, max_length=1000)]] = Field(
+        default_factory=dict, max_length=10
+    )
+    """Any other numbers, each with its values; keys that stand in [sweep] itself are put here."""
+    combine: Literal["product", "zip"] = "product"
+    """How several axes go together: each value with each, or the first values, the second ones and so on."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _axes_among_the_keys(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping):
+            return given
+        own = {name: value for name, value in given.items() if name in cls.model_fields}
+        others = dict(_flat({name: value for name, value in given.items() if name not in cls.model_fields}))
+        if not others:
+            return given
+        axes = own.get("axes", {})
+        return {**own, "axes": {**axes, **others}} if isinstance(axes, Mapping) else given
 
 
 class Scene(Section):
@@ -302,7 +346,7 @@ class Scene(Section):
             raise TypeError(f"settings are taken as a mapping from path to value, not as {type(values).__name__}")
         if wrong := [name for name in values if not isinstance(name, str)]:
             raise TypeError(f"a setting is named by its path in text, not by {type(wrong[0]).__name__} {wrong[0]!r}")
-        tables = with_values(_tables(self), {path_of(name): value for name, value in values.items()})
+        tables = with_values(plain_tables(self), {path_of(name): value for name, value in values.items()})
         return validated(Scene, tables, "the scene")
 
     @property
@@ -333,6 +377,14 @@ class Scene(Section):
     def gate_depth_m(self) -> float:
         """Distance from the transducer to the middle of the gate where it stands now."""
         return self.acquisition.gate_depth_m + self.tracking.axial_offset_m
+
+    @property
+    def points(self) -> tuple[ScenePoint, ...]:
+        """The scene at each point of the sweep's axes, in the order in which they are measured; see ``sweep.axes``."""
+        # It makes scenes, and so imports this file.
+        from hpe_rig.scene.points import points_of_sweep
+
+        return points_of_sweep(self)
 
     @property
     def pulse_rates_hz(self) -> tuple[float, ...]:
@@ -518,7 +570,7 @@ def _default_specimen() -> Scene:
     return load_scene(DEFAULT_SPECIMEN_SCENE)
 
 
-def _tables(scene: Scene) -> dict[str, Any]:
+def plain_tables(scene: Scene) -> dict[str, Any]:
     """Return what was set in ``scene``, as the tables of a TOML file."""
     tables: dict[str, Any] = _plain(scene.model_dump(exclude_unset=True, exclude_none=True))
     return tables
@@ -533,7 +585,7 @@ def _plain(value: Any) -> Any:
 def _toml(scene: Scene) -> str:
     import tomlkit
 
-    tables = _tables(scene)
+    tables = plain_tables(scene)
     if scene.default_specimen is not None:
         # What was filled in is nobody's setting: it is filled in again where a twin needs it.
         del tables["simulation"]

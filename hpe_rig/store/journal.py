@@ -19,6 +19,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Final, final
 
+from hpe_rig.bench import interruptible
 from hpe_rig.store import lock
 from hpe_rig.store.format import StoreError
 
@@ -78,8 +79,11 @@ class Journal:
     def readinto(self, buffer: memoryview) -> int:
         """Fill ``buffer`` as if all that was written here were in the file already; zeros where there is nothing."""
         self._view.seek(self._place)
-        found = self._view.read(len(buffer)) or b""
-        buffer[:] = found.ljust(len(buffer), b"\0")
+        found = 0
+        # One read may bring less than there is, over a network or beyond 2 GB; nothing at all is the file's end.
+        while found < len(buffer) and (count := self._view.readinto(buffer[found:])):
+            found += count
+        buffer[found:] = bytes(len(buffer) - found)
         for offset, data in self._pending:
             first, last = max(offset, self._place), min(offset + len(data), self._place + len(buffer))
             if first < last:
@@ -207,6 +211,36 @@ class Journal:
             raise _lost(self.path, "was replaced by another file")
         if here.st_size != self._size:
             raise _lost(self.path, f"was changed by another program: it has {here.st_size} bytes, not {self._size},")
+
+
+def in_time(make: Callable[[threading.Event], Journal], undo: Callable[[Journal], None]) -> Journal:
+    """Return what ``make`` makes, by a thread of its own; signals interrupt the wait for it.
+
+    Where it is interrupted, or the disk takes longer than ``LONGEST_STEP_S`` (``OSError``), the event that ``make`` is
+    given is set, and what it makes all the same is undone.
+    """
+    given_up, tasks = threading.Event(), SimpleQueue[tuple[Callable[[], None], Future[None]] | None]()
+    made: list[Journal] = []
+    done: Future[None] = Future()
+
+    def undone(_: Future[None]) -> None:
+        for each in made:
+            undo(each)
+
+    tasks.put((lambda: made.append(make(given_up)), done))
+    tasks.put(None)
+    threading.Thread(target=_work, args=(tasks,), daemon=True, name="new run file").start()
+    try:
+        with interruptible():
+            done.result(LONGEST_STEP_S)
+        return made[0]
+    except BaseException as error:
+        given_up.set()
+        stuck = isinstance(error, TimeoutError) and not done.done()
+        done.add_done_callback(undone)
+        if stuck:
+            raise OSError(errno.ETIMEDOUT, f"the disk has not answered for {LONGEST_STEP_S:g} s") from error
+        raise
 
 
 def _lost(path: Path, what: str) -> StoreError:

@@ -77,7 +77,9 @@ def empty_run(
             ground_truth = file.create_group("truth")
             _create_rows(ground_truth, "displacement_m", plan, np.dtype("<f8"), math.nan)
             name_axes(ground_truth, _shot_and_pulse(plan), {"displacement_m": "m"})
-            _create_true_harmonics(file, len(plan.shots), scene.scene.wanted_frequencies_hz)
+            # A sweep may move the frequencies: the axis names those of the point that has most of them.
+            most = max((point.scene.wanted_frequencies_hz for point in scene.scene.points), key=len)
+            _create_true_harmonics(file, len(plan.shots), most)
         if provenance is not None:
             _create_provenance(file, provenance)
         add_checksums(file)

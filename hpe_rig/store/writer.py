@@ -13,6 +13,7 @@ import logging
 import math
 import os
 import shutil
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -33,7 +34,7 @@ from hpe_rig.scene import SceneText
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import AT_ONCE, BY_SHOT, GROUP, digest, stored_bytes
 from hpe_rig.store.format import SNAPSHOT_BYTES, STAGES, STATUSES, UNTRUSTED_BYTES, StoreError, reason
-from hpe_rig.store.journal import Journal, Write
+from hpe_rig.store.journal import Journal, Write, in_time
 from hpe_rig.store.layout import LIBVER, TRUE_HARMONICS, Predecessor, empty_run, volts_of_codes
 from hpe_rig.store.lock import is_taken
 from hpe_rig.store.reader import StoredRun, read_run
@@ -83,10 +84,8 @@ class RunWriter:
         self._provenance = options.provenance
         self._broken = False
         image = empty_run(scene, bench, plan, options.compress, options.predecessor, options.run_id, options.provenance)
-        _refuse_small_disk(path, len(image) + (0 if options.compress else plan.record_bytes))
-        _publish(image, path, options.overwrite)
+        self._journal = _begun(image, path, options.overwrite, 0 if options.compress else plan.record_bytes)
         with self._writing():
-            self._journal = Journal(path)
             self._file = open_on(self._journal)
             self._endings = _endings(self._file, self._journal)
         if not self._journal.locked:
@@ -178,7 +177,8 @@ class RunWriter:
         """Write A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
         with self._writing():
             for name, column_m in zip(TRUE_HARMONICS, harmonics_m.T, strict=True):
-                self._tables[f"true_harmonics/{name}"].put(shot.index, column_m)
+                table = self._tables[f"true_harmonics/{name}"]
+                table.put(shot.index, np.concatenate([column_m, np.full(table.width - column_m.size, np.nan)]))
 
     def run_time(self, run_time_s: Mapping[str, float]) -> None:
         """Write the wall time of each stage so far."""
@@ -348,6 +348,11 @@ class _Table:
         self._name = name
         self._values, self._sums = file.get(name), file.get(f"{GROUP}/{name}")
 
+    @property
+    def width(self) -> int:
+        """Length of a row."""
+        return int(self._values.shape[-1])
+
     def put(self, row: int | None, values: Any) -> None:
         """Write ``values`` as row ``row``, None for the whole, then their checksum."""
         place = () if row is None else (row,)
@@ -458,15 +463,33 @@ def _refuse_small_disk(path: Path, needed: int) -> None:
         )
 
 
-def _publish(image: bytes, path: Path, overwrite: bool) -> None:
-    """Create ``path`` with the bytes ``image``, whole or not at all; raise ``StoreError`` where it cannot be."""
-    if overwrite and path.exists():
-        refuse_to_replace(path)
+def _begun(image: bytes, path: Path, overwrite: bool, record_bytes: int) -> Journal:
+    """Create ``path`` with the bytes ``image``, whole or not at all, and return its journal.
+
+    Raises ``StoreError`` where it cannot be. Outputs may be on: a disk that does not answer keeps nobody waiting who
+    interrupts the run, and what was to be replaced stays.
+    """
+
+    def make(given_up: threading.Event) -> Journal:
+        _refuse_small_disk(path, len(image) + record_bytes)
+        if overwrite and path.exists():
+            refuse_to_replace(path)
+        with atomic_file(path, overwrite) as draft:
+            with draft.open("xb") as file:
+                file.write(image)
+                file.flush()
+                os.fsync(file.fileno())
+            if given_up.is_set():
+                raise InterruptedError
+        return Journal(path)
+
+    def undo(journal: Journal) -> None:
+        if not overwrite:
+            path.unlink(missing_ok=True)
+        journal.close()
+
     try:
-        with atomic_file(path, overwrite) as draft, draft.open("xb") as file:
-            file.write(image)
-            file.flush()
-            os.fsync(file.fileno())
+        return in_time(make, undo)
     except FileExistsError:
         raise StoreError(f"{path} already exists. Try: another path, or --overwrite on the command line.") from None
     except OSError as error:

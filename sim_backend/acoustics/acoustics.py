@@ -332,12 +332,13 @@ def sample_span(start_ps: int, end_ps: int, capture: Capture) -> slice:
 def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion | None:
     """Return what moves the focus, or None; the medium's transient is tabulated once, here."""
     if settings.specimen is not None:
-        from sim_backend.motion import radiation_force, tabulate_step_response, transient_displacement
+        from sim_backend.motion import force_share, radiation_force, tabulate_step_response, transient_displacement
 
         specimen = settings.specimen
         response = tabulate_step_response(specimen, settings.beams.excitation_width_m)
+        share = force_share(settings)
         return lambda tonebursts, time_ps, _origin_ps: transient_displacement(
-            response, radiation_force(tonebursts, specimen, travel_s, settings.transmitter), time_ps
+            response, radiation_force(tonebursts, specimen, travel_s, settings.transmitter, share), time_ps
         )
     if settings.motion:
         from sim_backend.motion import motion_at

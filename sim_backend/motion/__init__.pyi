@@ -2,6 +2,7 @@ from .acoustic_dose import Dose as Dose, dose as dose
 from .field import MediumMotion as MediumMotion, medium_motion as medium_motion
 from .force import (
     ForcePulses as ForcePulses,
+    force_share as force_share,
     harmonic_v as harmonic_v,
     radiation_force as radiation_force,
     transmit_response as transmit_response,

@@ -11,6 +11,7 @@ docs/theory/medium.md, section 5.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -18,7 +19,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from sim_backend.motion.force import radiation_force
+from sim_backend.motion.force import force_share, radiation_force
 from sim_backend.motion.inverse_laplace import FIELD_CONTOUR, Contour, Panels, panels_of
 from sim_backend.motion.specimen import (
     StepResponse,
@@ -146,10 +147,11 @@ class MediumMotion:
     specimen: Specimen
     transmitter: Transmitter
     travel_s: float
+    share: Callable[[Floats], Floats] | None = None
 
     def amplitudes_m(self, tonebursts: Bursts, time_ps: Picoseconds) -> Floats:
         """Return every mode's amplitude at ``time_ps`` (time,) under ``tonebursts``: (time, mode)."""
-        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter)
+        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter, self.share)
         return transients(self.field.response, force, time_ps)
 
     def displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, lateral_m: float) -> Floats:
@@ -180,7 +182,8 @@ def medium_motion(
     # Far beside the axis only the shell that holds scatterers is tabulated.
     inner_m = float(lateral_m.min(initial=abs(beside_m)))
     field = _kept_field(specimen, width_m, *reach_m, lateral_inner_m=inner_m if inner_m > width_m[0] else 0.0)
-    return MediumMotion(field.shapes(lateral_m, axial_m).T, field, specimen, settings.transmitter, travel_s)
+    shape = field.shapes(lateral_m, axial_m).T
+    return MediumMotion(shape, field, specimen, settings.transmitter, travel_s, force_share(settings))
 
 
 # Of the settings and the draw of scatterers alone: repeated measurements of one scene share it.

@@ -8,12 +8,13 @@ which a 3 MHz toneburst's third falls on the 9 MHz of the tracking pulses.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.settings import Specimen, Transmitter
+from sim_backend.settings import SimulationSettings, Specimen, Transmitter
 from sim_backend.wiring import Bursts, Picoseconds, to_ps
 
 Floats = NDArray[np.float64]
@@ -40,9 +41,15 @@ def transmit_response(frequency_hz: Floats, resonance_hz: float, quality: float)
 
 
 def radiation_force(
-    tonebursts: Bursts, specimen: Specimen, travel_time_s: float, transmitter: Transmitter | None = None
+    tonebursts: Bursts,
+    specimen: Specimen,
+    travel_time_s: float,
+    transmitter: Transmitter | None = None,
+    share: Callable[[Floats], Floats] | None = None,
 ) -> ForcePulses:
     """Return the force pulse of every toneburst: on while it passes the focus, proportional to its pressure squared.
+
+    Where propagation is nonlinear, ``share`` takes the pressure to the force instead, both relative to the reference's.
 
     ``travel_time_s`` is z_F/c. The force of a burst is its mean over the carrier, so a burst cut short by the
     generator gives a shorter pulse of the same height. Without ``transmitter`` the amplifier is linear. Eq. (17).
@@ -53,8 +60,20 @@ def radiation_force(
     return ForcePulses(
         tonebursts.onset_ps + travel_ps,
         tonebursts.end_ps + travel_ps,
-        specimen.force_density_n_per_m3 * np.square(pressure),
+        specimen.force_density_n_per_m3 * (np.square(pressure) if share is None else share(pressure)),
     )
+
+
+def force_share(settings: SimulationSettings) -> Callable[[Floats], Floats] | None:
+    """Return what takes the pressure to the force, both relative to the reference's; None where it is a square."""
+    specimen = settings.specimen
+    if settings.propagation is None or specimen is None:
+        return None
+    from sim_backend.transducer import push_of
+
+    push = push_of(settings)
+    force = specimen.force_density_n_per_m3
+    return None if push is None else lambda pressure: push.share(pressure, force)
 
 
 def relative_pressure(drive_vpp: Floats, specimen: Specimen, transmitter: Transmitter | None = None) -> Floats:

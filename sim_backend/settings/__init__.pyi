@@ -5,6 +5,7 @@ from .simulation import (
     Instruments as Instruments,
     LogAmplifier as LogAmplifier,
     MotionComponent as MotionComponent,
+    Propagation as Propagation,
     ReceiveChain as ReceiveChain,
     Receiver as Receiver,
     Reflector as Reflector,

@@ -114,6 +114,25 @@ class Transmitter(Section):
     """Exponent p of the ceiling, the Rapp law (assumed)."""
 
 
+class Propagation(Section):
+    """Nonlinear propagation of the tonebursts through water into the specimen; absent: force as drive squared."""
+
+    specimen_depth_m: LengthM = 12.5e-3
+    """How deep the focus lies in the specimen, water before it (paper: a section of 2.5 cm; its middle assumed)."""
+    nonlinearity: Annotated[float, Field(gt=0, le=20, strict=True)] = 4.7
+    """beta = 1 + B/2A of the specimen (assumed: muscle, B/A 7.4)."""
+    attenuation_power: Annotated[float, Field(ge=1, le=2, strict=True)] = 1.1
+    """Exponent of frequency in the specimen's attenuation (assumed)."""
+    water_nonlinearity: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.6
+    """beta of water (assumed: B/A 5.2)."""
+    water_density_kg_per_m3: DensityKgPerM3 = 995.0
+    """Density of the water (assumed: 30 degrees C)."""
+    water_attenuation_db_per_cm_mhz2: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.0018
+    """Attenuation of the water at 1 MHz, which grows as frequency squared (assumed: 30 degrees C)."""
+    harmonics: Annotated[int, Field(ge=4, le=128, strict=True)] = 24
+    """Harmonics carried; a shock's loss beyond them is taken from the last ones."""
+
+
 class MotionComponent(Section):
     """One sinusoid of a prescribed motion, D(t) = amplitude sin(2 pi f t + phase), t from the master trigger's edge."""
 
@@ -368,6 +387,8 @@ class SimulationSettings(Section):
     """A medium moved by the tonebursts; exclusive with ``motion``."""
     transmitter: Transmitter = Transmitter()
     """What stands between the generators and the transducer."""
+    propagation: Propagation | None = None
+    """How the tonebursts steepen on their way; absent: not at all."""
     motion: tuple[MotionComponent, ...] | None = None
     """Prescribed motion (eq. 13); exclusive with ``specimen``."""
     background: tuple[BackgroundMotion, ...] = ()

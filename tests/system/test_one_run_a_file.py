@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from hpe_rig.acquire import (
 )
 from hpe_rig.acquire.resumption import prepare_rest
 from hpe_rig.acquire.run_file import process
+from hpe_rig.bench import opening
 from hpe_rig.cli.app import app
 from hpe_rig.store import StoreError, WriteOptions, read_run, result_path
 
@@ -69,6 +71,33 @@ def test_another_run_into_the_same_file_is_refused_and_the_first_goes_on(setup: 
     assert "is being written by another run" in refused[1]
     assert read_run(path).status == "complete"
     assert read_run(path).shot_complete.all()
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_disk_that_hangs_as_the_file_is_made_keeps_no_output_on(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool
+) -> None:
+    path, answers, worlds, make = tmp_path / "run.h5", threading.Event(), [], opening._world
+    before = record_run(setup, path).read_bytes() if overwrite else None
+
+    def hangs(number: int) -> None:
+        # Somebody loses patience once the disk is asked.
+        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+        assert answers.wait(20)
+
+    monkeypatch.setattr(opening, "_world", lambda *arguments: worlds.append(make(*arguments)) or worlds[0])
+    monkeypatch.setattr(os, "fsync", hangs)
+    with pytest.raises(KeyboardInterrupt):
+        record_run(setup, path, options=WriteOptions(overwrite=overwrite))
+    # An overwritten file is made with the first record, when outputs are on; a new one before the bench is opened.
+    assert len(worlds) == overwrite
+    assert not any(any(world.outputs_on().values()) for world in worlds)
+    answers.set()
+    for thread in threading.enumerate():
+        if thread.name == "new run file":
+            thread.join(10)
+    assert [item.name for item in tmp_path.iterdir() if "h5" in item.name] == (["run.h5"] if overwrite else [])
+    assert before is None or path.read_bytes() == before
 
 
 def test_only_a_run_file_is_overwritten_and_no_result_or_other_file(setup: Setup, tmp_path: Path) -> None:

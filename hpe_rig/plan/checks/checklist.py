@@ -17,7 +17,7 @@ from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
 from hpe_rig.plan.checks.tracking import trackable
 from hpe_rig.plan.shots import Plan, Shot
-from hpe_rig.scene import Scene
+from hpe_rig.scene import Scene, ScenePoint
 
 Check = Callable[[Scene, BenchFile, Plan], Iterator[CheckResult]]
 
@@ -65,11 +65,16 @@ def check_plan(scene: Scene, bench: BenchFile, plan: Plan) -> list[CheckResult]:
     Of imported records those alone that ask nothing of instruments.
     """
     checks = CHECKS if bench.recording is None else OF_RECORDS
-    rates = [rate for place in scene.places for rate in place.rates]
-    parts = [(window, _at(rate, plan)) for rate in rates for window in rate.windows]
-    return list(
-        dict.fromkeys(result for check in checks for part in parts for result in check(part[0], bench, part[1]))
-    )
+    parts = [part for number, point in enumerate(scene.points) for part in _parts(number, point, bench, plan)]
+    return list(dict.fromkeys(result for check in checks for part in parts for result in check(*part)))
+
+
+def _parts(number: int, point: ScenePoint, bench: BenchFile, plan: Plan) -> Iterator[tuple[Scene, BenchFile, Plan]]:
+    """Yield scene, bench and shots of every place, rate and window of the point ``number`` of a sweep."""
+    there = bench.with_(point.bench)
+    here = replace(plan, shots=tuple(shot for shot in plan.shots if shot.point == number))
+    for rate in (rate for place in point.scene.places for rate in place.rates):
+        yield from ((window, there, _at(rate, here)) for window in rate.windows)
 
 
 def _at(scene: Scene, plan: Plan) -> Plan:

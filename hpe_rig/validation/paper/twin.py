@@ -24,9 +24,9 @@ Floats = NDArray[np.float64]
 
 GELATINS = {"gelatin-8": "8 %, 4.0 kPa", "gelatin-12": "12 %, 7.25 kPa", "gelatin-15": "15 %, 13.5 kPa"}
 CLOSED_FORM = {
-    "gelatin-8": {100: 17.8, 200: 16.0, 400: 11.8, 600: 8.65, 1000: 5.07},
-    "gelatin-12": {100: 10.1, 200: 9.58, 400: 8.12, 600: 6.65, 1000: 4.49},
-    "gelatin-15": {100: 5.47, 200: 5.34, 400: 4.91, 600: 4.38, 1000: 3.40},
+    "gelatin-8": {100: 67.7, 200: 55.1, 400: 35.4, 600: 23.7, 1000: 12.3},
+    "gelatin-12": {100: 39.1, 200: 34.7, 400: 25.9, 600: 19.5, 1000: 11.6},
+    "gelatin-15": {100: 21.5, 200: 20.2, 400: 16.7, 600: 13.7, 1000: 9.55},
 }
 """Amplitude at the focus over force density by frequency, 1e-12 m per N/m^3: a Voigt medium, a Gaussian force."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpe_rig.result.phase import PHASE_VARIANCE_LIMIT, phase_variance_rad2
+from hpe_rig.result.phase import PHASE_VARIANCE_LIMIT, phase_variance_at_rad2, phase_variance_rad2
 
 TRIALS = 40_000
 
@@ -39,3 +39,14 @@ def test_over_amplitudes_of_any_decade_it_is_true_on_the_mean() -> None:
 def test_what_a_motion_makes_wrong_of_itself_is_no_sign_that_there_is_none() -> None:
     assert phase_variance_rad2(10.0, 36.0, 1.0) == pytest.approx(0.36)
     assert phase_variance_rad2(0.0, 0.0, 0.0) <= PHASE_VARIANCE_LIMIT
+
+
+def test_a_phase_whose_amplitude_is_known_besides_spreads_as_far_as_noise_turns_it() -> None:
+    quadratures = np.random.default_rng(6).standard_normal((2, TRIALS))
+    for amplitude in (0.0, 0.5, 1.0, 1.7, 2.2, 3.0, 4.4, 7.0):
+        error = np.angle(amplitude + quadratures[0] + 1j * quadratures[1])
+        stated = phase_variance_at_rad2(np.asarray(amplitude), np.asarray(1e-6), np.asarray(1.0))
+        # Three standard deviations of the mean of squares, and lines between the table's points, 5 %.
+        assert stated == pytest.approx(np.mean(error**2), rel=0.05 + 3 * 1.6 / np.sqrt(TRIALS))
+    drowned = phase_variance_at_rad2(np.asarray(1.0), np.asarray(1.0), np.asarray(0.01))
+    assert drowned == pytest.approx(phase_variance_rad2(1.0, 0.01, 1.0), rel=0.01)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from pathlib import Path
 
@@ -52,6 +53,28 @@ def test_nothing_reaches_the_file_before_a_commit_and_the_file_is_whole_after_ea
     journal.close()
     with h5py.File(path, "r") as other:
         assert other["echo"][3].tolist() == [3] * 10
+
+
+class Dribbling:
+    """A file on a share that brings a few bytes a read."""
+
+    def __init__(self, file: io.FileIO) -> None:
+        self._file, self.seek, self.close = file, file.seek, file.close
+
+    def readinto(self, buffer: memoryview) -> int:
+        return self._file.readinto(buffer[:7]) or 0
+
+
+def test_a_disk_that_brings_less_than_was_asked_for_is_asked_again(path: Path) -> None:
+    journal, content = Journal(path), path.read_bytes()
+    vars(journal)["_view"] = Dribbling(vars(journal)["_view"])
+    found = bytearray(b"?" * (len(content) + 20))
+    journal.write(memoryview(b"written"))
+    journal.seek(0)
+    assert journal.readinto(memoryview(found)) == len(found)
+    assert found == b"written" + content[7:] + bytes(20)
+    assert journal.tell() == len(found)
+    journal.close()
 
 
 def test_a_file_cut_under_its_writer_is_noticed_and_left_alone_from_then_on(path: Path) -> None:

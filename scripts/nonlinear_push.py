@@ -1,0 +1,171 @@
+"""Nonlinear propagation: error against closed forms and against run time, a published beam, and the push over drive.
+
+Tables: plane waves (Fubini, Blackstock); the bowl in its linear limit (Rayleigh integral) and its second harmonic
+(Green's integral over the linear field); a published focused beam; what accuracy costs; force, pressures and exponent
+over drive in the twin's muscle. Seconds are processor time; compare them within one run alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import jv
+
+from sim_backend.settings import Beams, Propagation, SimulationSettings, Specimen, Transducer
+from sim_backend.transducer import (
+    Accuracy,
+    Layer,
+    advance,
+    bowl_pressure,
+    equivalent_force,
+    nonlinear_beam,
+    path,
+    push_of,
+)
+
+FREQUENCY_HZ, SPEED = 3e6, 1540.0
+BOWL = Transducer()
+LOSSLESS = Layer(np.inf, SPEED, 1000.0, 4.0, 1e-9, 2.0)
+SPECIMEN = Specimen(preset="bovine_muscle", force_density_n_per_m3=2.2e6)
+BEAMS = Beams(excitation_width_m=(0.34e-3, 0.34e-3, 3.6e-3))
+
+
+def main() -> None:
+    """Print all tables."""
+    for table in (plane_waves(), linear_limit(), second_harmonic(), published(), accuracy(), drive()):
+        for line in table:
+            print(line, flush=True)
+        print()
+
+
+def blackstock(sigma: float, count: int) -> np.ndarray:
+    """Return harmonics of an initially sinusoidal plane wave over its amplitude, by weak shock theory (1966).
+
+    ``B_n = 2 / (n pi) sin(x_s) + 2 / (n pi sigma) int_(x_s)^pi cos(n (x - sigma sin x)) dx`` with the shock at
+    ``x_s = sigma sin(x_s)``; without one, x_s = 0, it is Fubini's series 2 J_n(n sigma) / (n sigma).
+    """
+    n = np.arange(1, count + 1)
+    if sigma <= 1:
+        return 2 * jv(n, n * sigma) / (n * sigma)
+    shock = np.pi
+    for _ in range(500):
+        shock = shock - (shock - sigma * np.sin(shock)) / (1 - sigma * np.cos(shock))
+    node, weight = np.polynomial.legendre.leggauss(400)
+    x = shock + (np.pi - shock) * (node + 1) / 2
+    waves = np.cos(n[:, None] * (x - sigma * np.sin(x))) @ weight * (np.pi - shock) / 2
+    return 2 / (n * np.pi) * np.sin(shock) + 2 / (n * np.pi * sigma) * waves
+
+
+def plane_waves() -> Iterator[str]:
+    """Yield the error of the first five harmonics of a plane wave, over the first."""
+    yield "plane wave: largest error of harmonics 1 to 5 over the source's amplitude"
+    yield "| harmonics | sigma 0.5 (Fubini) | 0.9 (Fubini) | 1.5 (Blackstock) | 3 (Blackstock) |"
+    yield "|---:|---:|---:|---:|---:|"
+    for harmonics in (16, 32, 64, 128):
+        cells = []
+        for sigma in (0.5, 0.9, 1.5, 3.0):
+            start = np.zeros((1, harmonics), dtype=np.complex128)
+            start[0, 0] = -1e6j
+            way_m = sigma * 1000 * SPEED**3 / (4.0 * 2 * np.pi * FREQUENCY_HZ * 1e6)
+            found = np.abs(advance(start, way_m, FREQUENCY_HZ, LOSSLESS)[0][0, :5]) / 1e6
+            cells.append(f"{np.abs(found - np.abs(blackstock(sigma, 5))).max():.1e}")
+        yield f"| {harmonics} | " + " | ".join(cells) + " |"
+
+
+def linear_limit() -> Iterator[str]:
+    """Yield the linear limit's error on the axis, from 20 mm before the focus to 10 mm behind, over the focus."""
+    beam = nonlinear_beam(BOWL, [LOSSLESS], FREQUENCY_HZ, 1.0, Accuracy(harmonics=4))
+    there = (beam.depth_m > 50e-3) & (beam.depth_m < 80e-3)
+    axial_m = beam.depth_m[there] - BOWL.focal_length_m
+    exact = bowl_pressure(BOWL, 2 * np.pi * FREQUENCY_HZ / SPEED + 0j, np.zeros(1), axial_m)[:, 0]
+    error = np.abs(np.abs(beam.harmonic_pa[there, 0]) - np.abs(exact)).max() / np.abs(exact).max()
+    yield f"linear limit against the Rayleigh integral (O'Neil's axis): {error:.1e} of the focus, {there.sum()} places"
+
+
+def second_harmonic() -> Iterator[str]:
+    """Yield the second harmonic of a weak beam against Green's integral over the linear field, on the axis."""
+    yield "second harmonic of a weak beam on the axis, its difference from Green's integral over the focus' value:"
+    source_pa, k = 100.0, 2 * np.pi * FREQUENCY_HZ / SPEED
+    # Both from 15 mm before the bowl's middle on: Green's integral needs the field in front of the rim alone.
+    linear = replace(LOSSLESS, thickness_m=15e-3, nonlinearity=1e-9)
+    beam = nonlinear_beam(BOWL, [linear, LOSSLESS], FREQUENCY_HZ, source_pa, Accuracy(4, 0.02, 0.1e-3))
+    lateral_m, across = np.polynomial.legendre.leggauss(500)
+    lateral_m, across = 12e-3 * (lateral_m + 1), 12e-3 * across
+    axial_m = np.arange(-55e-3, 12e-3, 40e-6)
+    field = source_pa * bowl_pressure(BOWL, k + 0j, lateral_m, axial_m + 20e-6)
+    # (grad^2 + (2k)^2) p_2 = beta (2w)^2 / (2 rho c^4) p_1^2
+    strength = 4.0 * (2 * 2 * np.pi * FREQUENCY_HZ) ** 2 / (2 * 1000 * SPEED**4)
+    for at_m in (-8e-3, -4e-3, -2e-3, 0.0, 2e-3, 4e-3):
+        distance_m = np.hypot(lateral_m, axial_m[:, None] + 20e-6 - at_m)
+        green = np.exp(-2j * k * distance_m) / (4 * np.pi * distance_m)
+        exact = strength * (field**2 * green) @ (2 * np.pi * lateral_m * across) * 40e-6
+        found = np.interp(at_m + BOWL.focal_length_m, beam.depth_m, np.abs(beam.harmonic_pa[:, 1]))
+        focus = np.abs(beam.harmonic_pa[:, 1]).max()
+        yield f"  {at_m * 1e3:+.0f} mm: {100 * (found - abs(exact.sum())) / focus:+.2f} % of {focus * 1e-6:.3g} MPa"
+
+
+def published() -> Iterator[str]:
+    """Yield the focus of the beam of Canney and others (J. Acoust. Soc. Am. 124, 2008, p. 2406), in water."""
+    yield "Canney and others 2008: 2 MHz, aperture and focal length 44 mm, water; p+ to 80, p- to 15 MPa at 24 kW/cm2"
+    bowl = Transducer(diameter_m=44e-3, focal_length_m=44e-3)
+    water = Layer(np.inf, 1486.0, 998.0, 3.5, 0.0022, 2.0)
+    yield "| surface (kPa) | p+ (MPa) | p- (MPa) | intensity (kW/cm2) | s |"
+    yield "|---:|---:|---:|---:|---:|"
+    for surface_pa in (100e3, 200e3, 300e3, 400e3, 450e3):
+        start = time.process_time()
+        beam = nonlinear_beam(bowl, [water], 2e6, surface_pa, Accuracy(48))
+        high_pa, low_pa = (each.max() * 1e-6 for each in beam.extremes_pa())
+        intensity = beam.intensity_w_per_m2().max() * 1e-7
+        seconds = time.process_time() - start
+        yield f"| {surface_pa * 1e-3:.0f} | {high_pa:.1f} | {low_pa:.1f} | {intensity:.1f} | {seconds:.0f} |"
+
+
+def accuracy() -> Iterator[str]:
+    """Yield what harmonics and steps do to the force and the peaks in muscle, against the finest."""
+    yield "muscle, 0.28 MPa at the surface: difference from the finest, against processor time"
+    yield "| harmonics | step | force | p+ | p- | s |"
+    yield "|---:|---:|---:|---:|---:|---:|"
+    layers = path(SPECIMEN, Propagation(), SPEED, 70e-3)
+    finest: list[float] = []
+    for harmonics, step in ((64, 0.015), (32, 0.03), (24, 0.03), (24, 0.06), (16, 0.03), (12, 0.06)):
+        start = time.process_time()
+        beam = nonlinear_beam(BOWL, layers, FREQUENCY_HZ, 0.28e6, Accuracy(harmonics, step, step / 150))
+        seconds = time.process_time() - start
+        high_pa, low_pa = beam.extremes_pa()
+        each = [equivalent_force(beam, 70e-3, BEAMS.excitation_width_m, layers[0].thickness_m)]
+        each += [float(high_pa.max()), float(low_pa.max())]
+        finest = finest or each
+        cells = " | ".join(f"{100 * (one / best - 1):+.1f} %" for one, best in zip(each, finest, strict=True))
+        yield f"| {harmonics} | {step:g} | {cells} | {seconds:.1f} |"
+
+
+def drive() -> Iterator[str]:
+    """Yield the push in muscle over drive squared, 1 being the scenes' 2.2 MN/m^3."""
+    settings = SimulationSettings(specimen=SPECIMEN, beams=BEAMS, propagation=Propagation())
+    push = push_of(settings)
+    if push is None:
+        return
+    at_pa = push.surface_for(SPECIMEN.force_density_n_per_m3)
+    yield f"muscle: the reference drive is {at_pa * 1e-3:.0f} kPa at the surface"
+    yield "V^2; force over the linear one; d ln force / d ln V^2; peaks in MPa; I_sppa in W/cm2; largest force in MN/m3"
+    yield "| V^2 | force | exponent | p+ | p- | I_sppa | largest |"
+    yield "|---:|---:|---:|---:|---:|---:|---:|"
+    squares = np.array([0.01, 0.04, 0.09, 0.16, 0.25, 0.36, 0.49, 0.64, 0.81, 1.0])
+    force = push.share(np.sqrt(squares), SPECIMEN.force_density_n_per_m3)
+    for square, share, over in zip(squares, force, force / squares / (force[0] / squares[0]), strict=True):
+        other = [
+            np.interp(np.sqrt(square) * at_pa, push.surface_pa, each)
+            for each in (push.positive_pa, push.negative_pa, push.sppa_w_per_m2, push.peak_force_n_per_m3)
+        ]
+        exponent = push.exponent(float(share) * SPECIMEN.force_density_n_per_m3)
+        yield (
+            f"| {square:.2f} | {over:.2f} | {exponent:.2f} | {other[0] * 1e-6:.1f} | {other[1] * 1e-6:.1f} | "
+            f"{other[2] * 1e-4:.0f} | {other[3] * 1e-6:.2f} |"
+        )
+
+
+if __name__ == "__main__":
+    main()

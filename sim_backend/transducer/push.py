@@ -1,0 +1,149 @@
+"""Push over drive: what nonlinear propagation makes of force, pressures and heat, tabulated once for a scene.
+
+    surface pressure -> nonlinear_beam -> force field -> the force density F that, with the widths of the push beam,
+                                                         moves the focus as far as that field does at rest
+
+F replaces drive^2 in the twin's force. The surface's pressure at the reference drive follows from the specimen's
+``force_density_n_per_m3``, which holds there. docs/theory/nonlinear.md, section 3.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_backend.settings import Propagation, SimulationSettings, Specimen, Transducer
+from sim_backend.transducer.burgers import Layer
+from sim_backend.transducer.nonlinear import Accuracy, Beam, nonlinear_beam
+
+Floats = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+# Surface pressures over the one that would do without nonlinearity; the lowest is linear to 1e-3.
+LEVELS = (0.02, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """The push at rising surface pressures, every array (level,)."""
+
+    surface_pa: Floats
+    """Pressure amplitude rho c u0 of the bowl's surface."""
+    force_n_per_m3: Floats
+    """Force density of the Gaussian push beam that moves the focus as far at rest."""
+    peak_force_n_per_m3: Floats
+    """Largest force density, where the shock is strongest: far above the former."""
+    positive_pa: Floats
+    """Peak positive pressure."""
+    negative_pa: Floats
+    """Peak negative pressure."""
+    sppa_w_per_m2: Floats
+    """Largest intensity while a toneburst is on."""
+    heat_w_per_m3: Floats
+    """Largest heating rate while a toneburst is on."""
+
+    def share(self, pressure: Floats, force_density_n_per_m3: float) -> Floats:
+        """Return the force over ``force_density_n_per_m3`` at ``pressure`` over that of the drive which makes it."""
+        reference_pa = self.surface_for(force_density_n_per_m3)
+        with np.errstate(divide="ignore"):
+            log_force = self._log_force(np.log(pressure * reference_pa))
+        return np.asarray(np.exp(log_force) / force_density_n_per_m3)
+
+    def surface_for(self, force_density_n_per_m3: float) -> float:
+        """Return the surface pressure that makes this force."""
+        from scipy.optimize import brentq
+
+        low, high = math.log(self.surface_pa[0]) - 20, math.log(self.surface_pa[-1]) + 5
+        wanted = math.log(force_density_n_per_m3)
+        return math.exp(brentq(lambda x: float(self._log_force(np.array(x))) - wanted, low, high, xtol=1e-12))
+
+    def exponent(self, force_density_n_per_m3: float) -> float:
+        """Return d ln force / d ln drive^2 where the push makes this force: 1 where propagation is linear."""
+        at, step = math.log(self.surface_for(force_density_n_per_m3)), 0.05
+        low, high = (float(self._log_force(np.array(at + side * step))) for side in (-1, 1))
+        return (high - low) / (4 * step)
+
+    def _log_force(self, log_pressure: Floats) -> Floats:
+        from scipy.interpolate import PchipInterpolator
+
+        known = np.log(self.surface_pa)
+        gain = np.log(self.force_n_per_m3) - 2 * known
+        # Below the table the push is linear; above, it goes on with its last slope.
+        inside = PchipInterpolator(known, gain)(np.clip(log_pressure, known[0], known[-1]))
+        slope = (gain[-1] - gain[-2]) / (known[-1] - known[-2])
+        return np.asarray(inside + slope * np.maximum(log_pressure - known[-1], 0) + 2 * log_pressure)
+
+
+def push_of(settings: SimulationSettings, carrier_hz: float = 3.0e6) -> Push | None:
+    """Return the push of a scene over drive, None where it asks for no nonlinear propagation; computed once."""
+    specimen, propagation = settings.specimen, settings.propagation
+    if specimen is None or propagation is None:
+        return None
+    beams = settings.beams
+    geometry = beams.transducer, beams.focus_depth_m, beams.excitation_width_m
+    return _push(specimen, propagation, settings.sound_speed_m_per_s, *geometry, carrier_hz)
+
+
+@lru_cache(maxsize=8)
+def _push(
+    specimen: Specimen,
+    propagation: Propagation,
+    speed_m_per_s: float,
+    transducer: Transducer,
+    focus_m: float,
+    width_m: Triple,
+    carrier_hz: float,
+) -> Push:
+    layers = path(specimen, propagation, speed_m_per_s, focus_m)
+    accuracy = Accuracy(propagation.harmonics)
+    linear_pa = 1e4
+    linear = nonlinear_beam(transducer, layers, carrier_hz, linear_pa, Accuracy(harmonics=4))
+    start_m = layers[0].thickness_m
+    top_pa = linear_pa * math.sqrt(
+        specimen.force_density_n_per_m3 / equivalent_force(linear, transducer.focal_length_m, width_m, start_m)
+    )
+    surface_pa = top_pa * np.array(LEVELS)
+    beams = [nonlinear_beam(transducer, layers, carrier_hz, float(each), accuracy) for each in surface_pa]
+    columns = []
+    for beam in beams:
+        inside = beam.depth_m > start_m
+        positive_pa, negative_pa = beam.extremes_pa()
+        heat = beam.heat_w_per_m3[inside].max()
+        force = equivalent_force(beam, transducer.focal_length_m, width_m, start_m)
+        peaks = positive_pa[inside].max(), negative_pa[inside].max(), beam.intensity_w_per_m2()[inside].max()
+        columns.append((force, heat / speed_m_per_s, *peaks, heat))
+    return Push(surface_pa, *np.array(columns).T)
+
+
+def path(specimen: Specimen, propagation: Propagation, speed_m_per_s: float, focus_m: float) -> list[Layer]:
+    """Return what the push goes through: water, then the specimen, with one sound speed as everywhere in the twin."""
+    water = Layer(
+        focus_m - propagation.specimen_depth_m,
+        speed_m_per_s,
+        propagation.water_density_kg_per_m3,
+        propagation.water_nonlinearity,
+        propagation.water_attenuation_db_per_cm_mhz2,
+        2.0,
+    )
+    loss = specimen.attenuation_db_per_cm_mhz
+    own = specimen.density_kg_per_m3, propagation.nonlinearity, loss, propagation.attenuation_power
+    return [water, Layer(math.inf, speed_m_per_s, *own)]
+
+
+def equivalent_force(beam: Beam, focus_m: float, width_m: Triple, start_m: float) -> float:
+    """Return the force density of a Gaussian of ``width_m`` that moves the focus at rest as far as ``beam`` does.
+
+    Both forces on the same nodes from ``start_m`` on, each with what a point force along z moves at a distance R in an
+    incompressible elastic medium, (1 + z^2/R^2) / R (Kelvin): what the nodes leave out of its pole is left out of both.
+    """
+    depth_m, lateral_m, volume_m3, force = beam.force_at[:, beam.force_at[0] > start_m]
+    z = depth_m - focus_m
+    distance_m = np.hypot(lateral_m, z)
+    moved = volume_m3 * (1 + (z / distance_m) ** 2) / distance_m
+    x, _, along = width_m
+    gaussian = np.exp(-0.5 * ((lateral_m / x) ** 2 + (z / along) ** 2))
+    return float((moved * force).sum() / (moved * gaussian).sum())
