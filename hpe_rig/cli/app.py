@@ -138,6 +138,8 @@ def run(
             options = WriteOptions(compress, overwrite, run_id=run_id, provenance=provenance_now(setup.bench.bench))
             record_run(setup, path, watching(observer), stages, options, move=asking(yes))
         show(process(path, estimator, stages), json, csv, wide)
+        if not (json or csv):
+            announce(f"figures: hpe-rig report {path}")
 
 
 @app.command()

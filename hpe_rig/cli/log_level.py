@@ -22,13 +22,8 @@ class LogLevel(StrEnum):
 
 
 def start_logging(level: LogLevel) -> None:
-    """Let records of at least ``level`` reach standard error; those of other packages from warnings on, or not at all.
-
-    dask tells of every worker that an interrupt ends, at length: it is heard where its own details were asked for.
-    """
+    """Let records of at least ``level`` reach standard error; those of other packages from warnings on."""
     chosen = logging.getLevelNamesMapping()[level.upper()]
     logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=max(chosen, logging.WARNING))
     for name in OWN:
         logging.getLogger(name).setLevel(chosen)
-    if chosen > logging.INFO:
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)

@@ -158,12 +158,10 @@ def cluster(address: str, workers: int, tls: TlsFiles = NO_TLS) -> Iterator[Exec
     if mistakes := tls.mistakes():
         raise SettingsError("command line", mistakes)
 
+    quiet = _quiet()
     if address == "local":
-        # Its processes tell at length of an interrupt that they all get.
-        heard = logging.getLogger("distributed").getEffectiveLevel()
-        local = {"silence_logs": max(heard, logging.WARNING)}
         with (
-            distributed.LocalCluster(**local, n_workers=workers, threads_per_worker=1, dashboard_address=None) as own,
+            distributed.LocalCluster(workers, threads_per_worker=1, silence_logs=quiet, dashboard_address=None) as own,
             distributed.Client(own) as client,
         ):
             yield client.get_executor(pure=False, retries=MOST_LOSSES)
@@ -177,6 +175,19 @@ def cluster(address: str, workers: int, tls: TlsFiles = NO_TLS) -> Iterator[Exec
     with client:
         _require_worker(client, address)
         yield client.get_executor(pure=False, retries=MOST_LOSSES)
+
+
+def _quiet() -> int:
+    """Let dask's loggers be heard where details are asked for, else in nothing: return the level from which on.
+
+    Its processes tell at length of every interrupt, which they all get. Importing it has set their levels.
+    """
+    if logging.getLogger("hpe_rig").isEnabledFor(logging.INFO):
+        return logging.INFO
+    names = [name for name in logging.Logger.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    return logging.CRITICAL
 
 
 def _require_worker(client: Any, address: str) -> None:
