@@ -79,7 +79,7 @@ PANELS = {
             "receiver": (0, 5, "front end, noise"),
             "motion": (1, 5, "force to displacement"),
             "echoes": (0, 3, "the echo engine"),
-            "transducer": (1, 3, "field of the aperture"),
+            "transducer": (1, 2, "field of the aperture"),
             "settings": (0, 1, "[simulation]"),
             "wiring": (1, 1, "edges, in ps"),
         },

@@ -178,13 +178,13 @@ def fit_moduli(
 
     >>> print(hpe.fit_moduli("gelatin-moduli.h5"))
     """
-    from hpe_rig.moduli import LAWS, Source, moduli_of
+    from hpe_rig.moduli import Source, law_names, moduli_of
 
-    if unknown := [law for law in laws if law not in LAWS]:
+    if unknown := [law for law in laws if law not in law_names()]:
         raise SettingsError(
-            "moduli", [Mistake("law", f"there is no {each} medium", ", ".join(LAWS)) for each in unknown]
+            "moduli", [Mistake("law", f"there is no {each} medium", ", ".join(law_names())) for each in unknown]
         )
-    chosen = [law for law in LAWS if law in laws] or list(LAWS)
+    chosen = [law for law in law_names() if law in laws] or list(law_names())
     opened = [run if isinstance(run, Run) else open_run(run) for run in runs]
     if not opened:
         raise SettingsError("moduli", [Mistake("", "no run is named", "hpe-rig moduli RUN.h5")])

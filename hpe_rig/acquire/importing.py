@@ -72,8 +72,8 @@ def import_records(
 ) -> Run:
     """Return ``recording``, a file or an array of anybody's echoes, as a run; its file is written to ``path``.
 
-    ``settings`` are those of a sidecar file (docs/import.md): ``axes="line,pulse,sample"``, ``sample_rate_hz=50e6``,
-    ``lines="12"`` and others; they count before the sidecar's, these before what the file says, this before the scene.
+    ``settings`` are those of a sidecar file (docs/how-to/import.md), such as ``axes="line,pulse,sample"`` and
+    ``lines="12"``; they count before the sidecar's, these before what the file says, this before the scene.
     ``run.bench.recording`` says what was inferred, with the file's SHA-256. Raises ``SettingsError`` with every mistake
     of recording, sidecar or scene, ``PlanError`` where the records do not hold the scene's gate or frequencies, and
     ``StoreError`` where the run file cannot be written.

@@ -141,7 +141,7 @@ class TwinDeclaration:
         burst_length_s: float,
         drive: tuple[float, float],
     ) -> NDArray[np.float64]:
-        from sim_backend.motion import radiation_force, tabulate_step_response, transient_displacement
+        from sim_backend.motion import focus_response, force_shape, radiation_force, transient_displacement
         from sim_backend.wiring import Bursts
 
         settings, specimen = self.settings, self.settings.specimen
@@ -151,7 +151,7 @@ class TwinDeclaration:
         carrier_hz, amplitude_vpp = (np.full(onset_ps.shape, value) for value in drive)
         length_ps = round(burst_length_s * 1e12)
         bursts = Bursts(onset_ps, onset_ps + length_ps, carrier_hz, burst_length_s * carrier_hz, amplitude_vpp)
-        response = tabulate_step_response(specimen, settings.beams.excitation_width_m)
+        response = focus_response(specimen, force_shape(settings))
         travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
         force = radiation_force(bursts, specimen, travel_s, settings.transmitter)
         return np.asarray(transient_displacement(response, force, time_ps))
@@ -222,10 +222,9 @@ class TwinDeclaration:
         specimen = self.settings.specimen
         if specimen is None:
             return 0.0
-        from sim_backend.motion import frequency_response
+        from sim_backend.motion import focus_transfer, force_shape
 
-        width_m = self.settings.beams.excitation_width_m
-        response = frequency_response(specimen, width_m, np.array([frequency_hz]))[0]
+        response = focus_transfer(specimen, force_shape(self.settings), np.array([frequency_hz]))[0]
         return float(abs(response) * specimen.force_density_n_per_m3)
 
     def medium(self, frequency_hz: NDArray[np.float64]) -> tuple[NDArray[np.complex128], float] | None:
@@ -305,14 +304,14 @@ def twin_tables(scene: Scene) -> dict[str, Any]:
 
 def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.float64]) -> Dose | None:
     """Return the simulated specimen's dose and what it could move at ``frequency_hz``; None where there is none."""
-    from sim_backend.motion import dose
+    from sim_backend.motion import dose, force_shape
 
     twin = twin_of(scene)
     if twin is None or twin.settings.specimen is None or scene.excitation is None:
         return None
     train = scene.excitation.burst_rate_hz, burst_length_s
-    width_m, speed = twin.settings.beams.excitation_width_m, twin.sound_speed_m_per_s
-    return dose(twin.settings.specimen, width_m, *train, frequency_hz, speed, scene.excitation.carrier_hz)
+    force, speed = force_shape(twin.settings), twin.sound_speed_m_per_s
+    return dose(twin.settings.specimen, force, *train, frequency_hz, speed, scene.excitation.carrier_hz)
 
 
 def twin_push(scene: Scene) -> Push | None:

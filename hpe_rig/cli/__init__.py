@@ -10,6 +10,7 @@ Files, from what is typed to what is shown::
     listing.py  the runs of a folder
     verify.py   what is damaged in a file
     mapping.py  a map's progress and files
+    extensions.py  what other packages bring
     moduli.py   what a medium is made of, and its figure
     study.py    workers, progress and closing table of a study
     tables.py   a result in one sentence and as tables

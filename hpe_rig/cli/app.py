@@ -426,6 +426,19 @@ def scenes() -> None:
 
 @app.command()
 @guarded
+def extensions() -> None:
+    """List the estimators, media and importers that other packages bring. Each is loaded and looked at."""
+    from hpe_rig.cli.extensions import extension_lines
+
+    lines, sound = extension_lines()
+    for line in lines:
+        typer.echo(line)
+    if not sound:
+        raise typer.Exit(EXIT_MISTAKE)
+
+
+@app.command()
+@guarded
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the copy. NAME.toml is written to this folder.")],
     like: Annotated[

@@ -4,11 +4,11 @@
 
     group                  object at the entry point                               asked for by
     hpe_rig.estimators     ``processing.EstimatorSpec``                            scene, processing
-    hpe_rig.media          ``moduli.Law``; the twin takes its ``modulus`` too      moduli, sim_backend
+    hpe_rig.media          ``moduli.Law``; the twin moves by it too               moduli, sim_backend
     hpe_rig.importers      ``recordings.Importer``                                 recordings
 
 Names are read without loading anything; a package is imported when its name is asked for. A name of ours cannot be
-taken. The page docs/extending.md has a worked example.
+taken. The page docs/how-to/extend.md has a worked example.
 """
 
 import lazy_loader

@@ -7,7 +7,14 @@ from .inversion import (
     compare_media as compare_media,
     fit_medium as fit_medium,
 )
-from .media import LAWS as LAWS, MediumLaw as MediumLaw
+from .media import (
+    LAWS as LAWS,
+    Law as Law,
+    MediumLaw as MediumLaw,
+    Parameter as Parameter,
+    law_names as law_names,
+    law_of as law_of,
+)
 from .outcome import ModuliResult as ModuliResult, moduli_of as moduli_of, plane_wave_of as plane_wave_of
 from .places import (
     Source as Source,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
-from hpe_rig.moduli.media import LAWS, Law, MediumLaw
+from hpe_rig.moduli.media import Law, MediumLaw, law_names, law_of
 from hpe_rig.processing import shear_motion
 
 FloatArray = NDArray[np.float64]
@@ -147,7 +147,7 @@ def fit_medium(vibrations: Sequence[Vibration], push: Push, law: MediumLaw = "vo
 
     Raises ``ValueError`` for fewer data than free parameters and for a place farther than ``FARTHEST_M``.
     """
-    problem = Problem.of(vibrations, push, LAWS[law])
+    problem = Problem.of(vibrations, push, law_of(law))
     if problem.data_count <= problem.free:
         raise ValueError(
             f"{problem.data_count} numbers cannot give {problem.free} unknowns of a {law} medium and their "
@@ -159,13 +159,13 @@ def fit_medium(vibrations: Sequence[Vibration], push: Push, law: MediumLaw = "vo
 
 
 def compare_media(
-    vibrations: Sequence[Vibration], push: Push, laws: Sequence[MediumLaw] = tuple(LAWS)
+    vibrations: Sequence[Vibration], push: Push, laws: Sequence[MediumLaw] | None = None
 ) -> tuple[tuple[Moduli, ...], FloatArray]:
     """Return the fit of every law, the likeliest first, and the laws' probabilities (law,), equal beforehand.
 
     A law with a parameter at the end of its range comes after those that the data leave inside: it is a simpler one.
     """
-    fits = [fit_medium(vibrations, push, law) for law in laws]
+    fits = [fit_medium(vibrations, push, law) for law in laws or law_names()]
     fits.sort(key=lambda each: (each.excluded, bool(each.at_limit), -each.log_evidence))
     highest = max(each.log_evidence for each in fits)
     weight = np.exp([each.log_evidence - highest for each in fits])
@@ -177,7 +177,7 @@ def bound(vibrations: Sequence[Vibration], push: Push, law: MediumLaw, values: S
 
     The phasors of ``vibrations`` count only for the overall amplitude.
     """
-    problem = Problem.of(vibrations, push, LAWS[law])
+    problem = Problem.of(vibrations, push, law_of(law))
     coordinates = np.array(
         [one.to_coordinate(value) for one, value in zip(problem.law.parameters, values, strict=True)]
     )

@@ -9,16 +9,21 @@ A stiffness runs over its logarithm; a viscosity v over asinh(v / 0.05 Pa s), wh
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.extensions import MEDIA, ExtensionError, installed, load, origin
+
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-MediumLaw = Literal["voigt", "zener", "power_law", "maxwell"]
+MediumLaw = str
+"""Name of a law, one of ours or of an installed package's."""
+
+Modulus = Callable[[ComplexArray, FloatArray], tuple[ComplexArray, ComplexArray]]
 
 SMALL_VISCOSITY_PA_S = 0.05
 POWER_REFERENCE_HZ = 100.0
@@ -39,6 +44,16 @@ class Parameter:
     slope: Callable[[FloatArray | float], FloatArray]
     """Derivative of the value by the coordinate, at the value."""
 
+    @classmethod
+    def logarithmic(cls, name: str, limits: tuple[float, float], starts: tuple[float, ...]) -> Parameter:
+        """Return a parameter that runs over its logarithm, such as a stiffness."""
+        return cls(name, limits, starts, np.log, np.exp, np.asarray)
+
+    @classmethod
+    def linear(cls, name: str, limits: tuple[float, float], starts: tuple[float, ...]) -> Parameter:
+        """Return a parameter that runs as it is, such as an exponent."""
+        return cls(name, limits, starts, _same, _same, _one)
+
     @property
     def bounds(self) -> tuple[float, float]:
         """The coordinates of the limits."""
@@ -50,12 +65,19 @@ class Law:
     """A medium's law: its parameters, and its modulus with the derivatives by their values.
 
     ``modulus(s, values)`` takes s (frequency,) and parameter values (..., parameter) and returns the modulus
-    (..., frequency) and its derivatives (..., frequency, parameter).
+    (..., frequency) and its derivatives (..., frequency, parameter). It is analytic in s off the negative real axis,
+    so that the twin may move by it. ``title``: what tables call it; ``creeps``: a constant force moves it without end.
     """
 
     name: MediumLaw
     parameters: tuple[Parameter, ...]
     modulus: Callable[[ComplexArray, FloatArray], tuple[ComplexArray, ComplexArray]]
+    title: str = ""
+    creeps: bool = False
+
+    def __post_init__(self) -> None:
+        """Take the name as the title where none is given."""
+        object.__setattr__(self, "title", self.title or self.name.replace("_", " ").capitalize())
 
     def values(self, coordinates: FloatArray) -> FloatArray:
         """Return parameter values at ``coordinates`` (..., parameter)."""
@@ -73,7 +95,7 @@ class Law:
 
 
 def _stiffness(name: str, starts: tuple[float, ...]) -> Parameter:
-    return Parameter(name, STIFFNESS_PA, starts, np.log, np.exp, np.asarray)
+    return Parameter.logarithmic(name, STIFFNESS_PA, starts)
 
 
 def _asinh(value: FloatArray | float) -> FloatArray:
@@ -147,9 +169,60 @@ LAWS: dict[MediumLaw, Law] = {
     ),
     "power_law": Law(
         "power_law",
-        (_stiffness("shear_modulus_pa", _STIFF), Parameter("power", POWER, (0.02, 0.15, 0.3, 0.5), _same, _same, _one)),
+        (_stiffness("shear_modulus_pa", _STIFF), Parameter.linear("power", POWER, (0.02, 0.15, 0.3, 0.5))),
         _power_law,
     ),
     "maxwell": Law("maxwell", (_stiffness("shear_modulus_pa", _STIFF), _viscosity((0.5, 2.0, 8.0, 30.0))), _maxwell),
 }
-"""Every law by its name."""
+"""Our laws by their names."""
+
+
+def law_names() -> tuple[MediumLaw, ...]:
+    """Return the names of all laws: ours, then those that other packages bring."""
+    return (*LAWS, *(name for name in installed(MEDIA) if name not in LAWS))
+
+
+@cache
+def law_of(name: MediumLaw) -> Law:
+    """Return the law of that name; raise ``ValueError`` where there is none, or its package fails."""
+    if name in LAWS:
+        return LAWS[name]
+    if name not in law_names():
+        raise ValueError(f"there is no {name} medium: one of {', '.join(law_names())}")
+    law, whose = load(MEDIA, name), f"medium {origin(MEDIA, name)}"
+    if not isinstance(law, Law):
+        raise ExtensionError(f"{whose} is no moduli.Law. Try: its newest version")
+    found = replace(law, name=name, modulus=_watched(law.modulus, len(law.parameters), whose))
+    _refuse_wrong_derivatives(found, whose)
+    return found
+
+
+def _watched(modulus: Modulus, parameters: int, whose: str) -> Modulus:
+    """Return ``modulus`` such that it names its package where it fails or gives other shapes than it should."""
+
+    def watched(s: ComplexArray, values: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        try:
+            found, slopes = modulus(s, values)
+        except Exception as error:
+            raise ExtensionError(f"{whose} failed ({type(error).__name__}: {error}). Try: report it there") from error
+        wanted = (*values.shape[:-1], *s.shape)
+        if np.shape(found) != wanted or np.shape(slopes) != (*wanted, parameters):
+            raise ExtensionError(f"{whose} gave shapes {np.shape(found)} and {np.shape(slopes)}, not {wanted} and more")
+        return found, slopes
+
+    return watched
+
+
+def _refuse_wrong_derivatives(law: Law, whose: str) -> None:
+    """Raise ``ExtensionError`` where the derivatives are not those of the modulus: a fit would go astray."""
+    s = 2j * np.pi * np.array([50.0, 400.0])
+    values = np.array([each.starts[len(each.starts) // 2] for each in law.parameters])
+    found, slopes = law.modulus(s, values)
+    for index, value in enumerate(values):
+        step = np.zeros(values.size)
+        step[index] = 1e-5 * max(abs(value), 1e-3)
+        change = (law.modulus(s, values + step)[0] - law.modulus(s, values - step)[0]) / (2 * step[index])
+        rounding = 1e-6 * float(np.abs(found).max()) / max(abs(value), 1e-3)
+        if not np.allclose(change, slopes[:, index], rtol=1e-3, atol=rounding):
+            name = law.parameters[index].name
+            raise ExtensionError(f"{whose}: its derivative by {name} is not that of its modulus. Try: report it there")

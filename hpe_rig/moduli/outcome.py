@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hpe_rig.moduli.inversion import Moduli, Vibration, compare_media
-from hpe_rig.moduli.media import LAWS, MediumLaw
+from hpe_rig.moduli.media import MediumLaw, law_of
 from hpe_rig.moduli.places import WIDTH_UNCERTAINTY, Source, push_of, vibrations_of
 from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
 
@@ -19,19 +19,24 @@ if TYPE_CHECKING:
 
 ANY_GAIN = 5.0
 """Uncertainty of the logarithm of a gain of which nothing is known."""
-UNITS = {"shear_modulus_pa": (1e-3, "kPa"), "branch_modulus_pa": (1e-3, "kPa"), "viscosity_pa_s": (1.0, "Pa s")}
+UNITS = {"_pa_s": (1.0, "Pa s"), "_pa": (1e-3, "kPa")}
+"""Factor and unit for a reader, by the end of a parameter's name."""
 NAMES = {
     "shear_modulus_pa": "shear modulus mu1",
     "branch_modulus_pa": "branch modulus E",
     "viscosity_pa_s": "viscosity mu2",
     "power": "power p",
 }
-TITLES: dict[MediumLaw, str] = {
-    "voigt": "Voigt",
-    "zener": "Zener",
-    "power_law": "Power law",
-    "maxwell": "Maxwell",
-}
+
+
+def _unit(name: str) -> tuple[float, str]:
+    return next((UNITS[end] for end in UNITS if name.endswith(end)), (1.0, ""))
+
+
+def _name(name: str) -> str:
+    """Return what a parameter is called; of another package's medium its key without the unit."""
+    end = next((end for end in UNITS if name.endswith(end)), "")
+    return NAMES.get(name, name.removesuffix(end).replace("_", " "))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +107,8 @@ class ModuliResult:
     def headline(self) -> str:
         """The likeliest medium with its parameters and their standard uncertainties, one line."""
         best = self.best
-        values = [f"{NAMES[name]} {_with_u(best, name, '±')}" for name in best.values]
-        return f"{TITLES[best.law]}: {', '.join(values)}"
+        values = [f"{_name(name)} {_with_u(best, name, '±')}" for name in best.values]
+        return f"{law_of(best.law).title}: {', '.join(values)}"
 
     def figure(self) -> Figure:
         """Return measured and fitted amplitude and phase over frequency, a colour a place, with bars of 2 u."""
@@ -114,7 +119,7 @@ class ModuliResult:
 
 def moduli_of(
     sources: Sequence[Source],
-    laws: Sequence[MediumLaw] = tuple(LAWS),
+    laws: Sequence[MediumLaw] | None = None,
     estimator: str | None = None,
     width_uncertainty: float = WIDTH_UNCERTAINTY,
     common_amplitude: bool = True,
@@ -166,7 +171,7 @@ def _lines(result: ModuliResult) -> Iterator[str]:
     yield f"{source}{len(places)} place{'s' if len(places) > 1 else ''}, {numbers} numbers"
     yield ""
     for fit, probability in zip(result.fits, result.probability, strict=True):
-        yield f"{TITLES[fit.law]}, {_verdict(fit, probability)}"
+        yield f"{law_of(fit.law).title}, {_verdict(fit, probability)}"
         if fit is best or not fit.excluded:
             yield from (f"  {line}" for line in _values(fit))
     if result.plane_wave is not None:
@@ -189,14 +194,12 @@ def _verdict(fit: Moduli, probability: float) -> str:
 def _values(fit: Moduli) -> Iterator[str]:
     for name, value in fit.values.items():
         share = f" ({100 * fit.uncertainty[name] / value:.2g} %)" if value else ""
-        yield f"{NAMES[name]} {_with_u(fit, name, '+-')}{share}"
+        yield f"{_name(name)} {_with_u(fit, name, '+-')}{share}"
     if fit.second is not None:
-        other = ", ".join(
-            f"{NAMES[name]} {value * UNITS.get(name, (1, ''))[0]:.3g}" for name, value in fit.second[0].items()
-        )
+        other = ", ".join(f"{_name(name)} {value * _unit(name)[0]:.3g}" for name, value in fit.second[0].items())
         yield f"nearly as good: {other} (chi-square {fit.second[1]:.2g} higher)"
     for name in fit.at_limit:
-        yield f"{NAMES[name]} stands at the end of its range"
+        yield f"{_name(name)} stands at the end of its range"
     for kind, by in ((fit.by_place, "place"), (fit.by_frequency, "frequency")):
         if kind:
             most = max(kind, key=lambda part: part.growth[0])
@@ -205,7 +208,7 @@ def _values(fit: Moduli) -> Iterator[str]:
 
 def _with_u(fit: Moduli, name: str, sign: str) -> str:
     """Return a parameter with its uncertainty and unit, as many decimals as two digits of the uncertainty have."""
-    factor, unit = UNITS.get(name, (1.0, ""))
+    factor, unit = _unit(name)
     value, u = fit.values[name] * factor, fit.uncertainty[name] * factor
     decimals = max(0, 1 - math.floor(math.log10(u))) if 0 < u < math.inf else 4
     return f"{value:.{decimals}f} {sign} {u:.2g} {unit}".rstrip()

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from dataclasses import dataclass, replace
+from functools import cache, wraps
+from typing import Any, Literal, Protocol
 
+import numpy as np
+
+from hpe_rig.extensions import ESTIMATORS as EXTENSIONS, ExtensionError, installed, load, origin
 from hpe_rig.processing.band import Band
 from hpe_rig.processing.correlation import cross_correlation
 from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, velocity_between_pulses
@@ -15,9 +19,10 @@ from hpe_rig.processing.maximum_likelihood import joint
 from hpe_rig.processing.motion import coherent, coherent_phase, cross_spectrum, kasai, loupas
 from hpe_rig.processing.prior import MediumPrior, medium_fit, medium_kalman
 from hpe_rig.processing.velocity_chain import velocity_to_harmonics
-from hpe_rig.scene import Estimator as Estimator
+from hpe_rig.scene import Estimator as Estimator, estimator_names
 
-ESTIMATORS: tuple[Estimator, ...] = get_args(Estimator)
+ESTIMATORS: tuple[Estimator, ...] = estimator_names()
+"""Names of all estimators, those of installed packages last."""
 Harmonic = Literal["medium_prior", "least_squares", "kalman"]
 Window = Literal["none", "hann"]
 Frequencies = FloatArray | Sequence[float]
@@ -174,10 +179,59 @@ _BY_NAME = {each.name: each for each in _SPECS}
 
 
 def spec_of(estimator: str) -> EstimatorSpec:
-    """Return the estimator of that name; raise ``ValueError`` where there is none."""
-    if estimator not in _BY_NAME:
-        raise ValueError(f"estimator {estimator!r} does not exist: try one of {', '.join(_BY_NAME)}")
-    return _BY_NAME[estimator]
+    """Return the estimator of that name; raise ``ValueError`` where there is none, or its package fails."""
+    if estimator in _BY_NAME:
+        return _BY_NAME[estimator]
+    if estimator not in installed(EXTENSIONS):
+        raise ValueError(f"estimator {estimator!r} does not exist: try one of {', '.join(ESTIMATORS)}")
+    return _foreign(estimator)
+
+
+@cache
+def _foreign(name: str) -> EstimatorSpec:
+    """Return the estimator of another package: its functions name it where they fail, their results are looked at."""
+    spec, whose = load(EXTENSIONS, name), f"estimator {origin(EXTENSIONS, name)}"
+    if not isinstance(spec, EstimatorSpec) or (spec.motion is None) == (spec.fit_echoes is None):
+        raise ExtensionError(f"{whose} is no EstimatorSpec with either motion or fit_echoes. Try: its newest version")
+    own_fit = spec.fit_motion in (fit_displacement, fit_velocity)
+    return replace(
+        spec,
+        name=name,
+        label=spec.label if spec.label != spec.name else name,
+        motion=None if spec.motion is None else _watched(spec.motion, Motion, whose),
+        fit_echoes=None if spec.fit_echoes is None else _watched(spec.fit_echoes, HarmonicFit, whose),
+        fit_motion=spec.fit_motion if own_fit else _watched(spec.fit_motion, HarmonicFit, whose),
+        published=False,
+    )
+
+
+def _watched(call: Callable[..., Any], gives: type, whose: str) -> Callable[..., Any]:
+    @wraps(call)
+    def watched(*args: Any, **kwargs: Any) -> Any:
+        try:
+            found = call(*args, **kwargs)
+        except (MemoryError, KeyboardInterrupt):
+            raise
+        except ValueError as error:
+            raise ValueError(f"{whose}: {error}") from error
+        except Exception as error:
+            raise ExtensionError(f"{whose} failed ({type(error).__name__}: {error}). Try: report it there") from error
+        if not isinstance(found, gives):
+            raise ExtensionError(f"{whose} gave {type(found).__name__} in place of {gives.__name__}")
+        if isinstance(found, Motion):
+            _refuse_misfit(found, args[0], whose)
+        return found
+
+    return watched
+
+
+def _refuse_misfit(motion: Motion, echoes: EchoGate, whose: str) -> None:
+    wanted = echoes.volts.shape[:-1]
+    for name, values in (("displacement_m", motion.displacement_m), ("variance_m2", motion.variance_m2)):
+        if np.shape(values) != wanted:
+            raise ExtensionError(f"{whose} gave {name} of shape {np.shape(values)}, one of {wanted} is needed")
+    if not np.isfinite(motion.displacement_m[..., motion.valid]).all(axis=-1).any():
+        raise ValueError(f"{whose} found no displacement: noise without echo, or the wrong gate or carrier")
 
 
 def estimate(

@@ -1,5 +1,5 @@
 from .contents import Contents as Contents, Importer as Importer
-from .importers import importer_names as importer_names
+from .importers import foreign_importer as foreign_importer, importer_names as importer_names
 from .lines import chosen_lines as chosen_lines
 from .recording import Known as Known, Recording as Recording, read_recording as read_recording
 from .settings import (

@@ -38,7 +38,7 @@ def read_contents(path: Path, settings: RecordingSettings) -> tuple[str, Content
             f"format {name!r} is not known: {f'did you mean {close[0]}? ' if close else ''}"
             f"one of {', '.join(importer_names())}"
         )
-    importer = _foreign(name)
+    importer = foreign_importer(name)
     try:
         found = importer.read(path, settings)
     except (OSError, MemoryError):
@@ -56,7 +56,8 @@ def read_contents(path: Path, settings: RecordingSettings) -> tuple[str, Content
     return name, found
 
 
-def _foreign(name: str) -> Importer:
+def foreign_importer(name: str) -> Importer:
+    """Return the importer of another package; raise ``ExtensionError`` where it does not load or is none."""
     found = load(IMPORTERS, name)
     importer = found() if isinstance(found, type) else found
     if not isinstance(importer, Importer):
@@ -75,7 +76,7 @@ def _by_file(path: Path, settings: RecordingSettings) -> str:
         if ending in importer.suffixes:
             return name
     for name in importer_names():
-        if name not in OURS and ending in _foreign(name).suffixes:
+        if name not in OURS and ending in foreign_importer(name).suffixes:
             return name
     with path.open("rb") as file:
         start = file.read(8)

@@ -15,6 +15,7 @@ import jinja2
 from markupsafe import Markup
 
 from hpe_rig.acquire import Run, open_run
+from hpe_rig.extensions import ESTIMATORS, installed, origin
 from hpe_rig.plan import scene_of
 from hpe_rig.prediction import detection_text
 from hpe_rig.processing import margin_needed, samples_needed
@@ -227,9 +228,15 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
         ("track", f"{shot.capture.record_count} pulses of {tracking.cycles} cycles at {tracking.pulse_rate_hz:g} Hz"),
         ("gate", f"{gate.gate_length_m * 1e3:g} mm at {gate.gate_depth_m * 1e3:g} mm depth"),
         ("shots", _shot_count(run, result)),
-        ("estimator", result.estimator),
+        ("estimator", _estimator(result)),
         ("phase", result.phase_reference),
     ]
+
+
+def _estimator(result: Result) -> str:
+    """Return the estimator's name, with its package where that is not this one."""
+    name = result.estimator
+    return origin(ESTIMATORS, name) if name in installed(ESTIMATORS) else name
 
 
 def _shot_count(run: Run, result: Result) -> str:

@@ -41,6 +41,7 @@ from .scene import (
     SceneText as SceneText,
     Section as Section,
     Title as Title,
+    estimator_names as estimator_names,
     load_scene as load_scene,
     parse_scene as parse_scene,
     scene_text as scene_text,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import itertools
 import math
 import os
@@ -9,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 from pydantic import (
     AfterValidator,
@@ -23,6 +24,7 @@ from pydantic import (
     model_validator,
 )
 
+from hpe_rig.extensions import ESTIMATORS, installed
 from hpe_rig.scene.notes import Notes
 from hpe_rig.scene.quantities import (
     AmplitudeM,
@@ -55,7 +57,29 @@ if TYPE_CHECKING:
 
 Offset = Annotated[float, Field(ge=-0.1, le=0.1, strict=True)]
 Widths = tuple[LengthM, LengthM, LengthM]
-Estimator = Literal["coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum"]
+BUILT_IN_ESTIMATORS: Final = ("coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum")
+
+
+def estimator_names() -> tuple[str, ...]:
+    """Return the names of all estimators: ours, then those that other packages bring."""
+    return (*BUILT_IN_ESTIMATORS, *(name for name in installed(ESTIMATORS) if name not in BUILT_IN_ESTIMATORS))
+
+
+def _known_estimator(name: str) -> str:
+    if name not in BUILT_IN_ESTIMATORS and name not in estimator_names():
+        close = difflib.get_close_matches(name, estimator_names(), n=1)
+        also = f"did you mean {close[0]}? " if close else ""
+        names = ", ".join(map(repr, estimator_names()))
+        raise ValueError(f"{name[:80]!r} is not one of the choices: {also}one of {names}")
+    return name
+
+
+Estimator = Annotated[
+    str,
+    Field(strict=True, json_schema_extra={"examples": list(BUILT_IN_ESTIMATORS)}),
+    AfterValidator(_known_estimator),
+]
+"""Name of an estimator, one of ours or of an installed package's."""
 
 
 def _as_list(value: Any) -> Any:

@@ -19,6 +19,7 @@ from sim_backend.echoes import (
     EchoDelays,
     Pulse,
     attenuated_to_focus,
+    coloured,
     depth_delay_s,
     draw_field,
     echo_pulse,
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from sim_backend.motion import MediumMotion
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 Begun = Callable[[], Floats]
 """Gives an array, waiting until it is made."""
@@ -59,6 +61,19 @@ _FIELD_ECHO_TOLERANCE = 2e-7
 
 MADE_MEANWHILE = 1 << 18
 """Samples of noise, from about 2 ms on, that are drawn while the echoes are computed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A pulse and what a beam lets it hear of the scatterers."""
+
+    shape: Pulse
+    weight: Floats
+    """(scatterer,)"""
+    colour: Complexes | None = None
+    """(frequency, scatterer), what is heard of every frequency besides; None: all alike."""
+    sensed: Floats | None = None
+    """(scatterer,) delay that a displacement makes, over 2 u / c; None: 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +103,11 @@ class Acoustics:
         self._field = draw_field(settings.scatterers, settings.beams, placing, beside_m, self._placing)
         self._noise = RecordStream(settings.seed, _NOISE_STREAM)
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
-        self._gain_v = echo_gain_v(settings, self._delay_s, self._field.tracking_weight)
+        self._heard: dict[Pulse, Heard] = {}
+        reference = self._hear(
+            echo_pulse(settings, settings.receiver.reference_carrier_hz), self._field.tracking_weight
+        )
+        self._gain_v = echo_gain_v(settings, self._delay_s, reference.weight, reference.colour)
         self._focus_motion = _focus_motion(settings, self._travel_s)
         self._medium = _medium_motion(settings, self._field.offset_m, self._travel_s, beside_m)
         self._background_m = _background_motion(settings)
@@ -142,8 +161,8 @@ class Acoustics:
             shape = echo_pulse(self._settings, float(carrier_hz))
             passage = self._passage(pulses.onset_ps[alike], capture)
             motion_m = self._motion_sensed_m(tonebursts, passage.time_ps, capture)
-            weight = self._field.tracking_weight
-            self._add_echoes(volts, capture, shape, weight, passage, strength_v[alike], motion_m)
+            heard = self._hear(shape, self._field.tracking_weight)
+            self._add_echoes(volts, capture, heard, passage, strength_v[alike], motion_m)
 
     def _add_toneburst_echoes(self, volts: Begun, tonebursts: Bursts, capture: Capture) -> None:
         """Add the echoes of the tonebursts; a scatterer's motion during its burst is left out."""
@@ -155,8 +174,17 @@ class Acoustics:
             shape = attenuated_to_focus(self._settings, rectangular_burst(*kind.tolist()))
             passage = self._passage(heard.onset_ps[alike], capture)
             motion_m = self._motion_sensed_m(tonebursts, passage.time_ps, capture)
-            weight = self._field.excitation_weight
-            self._add_echoes(volts, capture, shape, weight, passage, strength_v[alike], motion_m)
+            through = self._hear(shape, self._field.excitation_weight)
+            self._add_echoes(volts, capture, through, passage, strength_v[alike], motion_m)
+
+    def _hear(self, shape: Pulse, gaussian_weight: Floats) -> Heard:
+        """Return what is heard by ``shape`` through a beam of ``gaussian_weight``, or through the aperture's own."""
+        if self._settings.beams.field == "gaussian":
+            return Heard(shape, gaussian_weight)
+        if shape not in self._heard:
+            made = coloured(self._settings, self._field.offset_m, shape)
+            self._heard[shape] = Heard(shape, made.weight * self._field.strength, made.colour, made.sensed)
+        return self._heard[shape]
 
     def _add_leak(self, volts: Floats, tonebursts: Bursts, capture: Capture) -> None:
         leak_per_vpp = leak_per_vpp_v(self._settings)
@@ -195,28 +223,30 @@ class Acoustics:
         self,
         begun: Begun,
         capture: Capture,
-        shape: Pulse,
-        weight: Floats,
+        heard: Heard,
         passage: Passage,
         strength_v: Floats,
         motion_m: Floats,
     ) -> None:
         """Add the echoes of like pulses, everything from their onset on, to the records they meet."""
-        seen = noticeable(weight)
+        shape, seen = heard.shape, noticeable(heard.weight)
         if not (strength_v.any() and seen.any()):
             return
         # What can be seen, how it moves, and by how much that may shift its echo.
         delay_s = self._delay_s[seen]
         shapes = (self._field.motion_weight[None] if self._medium is None else self._medium.shape)[:, seen]
+        if heard.sensed is not None:
+            shapes = shapes * heard.sensed[seen]
+        weight, colour = heard.weight[seen], None if heard.colour is None else heard.colour[:, seen]
         reach_m = float(np.abs(motion_m).max(axis=0) @ np.abs(shapes).max(axis=1))
         margin_s = 2 * reach_m / self._settings.sound_speed_m_per_s
         arrival_s = 2 * self._travel_s
         early_ps = math.floor((arrival_s + delay_s.min() + shape.start_s - margin_s) * PS_PER_S)
         late_ps = math.ceil((arrival_s + delay_s.max() + shape.end_s + margin_s) * PS_PER_S)
         if passage.delay_s is not None:
-            delays = EchoDelays(delay_s, shapes, motion_m * (2 / self._settings.sound_speed_m_per_s))
-            heard = slice(early_ps, late_ps)
-            self._add_shifted_echoes(begun(), capture, shape, weight[seen], delays, passage, strength_v, heard)
+            delays = EchoDelays(delay_s, shapes, motion_m * (2 / self._settings.sound_speed_m_per_s), colour)
+            met_ps = slice(early_ps, late_ps)
+            self._add_shifted_echoes(begun(), capture, shape, weight, delays, passage, strength_v, met_ps)
             return
         onset_ps = passage.onset_ps
         # Pairs of burst and record whose echo falls into a sample; each is one echo of the engine, all on one grid of
@@ -229,7 +259,7 @@ class Acoustics:
         sample_ps = int(age_ps[0]) + np.arange(span.start, span.stop) * capture.sample_period_ps
         block = echoes(
             delay_s,
-            weight[seen],
+            weight,
             shapes,
             motion_m[burst],
             shape,
@@ -238,6 +268,7 @@ class Acoustics:
             self._settings.scatterers.echo_tolerance
             or (_ECHO_TOLERANCE if self._medium is None else _FIELD_ECHO_TOLERANCE),
             shift_s=(age_ps - age_ps[0]) / PS_PER_S,
+            colour=colour,
         )
         block *= strength_v[burst, None]
         volts = begun()
@@ -285,6 +316,7 @@ class Acoustics:
             self._settings.sound_speed_m_per_s,
             _FIELD_ECHO_TOLERANCE,
             shift_s=(age_ps - place * period_ps) / PS_PER_S,
+            colour=delays.colour,
         )
         block *= strength_v[burst, None]
         for echo, into, first in zip(block, record.tolist(), (grid[0] - place).tolist(), strict=True):
@@ -332,11 +364,16 @@ def sample_span(start_ps: int, end_ps: int, capture: Capture) -> slice:
 def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion | None:
     """Return what moves the focus, or None; the medium's transient is tabulated once, here."""
     if settings.specimen is not None:
-        from sim_backend.motion import force_share, radiation_force, tabulate_step_response, transient_displacement
+        from sim_backend.motion import (
+            focus_response,
+            force_shape,
+            force_share,
+            radiation_force,
+            transient_displacement,
+        )
 
         specimen = settings.specimen
-        response = tabulate_step_response(specimen, settings.beams.excitation_width_m)
-        share = force_share(settings)
+        response, share = focus_response(specimen, force_shape(settings)), force_share(settings)
         return lambda tonebursts, time_ps, _origin_ps: transient_displacement(
             response, radiation_force(tonebursts, specimen, travel_s, settings.transmitter, share), time_ps
         )

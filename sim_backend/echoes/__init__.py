@@ -2,6 +2,7 @@
 
     p(t)            eq. (9) and its like       pulse.py
     I_n, g_n        eq. (7), (8), (12)         scatterers.py
+                    of a real beam             colouring.py
     tau_kn          eq. (10), (11)             delays.py
     the sum         eq. (10)                   engine.py, which runs what choice.py finds cheapest:
                                                exact_sums.py, combined.py, nodes.py, series.py

@@ -1,4 +1,5 @@
 from .choice import Method as Method, choices as choices
+from .colouring import Colouring as Colouring, coloured as coloured
 from .delays import EchoDelays as EchoDelays
 from .engine import echoes as echoes, synthesise as synthesise
 from .exact_sums import direct_sum as direct_sum, running_sum as running_sum

@@ -77,7 +77,7 @@ def choices(
     if method in (None, "interpolated") and len(delays.shape) == 1:
         largest_s = float(spread_s[0] * np.abs(delays.shape).max())
         share = edge_share(delays.rest_s, weight, pulse, largest_s, sample_time_s)
-        nodes = node_count(pulse, largest_s, share, tolerance)
+        nodes = node_count(pulse, largest_s, share, tolerance, delays.colour)
         if nodes < MOST_NODES:
             found.append(
                 Choice("interpolated", 4e-4 * stretches + (nodes + CHECKED) * exact_s + nodes * combining_s, nodes)

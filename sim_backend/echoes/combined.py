@@ -15,6 +15,7 @@ from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import Pulse
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
 FEWEST_ECHOES = 128
@@ -26,18 +27,24 @@ _HELD_BACK = 6
 
 
 def combined(
-    delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats, tolerance: float
+    delay_s: Floats,
+    weight: Floats,
+    pulse: Pulse,
+    sample_time_s: Floats,
+    tolerance: float,
+    colour: Complexes | None = None,
 ) -> tuple[Floats, int] | None:
     """Return the echoes (echo, sample) to ``tolerance`` of their rms and how many were exact; None where that fails.
 
-    ``delay_s`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s`` (sample,) ascending.
+    ``delay_s`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s`` (sample,) ascending. A ``colour``, the
+    same in all echoes, changes no combination.
     """
     some, combination = _skeleton(_phases(delay_s, weight, pulse), 0.1 * tolerance)
     if len(some) > LARGEST_SHARE * len(delay_s):
         return None
     others = np.setdiff1d(np.arange(len(delay_s)), some)
     held_back = others[np.linspace(0, len(others) - 1, min(_HELD_BACK, len(others))).astype(np.int64)]
-    exact = running_sum(delay_s[np.concatenate([some, held_back])], weight, pulse, sample_time_s)
+    exact = running_sum(delay_s[np.concatenate([some, held_back])], weight, pulse, sample_time_s, colour)
     echo = combination @ exact[: len(some)]
     error = echo[held_back] - exact[len(some) :]
     if np.vdot(error, error) > tolerance**2 * np.vdot(exact[len(some) :], exact[len(some) :]):

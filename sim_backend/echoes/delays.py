@@ -28,6 +28,8 @@ class EchoDelays:
     """(shape, scatterer)"""
     amplitude_s: Floats
     """(echo, shape), delay where the shape is 1: 2 A / c."""
+    colour: NDArray[np.complex128] | None = None
+    """(frequency, scatterer), what the echo has of every frequency of the pulse; None: all alike."""
 
     @property
     def echo_count(self) -> int:
@@ -41,7 +43,8 @@ class EchoDelays:
 
     def of(self, part: Indices) -> EchoDelays:
         """Return the same of some scatterers."""
-        return EchoDelays(self.rest_s[part], self.shape[:, part], self.amplitude_s)
+        colour = None if self.colour is None else self.colour[:, part]
+        return EchoDelays(self.rest_s[part], self.shape[:, part], self.amplitude_s, colour)
 
     def delay_s(self) -> Floats:
         """Return the delay of every scatterer in every echo, (echo, scatterer)."""
@@ -60,7 +63,7 @@ class EchoDelays:
         # A small offset costs no term, moving every delay would.
         if (np.abs(middle_s) <= 0.05 * (high - low)).all():
             return self
-        return EchoDelays(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s)
+        return EchoDelays(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s, self.colour)
 
 
 def refuse_unusable(delays: EchoDelays, weight: Floats, sample_time_s: Floats, tolerance: float) -> None:

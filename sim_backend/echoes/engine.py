@@ -171,13 +171,13 @@ def _evaluate(
         case "interpolated":
             echo = interpolated_within(delays, weight, pulse, sample_time_s, terms, tolerance)
         case "combined":
-            made = combined(delays.delay_s(), weight, pulse, sample_time_s, tolerance)
+            made = combined(delays.delay_s(), weight, pulse, sample_time_s, tolerance, delays.colour)
             echo, terms = (None, 0) if made is None else made
     if echo is not None:
         return Synthesis(echo, choice.method, terms, len(weight))
     # Chosen, or what another evaluation falls back on that found its own error too large.
     parts = delays.parts(_PAIRS_AT_ONCE)
-    exact = np.concatenate([running_sum(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
+    exact = np.concatenate([running_sum(delay_s, weight, pulse, sample_time_s, delays.colour) for delay_s in parts])
     return Synthesis(exact, "running_sum", 0, len(weight))
 
 
@@ -201,9 +201,9 @@ def _series_by_blocks(
         # One beyond on each side: the sums above are rounded.
         near = slice(max(0, int(begin) - 1), int(end) + 1)
         row = np.zeros(len(delays.rest_s[near]), dtype=np.int64)
-        scene = ScattererRows(
-            row, delays.rest_s[near] - origin_s, weight[near], delays.shape[:, near], delays.amplitude_s[None]
-        )
+        colour = None if delays.colour is None else delays.colour[:, near]
+        rest_s, amplitude_s = delays.rest_s[near] - origin_s, delays.amplitude_s[None]
+        scene = ScattererRows(row, rest_s, weight[near], delays.shape[:, near], amplitude_s, colour)
         out.append(series(scene, pulse, time_s - origin_s, tolerance)[0])
     return out[0] if len(out) == 1 else np.concatenate(out, axis=1)
 
@@ -218,13 +218,15 @@ def echoes(
     sound_speed_m_per_s: float,
     tolerance: float = DEFAULT_TOLERANCE,
     shift_s: Floats | None = None,
+    colour: NDArray[np.complex128] | None = None,
 ) -> Floats:
     """Return the echoes of proportionally moving scatterers, float64 (echo, sample), eq. (7) to (13).
 
     ``depth_delay_s``, ``weight``, ``motion_weight`` (scatterer,); ``displacement_m`` (echo,) at the focus;
     ``sample_time_s`` (sample,) ascending, same origin as the delays; ``shift_s`` (echo,) added to the sample times of
     each echo. A motion of several shapes has ``motion_weight`` (shape, scatterer) and ``displacement_m``
-    (echo, shape). ``tolerance`` as in `synthesise`. Inputs are trusted, also to alias: a digitizer may.
+    (echo, shape). ``colour`` as in `EchoDelays`, ``tolerance`` as in `synthesise`. Inputs are trusted, also to alias:
+    a digitizer may.
     """
     shape = np.atleast_2d(motion_weight)
     amplitude_s = displacement_m.reshape(len(displacement_m), len(shape)) * (2 / sound_speed_m_per_s)
@@ -233,5 +235,5 @@ def echoes(
         shape = np.concatenate([shape, np.ones((1, shape.shape[1]))])
         amplitude_s = np.concatenate([amplitude_s, -shift_s[:, None]], axis=1)
     return _synthesise(
-        EchoDelays(depth_delay_s, shape, amplitude_s), weight, pulse, sample_time_s, tolerance, None
+        EchoDelays(depth_delay_s, shape, amplitude_s, colour), weight, pulse, sample_time_s, tolerance, None
     ).echo

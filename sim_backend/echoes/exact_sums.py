@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sim_backend.echoes.pulse import Pulse, extended, phasors
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Indices = NDArray[np.int64]
 
 # Echo-scatterer pairs handled at once: 2 MB a complex array, inside the caches that matter.
@@ -35,8 +36,13 @@ def direct_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Flo
     return echoes_out
 
 
-def running_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> Floats:
-    """Return the same as `direct_sum`, exact to rounding; shapes as there, ``sample_time_s`` ascending."""
+def running_sum(
+    delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats, colour: Complexes | None = None
+) -> Floats:
+    """Return the same as `direct_sum`, exact to rounding; shapes as there, ``sample_time_s`` ascending.
+
+    ``colour`` (frequency, scatterer) is what a scatterer's echo has of every frequency of the pulse.
+    """
     out = np.zeros((len(delay_s), len(sample_time_s)))
     stretches = blocks(sample_time_s, pulse)
     if min(delay_s.shape) == 0:
@@ -46,6 +52,7 @@ def running_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Fl
     if len(stretches) > 1 and (early_s[1:] < early_s[:-1]).any():
         order = np.argsort(early_s, kind="stable")
         delay_s, weight, early_s, late_s = delay_s[:, order], weight[order], early_s[order], late_s[order]
+        colour = None if colour is None else colour[:, order]
     spread_s = float((late_s - early_s).max())
     for block in stretches:
         # (frequency, sample), c_m exp(j w_m t): what turns the sums over scatterers into an echo.
@@ -59,12 +66,15 @@ def running_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Fl
             # One beyond on each side: the sums above are rounded.
             near = slice(max(0, int(begin) - 1), int(end) + 1)
         own_s, own_weight = delay_s[:, near], weight[near]
+        own_colour = None if colour is None else colour[:, near]
         echoes_at_once = max(1, _PAIRS_AT_ONCE // max(1, len(own_weight)))
         for first in range(0, len(own_s), echoes_at_once):
             some = slice(first, first + echoes_at_once)
             for cut in range(0, len(own_weight), _PAIRS_AT_ONCE):
                 part = slice(cut, cut + _PAIRS_AT_ONCE)
-                out[some, block] += _block(own_s[some, part] - origin_s, own_weight[part], pulse, time_s, rotation)
+                part_colour = None if own_colour is None else own_colour[:, part]
+                tau = own_s[some, part] - origin_s
+                out[some, block] += _block(tau, own_weight[part], pulse, time_s, rotation, part_colour)
     return out
 
 
@@ -85,7 +95,12 @@ def local_origin_s(time_s: Floats, pulse: Pulse) -> float:
 
 
 def _block(
-    tau: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats, rotation: NDArray[np.complex128]
+    tau: Floats,
+    weight: Floats,
+    pulse: Pulse,
+    sample_time_s: Floats,
+    rotation: Complexes,
+    colour: Complexes | None = None,
 ) -> Floats:
     """Return the echoes of one block, (echo, sample); ``tau`` (echo, scatterer), ``rotation`` (frequency, sample)."""
     echoes_in_block, samples = len(tau), len(sample_time_s)
@@ -99,7 +114,10 @@ def _block(
     weight_seen, tau_seen = np.broadcast_to(weight, tau.shape)[seen], tau[seen]
     total = np.zeros((echoes_in_block, samples))
     # Frequency by frequency: phasors of the scatterers into their cells, running sums over the cells, turned by t.
-    for turn, factor in zip(phasors(pulse, tau_seen, -1), rotation, strict=True):
+    turns = phasors(pulse, tau_seen, -1)
+    if colour is not None:
+        turns *= np.broadcast_to(colour[:, None], (len(colour), *tau.shape))[:, seen]
+    for turn, factor in zip(turns, rotation, strict=True):
         real, imag = (
             _alive(np.bincount(cell, weights=weight_seen * part, minlength=2 * echoes_in_block * samples), samples)
             for part in (turn.real, turn.imag)

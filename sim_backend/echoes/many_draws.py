@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backend.echoes.colouring import coloured
 from sim_backend.echoes.delays import EchoDelays, refuse_aliasing, refuse_misfits, refuse_numbers
 from sim_backend.echoes.engine import DEFAULT_TOLERANCE, synthesise
 from sim_backend.echoes.exact_sums import blocks
@@ -50,7 +51,8 @@ def batch(
         begin = scene.row.searchsorted(np.arange(len(scene.amplitude_s) + 1)).tolist()
         for row, (first, last) in enumerate(itertools.pairwise(begin)):
             own = slice(first, last)
-            delays = EchoDelays(scene.rest_s[own], scene.shape[:, own], scene.amplitude_s[row])
+            colour = None if scene.colour is None else scene.colour[:, own]
+            delays = EchoDelays(scene.rest_s[own], scene.shape[:, own], scene.amplitude_s[row], colour)
             out[row] = synthesise(delays, scene.weight[own], pulse, sample_time_s, tolerance).echo
     return out
 
@@ -80,7 +82,7 @@ def numba_installed() -> bool:
 
 def compilable(scene: ScattererRows, pulse: Pulse) -> bool:
     """Return whether the compiled loop covers the case: one shape, evenly spaced frequencies."""
-    return len(scene.shape) == 1 and numba_installed() and angular_rates(pulse)[1] is not None
+    return len(scene.shape) == 1 and scene.colour is None and numba_installed() and angular_rates(pulse)[1] is not None
 
 
 def drawn_echoes(
@@ -109,9 +111,11 @@ def drawn_echoes(
         field = draw_thinned(settings, reach_s, tolerance, stream, DRAWS_AT_ONCE)
         # A whole chunk always, so that the last one's draws do not depend on how many of them are wanted.
         row = np.minimum(np.arange(first, first + DRAWS_AT_ONCE), draws - 1)
-        scene = ScattererRows(
-            field.row, field.delay_s, field.tracking_weight, field.motion_weight[None], amplitude_s[row]
-        )
+        weight, shape, colour = field.tracking_weight, field.motion_weight, None
+        if settings.beams.field != "gaussian":
+            beam = coloured(settings, field.offset_m, pulse)
+            weight, shape, colour = beam.weight * field.strength, beam.sensed * shape, beam.colour
+        scene = ScattererRows(field.row, field.delay_s, weight, shape[None], amplitude_s[row], colour)
         return batch(scene, pulse, sample_time_s, tolerance, compiled)[: draws - first]
 
     firsts = range(0, draws, DRAWS_AT_ONCE)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import Pulse
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 MOST_NODES = 256
 """Node counts from here on mean that interpolation does not pay."""
@@ -25,19 +27,26 @@ CHECKED = 8
 _PAIRS_AT_ONCE = 1 << 23
 
 
-def node_count(pulse: Pulse, half_range_s: float, edge_share: float, tolerance: float) -> int:
+def node_count(
+    pulse: Pulse, half_range_s: float, edge_share: float, tolerance: float, colour: Complexes | None = None
+) -> int:
     """Return how many Chebyshev nodes keep the relative rms error below ``tolerance``.
 
     ``half_range_s`` is the largest departure of a delay from its middle. Two errors add: the phase, whose expansion
     falls like its Bessel coefficients, and the support edges that cross a sample, where the p-th derivative jumps and
     the error falls like M^-(p+1/2) in the ``edge_share`` of the echo's energy (`edge_share`). The estimate errs on the
-    safe side by some ten; the tests hold it against the exact sum.
+    safe side by some ten; the tests hold it against the exact sum. A ``colour`` adds the jumps of a tilted spectrum.
     """
     if half_range_s == 0:
         return 1
     # Bessel coefficients of exp(j theta x) fall from the order theta on: no fewer nodes are worth a try.
     theta = 2 * np.pi * max(abs(frequency_hz) for frequency_hz in pulse.frequency_hz) * half_range_s
-    edges = [jump * half_range_s**order * math.sqrt(edge_share) for order, jump in enumerate(_edge_jumps(pulse))]
+    jumps = np.array(_edge_jumps(pulse))
+    if colour is not None and len(colour) > 1:
+        place = np.linspace(-1.0, 1.0, len(colour))
+        tilted = replace(pulse, amplitude=tuple((np.array(pulse.amplitude) * place).tolist()))
+        jumps = jumps + float(np.abs(colour[-1] - colour[0]).max(initial=0.0)) / 2 * np.array(_edge_jumps(tilted))
+    edges = [jump * half_range_s**order * math.sqrt(edge_share) for order, jump in enumerate(jumps.tolist())]
     for nodes in range(max(2, math.ceil(theta)), MOST_NODES):
         smooth = 4 * math.exp(nodes * math.log(theta / 2) - math.lgamma(nodes + 1))
         crossing = sum(edge * nodes ** -(order + 0.5) for order, edge in enumerate(edges))
@@ -93,10 +102,11 @@ def interpolated_within(
 
     That is told by some echoes that are summed exactly: few scatterers in the gate may all lie where a support ends.
     """
-    echo = interpolated(delays.rest_s, weight, delays.shape[0], delays.amplitude_s[:, 0], pulse, sample_time_s, nodes)
+    echo = interpolated(delays, weight, pulse, sample_time_s, nodes)
     ascending = np.argsort(delays.amplitude_s[:, 0], kind="stable")
     checked = ascending[np.unique(np.linspace(0, len(echo) - 1, CHECKED).astype(np.int64))]
-    exact = running_sum(delays.rest_s + delays.amplitude_s[checked] @ delays.shape, weight, pulse, sample_time_s)
+    some_s = delays.rest_s + delays.amplitude_s[checked] @ delays.shape
+    exact = running_sum(some_s, weight, pulse, sample_time_s, delays.colour)
     error = echo[checked] - exact
     # Half of the tolerance: the others may be worse than those checked.
     if 4 * np.vdot(error, error) > tolerance**2 * np.vdot(exact, exact):
@@ -105,25 +115,17 @@ def interpolated_within(
     return echo
 
 
-def interpolated(
-    rest_s: Floats,
-    weight: Floats,
-    shape: Floats,
-    amplitude_s: Floats,
-    pulse: Pulse,
-    sample_time_s: Floats,
-    nodes: int,
-) -> Floats:
-    """Return the echoes (echo, sample) of delays rest + amplitude (echo,) times shape (scatterer,), s.
+def interpolated(delays: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, nodes: int) -> Floats:
+    """Return the echoes (echo, sample) of a motion of one shape.
 
     They are exact at ``nodes`` Chebyshev points of the amplitude's range and a polynomial in between.
     """
+    amplitude_s = delays.amplitude_s[:, 0]
     low, high = float(amplitude_s.min()), float(amplitude_s.max())
     middle, half = (high + low) / 2, (high - low) / 2
     angle = (np.arange(nodes) + 0.5) * np.pi / nodes
-    delays = EchoDelays(rest_s, shape[None], (middle + half * np.cos(angle))[:, None])
-    parts = delays.parts(_PAIRS_AT_ONCE)
-    at_nodes = np.concatenate([running_sum(delay_s, weight, pulse, sample_time_s) for delay_s in parts])
+    parts = replace(delays, amplitude_s=(middle + half * np.cos(angle))[:, None]).parts(_PAIRS_AT_ONCE)
+    at_nodes = np.concatenate([running_sum(delay_s, weight, pulse, sample_time_s, delays.colour) for delay_s in parts])
     if half == 0.0:
         return np.repeat(at_nodes[:1], len(amplitude_s), axis=0)
     degree = np.arange(nodes)

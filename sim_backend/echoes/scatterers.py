@@ -37,6 +37,8 @@ class ScattererField:
     """g, the Gaussian of eq. (12): displacement over the focus'."""
     excitation_weight: Floats
     """The excitation beam's pulse-echo weight: g times reflectivity."""
+    strength: Floats
+    """Reflectivity, without any beam."""
 
 
 def gaussian_weight(offset_m: Floats, width_m: tuple[float, float, float]) -> Floats:
@@ -74,7 +76,8 @@ def draw_field(
         offset_m = np.concatenate([offset_m, place_m])
         strength = np.concatenate([strength, share])
         moves = np.concatenate([moves, np.full(len(share), float(reflector.moves))])
-    loss = depth_loss(scatterers, offset_m[:, 2])
+    # An aperture's beam is computed in the medium that attenuates.
+    loss = depth_loss(scatterers, offset_m[:, 2]) if beams.field == "gaussian" else None
     return field_at(offset_m, beams, strength if loss is None else strength * loss, moves)
 
 
@@ -137,6 +140,7 @@ def field_at(
         gaussian_weight(seen_at_m, beams.tracking_width_m) * strength,
         motion if moves is None else motion * moves[order],
         gaussian_weight(offset_m, beams.excitation_width_m) * strength,
+        strength,
     )
 
 
@@ -160,6 +164,14 @@ class ThinnedDraws:
     """At rest, relative to the focus."""
     tracking_weight: Floats
     motion_weight: Floats
+    offset_m: Floats
+    """(scatterer, 3) from the focus."""
+    strength: Floats
+    """Reflectivity, without any beam."""
+
+    def of(self, part: NDArray[np.int64]) -> ThinnedDraws:
+        """Return the same of some scatterers."""
+        return ThinnedDraws(*(getattr(self, name)[part] for name in self.__slots__))
 
 
 def draw_thinned(
@@ -183,6 +195,9 @@ def draw_thinned(
     total = scatterer_count(scatterers, beams)
     # N weights below this add less than a tenth of the tolerance to an echo whose rms is 1, of one scatterer in focus.
     limit = 0.1 * tolerance / max(1, total)
+    if beams.field != "gaussian":
+        # An aperture's beam falls off slowly and is not known here.
+        limit = 0.0
     width_m = np.array(beams.tracking_width_m)
     farthest_m = width_m[:2] * math.sqrt(-2 * math.log(limit)) if limit > 0 else np.full(2, math.inf)
     axis_m = np.array(beams.lateral_offset_m)
@@ -195,12 +210,13 @@ def draw_thinned(
     seen_at_m = (x_m - beams.lateral_offset_m[0], y_m - beams.lateral_offset_m[1], z_m)
     tracking = _gaussian(seen_at_m, beams.tracking_width_m)
     kept = np.flatnonzero(tracking >= limit)
-    z_m, tracking = z_m[kept], tracking[kept]
-    moved = _gaussian((x_m[kept], y_m[kept], z_m), beams.motion_width_m())
-    strength = tracking if scatterers.reflectivity == "unit" else tracking * reflectivity(scatterers, len(kept), rng)
+    x_m, y_m, z_m, tracking = x_m[kept], y_m[kept], z_m[kept], tracking[kept]
+    moved = _gaussian((x_m, y_m, z_m), beams.motion_width_m())
+    strength = reflectivity(scatterers, len(kept), rng)
     loss = depth_loss(scatterers, z_m)
+    tracking = tracking * strength if loss is None else tracking * strength * loss
     two_way = 2 / settings.sound_speed_m_per_s if scatterers.axial_delay == "two_way" else 0.0
-    drawn = ThinnedDraws(row[kept], two_way * z_m, strength if loss is None else strength * loss, moved)
+    drawn = ThinnedDraws(row[kept], two_way * z_m, tracking, moved, np.stack([x_m, y_m, z_m], axis=1), strength)
     return _with_reflectors(drawn, settings, draws) if scatterers.reflectors else drawn
 
 
@@ -209,17 +225,13 @@ def _with_reflectors(drawn: ThinnedDraws, settings: SimulationSettings, draws: i
         settings.scatterers.model_copy(update={"per_cell": 0.0}), settings.beams, np.random.default_rng(0)
     )
     delay_s = depth_delay_s(fixed, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
-    row = np.concatenate([drawn.row, np.repeat(np.arange(draws), len(delay_s))])
-    delay_s, tracking, moved = (
-        np.concatenate([some, np.tile(every, draws)])
-        for some, every in (
-            (drawn.delay_s, delay_s),
-            (drawn.tracking_weight, fixed.tracking_weight),
-            (drawn.motion_weight, fixed.motion_weight),
-        )
+    delay_s, tracking, moved, strength = (
+        np.tile(each, draws) for each in (delay_s, fixed.tracking_weight, fixed.motion_weight, fixed.strength)
     )
-    order = np.lexsort((delay_s, row))
-    return ThinnedDraws(row[order], delay_s[order], tracking[order], moved[order])
+    row = np.repeat(np.arange(draws), len(fixed.strength))
+    many = ThinnedDraws(row, delay_s, tracking, moved, np.tile(fixed.offset_m, (draws, 1)), strength)
+    both = ThinnedDraws(*(np.concatenate([getattr(each, name) for each in (drawn, many)]) for name in drawn.__slots__))
+    return both.of(np.lexsort((both.delay_s, both.row)))
 
 
 def _gaussian(place_m: tuple[Floats, Floats, Floats], width_m: tuple[float, float, float]) -> Floats:

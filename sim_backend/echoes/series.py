@@ -32,6 +32,8 @@ MOST_ANGLE_RAD = 3.0
 """Largest turn of the highest frequency: beyond, the series' terms grow and take digits with them."""
 
 _VALUES_AT_ONCE = 1 << 18
+# Orders of the jumps that are counted for coloured echoes.
+_JUMPS = 4
 # Share of the tolerance for crossings left out or cut short.
 CROSSING_SHARE = 0.1
 # Share of the tolerance for the tail of the series.
@@ -52,6 +54,8 @@ class ScattererRows:
     """(shape, scatterer), g."""
     amplitude_s: Floats
     """(row, echo, shape), b: the delay that a shape of 1 adds."""
+    colour: Complexes | None = None
+    """(frequency, scatterer), what its echo has of every frequency of the pulse; None: all alike."""
 
 
 def largest_angle(pulse: Pulse, shape: Floats, amplitude_s: Floats) -> float:
@@ -131,6 +135,8 @@ class Tables:
     """Start and end: sizes of the jumping derivatives over their factorials, referred to the carrier, (order,)."""
     taylor: Floats
     """Taylor coefficients of the exponentials about start and end, (end, order)."""
+    lines: tuple[Complexes, Complexes]
+    """What each frequency adds to the jumps, (end, frequency, order), and to the Taylor coefficients."""
 
 
 @functools.lru_cache(maxsize=32)
@@ -152,7 +158,22 @@ def tables_of(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> Tab
         rotation,
         (jumps[0], jumps[1]),
         taylor,
+        (
+            np.stack([_line_derivatives(pulse, edge_s, carrier_hz, _JUMPS) for edge_s in ends]),
+            np.stack([_line_derivatives(pulse, edge_s, 0.0, 40) for edge_s in ends]),
+        ),
     )
+
+
+def _line_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> Complexes:
+    """Return each exponential's derivative over factorial at an end, (frequency, order), turned by ``about_hz``."""
+    omega = 2 * np.pi * np.array(pulse.frequency_hz)
+    rate = 1j * (omega - 2 * np.pi * about_hz)
+    out = np.empty((len(omega), orders), dtype=np.complex128)
+    out[:, 0] = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
+    for order in range(1, orders):
+        out[:, order] = out[:, order - 1] * rate / order
+    return out
 
 
 def _edge_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> Complexes:
@@ -206,6 +227,8 @@ def _rest_sums(
             length = min(at_once, high - cut)
             part = slice(first + cut, first + cut + length)
             turned, moments = phasors(pulse, scene.rest_s[part], -1)[:, None], _moments(scene, part, tables.recurrence)
+            if scene.colour is not None:
+                turned *= scene.colour[:, None, part]
             here = min(max(middle - cut, 0), length)
             # Those there already, an empty place, those to come: the sums begin at the empty place and go either way.
             sums = np.zeros((*tables.turn.shape[:2], length + 1), dtype=np.complex128)
@@ -262,7 +285,12 @@ def _correct_crossings(
     size, share = np.abs(scene.weight), reach_s / farthest_s
     # Ends whose jump could exceed that share, at the start and at the end of the support, and the samples near them.
     bounds = [largest_near(jumps, farthest_s) for jumps in tables.jumps]
-    matter = [np.flatnonzero(size * (share**order * largest) > each) for order, largest in bounds]
+    if scene.colour is None:
+        matter = [np.flatnonzero(size * (share**order * largest) > each) for order, largest in bounds]
+    else:
+        matter = [
+            np.flatnonzero(size * _coloured_jump(scene.colour, lines, reach_s) > each) for lines in tables.lines[0]
+        ]
     who = np.concatenate(matter)
     end = np.repeat([0, 1], [len(part) for part in matter])
     edge_time_s = scene.rest_s[who] + np.array([pulse.start_s, pulse.end_s])[end]
@@ -272,6 +300,7 @@ def _correct_crossings(
     who, end, edge_time_s, low, count = (part[meets] for part in (who, end, edge_time_s, low, count))
     cut = each / heaviest / max(1.0, float(np.abs(pulse.amplitude).sum()))
     taylor = enough_taylor(tables.taylor, tables.scale * farthest_s, cut) * [[1.0], [-1.0]]
+    lines = tables.lines[1][:, :, : taylor.shape[1]] * np.array([1.0, -1.0])[:, None, None]
     at_once = max(1, _VALUES_AT_ONCE // (out.shape[1] * int(count.max(initial=1))))
     for begin in range(0, len(who), at_once):
         some = slice(begin, begin + at_once)
@@ -281,7 +310,24 @@ def _correct_crossings(
         past_s = sample_time_s[sample] - edge_time_s[some][pair]
         own, own_end = who[some][pair], end[some][pair]
         was_past = sample >= np.where(own_end == 0, index[0][own], index[1][own])
-        _add_pairs(out, scene, own, sample, past_s, was_past, taylor[own_end])
+        if scene.colour is None:
+            expansion = taylor[own_end]
+        else:
+            # Each scatterer's own pulse: one expansion for all the samples that its end crosses.
+            ends = np.einsum("fs,sfq->sq", scene.colour[:, who[some]], lines[end[some]], optimize=True)
+            expansion = ends.real[pair]
+        _add_pairs(out, scene, own, sample, past_s, was_past, expansion)
+
+
+def _coloured_jump(colour: Complexes, lines: Complexes, reach_s: Floats) -> Floats:
+    """Return a bound on each scatterer's pulse within its reach of an end that jumps, (scatterer,)."""
+    jump = np.abs(np.einsum("fs,fq->qs", colour, lines))
+    # What cancels on paper is no jump.
+    unit = np.abs(lines).sum(axis=0)[:, None]
+    bound = np.zeros(len(reach_s))
+    for order in range(len(jump) - 1, -1, -1):
+        bound = bound * reach_s + np.where(jump[order] < 1e-12 * unit[order], 0.0, jump[order])
+    return bound
 
 
 def _add_pairs(

@@ -1,5 +1,13 @@
 from .acoustic_dose import Dose as Dose, dose as dose
-from .field import MediumMotion as MediumMotion, medium_motion as medium_motion
+from .field import (
+    Force as Force,
+    MediumMotion as MediumMotion,
+    field_transfer as field_transfer,
+    focus_response as focus_response,
+    focus_transfer as focus_transfer,
+    force_shape as force_shape,
+    medium_motion as medium_motion,
+)
 from .force import (
     ForcePulses as ForcePulses,
     force_share as force_share,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_backend.motion.specimen import Triple, frequency_response
+from sim_backend.motion.field import Force, focus_transfer
 from sim_backend.settings import Specimen
 
 SPTA_LIMIT_W_PER_M2 = 7200.0
@@ -38,21 +38,24 @@ class Dose:
 
 def dose(
     specimen: Specimen,
-    width_m: Triple,
+    force: Force,
     burst_rate_hz: float,
     burst_length_s: float,
     frequency_hz: NDArray[np.float64],
     sound_speed_m_per_s: float,
     carrier_hz: float = 3.0e6,
 ) -> Dose:
-    """Return the dose of a train and what could move at ``frequency_hz`` (frequency,), multiples of the burst rate."""
+    """Return the dose of a train and what could move at ``frequency_hz`` (frequency,), multiples of the burst rate.
+
+    ``force`` is the shape of the push.
+    """
     attenuation = specimen.attenuation_db_per_cm_mhz * 100 / _DB_PER_NEPER * carrier_hz * 1e-6
     duty = burst_rate_hz * burst_length_s
     limit = min(SPPA_LIMIT_W_PER_M2, SPTA_LIMIT_W_PER_M2 / duty)
     force_limit = 2 * attenuation * limit / sound_speed_m_per_s
     # Peak of a harmonic of the rectangular train, eq. (18).
     share = 2 * duty * np.abs(np.sinc(frequency_hz * burst_length_s))
-    moved = np.abs(frequency_response(specimen, width_m, frequency_hz))
+    moved = np.abs(focus_transfer(specimen, force, frequency_hz))
     intensity = specimen.force_density_n_per_m3 * sound_speed_m_per_s / (2 * attenuation)
     displacement_m = np.asarray(force_limit * share * moved)
     return Dose(intensity, limit, force_limit, specimen.reference_drive_vpp, displacement_m)

@@ -4,8 +4,8 @@
 
 The same medium and force as `sim_backend.motion.specimen`, off the axis, where the integral over wave numbers k has no
 closed form worth its price. It runs along a ray in the complex k plane instead: clear of the shear pole at every node
-of the hyperbola in the s plane, an elastic medium's included. The force is round: equal lateral widths.
-docs/theory/medium.md, section 5.
+of the hyperbola in the s plane, an elastic medium's included. The force is round: a Gaussian of equal lateral widths,
+or a sum of such, whose spectrum is the sum of theirs. docs/theory/medium.md, section 5.
 """
 
 from __future__ import annotations
@@ -26,12 +26,15 @@ from sim_backend.motion.specimen import (
     Triple,
     creeps_for_ever,
     force_volume,
+    frequency_response,
     memory_s,
     polar_nodes,
     shear_modulus,
+    tabulate_step_response,
     transients,
 )
 from sim_backend.settings import SimulationSettings, Specimen, Transmitter
+from sim_backend.transducer import GaussianSum, push_intensity
 from sim_backend.wiring import Bursts, Picoseconds
 
 Floats = NDArray[np.float64]
@@ -57,6 +60,16 @@ _LATERAL_DEGREES_A_WIDTH = 3.8
 _AXIAL_DEGREES = 10
 # From about when on errors count against how far a medium has crept: shear waves have then left the force.
 _CREEP_S = 1e-3
+_UNEVEN_DEGREES = 20
+"""Of a force that is not the same before and behind the focal plane, in the depth itself instead of its square."""
+
+Force = Triple | GaussianSum
+"""Shape of the body force: a Gaussian's widths, or a sum of Gaussians."""
+
+
+def force_shape(settings: SimulationSettings) -> Force:
+    """Return the shape of the push: the Gaussian of the excitation widths, or that of the aperture's intensity."""
+    return push_intensity(settings) if settings.beams.field != "gaussian" else settings.beams.excitation_width_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +86,8 @@ class FocusField:
     shape: Floats
     """Chebyshev coefficients of every mode in the squares of both coordinates, (mode, lateral, axial)."""
     lateral_inner_m: float = 0.0
+    uneven: bool = False
+    """Whether they are in the depth itself: the field differs before and behind the focal plane."""
 
     def shapes(self, lateral_m: Floats, axial_m: Floats) -> Floats:
         """Return every mode's shape at points (point,), distances from axis and focal plane: (point, mode)."""
@@ -87,6 +102,8 @@ class FocusField:
         # Squared, from the inner edge (0) to the reach (1), then led to the -1 to 1 of the polynomials.
         squares = zip((lateral_m, axial_m), inner, reach, strict=True)
         places = [np.clip(2 * (at**2 - least**2) / (most**2 - least**2) - 1, -1.0, 1.0) for at, least, most in squares]
+        if self.uneven:
+            places[1] = np.clip(axial_m / self.axial_reach_m, -1.0, 1.0)
         rows = chebvander(places[0], self.shape.shape[1] - 1)
         columns = chebvander(places[1], self.shape.shape[2] - 1)
         return np.asarray(np.einsum("pl,mla,pa->pm", rows, self.shape, columns, optimize=True))
@@ -94,7 +111,7 @@ class FocusField:
 
 def focus_field(
     specimen: Specimen,
-    width_m: Triple,
+    force: Force,
     lateral_reach_m: float,
     axial_reach_m: float,
     tolerance: float = 1e-5,
@@ -107,12 +124,16 @@ def focus_field(
 
     Raises ``ValueError`` for a force of unequal lateral widths.
     """
+    shape = _gaussians(force)
     across = max(
-        _LATERAL_DEGREES, math.ceil(_LATERAL_DEGREES_A_WIDTH * (lateral_reach_m - lateral_inner_m) / width_m[0])
+        _LATERAL_DEGREES,
+        math.ceil(_LATERAL_DEGREES_A_WIDTH * (lateral_reach_m - lateral_inner_m) / _scale(shape)[0]),
     )
     lateral_m = np.sqrt(lateral_inner_m**2 + (lateral_reach_m**2 - lateral_inner_m**2) * _nodes(across))
-    axial_m = axial_reach_m * np.sqrt(_nodes(_AXIAL_DEGREES))
-    spectrum = _Spectrum(width_m, lateral_m, axial_m)
+    uneven = any(shape.centre_m)
+    along = _UNEVEN_DEGREES if uneven else _AXIAL_DEGREES
+    axial_m = axial_reach_m * (2 * _nodes(along) - 1 if uneven else np.sqrt(_nodes(along)))
+    spectrum = _Spectrum(shape, lateral_m, axial_m)
     panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
     # A matrix of courses in time by points in space: its singular vectors are the modes, few of which are large.
     degrees, count, points = panels.coefficient.shape
@@ -121,10 +142,33 @@ def focus_field(
     modes = max(1, int(np.count_nonzero(size > 0.1 * tolerance * size[0])))
     courses = (left[:, :modes] * size[:modes]).reshape(degrees, count, modes) * worth
     # From values at the grid's Chebyshev points to coefficients, along both axes.
-    grid = right[:modes].reshape(modes, across, _AXIAL_DEGREES)
-    shape = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(_AXIAL_DEGREES), optimize=True)
+    grid = right[:modes].reshape(modes, across, along)
+    series = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(along), optimize=True)
     response = StepResponse(memory_s(specimen, Panels(courses)), Panels(courses))
-    return FocusField(lateral_reach_m, axial_reach_m, response, shape, lateral_inner_m)
+    return FocusField(lateral_reach_m, axial_reach_m, response, series, lateral_inner_m, uneven)
+
+
+def focus_response(specimen: Specimen, force: Force) -> StepResponse:
+    """Return the step response at the focus: of a Gaussian in closed form, of a sum of them to 1e-7 of itself."""
+    return (
+        _kept_sum_response(specimen, force)
+        if isinstance(force, GaussianSum)
+        else tabulate_step_response(specimen, force)
+    )
+
+
+@lru_cache(maxsize=8)
+def _kept_sum_response(specimen: Specimen, force: GaussianSum) -> StepResponse:
+    spectrum = _Spectrum(force, np.zeros(1), np.zeros(1))
+    panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
+    return StepResponse(memory_s(specimen, panels), panels)
+
+
+def focus_transfer(specimen: Specimen, force: Force, frequency_hz: Floats) -> Complexes:
+    """Return displacement at the focus over body force there, complex (frequency,), as `frequency_response` does."""
+    if not isinstance(force, GaussianSum):
+        return frequency_response(specimen, force, frequency_hz)
+    return field_transfer(specimen, force, np.zeros(1), np.zeros(1), frequency_hz)[:, 0, 0]
 
 
 def _worth(specimen: Specimen, panels: Panels) -> Floats:
@@ -172,16 +216,17 @@ def medium_motion(
     Needs ``settings.specimen``; ``beside_m`` is that point's distance from the axis.
     """
     specimen = settings.specimen or Specimen()
-    lateral_m, axial_m = np.hypot(offset_m[:, 0], offset_m[:, 1]), np.abs(offset_m[:, 2])
+    lateral_m, axial_m = np.hypot(offset_m[:, 0], offset_m[:, 1]), offset_m[:, 2]
     # At least the force's own widths, so that a single scatterer at the focus leaves a field to tabulate.
-    width_m = settings.beams.excitation_width_m
+    force = force_shape(settings)
+    width_m = _scale(_gaussians(force))
     reach_m = [
-        max(float(at.max(initial=least)), width)
-        for at, least, width in ((lateral_m, abs(beside_m), width_m[0]), (axial_m, 0.0, width_m[2]))
+        max(float(np.abs(at).max(initial=least)), width)
+        for at, least, width in ((lateral_m, abs(beside_m), width_m[0]), (axial_m, 0.0, width_m[1]))
     ]
     # Far beside the axis only the shell that holds scatterers is tabulated.
     inner_m = float(lateral_m.min(initial=abs(beside_m)))
-    field = _kept_field(specimen, width_m, *reach_m, lateral_inner_m=inner_m if inner_m > width_m[0] else 0.0)
+    field = _kept_field(specimen, force, *reach_m, lateral_inner_m=inner_m if inner_m > width_m[0] else 0.0)
     shape = field.shapes(lateral_m, axial_m).T
     return MediumMotion(shape, field, specimen, settings.transmitter, travel_s, force_share(settings))
 
@@ -191,39 +236,74 @@ _kept_field = lru_cache(maxsize=8)(focus_field)
 
 
 def field_transfer(
-    specimen: Specimen, width_m: Triple, lateral_m: Floats, axial_m: Floats, frequency_hz: Floats
+    specimen: Specimen, force: Force, lateral_m: Floats, axial_m: Floats, frequency_hz: Floats
 ) -> Complexes:
     """Return displacement over body force on a grid, (frequency, lateral, axial), m per N/m^3, factor exp(+jwt)."""
     s = np.asarray(2j * np.pi * np.asarray(frequency_hz), np.complex128)
-    value = _Spectrum(width_m, lateral_m, axial_m).transfer(specimen, s)
+    value = _Spectrum(_gaussians(force), lateral_m, axial_m).transfer(specimen, s)
     return value.reshape(len(s), len(lateral_m), len(axial_m))
+
+
+def _gaussians(force: Force) -> GaussianSum:
+    """Return the force as a sum of Gaussians. Raises ``ValueError`` for one of unequal lateral widths."""
+    if isinstance(force, GaussianSum):
+        return force
+    if not math.isclose(force[0], force[1], rel_tol=1e-12):
+        raise ValueError(
+            f"the field around the focus needs a round beam, its widths are {force[0]:g} m and {force[1]:g} m. "
+            'Try: simulation.specimen.field = "gaussian", or equal excitation widths.'
+        )
+    return GaussianSum((force[0],), force[2], (0.0,), ((1.0,),))
+
+
+def _scale(force: GaussianSum) -> tuple[float, float]:
+    """Return over what lengths the force changes, across and along: those of the Gaussian, or of the narrowest."""
+    return force.lateral_width_m[0], force.axial_width_m
 
 
 class _Spectrum:
     """What the force's spectrum puts into every point from every wave number on the ray: computed once a geometry."""
 
-    def __init__(self, width_m: Triple, lateral_m: Floats, axial_m: Floats) -> None:
-        if not math.isclose(width_m[0], width_m[1], rel_tol=1e-12):
-            raise ValueError(
-                f"the field around the focus needs a round beam, its widths are {width_m[0]:g} m and {width_m[1]:g} m. "
-                'Try: simulation.specimen.field = "gaussian", or equal excitation widths.'
-            )
-        self._strength = force_volume(width_m)
-        self.ray = _ray(width_m, float(lateral_m.max()), float(np.abs(axial_m).max()))
-        self._k2, self._into = _ray_spectrum(width_m, lateral_m, axial_m, self.ray)
+    def __init__(self, force: GaussianSum, lateral_m: Floats, axial_m: Floats) -> None:
+        directions = _Directions(force)
+        self.ray = _ray(directions, float(lateral_m.max()), float(np.abs(axial_m).max()))
+        self._k2, self._into = _ray_spectrum(directions, lateral_m, axial_m, self.ray)
 
     def transfer(self, specimen: Specimen, s_per_s: Complexes) -> Complexes:
         """Return the displacement at every point, (s, point)."""
         modulus = shear_modulus(specimen, s_per_s)
         pole = specimen.density_kg_per_m3 * s_per_s**2 / modulus
         kernel = self._k2 / (self._k2 + pole[:, None]) / modulus[:, None]
-        return np.asarray(self._strength * (kernel @ self._into))
+        return np.asarray(kernel @ self._into)
 
 
-def _ray(width_m: Triple, lateral_reach_m: float, axial_reach_m: float) -> float:
+class _Directions:
+    """The force's spectrum along each direction of a wave, whose cosine with the axis is ``m`` (direction,)."""
+
+    def __init__(self, force: GaussianSum) -> None:
+        widths = np.array(force.lateral_width_m)
+        # The nodes of the narrowest Gaussian, whose spectrum is the most crowded at m = 0, serve all.
+        self.m, self.least, self.share = polar_nodes(float(widths.min()) ** 2, force.axial_width_m**2)
+        self._half = (np.outer(1 - self.m**2, widths**2) + (force.axial_width_m * self.m[:, None]) ** 2) / 2
+        volumes = [force_volume((width, width, force.axial_width_m)) for width in force.lateral_width_m]
+        self._centre_m, self._strength = np.array(force.centre_m), np.array(force.share) * np.array(volumes)
+        self.farthest_m = float(np.abs(self._centre_m).max())
+
+    def spectra(self, k: Complexes, seen: NDArray[np.bool_]) -> tuple[Complexes, Complexes | None]:
+        """Return its even and odd part along the directions ``seen``, (k, direction); None: it has no odd one."""
+        # (k, direction, width)
+        spread = np.exp(-(k**2)[:, None, None] * self._half[seen]) * self.share[seen, None]
+        if not self._centre_m.any():
+            return np.asarray(spread @ self._strength[0]), None
+        turn = np.multiply.outer(np.outer(k, self.m[seen]), self._centre_m)
+        at_centre = np.einsum("ji,kmi->kmj", self._strength, spread, optimize=True)
+        return np.asarray((np.cos(turn) * at_centre).sum(axis=2)), np.asarray((np.sin(turn) * at_centre).sum(axis=2))
+
+
+def _ray(directions: _Directions, lateral_reach_m: float, axial_reach_m: float) -> float:
     """Return the angle up to which waves along the ray grow at most to ``_LARGEST_GROWTH_EXPONENT`` in any point."""
-    m, a, _ = polar_nodes(width_m[0] ** 2, width_m[2] ** 2)
-    reach_m = lateral_reach_m * np.sqrt(1 - m**2) + axial_reach_m * m
+    m, a = directions.m, directions.least
+    reach_m = lateral_reach_m * np.sqrt(1 - m**2) + (axial_reach_m + directions.farthest_m) * m
     # exp(|k| r sin(ray) - a |k|^2 cos(2 ray)) is largest at r^2 sin(ray)^2 / (4 a cos(2 ray))
     most = float((reach_m**2 / (4 * a)).max())
     return min(_RAY, math.asin(math.sqrt(_LARGEST_GROWTH_EXPONENT / (most + 2 * _LARGEST_GROWTH_EXPONENT))))
@@ -238,13 +318,15 @@ def _turned(contour: Contour, share: float) -> Contour:
     return replace(contour, nodes=math.ceil(contour.nodes / share), span=span, alpha=alpha)
 
 
-def _ray_spectrum(width_m: Triple, lateral_m: Floats, axial_m: Floats, ray: float) -> tuple[Complexes, Complexes]:
+def _ray_spectrum(
+    directions: _Directions, lateral_m: Floats, axial_m: Floats, ray: float
+) -> tuple[Complexes, Complexes]:
     """Return the squares of the wave numbers, (k,), and their weighted share in every point, (k, point)."""
     from scipy.special import jv
 
-    m, a, share = polar_nodes(width_m[0] ** 2, width_m[2] ** 2)
+    m, a = directions.m, directions.least
     turn, finer = np.exp(1j * ray), _RAY / ray
-    reach_m = lateral_m.max() * np.sqrt(1 - m**2) + np.abs(axial_m).max() * m
+    reach_m = lateral_m.max() * np.sqrt(1 - m**2) + (np.abs(axial_m).max() + directions.farthest_m) * m
     highest = float(_highest(a, reach_m, ray).max())
     edges = highest * 2.0 ** np.arange(-_OCTAVES, 1)
     k2, into = [], []
@@ -257,13 +339,16 @@ def _ray_spectrum(width_m: Triple, lateral_m: Floats, axial_m: Floats, ray: floa
         fall = a * (low * low * math.cos(2 * ray))
         seen = fall - high * reach_m * math.sin(ray) < _NEGLIGIBLE_EXPONENT
         sine, cosine = np.sqrt(1 - m[seen] ** 2)[:, None], m[seen][:, None]
-        spread = np.exp(-np.outer(k**2, a[seen])) * share[seen]
+        even, odd = directions.spectra(k, seen)
         # (k, direction, lateral) and (k, direction, axial): the wave across the axis and along it.
         waves = k[:, None, None] * sine * lateral_m
         across = jv(0, waves) if high * lateral_m.max() > _SHORT_ARGUMENT else _bessel_near_0(waves)
-        along = np.cos(k[:, None, None] * cosine * axial_m)
+        phase = k[:, None, None] * cosine * axial_m
+        along = even[:, :, None] * np.cos(phase)
+        if odd is not None:
+            along += odd[:, :, None] * np.sin(phase)
         # Summed over directions: what these wave numbers put into every point, (k, lateral, axial).
-        block = np.einsum("km,kml,kma->kla", spread, across, along, optimize=True)
+        block = np.einsum("kml,kma->kla", across, along, optimize=True)
         k2.append(k**2)
         into.append(block.reshape(len(k), -1) * (turn * (high - low) / 2 * weight)[:, None])
     return np.concatenate(k2), np.concatenate(into)

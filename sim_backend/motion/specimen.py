@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sim_backend.motion.force import ForcePulses
 from sim_backend.motion.inverse_laplace import Panels, panels_of
-from sim_backend.settings import Specimen
+from sim_backend.settings import OWN_MEDIA, Specimen, creeps, modulus_of
 from sim_backend.wiring import PS_PER_S, Picoseconds
 
 Floats = NDArray[np.float64]
@@ -50,6 +50,8 @@ def shear_modulus(specimen: Specimen, s_per_s: Complexes) -> Complexes:
         case "power_law":
             relative = s_per_s / (2 * np.pi * specimen.reference_frequency_hz)
             return np.asarray(mu1 * relative**specimen.power)
+        case foreign:
+            return modulus_of(foreign, dict(specimen.parameters), s_per_s)
 
 
 def _branch(modulus_pa: float, viscosity_pa_s: float, s_per_s: Complexes) -> Complexes:
@@ -59,6 +61,8 @@ def _branch(modulus_pa: float, viscosity_pa_s: float, s_per_s: Complexes) -> Com
 
 def creeps_for_ever(specimen: Specimen) -> bool:
     """Return whether a constant force moves the medium without end: it has no static displacement."""
+    if specimen.medium not in OWN_MEDIA:
+        return creeps(specimen.medium)
     return specimen.medium == "maxwell" or (specimen.medium == "power_law" and specimen.power > 0)
 
 

@@ -15,6 +15,7 @@ from sim_backend.settings import Receiver, SimulationSettings, Specimen
 from sim_backend.wiring import PS_PER_S, Bursts
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 
 _REFERENCE_CYCLES = 3.0
 # One echo only: the last digits cost nothing.
@@ -29,17 +30,21 @@ def reference_gate_s(receiver: Receiver, sound_speed_m_per_s: float) -> Floats:
     return np.asarray(((np.arange(count) + 0.5) / count - 0.5) * length_s)
 
 
-def echo_gain_v(settings: SimulationSettings, depth_delay_s: Floats, weight: Floats) -> float:
+def echo_gain_v(
+    settings: SimulationSettings, depth_delay_s: Floats, weight: Floats, colour: Complexes | None = None
+) -> float:
     """Return the volts of a scatterer of weight 1, so that the resting echo has ``echo_rms_v`` in the reference gate.
 
-    It belongs to the scatterers given (scatterer,) and to the reference pulse: 3 cycles, ``reference_pulse_vpp``,
-    ``reference_carrier_hz``. Zero where nothing echoes into the gate.
+    It belongs to the scatterers given (scatterer,), with their ``colour`` (frequency, scatterer) where they have one,
+    and to the reference pulse: 3 cycles, ``reference_pulse_vpp``, ``reference_carrier_hz``. Zero where nothing
+    echoes into the gate.
     """
-    receiver, sound_speed_m_per_s = settings.receiver, settings.sound_speed_m_per_s
+    receiver = settings.receiver
     pulse = echo_pulse(settings, receiver.reference_carrier_hz)
-    gate_s = reference_gate_s(receiver, sound_speed_m_per_s)
+    gate_s = reference_gate_s(receiver, settings.sound_speed_m_per_s)
     still = np.zeros_like(weight), np.zeros(1)
-    resting = echoes(depth_delay_s, weight, *still, pulse, gate_s, sound_speed_m_per_s, _GAIN_TOLERANCE)
+    speed_m_per_s = settings.sound_speed_m_per_s
+    resting = echoes(depth_delay_s, weight, *still, pulse, gate_s, speed_m_per_s, _GAIN_TOLERANCE, colour=colour)
     rms = float(np.sqrt(np.mean(np.square(resting))))
     return receiver.echo_rms_v / rms if rms > 0 else 0.0
 

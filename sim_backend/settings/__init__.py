@@ -1,7 +1,8 @@
 """Settings of the twin: what ``[simulation]`` may say, and the specimens and receive chains it may name.
 
 simulation.py (the tables), quantities.py (types of their numbers, with bounds),
-presets.py (specimens and chains by name, with the source of every value).
+presets.py (specimens and chains by name, with the source of every value), installed_media.py (media of other
+packages, by entry points).
 """
 
 import lazy_loader

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
+from sim_backend.settings.installed_media import OWN_MEDIA, known_medium, refuse_parameters
 from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, filled
 from sim_backend.settings.quantities import (
     AmplitudeM,
@@ -37,6 +38,17 @@ from sim_backend.settings.quantities import (
 Widths = tuple[LengthM, LengthM, LengthM]
 
 
+def _as_pairs(given: Any) -> Any:
+    return tuple(given.items()) if isinstance(given, dict) else given
+
+
+MediumParameters = Annotated[
+    tuple[tuple[str, Annotated[float, Field(strict=True)]], ...],
+    BeforeValidator(_as_pairs, json_schema_input_type=dict[str, float]),
+]
+"""A table of numbers by name, kept as pairs since settings are compared and remembered by their values."""
+
+
 MOST_SCATTERERS = 10_000_000
 """What a machine's memory holds, at some 100 bytes each; far more are told apart by no echo."""
 
@@ -60,8 +72,10 @@ class Specimen(Section):
 
     preset: Preset | None = None
     """A specimen by name, which fills in every medium setting that is absent."""
-    medium: Literal["voigt", "maxwell", "zener", "power_law"] = "voigt"
-    """Law of the complex shear modulus."""
+    medium: Annotated[str, Field(strict=True), AfterValidator(known_medium)] = "voigt"
+    """Law of the complex shear modulus: voigt, maxwell, zener, power_law, or that of an installed package."""
+    parameters: MediumParameters = ()
+    """Parameters of an installed package's medium by their names; not used by the others."""
     shear_modulus_pa: ModulusPa = 7.25e3
     """Shear elasticity mu1 (paper: gelatin 12 %, 7.25 kPa); of a power law, the modulus at the reference frequency."""
     shear_viscosity_pa_s: ViscosityPaS = 1.0
@@ -91,6 +105,16 @@ class Specimen(Section):
     @classmethod
     def _fill_in_preset(cls, given: Any) -> Any:
         return filled(given, PRESETS)
+
+    @model_validator(mode="after")
+    def _parameters_of_the_medium(self) -> Specimen:
+        if self.medium not in OWN_MEDIA:
+            refuse_parameters(self.medium, dict(self.parameters))
+        elif self.parameters:
+            raise ValueError(
+                f"parameters are those of an installed package's medium, medium is {self.medium}: remove them"
+            )
+        return self
 
     @model_validator(mode="after")
     def _maxwell_needs_viscosity(self) -> Specimen:
@@ -431,13 +455,34 @@ class SimulationSettings(Section):
         return self
 
     @model_validator(mode="after")
+    def _aperture_fits(self) -> SimulationSettings:
+        if self.beams.field == "gaussian":
+            return self
+        wrong = []
+        focus_m, focal_m = self.beams.focus_depth_m, self.beams.transducer.focal_length_m
+        if abs(focus_m - focal_m) > 1e-9 * focal_m:
+            wrong.append(
+                f"beams.focus_depth_m is {focus_m:g} m and beams.transducer.focal_length_m {focal_m:g} m: the focus of "
+                "a bowl is its centre of curvature; make both equal"
+            )
+        if any(reflector.kind == "plane" for reflector in self.scatterers.reflectors):
+            wrong.append("a plane among scatterers.reflectors is summed over a Gaussian beam: points, or no aperture")
+        if self.scatterers.axial_delay == "none":
+            wrong.append(
+                'scatterers.axial_delay = "none" has no depths, an aperture\'s beam has: "two_way" or Gaussians'
+            )
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        return self
+
+    @model_validator(mode="after")
     def _without_contradictions(self) -> SimulationSettings:
         if self.receive_chain is not None and self.receiver.snr_db is not None:
             raise ValueError(
                 "receiver.snr_db and receive_chain exclude each other: with a chain the noise is the preamplifier's, "
                 "receive_chain.noise_v_per_sqrt_hz"
             )
-        if self.specimen is not None and self.specimen.field == "medium":
+        if self.specimen is not None and self.specimen.field == "medium" and self.beams.field == "gaussian":
             x, y, _ = self.beams.excitation_width_m
             remedy = 'specimen.field = "gaussian"'
             if abs(x - y) > 1e-12 * x:

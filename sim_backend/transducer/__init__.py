@@ -2,9 +2,11 @@
 
     diameter, focal length, apodisation   `sim_backend.settings.Transducer`, the one description
     P(r, z)                               pressure of the bowl: O'Neil's Rayleigh integral   radiation.py
-    dp/dz = beta/(2 rho c^3) dp^2/dt      finite amplitude, one step of it                 burgers.py
-    p_1 ... p_N (r, z)                    the push with its harmonics, through layers      nonlinear.py
-    force, p+, p-, heat over drive        the push as a table                              push.py
+    |P|^2                                 its intensity as a sum of Gaussians: the push      intensity.py
+    P^2                                   what is heard of a scatterer: tracking             pulse_echo.py
+    dp/dz = beta/(2 rho c^3) dp^2/dt      finite amplitude, one step of it                        burgers.py
+    p_1 ... p_N (r, z)                    the push with its harmonics, through layers             nonlinear.py
+    force, p+, p-, heat over drive        the push as a table                                     push.py
 
 The theory, and its error against closed forms, is docs/theory/transducer.md.
 """

@@ -112,8 +112,8 @@ def test_interpolation_error_is_that_of_the_model_notes(amplitude_m, bandwidth, 
     for seed in range(5):
         tau, weight, motion_weight = scene(seed)
         exact = running_sum(delays(tau, motion_weight, amplitude_m * CYCLE), weight, pulse, GATE_S)
-        moved = (tau, weight, motion_weight, 2 / SOUND_SPEED * amplitude_m * CYCLE)
-        errors.append(rms_error(interpolated(*moved, pulse, GATE_S, nodes), exact))
+        moved = EchoDelays(tau, motion_weight[None], 2 / SOUND_SPEED * amplitude_m * CYCLE[:, None])
+        errors.append(rms_error(interpolated(moved, weight, pulse, GATE_S, nodes), exact))
     assert np.median(errors) < 3 * reference
 
 

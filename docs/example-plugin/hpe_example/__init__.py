@@ -1,0 +1,1 @@
+"""An estimator, a medium and an importer for hpe-rig."""
