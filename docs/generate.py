@@ -122,6 +122,9 @@ def settings_page(of: str) -> str:
             if example in (None, "[]"):
                 example = EXAMPLES.get(known)
             default = "**required**" if key.required else f"`{key.default}`" if key.default else "absent"
+            if example is None and key.default is not None:
+                # An empty list or table is what may stand there, if nothing better is known.
+                example = key.default
             shown = f"`{example}`" if example else ""
             row = (f"`{key.name}`", key.text, key.kind, key.unit, default, key.bounds, shown)
             lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |")

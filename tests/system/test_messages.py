@@ -14,7 +14,7 @@ ANSWERS = {
     "hpe-rig run bovine-muscel": "did you mean bovine-muscle?",
     "hpe-rig run s": "did you mean s.toml?",
     "hpe-rig chekc bovine-muscle": "Did you mean 'check'?",
-    "hpe-rig run bovine-muscle --estimator kasia": "did you mean 'kasai'?",
+    "hpe-rig run bovine-muscle --estimator kasia": "did you mean kasai?",
     'hpe-rig run bovine-muscle --output ""': "no file is named",
     "hpe-rig run s.toml --bench s.toml": "this is a scene, not a bench file",
     "hpe-rig check b.toml": "this is a bench file, not a scene",
