@@ -496,6 +496,7 @@ def bench_command(
     off: Annotated[
         bool, typer.Option("--off", help="Only switch every output off, whoever uses the bench, and prove it.")
     ] = False,
+    wide: Annotated[bool, typer.Option("--wide", help="Print every column.")] = False,
 ) -> None:
     """Identify every instrument, read its settings, leave outputs off. Or compare with the bench of a run."""
     from hpe_rig.cli.bench import all_off, bench_state, compare_with, print_report
@@ -511,7 +512,7 @@ def bench_command(
         raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])
     state = bench_state(bench, self_test)
     if state.report is not None:
-        print_report(state.report)
+        print_report(state.report, wide)
     if compare is not None:
         typer.echo(compare_with(compare, state))
     if state.report is not None and not state.report.complete:
