@@ -308,6 +308,7 @@ class Record:
     seconds: Mapping[str, float]
     failed: frozenset[str]
     users: Mapping[str, Sequence[str]]
+    all_of_room: bool
 
     def tests_of(self, mutant: Mutant, budget_s: float) -> list[str]:
         """Return the tests that run a mutant, those of its room first and the fastest first, up to ``budget_s``."""
@@ -318,6 +319,9 @@ class Record:
             names = {name for some in contexts.values() for name in some} if names else set()
         tests = {test for name in names for test in self.users.get(name, (name,))} & self.seconds.keys() - self.failed
         places = tuple(ROOMS[mutant.room][1])
+        if self.all_of_room:
+            # Some start programs of their own, in which nobody looked.
+            tests |= {test for test in self.seconds if test.startswith(places)} - self.failed
         ordered = sorted(tests, key=lambda test: (not test.startswith(places), self.seconds[test]))
         taken, total_s = list[str](), 0.0
         for test in ordered:
@@ -361,6 +365,14 @@ class Campaign:
     ) -> None:
         self.record, self.mutants, self.budget_s = record, mutants, budget_s
         self.results, self.killer = results, killer
+        self.unplaced = killer.last.with_name("unplaced")
+        self.unplaced.write_text("", "utf-8")
+
+    @property
+    def left(self) -> list[Mutant]:
+        """The mutants that no function had a place for."""
+        names = self.unplaced.read_text("utf-8").splitlines()
+        return [mutant for mutant in self.mutants if mutant.name in names]
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
@@ -375,7 +387,10 @@ class Campaign:
             start_s = time.monotonic()
             with in_place(self.record.tree, mutant):
                 code = forked(lambda: self.judge(session, mutant, some))  # noqa: B023
-            if code != UNREPLACED:
+            if code == UNREPLACED:
+                with self.unplaced.open("a", encoding="utf-8") as file:
+                    file.write(f"{mutant.name}\n")
+            else:
                 word = self.killer.word(code, lambda name: forked(lambda: self.judge(session, None, [every[name]])))
                 self.results.add(mutant, word, len(some), time.monotonic() - start_s)
         return True
@@ -428,10 +443,14 @@ class Results:
         self.path = path
 
     def rows(self) -> list[list[str]]:
-        return [line.split("\t") for line in self.path.read_text("utf-8").splitlines()] if self.path.exists() else []
+        """Return the latest row of every mutant."""
+        lines = self.path.read_text("utf-8").splitlines() if self.path.exists() else []
+        return list({line.split("\t", 4)[4]: line.split("\t") for line in lines}.values())
 
-    def done(self) -> set[str]:
-        return {"\t".join(row[4:]) for row in self.rows()}
+    def done(self, certain: bool = False) -> set[str]:
+        """Return the names of the mutants that were judged; with ``certain`` of those that were killed."""
+        sure = ("killed", "timed out") if certain else ("killed", "timed out", "survived", "not run", "unknown")
+        return {"\t".join(row[4:]) for row in self.rows() if row[0] in sure}
 
     def add(self, mutant: Mutant, verdict: str, tests: int, seconds: float) -> None:
         line = f"{verdict}\t{mutant.room}\t{tests}\t{seconds:.1f}\t{mutant.name}"
@@ -454,6 +473,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--budget-s", type=float, default=30.0, help="tests of one mutant, by the time they took")
+    parser.add_argument("--again", action="store_true", help="those that were not killed, with all tests of their room")
     parser.add_argument("--slow", type=Path, help="report of --junitxml that says which tests take too long for this")
     parser.add_argument("--rooms", nargs="*", choices=list(ROOMS), default=list(ROOMS))
     options = parser.parse_args()
@@ -463,7 +483,10 @@ def main() -> None:
         shutil.rmtree(tree, ignore_errors=True)
         root = Path(__file__).resolve().parents[1]
         shutil.copytree(root, tree, ignore=shutil.ignore_patterns(".git", "__pycache__", ".*_cache"))
-        subprocess.run(["git", "init", "-q"], cwd=tree, check=True)
+        for command in ("init", "-q"), ("add", "-A"):
+            subprocess.run(["git", *command], cwd=tree, check=True)
+    # A run that was killed may have left its last fault there.
+    subprocess.run(["git", "checkout-index", "-f", "-a"], cwd=tree, check=True)
     os.environ.update(PYTHONPATH=str(tree), PYTHONDONTWRITEBYTECODE="1")
     os.chdir(tree)
     for module in PRELOADED:
@@ -471,19 +494,19 @@ def main() -> None:
     if not (folder / "tests.json").exists():
         forked(lambda: record(tree, folder, options.slow))
     tests = json.loads((folder / "tests.json").read_text("utf-8"))
-    known = Record(tree, tests["lines"], tests["seconds"], frozenset(tests["failed"]), tests["users"])
+    failed = frozenset(tests["failed"])
+    known = Record(tree, tests["lines"], tests["seconds"], failed, tests["users"], options.again)
     wanted = list(chosen(tree, options.rooms, options.count, options.seed))
     with contextlib.suppress(KeyboardInterrupt):
-        left = [mutant for mutant in wanted if mutant.name not in results.done()]
+        done = results.done(certain=options.again)
+        left = [mutant for mutant in wanted if mutant.name not in done]
         killer = Killer(folder / "last")
         deadline = Deadline(known.seconds, killer.last)
         campaign = Campaign(known, left, options.budget_s, results, killer)
         if left:
             forked(lambda: run_pytest(tree, ["tests"], [campaign, deadline]))
         # Constants, defaults and bodies of classes: a fresh import each.
-        for mutant in left:
-            if mutant.name in results.done():
-                continue
+        for mutant in campaign.left:
             names = known.tests_of(mutant, options.budget_s)
             files = sorted({name.partition("::")[0] for name in names})
             start_s = time.monotonic()

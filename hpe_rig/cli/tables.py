@@ -14,6 +14,7 @@ from hpe_rig.cli.terminal import terminal_columns, wrapped
 from hpe_rig.result import (
     Component,
     Estimate,
+    GateResult,
     Provenance,
     RepeatMean,
     Result,
@@ -63,6 +64,7 @@ def print_result(result: Result, wide: bool = False) -> None:
             page.show(_shot_table(shot, page))
             if shot.estimates:
                 page.say(_budget_line(shot))
+    _print_profile(result, page)
     page.say(f"\nphase: {result.phase_reference}\n{_legend(result)}")
     for warning in (*result.warnings, *shot_warnings(result.shots)):
         page.say(f"WARNING {warning}", bold=True)
@@ -241,6 +243,41 @@ def _mean_table(means: Sequence[RepeatMean], page: Page) -> Table:
         kept = [0, 1, 2, 3, 4, 5, 6, 8, *([10, 11] if known else [])]
         headers, rows = [headers[at] for at in kept], [[row[at] for at in kept] for row in rows]
     return rich_table(headers, rows, words=0)
+
+
+def _print_profile(result: Result, page: Page) -> None:
+    """Print a table over depth for every shot whose records were taken gate by gate."""
+    for _, gates in groupby(result.profile, key=lambda gate: gate.shot.lateral_offset_m):
+        at_place = sorted(gates, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s or 0.0, gate.depth_m))
+        for _, of_shot in groupby(at_place, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s)):
+            group_of_gates = list(of_shot)
+            page.say(f"\n{_profile_title(group_of_gates)}", bold=True)
+            page.show(_profile_table(group_of_gates))
+
+
+def _profile_title(gates: Sequence[GateResult]) -> str:
+    hz = _strongest_hz(gates)
+    return ", ".join([f"OVER DEPTH at {hz:g} Hz, shot {gates[0].shot.shot + 1}", *_settings(gates[0].shot)])
+
+
+def _profile_table(gates: Sequence[GateResult]) -> Table:
+    """Return a row a gate, of the frequency that moves most in any; the result file has the others."""
+    hz, corrected = _strongest_hz(gates), any(gate.shot.estimates[0].headline.corrected for gate in gates)
+    scale, unit = _unit([gate.shot.estimates[0].headline.amplitude_m for gate in gates])
+    headers = ["depth\nmm", "gate\nmm", "pulses\n"]
+    headers += [f"peak\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg"] if corrected else []
+    headers += [f"tracked\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "SNR\ndB"]
+    rows = []
+    for gate in gates:
+        [estimate] = [each for each in gate.shot.estimates if each.frequency_hz == hz]
+        where = [f"{gate.depth_m * 1e3:.4g}", f"{gate.length_m * 1e3:.3g}", str(gate.shot.pulses_used)]
+        rows.append([*where, *_row(estimate, False, corrected, scale)[1:]])
+    return rich_table(headers, rows, words=0)
+
+
+def _strongest_hz(gates: Sequence[GateResult]) -> float:
+    every = [estimate for gate in gates for estimate in gate.shot.estimates]
+    return max(every, key=lambda estimate: estimate.amplitude_m).frequency_hz
 
 
 def _mean_title(mean: RepeatMean) -> str:

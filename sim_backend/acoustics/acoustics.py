@@ -174,15 +174,15 @@ class Acoustics:
             shape = attenuated_to_focus(self._settings, rectangular_burst(*kind.tolist()))
             passage = self._passage(heard.onset_ps[alike], capture)
             motion_m = self._motion_sensed_m(tonebursts, passage.time_ps, capture)
-            through = self._hear(shape, self._field.excitation_weight)
+            through = self._hear(shape, self._field.excitation_weight, of_push=True)
             self._add_echoes(volts, capture, through, passage, strength_v[alike], motion_m)
 
-    def _hear(self, shape: Pulse, gaussian_weight: Floats) -> Heard:
+    def _hear(self, shape: Pulse, gaussian_weight: Floats, of_push: bool = False) -> Heard:
         """Return what is heard by ``shape`` through a beam of ``gaussian_weight``, or through the aperture's own."""
         if self._settings.beams.field == "gaussian":
             return Heard(shape, gaussian_weight)
         if shape not in self._heard:
-            made = coloured(self._settings, self._field.offset_m, shape)
+            made = coloured(self._settings, self._field.offset_m, shape, of_push)
             self._heard[shape] = Heard(shape, made.weight * self._field.strength, made.colour, made.sensed)
         return self._heard[shape]
 

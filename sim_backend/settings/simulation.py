@@ -217,10 +217,14 @@ class Transducer(Section):
 class Beams(Section):
     """Excitation and tracking beams; widths are the sigmas E and T of eq. (8) and (12)."""
 
-    field: Literal["gaussian", "aperture"] = "gaussian"
-    """Shape of both beams: Gaussians of the widths below, or what ``transducer`` radiates."""
+    field: Literal["gaussian", "aperture", "measured"] = "gaussian"
+    """Shape of both beams: Gaussians of the widths below, what ``transducer`` radiates, or hydrophone scans of them."""
     transducer: Transducer = Transducer()
     """The transducer, of ``field = "aperture"``."""
+    excitation_scan: Annotated[str, Field(min_length=1)] | None = None
+    """File of the push's scan at ``specimen.resonance_hz``, of ``field = "measured"``: HDF5, CSV or MAT."""
+    tracking_scan: Annotated[str, Field(min_length=1)] | None = None
+    """File of the tracking beam's scan, one way, at ``receiver.reference_carrier_hz``."""
     excitation_width_m: Widths = (0.17e-3, 0.17e-3, 1.80e-3)
     """E_x, E_y, E_z (paper, Table I)."""
     tracking_width_m: Widths = (0.078e-3, 0.078e-3, 0.83e-3)
@@ -459,6 +463,9 @@ class SimulationSettings(Section):
         if self.beams.field == "gaussian":
             return self
         wrong = []
+        if self.beams.field == "measured":
+            scans = {name: getattr(self.beams, name) for name in ("excitation_scan", "tracking_scan")}
+            wrong += [f'beams.field = "measured" needs beams.{name}' for name, path in scans.items() if path is None]
         focus_m, focal_m = self.beams.focus_depth_m, self.beams.transducer.focal_length_m
         if abs(focus_m - focal_m) > 1e-9 * focal_m:
             wrong.append(

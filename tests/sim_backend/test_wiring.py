@@ -170,6 +170,13 @@ def test_a_level_is_judged_behind_the_sources_50_ohm(open_v, input_ohm, edges):
     assert crossings(ttl([0], high_v=open_v), 2.0, True, input_ohm).size == edges
 
 
+def test_an_edge_counts_from_the_level_on_and_not_from_the_level():
+    steps = Steps(np.array([1, 2, 3, 4]), np.array([0.0, 2.0, 1.0, 0.5]), np.array([2.0, 0.0, 0.0, 1.0]))
+    # Behind 50 of 50 + 50 ohm half of it is seen: 1 V is at the level of 0.5 V.
+    assert crossings(steps, 0.5, rising=True, input_ohm=50.0).tolist() == [1, 4]
+    assert crossings(steps, 0.5, rising=False, input_ohm=50.0).tolist() == [2, 3]
+
+
 def sine(**changes):
     return replace(
         replace(TRIGGERED, function="SIN", high_v=1.0, low_v=-1.0, frequency_hz=3e6, cycles=600.0), **changes

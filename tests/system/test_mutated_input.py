@@ -539,6 +539,11 @@ FOUND: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
     ),
     "messages that take no time": (MUSCLE, {"simulation.instruments.message_time_s": 0.0}, "at least 1e-06 s"),
     "a board that comes late": (TABLE_1, {"simulation.instruments.digitizer_latency_s": 1e-3}, "nothing echoes more"),
+    "a train of ten years": (
+        "cardiac-background",
+        {"tracking.pulse_count": 344063, "tracking.pulse_rate_hz": 1e-3},
+        "beyond the twin's clock of 106 days",
+    ),
     "a force that is not a number": (MUSCLE, {"excitation.force_fraction": [float("nan")]}, "not finite"),
 }
 

@@ -6,15 +6,17 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+from drivers.alazar.digitizer import AlazarDigitizer
+from drivers.interfaces import InstrumentError, RecordBlock
 from hpe_rig.acquire.run import Setup
 from hpe_rig.acquire.sequencer import Progress, Step, acquire
-from hpe_rig.bench.instruments import Bench, UnsafeBenchError
+from hpe_rig.bench.instruments import Bench, UnsafeBenchError, proven_off
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.bench.opening import open_bench
 
@@ -95,6 +97,51 @@ def test_shots_start_one_shot_period_apart_and_the_observer_is_asked_meanwhile(p
     # The train takes 0.2 s, the rest of the period is slept in pieces of at most 0.2 s.
     assert waits[0] == 0
     assert all(3 <= count <= 6 for count in waits[1:-1])
+
+
+def test_what_is_off_is_claimed_of_nobody_else() -> None:
+    known = {"master": "read back as off", "digitizer": "idle"}
+    assert proven_off(["master", "digitizer"], known).startswith("every output is off, verified: ")
+    # The digitizer drives nothing by itself.
+    assert proven_off(["master", "digitizer"], {"master": "read back as off"}).startswith("every output is off")
+    said = proven_off(["master", "toneburst"], known)
+    assert said.startswith("not identified, so not proven off: toneburst: look whether it is on; the others are off")
+    assert "they are on; there are no others" in proven_off(["master", "toneburst"], {})
+
+
+@pytest.mark.parametrize(("scene", "role"), [("bovine-muscle", "toneburst"), ("table-1", "tracking_pulser")])
+def test_no_driver_drives_a_transducer_harder_than_the_bench_allows(prepared: Prepare, scene: str, role: str) -> None:
+    setup = prepared(scene)
+    bench_file = setup.bench.bench
+    limited = bench_file.model_copy(update={"limits": bench_file.limits.model_copy(update={"max_drive_vpp": 0.05})})
+    with (
+        open_bench(setup.scene.scene, limited, setup.plan.roles) as bench,
+        pytest.raises(InstrumentError, match=rf"{role}.*0\.05"),
+    ):
+        for _ in acquire(setup.plan, bench):
+            pass
+    assert_safe(bench)
+
+
+def test_records_are_waited_for_until_the_train_has_ended_and_counted_as_they_come(
+    prepared: Prepare, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup, given, counted, records = prepared("table-1"), [], [], AlazarDigitizer.records
+
+    def noted(board: AlazarDigitizer, deadline_s: float) -> Iterator[RecordBlock]:
+        given.append(deadline_s - bench.clock.now_s())
+        yield from records(board, deadline_s)
+
+    monkeypatch.setattr(AlazarDigitizer, "records", noted)
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        for _ in acquire(setup.plan, bench, lambda progress: counted.append((progress.step, progress.records))):
+            pass
+    (shot,) = setup.plan.shots
+    # Later than the last trigger, and not by minutes.
+    assert 0 < given[0] - shot.train_end_s < 60
+    come = [count for step, count in counted if step is Step.COLLECT]
+    assert (come[0], come[-1]) == (0, 101)
+    assert come == sorted(come)
 
 
 def test_an_error_concerns_the_instruments_that_were_tried_and_no_others(prepared: Prepare) -> None:

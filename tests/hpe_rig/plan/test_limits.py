@@ -13,7 +13,7 @@ import pytest
 from hpe_rig.bench.bench_file import BenchFile, read_bench
 from hpe_rig.plan.checks.acoustic_output import AcousticOutput
 from hpe_rig.plan.checks.checklist import check_plan
-from hpe_rig.plan.checks.digitizer import gate_in_record, memory
+from hpe_rig.plan.checks.digitizer import board, gate_in_record, memory
 from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
 from hpe_rig.plan.interference import admissible_delays_s, disturbed_pulses, forbidden_window_s
 from hpe_rig.plan.shots import Plan, Shot, make_plan, reference_gate
@@ -116,6 +116,13 @@ def test_echoes_may_be_back_at_the_next_pulse_but_not_after_it() -> None:
         tracking = MUSCLE.tracking.model_copy(update={"pulse_rate_hz": rate_hz})
         scene = MUSCLE.model_copy(update={"tracking": tracking})
         assert found(depth(scene, BENCH, with_shot()))["depth"] == level
+
+
+def test_a_carrier_at_half_the_sampling_rate_is_refused() -> None:
+    rate_hz = with_shot().shots[0].capture.sample_rate_hz
+    for carrier_hz, level in ((rate_hz / 2, "refused"), (below(rate_hz / 2), "passed")):
+        scene = MUSCLE.model_copy(update={"tracking": MUSCLE.tracking.model_copy(update={"carrier_hz": carrier_hz})})
+        assert found(board(scene, BENCH, with_shot()))["carrier"] == level
 
 
 def test_a_gate_that_begins_at_the_transducer_is_refused() -> None:

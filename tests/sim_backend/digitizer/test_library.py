@@ -6,6 +6,8 @@ from ctypes import byref, c_int32, c_long, c_uint8, c_uint32, c_uint64, c_void_p
 import numpy as np
 import pytest
 
+from sim_backend.digitizer.board import BoardSettings, Input, is_clipped, words
+from sim_backend.digitizer.boards import BOARDS
 from sim_backend.settings.simulation import Instruments, SimulationSettings
 from sim_backend.world import World
 
@@ -122,6 +124,15 @@ def test_words_are_left_justified_14_bit_codes():
     volts = 0.8 * ((words >> 2) - 8191.5) / 8191.5
     expected = 0.5 * np.sin(0.01 * np.arange(SAMPLES) + np.arange(RECORDS)[:, None])
     assert np.max(np.abs(volts - expected)) <= 0.5 * 0.8 / 8191.5 * (1 + 1e-9)
+
+
+def test_an_input_of_1_megohm_sees_twice_the_volts_of_one_of_50_ohm():
+    settings, volts = BoardSettings(BOARDS["ATS460"]), np.array([-0.3, 0.0, 0.2])
+    plain = words(2 * volts, Input(0.8), settings)
+    assert np.array_equal(words(volts, Input(0.8, impedance=1), settings), plain)
+    assert not np.array_equal(words(volts, Input(0.8), settings), plain)
+    assert is_clipped(0.41, Input(0.8, impedance=1))
+    assert not is_clipped(0.41, Input(0.8))
 
 
 def test_two_channels_alternate_record_by_record_and_the_unconnected_one_is_flat():

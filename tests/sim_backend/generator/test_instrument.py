@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from sim_backend.generator.instrument import Generator33250A
+from sim_backend.generator.models import MODELS
 from sim_backend.wiring import SimulatedClock
 
 NO_ERROR = '+0,"No error"'
@@ -292,3 +293,30 @@ def test_settings_come_back_as_finely_as_the_manual_says(frequency_hz, amplitude
     assert replies[0] == pytest.approx(frequency_hz, rel=0.5e-8, abs=0.5e-6 * (1 + 1e-9))
     assert replies[1] == pytest.approx(amplitude_v, rel=0.5e-3, abs=0.5e-4 * (1 + 1e-9))
     assert replies[2:] == pytest.approx([cycles, delay_s], rel=1e-10, abs=1e-15)
+
+
+def test_a_sibling_bounds_the_duty_cycle_by_its_narrowest_pulse():
+    generator = Generator33250A(SimulatedClock(), 0.0, MODELS["33500B"])
+    generator.write("FUNC SQU;:FREQ 1 MHZ")
+    least, most = (float(ask(generator, f"FUNC:SQU:DCYC? {end}")) for end in ("MIN", "MAX"))
+    # 16 ns of 1 us
+    assert (least, most) == pytest.approx((1.6, 98.4))
+
+
+def test_edges_take_no_more_than_the_room_that_width_and_period_leave(generator):
+    generator.write("FUNC PULS;:PULS:PER 1E-6;WIDT 9E-7")
+    # 1.6 edges fit between the pulses; of a narrow pulse an edge is at most 0.625
+    assert float(ask(generator, "PULS:TRAN? MAX")) == pytest.approx(1e-7 / 1.6)
+    generator.write("PULS:WIDT 1E-7")
+    assert float(ask(generator, "PULS:TRAN? MAX")) == pytest.approx(0.625e-7)
+
+
+def test_as_many_cycles_as_fit_between_internal_triggers_are_taken_and_no_more(generator):
+    # 500 s at most between two triggers, at 1 kHz.
+    generator.write("BURS:NCYC 500000")
+    assert float(ask(generator, "BURS:NCYC?")) == 500_000
+    # The burst period gives way, the count does not.
+    assert errors(generator) == [-221]
+    generator.write("BURS:NCYC 500001")
+    assert float(ask(generator, "BURS:NCYC?")) == 500_000
+    assert errors(generator) == [-221]
