@@ -53,7 +53,6 @@ EXAMPLES = {
     "simulation.scatterers.measured_pulse": "[0.0, 0.4, -1.0, 0.4, 0.0]",
     "simulation.specimen.preset": '"gelatin_8"',
     "simulation.transmitter.saturation_v": "100.0",
-    "sweep.axes": '{ "tracking.delay_s" = [0.0, 50e-6] }',
     "tracking.pulse_count": "800",
     "transport": '"socket"',
 }
