@@ -53,6 +53,7 @@ EXAMPLES = {
     "simulation.scatterers.measured_pulse": "[0.0, 0.4, -1.0, 0.4, 0.0]",
     "simulation.specimen.preset": '"gelatin_8"',
     "simulation.transmitter.saturation_v": "100.0",
+    "title": '"Gelatin, 100 us at 200 Hz"',
     "tracking.pulse_count": "800",
     "transport": '"socket"',
 }
@@ -113,11 +114,12 @@ def settings_page(of: str) -> str:
             lines += [f"## {table.header}", "", f"{table.text} *({presence})*", ""]
         if not table.keys:
             continue
-        lines += ["| key | what it says | kind | unit | default | bounds | example |", "|---|---|---|---|---|---|---|"]
+        lines += ["| key | what it says | value | default | example |", "|---|---|---|---|---|"]
         for key in table.keys:
             path = f"{name}.{key.name}" if name else key.name
             found = set_in_shipped.get(path)
             known = _any_generator(path)
+            found = None if path == "title" else found
             example = toml_value(found) if found is not None else key.default or EXAMPLES.get(known)
             if example in (None, "[]"):
                 example = EXAMPLES.get(known)
@@ -126,7 +128,8 @@ def settings_page(of: str) -> str:
                 # An empty list or table is what may stand there, if nothing better is known.
                 example = key.default
             shown = f"`{example}`" if example else ""
-            row = (f"`{key.name}`", key.text, key.kind, key.unit, default, key.bounds, shown)
+            value = f"{key.kind}{f' in {key.unit}' if key.unit else ''}{f', {key.bounds}' if key.bounds else ''}"
+            row = (f"`{key.name}`", key.text, value, default, shown)
             lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |")
         lines.append("")
     return "\n".join(lines)
