@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 EXAMPLES = {
+    "sweep.axes": '{"tracking.delay_s" = [0.0, 1e-4]}',
     "acquisition.shot_period_s": "1.5",
     "beams.focus_depth_m": "70e-3",
     "digitizer.acquisition_mode": '"npt"',

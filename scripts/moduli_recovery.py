@@ -93,14 +93,17 @@ def trial(name: str, seed: int, path: Path) -> Trial:
     vibrations = [_vibration(scene, each) for each in json.loads(path.read_text(encoding="utf-8"))]
     off_s = push.onset_uncertainty_s * rng.standard_normal()
     places = [as_read(one, scene.tracking.offset_uncertainty_m, off_s, rng) for one in vibrations]
-    found = {"five": _fit(places, push, name), "one": _fit(places[:1], push, name)}
-    adjusted = fit_medium(places, push).adjusted
+    parts = {"five": places, "one": places[:1]}
+    fits = {key: fit_medium(part, push) for key, part in parts.items()}
+    zener, least = fit_medium(places, push, "zener"), np.full(2, np.nan)
+    truth = MEDIA.get(name)
+    bounds = {} if truth is None else {key: _bound(part, push, truth) for key, part in parts.items()}
     return Trial(
-        values={**{key: each[0] for key, each in found.items()}, "plane": plane_wave(places)},
-        stated={key: each[1] for key, each in found.items()},
-        bounds={key: each[2] for key, each in found.items()},
-        excluded={law: fit_medium(places, push, law).excluded for law in ("voigt", "zener")},
-        lateral=np.array([value for name, value in adjusted.items() if name.startswith("lateral")]),
+        values={**{key: np.array(list(fit.values.values())) for key, fit in fits.items()}, "plane": plane_wave(places)},
+        stated={key: np.array(list(fit.uncertainty.values())) for key, fit in fits.items()},
+        bounds={key: bounds.get(key, least) for key in parts},
+        excluded={"voigt": fits["five"].excluded, "zener": zener.excluded},
+        lateral=np.array([value for name, value in fits["five"].adjusted.items() if name.startswith("lateral")]),
     )
 
 
@@ -163,14 +166,8 @@ def _vibration(scene: Scene, plain: dict[str, Any]) -> Vibration:
     return vibration_at(place, scene.processing.estimator, label, *measured)
 
 
-def _fit(
-    places: Sequence[Vibration], push: Push, name: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the Voigt moduli, their uncertainties and the bound at the truth, each (2,); NaN where it has none."""
-    fit = fit_medium(places, push)
-    truth = MEDIA.get(name)
-    least = np.full(2, np.nan) if truth is None else np.sqrt(np.diag(bound(places, push, "voigt", truth)))
-    return np.array(list(fit.values.values())), np.array(list(fit.uncertainty.values())), least
+def _bound(places: Sequence[Vibration], push: Push, truth: tuple[float, float]) -> NDArray[np.float64]:
+    return np.asarray(np.sqrt(np.diag(bound(places, push, "voigt", truth))))
 
 
 def rows(name: str, trials: Sequence[Trial]) -> list[str]:

@@ -5,10 +5,13 @@
     places.py         who moves the tracking transducer between shots
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
     recording.py      what the sequencer yields, into a run file that appears with its first record
+    pause.py          a pause between two shots, from the terminal or the live page
+    queue.py          several runs one after another under one lock
     provenance.py     who measures, when and where
     stop_request.py   a safe stop that another process asks for
     log.py            every step beside the run file
     run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result
+    depth_profile.py  the same shots in each of several gates over depth
     importing.py      a recording of another program becomes a run file
     mapping.py        one of many lines becomes a map of its motion
     settings_files.py the schema of scene, bench and simulation; a file with every key

@@ -10,8 +10,22 @@ from .api import (
 from .importing import Imported as Imported, import_recording as import_recording, import_records as import_records
 from .log import log_path as log_path, logged as logged
 from .mapping import map_motion as map_motion, map_recording as map_recording
+from .pause import (
+    clear_pause as clear_pause,
+    pausable as pausable,
+    pause_requested as pause_requested,
+    toggle_pause as toggle_pause,
+)
 from .places import Mover as Mover
 from .provenance import provenance_now as provenance_now
+from .queue import (
+    QueueRun as QueueRun,
+    Watching as Watching,
+    listed as listed,
+    new_queue as new_queue,
+    read_queue as read_queue,
+    run_queue as run_queue,
+)
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import (
     Setup as Setup,
@@ -33,6 +47,7 @@ from .sequencer import (
     ShotBlock as ShotBlock,
     Step as Step,
     acquire as acquire,
+    programmed as programmed,
     unobserved as unobserved,
 )
 from .settings_files import (

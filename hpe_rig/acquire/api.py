@@ -152,12 +152,14 @@ def fit_moduli(
     estimator: str | None = None,
     width_uncertainty: float = 0.05,
     common_amplitude: bool = True,
+    profile_step_m: float | None = None,
 ) -> ModuliResult:
     """Return the moduli of the medium that explain the vibrations of one or more runs, at all their places.
 
     ``laws``: the media tried, absent all; ``estimator`` in place of the scenes' own; ``width_uncertainty``: relative,
     of the widths of the force; ``common_amplitude``: whether the force was the same at all places, so that how the
-    amplitude falls with distance counts. Raises as ``open_run``, ``SettingsError`` where a scene has no tonebursts, no
+    amplitude falls with distance counts; ``profile_step_m``: gates so far apart over the depth of the records, whatever
+    the scenes say of such. Raises as ``open_run``, ``SettingsError`` where a scene has no tonebursts, no
     [beams], or runs push differently, and ``StoreError`` where nothing can be estimated.
 
     >>> print(hpe.fit_moduli("gelatin-moduli.h5"))
@@ -169,7 +171,7 @@ def fit_moduli(
             "moduli", [Mistake("law", f"there is no {each} medium", ", ".join(law_names())) for each in unknown]
         )
     chosen = [law for law in law_names() if law in laws] or list(law_names())
-    opened = [run if isinstance(run, Run) else open_run(run) for run in runs]
+    opened = [(run if isinstance(run, Run) else open_run(run)).with_profile(profile_step_m) for run in runs]
     if not opened:
         raise SettingsError("moduli", [Mistake("", "no run is named", "hpe-rig moduli RUN.h5")])
     chosen_estimator(estimator, opened[0].scene)

@@ -14,10 +14,21 @@ from numpy.typing import NDArray
 
 from hpe_rig.acquire.run import planned
 from hpe_rig.bench import BenchFile, parse_bench
-from hpe_rig.plan import CheckResult, Plan, omissions, places_of, reference_gate, scene_of, select
-from hpe_rig.result import Result, ShotResult, Stages
+from hpe_rig.plan import (
+    CheckResult,
+    Plan,
+    gates_over_depth,
+    omissions,
+    places_of,
+    reference_gate,
+    refuse_conflicts,
+    scene_of,
+    select,
+)
+from hpe_rig.result import GateResult, Result, ShotResult, Stages
 from hpe_rig.scene import (
     Estimator,
+    Mistake,
     Processing,
     Scene,
     SettingsError,
@@ -93,6 +104,7 @@ class Run:
         chosen = chosen_estimator(estimator, self.scene)
         with stages("process"):
             estimates = _shots(self, chosen)
+            profile, lost = _profile(self, chosen)
         return Result(
             title=self.scene.title,
             run_file=self.path.name,
@@ -101,7 +113,7 @@ class Run:
             estimator=chosen,
             phase_reference=phase_reference(self.scene),
             shots=tuple(replace(shot, untrusted=self.stored.untrusted.get(shot.shot, "")) for shot in estimates.shots),
-            warnings=tuple(_warnings(self, estimates)),
+            warnings=(*_warnings(self, estimates), *lost),
             omitted=tuple((item.what, item.why) for item in omissions(_with_estimator(self.scene, chosen), self.bench)),
             versions=versions(),
             run_time_s=stages.run_time_s,
@@ -110,7 +122,28 @@ class Run:
             imported=None if self.bench.recording is None else self.bench.recording.words,
             notes=self.scene.notes,
             provenance=self.stored.provenance,
+            profile=profile,
         )
+
+    def with_profile(self, step_m: float | None) -> Run:
+        """Return the run with gates every ``step_m`` over the depth of its records; with None as it is.
+
+        Raises ``PlanError`` where the records have no room for them, and ``SettingsError`` for a step that is none.
+        """
+        if step_m is None:
+            return self
+        asked = {"gate_profile_step_m": step_m}
+        if mistakes := mistakes_of(Processing, asked, ("processing",)):
+            raise SettingsError("gate profile", mistakes)
+        if self.scene.processing.follow_gate:
+            what = "gates over depth stand still where processing.follow_gate moves"
+            raise SettingsError("gate profile", [Mistake("processing.follow_gate", what, "a run without it")])
+        processing = self.scene.processing.model_copy(update=asked | {"gates": ()})
+        scene = self.scene.model_copy(update={"processing": processing})
+        parts = places_of(scene, self.plan)
+        found = dict.fromkeys(each for place, plan in parts for each in gates_over_depth(place, self.bench, plan))
+        refuse_conflicts(list(found))
+        return replace(self, scene=scene)
 
     def save(self, result: Result) -> Path:
         """Write ``result`` beside the run file, in place of an earlier one of that estimator, and return its path."""
@@ -175,11 +208,16 @@ def _at_imported_times(plan: Plan, stored: StoredRun) -> Plan:
     return replace(plan, shots=tuple(shots))
 
 
-def process(path: Path, estimator: str | None = None, stages: Stages | None = None) -> Result:
-    """Return the result of the run in ``path`` and write it beside the run file."""
+def process(
+    path: Path, estimator: str | None = None, stages: Stages | None = None, profile_step_m: float | None = None
+) -> Result:
+    """Return the result of the run in ``path`` and write it beside the run file.
+
+    ``profile_step_m``: also in gates so far apart over depth, whatever the scene says of such.
+    """
     stages = stages or Stages()
     with stages("read"):
-        run = open_run(path)
+        run = open_run(path).with_profile(profile_step_m)
     result = run.estimate(estimator, stages)
     with stages("write result"):
         run.save(result)
@@ -233,6 +271,14 @@ def _shots(run: Run, estimator: Estimator) -> Estimates:
         f"{run.path} holds no records, the run is {run.stored.status}: it ended before the first came. "
         f"Try: hpe-rig resume {run.path}."
     )
+
+
+def _profile(run: Run, estimator: Estimator) -> tuple[tuple[GateResult, ...], tuple[str, ...]]:
+    """Return every shot at every gate over depth, and in words what has no result."""
+    from hpe_rig.acquire.depth_profile import depth_profile
+
+    places = [depth_profile(scene, plan, run.stored, estimator) for scene, plan in places_of(run.scene, run.plan)]
+    return tuple(each for found, _ in places for each in found), tuple(text for _, lost in places for text in lost)
 
 
 def _no_estimate(run: Run, why: str) -> StoreError:

@@ -124,6 +124,11 @@ def acquire(
         yield ShotDone(shot, bench.digitizer.clipped())
 
 
+def programmed(shot: Shot, bench: Bench) -> Mapping[str, Mapping[str, Setting]]:
+    """Return every instrument's settings as read back once ``shot`` is programmed, by role; no output is enabled."""
+    return _configure(shot, bench, unobserved)
+
+
 def _configure(shot: Shot, bench: Bench, observer: Observer) -> Mapping[str, Mapping[str, Setting]]:
     observer(Progress(Step.CONFIGURE, shot))
     bench.master.configure(shot.master)

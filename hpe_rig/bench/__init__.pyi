@@ -13,7 +13,11 @@ from .bench_file import (
     read_bench as read_bench,
     titled as titled,
 )
-from .comparison import file_differences as file_differences, settings_differences as settings_differences
+from .comparison import (
+    Difference as Difference,
+    file_differences as file_differences,
+    settings_differences as settings_differences,
+)
 from .emulation import emulate as emulate
 from .instruments import Bench as Bench, UnsafeBenchError as UnsafeBenchError
 from .interrupts import (
@@ -30,7 +34,7 @@ from .inventory import (
     survey as survey,
     switch_off as switch_off,
 )
-from .lock import BenchInUseError as BenchInUseError
+from .lock import BenchInUseError as BenchInUseError, hold as hold, resources as resources
 from .opening import open_bench as open_bench
 from .twin import (
     TwinDeclaration as TwinDeclaration,

@@ -50,6 +50,22 @@ def resources(bench: BenchFile) -> list[str]:
     return sorted({*places, board})
 
 
+_held_here: set[str] = set()
+"""Resources that this program holds for several runs, one after another."""
+
+
+@contextmanager
+def hold(names: Iterable[str], announce: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Hold every resource in ``names`` for all that is opened in the block; raises as ``locked``."""
+    wanted = [name for name in names if name not in _held_here]
+    with locked(wanted, announce):
+        _held_here.update(wanted)
+        try:
+            yield
+        finally:
+            _held_here.difference_update(wanted)
+
+
 @contextmanager
 def locked(names: Iterable[str], announce: Callable[[str], None] | None = None) -> Iterator[None]:
     """Hold the lock of every resource in ``names``; raise ``BenchInUseError`` at once where another process does.
@@ -57,6 +73,7 @@ def locked(names: Iterable[str], announce: Callable[[str], None] | None = None) 
     What a process that died has left behind is taken over, and ``announce`` told (standard error where it is None).
     """
     with ExitStack() as stack:
+        names = [name for name in names if name not in _held_here]
         left = {holder for name in names if (holder := stack.enter_context(_held(name)))}
         for holder in sorted(left):
             (announce or _to_standard_error)(f"the bench was left locked by {holder}, which has ended: taken over")

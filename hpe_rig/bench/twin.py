@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
     from sim_backend.transducer import Push
 
+_OWN_BEAM_KEYS = {"pulse_length_m", "transducer_diameter_m"}
+"""What [beams] says to the application alone."""
 REFERENCE_CYCLES = 3
 """Cycles of the tracking pulse that gives the twin's stated echo."""
 
@@ -269,6 +271,8 @@ def contradictions(scene: Scene) -> Iterator[tuple[str, str, str]]:
         pairs.append(("beams.excitation_width_m", scene.beams.excitation_width_m, beams.motion_width_m()))
         pairs.append(("beams.tracking_width_m", scene.beams.tracking_width_m, beams.tracking_width_m))
         pairs.append(("beams.focus_depth_m", scene.beams.focus_depth_m or beams.focus_depth_m, beams.focus_depth_m))
+        across_m = 0.0 if beams.field == "gaussian" else beams.transducer.diameter_m
+        pairs.append(("beams.transducer_diameter_m", scene.beams.transducer_diameter_m or 0.0, across_m))
     if scene.medium is not None and specimen is not None:
         names = "shear_modulus_pa", "shear_viscosity_pa_s", "density_kg_per_m3"
         pairs.append(("medium", "voigt", specimen.medium))
@@ -300,7 +304,7 @@ def twin_settings(scene: Scene) -> SimulationSettings:
 def twin_tables(scene: Scene) -> dict[str, Any]:
     """Return the tables of the twin's settings that a scene declares."""
     simulation = scene.simulation or {}
-    beams = {} if scene.beams is None else scene.beams.model_dump(exclude={"pulse_length_m"}, exclude_none=True)
+    beams = {} if scene.beams is None else scene.beams.model_dump(exclude=_OWN_BEAM_KEYS, exclude_none=True)
     declared = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
     return declared | simulation | {"beams": beams | simulation.get("beams", {})}
 
@@ -338,7 +342,27 @@ def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
 
 def check_declared(scene: Scene) -> list[Mistake]:
     """Return the mistakes of ``[simulation]`` together with what the scene declares of beams and sound speed."""
-    return check_simulation({"simulation": twin_tables(scene)}) if declares_twin(scene) else []
+    if not declares_twin(scene):
+        return []
+    return check_simulation({"simulation": twin_tables(scene)}) or _unreadable_scans(scene)
+
+
+def _unreadable_scans(scene: Scene) -> list[Mistake]:
+    """Return what keeps the scans of measured beams from being read."""
+    beams = twin_settings(scene).beams
+    if beams.field != "measured":
+        return []
+    from sim_backend.transducer import read_scan
+
+    found = []
+    for name in ("excitation_scan", "tracking_scan"):
+        try:
+            read_scan(getattr(beams, name))
+        except (OSError, ValueError) as error:
+            found.append(
+                Mistake(f"simulation.beams.{name}", str(error), "a scan as docs/theory/transducer.md describes")
+            )
+    return found
 
 
 def simulation_schema() -> dict[str, Any]:

@@ -4,7 +4,10 @@ Files, from what is typed to what is shown::
 
     app.py      commands that plan, measure, process and look at a bench; ``main``
     studies.py  commands that study scenes and estimators by simulation
-    watch.py    stop request, log and live page around a run
+    keys.py     keys pressed while a run goes on
+    queue.py    several runs, one after another
+    watch.py    stop request, pause, log and live page around a run
+    comparison.py  two runs side by side
     bench.py    the report of a bench, and its comparison with another
     listing.py  the runs of a folder
     verify.py   what is damaged in a file

@@ -40,6 +40,11 @@ app = typer.Typer(
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Csv = Annotated[bool, typer.Option("--csv", help="Print CSV instead of a table, one row per shot and frequency.")]
 Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (needs the extra 'compression').")]
+LONGEST_STEP_M = 0.1
+ProfileStep = Annotated[
+    str | None,
+    typer.Option("--gate-profile-step", help="Gates so far apart over the depth of the records, such as 0.5mm, too."),
+]
 Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]. Default: the scene's.")]
 Live = Annotated[bool, typer.Option("--live", help="Serve a live page with a stop button (needs the extra 'live').")]
 Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to RUN.log beside the run file.")]
@@ -160,11 +165,23 @@ def resume(
 
 @app.command()
 @guarded
-def process(run_file: RunFile, estimator: Estimator = None, json: Json = False, csv: Csv = False) -> None:
+def process(
+    run_file: RunFile,
+    estimator: Estimator = None,
+    gate_profile_step: ProfileStep = None,
+    json: Json = False,
+    csv: Csv = False,
+) -> None:
     """Estimate again from a stored run. The result is printed and written beside the run file."""
     from hpe_rig.acquire import process as process_run
 
-    show(process_run(run_file, estimator, Stages()), json, csv)
+    show(process_run(run_file, estimator, Stages(), _step_m(gate_profile_step)), json, csv)
+
+
+def _step_m(text: str | None) -> float | None:
+    from hpe_rig.scene import length_m
+
+    return None if text is None else length_m(text, "--gate-profile-step", LONGEST_STEP_M)
 
 
 @app.command("import")
@@ -245,11 +262,28 @@ def report(
     shot: Annotated[
         int | None, typer.Option(help="Shot to draw, counted from 1. Default: the one with the largest motion.")
     ] = None,
+    gate_profile_step: ProfileStep = None,
 ) -> None:
     """Write the report of a run. One HTML file with results, figures, residual tests, predictions and provenance."""
     from hpe_rig.report import write_report
 
-    typer.echo(f"{write_report(run_file, estimator, output, shot)}: open it in any browser")
+    step_m = _step_m(gate_profile_step)
+    typer.echo(f"{write_report(run_file, estimator, output, shot, step_m)}: open it in any browser")
+
+
+@app.command()
+@guarded
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="A.h5", help="Run file.")],
+    second: Annotated[Path, typer.Argument(metavar="B.h5", help="Run file to compare with it.")],
+    estimator: Estimator = None,
+    figure: Annotated[Path | None, typer.Option(help="Both results and their differences, .svg, .png or .pdf.")] = None,
+    json: Json = False,
+) -> None:
+    """Compare two runs. Settings that differ, results side by side, and how significant each difference is."""
+    from hpe_rig.cli.comparison import print_comparison
+
+    print_comparison(first, second, estimator, figure, json)
 
 
 @app.command()
@@ -269,6 +303,7 @@ def moduli(
     per_place: Annotated[
         bool, typer.Option("--per-place", help="The force was not the same at all places: every amplitude is free.")
     ] = False,
+    gate_profile_step: ProfileStep = None,
     figure: Annotated[Path | None, typer.Option(help="Measured and fitted vibrations, .svg, .png or .pdf.")] = None,
     json: Json = False,
 ) -> None:
@@ -283,6 +318,7 @@ def moduli(
             estimator=estimator,
             width_uncertainty=width_uncertainty,
             common_amplitude=not per_place,
+            profile_step_m=_step_m(gate_profile_step),
         ),
         figure,
         json,
@@ -354,6 +390,31 @@ def emulate(
 
     setup = prepare(scene, bench, refuse=False)
     serve(setup.scene.scene, setup.bench, transport, typer.echo)
+
+
+@app.command()
+@guarded
+def queue(
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="SCENE ...", help="Scenes or run files in order, or one TOML list: [[run]]."),
+    ] = None,
+    bench: BenchPath = None,
+    output: Annotated[Path | None, typer.Option(help="New folder for the run files. Default: queue, numbered.")] = None,
+    resume: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Go on with the queue in FOLDER that was stopped or failed.")
+    ] = None,
+    stop_on_failure: Annotated[
+        bool, typer.Option("--stop-on-failure", help="A run that fails ends the queue. Default: the others go on.")
+    ] = False,
+    yes: Yes = False,
+    live: Live = False,
+    verbose: Verbose = False,
+) -> None:
+    """Measure several scenes one after another. All are checked first; p pauses between two shots, Ctrl-C stops."""
+    from hpe_rig.cli.queue import queue_command
+
+    raise typer.Exit(queue_command(scenes or (), bench, output, resume, stop_on_failure, live, verbose, yes))
 
 
 @app.command("list")

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.acquire import open_run
+from hpe_rig.acquire import open_run, prepare_text, programmed
 from hpe_rig.bench import (
     BenchReport,
+    Difference,
     Found,
     Settings,
     file_differences,
+    open_bench,
     read_bench,
     settings_differences,
     survey,
@@ -27,12 +29,13 @@ from hpe_rig.store import read_snapshots
 
 @dataclass(frozen=True, slots=True)
 class BenchState:
-    """A bench's file and settings, from the bench itself (``report``) or from a run file."""
+    """A bench's file and settings, from the bench itself (``report``, its file at ``path``) or from a run file."""
 
     name: str
     tables: Mapping[str, Any]
     settings: Mapping[str, Settings]
     report: BenchReport | None
+    path: Path | None = None
 
 
 def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
@@ -44,7 +47,7 @@ def bench_state(path: Path | None, self_test: bool = False) -> BenchState:
         return _state_of_run(path)
     text = read_bench(path)
     report = survey(text.bench, self_test=self_test)
-    return BenchState("the bench now", parse_toml(text.text, text.name), report.settings, report)
+    return BenchState("the bench now", parse_toml(text.text, text.name), report.settings, report, path)
 
 
 def all_off(path: Path | None) -> int:
@@ -69,22 +72,33 @@ def all_off(path: Path | None) -> int:
 
 def compare_with(path: Path, state: BenchState) -> str:
     """Return the differences between the bench of the run file ``path`` and ``state`` as text, one a line."""
-    run = _state_of_run(path)
-    before = run.settings if state.report is None else _stated_now(run.settings, state.settings)
-    found = [*file_differences(run.tables, state.tables), *settings_differences(before, state.settings)]
+    run, found = _state_of_run(path), list[Difference]()
+    found += file_differences(run.tables, state.tables)
+    left = ""
+    if state.report is None:
+        found += settings_differences(run.settings, state.settings)
+    elif run.settings and state.report.complete:
+        found += settings_differences(run.settings, _programmed_as(path, state))
+    else:
+        why = "not every instrument answers" if run.settings else "the run holds none"
+        left = f"\nwhat the instruments are set to is not compared: {why}"
     if not found:
-        return f"{run.name} and {state.name} do not differ"
+        return f"{run.name} and {state.name} do not differ{left}"
     lines = "\n".join(f"  {difference.text(run.name, state.name)}" for difference in found)
-    return f"{len(found)} differences\n{lines}"
+    return f"{len(found)} differences\n{lines}{left}"
 
 
-def _stated_now(before: Mapping[str, Settings], now: Mapping[str, Settings]) -> dict[str, Settings]:
-    """Return ``before`` without what a board states only once it is programmed, which a survey does not do."""
-    stated = now.get("digitizer")
-    if stated is None or "digitizer" not in before:
-        return dict(before)
-    board = {key: value for key, value in before["digitizer"].items() if key in stated}
-    return {**before, "digitizer": board}
+def _programmed_as(path: Path, state: BenchState) -> Mapping[str, Settings]:
+    """Return the settings of the bench once it is programmed as for the last shot of the run in ``path``.
+
+    An idle bench differs from one that measures in nearly everything. No output is enabled, and all are verified off.
+    """
+    stored, shots = open_run(path).stored, len(read_snapshots(path))
+    setup = prepare_text(stored.scene_name, stored.scene_toml, state.path, refuse=False, stored=True)
+    shot = setup.plan.shots[shots - 1]
+    point = setup.scene.scene.points[shot.point]
+    with open_bench(point.scene, setup.bench.bench.with_(point.bench), setup.plan.roles) as bench:
+        return programmed(shot, bench)
 
 
 def _state_of_run(path: Path) -> BenchState:

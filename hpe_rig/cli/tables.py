@@ -9,7 +9,17 @@ from itertools import groupby
 from rich.console import Console
 from rich.table import Table
 
-from hpe_rig.result import Component, Estimate, Provenance, RepeatMean, Result, ShotResult, rich_table, shot_warnings
+from hpe_rig.result import (
+    Component,
+    Estimate,
+    GateResult,
+    Provenance,
+    RepeatMean,
+    Result,
+    ShotResult,
+    rich_table,
+    shot_warnings,
+)
 
 TABLE_WIDTH = 110
 LEAST_S = 0.005
@@ -39,6 +49,12 @@ def print_result(result: Result) -> None:
         console.print(_shot_table(shot))
         if shot.estimates:
             console.print(_budget_line(shot))
+    for _, gates in groupby(result.profile, key=lambda gate: gate.shot.lateral_offset_m):
+        at_place = sorted(gates, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s or 0.0, gate.depth_m))
+        for _, of_shot in groupby(at_place, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s)):
+            group_of_gates = list(of_shot)
+            console.print(f"\n{_profile_title(group_of_gates)}", style="bold")
+            console.print(_profile_table(group_of_gates))
     console.print(f"\nphase: {result.phase_reference}\n{_legend(result)}")
     for warning in (*result.warnings, *shot_warnings(result.shots)):
         console.print(f"WARNING {warning}", style="bold")
@@ -71,6 +87,30 @@ def _shot_table(shot: ShotResult) -> Table:
     headers += ["true peak\nnm", "error\n%", "error\ndeg"] if known else []
     rows = [_row(estimate, known, corrected) for estimate in shot.estimates]
     return rich_table(headers, rows, words=0)
+
+
+def _profile_title(gates: Sequence[GateResult]) -> str:
+    hz = _strongest_hz(gates)
+    return ", ".join([f"OVER DEPTH at {hz:g} Hz, shot {gates[0].shot.shot + 1}", *_settings(gates[0].shot)])
+
+
+def _profile_table(gates: Sequence[GateResult]) -> Table:
+    """Return a row a gate, of the frequency that moves most in any; the result file has the others."""
+    hz, corrected = _strongest_hz(gates), any(gate.shot.estimates[0].headline.corrected for gate in gates)
+    headers = ["depth\nmm", "gate\nmm", "pulses\n"]
+    headers += ["peak\nnm", "u\nnm", "phase\ndeg", "u\ndeg"] if corrected else []
+    headers += ["tracked\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "SNR\ndB"]
+    rows = []
+    for gate in gates:
+        [estimate] = [each for each in gate.shot.estimates if each.frequency_hz == hz]
+        where = [f"{gate.depth_m * 1e3:.4g}", f"{gate.length_m * 1e3:.3g}", str(gate.shot.pulses_used)]
+        rows.append([*where, *_row(estimate, False, corrected)[1:]])
+    return rich_table(headers, rows, words=0)
+
+
+def _strongest_hz(gates: Sequence[GateResult]) -> float:
+    every = [estimate for gate in gates for estimate in gate.shot.estimates]
+    return max(every, key=lambda estimate: estimate.amplitude_m).frequency_hz
 
 
 def _mean_table(means: Sequence[RepeatMean]) -> Table:

@@ -20,7 +20,7 @@ from hpe_rig.live.state import State, image_state, level_state, rf_state
 from hpe_rig.plan import Plan, Shot, check_plan, make_plan, refuse_conflicts
 from hpe_rig.report import EchoView, echo_view
 from hpe_rig.scene import Scene
-from hpe_rig.store import ShotRecords, assemble
+from hpe_rig.store import ShotRecords, StoreError, assemble
 
 LONGEST_MEMORY = 240
 """Single shots that the M-mode image holds."""
@@ -68,6 +68,10 @@ class AlignSource:
     def stop(self) -> None:
         """Ask for a stop after the shot that is running."""
         self._stop.set()
+
+    def pause(self) -> None:
+        """Refuse: single shots follow one another until stopped."""
+        raise StoreError("an alignment is not paused. Try: stop it, and start it again.")
 
     def put(self, records: ShotRecords) -> None:
         """Take one single shot's records."""

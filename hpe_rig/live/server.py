@@ -124,6 +124,7 @@ class LivePage:
         routes = [
             Route(f"{base}/", self._page),
             Route(f"{base}/stop", self._stop, methods=["POST"]),
+            Route(f"{base}/pause", self._pause, methods=["POST"]),
             Route(f"{base}/state", self._state),
             WebSocketRoute(f"{base}/ws", self._watch),
         ]
@@ -195,6 +196,15 @@ class LivePage:
             return JSONResponse({"error": str(error)}, status_code=409)
         self._hurried = True
         return JSONResponse({"stopping": True})
+
+    async def _pause(self, request: Request) -> Response:
+        if not self._welcome(request.headers):
+            return Response(status_code=403)
+        try:
+            await asyncio.to_thread(self._source.pause)
+        except StoreError as error:
+            return JSONResponse({"error": str(error)}, status_code=409)
+        return JSONResponse({"asked": True})
 
     async def _watch(self, viewer: WebSocket) -> None:
         """Send every state that this viewer is quick enough for, the latest first."""

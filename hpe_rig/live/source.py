@@ -7,7 +7,15 @@ from typing import Protocol, final
 
 import numpy as np
 
-from hpe_rig.acquire import Run, open_run, request_stop, stop_path, stop_requested
+from hpe_rig.acquire import (
+    Run,
+    open_run,
+    pause_requested,
+    request_stop,
+    stop_path,
+    stop_requested,
+    toggle_pause,
+)
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
 from hpe_rig.plan import scene_of
 from hpe_rig.prediction import beam_widths
@@ -21,7 +29,7 @@ from hpe_rig.processing import (
     shot_prior,
 )
 from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
-from hpe_rig.store import ShotRecords, StoredRun, StoreError
+from hpe_rig.store import ShotRecords, StoredRun, StoreError, is_taken, read_run
 
 LONGEST_HISTORY = 240
 
@@ -37,6 +45,10 @@ class Source(Protocol):
         """Ask for a safe stop; raise ``StoreError`` where nobody can be asked."""
         ...
 
+    def pause(self) -> None:
+        """Ask for a pause after the shot, or to go on; raise ``StoreError`` where nobody can be asked."""
+        ...
+
 
 @final
 class RunSource:
@@ -45,7 +57,7 @@ class RunSource:
     def __init__(self, path: Path) -> None:
         """Take ``path``; raises nothing: a file that is not there yet is waited for."""
         self._path = path
-        self._seen: tuple[int, int, bool] | None = None
+        self._seen: tuple[int, int, bool, bool] | None = None
         self._run: Run | None = None
         self._shot = 0
         self._before = 0
@@ -69,15 +81,22 @@ class RunSource:
         """Ask the run to stop through the file that it looks for; raise ``StoreError`` where none is going on."""
         request_stop(self._path)
 
-    def _fingerprint(self) -> tuple[int, int, bool]:
+    def pause(self) -> None:
+        """Ask the run to pause after its shot, or to go on; raise ``StoreError`` where none is going on."""
+        stored = read_run(self._path)
+        if stored.status != "running" or is_taken(self._path) is False:
+            raise StoreError(f"the run in {self._path} has ended: there is nothing to pause. Try: reload the page.")
+        toggle_pause(self._path, stored.run_id)
+
+    def _fingerprint(self) -> tuple[int, int, bool, bool]:
         """Return what changes whenever there is something new to show, without opening the file."""
         status = self._path.stat()
-        return status.st_mtime_ns, status.st_size, stop_path(self._path).exists()
+        return status.st_mtime_ns, status.st_size, stop_path(self._path).exists(), pause_requested(self._path)
 
     def _waiting(self, why: str) -> State | None:
-        if self._seen == (0, 0, False):
+        if self._seen == (0, 0, False, False):
             return None
-        self._seen = (0, 0, False)
+        self._seen = (0, 0, False, False)
         return {"mode": "run", "status": "waiting", "title": self._path.name, "why": why}
 
     def _state(self, run: Run) -> State:
@@ -88,6 +107,7 @@ class RunSource:
             "title": run.scene.title,
             "simulated": stored.simulated,
             "status": stored.status,
+            "pause_requested": stored.status == "running" and pause_requested(self._path, stored.run_id),
             "stop_requested": stored.status == "running" and stop_requested(self._path, stored.run_id),
             "shot": self._shot + 1,
             "shots": len(plan.shots),

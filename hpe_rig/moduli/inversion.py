@@ -30,8 +30,9 @@ ComplexArray = NDArray[np.complex128]
 
 STARTS_FOLLOWED = 3
 """Starting points from which the fit is run, the best of a grid; each in a neighbourhood of its own."""
-LEAST_AREA = 0.05
-"""Tracked area, over its mean, below which no speckle leads."""
+TRAVELS, TRAVEL_UNCERTAINTY = 0.5, 0.5
+"""Of the way from the focus to another depth, how much the force's onset travels with the sound, 0 to 1: a force that
+is long against the shear wave's way goes with it, one that acts everywhere at once does not."""
 MOST_STEPS = 100
 """Of the solver from one start; a law that cannot explain the data would crawl on."""
 SECOND_MINIMUM = 12.0
@@ -70,8 +71,10 @@ class Vibration:
     ``covariance_m2`` (2 * frequency, 2 * frequency) of A cos(phase) and A sin(phase), in turn by frequency; time counts
     from the onset of a burst at the focus. ``lateral_m`` and ``axial_m``: the place from the axis and the focus of the
     push. ``tracking_m2``: variances (across, along) of the depth and the distance that the tracking averages over.
-    What is known of this place only within an uncertainty: its distance from the axis, its gain and phase common to all
-    frequencies, and the averaged area across (``area_uncertainty``, relative), by which speckle changes the motion.
+    What is known of this place only within an uncertainty: its distance from the axis, by speckle and, alike at all
+    depths of the same ``place``, by ``place_uncertainty_m``; by speckle its depth; its gain and phase common to all
+    frequencies; and the averaged area across (``area_uncertainty``, relative), by which speckle changes the motion.
+    ``travel_s``: how much later than at the focus sound is there; time counts from the onset there.
     """
 
     label: str
@@ -82,6 +85,10 @@ class Vibration:
     axial_m: float = 0.0
     tracking_m2: tuple[float, float] = (0.0, 0.0)
     lateral_uncertainty_m: float = 0.0
+    place: str = ""
+    place_uncertainty_m: float = 0.0
+    travel_s: float = 0.0
+    axial_uncertainty_m: float = 0.0
     gain_uncertainty: float = 0.0
     phase_uncertainty_rad: float = 0.0
     area_uncertainty: float = 0.0
@@ -213,9 +220,17 @@ class Problem:
             )
         known = [("across", -1, push.width_uncertainty[0]), ("along", -1, push.width_uncertainty[1])]
         known.append(("onset", -1, push.onset_uncertainty_s))
+        leader = _leaders(vibrations)
+        if any(one.travel_s for one in vibrations):
+            known.append(("travel", -1, TRAVEL_UNCERTAINTY))
         for place, one in enumerate(vibrations):
+            # alone, a place needs no unknown of its own besides what speckle does there
+            alone = leader.count(leader[place]) == 1
+            if leader[place] == place and not alone:
+                known.append(("stage", place, one.place_uncertainty_m))
             known += [
-                ("lateral", place, one.lateral_uncertainty_m),
+                ("lateral", place, float(np.hypot(one.lateral_uncertainty_m, one.place_uncertainty_m * alone))),
+                ("axial", place, one.axial_uncertainty_m),
                 ("gain", place, one.gain_uncertainty),
                 ("phase", place, one.phase_uncertainty_rad),
                 ("area", place, one.area_uncertainty),
@@ -312,11 +327,10 @@ class Problem:
         across = push.width_m[0] * np.exp(known.get(("across", -1), 0.0))
         along = push.width_m[1] * np.exp(known.get(("along", -1), 0.0))
         mean_area = np.array([one.tracking_m2[0] for one in ones])
-        # a solver's step may ask for an area below none
-        area = mean_area * np.maximum(1 + np.array([known.get(("area", p), 0.0) for p in places]), LEAST_AREA)
-        lateral = np.array(
-            [one.lateral_m + known.get(("lateral", p), 0.0) for p, one in zip(places, ones, strict=True)]
-        )
+        # by its logarithm: no step of a solver asks for an area below none
+        area = mean_area * np.exp([known.get(("area", p), 0.0) for p in places])
+        off = [known.get(("lateral", p), 0.0) + known.get(("stage", self.leaders[p]), 0.0) for p in places]
+        lateral = np.array([one.lateral_m for one in ones]) + off
         own = np.array([known.get(("gain", p), 0.0) + 1j * known.get(("phase", p), 0.0) for p in places])
         frequency_hz = ones[0].frequency_hz
         omega, values = 2 * np.pi * frequency_hz, self.law.values(unknown[:count])
@@ -334,11 +348,14 @@ class Problem:
         onset = np.exp(-1j * omega * known.get(("onset", -1), 0.0))
         # the force's peak is free: what counts is how the field's amplitude hangs on frequency and place
         scale = self.unit_m / self._unit_field * np.exp(unknown[count] + own)
-        front = (push.spectrum(frequency_hz) * onset)[:, None] * scale
+        # what of the way to a depth the force has not travelled with the sound: s = 1 for a force that goes with it
+        late_s = ones[0].travel_s * (1 - TRAVELS - known.get(("travel", -1), 0.0))
+        front = (push.spectrum(frequency_hz) * onset * np.exp(1j * omega * late_s))[:, None] * scale
         # Speckle's second mode: the weight at the middle and at the edge against that in between, of the same area.
         shape = np.array([known.get(("shape", p), 0.0) for p in places])
         bent = front * field.by_across_twice * mean_area**2 / 2
-        value = front * field.value + shape * bent
+        deeper = np.array([known.get(("axial", p), 0.0) for p in places])
+        value = front * (field.value + deeper * field.by_axial) + shape * bent
         by_law = by_values * self.law.slopes(values)
         return {
             "gain": value,
@@ -346,8 +363,11 @@ class Problem:
             "onset": -1j * omega[:, None] * value,
             "across": 2 * value + front * field.by_across * 2 * across**2,
             "along": value + front * field.by_along * 2 * along**2,
+            "travel": -1j * omega[:, None] * ones[0].travel_s * value,
+            "axial": front * field.by_axial,
             "lateral": front * field.by_lateral,
-            "area": front * field.by_across * mean_area,
+            "stage": front * field.by_lateral,
+            "area": front * field.by_across * area,
             "shape": bent,
             **{f"law {i}": front * field.by_modulus * by_law[:, i, None] for i in range(count)},
         }
@@ -359,7 +379,7 @@ class Problem:
             columns[:, i] = here[f"law {i}"]
         columns[:, self.free - 1] = here["gain"]
         for i, (kind, where, sigma) in enumerate(self.nuisances):
-            if where in (-1, place):
+            if where in (-1, place) or (kind == "stage" and where == self.leaders[place]):
                 columns[:, self.free + i] = sigma * here[kind]
         return columns
 
@@ -368,14 +388,25 @@ class Problem:
         """Places of the same frequencies, depth and averaging along the beam, whose fields are computed at once."""
         groups: dict[tuple[object, ...], list[int]] = {}
         for place, one in enumerate(self.vibrations):
-            key = one.frequency_hz.tobytes(), one.axial_m, one.tracking_m2[1]
+            key = one.frequency_hz.tobytes(), one.axial_m, one.tracking_m2[1], one.travel_s
             groups.setdefault(key, []).append(place)
         return tuple(tuple(each) for each in groups.values())
+
+    @cached_property
+    def leaders(self) -> tuple[int, ...]:
+        """Of every vibration the first at the same place."""
+        return _leaders(self.vibrations)
 
     @cached_property
     def _unit_field(self) -> float:
         """A typical displacement per body force: that of a static force in 10 kPa."""
         return 0.5 * self.push.width_m[0] ** 2 / 10e3
+
+
+def _leaders(vibrations: Sequence[Vibration]) -> tuple[int, ...]:
+    """Return of every vibration the first at the same place; itself where it names none."""
+    first: dict[str, int] = {}
+    return tuple(first.setdefault(one.place, index) if one.place else index for index, one in enumerate(vibrations))
 
 
 def _starts(problem: Problem) -> list[FloatArray]:
@@ -449,7 +480,7 @@ def _described(
         log_evidence=float(log_evidence),
         modelled_m=tuple(problem.modelled(unknown)),
         adjusted={
-            kind if where < 0 else f"{kind} at {vibrations[where].label}": float(unknown[problem.free + i])
+            _nuisance(kind, None if where < 0 else vibrations[where]): float(unknown[problem.free + i])
             for i, (kind, where, _) in enumerate(problem.nuisances)
         },
         second=second,
@@ -457,6 +488,13 @@ def _described(
         by_place=_contributions([one.label for one in vibrations], place, problem, jacobian, own),
         by_frequency=_contributions([f"{hz:g} Hz" for hz in frequencies], frequency, problem, jacobian, own),
     )
+
+
+def _nuisance(kind: str, one: Vibration | None) -> str:
+    """Return the name of a nuisance, ``one`` the vibration that it is of."""
+    if one is None:
+        return kind
+    return f"{kind} at {one.lateral_m * 1e3:g} mm" if kind == "stage" else f"{kind} at {one.label}"
 
 
 def _contributions(

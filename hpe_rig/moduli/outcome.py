@@ -17,6 +17,8 @@ from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+TESTED = {"shear_modulus_pa": (500.0, 500e3), "viscosity_pa_s": (0.0, 50.0)}
+"""Between which the field has been compared with independent ones."""
 ANY_GAIN = 5.0
 """Uncertainty of the logarithm of a gain of which nothing is known."""
 UNITS = {"_pa_s": (1.0, "Pa s"), "_pa": (1e-3, "kPa")}
@@ -78,6 +80,7 @@ class ModuliResult:
                 "adjusted": fit.adjusted,
                 "second": None if fit.second is None else {"values": fit.second[0], "chi_square": fit.second[1]},
                 "at_limit": fit.at_limit,
+                "beyond_tested": beyond_tested(fit),
                 "by_place": [asdict(each) for each in fit.by_place],
                 "by_frequency": [asdict(each) for each in fit.by_frequency],
             }
@@ -115,6 +118,12 @@ class ModuliResult:
         from hpe_rig.moduli.figure import moduli_figure
 
         return moduli_figure(self)
+
+
+def beyond_tested(fit: Moduli) -> tuple[str, ...]:
+    """Return the parameters of ``fit`` whose values lie beyond those that the field was tested with."""
+    inside = {name: low <= fit.values.get(name, low) <= high for name, (low, high) in TESTED.items()}
+    return tuple(name for name, within in inside.items() if not within)
 
 
 def moduli_of(
@@ -168,7 +177,9 @@ def _lines(result: ModuliResult) -> Iterator[str]:
     yield result.title
     numbers = sum(2 * one.frequency_hz.size for one in places)
     source = "SIMULATED, " if result.simulated else ""
-    yield f"{source}{len(places)} place{'s' if len(places) > 1 else ''}, {numbers} numbers"
+    beside = len({(one.place, one.lateral_m) for one in places})
+    gates = f", {len(places)} gates" if len(places) > beside else ""
+    yield f"{source}{beside} place{'s' * (beside > 1)}{gates}, {numbers} numbers"
     yield ""
     for fit, probability in zip(result.fits, result.probability, strict=True):
         yield f"{law_of(fit.law).title}, {_verdict(fit, probability)}"
@@ -198,6 +209,10 @@ def _values(fit: Moduli) -> Iterator[str]:
     if fit.second is not None:
         other = ", ".join(f"{_name(name)} {value * _unit(name)[0]:.3g}" for name, value in fit.second[0].items())
         yield f"nearly as good: {other} (chi-square {fit.second[1]:.2g} higher)"
+    for name in beyond_tested(fit):
+        (low, high), (factor, unit) = TESTED[name], UNITS[name]
+        tested = f"{low * factor:g} to {high * factor:g} {unit}, with which the field was tested"
+        yield f"WARNING {NAMES[name]} lies outside {tested}"
     for name in fit.at_limit:
         yield f"{_name(name)} stands at the end of its range"
     for kind, by in ((fit.by_place, "place"), (fit.by_frequency, "frequency")):

@@ -6,15 +6,15 @@ Shots at the same place are averaged, weighted by their covariance. What cannot 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.moduli.inversion import ComplexArray, FloatArray, Push, Vibration
-from hpe_rig.plan import Plan, Shot, places_of
-from hpe_rig.prediction import beam_widths, tracked_spread
-from hpe_rig.processing import HarmonicFit, shot_fit
+from hpe_rig.plan import DepthGate, Plan, Shot, apart, depth_gates, places_of, shots_with_gate, with_gate
+from hpe_rig.prediction import beam_widths, depth_in_gate, tracked_spread
+from hpe_rig.processing import HarmonicFit, residual_m, shot_fit
 from hpe_rig.scene import Mistake, Scene, SettingsError
 from hpe_rig.store import StoredRun
 
@@ -25,6 +25,10 @@ GAIN_UNCERTAINTY = 0.005
 PHASE_UNCERTAINTY_RAD = 0.002
 WIDTH_UNCERTAINTY = 0.05
 """Relative, of the widths of the force, unless told otherwise."""
+LEAST_PULSES = 30
+"""Pulses without which no correlation of residuals is worth its name."""
+DEEPEST_SIGMAS = 2.0
+"""Sigmas of the force along the beam, from the focus, beyond which its tail may be any, and a gate does not serve."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,26 +68,84 @@ def push_of(scenes: Sequence[Scene], width_uncertainty: float = WIDTH_UNCERTAINT
 
 
 def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tuple[list[Vibration], list[str]]:
-    """Return the vibration at every place of all runs, and in words what was left out.
+    """Return the vibration at every place and depth of all runs, and in words what was left out.
 
-    ``estimator`` in place of each scene's own.
+    ``estimator`` in place of each scene's own. Of gates over depth those that share no echo.
     """
     found, omitted = list[Vibration](), list[str]()
     for source in sources:
         for scene, plan in places_of(source.scene, source.plan):
-            label = _label(scene, source, len(sources))
-            fits = list(_fits(scene, plan, source.stored, estimator or scene.processing.estimator, label, omitted))
-            if not fits:
-                omitted.append(f"{label}: no shot there can be estimated")
-                continue
-            vibration = _vibration(scene, label, fits, estimator or scene.processing.estimator)
-            kept = detected(vibration)
-            if not kept.all():
-                lost = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~kept])
-                omitted.append(f"{label}: {lost} Hz, less than {DETECTED:g} times its uncertainty")
-            if kept.any():
-                found.append(vibration.only(kept))
+            place, own = f"{source.name}, {scene.tracking.lateral_offset_m:g}", list[Vibration]()
+            for there, shots, axial_m in _depths(scene, plan, omitted):
+                label = _label(there, axial_m, source, len(sources))
+                chosen = estimator or scene.processing.estimator
+                fits = list(_fits(there, shots, source.stored, chosen, label, omitted))
+                if not fits:
+                    omitted.append(f"{label}: no shot there can be estimated")
+                    continue
+                vibration = replace(_vibration(there, label, fits, chosen, axial_m), place=place)
+                kept = detected(vibration)
+                if not kept.all():
+                    lost = ", ".join(f"{hz:g}" for hz in vibration.frequency_hz[~kept])
+                    omitted.append(f"{label}: {lost} Hz, less than {DETECTED:g} times its uncertainty")
+                if kept.any():
+                    own.append(vibration.only(kept))
+            found += with_shared_noise(own, scene, plan, source.stored)
     return found, omitted
+
+
+def _depths(scene: Scene, plan: Plan, omitted: list[str]) -> Iterator[tuple[Scene, Plan, float]]:
+    """Yield scene, plan and distance from the focus of every gate that serves; the scene's own where it has no more."""
+    gates = depth_gates(scene, plan.shots[0]) if plan.shots else ()
+    if not gates:
+        yield scene, plan, scene.gate_depth_m - _focus_m(scene)
+        return
+    focus_m, where = _focus_m(scene), f"{scene.tracking.lateral_offset_m * 1e3:g} mm"
+    assert scene.beams is not None  # noqa: S101 (push_of has asked for them)
+    reach_m = DEEPEST_SIGMAS * scene.beams.excitation_width_m[2]
+    inside = [gate for gate in gates if abs(gate.depth_m - focus_m) <= reach_m]
+    kept = apart(inside, scene.gate_depth_m)
+    if far := [gate for gate in gates if gate not in inside]:
+        omitted.append(f"{where}: gates at {_depths_mm(far)}, more than {reach_m * 1e3:.3g} mm from the focus")
+    if shared := [gate for gate in inside if gate not in kept]:
+        omitted.append(f"{where}: gates at {_depths_mm(shared)}, which share echoes with those used")
+    for gate in kept:
+        there = shots_with_gate(plan, gate, scene.acquisition.sound_speed_m_per_s)
+        yield with_gate(scene, gate), there, gate.depth_m - focus_m
+
+
+def _depths_mm(gates: Sequence[DepthGate]) -> str:
+    return ", ".join(f"{gate.depth_m * 1e3:.4g}" for gate in gates) + " mm"
+
+
+def with_shared_noise(depths: Sequence[Vibration], scene: Scene, plan: Plan, stored: StoredRun) -> list[Vibration]:
+    """Return the vibrations at the ``depths`` of a place, noisier by what all of them share.
+
+    The mean of n equally noisy values of which any two correlate by c is 1 + (n - 1) c times as noisy, in variance, as
+    that of independent ones: trigger jitter moves all depths of a record alike. c is that of the residuals of the first
+    shot; nothing changes where it is none.
+    """
+    if len(depths) < 2:
+        return list(depths)
+    shared = 1 + (len(depths) - 1) * max(_shared(scene, plan, stored), 0.0)
+    return [replace(one, covariance_m2=one.covariance_m2 * shared) for one in depths]
+
+
+def _shared(scene: Scene, plan: Plan, stored: StoredRun) -> float:
+    """Return the mean correlation of the residuals of gates that share no echo, of the first shot that has them."""
+    gates = apart(depth_gates(scene, plan.shots[0]), scene.gate_depth_m)
+    for index, shot in enumerate(plan.shots):
+        if not stored.shot_complete[shot.index]:
+            continue
+        each = [shots_with_gate(plan, gate, scene.acquisition.sound_speed_m_per_s).shots[index] for gate in gates]
+        rest = [residual_m(with_gate(scene, gate), one, stored) for gate, one in zip(gates, each, strict=True)]
+        rows = np.array([row for row in rest if row is not None])
+        both = np.isfinite(rows).all(axis=0)
+        if len(rows) < 2 or both.sum() < LEAST_PULSES:
+            return 0.0
+        matrix = np.corrcoef(rows[:, both])
+        return float(matrix[np.triu_indices(len(rows), 1)].mean())
+    return 0.0
 
 
 def _fits(
@@ -118,14 +180,14 @@ def strongest(shot: Shot, plan: Plan) -> bool:
     return same and (shot.force_fraction or 0.0) == force
 
 
-def _vibration(scene: Scene, label: str, fits: Sequence[HarmonicFit], estimator: str) -> Vibration:
+def _vibration(scene: Scene, label: str, fits: Sequence[HarmonicFit], estimator: str, axial_m: float) -> Vibration:
     frequency_hz = fits[0].frequency_hz
     information = [np.linalg.inv(_states(each, frequency_hz.size)[1]) for each in fits]
     covariance = np.linalg.inv(np.sum(information, axis=0))
     weighted = [own @ _states(each, frequency_hz.size)[0] for own, each in zip(information, fits, strict=True)]
     state = covariance @ np.sum(weighted, axis=0)
     phasor_m = state[0::2] + 1j * state[1::2]
-    return vibration_at(scene, estimator, label, frequency_hz, phasor_m, (covariance + covariance.T) / 2)
+    return vibration_at(scene, estimator, label, frequency_hz, phasor_m, (covariance + covariance.T) / 2, axial_m)
 
 
 def vibration_at(
@@ -135,21 +197,30 @@ def vibration_at(
     frequency_hz: FloatArray,
     phasor_m: ComplexArray,
     covariance_m2: FloatArray,
+    axial_m: float | None = None,
 ) -> Vibration:
-    """Return the vibration at the place of ``scene`` with what is known of that place; the scene has [beams]."""
+    """Return the vibration at the place of ``scene`` with what is known of that place; the scene has [beams].
+
+    ``axial_m``: from the focus, where it is not the scene's.
+    """
+    axial_m = scene.gate_depth_m - _focus_m(scene) if axial_m is None else axial_m
     beams = beam_widths(scene, estimator)
     assert beams is not None  # noqa: S101 (push_of has asked for them)
     seen = beams.tracking_width_m[0] ** 2 / 2
-    area, middle_m = tracked_spread(scene, estimator)
+    area, middle_m, deep_m = tracked_spread(scene, estimator)
+    shift_m, spread_m = depth_in_gate(scene, estimator, axial_m)
     return Vibration(
         label=label,
         frequency_hz=frequency_hz,
         phasor_m=phasor_m,
         covariance_m2=covariance_m2,
         lateral_m=scene.tracking.lateral_offset_m,
-        axial_m=scene.gate_depth_m - _focus_m(scene),
-        tracking_m2=(seen, beams.axial_spread_m**2),
-        lateral_uncertainty_m=float(np.hypot(scene.tracking.offset_uncertainty_m, middle_m)),
+        axial_m=axial_m + shift_m if axial_m else 0.0,
+        axial_uncertainty_m=deep_m if axial_m else 0.0,
+        travel_s=axial_m / scene.acquisition.sound_speed_m_per_s,
+        tracking_m2=(seen, spread_m**2),
+        lateral_uncertainty_m=middle_m,
+        place_uncertainty_m=scene.tracking.offset_uncertainty_m,
         gain_uncertainty=GAIN_UNCERTAINTY,
         phase_uncertainty_rad=PHASE_UNCERTAINTY_RAD,
         area_uncertainty=area,
@@ -172,8 +243,8 @@ def detected(vibration: Vibration) -> NDArray[np.bool_]:
     return np.asarray(np.abs(vibration.phasor_m) > DETECTED * sigma_m)
 
 
-def _label(scene: Scene, source: Source, sources: int) -> str:
+def _label(scene: Scene, axial_m: float, source: Source, sources: int) -> str:
     where = f"{scene.tracking.lateral_offset_m * 1e3:g} mm"
-    if scene.tracking.axial_offset_m:
-        where += f", {scene.tracking.axial_offset_m * 1e3:+g} mm deep"
+    if abs(axial_m) > 1e-9:
+        where += f", {axial_m * 1e3:+.3g} mm deep"
     return where if sources == 1 else f"{where} ({source.name})"

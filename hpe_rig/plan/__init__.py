@@ -2,6 +2,7 @@
 
     what the scene does without                              omitted.py
     shots, their trains, gates and records                   shots.py
+    gates over depth, of the same records                    gate_profile.py
     when a toneburst disturbs a tracking pulse               interference.py
     which pulses and frequencies a fit uses                  selection.py
     what speaks against it, one file a subject               checks/

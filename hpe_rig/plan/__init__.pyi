@@ -9,6 +9,14 @@ from .checks.check_result import (
     refuse_conflicts as refuse_conflicts,
 )
 from .checks.checklist import check_plan as check_plan
+from .checks.depth_gates import gates_over_depth as gates_over_depth
+from .gate_profile import (
+    DepthGate as DepthGate,
+    apart as apart,
+    depth_gates as depth_gates,
+    shots_with_gate as shots_with_gate,
+    with_gate as with_gate,
+)
 from .interference import disturbed_pulses as disturbed_pulses
 from .omitted import omissions as omissions
 from .selection import (

@@ -35,6 +35,10 @@ Triple = tuple[float, float, float]
 DIRECTIONS = 96
 AREA_STEP = 0.05
 """Relative step in the tracking beam's area over which a derivative is taken."""
+OFF_AXIS_SHARE = 0.913
+"""Of what obliquity takes on the axis, its mean over the focal plane, by energy of echoes, at any aperture."""
+SHAPE_RELATIVE = 0.004
+"""Between what beams of an aperture and Gaussians of the same echo energy track, besides (scripts/aperture.py)."""
 SPECKLE_PER_CELL = 11.0
 """Scatterers per resolution cell where nothing says otherwise: fully developed speckle (paper, Table I)."""
 SPECKLE_DRAWS = 2000
@@ -61,7 +65,7 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     spread, carrier = speckle_spread(resting, estimator)
     if scene.excitation is None:
         alike = Averaging(gaussian, 0.0, spread, carrier_relative=carrier)
-        return tuple(_off_focus(scene, alike) for _ in frequency_hz)
+        return tuple(_as_sensed(scene, alike) for _ in frequency_hz)
     many = gaussian_averaging(*widths, beams.axial_spread_m)
     # To first order in how far the motion changes over the beam, its loss is in proportion to the Gaussian's.
     loss_scale, area_spread = (1 - gaussian) / (1 - many), spread / -_gaussian_steepness(beams)
@@ -70,21 +74,36 @@ def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None,
     speckle, uncertain = area_spread * steepness, (factor * deviation.real, deviation.imag)
     columns = np.stack([factor, np.angle(ratio), speckle.real, *uncertain, speckle.imag], axis=-1).tolist()
     rest = {"carrier_relative": carrier, "area_spread": area_spread, "loss_scale": loss_scale}
-    return tuple(_off_focus(scene, replace(Averaging(*each), **rest)) for each in columns)
+    return tuple(_as_sensed(scene, replace(Averaging(*each), **rest)) for each in columns)
 
 
-def tracked_spread(scene: Scene, estimator: str) -> tuple[float, float]:
-    """Return over speckle the standard deviations of the area across that is tracked, relative, and of its middle, m.
+def tracked_spread(scene: Scene, estimator: str) -> tuple[float, float, float]:
+    """Return standard deviations over speckle: of the area across that is tracked, relative, its middle and depth, m.
 
-    What tracks, weights the scatterers' motion: the mean of their x and of their (x^2 + y^2) / 2 under those weights.
-    (0, 0) without beams.
+    What tracks, weights the scatterers' motion: the mean of their (x^2 + y^2) / 2, x and z under those weights. Zeros
+    without beams.
     """
     resting = resting_conditions(scene)
-    return (0.0, 0.0) if resting is None else region_spread(resting, estimator)
+    return (0.0, 0.0, 0.0) if resting is None else region_spread(resting, estimator)
+
+
+def depth_in_gate(scene: Scene, estimator: str, off_focus_m: float) -> tuple[float, float]:
+    """Return how far from a gate's middle its echoes come on the mean, and their standard deviation in depth, m.
+
+    Of a gate whose middle lies ``off_focus_m`` behind the focus, where the tracking beam is stronger on the near side:
+    the energy of a gate at the focus times exp(-2 z_c z / T_z^2).
+    """
+    assert scene.beams is not None  # noqa: S101 (as its callers know)
+    widths, lengths = scene.beams.tracking_width_m, (scene.acquisition.gate_length_m, pulse_length_m(scene))
+    depth_m, energy = gate_energy(widths, *lengths, spec_of(estimator).gate_window)
+    exponent = -2 * off_focus_m * depth_m / widths[2] ** 2
+    energy = energy * np.exp(exponent - exponent.max())
+    mean_m = float(energy @ depth_m / energy.sum())
+    return mean_m, float(np.sqrt(energy @ (depth_m - mean_m) ** 2 / energy.sum()))
 
 
 @functools.lru_cache(maxsize=16)
-def region_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
+def region_spread(resting: Conditions, estimator: str) -> tuple[float, float, float]:
     """Return ``tracked_spread`` of ``resting`` echoes."""
 
     def spread(moved: Moved) -> tuple[float, float]:
@@ -95,7 +114,12 @@ def region_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
 
     unit_m = resting.tracking_width_m[0]
     mean, area = spread(lambda place: np.square(place[:2] / unit_m).sum(axis=0) / 2)
-    return area / mean, unit_m * spread(lambda place: np.asarray(place[0] / unit_m))[1]
+    across, along = (unit_m * spread(functools.partial(_along_axis, axis, unit_m))[1] for axis in (0, 2))
+    return area / mean, across, along
+
+
+def _along_axis(axis: int, unit_m: float, place: FloatArray) -> FloatArray:
+    return np.asarray(place[axis] / unit_m)
 
 
 def resting_conditions(scene: Scene) -> Conditions | None:
@@ -211,6 +235,29 @@ def _wider(tracking_width_m: Triple) -> Triple:
     return x * (1 + AREA_STEP) ** 0.5, y * (1 + AREA_STEP) ** 0.5, z
 
 
+def _as_sensed(scene: Scene, averaging: Averaging) -> Averaging:
+    """Return ``averaging`` for the oblique waves of the declared aperture, and for a gate off the focus."""
+    return _off_focus(scene, _oblique(scene, averaging))
+
+
+def _oblique(scene: Scene, averaging: Averaging) -> Averaging:
+    if scene.beams is None or scene.beams.transducer_diameter_m is None:
+        return averaging
+    focus_m = scene.beams.focus_depth_m or scene.acquisition.gate_depth_m
+    sensed = oblique_share(scene.beams.transducer_diameter_m, focus_m)
+    return replace(averaging, factor=averaging.factor * sensed, offset_factor=sensed, shape_relative=SHAPE_RELATIVE)
+
+
+def oblique_share(diameter_m: float, focal_length_m: float) -> float:
+    """Return the delay that a displacement makes in a focused beam, over 2 u / c, weighted by the echoes' energy.
+
+    The waves of a bowl reach the focus under all angles up to its half angle: their mean cosine is less than 1.
+    docs/theory/transducer.md, section 2.
+    """
+    sine = min(diameter_m / 2 / focal_length_m, 1.0)
+    return float(1 - OFF_AXIS_SHARE * (1 - np.sqrt(1 - sine**2)) / 2)
+
+
 def _off_focus(scene: Scene, averaging: Averaging) -> Averaging:
     """Return ``averaging`` for a gate off the declared focus; as it is where no focus is declared.
 
@@ -225,7 +272,8 @@ def _off_focus(scene: Scene, averaging: Averaging) -> Averaging:
         # put there by its echoes, from where the gate is moved by a known distance
         focus_m, relative = scene.acquisition.gate_depth_m, 0.0
     factor, spread = off_focus(gate_m - focus_m, gate_m * relative, width_m)
-    return replace(averaging, factor=averaging.factor * factor, offset_relative=spread, offset_factor=factor)
+    both = averaging.offset_factor * factor
+    return replace(averaging, factor=averaging.factor * factor, offset_relative=spread, offset_factor=both)
 
 
 def off_focus(offset_m: float, uncertainty_m: float, width_m: float) -> tuple[float, float]:

@@ -12,7 +12,8 @@
                        or A_i, phi_i, background: least squares             harmonic.py, or kalman_filter.py
     joint              A_i, phi_i that make all echoes one echo, delayed    maximum_likelihood.py
 
-    cross_spectrum     v_n = -c dtheta_n(f_c) / (4 pi f_c T_prf)            motion.py, eqs. (5) (6)
+    cross_spectrum     v_n = -c dtheta_n(f_c) / (4 pi f_c T_prf)            spectral_peak.py, eqs. (5) (6)
+                       compiled, where Numba is                             spectral_peak_numba.py
                        D_n = v_n / w_i -> band-pass -> Hann -> Kalman, x 2  velocity_chain.py, velocity_noise.py
                        then off with sinc(f_i / f_prf), T_prf / 2, 90 deg
 
@@ -23,6 +24,7 @@
     what distinguishes them, one row each                                   estimators.py
     the uncertainty of each estimate, source by source                      budget.py
     a stored run, shot by shot, with its warnings                           shots.py, stationarity.py
+    the motion of all burst periods over one another                        burst_period.py
     motion that nobody fitted                               residual_line.py
     the same from the twin's motion, at every instant                       ground_truth.py
 

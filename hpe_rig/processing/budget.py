@@ -112,6 +112,7 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
         return Component(source, amplitude * peak_m, phase_rad)
 
     carrier = (relative("carrier", averaging.carrier_relative),) if averaging.carrier_relative else ()
+    shape = (relative("beam shape", averaging.shape_relative),) if averaging.shape_relative else ()
     return (
         fitted("noise", random * (1 - share)),
         fitted("trigger jitter", random * share),
@@ -122,6 +123,7 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
         relative("sound speed", known.sound_speed_uncertainty),
         relative("gate off focus", averaging.offset_relative),
         *carrier,
+        *shape,
     )
 
 

@@ -5,7 +5,10 @@ views.py            one shot as people look at it: echoes, displacement, fit; th
 residual_tests.py   whether the fit leaves nothing but noise
 foreseen.py         what the error model predicts for the amplitudes found
 sweep.py            many shots as curves, means over repeats, straight lines
+comparison.py       two runs side by side, with the significance of each difference
 provenance.py       attributes, settings read back, fingerprint of the file
+depth_profile.py    pictures over depth, of gates in the same records
+moduli.py           the medium's moduli, of a run at several places
 figures.py          pictures of one shot and of many
 svg.py              panels as SVG text, which other pages draw too
 report.html         the page's template

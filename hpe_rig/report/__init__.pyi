@@ -1,3 +1,4 @@
+from .comparison import Comparison as Comparison, ResultDifference as ResultDifference, compare_runs as compare_runs
 from .page import write_report as write_report
 from .svg import (
     MARKS as MARKS,

@@ -20,7 +20,9 @@ from hpe_rig.plan import scene_of
 from hpe_rig.prediction import detection_text
 from hpe_rig.processing import margin_needed, samples_needed
 from hpe_rig.report import figures, provenance as report_provenance
+from hpe_rig.report.depth_profile import profile_pictures
 from hpe_rig.report.foreseen import foreseen
+from hpe_rig.report.moduli import moduli_part
 from hpe_rig.report.residual_tests import ResidualTest, residual_tests
 from hpe_rig.report.svg import Picture
 from hpe_rig.report.sweep import Sweep, make_sweep
@@ -50,10 +52,17 @@ class ErrorStage:
     source: str
 
 
-def write_report(path: Path, estimator: str | None = None, output: Path | None = None, shot: int | None = None) -> Path:
+def write_report(
+    path: Path,
+    estimator: str | None = None,
+    output: Path | None = None,
+    shot: int | None = None,
+    profile_step_m: float | None = None,
+) -> Path:
     """Write the report of the run in ``path`` and return its own path, by default beside the run with ``.html``.
 
-    ``shot`` counts from 1 and says which one is drawn; absent: of the complete ones that which moves most. Raises
+    ``shot`` counts from 1 and says which one is drawn; absent: of the complete ones that which moves most;
+    ``profile_step_m``: also gates so far apart over depth. Raises
     ``StoreError`` for a file that cannot be read or written, or would be lost, and ``SettingsError`` for what the file
     says or the caller asks.
     """
@@ -62,7 +71,7 @@ def write_report(path: Path, estimator: str | None = None, output: Path | None =
     target = output or path.with_suffix(".html")
     _refuse_other(target)
     refuse_unwritable(target)
-    page = render(path, estimator, shot)
+    page = render(path, estimator, shot, profile_step_m)
     try:
         target.write_text(page, encoding="utf-8")
     except OSError as error:
@@ -84,11 +93,13 @@ def _refuse_other(target: Path) -> None:
         raise StoreError(f"{target} exists and is no HTML page: it is left alone. Try: another --output.")
 
 
-def render(path: Path, estimator: str | None = None, shot: int | None = None) -> str:
+def render(
+    path: Path, estimator: str | None = None, shot: int | None = None, profile_step_m: float | None = None
+) -> str:
     """Return the report of the run in ``path`` as HTML text; raises as ``write_report``."""
     stages = Stages()
     with stages("read"):
-        run = open_run(path)
+        run = open_run(path).with_profile(profile_step_m)
     result = run.estimate(estimator, stages)
     with stages("write result"):
         run.save(result)
@@ -97,6 +108,8 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
         pictures, checks, motion = _look(run, shown)
         sweep = make_sweep(result.shots)
         swept = figures.sweep_pictures(sweep) if sweep else ()
+        fitted = moduli_part(run, estimator)
+        deep = profile_pictures([gate for gate in result.profile if _alike(gate.shot, shown)])
     return _page(
         result=result,
         shown=shown,
@@ -104,6 +117,8 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
         stored=run.stored,
         pictures={picture.key: picture for picture in pictures},
         swept=swept,
+        deep=deep,
+        fitted=fitted,
         sweep=sweep,
         checks=checks,
         errors=error_stages(shown, motion),
@@ -120,6 +135,10 @@ def render(path: Path, estimator: str | None = None, shot: int | None = None) ->
         longest_text=LONGEST_TEXT,
         stages=_bars(result),
     )
+
+
+def _alike(shot: ShotResult, shown: ShotResult) -> bool:
+    return (shot.shot, shot.window_length_s) == (shown.shot, shown.window_length_s)
 
 
 def strongest(shot: ShotResult) -> Estimate:

@@ -2,6 +2,7 @@ from .estimates import (
     Averaging as Averaging,
     Component as Component,
     Estimate as Estimate,
+    GateResult as GateResult,
     Headline as Headline,
     Result as Result,
     ShotResult as ShotResult,

@@ -46,7 +46,8 @@ class Averaging:
     from what is not known of the gate's distance to the focus; ``carrier_relative`` is the spread of the echo's mean
     frequency about the carrier, for an estimator that divides by that. The others are standard deviations.
 
-    ``offset_factor`` is what of ``factor`` a gate off the focus makes. For other media: speckle changes the logarithm
+    ``offset_factor`` is what of ``factor`` a gate off the focus and oblique waves make, ``shape_relative`` what beams
+    that are no Gaussians leave uncertain. For other media: speckle changes the logarithm
     of the tracking beam's area by ``area_spread``, and few speckles and scatterers make what is lost ``loss_scale``
     times that of many.
     """
@@ -59,6 +60,7 @@ class Averaging:
     speckle_phase_rad: float = 0.0
     offset_relative: float = 0.0
     offset_factor: float = 1.0
+    shape_relative: float = 0.0
     carrier_relative: float = 0.0
     area_spread: float = 0.0
     loss_scale: float = 1.0
@@ -223,6 +225,22 @@ class ShotResult:
 
 
 @dataclass(frozen=True, slots=True)
+class GateResult:
+    """A shot as one gate over depth sees it: the gate's middle and length, m, and the estimates there.
+
+    The headline is the motion on the tracking axis at that depth; no truth is known there. ``motion_m`` (time,): mean
+    displacement in equal parts of the burst period, about its mean, at ``motion_time_s`` after a toneburst's arrival at
+    the gate; empty where nothing pushes.
+    """
+
+    depth_m: float
+    length_m: float
+    shot: ShotResult
+    motion_time_s: tuple[float, ...] = ()
+    motion_m: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class Result:
     """The result of a run, or of anybody's echoes (``hpe_rig.estimate``).
 
@@ -251,6 +269,7 @@ class Result:
     run_time_s: Mapping[str, float]
     simulated_specimen: str | None = None
     shots_without_result: tuple[tuple[int, str], ...] = ()
+    profile: tuple[GateResult, ...] = ()
     notes: Mapping[str, str | int | float | bool] = field(default_factory=dict)
     provenance: Provenance = UNKNOWN
     imported: str | None = None
@@ -284,7 +303,11 @@ class Result:
         if means := [asdict(each) for each in self.means]:
             # What a reader should take first stands first.
             tables = {"means": means, **tables}
-        for shot, table in zip(self.shots, tables["shots"], strict=True):
+        if not self.profile:
+            del tables["profile"]
+        shots = [*self.shots, *(gate.shot for gate in self.profile)]
+        own = [*tables["shots"], *(gate["shot"] for gate in tables.get("profile", ()))]
+        for shot, table in zip(shots, own, strict=True):
             del table["motion"]
             for estimate, row in zip(shot.estimates, table["estimates"], strict=True):
                 row.update({name: getattr(estimate, name) for name in DERIVED})

@@ -19,7 +19,7 @@ def result_schema() -> dict[str, Any]:
     schema = _object(Result)
     derived = {"means": {"type": "array", "items": _object(RepeatMean)}, "left_out": _of(tuple[tuple[str, str], ...])}
     schema["properties"] |= derived
-    absent = {"means", "simulated_specimen", "imported"}
+    absent = {"means", "simulated_specimen", "imported", "profile"}
     schema["required"] = [name for name in schema["properties"] if name not in absent]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Result of hpe-rig", **schema}
 

@@ -199,6 +199,8 @@ class Beams(Section):
     """Axial length c T / 2 of the tracking pulse as received, T its full length; absent: that of its cycles."""
     focus_depth_m: LengthM | None = None
     """Distance from the transducer to the common focus; absent: the middle of the gate, put there by its echoes."""
+    transducer_diameter_m: Annotated[LengthM, Field(le=1.0)] | None = None
+    """Diameter of the focused aperture, whose oblique waves sense less of a displacement; absent: plane waves."""
 
 
 class Medium(Section):
@@ -213,6 +215,15 @@ class Medium(Section):
     """Shear viscosity mu2."""
     density_kg_per_m3: DensityKgPerM3 = 1000.0
     """Mass density."""
+
+
+class Gate(Section):
+    """One more gate of the same records."""
+
+    depth_m: LengthM
+    """Distance from the transducer to its middle."""
+    length_m: LengthM | None = None
+    """Its length; absent: acquisition.gate_length_m."""
 
 
 class Processing(Section):
@@ -239,6 +250,10 @@ class Processing(Section):
     subtracted. Not with joint."""
     reference_gate_length_m: LengthM | None = None
     """Length of that gate; absent: acquisition.gate_length_m."""
+    gates: Annotated[tuple[Gate, ...], Field(max_length=1000)] = ()
+    """More gates, inside the record: amplitude and phase over depth from one acquisition."""
+    gate_profile_step_m: LengthM | None = None
+    """The same in gates of acquisition.gate_length_m, so far apart, as many as the record holds around the gate."""
     expected_snr_db: RatioDb | None = None
     """Echo power over noise power in the gate, for the prediction; absent: as the twin simulates."""
     expected_amplitude_m: AmplitudeM | None = None
@@ -260,6 +275,16 @@ class Processing(Section):
             raise ValueError('joint has no displacements to follow: set estimator = "coherent", or follow_gate = false')
         if self.follow_gate and self.reference_gate_depth_m is not None:
             raise ValueError("a reference gate stands still where follow_gate moves: remove one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _one_profile_of_standing_gates(self, info: ValidationInfo) -> Processing:
+        if info.context == STORED:
+            return self
+        if self.gates and self.gate_profile_step_m is not None:
+            raise ValueError("gates and gate_profile_step_m both say where gates over depth lie: remove one of them")
+        if self.follow_gate and (self.gates or self.gate_profile_step_m is not None):
+            raise ValueError("gates over depth stand still where follow_gate moves: remove one of them")
         return self
 
     @model_validator(mode="after")

@@ -311,8 +311,8 @@ SMALLEST_M, LARGEST_M = 1e-15, 1e-3
 _UNITS_M = {"nm": 1e-9, "um": 1e-6, "mm": 1e-3, "m": 1.0}
 
 
-def length_m(text: str, key: str) -> float:
-    """Return a length from 1 fm to 1 mm, such as "20nm" or "2e-8".
+def length_m(text: str, key: str, largest_m: float = LARGEST_M) -> float:
+    """Return a length from 1 fm to ``largest_m``, 1 mm, such as "20nm" or "2e-8".
 
     Raises ``SettingsError`` naming ``key`` for others.
     """
@@ -321,9 +321,7 @@ def length_m(text: str, key: str) -> float:
         value = float(match[1]) * _UNITS_M[match[2] or "m"] if match else math.nan
     except ValueError:
         value = math.nan
-    if not SMALLEST_M <= value <= LARGEST_M:
-        raise SettingsError(
-            "command line",
-            [Mistake(key, f"{text!r} is no length from 1 fm to 1 mm", "a number with unit, such as 20nm")],
-        )
+    if not SMALLEST_M <= value <= largest_m:
+        what = f"{text!r} is no length from 1 fm to {largest_m * 1e3:g} mm"
+        raise SettingsError("command line", [Mistake(key, what, "a number with unit, such as 20nm")])
     return value

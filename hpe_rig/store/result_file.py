@@ -8,8 +8,9 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
-from hpe_rig.result import MOTION_UNITS, UNITS, Result, result_grid
+from hpe_rig.result import MOTION_UNITS, UNITS, Result, ShotResult, result_grid
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import seal
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
@@ -21,6 +22,8 @@ def write_result(path: Path, result: Result) -> None:
 
     Group ``results``: one dataset for each quantity of an estimate, float64 (shot, frequency), NaN where unknown.
     Group ``motion``: displacement, its uncertainty, model and residual of every pulse, float64 (shot, pulse).
+    Of gates over depth also group ``profile``, as ``results`` (shot, depth, frequency), and group ``burst_period`` with
+    ``displacement_m`` (shot, depth, time).
     Raises ``StoreError`` if it cannot be written.
     """
     _refuse_foreign(path)
@@ -67,6 +70,46 @@ def _write(file: h5py.File, result: Result) -> None:
         motion["time_s"].attrs["long_name"] = f"time of the motion at the gate, {result.phase_reference}"
         tracked = {shot.motion.tracked_by for shot in result.shots if shot.motion is not None}
         motion.attrs["tracked_by"] = ", ".join(sorted(tracked))
+    if result.profile:
+        _write_profile(file, result, axis)
+
+
+def _write_profile(file: h5py.File, result: Result, frequency_hz: NDArray[np.float64]) -> None:
+    """Write groups ``profile`` and ``burst_period``; NaN where a shot has no such gate."""
+    settings = list(dict.fromkeys(_setting(gate.shot) for gate in result.profile))
+    depth_m = np.unique([gate.depth_m for gate in result.profile])
+    at = [(settings.index(_setting(gate.shot)), int(np.searchsorted(depth_m, gate.depth_m))) for gate in result.profile]
+    scales = {"shot": np.array([shot for shot, _ in settings]), "depth": depth_m}
+    group = file.create_group("profile")
+    lengths_m = np.full((len(settings), depth_m.size), np.nan)
+    for place, gate in zip(at, result.profile, strict=True):
+        lengths_m[place] = gate.length_m
+    group.create_dataset("gate_length_m", data=lengths_m)
+    for name in UNITS:
+        values = np.full((len(settings), depth_m.size, frequency_hz.size), np.nan)
+        for place, gate in zip(at, result.profile, strict=True):
+            row = [getattr(estimate, name) for estimate in gate.shot.estimates]
+            values[place][: len(row)] = [np.nan if value is None else value for value in row]
+        group.create_dataset(name, data=values)
+    name_axes(group, scales | {"frequency": frequency_hz}, {**UNITS, "gate_length_m": "m"})
+    group["depth"].attrs["units"] = "m"
+    group["frequency"].attrs["units"] = file["results/frequency"].attrs["units"]
+    times_s = max((gate.motion_time_s for gate in result.profile), key=len)
+    if not times_s:
+        return
+    group = file.create_group("burst_period")
+    moved_m = np.full((len(settings), depth_m.size, len(times_s)), np.nan)
+    for place, gate in zip(at, result.profile, strict=True):
+        if len(gate.motion_m) == len(times_s):
+            moved_m[place] = gate.motion_m
+    group.create_dataset("displacement_m", data=moved_m)
+    name_axes(group, scales | {"time": np.array(times_s)}, {"displacement_m": "m"})
+    group["time"].attrs["units"], group["depth"].attrs["units"] = "s", "m"
+
+
+def _setting(shot: ShotResult) -> tuple[int, float | None]:
+    """Return what a row of the file is of: a shot, and the slow-time window taken of it."""
+    return shot.shot, shot.window_length_s
 
 
 def _refuse_foreign(path: Path) -> None:

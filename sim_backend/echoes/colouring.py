@@ -37,13 +37,16 @@ class Colouring:
     """(scatterer,) delay that a displacement makes, over 2 u / c."""
 
 
-def coloured(settings: SimulationSettings, offset_m: Floats, pulse: Pulse) -> Colouring:
-    """Return what the aperture's beam makes of the echo of ``pulse`` from ``offset_m`` (scatterer, 3) off the focus."""
-    x, y = settings.beams.lateral_offset_m
+def coloured(settings: SimulationSettings, offset_m: Floats, pulse: Pulse, of_push: bool = False) -> Colouring:
+    """Return what the aperture's beam makes of the echo of ``pulse`` from ``offset_m`` (scatterer, 3) off the focus.
+
+    ``of_push``: of a toneburst, whose axis is that of the push, not of the tracking.
+    """
+    x, y = (0.0, 0.0) if of_push else settings.beams.lateral_offset_m
     lateral_m, axial_m = np.hypot(offset_m[:, 0] - x, offset_m[:, 1] - y), offset_m[:, 2]
     node_hz, mixture, to_lines = _band(pulse)
     reach_m = float(lateral_m.max(initial=0.0)), float(np.abs(axial_m).max(initial=0.0))
-    seen, sensed = pulse_echo_beam(settings, node_hz, *reach_m, mixture).at(lateral_m, axial_m)
+    seen, sensed = pulse_echo_beam(settings, node_hz, *reach_m, mixture, of_push).at(lateral_m, axial_m)
     share = to_lines @ seen
     weight = np.abs(share).max(axis=0)
     return Colouring(weight, share / np.where(weight > 0, weight, 1.0), sensed)

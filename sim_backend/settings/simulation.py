@@ -136,6 +136,18 @@ class Transmitter(Section):
     """Ceiling of the amplifier's output amplitude; absent: it is linear and has no harmonics."""
     saturation_sharpness: Annotated[float, Field(ge=0.5, le=20, strict=True)] = 2.0
     """Exponent p of the ceiling, the Rapp law (assumed)."""
+    diode_threshold_v: PartOfVoltageV = 0.0
+    """Forward voltage of the diode bridge behind the amplifier, which a toneburst loses (assumed: none)."""
+
+    @property
+    def linear(self) -> bool:
+        """Whether what leaves it goes with the drive and has no harmonics."""
+        return self.saturation_v is None and self.diode_threshold_v == 0
+
+    @property
+    def amplifier_gain(self) -> float:
+        """Voltage gain from the hybrid's input to the amplifier's output."""
+        return float(10 ** ((self.gain_db - self.hybrid_loss_db) / 20))
 
 
 class Propagation(Section):
@@ -217,10 +229,14 @@ class Transducer(Section):
 class Beams(Section):
     """Excitation and tracking beams; widths are the sigmas E and T of eq. (8) and (12)."""
 
-    field: Literal["gaussian", "aperture"] = "gaussian"
-    """Shape of both beams: Gaussians of the widths below, or what ``transducer`` radiates."""
+    field: Literal["gaussian", "aperture", "measured"] = "gaussian"
+    """Shape of both beams: Gaussians of the widths below, what ``transducer`` radiates, or hydrophone scans of them."""
     transducer: Transducer = Transducer()
     """The transducer, of ``field = "aperture"``."""
+    excitation_scan: Annotated[str, Field(min_length=1)] | None = None
+    """File of the push's scan at ``specimen.resonance_hz``, of ``field = "measured"``: HDF5, CSV or MAT."""
+    tracking_scan: Annotated[str, Field(min_length=1)] | None = None
+    """File of the tracking beam's scan, one way, at ``receiver.reference_carrier_hz``."""
     excitation_width_m: Widths = (0.17e-3, 0.17e-3, 1.80e-3)
     """E_x, E_y, E_z (paper, Table I)."""
     tracking_width_m: Widths = (0.078e-3, 0.078e-3, 0.83e-3)
@@ -459,6 +475,9 @@ class SimulationSettings(Section):
         if self.beams.field == "gaussian":
             return self
         wrong = []
+        if self.beams.field == "measured":
+            scans = {name: getattr(self.beams, name) for name in ("excitation_scan", "tracking_scan")}
+            wrong += [f'beams.field = "measured" needs beams.{name}' for name, path in scans.items() if path is None]
         focus_m, focal_m = self.beams.focus_depth_m, self.beams.transducer.focal_length_m
         if abs(focus_m - focal_m) > 1e-9 * focal_m:
             wrong.append(
@@ -492,6 +511,13 @@ class SimulationSettings(Section):
                 )
             if self.beams.width_ratio is not None:
                 raise ValueError(f"beams.width_ratio sets the shape of a Gaussian motion: remove it, or set {remedy}")
+        if self.specimen is not None and self.transmitter.diode_threshold_v > 0:
+            amplitude_v = self.specimen.reference_drive_vpp / 2 * self.transmitter.amplifier_gain
+            if amplitude_v <= self.transmitter.diode_threshold_v:
+                raise ValueError(
+                    f"specimen.reference_drive_vpp leaves the amplifier with {amplitude_v:.3g} V, which does not pass "
+                    "transmitter.diode_threshold_v: a larger drive, or a lower threshold"
+                )
         if self.specimen is not None and self.motion is not None:
             raise ValueError(
                 "specimen and motion exclude each other: remove [simulation.specimen] or [[simulation.motion]]"

@@ -2,6 +2,7 @@
 
     diameter, focal length, apodisation   `sim_backend.settings.Transducer`, the one description
     P(r, z)                               pressure of the bowl: O'Neil's Rayleigh integral   radiation.py
+    P(r, z), measured                     a hydrophone's scan                                     hydrophone.py
     |P|^2                                 its intensity as a sum of Gaussians: the push      intensity.py
     P^2                                   what is heard of a scatterer: tracking             pulse_echo.py
     dp/dz = beta/(2 rho c^3) dp^2/dt      finite amplitude, one step of it                        burgers.py

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.settings import SimulationSettings, Specimen, Transducer
+from sim_backend.transducer.hydrophone import read_scan, round_field
 from sim_backend.transducer.radiation import bowl_pressure, wave_number
 
 Floats = NDArray[np.float64]
@@ -56,25 +57,34 @@ class GaussianSum:
 
 
 def push_intensity(settings: SimulationSettings) -> GaussianSum:
-    """Return the shape of the push's intensity, that of the aperture at the specimen's resonance."""
+    """Return the shape of the push's intensity: that of the aperture at the specimen's resonance, or as measured."""
     specimen = settings.specimen or Specimen()
     return _kept(
         settings.beams.transducer,
         specimen.resonance_hz,
         settings.sound_speed_m_per_s,
         specimen.attenuation_db_per_cm_mhz,
+        settings.beams.excitation_scan if settings.beams.field == "measured" else None,
     )
 
 
 @lru_cache(maxsize=8)
 def _kept(
-    transducer: Transducer, frequency_hz: float, sound_speed_m_per_s: float, attenuation_db_per_cm_mhz: float
+    transducer: Transducer,
+    frequency_hz: float,
+    sound_speed_m_per_s: float,
+    attenuation_db_per_cm_mhz: float,
+    scan: str | None,
 ) -> GaussianSum:
     k = wave_number(frequency_hz, sound_speed_m_per_s, attenuation_db_per_cm_mhz)
     sigma_m, reach_m, across_m = push_extent(transducer, frequency_hz, sound_speed_m_per_s)
     axial_m = np.linspace(-reach_m, reach_m, _AXIAL_POINTS + 1)
     lateral_m = across_m * (np.arange(_LATERAL_POINTS) + 0.5) / _LATERAL_POINTS
-    pressure = bowl_pressure(transducer, k, np.concatenate([np.zeros(1), lateral_m]), axial_m)
+    places_m = np.concatenate([np.zeros(1), lateral_m])
+    if scan is None:
+        pressure = bowl_pressure(transducer, k, places_m, axial_m)
+    else:
+        pressure = round_field(read_scan(scan), k.real, places_m, axial_m)
     intensity = np.square(np.abs(pressure))
     intensity /= intensity[_AXIAL_POINTS // 2, 0]
     wide = transducer.half_aperture * reach_m

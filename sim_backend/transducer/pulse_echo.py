@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.settings import SimulationSettings, Transducer
+from sim_backend.transducer.hydrophone import read_scan, round_field
 from sim_backend.transducer.intensity import diffraction_width_m
 from sim_backend.transducer.radiation import bowl_pressure, wave_number
 
@@ -64,13 +65,17 @@ def pulse_echo_beam(
     lateral_reach_m: float,
     axial_reach_m: float,
     mixture: Mixture | None = None,
+    of_push: bool = False,
 ) -> PulseEchoBeam:
     """Return the transducer's beam at ``frequency_hz``, or in mixtures of it, to ``lateral_reach_m`` off its axis.
 
-    In the medium of ``settings``, with its attenuation. Kept: a table for each transducer, medium and band.
+    In the medium of ``settings``, with its attenuation; or as it was measured, alike at all frequencies near that of
+    the scan, that of the push where ``of_push``. Kept: a table for each transducer, medium and band.
     """
+    scan = settings.beams.excitation_scan if of_push else settings.beams.tracking_scan
     return _kept(
         settings.beams.transducer,
+        scan if settings.beams.field == "measured" else None,
         settings.sound_speed_m_per_s,
         settings.scatterers.attenuation_db_per_cm_mhz,
         frequency_hz,
@@ -89,6 +94,7 @@ def _rounded_up(value: float) -> float:
 @lru_cache(maxsize=8)
 def _kept(
     transducer: Transducer,
+    scan: str | None,
     sound_speed_m_per_s: float,
     attenuation_db_per_cm_mhz: float,
     frequency_hz: tuple[float, ...],
@@ -107,6 +113,9 @@ def _kept(
     table = []
     for hz in frequency_hz:
         k = wave_number(hz, sound_speed_m_per_s, attenuation_db_per_cm_mhz)
+        if scan is not None:
+            table.append(np.square(round_field(read_scan(scan), k.real, across, along)))
+            continue
         pressure = bowl_pressure(transducer, k, across, along)
         table.append(np.square(pressure / pressure[steps, 0]) * np.exp(2j * k.real * along)[:, None])
     middle = len(table) // 2

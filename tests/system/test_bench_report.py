@@ -228,11 +228,16 @@ def test_two_runs_are_compared_in_the_fields_words(prepared: Prepare, tmp_path: 
 
 def test_a_run_is_compared_with_the_bench_as_it_stands(tmp_path: Path) -> None:
     run = record_run(prepare("table-1"), tmp_path / "run.h5")
-    text = compare_with(run, bench_state(None))
-    assert "tracking pulser: frequency 9 MHz in run.h5, 1 kHz in the bench now" in text
-    assert "toneburst generator: instrument not opened in run.h5, opened in the bench now" in text
-    # Same board, and what it is set to it cannot state before it is programmed.
-    assert "digitizer" not in text
+    # Programmed with programmed: an idle bench would differ in nearly everything.
+    assert compare_with(run, bench_state(None)) == "run.h5 and the bench now do not differ"
+    other = edited(
+        tmp_path,
+        ("max_duty = 0.05", "max_duty = 0.04"),
+        ("amplitude_vpp = 1.0\n\n[digitizer]", "amplitude_vpp = 0.8\n\n[digitizer]"),
+    )
+    lines = compare_with(run, bench_state(other)).splitlines()
+    assert lines[0] == "5 differences"
+    assert "  tracking pulser: high 500 mV in run.h5, 400 mV in the bench now" in lines
 
 
 def test_snapshots_of_all_acquired_shots_are_read(prepared: Prepare, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@
     timing            periods, record and depth
     sampling          aliasing, window, resolution and size of the fit
     digitizer         records against what the board can do
+    depth_gates       gates over depth: in the record, clear of tonebursts, where something echoes
     checklist         every check in order
 
 What instruments can do is asked of `drivers`, so that a plan that passes is one that they accept.

@@ -9,6 +9,7 @@ from typing import Final
 from hpe_rig.bench import BenchFile
 from hpe_rig.plan.checks.acoustic_output import acoustic_output
 from hpe_rig.plan.checks.check_result import CheckResult
+from hpe_rig.plan.checks.depth_gates import gates_over_depth
 from hpe_rig.plan.checks.digitizer import background, board, capture_mode, gate_in_record, memory
 from hpe_rig.plan.checks.excitation import excitation, interference
 from hpe_rig.plan.checks.output import drive, generators
@@ -38,6 +39,7 @@ CHECKS: Final[tuple[Check, ...]] = (
     fit_size,
     fit_condition,
     gate_in_record,
+    gates_over_depth,
     background,
     board,
     capture_mode,
@@ -54,6 +56,7 @@ OF_RECORDS: Final[tuple[Check, ...]] = (
     fit_size,
     fit_condition,
     gate_in_record,
+    gates_over_depth,
     background,
 )
 """The checks that records have to pass which were imported: they ask nothing of instruments."""

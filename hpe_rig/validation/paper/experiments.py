@@ -74,6 +74,18 @@ def result_of(scene: SceneSource) -> Result:
     return result_and_sampled_truth(scene)[0]
 
 
+CHAINS = {"coherent": "ours", "cross_spectrum": "the paper's"}
+"""Estimators that Fig. 15 to 19 show side by side: the program's default, and the paper's chain with its filter."""
+
+
+def by_chain(scene: SceneSource) -> dict[str, Result]:
+    """Measure a scene once and return what each of `CHAINS` makes of its records."""
+    setup = prepare(scene)
+    with TemporaryDirectory() as folder:
+        run_file = record_run(setup, Path(folder) / "run.h5")
+        return {chain: process(run_file, chain) for chain in CHAINS}
+
+
 def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, Floats]:
     """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what aliases is in them."""
     setup = prepare(scene)

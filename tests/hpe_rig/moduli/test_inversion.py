@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hpe_rig.moduli.inversion import Push, Vibration, bound, compare_media, fit_medium
+from hpe_rig.moduli.inversion import Problem, Push, Vibration, bound, compare_media, fit_medium
+from hpe_rig.moduli.media import LAWS
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import Specimen
 
@@ -153,3 +156,51 @@ def test_a_place_beyond_what_the_field_was_tested_to_is_refused() -> None:
     specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
     with pytest.raises(ValueError, match=r"25 mm: the field is tested to 20 mm"):
         fit_medium(vibrations(specimen, (1e-3, 25e-3)), PUSH)
+
+
+def at_depths(medium: tuple[float, float], depths_m: Sequence[float]) -> list[Vibration]:
+    """Return the twin's motion at two places and several depths, its force everywhere at once, without noise."""
+    specimen = Specimen(shear_modulus_pa=medium[0], shear_viscosity_pa_s=medium[1])
+    places_m, width = np.array([0.0, 1e-3, 4e-3]), (PUSH.width_m[0], *PUSH.width_m)
+    covariance = NOISE_M**2 * np.eye(2 * FREQUENCY_HZ.size)
+    known = {"gain_uncertainty": SPECKLE, "phase_uncertainty_rad": SPECKLE, "area_uncertainty": 0.6}
+    known |= {"lateral_uncertainty_m": 35e-6, "place_uncertainty_m": 20e-6, "tracking_m2": (3e-9, 1e-7)}
+    field = field_transfer(specimen, width, places_m, np.abs(depths_m), FREQUENCY_HZ)
+    field = field * (PUSH.spectrum(FREQUENCY_HZ)[:, None, None] * 800e-9 / abs(field[0, 0, 0]))
+    found = []
+    for i, j in itertools.product(range(1, 3), range(len(depths_m))):
+        x, z = float(places_m[i]), depths_m[j]
+        there = {"place": f"{x}", "axial_m": z, "travel_s": z / 1540, "axial_uncertainty_m": 1e-4 if z else 0.0}
+        label = f"{x * 1e3:g} mm, {z * 1e3:+g} mm"
+        found.append(Vibration(label, FREQUENCY_HZ, field[:, i, j], covariance, x, **there, **known))
+    return found
+
+
+def test_slopes_by_everything_that_depths_add_are_those_of_finite_differences() -> None:
+    problem = Problem.of(at_depths((9e3, 2.0), (-1e-3, 0.0, 2e-3)), PUSH, LAWS["voigt"])
+    coordinates = [one.to_coordinate(value) for one, value in zip(problem.law.parameters, (9e3, 2.0), strict=True)]
+    unknown = problem.start(np.array(coordinates))[0]
+    kinds = [kind for kind, _, _ in problem.nuisances]
+    assert {"stage", "travel", "axial"} <= set(kinds)
+    # one unknown a place for the stage, whatever the number of depths
+    assert kinds.count("stage") == 2
+    jacobian = problem.jacobian(unknown)
+    for i in range(unknown.size):
+        step = np.zeros(unknown.size)
+        step[i] = 1e-5
+        slope = (problem.residual(unknown + step) - problem.residual(unknown - step)) / 2e-5
+        np.testing.assert_allclose(jacobian[:, i], slope, atol=2e-6 * np.abs(jacobian[:, i]).max())
+
+
+def test_depths_tell_more_but_not_of_what_the_stage_is_off() -> None:
+    """Three depths share the stage's error: they tell more than one, and less than if each had an error of its own."""
+    # a stage so bad that little else counts
+    deep = [replace(one, place_uncertainty_m=0.3e-3) for one in at_depths((9e3, 2.0), (-1e-3, 0.0, 1e-3))]
+    alone = [replace(one, place="") for one in deep]
+    flat = [one for one in deep if not one.axial_m]
+    shared, independent, one = (np.sqrt(bound(each, PUSH, "voigt", (9e3, 2.0))[0, 0]) for each in (deep, alone, flat))
+    assert independent < 0.9 * shared
+    assert shared < one
+    fit = fit_medium(deep, PUSH)
+    assert abs(fit.values["shear_modulus_pa"] - 9e3) < fit.uncertainty["shear_modulus_pa"]
+    assert "stage at 4 mm" in fit.adjusted

@@ -7,9 +7,11 @@ import pytest
 
 from hpe_rig.acquire.run import prepare_text, record_run
 from hpe_rig.prediction.beam_averaging import (
+    SHAPE_RELATIVE,
     depth_spread,
     gaussian_averaging,
     medium_motion,
+    oblique_share,
     off_focus,
     predicted_averaging,
     region_spread,
@@ -25,7 +27,8 @@ from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.motion.field import field_transfer
-from sim_backend.settings.simulation import Beams, Scatterers, Specimen
+from sim_backend.settings.simulation import Beams, Scatterers, SimulationSettings, Specimen
+from sim_backend.transducer import pulse_echo_beam
 
 FORCE_M = (0.17e-3, 0.17e-3, 1.80e-3)
 TRACKING_M = (0.078e-3, 0.078e-3, 0.83e-3)
@@ -247,7 +250,28 @@ def test_speckle_moves_the_middle_of_what_is_tracked_as_independent_cells_would(
     pulse = np.where(np.abs(shift) < 0.5, np.cos(np.pi * shift) ** 2, 0.0)
     correlation = np.interp(lag, shift[1000:] * 2, np.correlate(pulse, pulse, "full")[2000::2] / (pulse @ pulse))
     cells = lag.size / np.sum(correlation**2)
-    area, middle_m = region_spread(resting, "coherent")
+    area, middle_m, _ = region_spread(resting, "coherent")
     assert middle_m == pytest.approx(TRACKING_M[0] / np.sqrt(2) / np.sqrt(2 * (cells - 1)), rel=0.065)
     # r^2 / 2 of both axes spreads by sigma^2, as x does by sigma
     assert area == pytest.approx(middle_m / (TRACKING_M[0] / np.sqrt(2)), rel=0.065)
+
+
+@pytest.mark.parametrize("diameter_m", [30e-3, 45e-3])
+def test_oblique_waves_sense_what_the_twins_aperture_says(diameter_m: float) -> None:
+    settings = SimulationSettings.model_validate(
+        {"beams": {"field": "aperture", "transducer": {"diameter_m": diameter_m}}}
+    )
+    lateral_m = np.linspace(0, 0.6e-3, 300)
+    seen, sensed = pulse_echo_beam(settings, (9.0e6,), 0.6e-3, 0.1e-3).at(lateral_m, np.zeros(300))
+    energy = np.abs(seen[0]) ** 2 * lateral_m
+    assert oblique_share(diameter_m, 70e-3) == pytest.approx((sensed * energy).sum() / energy.sum(), abs=2e-4)
+
+
+def test_a_declared_aperture_lowers_what_is_tracked_and_widens_its_uncertainty() -> None:
+    scene = load_scene("bovine-muscle")
+    plain = predicted_averaging(scene, "coherent")[0]
+    oblique = predicted_averaging(scene.with_({"beams.transducer_diameter_m": 45e-3}), "coherent")[0]
+    assert plain is not None
+    assert oblique is not None
+    assert oblique.factor / plain.factor == pytest.approx(oblique_share(45e-3, 70e-3))
+    assert (plain.shape_relative, oblique.shape_relative) == (0.0, SHAPE_RELATIVE)

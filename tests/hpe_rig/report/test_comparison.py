@@ -1,0 +1,95 @@
+"""Two runs side by side: what differs in their settings, and which differences of their results are none of chance."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+from scipy.stats import chi2
+from typer.testing import CliRunner
+
+import hpe_rig as hpe
+from hpe_rig.cli.app import app
+from hpe_rig.report import compare_runs
+from hpe_rig.report.comparison import _probability
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
+    """Return a run, one of another specimen of the same kind, and one of a motion half as large."""
+    folder, scene = tmp_path_factory.mktemp("compare"), hpe.load_scene("table-1")
+    changes = ({}, {"simulation.seed": 7}, {"simulation.motion[0].amplitude_m": 500e-9, "tracking.delay_s": 1e-4})
+    names = ("a.h5", "b.h5", "c.h5")
+    for name, change in zip(names, changes, strict=True):
+        hpe.measure(scene.with_(change), path=folder / name)
+    first, second, third = (folder / name for name in names)
+    return first, second, third
+
+
+def test_a_run_agrees_with_itself(runs: tuple[Path, Path, Path]) -> None:
+    found = compare_runs(runs[0], runs[0])
+    assert found.settings == ()
+    assert [row.verdict for row in found.results] == ["agrees"]
+    assert [(row.p_all, row.p_noise) for row in found.results] == [(1.0, 1.0)]
+
+
+def test_other_speckle_differs_only_if_the_place_were_the_same(runs: tuple[Path, Path, Path]) -> None:
+    found = compare_runs(runs[0], runs[1])
+    assert [(each.where, each.what, each.before, each.after) for each in found.settings] == [
+        ("scene", "simulation.seed", 1, 7)
+    ]
+    (row,) = found.results
+    assert row.verdict == "differs if alike"
+    assert row.p_noise < 1e-6 < 0.01 < row.p_all
+
+
+def test_half_the_motion_is_told_from_chance_whatever_else_differs(runs: tuple[Path, Path, Path]) -> None:
+    found = compare_runs(runs[0], runs[2])
+    changed = {(each.where, each.what): (each.before, each.after) for each in found.settings}
+    assert changed[("scene", "tracking.delay_s")] == (None, 1e-4)
+    assert changed[("scene", "simulation.motion[0].amplitude_m")] == (1e-6, 5e-7)
+    assert changed[("set: tracking pulse train", "delay (s)")] == (0.0, 1e-4)
+    (row,) = found.results
+    assert row.amplitude_change == pytest.approx(-0.5, abs=0.01)
+    assert row.verdict == "differs"
+    figure = found.figure()
+    # Both runs above, and their difference in u below.
+    assert [len(panel.lines) for panel in figure.axes] == [2, 2, 1, 1]
+    assert figure.axes[2].lines[0].get_ydata()[0] < -5
+
+
+@pytest.mark.parametrize(("amplitude", "phase"), [(0.3, 0.1), (2.0, 0.0), (1.0, -3.0)])
+def test_the_probability_is_that_of_chi_square_with_two_degrees_of_freedom(amplitude: float, phase: float) -> None:
+    found = _probability(amplitude * 2e-9, 2e-9, phase * 0.01, 0.01)
+    assert found == pytest.approx(chi2.sf(amplitude**2 + phase**2, 2), rel=1e-12)
+    assert _probability(0.0, 0.0, 0.0, 0.0) == 1.0
+    assert _probability(1.0, 0.0, 0.0, 1.0) == 0.0
+
+
+def test_repeats_are_compared_by_their_means_and_what_has_no_partner_is_named(
+    runs: tuple[Path, Path, Path], tmp_path: Path
+) -> None:
+    scene = hpe.load_scene("table-1")
+    repeated = hpe.measure(scene.with_({"acquisition.repeats": 2}), path=tmp_path / "twice.h5")
+    (row,) = compare_runs(runs[0], repeated.path).results
+    assert row.shots == ("1", "mean of 2")
+    assert row.amplitude_m[1] == repeated.estimate().means[0].amplitude_m
+    swept = hpe.sweep(scene, {"tracking.delay_s": [0.0, 1e-4]}, path=tmp_path / "swept.h5")
+    found = compare_runs(runs[0], swept.path)
+    assert found.results == ()
+    assert len(found.alone) == 3
+    assert "tracking.delay_s = 0.0001: in swept.h5 alone" in found.alone[2]
+
+
+def test_the_command_prints_both_and_writes_json_and_figure(runs: tuple[Path, Path, Path], tmp_path: Path) -> None:
+    first, _, third = map(str, runs)
+    done = CliRunner().invoke(app, ["compare", first, third, "--figure", str(tmp_path / "c.png")])
+    assert done.exit_code == 0
+    assert "differs" in done.stdout
+    assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
+    (row,) = json.loads(CliRunner().invoke(app, ["compare", first, third, "--json"]).stdout)["results"]
+    assert row["verdict"] == "differs"
+    assert math.isfinite(row["amplitude_change"])
+    assert CliRunner().invoke(app, ["compare", first, "nowhere.h5"]).exit_code == 2

@@ -1,0 +1,247 @@
+"""Queues: checked as a whole, a failing bench, an interrupt, what is left taken up again; pauses between shots."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hpe_rig as hpe
+from hpe_rig.acquire import (
+    Observer,
+    Progress,
+    QueueRun,
+    Setup,
+    Step,
+    Watching,
+    listed,
+    new_queue,
+    pausable,
+    pause_requested,
+    prepare,
+    read_queue,
+    record_run,
+    run_queue,
+    toggle_pause,
+)
+from hpe_rig.bench import BenchInUseError, hold, read_bench
+from hpe_rig.bench.lock import locked
+from hpe_rig.scene import SettingsError, shipped_scenes
+from hpe_rig.store import StoreError, read_run, verify
+
+NOWHERE = 'address = "TCPIP::127.0.0.1::1::SOCKET"'
+
+
+def scenes(folder: Path, count: int) -> list[Path]:
+    """Write ``count`` scenes of two shots each, of different seeds."""
+    text = shipped_scenes()["table-1"].replace("[acquisition]", "[acquisition]\nrepeats = 2", 1)
+    paths = [folder / f"scene-{number}.toml" for number in range(count)]
+    for number, path in enumerate(paths):
+        path.write_text(text.replace("seed = 1", f"seed = {number + 1}"), encoding="utf-8")
+    return paths
+
+
+def absent_bench(folder: Path) -> Path:
+    """Write the bench file of a real bench that does not answer."""
+    text = read_bench().text.replace("simulated = true", "simulated = false").partition("[calibration]")
+    generators = "[generators.master]" + text[2].partition("[generators.master]")[2]
+    for role in ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser"):
+        generators = generators.replace(f"[generators.{role}]", f"[generators.{role}]\n{NOWHERE}")
+    path = folder / "absent.toml"
+    named = text[0].replace("Simulated bench, wired as Fig. 2 of the paper", "A bench that is switched off")
+    path.write_text(named + generators, encoding="utf-8")
+    return path
+
+
+class Watcher:
+    """Watches a queue; interrupts it in shot ``shot`` of the run whose file is named ``run_file``."""
+
+    def __init__(self, run_file: str = "", shot: int = 1) -> None:
+        self.said: list[str] = []
+        self.steps: list[tuple[str, int, Step]] = []
+        self._run_file, self._shot = run_file, shot
+
+    @contextmanager
+    def watch(self, setup: Setup, path: Path, run_id: str) -> Iterator[Observer]:
+        def observe(progress: Progress) -> None:
+            if not self.steps or self.steps[-1] != (path.name, progress.shot.index, progress.step):
+                self.steps.append((path.name, progress.shot.index, progress.step))
+            if path.name == self._run_file and progress.shot.index == self._shot and progress.records:
+                raise KeyboardInterrupt
+
+        yield observe
+
+    @property
+    def watching(self) -> Watching:
+        return Watching(self.said.append, self.watch)
+
+
+def goes_through(folder: Path, count: int, failing: int, stopped: int) -> tuple[QueueRun, ...]:
+    """Run a queue of ``count`` with a failing bench, stop it once, take it up again, and return what became of it."""
+    paths, absent = scenes(folder, count), absent_bench(folder)
+    runs = [(str(path), absent if number == failing else None) for number, path in enumerate(paths)]
+    queue = new_queue(runs, folder / "queue")
+    first = Watcher(f"{stopped + 1:02d}-scene-{stopped}.h5")
+    with pytest.raises(KeyboardInterrupt) as caught:
+        run_queue(folder / "queue", queue, first.watching)
+    assert any("--resume" in note for note in caught.value.__notes__)
+    states = [run.state for run in read_queue(folder / "queue")]
+    assert states == ["failed" if number == failing else "done" for number in range(stopped)] + [
+        "stopped",
+        *["waiting"] * (count - stopped - 1),
+    ]
+    again = Watcher()
+    ended, results = run_queue(folder / "queue", read_queue(folder / "queue"), again.watching)
+    assert [run.state for run in ended] == ["failed" if number == failing else "done" for number in range(count)]
+    assert ended == read_queue(folder / "queue")
+    assert "1 of 2 shots are complete" in " ".join(again.said)
+    assert sum("failed" in text for text in again.said) == 1
+    assert sorted(results) == list(range(stopped, count))
+    # Each shot began with nothing on: the one before had ended with its outputs off, or was the last of its bench.
+    for steps in (first.steps, again.steps):
+        before = {step: previous for previous, step in itertools.pairwise(steps)}
+        for name, shot, step in steps:
+            if step is Step.CONFIGURE and shot:
+                assert before[(name, shot, step)][2] in (Step.SAFE, Step.MOVE)
+    return ended
+
+
+def nothing_is_lost(folder: Path, ended: tuple[QueueRun, ...]) -> None:
+    for run in ended:
+        if run.state == "done":
+            found = read_run(folder / "queue" / run.run_file)
+            assert found.status == "complete"
+            assert verify(found.path).as_dict()["sound"]
+            alone = hpe.open_run(record_run(prepare(folder / f"{run.name}.toml"), folder / f"alone-{run.name}.h5"))
+            for shot in range(2):
+                np.testing.assert_array_equal(found.records[shot].codes, alone.records[shot].codes)
+
+
+def test_a_queue_outlives_a_failing_bench_and_an_interrupt(tmp_path: Path) -> None:
+    ended = goes_through(tmp_path, count=4, failing=1, stopped=2)
+    assert ended[2].run_file == "03-scene-2-2.h5"
+    assert "Connection refused" in ended[1].why
+    nothing_is_lost(tmp_path, ended[2:3])
+
+
+@pytest.mark.slow
+def test_ten_runs_one_failing_bench_one_interrupt_and_nothing_is_lost(tmp_path: Path) -> None:
+    nothing_is_lost(tmp_path, goes_through(tmp_path, count=10, failing=3, stopped=6))
+
+
+def test_a_failure_ends_the_queue_where_that_is_asked_for(tmp_path: Path) -> None:
+    (path,) = scenes(tmp_path, 1)
+    queue = new_queue([(str(path), absent_bench(tmp_path)), (str(path), None)], tmp_path / "queue")
+    ended, results = run_queue(tmp_path / "queue", queue, Watcher().watching, stops=True)
+    assert [run.state for run in ended] == ["failed", "waiting"]
+    assert results == {}
+
+
+def test_nothing_starts_where_one_run_is_wrong_and_all_that_is_wrong_is_said(tmp_path: Path) -> None:
+    good, bad = scenes(tmp_path, 2)
+    bad.write_text(good.read_text(encoding="utf-8").replace("pulse_rate_hz = 4000.0", "pulse_rate_hz = 1e6"), "utf-8")
+    with pytest.raises(SettingsError, match=r"(?s)run 2, .*depth: .*run 3, nowhere.*run 4, .*absent"):
+        new_queue(
+            [(str(good), None), (str(bad), None), ("nowhere", None), (str(good), tmp_path / "absent.toml")],
+            tmp_path / "queue",
+        )
+    assert not (tmp_path / "queue").exists()
+    with pytest.raises(StoreError, match="hpe-rig queue made"):
+        read_queue(tmp_path)
+
+
+def test_a_list_names_scenes_and_benches_from_its_own_folder(tmp_path: Path) -> None:
+    path = tmp_path / "list.toml"
+    runs = '[[run]]\nscene = "a.toml"\n[[run]]\nscene = "table-1"\nbench = "c.toml"\n'
+    path.write_text(f'bench = "b.toml"\non_failure = "stop"\n{runs}', "utf-8")
+    found, stops = listed([str(path)], None)
+    assert stops
+    assert found == [(str(tmp_path / "a.toml"), tmp_path / "b.toml"), ("table-1", tmp_path / "c.toml")]
+    path.write_text(runs.replace("bench", "bank"), "utf-8")
+    with pytest.raises(SettingsError, match="bank"):
+        listed([str(path)], None)
+
+
+def test_a_program_holds_a_bench_for_all_of_its_runs_and_keeps_it_from_others() -> None:
+    names = ["A bench of this test"]
+    with hold(names):
+        with locked(names), hold(names):
+            pass
+        child = f"from hpe_rig.bench.lock import locked\nwith locked({names!r}): pass"
+        assert os.spawnv(os.P_WAIT, sys.executable, [sys.executable, "-c", f"{child!s}"]) != 0
+    with locked(names), pytest.raises(BenchInUseError), locked(names):
+        pass
+
+
+def test_a_pause_waits_before_a_shot_with_every_output_off(tmp_path: Path) -> None:
+    setup, path = prepare(scenes(tmp_path, 1)[0]), tmp_path / "run.h5"
+    steps, said = list[Step](), list[str]()
+
+    def observe(progress: Progress) -> None:
+        steps.append(progress.step)
+        if progress.shot.index == 0 and progress.step is Step.COLLECT and not progress.records:
+            assert toggle_pause(path)
+
+    def go_on(seconds: float) -> None:
+        assert steps[-1] in (Step.MOVE, Step.CONFIGURE)
+        assert Step.SAFE in steps
+        assert read_run(path).shot_complete.tolist() == [True, False]
+        assert not toggle_pause(path)
+
+    record_run(setup, path, pausable(observe, lambda: pause_requested(path), said.append, go_on))
+    assert said == ["paused before shot 2, all outputs are off: p goes on, Ctrl-C stops", "going on"]
+    assert read_run(path).status == "complete"
+
+
+def test_a_pause_can_be_ended_by_a_stop(tmp_path: Path) -> None:
+    def stop(seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    path, ended = tmp_path / "run.h5", list[int]()
+
+    def observe(progress: Progress) -> None:
+        if progress.step is Step.SAFE:
+            ended.append(progress.shot.index)
+
+    asked = pausable(observe, lambda: bool(ended), lambda text: None, stop)
+    with pytest.raises(KeyboardInterrupt):
+        record_run(prepare(scenes(tmp_path, 1)[0]), path, asked)
+    assert read_run(path).shot_complete.tolist() == [True, False]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="needs a pseudo-terminal")
+def test_the_key_p_pauses_and_goes_on_at_a_terminal(tmp_path: Path) -> None:
+    import pty
+    import time
+
+    (path,) = scenes(tmp_path, 1)
+    many = path.read_text(encoding="utf-8").replace("repeats = 2", "repeats = 40")
+    path.write_text(many, encoding="utf-8")
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.chdir(tmp_path)
+        os.execv(sys.executable, [sys.executable, "-m", "hpe_rig", "run", str(path)])
+    seen, pressed = b"", 0
+    deadline_s = time.monotonic() + 120
+    while time.monotonic() < deadline_s:
+        try:
+            seen += os.read(terminal, 4096)
+        except OSError:
+            break
+        if b"shot 2" in seen and not pressed:
+            os.write(terminal, b"p")
+            pressed = 1
+        if b"paused before shot" in seen and pressed == 1:
+            os.write(terminal, b"p")
+            pressed = 2
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+    assert b"going on" in seen
+    assert read_run(tmp_path / "scene-0.h5").status == "complete"
+    assert not list(tmp_path.glob("*.pause"))
