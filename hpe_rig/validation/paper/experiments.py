@@ -62,6 +62,8 @@ class Repeated:
     sd_deg: Floats
     true_m: Floats
     averaging: Floats
+    speckle: Floats
+    """Relative standard uncertainty by speckle, one draw for all repeats; 0 where none is stated."""
 
     @property
     def error_nm(self) -> float:
@@ -118,6 +120,12 @@ def repeated(shots: Sequence[ShotResult]) -> Repeated:
         sd_deg=np.degrees(np.angle(turn / mean_turn).std(axis=0, ddof=1)),
         true_m=np.array([[item.true_amplitude_m or np.nan for item in row] for row in estimates]).mean(axis=0),
         averaging=np.array([item.averaging_factor or np.nan for item in estimates[0]]),
+        speckle=np.array(
+            [
+                sum(each.amplitude_m for each in item.components if each.source == "speckle") / item.amplitude_m
+                for item in estimates[0]
+            ]
+        ),
     )
 
 

@@ -33,9 +33,6 @@ CLOSED_FORM = {
 LIMITS = ("limits-muscle", "limits-gelatin-8")
 """Scenes within the acoustic output that is allowed for people."""
 
-SPECKLE = 0.0053
-"""Relative spread of the tracked displacement over speckle, `hpe-rig check`: one draw for all repeats."""
-
 
 def figure_1() -> Experiment:
     """The spectrum of the radiation force, from what the toneburst generator emits."""
@@ -139,7 +136,7 @@ def figure_14() -> Experiment:
 def _off_truth(each: Repeated) -> float:
     """Return the largest departure from the tracked truth at every instant, in standard errors of noise and speckle."""
     tracked_nm = each.true_m * each.averaging * 1e9
-    return float(np.abs((each.mean_nm - tracked_nm) / np.hypot(each.error_nm, SPECKLE * tracked_nm)).max())
+    return float(np.abs((each.mean_nm - tracked_nm) / np.hypot(each.error_nm, each.speckle * tracked_nm)).max())
 
 
 def _over_closed_form(name: str, each: Repeated) -> Floats:
