@@ -83,7 +83,7 @@ class TimeLeft:
 
 def warnings_of(run: Run, shot: Shot, clipped: bool) -> Iterator[str]:
     """Yield what is not as it should be, the newest last: by the plan's checks, then by what has been recorded."""
-    yield from (str(each) for each in run.findings if each.level == "warned")
+    yield from (str(each) for each in run.findings if each.level == "warning")
     yield from (f"shot {index + 1} is not to be trusted: {why}" for index, why in run.stored.untrusted.items())
     before = [int(np.count_nonzero(~run.stored.records.recorded(index))) for index in range(shot.index)][-1:]
     if any(before):
