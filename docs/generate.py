@@ -20,6 +20,11 @@ EXAMPLES = {
     "beams.focus_depth_m": "70e-3",
     "digitizer.acquisition_mode": '"npt"',
     "generators.amplitude_vpp": "1.0",
+    "recording.source": '"echoes.npy"',
+    "recording.sha256": '"9f86d081..."',
+    "recording.format": '"npy"',
+    "recording.first_sample_s": "80e-6",
+    "recording.inferred": '["pulse_rate_hz, from the file"]',
     "medium.shear_modulus_pa": "9e3",
     "notes": '{ operator = "initials", temperature_c = 21.5 }',
     "medium.shear_viscosity_pa_s": "2.0",
@@ -46,7 +51,7 @@ EXAMPLES = {
     "simulation.receive_chain.recovery_time_s": "5e-6",
     "simulation.scatterers.echo_tolerance": "1e-3",
     "simulation.scatterers.measured_pulse": "[0.0, 0.4, -1.0, 0.4, 0.0]",
-    "simulation.specimen.preset": '"gelatin-8"',
+    "simulation.specimen.preset": '"gelatin_8"',
     "simulation.transmitter.saturation_v": "100.0",
     "tracking.pulse_count": "800",
     "transport": '"socket"',
@@ -84,7 +89,7 @@ def pages() -> dict[str, str]:
 def write_pages(folder: Path) -> None:
     """Write the generated pages into ``folder``; a page that has not changed is left alone, and not built again."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in pages().items():
+    for name, text in {**pages(), "messages.md": messages_page()}.items():
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
@@ -117,6 +122,9 @@ def settings_page(of: str) -> str:
             if example in (None, "[]"):
                 example = EXAMPLES.get(known)
             default = "**required**" if key.required else f"`{key.default}`" if key.default else "absent"
+            if example is None and key.default is not None:
+                # An empty list or table is what may stand there, if nothing better is known.
+                example = key.default
             shown = f"`{example}`" if example else ""
             row = (f"`{key.name}`", key.text, key.kind, key.unit, default, key.bounds, shown)
             lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |")
@@ -182,9 +190,9 @@ def command_names() -> list[tuple[str, ...]]:
     """Return the words of every command, the program itself first: ``()``, ``("run",)``, ..."""
     import typer
 
-    from hpe_rig.cli.app import app
+    from hpe_rig.cli import commands
 
-    return list(_commands(typer.main.get_command(app)))
+    return list(_commands(typer.main.get_command(commands)))
 
 
 def _commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
@@ -197,10 +205,10 @@ def _commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, 
 def _help(words: tuple[str, ...]) -> str:
     from typer.testing import CliRunner
 
-    from hpe_rig.cli.app import app
+    from hpe_rig.cli import commands
 
     environment = {"COLUMNS": "100", "TERMINAL_WIDTH": "100"}
-    done = CliRunner().invoke(app, [*words, "--help"], env=environment, prog_name="hpe-rig")
+    done = CliRunner().invoke(commands, [*words, "--help"], env=environment, prog_name="hpe-rig")
     return done.stdout.strip("\n")
 
 

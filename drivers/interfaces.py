@@ -20,7 +20,7 @@ class InstrumentError(Exception):
     """An instrument refused, changed or did not answer something; says what, why and what to try."""
 
     def __init__(self, role: str, what: str, why: str, remedy: str) -> None:
-        super().__init__(f"{role}: {what}. {why}. Try: {remedy}.")
+        super().__init__(f"{role}: {what}. {why[:1].upper()}{why[1:]}. Try: {remedy}.")
         self.role = role
         self.what = what
         self.why = why

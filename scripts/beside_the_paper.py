@@ -11,15 +11,16 @@ from hpe_rig.validation import (
     figure_1,
     figure_14,
     figure_15,
+    figure_16,
+    figure_17,
     figure_18,
     figure_19,
-    figures_16_17,
     interference,
     table_2,
     write_page,
 )
 
-EXPERIMENTS = (figure_1, figure_14, figure_15, figures_16_17, figure_18, figure_19, table_2, interference, dose)
+EXPERIMENTS = (figure_1, figure_14, figure_15, figure_16, figure_17, figure_18, figure_19, table_2, interference, dose)
 
 
 def main() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from typing import Final, final
 from drivers.agilent.read_back import Register, argument
 from drivers.interfaces import Connection, InstrumentError, Line
 
+_LOG: Final = logging.getLogger("drivers")
 # A 33250A queues 20 errors; a few reads more, so that the final "no error" is seen as well.
 QUEUE_READS: Final = 25
 ERROR_QUERY: Final = "SYST:ERR?"
@@ -213,6 +215,7 @@ class ScpiSession:
             ) from None
 
     def _send(self, message: str) -> None:
+        _LOG.debug("%s <- %s", self.role, message)
         try:
             self._connection.write(message)
         except OSError as error:
@@ -220,7 +223,9 @@ class ScpiSession:
 
     def _receive(self, command: str, patience: int = 1) -> str:
         try:
-            return self._connection.read().strip()
+            reply = self._connection.read().strip()
+            _LOG.debug("%s -> %s", self.role, reply)
+            return reply
         except TimeoutError as error:
             if patience > 1:
                 return self._receive(command, patience - 1)

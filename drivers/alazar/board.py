@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 from collections.abc import Callable
-from typing import Any, final
+from typing import Any, Final, final
 
 from drivers.alazar import api
 from drivers.alazar.api import AlazarLibrary, Capability, Channel, Parameter
 from drivers.alazar.models import MODELS, BoardModel
 from drivers.alazar.return_codes import FAILED, SUCCESS, UNSUPPORTED_FUNCTION, check
 from drivers.interfaces import InstrumentError
+
+_LOG: Final = logging.getLogger("drivers")
 
 
 @final
@@ -41,7 +44,9 @@ class AlazarBoard:
 
     def call(self, function: Callable[..., int], *arguments: object) -> None:
         """Call a function whose first argument is the handle; raise ``InstrumentError`` unless it succeeds."""
-        self.check(int(self.ask(function, self.handle, *arguments)), function.__name__)
+        code = int(self.ask(function, self.handle, *arguments))
+        _LOG.debug("%s: %s returns %d", self.role, function.__name__, code)
+        self.check(code, function.__name__)
 
     def ask(self, function: Callable[..., Any], *arguments: object) -> Any:
         """Return what ``function`` answers; raise ``InstrumentError`` where the library itself broke down."""

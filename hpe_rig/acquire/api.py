@@ -69,12 +69,30 @@ def sweep(
     return measure(_scene(scene).with_(taken), bench, path)
 
 
+WIDEST = 114
+"""Columns of the drawing of a plan where nobody wants fewer."""
+
+
 @dataclass(frozen=True, slots=True)
 class CheckedScene:
     """What is known of a measurement before it is made; ``str`` of it is what ``hpe-rig check`` prints."""
 
     setup: Setup
-    text: str
+    foreseen: tuple[str, ...]
+    """What can be said of the result beforehand, line by line."""
+
+    @property
+    def text(self) -> str:
+        """Everything but the checks that passed, for a terminal of ordinary width."""
+        return self.in_words()
+
+    def in_words(self, columns: int | None = None, verbose: bool = False) -> str:
+        """Return what is known as text with a drawing of at most ``columns``; ``verbose``: with every passed check."""
+        from hpe_rig.plan import plan_text
+
+        title, plan = self.setup.scene.scene.title, self.setup.plan
+        shown = plan_text(title, plan, self.findings, min(columns or WIDEST, WIDEST), verbose)
+        return "\n".join([shown, "", *self.foreseen])
 
     @property
     def findings(self) -> tuple[CheckResult, ...]:
@@ -100,13 +118,11 @@ def check(scene: SceneSource, bench: BenchSource = None, target: str | None = No
     False
     >>> print(checked)
     """
-    from hpe_rig.plan import plan_text
     from hpe_rig.scene import length_m
 
     setup = prepare(scene, _bench_path(bench), refuse=False)
     target_m = None if target is None else length_m(target, "--target")
-    plan = plan_text(setup.scene.scene.title, setup.plan, setup.findings)
-    return CheckedScene(setup, "\n".join([plan, "", *_foreseen(setup, target_m)]))
+    return CheckedScene(setup, tuple(_foreseen(setup, target_m)))
 
 
 def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from hpe_rig.acquire.places import Mover, mover_of
 from hpe_rig.bench import Bench
 from hpe_rig.plan import SAFETY_MARGIN_S, Plan, Shot
 
+_LOG = logging.getLogger("hpe_rig")
 LONGEST_SLEEP_S = 0.2
 WATCH_S = 1.0
 """How often a long shot looks whether outputs and settings are still as verified."""
@@ -89,6 +91,17 @@ def unobserved(progress: Progress) -> None:
     """Ignore every step."""
 
 
+def _heard(observer: Observer) -> Observer:
+    """Return ``observer`` with every step but the arriving records written to the log as well."""
+
+    def observe(progress: Progress) -> None:
+        if not progress.records:
+            _LOG.info("shot %d: %s", progress.shot.index + 1, progress.step.value)
+        observer(progress)
+
+    return observe
+
+
 def acquire(
     plan: Plan, bench: Bench, observer: Observer = unobserved, move: Mover | None = None
 ) -> Generator[Event, None, None]:
@@ -99,6 +112,7 @@ def acquire(
     ``ShotUntrusted`` and ends with ``UntrustedShotError``, unless the plan goes on. Where the tracking transducer
     stands elsewhere in a shot than in the one before, it is moved before anything is programmed.
     """
+    observer = _heard(observer)
     next_start_s = bench.clock.now_s()
     mover, place_m = move or mover_of(plan, bench, None), None
     for shot in plan.shots:

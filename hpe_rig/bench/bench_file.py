@@ -32,6 +32,7 @@ from hpe_rig.scene import (
     dotted,
     mistakes_of,
     parse_toml,
+    read_remedy,
     unreadable,
     with_values,
 )
@@ -283,6 +284,9 @@ class BenchText:
 def parse_bench(name: str, text: str) -> BenchText:
     """Return the bench in ``text``; raise ``SettingsError`` with every mistake."""
     tables = parse_toml(text, f"bench {name}")
+    if {"tracking", "acquisition"} <= tables.keys():
+        what, remedy = "this is a scene, not a bench file", "it without --bench; hpe-rig new my-bench --like bench"
+        raise SettingsError(f"bench {name}", [Mistake("", what, remedy)])
     mistakes = mistakes_of(BenchFile, tables)
     if not mistakes:
         bench = BenchFile.model_validate(tables)
@@ -303,9 +307,10 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
     try:
         found = parse_bench(path.stem, path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError) as error:
-        reason = unreadable(error)
-        remedy = "hpe-rig new my-bench --like bench writes one to start from"
-        raise SettingsError(f"bench {path}", [Mistake("", f"cannot be read ({reason})", remedy)]) from None
+        absent = isinstance(error, FileNotFoundError)
+        what = "there is no file of that name" if absent else f"it cannot be read ({unreadable(error)})"
+        remedy = "its path; hpe-rig new my-bench --like bench writes one" if absent else read_remedy(error)
+        raise SettingsError(f"bench {path}", [Mistake("", what, remedy)]) from None
     return found if any_title else _own(found)
 
 

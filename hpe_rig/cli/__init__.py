@@ -2,7 +2,8 @@
 
 Files, from what is typed to what is shown::
 
-    app.py      commands that plan, measure, process and look at a bench; ``main``
+    entry.py    ``main``: what Ctrl-C does before a command begins
+    app.py      commands that plan, measure, process and look at a bench
     studies.py  commands that study scenes and estimators by simulation
     keys.py     keys pressed while a run goes on
     queue.py    several runs, one after another
@@ -15,7 +16,9 @@ Files, from what is typed to what is shown::
     extensions.py  what other packages bring
     moduli.py   what a medium is made of, and its figure
     study.py    workers, progress and closing table of a study
-    tables.py   a result as a table
+    tables.py   a result in one sentence and as tables
+    terminal.py its width; progress
+    log_level.py  which log records reach standard error
     console.py  exit codes, error messages, progress, arguments that several commands share
 
 Each command imports what it runs when it is called, which keeps ``hpe-rig --help`` as fast as typer.

@@ -1,1 +1,2 @@
-from .app import main as main
+from .app import commands as commands
+from .entry import main as main

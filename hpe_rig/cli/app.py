@@ -21,17 +21,19 @@ from hpe_rig.cli.console import (
     SceneName,
     announce,
     asking,
+    file_named,
     guarded,
     ignore_interrupts,
+    print_version,
     progress,
     refuse_undecodable,
     show,
 )
+from hpe_rig.cli.log_level import LogLevel, start_logging
 from hpe_rig.cli.studies import studies
 from hpe_rig.result import Stages
 
 app = typer.Typer(
-    help="Measure harmonic motion in tissue with pulsed ultrasound excitation, on a real or simulated bench.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -39,6 +41,7 @@ app = typer.Typer(
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 Csv = Annotated[bool, typer.Option("--csv", help="Print CSV instead of a table, one row per shot and frequency.")]
+Wide = Annotated[bool, typer.Option("--wide", help="Print every column, and a table for every shot.")]
 Compress = Annotated[bool, typer.Option("--compress", help="Compress the records (needs the extra 'compression').")]
 LONGEST_STEP_M = 0.1
 ProfileStep = Annotated[
@@ -90,17 +93,33 @@ def main() -> None:
         ignore_interrupts()
 
 
+@app.callback()
+def program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=print_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+    log_level: Annotated[
+        LogLevel,
+        typer.Option("--log-level", help="Logged to standard error; debug: every message to an instrument."),
+    ] = LogLevel.WARNING,
+) -> None:
+    """Measure harmonic motion in tissue with pulsed ultrasound excitation, on a real or simulated bench."""
+    start_logging(log_level)
+
+
 @app.command()
 @guarded
 def run(
     scene: SceneName,
     bench: BenchPath = None,
     output: Annotated[
-        Path | None, typer.Option(help="Run file. Default: SCENE.h5 in this folder, numbered if it exists.")
+        Path | None,
+        typer.Option(callback=file_named, help="Run file. Default: SCENE.h5 in this folder, numbered if it exists."),
     ] = None,
     estimator: Estimator = None,
     json: Json = False,
     csv: Csv = False,
+    wide: Wide = False,
     compress: Compress = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")] = False,
     yes: Yes = False,
@@ -123,7 +142,9 @@ def run(
         with progress(setup, quiet=json or csv) as observer:
             options = WriteOptions(compress, overwrite, run_id=run_id, provenance=provenance_now(setup.bench.bench))
             record_run(setup, path, watching(observer), stages, options, move=asking(yes))
-        show(process(path, estimator, stages), json, csv)
+        show(process(path, estimator, stages), json, csv, wide)
+        if not (json or csv):
+            announce(f"figures: hpe-rig report {path}")
 
 
 @app.command()
@@ -134,10 +155,14 @@ def resume(
         str | None, typer.Option(help="Scene that must equal the run's. Default: the scene in the run file.")
     ] = None,
     bench: BenchPath = None,
-    output: Annotated[Path | None, typer.Option(help="New run file. Default: beside the old one, numbered.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(callback=file_named, help="New run file. Default: beside the old one, numbered."),
+    ] = None,
     estimator: Estimator = None,
     json: Json = False,
     csv: Csv = False,
+    wide: Wide = False,
     compress: Compress = False,
     yes: Yes = False,
     live: Live = False,
@@ -160,7 +185,7 @@ def resume(
         with progress(rest.setup, quiet=json or csv) as observer:
             options = WriteOptions(compress, run_id=run_id, provenance=provenance_now(rest.setup.bench.bench))
             resume_run(rest, path, watching(observer), stages, options, asking(yes))
-        show(process(path, estimator, stages), json, csv)
+        show(process(path, estimator, stages), json, csv, wide)
 
 
 @app.command()
@@ -171,11 +196,12 @@ def process(
     gate_profile_step: ProfileStep = None,
     json: Json = False,
     csv: Csv = False,
+    wide: Wide = False,
 ) -> None:
     """Estimate again from a stored run. The result is printed and written beside the run file."""
     from hpe_rig.acquire import process as process_run
 
-    show(process_run(run_file, estimator, Stages(), _step_m(gate_profile_step)), json, csv)
+    show(process_run(run_file, estimator, Stages(), _step_m(gate_profile_step)), json, csv, wide)
 
 
 def _step_m(text: str | None) -> float | None:
@@ -258,7 +284,10 @@ def verify(
 def report(
     run_file: RunFile,
     estimator: Estimator = None,
-    output: Annotated[Path | None, typer.Option(help="HTML file. Default: RUN.html beside the run file.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(callback=file_named, help="HTML file. Default: RUN.html beside the run file."),
+    ] = None,
     shot: Annotated[
         int | None, typer.Option(help="Shot to draw, counted from 1. Default: the one with the largest motion.")
     ] = None,
@@ -304,7 +333,10 @@ def moduli(
         bool, typer.Option("--per-place", help="The force was not the same at all places: every amplitude is free.")
     ] = False,
     gate_profile_step: ProfileStep = None,
-    figure: Annotated[Path | None, typer.Option(help="Measured and fitted vibrations, .svg, .png or .pdf.")] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(callback=file_named, help="Measured and fitted vibrations, .svg, .png or .pdf."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Fit the shear modulus and viscosity of the medium to the vibrations at all places of one or more runs."""
@@ -367,12 +399,15 @@ def check(
             help="Wanted uncertainty, such as 20nm. Print the pulse count, pulse rate or SNR that reaches it."
         ),
     ] = None,
+    verbose: Annotated[bool, typer.Option("--verbose", help="List the checks that passed as well.")] = False,
 ) -> None:
-    """Print timeline, conflicts and expected errors of a scene. No instrument is opened."""
+    """Say whether a scene can be measured, with timeline, conflicts and expected errors. No instrument is opened."""
     from hpe_rig.acquire import check as check_scene
+    from hpe_rig.cli.terminal import terminal_columns, wrapped
 
     checked = check_scene(scene, bench, target)
-    typer.echo(checked)
+    columns = terminal_columns()
+    typer.echo(wrapped(checked.in_words(columns, verbose), columns))
     if checked.refused:
         raise typer.Exit(EXIT_MISTAKE)
 
@@ -521,6 +556,7 @@ def bench_command(
     off: Annotated[
         bool, typer.Option("--off", help="Only switch every output off, whoever uses the bench, and prove it.")
     ] = False,
+    wide: Annotated[bool, typer.Option("--wide", help="Print every column.")] = False,
 ) -> None:
     """Identify every instrument, read its settings, leave outputs off. Or compare with the bench of a run."""
     from hpe_rig.cli.bench import all_off, bench_state, compare_with, print_report
@@ -536,7 +572,7 @@ def bench_command(
         raise SettingsError(bench.name, [Mistake("", what, "a bench file, or --compare RUN.h5 alone")])
     state = bench_state(bench, self_test)
     if state.report is not None:
-        print_report(state.report)
+        print_report(state.report, wide)
     if compare is not None:
         typer.echo(compare_with(compare, state))
     if state.report is not None and not state.report.complete:
@@ -544,3 +580,5 @@ def bench_command(
 
 
 app.add_typer(studies)
+commands = app
+"""The whole command line, for programs that run or document it."""

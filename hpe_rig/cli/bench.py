@@ -21,7 +21,7 @@ from hpe_rig.bench import (
     switch_off,
 )
 from hpe_rig.cli.console import EXIT_INSTRUMENT, EXIT_UNSAFE, announce
-from hpe_rig.cli.tables import wide_console
+from hpe_rig.cli.tables import Page, wide_console
 from hpe_rig.result import rich_table
 from hpe_rig.scene import parse_toml
 from hpe_rig.store import read_snapshots
@@ -107,12 +107,18 @@ def _state_of_run(path: Path) -> BenchState:
     return BenchState(path.name, parse_toml(stored.bench_toml, stored.bench_name), settings, None)
 
 
-def print_report(report: BenchReport) -> None:
-    """Print the table of instruments, then each problem with its remedy, then the addresses found."""
-    console = wide_console()
+def print_report(report: BenchReport, wide: bool = False) -> None:
+    """Print the table of instruments, then each problem with its remedy, then the addresses found.
+
+    A narrow terminal gets no serial numbers, firmware and self-tests, but with ``wide``.
+    """
+    console, page = wide_console(), Page(wide)
     console.print(f"{report.title} ({'SIMULATED' if report.simulated else 'real'})", style="bold")
     headers = ("role", "address", "model", "serial", "firmware", "found", "self-test", "round trip\nms")
-    console.print(rich_table(headers, (_row(found) for found in report.found), words=7))
+    rows = [_row(found) for found in report.found]
+    tested = any(row[6] != "-" for row in rows)
+    kept = [0, 1, 2, 5, *([6] if tested else []), 7] if page.narrow else range(len(headers))
+    page.show(rich_table([headers[at] for at in kept], [[row[at] for at in kept] for row in rows], words=len(kept) - 1))
     for found in report.found:
         for problem in found.problems:
             console.print(f"{found.role}: {problem.removeprefix(f'{found.role}: ')}", style="bold")

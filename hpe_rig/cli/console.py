@@ -61,8 +61,11 @@ def _interrupt_in(error: BaseException) -> BaseException | None:
     """Return the interrupt that Python wrapped into ``error``, as it does while it makes a class; None for others."""
     from hpe_rig.bench import INTERRUPTS
 
-    cause = error.__cause__
-    return cause if isinstance(error, RuntimeError) and isinstance(cause, INTERRUPTS) else None
+    # A package whose import was interrupted says that it is broken: while handling, not because of, the interrupt.
+    for cause in (error.__cause__, error.__context__):
+        if isinstance(error, RuntimeError | ImportError) and isinstance(cause, INTERRUPTS):
+            return cause
+    return None
 
 
 def ignore_interrupts() -> None:
@@ -77,6 +80,22 @@ def announce(text: str) -> None:
     typer.echo(text, err=True)
 
 
+def print_version(asked: bool) -> None:
+    """Print the version of the program and end, where it is ``asked`` for."""
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"hpe-rig {version('hpe-rig')}")
+        raise typer.Exit
+
+
+def file_named(path: Path | None) -> Path | None:
+    """Return ``path``; refuse one without a name, such as the empty text of an unset variable."""
+    if path is not None and not path.name:
+        raise typer.BadParameter("no file is named; give a name such as run.h5, or leave the option out")
+    return path
+
+
 def scenes_like(incomplete: str) -> list[str]:
     """Return the shipped scenes and TOML files in this folder whose names begin with ``incomplete``."""
     from hpe_rig.scene import shipped_scenes
@@ -85,7 +104,7 @@ def scenes_like(incomplete: str) -> list[str]:
     return [name for name in names if name.startswith(incomplete)]
 
 
-def show(result: Result, json: bool, csv: bool) -> None:
+def show(result: Result, json: bool, csv: bool, wide: bool = False) -> None:
     """Print a result as CSV, JSON or a table."""
     if csv:
         from hpe_rig.result import result_csv
@@ -99,27 +118,21 @@ def show(result: Result, json: bool, csv: bool) -> None:
         return
     from hpe_rig.cli.tables import print_result
 
-    print_result(result)
+    print_result(result, wide)
 
 
 @contextmanager
 def progress(setup: Setup, quiet: bool) -> Iterator[Observer]:
-    """Yield an observer that draws a progress bar on a terminal, and does nothing elsewhere."""
-    from hpe_rig.acquire import Progress, unobserved
-
-    if quiet or not sys.stderr.isatty():
-        yield unobserved
-        return
-    from rich.console import Console
-    from rich.progress import Progress as Bar
+    """Yield an observer that shows progress with the time left: a bar on a terminal, lines elsewhere."""
+    from hpe_rig.acquire import Progress
+    from hpe_rig.cli.terminal import told
 
     total = sum(shot.capture.record_count for shot in setup.plan.shots)
-    with Bar(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task("", total=total)
+    with told("records", quiet) as tell:
 
         def observe(progress: Progress) -> None:
             done = progress.shot.index * progress.shot.capture.record_count + progress.records
-            bar.update(task, completed=done, description=f"shot {progress.shot.index + 1}: {progress.step.value}")
+            tell(done, total, f"shot {progress.shot.index + 1}: {progress.step.value}")
 
         yield observe
 
@@ -139,6 +152,11 @@ def asking(yes: bool) -> Mover:
 
 def _failure(error: BaseException) -> tuple[str, int] | None:
     """Return message and exit code of an expected failure, None for an error of the program."""
+    said = getattr(error, "__notes__", ())
+    notes, lines = ("".join(before + note for note in said) for before in ("; ", "\n  "))
+    # First of all: where an import was interrupted, what is imported below cannot be.
+    if isinstance(error, KeyboardInterrupt):
+        return f"interrupted{notes}", EXIT_INTERRUPTED
     from drivers.interfaces import InstrumentError
     from hpe_rig.acquire import StopRequested
     from hpe_rig.bench import Terminated, UnsafeBenchError
@@ -146,8 +164,6 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
     from hpe_rig.scene import SettingsError
     from hpe_rig.store import StoreError
 
-    said = getattr(error, "__notes__", ())
-    notes, lines = ("".join(before + note for note in said) for before in ("; ", "\n  "))
     match error:
         case UnsafeBenchError():
             return f"{error}{lines}", EXIT_UNSAFE
@@ -164,8 +180,6 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
             return f"{os.fsdecode(path)} cannot be used ({why}){notes}. Try: another path.", EXIT_MISTAKE
         case StopRequested():
             return f"stopped from the live page{notes}", EXIT_INTERRUPTED
-        case KeyboardInterrupt():
-            return f"interrupted{notes}", EXIT_INTERRUPTED
         case Terminated():
             return f"ended by {error.name}{notes}", EXIT_SIGNAL + error.number
     return None

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from hpe_rig.cli.console import BenchPath, SceneName, announce, guarded
+from hpe_rig.cli.console import BenchPath, SceneName, announce, file_named, guarded
 
 studies = typer.Typer()
 
@@ -25,7 +25,10 @@ def accuracy(
         Path | None,
         typer.Option(help="Table, .csv or .json. Default: printed. Without PART: the report, default accuracy.html."),
     ] = None,
-    figure: Annotated[Path | None, typer.Option(help="Work-precision figure, .svg, .png or .pdf.")] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(callback=file_named, help="Work-precision figure, .svg, .png or .pdf."),
+    ] = None,
     largest: Annotated[int, typer.Option(help="Largest number of scatterers.")] = 1_000_000,
     most_echoes: Annotated[int, typer.Option(help="Largest number of echoes.")] = 10_000,
     longest_s: Annotated[float, typer.Option(help="Skip cases expected to take longer, in s.")] = 5.0,
@@ -84,7 +87,10 @@ def design(
         int, typer.Option(help="Monte Carlo draws of scatterers and noise that check the model. 0: none.")
     ] = 200,
     seed: Annotated[int, typer.Option(help="Seed of the search and the draws.")] = 0,
-    output: Annotated[Path | None, typer.Option(help="New scene file, .toml. Default: none.")] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(callback=file_named, help="New scene file, .toml. Default: none."),
+    ] = None,
 ) -> None:
     """Optimise a scene within limits. By the analytic model, checked by Monte Carlo; no instrument is opened."""
     from hpe_rig.design import Request, write_design

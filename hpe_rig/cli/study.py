@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import functools
+import math
 import os
-import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from hpe_rig.bench import interruptible
 from hpe_rig.cli.console import announce
+from hpe_rig.cli.terminal import told
 from hpe_rig.result import text_table
 from hpe_rig.study import (
     NO_TLS,
@@ -25,6 +26,9 @@ from hpe_rig.study import (
     untrusted_network,
 )
 
+MOST_ROWS = 16
+"""Rows that a study prints; of more it prints the least and the largest."""
+
 
 def study_command(
     name: str,
@@ -36,7 +40,7 @@ def study_command(
     report: bool = False,
     tls: TlsFiles = NO_TLS,
 ) -> None:
-    """Run the study ``name``, print what it computed and how long it took, and write its report if asked."""
+    """Run the study ``name``, print what it found and how long it took, and write its report if asked."""
     count = workers or os.cpu_count() or 1
     open_pool = functools.partial(cluster, scheduler, count, tls) if scheduler else functools.partial(processes, count)
     if scheduler and (danger := untrusted_network(scheduler)):
@@ -44,6 +48,8 @@ def study_command(
     ahead = 64 if scheduler else 2 * count + 2
     with interruptible(), _progress(name) as watch:
         results = run_study(name, output, open_pool, ahead, replaced, watch, announce)
+    for result in results:
+        show(f"{result.name}: {result.definition.title}\n{physics(result)}\n")
     show(table(results, output))
     if report:
         from hpe_rig.study import write_study_report
@@ -67,15 +73,49 @@ def table(results: list[StudyResult], output: Path) -> str:
     return text_table(headers, rows, words=2)
 
 
+def physics(result: StudyResult) -> str:
+    """Return what a study found, in % of the true amplitude and in degrees, with Monte Carlo standard errors.
+
+    A small study has a row for each case and estimator. Of a large one there is a row for each estimator, with the
+    least and the largest value over its cases.
+    """
+    axes = [axis.name for axis in result.definition.axes]
+    told_apart = [name for name in ("reading", "frequency_hz") if len({row[name] for row in result.rows}) > 1]
+    figures = ("amplitude bias\n%", "jitter\n%", "phase bias\ndeg", "jitter\ndeg")
+    if len(result.rows) <= MOST_ROWS:
+        rows = []
+        for row in result.rows:
+            found = [f"{value:.2f} +- {error:.2f}" for value, error in _figures(row)]
+            rows.append((row["estimator"], *(_shown(row[name]) for name in (*axes, *told_apart)), *found))
+        return text_table(("estimator\n", *(f"{name}\n" for name in (*axes, *told_apart)), *figures), rows)
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for row in result.rows:
+        groups.setdefault((row["estimator"], *(f"{row[name]}" for name in told_apart)), []).append(row)
+    rows = [(*key, *map(_span, zip(*(_figures(row) for row in found), strict=True))) for key, found in groups.items()]
+    return text_table(("estimator\n", *(f"{name}\n" for name in told_apart), *figures), rows)
+
+
+def _shown(value: object) -> str:
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
+
+
+def _figures(row: Mapping[str, Any]) -> list[tuple[float, float]]:
+    """Return bias and jitter of amplitude, in %, and of phase, in degrees, each with its standard error."""
+    percent, degrees = 100 / (row["amplitude_true_m"] or math.nan), math.degrees(1)
+    names = (("amplitude", "m", percent), ("phase", "rad", degrees))
+    return [
+        (row[f"{of}_{name}_{unit}"] * scale, row[f"{of}_{name}_se_{unit}"] * scale)
+        for of, unit, scale in names
+        for name in ("bias", "jitter")
+    ]
+
+
+def _span(figures: Sequence[tuple[float, float]]) -> str:
+    values = [value for value, _ in figures if math.isfinite(value)]
+    return f"{min(values):.2f} to {max(values):.2f}" if values else "-"
+
+
 @contextmanager
 def _progress(name: str) -> Iterator[OnProgress]:
-    if not sys.stderr.isatty():
-        yield lambda done, total: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn(f"{name}:"), BarColumn(), MofNCompleteColumn(), TextColumn("realisations"))
-    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(name, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+    with told(f"{name}: realisations") as tell:
+        yield lambda done, total: tell(done, total, "")

@@ -1,14 +1,16 @@
-"""Result as a table on the terminal: nm, degrees, Hz."""
+"""Result on the terminal: one sentence, then tables that fit the width; nm, degrees, Hz."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from itertools import groupby
+from typing import final
 
 from rich.console import Console
 from rich.table import Table
 
+from hpe_rig.cli.terminal import terminal_columns, wrapped
 from hpe_rig.result import (
     Component,
     Estimate,
@@ -17,52 +19,192 @@ from hpe_rig.result import (
     RepeatMean,
     Result,
     ShotResult,
+    estimate_at,
+    headline_sentence,
+    lead_frequency_hz,
     rich_table,
+    scale_of,
     shot_warnings,
 )
 
 TABLE_WIDTH = 110
+FULL_WIDTH = 92
+"""Columns that the widest table of one shot takes."""
+MOST_MEANS = 2
+"""Settings whose means over repeats have a table each; more have a line each."""
+NM = 1e-9
 LEAST_S = 0.005
 """Shorter stages would show as 0.00."""
 LEAST_SHARE = 0.01
 """Share of the variance below which a source of uncertainty is not named."""
 
 
-def print_result(result: Result) -> None:
-    """Print means over repeats, the table of each shot, the warnings, what was omitted, and the run time by stage."""
-    console = wide_console()
-    console.print(f"\n{result.title}", style="bold")
-    console.print(f"{result.origin}, {result.run_file}, estimator {result.estimator}")
+def print_result(result: Result, wide: bool = False) -> None:
+    """Print the result in one sentence, then tables, warnings, what was omitted, and the run time by stage.
+
+    One shot is a table of its frequencies. Of several there are the means over repeats and a line each; with ``wide``
+    every column, and a table for every shot.
+    """
+    page = Page(wide)
+    page.say(f"\n{headline_sentence(result)}", bold=True)
+    page.say(f"\n{result.title}")
+    page.say(f"{result.origin}, {result.run_file}, estimator {result.estimator}")
     if result.provenance.started:
-        console.print(f"{times_text(result.provenance)}, {result.provenance.host}")
+        page.say(f"{times_text(result.provenance)}, {result.provenance.host}")
     for name, note in result.notes.items():
-        console.print(f"{name}: {note}")
+        page.say(f"{name}: {note}")
     if result.simulated_specimen:
-        console.print(f"simulated specimen: {result.simulated_specimen}")
-    for _, means in groupby(result.means, key=lambda mean: mean.shots):
-        group = list(means)
-        # A title of the table's own would be broken at the table's width.
-        console.print(f"\n{_mean_title(group[0])}", style="bold")
-        console.print(_mean_table(group))
-    for shot in result.shots:
-        console.print(f"\n{_shot_title(shot)}", style="bold")
-        console.print(_shot_table(shot))
-        if shot.estimates:
-            console.print(_budget_line(shot))
-    for _, gates in groupby(result.profile, key=lambda gate: gate.shot.lateral_offset_m):
-        at_place = sorted(gates, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s or 0.0, gate.depth_m))
-        for _, of_shot in groupby(at_place, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s)):
-            group_of_gates = list(of_shot)
-            console.print(f"\n{_profile_title(group_of_gates)}", style="bold")
-            console.print(_profile_table(group_of_gates))
-    console.print(f"\nphase: {result.phase_reference}\n{_legend(result)}")
+        page.say(f"simulated specimen: {result.simulated_specimen}")
+    _print_means(result, page)
+    if len(result.shots) > 1 and not wide:
+        _print_shots(result, page)
+    else:
+        for shot in result.shots:
+            page.say(f"\n{_shot_title(shot)}", bold=True)
+            page.show(_shot_table(shot, page))
+            if shot.estimates:
+                page.say(_budget_line(shot))
+    _print_profile(result, page)
+    page.say(f"\nphase: {result.phase_reference}\n{_legend(result)}")
     for warning in (*result.warnings, *shot_warnings(result.shots)):
-        console.print(f"WARNING {warning}", style="bold")
+        page.say(f"WARNING {warning}", bold=True)
     if result.omitted:
-        console.print("omitted: " + "; ".join(f"{what} ({why})" for what, why in result.omitted))
+        page.say("omitted: " + "; ".join(f"{what} ({why})" for what, why in result.omitted))
     total_s = sum(result.run_time_s.values())
     stages = ", ".join(f"{name} {seconds:.2f}" for name, seconds in result.run_time_s.items() if seconds >= LEAST_S)
-    console.print(f"run time: {total_s:.2f} s ({stages})")
+    page.say(f"run time: {total_s:.2f} s ({stages})")
+
+
+@final
+class Page:
+    """Where a result is printed: as wide as the terminal, `TABLE_WIDTH` columns where there is none or all is wanted.
+
+    ``narrow``: too few columns for the whole table, so that what can be derived is left out.
+    """
+
+    def __init__(self, wide: bool = False) -> None:
+        """Find out how wide the terminal is."""
+        self.wide = wide
+        self._columns = None if wide else terminal_columns()
+        self._console = wide_console() if self._columns else _console(TABLE_WIDTH)
+        self.narrow = self._columns is not None and self._columns < FULL_WIDTH
+
+    def say(self, text: str, bold: bool = False) -> None:
+        """Print text, broken between words where it is wider than the terminal."""
+        shown = wrapped(text, self._columns) if self._columns else text
+        self._console.print(shown, style="bold" if bold else "", soft_wrap=True)
+
+    def show(self, table: Table) -> None:
+        """Print a table."""
+        self._console.print(table)
+
+
+def wide_console() -> Console:
+    """Return a console as wide as the terminal; where there is none, of `TABLE_WIDTH`: a pipe has no width."""
+    return _console(terminal_columns() or TABLE_WIDTH)
+
+
+def _console(columns: int) -> Console:
+    return Console(soft_wrap=True, highlight=False, markup=False, width=columns)
+
+
+def _print_means(result: Result, page: Page) -> None:
+    """Print a table for every setting that was repeated; of more than `MOST_MEANS` a line each."""
+    groups = [list(group) for _, group in groupby(result.means, key=lambda mean: mean.shots)]
+    if len(groups) <= MOST_MEANS or page.wide:
+        for group in groups:
+            # A title of the table's own would be broken at the table's width.
+            page.say(f"\n{_mean_title(group[0])}", bold=True)
+            page.show(_mean_table(group, page))
+        return
+    frequency_hz = lead_frequency_hz([shot for shot in result.shots if shot.estimates])
+    leads = [min(group, key=lambda mean: abs(mean.frequency_hz - frequency_hz)) for group in groups]
+    headers, settings = _varied(leads)
+    page.say(f"\nMEANS over repeats at {frequency_hz:g} Hz{_common(leads)}", bold=True)
+    name = "peak" if leads[0].corrected else "tracked"
+    scale, unit = _unit([mean.amplitude_m for mean in leads])
+    headers = ["repeats\n", *headers, f"{name}\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "p\n"]
+    rows = [
+        (
+            *(f"{len(mean.shots)}", *cells, *_polar(mean.amplitude_m, mean.amplitude_uncertainty_m, scale)),
+            *(*_angle(mean.phase_rad, mean.phase_uncertainty_rad), f"{mean.probability:.2g}"),
+        )
+        for mean, cells in zip(leads, settings, strict=True)
+    ]
+    page.show(rich_table(headers, rows, words=0))
+
+
+def _print_shots(result: Result, page: Page) -> None:
+    """Print one line a shot, at the frequency that moves most."""
+    shots = [shot for shot in result.shots if shot.estimates]
+    if not shots:
+        return
+    frequency_hz = lead_frequency_hz(shots)
+    estimates = [estimate_at(shot, frequency_hz) for shot in shots]
+    varied, settings = _varied(shots)
+    name = "peak" if estimates[0].headline.corrected else "tracked"
+    scale, unit = _unit([each.headline.amplitude_m for each in estimates])
+    headers = ["shot\n", *varied, f"{name}\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "residual\nnm"]
+    rows = []
+    for shot, estimate, cells in zip(shots, estimates, settings, strict=True):
+        peak = estimate.headline
+        row = [f"{shot.shot + 1}", *cells, *_polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)]
+        row += [*_angle(peak.phase_rad, peak.phase_uncertainty_rad), _figure(shot.residual_m * 1e9, 3)]
+        rows.append((*row, " ".join(_flags(shot))))
+    if any(row[-1] for row in rows):
+        table = rich_table([*headers, "\n"], rows, words=0)
+    else:
+        table = rich_table(headers, [row[:-1] for row in rows], words=0)
+    page.say(f"\n{len(shots)} shots at {frequency_hz:g} Hz{_common(shots)}", bold=True)
+    page.show(table)
+    page.say("other frequencies: --wide, --csv, or the report")
+
+
+def _flags(shot: ShotResult) -> Iterator[str]:
+    if shot.pulses_missing:
+        yield f"{shot.pulses_missing} missing"
+    if not shot.complete:
+        yield "INCOMPLETE"
+    if shot.untrusted:
+        yield "UNTRUSTED"
+
+
+_SETTINGS = {
+    "T_b\nus": ("burst_length_s", 1e6),
+    "F\nF_0": ("force_fraction", 1.0),
+    "f_prf\nHz": ("pulse_rate_hz", 1.0),
+    "T_s\nms": ("window_length_s", 1e3),
+    "beside\nmm": ("lateral_offset_m", 1e3),
+    "deep\nmm": ("axial_offset_m", 1e3),
+}
+"""What can differ between shots, by header: what it is called, and its unit."""
+
+
+def _scaled(value: float | None, factor: float) -> str:
+    return "-" if value is None else f"{value * factor:g}"
+
+
+def _varied(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> tuple[list[str], list[list[str]]]:
+    """Return the headers of the settings that are not the same in all ``items``, and their cells, item by item."""
+    cells = {
+        header: [_scaled(getattr(item, name), factor) for item in items] for header, (name, factor) in _SETTINGS.items()
+    }
+    for name in items[0].swept:
+        cells[f"{name.rpartition('.')[2]}\n"] = [f"{item.swept[name]:g}" for item in items]
+    varied = [header for header, texts in cells.items() if len(set(texts)) > 1]
+    return varied, [[cells[header][index] for header in varied] for index in range(len(items))]
+
+
+def _common(items: Sequence[ShotResult] | Sequence[RepeatMean]) -> str:
+    """Return the settings that all ``items`` share, for a title."""
+    shared = set(_settings(items[0])).intersection(*(set(_settings(item)) for item in items))
+    return "".join(f", {setting}" for setting in _settings(items[0]) if setting in shared)
+
+
+def _unit(amplitudes_m: Sequence[float]) -> tuple[float, str]:
+    """Return the unit of a column of amplitudes: nm, or um where the largest has five digits in nm."""
+    scale, unit = scale_of(max(amplitudes_m, default=0.0))
+    return (scale, unit) if scale > NM else (NM, "nm")
 
 
 def times_text(provenance: Provenance) -> str:
@@ -73,20 +215,44 @@ def times_text(provenance: Provenance) -> str:
     return f"{started} to {until}" if ended else started
 
 
-def wide_console() -> Console:
-    """Return a console of at least `TABLE_WIDTH` columns: a pipe has no width, and 80 would squeeze a table."""
-    return Console(soft_wrap=True, highlight=False, markup=False, width=max(TABLE_WIDTH, Console().width))
-
-
-def _shot_table(shot: ShotResult) -> Table:
+def _shot_table(shot: ShotResult, page: Page) -> Table:
     known = any(estimate.true_amplitude_m is not None for estimate in shot.estimates)
     corrected = any(estimate.headline.corrected for estimate in shot.estimates)
+    scale, unit = _unit([each.headline.amplitude_m for each in shot.estimates])
     headers = ["f\nHz"]
-    headers += ["peak\nnm", "u\nnm", "phase\ndeg", "u\ndeg"] if corrected else []
-    headers += ["tracked\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "SNR\ndB"]
-    headers += ["true peak\nnm", "error\n%", "error\ndeg"] if known else []
-    rows = [_row(estimate, known, corrected) for estimate in shot.estimates]
+    headers += [f"peak\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg"] if corrected else []
+    headers += [f"tracked\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "SNR\ndB"]
+    headers += [f"true peak\n{unit}", "error\n%", "error\ndeg"] if known else []
+    rows = [_row(estimate, known, corrected, scale) for estimate in shot.estimates]
+    if page.narrow and corrected:
+        # What the tracked values were, their phase and u, and the truth beside its error: --wide has them.
+        kept = [0, 1, 2, 3, 4, 5, 9, *([11, 12] if known else [])]
+        headers, rows = [headers[at] for at in kept], [[row[at] for at in kept] for row in rows]
     return rich_table(headers, rows, words=0)
+
+
+def _mean_table(means: Sequence[RepeatMean], page: Page) -> Table:
+    known = any(mean.true_amplitude_m is not None for mean in means)
+    name = "peak" if means[0].corrected else "tracked"
+    scale, unit = _unit([mean.amplitude_m for mean in means])
+    headers = ["f\nHz", f"{name}\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", f"sd\n{unit}", "sd\ndeg"]
+    headers += ["chi-square\n", "p\n"]
+    headers += [f"true peak\n{unit}", "error\n%", "error\ndeg"] if known else []
+    rows = [_mean_row(mean, known, scale) for mean in means]
+    if page.narrow:
+        kept = [0, 1, 2, 3, 4, 5, 6, 8, *([10, 11] if known else [])]
+        headers, rows = [headers[at] for at in kept], [[row[at] for at in kept] for row in rows]
+    return rich_table(headers, rows, words=0)
+
+
+def _print_profile(result: Result, page: Page) -> None:
+    """Print a table over depth for every shot whose records were taken gate by gate."""
+    for _, gates in groupby(result.profile, key=lambda gate: gate.shot.lateral_offset_m):
+        at_place = sorted(gates, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s or 0.0, gate.depth_m))
+        for _, of_shot in groupby(at_place, key=lambda gate: (gate.shot.shot, gate.shot.window_length_s)):
+            group_of_gates = list(of_shot)
+            page.say(f"\n{_profile_title(group_of_gates)}", bold=True)
+            page.show(_profile_table(group_of_gates))
 
 
 def _profile_title(gates: Sequence[GateResult]) -> str:
@@ -97,28 +263,21 @@ def _profile_title(gates: Sequence[GateResult]) -> str:
 def _profile_table(gates: Sequence[GateResult]) -> Table:
     """Return a row a gate, of the frequency that moves most in any; the result file has the others."""
     hz, corrected = _strongest_hz(gates), any(gate.shot.estimates[0].headline.corrected for gate in gates)
+    scale, unit = _unit([gate.shot.estimates[0].headline.amplitude_m for gate in gates])
     headers = ["depth\nmm", "gate\nmm", "pulses\n"]
-    headers += ["peak\nnm", "u\nnm", "phase\ndeg", "u\ndeg"] if corrected else []
-    headers += ["tracked\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "SNR\ndB"]
+    headers += [f"peak\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg"] if corrected else []
+    headers += [f"tracked\n{unit}", f"u\n{unit}", "phase\ndeg", "u\ndeg", "SNR\ndB"]
     rows = []
     for gate in gates:
         [estimate] = [each for each in gate.shot.estimates if each.frequency_hz == hz]
         where = [f"{gate.depth_m * 1e3:.4g}", f"{gate.length_m * 1e3:.3g}", str(gate.shot.pulses_used)]
-        rows.append([*where, *_row(estimate, False, corrected)[1:]])
+        rows.append([*where, *_row(estimate, False, corrected, scale)[1:]])
     return rich_table(headers, rows, words=0)
 
 
 def _strongest_hz(gates: Sequence[GateResult]) -> float:
     every = [estimate for gate in gates for estimate in gate.shot.estimates]
     return max(every, key=lambda estimate: estimate.amplitude_m).frequency_hz
-
-
-def _mean_table(means: Sequence[RepeatMean]) -> Table:
-    known = any(mean.true_amplitude_m is not None for mean in means)
-    name = "peak" if means[0].corrected else "tracked"
-    headers = ["f\nHz", f"{name}\nnm", "u\nnm", "phase\ndeg", "u\ndeg", "sd\nnm", "sd\ndeg", "chi-square\n", "p\n"]
-    headers += ["true peak\nnm", "error\n%", "error\ndeg"] if known else []
-    return rich_table(headers, [_mean_row(mean, known) for mean in means], words=0)
 
 
 def _mean_title(mean: RepeatMean) -> str:
@@ -128,24 +287,21 @@ def _mean_title(mean: RepeatMean) -> str:
     return ", ".join([f"MEAN of {len(shots)} repeats, shots {numbers}", *_settings(mean)])
 
 
-def _mean_row(mean: RepeatMean, known: bool) -> list[str]:
-    row = [f"{mean.frequency_hz:g}", *_polar(mean.amplitude_m, mean.amplitude_uncertainty_m)]
+def _mean_row(mean: RepeatMean, known: bool, scale: float) -> list[str]:
+    row = [f"{mean.frequency_hz:g}", *_polar(mean.amplitude_m, mean.amplitude_uncertainty_m, scale)]
     row += _angle(mean.phase_rad, mean.phase_uncertainty_rad)
-    row += [_figure(mean.amplitude_sd_m * 1e9), _figure(math.degrees(mean.phase_sd_rad))]
+    row += [_figure(mean.amplitude_sd_m / scale), _figure(math.degrees(mean.phase_sd_rad))]
     row += [f"{mean.chi_square:.1f} of {mean.degrees_of_freedom}", f"{mean.probability:.2g}"]
     if known and mean.true_amplitude_m and mean.true_phase_rad is not None:
         error_rad = math.remainder(mean.phase_rad - mean.true_phase_rad, 2 * math.pi)
-        row += [f"{mean.true_amplitude_m * 1e9:.4g}", f"{(mean.amplitude_m / mean.true_amplitude_m - 1) * 100:+z.1f}"]
+        row += [f"{mean.true_amplitude_m / scale:.4g}", f"{(mean.amplitude_m / mean.true_amplitude_m - 1) * 100:+z.1f}"]
         row += [f"{math.degrees(error_rad):+z.2f}"]
     return row
 
 
 def _shot_title(shot: ShotResult) -> str:
     words = [f"shot {shot.shot + 1}", *_settings(shot)]
-    missing = f" ({shot.pulses_missing} missing)" if shot.pulses_missing else ""
-    words.append(f"{shot.pulses_used} pulses{missing}, residual {_figure(shot.residual_m * 1e9, 3)} nm rms")
-    words += [] if shot.complete else ["INCOMPLETE"]
-    words += ["UNTRUSTED"] if shot.untrusted else []
+    words += [f"{shot.pulses_used} pulses", f"residual {_figure(shot.residual_m * 1e9, 3)} nm rms", *_flags(shot)]
     return ", ".join(words)
 
 
@@ -165,15 +321,15 @@ def _settings(of: ShotResult | RepeatMean) -> Iterator[str]:
     yield from (f"{name} = {value:g}" for name, value in of.swept.items())
 
 
-def _row(estimate: Estimate, known: bool, corrected: bool) -> list[str]:
+def _row(estimate: Estimate, known: bool, corrected: bool, scale: float) -> list[str]:
     row, peak = [f"{estimate.frequency_hz:g}"], estimate.headline
     if corrected:
-        row += _polar(peak.amplitude_m, peak.amplitude_uncertainty_m)
+        row += _polar(peak.amplitude_m, peak.amplitude_uncertainty_m, scale)
         row += _angle(peak.phase_rad, peak.phase_uncertainty_rad)
-    row += _polar(estimate.amplitude_m, estimate.amplitude_uncertainty_m)
+    row += _polar(estimate.amplitude_m, estimate.amplitude_uncertainty_m, scale)
     row += [*_angle(estimate.phase_rad, estimate.phase_uncertainty_rad), f"{estimate.snr_db:z.1f}"]
     if known:
-        row.append(_or_dash(estimate.true_amplitude_m, 1e9, ".4g"))
+        row.append(_or_dash(estimate.true_amplitude_m, 1 / scale, ".4g"))
         row.append(_or_dash(estimate.corrected_amplitude_error, 100, "+z.1f"))
         row.append(_or_dash(estimate.corrected_phase_error_rad, 180 / math.pi, "+z.2f"))
     return row
@@ -211,8 +367,8 @@ def _legend(result: Result) -> str:
     )
 
 
-def _polar(amplitude_m: float, uncertainty_m: float) -> list[str]:
-    return [_figure(amplitude_m * 1e9, 4), _figure(uncertainty_m * 1e9)]
+def _polar(amplitude_m: float, uncertainty_m: float, scale: float) -> list[str]:
+    return [_figure(amplitude_m / scale, 4), _figure(uncertainty_m / scale)]
 
 
 def _angle(phase_rad: float, uncertainty_rad: float) -> list[str]:

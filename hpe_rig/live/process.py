@@ -24,8 +24,8 @@ GRACE_S = 15.0
 def serve_run(run_file: Path, port: int = 0, attached: bool = False) -> None:
     """Print the address of the live page of ``run_file`` and serve it until Ctrl-C.
 
-    ``attached``: until standard input ends, which is when the process that started this one does. A file that is not
-    there yet is waited for; raises ``StoreError`` where there is one that is no run file.
+    ``attached``: until standard input ends, which is when the process that started this one does. Only then is
+    a file waited for that is not there yet. Raises ``StoreError`` where there is none, or one that is no run file.
     """
     # A run that starts its own page may be about to replace the file.
     if not attached:
@@ -85,19 +85,13 @@ def _address(child: subprocess.Popen[str]) -> str:
 
 
 def _refuse_never(run_file: Path) -> None:
-    """Raise ``StoreError`` where ``run_file`` is no run file, or is none and none can come there."""
+    """Raise ``StoreError`` where ``run_file`` is no run file, or is not there: a slip would be waited for."""
     try:
         run_file.stat()
-    except FileNotFoundError:
-        if run_file.parent.is_dir():
-            return
-        why = f"there is no folder {run_file.parent}"
     except OSError as error:
-        why = reason(error)
-    else:
-        read_run(run_file)
-        return
-    raise StoreError(f"no run can be followed at {run_file} ({why}). Try: the path of a run file.")
+        remedy = "the path of a run file, once the run has begun; hpe-rig run SCENE --live shows it from the start"
+        raise StoreError(f"no run can be followed at {run_file} ({reason(error)}). Try: {remedy}.") from None
+    read_run(run_file)
 
 
 def _close_with_input(page: LivePage) -> None:

@@ -5,28 +5,47 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from hpe_rig.plan.checks.check_result import CheckResult
+from hpe_rig.plan.checks.check_result import CheckResult, in_us
 from hpe_rig.plan.interference import admissible_delays_s, forbidden_window_s
 from hpe_rig.plan.shots import Plan, Shot
+from hpe_rig.scene import engineering
 
-WIDTH = 96
+NAMES = 18
+"""Columns that names and borders of the drawing take."""
 
 
-def plan_text(title: str, plan: Plan, found: Sequence[CheckResult]) -> str:
-    """Return the plan of a measurement as text: drawing, table, what is omitted, checks."""
+def plan_text(title: str, plan: Plan, found: Sequence[CheckResult], columns: int = 114, verbose: bool = False) -> str:
+    """Return the plan of a measurement as text: verdict, what speaks against it, drawing, table, what is omitted.
+
+    ``columns`` is how wide the drawing may be; ``verbose`` lists the checks that passed as well.
+    """
     shot = max(plan.shots, key=lambda item: item.timeline.burst_length_s)
-    lines = [title, "", *_drawing(shot), "", *_table(plan, shot), "", "omitted:"]
+    # That nobody described the specimen must be seen, though nothing speaks against it.
+    shown = [item for item in found if item.level != "passed" or item.check == "simulated specimen"]
+    noted = sorted(shown, key=lambda item: _ORDER[item.level])
+    passed = [item for item in found if item.level == "passed"]
+    lines = [title, "", verdict(found), *(f"  {_MARK[item.level]} {item}" for item in noted)]
+    lines += ["", *_drawing(shot, max(columns - NAMES, 20)), "", *_table(plan, shot), "", "omitted:"]
     lines += [f"  {item.what}: {item.why}" for item in plan.omitted] or ["  nothing"]
-    lines += ["", "checks:"]
-    lines += [f"  {_MARK[finding.level]} {finding}" for finding in sorted(found, key=lambda item: _ORDER[item.level])]
-    return "\n".join(lines)
+    lines += ["", f"checks: {len(passed)} of {len(found)} passed{'' if verbose else ' (--verbose lists them)'}"]
+    return "\n".join([*lines, *(f"  {_MARK[item.level]} {item}" for item in passed if verbose and item not in shown)])
+
+
+def verdict(found: Sequence[CheckResult]) -> str:
+    """Return in one line whether a plan can be measured."""
+    refused, warned = (sum(item.level == level for item in found) for level in ("refused", "warning"))
+    warnings = f"{warned} warning{'s' if warned > 1 else ''}"
+    if refused:
+        also = f" and {warnings}" if warned else ""
+        return f"CANNOT BE MEASURED: {refused} conflict{'s' if refused > 1 else ''}{also}"
+    return f"CAN BE MEASURED, with {warnings}" if warned else "CAN BE MEASURED"
 
 
 _MARK = {"passed": "ok     ", "warning": "WARNING", "refused": "REFUSED"}
 _ORDER = {"refused": 0, "warning": 1, "passed": 2}
 
 
-def _drawing(shot: Shot) -> Iterator[str]:
+def _drawing(shot: Shot, width: int) -> Iterator[str]:
     """Draw the first pulse periods after the first toneburst; one column is the same time in every row."""
     line, period_s = shot.timeline, 1 / shot.tracking_train.rate_hz
     start_s, span_s = float(line.burst_onset_s[0]) if line.burst_onset_s.size else 0.0, 2 * period_s
@@ -34,19 +53,19 @@ def _drawing(shot: Shot) -> Iterator[str]:
     bursts = [time_s for time_s in line.burst_onset_s[:8] if time_s < start_s + span_s]
 
     def row(name: str, mark: str, intervals: Sequence[tuple[float, float]]) -> str:
-        columns = [" "] * WIDTH
+        columns = [" "] * width
         for low, high in intervals:
             begin, end = (min(max(float(time_s) - start_s, -span_s), 2 * span_s) / span_s for time_s in (low, high))
-            first = math.floor(begin * WIDTH)
-            last = max(first, math.ceil(end * WIDTH) - 1)
-            for column in range(max(0, first), min(WIDTH, last + 1)):
+            first = math.floor(begin * width)
+            last = max(first, math.ceil(end * width) - 1)
+            for column in range(max(0, first), min(width, last + 1)):
                 columns[column] = mark
         return f"{name:>14} |{''.join(columns)}|"
 
     def after(times_s: Sequence[float], low_s: float, high_s: float) -> list[tuple[float, float]]:
         return [(time_s + low_s, time_s + high_s) for time_s in times_s]
 
-    yield f"{'':14}  0{f'{span_s * 1e6:g} us':>{WIDTH - 1}}"
+    yield f"{'':14}  0{in_us(span_s):>{width - 1}}"
     if bursts:
         yield row("toneburst", "#", after(bursts, 0, line.burst_length_s))
         yield row("its echoes", "~", after(bursts, 0, line.burst_length_s + line.gate_offset_s[1]))
@@ -61,18 +80,19 @@ def _table(plan: Plan, shot: Shot) -> Iterator[str]:
     if burst_train is not None:
         lengths = sorted({item.timeline.burst_length_s for item in plan.shots})
         burst = f"{burst_train.count} at {burst_train.rate_hz:g} Hz, "
-        rows.append(("tonebursts", burst + ", ".join(f"{length * 1e6:g} us" for length in lengths)))
+        rows.append(("tonebursts", burst + ", ".join(map(in_us, lengths))))
         start_s, end_s = forbidden_window_s(shot)
-        forbidden = f"from {-start_s * 1e6:.4g} us before a toneburst to {end_s * 1e6:.4g} us after its onset"
+        forbidden = f"from {in_us(-start_s)} before a toneburst to {in_us(end_s)} after its onset"
         rows.append(("no pulse", forbidden))
         free = admissible_delays_s(shot)
-        words = " or ".join(f"{low * 1e6:.4g} to {high * 1e6:.4g} us" for low, high in free) or "none"
-        rows.append(("admissible t_d", f"{words}, plus multiples of {1e6 / train.rate_hz:g} us"))
+        words = " or ".join(f"{low * 1e6:.4g} to {high * 1e6:.4g} us" for low, high in free)
+        more = f", plus multiples of {in_us(1 / train.rate_hz)}"
+        rows.append(("admissible t_d", f"{words}{more}" if free else "none"))
     rows += [
-        ("tracking", f"{train.count} pulses at {train.rate_hz:g} Hz from t_d = {train.delay_s * 1e6:g} us"),
+        ("tracking", f"{train.count} pulses at {train.rate_hz:g} Hz from t_d = {in_us(train.delay_s)}"),
         ("record", f"{capture.record_samples} samples, {capture.trigger_delay_samples} after the trigger"),
         ("gate", f"samples {shot.gate.start} to {shot.gate.stop}"),
-        ("duration", f"{plan.duration_s:.3g} s without programming"),
-        ("run file", f"{plan.record_bytes / 1e6:.3g} MB of records"),
+        ("duration", f"{engineering(plan.duration_s, 's', 3)} without programming"),
+        ("run file", f"{engineering(plan.record_bytes, 'B', 3)} of records"),
     ]
     return (f"{name:>14}  {text}" for name, text in rows)

@@ -55,14 +55,16 @@ def conditions_of(
     frequency_hz = resting.frequency_hz if frequency_hz is None else frequency_hz
     pulses = window_pulse_count(scene) if shot is None else max(1, int(select(scene, shot).used.sum()))
     twin = twin_of(scene)
+    # A reference gate takes the jitter away and adds its own echo noise, as much as that of the gate where it is alike.
+    subtracted = scene.processing.reference_gate_depth_m is not None
     return replace(
         resting,
         excitation_width_m=motion_width_m(scene, frequency_hz),
         pulses=pulses,
         frequency_hz=frequency_hz,
         amplitude_m=expected_amplitude_m(scene, frequency_hz, shot),
-        snr=10 ** (snr_db / 10),
-        trigger_jitter_s=0.0 if twin is None else twin.trigger_jitter_s,
+        snr=10 ** (snr_db / 10) / (2 if subtracted else 1),
+        trigger_jitter_s=0.0 if twin is None or subtracted else twin.trigger_jitter_s,
         fit_gain=1.0 if shot is None else _fit_gain(scene, shot, frequency_hz, pulses, estimator),
     )
 

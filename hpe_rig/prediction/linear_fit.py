@@ -109,16 +109,25 @@ def pulse_noise_m(scene: Scene, spec: EstimatorSpec, simulated: bool = True) -> 
 
 
 def echo_noise_m(scene: Scene, spec: EstimatorSpec) -> float:
-    """Return the noise of one pulse's displacement, m, from echo noise: phase variance 1 / (gate samples x SNR)."""
+    """Return the noise of one pulse's displacement, m, from echo noise: phase variance 1 / (gate samples x SNR).
+
+    Twice that variance where a reference gate is subtracted, whose echoes are taken to be as noisy.
+    """
     acquisition, snr_db = scene.acquisition, expected_snr_db(scene)
     if snr_db is None:
         return 0.0
     samples = 2 * acquisition.gate_length_m / acquisition.sound_speed_m_per_s * acquisition.sample_rate_hz
     metres_per_radian = acquisition.sound_speed_m_per_s / (4 * math.pi * scene.tracking.carrier_hz)
-    return metres_per_radian * math.sqrt(spec.gate_noise / (samples * 10 ** (snr_db / 10)))
+    gates = 1 if scene.processing.reference_gate_depth_m is None else 2
+    return metres_per_radian * math.sqrt(gates * spec.gate_noise / (samples * 10 ** (snr_db / 10)))
 
 
 def trigger_noise_m(scene: Scene, simulated: bool = True) -> float:
-    """Return the apparent displacement of one pulse by trigger jitter, m; 0 on a real bench, where it is not known."""
+    """Return the apparent displacement of one pulse by trigger jitter, m.
+
+    0 on a real bench, where it is not known, and where a reference gate takes it away.
+    """
+    if scene.processing.reference_gate_depth_m is not None:
+        return 0.0
     twin = twin_of(scene) if simulated else None
     return 0.0 if twin is None else twin.trigger_jitter_s * scene.acquisition.sound_speed_m_per_s / 2

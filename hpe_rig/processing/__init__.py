@@ -12,7 +12,8 @@
                        or A_i, phi_i, background: least squares             harmonic.py, or kalman_filter.py
     joint              A_i, phi_i that make all echoes one echo, delayed    maximum_likelihood.py
 
-    cross_spectrum     v_n = -c dtheta_n(f_c) / (4 pi f_c T_prf)            motion.py, eqs. (5) (6)
+    cross_spectrum     v_n = -c dtheta_n(f_c) / (4 pi f_c T_prf)            spectral_peak.py, eqs. (5) (6)
+                       compiled, where Numba is                             spectral_peak_numba.py
                        D_n = v_n / w_i -> band-pass -> Hann -> Kalman, x 2  velocity_chain.py, velocity_noise.py
                        then off with sinc(f_i / f_prf), T_prf / 2, 90 deg
 

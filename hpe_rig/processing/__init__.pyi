@@ -54,10 +54,8 @@ from .model import aliased_hz as aliased_hz, harmonic_columns as harmonic_column
 from .motion import (
     coherent as coherent,
     coherent_phase as coherent_phase,
-    cross_spectrum as cross_spectrum,
     kasai as kasai,
     loupas as loupas,
-    peak_phase as peak_phase,
 )
 from .motion_map import MapSettings as MapSettings, map_pixels as map_pixels
 from .prior import (
@@ -91,6 +89,12 @@ from .shots import (
     shot_model as shot_model,
     shot_motion as shot_motion,
     shot_prior as shot_prior,
+)
+from .spectral_peak import (
+    cross_spectrum as cross_spectrum,
+    fourier_columns as fourier_columns,
+    orthonormal_rows as orthonormal_rows,
+    peak_steps as peak_steps,
 )
 from .stationarity import Drift as Drift, drift_between_halves as drift_between_halves
 from .velocity_chain import Steps as Steps, velocity_to_harmonics as velocity_to_harmonics

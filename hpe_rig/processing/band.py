@@ -156,7 +156,7 @@ def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, Ba
     precision = np.result_type(echoes.volts.dtype, np.complex64)
     spectrum = np.empty((*echoes.volts.shape[:-2], count, echoes.valid.size), precision)
     bins = round(echoes.sample_rate_hz / (band.frequency_hz[1] - band.frequency_hz[0]))
-    by_fft = samples * count > FFT_WORTH * bins * np.log2(bins)
+    by_fft = transforms(samples, count, bins)
     with np.errstate(invalid="ignore"):
         for pulses, volts in echoes.blocks(slice(first, first + samples)):
             if by_fft:
@@ -195,19 +195,13 @@ def _project(volts: Volts, columns: ComplexArray, spectrum: ComplexArray) -> Non
     by_pulse.real, by_pulse.imag = both[..., :count], both[..., count:]
 
 
-def gate_spectrum(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray) -> ComplexArray:
-    """Return the spectrum (..., valid pulse, bin) of the gate alone times a window (sample,), NaN without an echo.
-
-    Raises ``ValueError`` where no train has an echo.
-    """
+def gate_has_echo(echoes: EchoGate) -> BoolArray:
+    """Return which trains (...) have an echo in the gate alone; raise ``ValueError`` where none has."""
     volts = echoes.gate_volts
-    # the window's side lobes let a constant into the band, which must not pass for an echo: look without
+    # without a window: its side lobes let a constant into the band, which must not pass for an echo
     with np.errstate(invalid="ignore"):
         plain = spectrum_at(volts, echoes.sample_rate_hz, band_grid(echoes, volts.shape[-1]))
-        spectrum = spectrum_at(volts * window.astype(volts.dtype), echoes.sample_rate_hz, frequency_hz)
-    spectrum = _valid(echoes, spectrum)
-    spectrum[~has_echo(_valid(echoes, plain) / np.sqrt(volts.shape[-1]), echoes)] = np.nan
-    return spectrum
+    return has_echo(_valid(echoes, plain) / np.sqrt(volts.shape[-1]), echoes)
 
 
 def _valid(echoes: EchoGate, spectrum: ComplexArray) -> ComplexArray:
@@ -273,6 +267,11 @@ def _grid(sample_rate_hz: float, carrier_hz: float, bins: int) -> FloatArray:
     return grid_hz[(grid_hz >= low) & (grid_hz <= high)]
 
 
+def transforms(samples: int, count: int, bins: int) -> bool:
+    """Return whether an FFT of ``bins`` points is the faster way from ``samples`` to ``count`` of its bins."""
+    return bool(samples * count > FFT_WORTH * bins * np.log2(bins))
+
+
 def spectrum_at(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray) -> ComplexArray:
     """Return the Fourier transform (..., bin) of ``volts`` (..., sample) at the wanted, evenly spaced frequencies only.
 
@@ -281,7 +280,7 @@ def spectrum_at(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray) -
     samples, count = volts.shape[-1], frequency_hz.size
     spacing = sample_rate_hz / (frequency_hz[1] - frequency_hz[0])
     bins, first = round(spacing), round(frequency_hz[0] * spacing / sample_rate_hz)
-    if samples * count > FFT_WORTH * bins * np.log2(bins):
+    if transforms(samples, count, bins):
         spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
         by_pulse = np.swapaxes(spectrum, -1, -2)
         by_pulse[...] = rfft(volts, bins, axis=-1)[..., first : first + count]

@@ -16,8 +16,9 @@ from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion
 from hpe_rig.processing.harmonic import HarmonicFit, least_squares
 from hpe_rig.processing.kalman_filter import kalman
 from hpe_rig.processing.maximum_likelihood import joint
-from hpe_rig.processing.motion import coherent, coherent_phase, cross_spectrum, kasai, loupas
+from hpe_rig.processing.motion import coherent, coherent_phase, kasai, loupas
 from hpe_rig.processing.prior import MediumPrior, medium_fit, medium_kalman
+from hpe_rig.processing.spectral_peak import cross_spectrum
 from hpe_rig.processing.velocity_chain import velocity_to_harmonics
 from hpe_rig.scene import Estimator as Estimator, estimator_names
 

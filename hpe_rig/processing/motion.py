@@ -15,16 +15,12 @@ import numpy as np
 
 from hpe_rig.processing.band import (
     Band,
-    band_grid,
     band_spectrum,
     energy_of,
-    gate_spectrum,
     inner,
     real_product,
-    require_pulses,
     turned,
 )
-from hpe_rig.processing.conditioning import hann
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Motion, scatter
 
 DivideBy = Literal["centre", "carrier"]
@@ -88,38 +84,6 @@ def loupas(echoes: EchoGate) -> Motion:
     steps = pulse_steps(spectrum, band)
     noise = noise_of_steps(np.abs(steps.product), steps.energy, band.independent)
     return motion_of_steps(echoes, np.angle(steps.product), centre_hz, *noise)
-
-
-def cross_spectrum(
-    echoes: EchoGate,
-    *,
-    gate_window: Literal["hann", "none"] = "hann",
-    divide_by: DivideBy = "centre",
-    padding: int = 8,
-) -> Motion:
-    """Return the displacement as the sum of steps, each from the consecutive cross-spectrum's phase at its peak.
-
-    Hann gate, FFT padded ``padding`` times and to a power of two (1: neither), peak searched inside the transmitted
-    band, step = -c dtheta / (2 w), with w = 2 pi times the peak's frequency or the carrier (eq. 6 as printed).
-    Raises ``ValueError`` for fewer than two valid pulses or no echo. Source: paper eqs. (5) and (6).
-    """
-    require_pulses(echoes, 2)
-    samples = echoes.gate_volts.shape[-1]
-    bins = samples if padding == 1 else 1 << (padding * samples - 1).bit_length()
-    frequency_hz = band_grid(echoes, bins)
-    window = hann(samples) if gate_window == "hann" else np.ones(samples)
-    spectrum = gate_spectrum(echoes, frequency_hz, window)
-    step, peak_hz = peak_phase(spectrum, frequency_hz)
-    divisor_hz = peak_hz if divide_by == "centre" else np.full_like(peak_hz, echoes.carrier_hz)
-    # the padded bins hold no more than the unpadded ones, and the Hann window leaves two thirds of those
-    independent = frequency_hz.size * samples / bins / (1.5 if gate_window == "hann" else 1.0)
-    cross = np.abs(np.einsum("...i,...i->...", np.conj(spectrum[..., :-1, :]), spectrum[..., 1:, :]))
-    energy = energy_of(spectrum)
-    # a correlation has as many independent numbers as the squared window is long
-    seen = frequency_hz.size / bins * np.sum(window**2) ** 2 / np.sum(window**4)
-    step[~alike(cross, energy, float(seen))] = np.nan
-    noise = noise_of_steps(cross, energy, independent)
-    return motion_of_steps(echoes, step, divisor_hz, *noise)
 
 
 def motion_of_phase(
@@ -346,12 +310,3 @@ def noise_of_steps(cross: FloatArray, energy: FloatArray, independent: float) ->
     variance = np.minimum(np.concatenate([step[..., :1], step], -1), np.concatenate([step, step[..., -1:]], -1))
     walk = np.sqrt(both).sum(axis=-1) / np.maximum(cross.sum(axis=-1), tiny) - 1
     return np.asarray(variance), np.asarray(np.maximum(walk, 0.0))
-
-
-def peak_phase(spectrum: ComplexArray, frequency_hz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return phase and frequency (..., interval) of the consecutive cross-spectrum's largest bin."""
-    power = spectrum.real**2 + spectrum.imag**2
-    peak = np.argmax(power[..., :-1, :] * power[..., 1:, :], axis=-1)[..., None]
-    before = np.take_along_axis(spectrum[..., :-1, :], peak, axis=-1)[..., 0]
-    after = np.take_along_axis(spectrum[..., 1:, :], peak, axis=-1)[..., 0]
-    return np.angle(np.conj(before) * after), frequency_hz[peak[..., 0]]

@@ -46,7 +46,7 @@ NOISY_RAD: Final = 0.5
 """Residual of a pixel's phase, root mean square, from which on it is noise, or moves beyond what steps can follow."""
 NEAR_RAD: Final = math.pi / 2
 """Phase against the first pulse within which nothing can have turned by a whole turn unseen."""
-STRIDE: Final = 6
+STRIDE: Final = 12
 """Of how many pulses one tells the frequency of the echo, which is nearly the same in all."""
 UNKNOWN_PHASE_RAD: Final = np.float32(math.pi / math.sqrt(3))
 """Standard deviation of a phase of which nothing is known."""

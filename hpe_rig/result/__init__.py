@@ -3,6 +3,7 @@
     estimates.py   Estimate (one frequency) -> ShotResult -> Result
     repeats.py     mean over repeats, tested against the stated uncertainties
     phase.py       uncertainty of a phase, also of an amplitude that may be noise
+    sentence.py    the result in one sentence
     rows.py        one row a shot and frequency: CSV, pandas, printed
     motion.py      displacement of a shot, pulse by pulse, with u and model
     grid.py        arrays over (shot, frequency) and (shot, pulse): result file, xarray

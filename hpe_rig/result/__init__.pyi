@@ -21,5 +21,11 @@ from .phase import (
 from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance
 from .repeats import RepeatMean as RepeatMean
 from .rows import result_csv as result_csv
+from .sentence import (
+    estimate_at as estimate_at,
+    headline_sentence as headline_sentence,
+    lead_frequency_hz as lead_frequency_hz,
+    scale_of as scale_of,
+)
 from .stages import Stages as Stages
 from .tables import csv_text as csv_text, mappings as mappings, rich_table as rich_table, text_table as text_table

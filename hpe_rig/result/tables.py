@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -37,9 +37,12 @@ def rich_table(headers: Sequence[str], rows: Iterable[Sequence[str]], words: int
     """Return a table without rules: the first ``words`` columns aligned to the left, those of numbers to the right."""
     from rich.table import Table
 
-    table = Table(box=None, header_style="bold", pad_edge=False)
+    table, rows = Table(box=None, header_style="bold", pad_edge=False), list(rows)
     for index, header in enumerate(headers):
-        table.add_column(header, justify="left" if index < words else "right")
+        # Folded where the terminal is narrow, since an address that is cut is none; what a row is of never is.
+        least = max((len(row[0]) for row in rows), default=0) if index == 0 else None
+        justify: Literal["left", "right"] = "left" if index < words else "right"
+        table.add_column(header, justify=justify, overflow="fold", min_width=least)
     for row in rows:
         table.add_row(*row)
     return table

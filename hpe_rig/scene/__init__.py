@@ -4,6 +4,7 @@
     quantities.py   types of the numbers in settings files, each with the bounds of what exists
     notes.py        what an operator notes beside the settings, by names of their own
     scene.py        the sections of a scene; read by name, path or value; the shipped scenes; the default specimen
+    notation.py     numbers with units as people read them
     keys.py         the numbers of a scene: found by a short name, set to a value
     description.py  every key of a settings file in words, from the schema; a file that names them all
     points.py       the points of a sweep over any numbers

@@ -13,6 +13,7 @@ from .keys import (
     resolve as resolve,
     with_values as with_values,
 )
+from .notation import engineering as engineering
 from .notes import Note as Note
 from .points import BENCH as BENCH, ScenePoint as ScenePoint
 from .quantities import (
@@ -57,6 +58,7 @@ from .validation import (
     named_text as named_text,
     parse_toml as parse_toml,
     printable as printable,
+    read_remedy as read_remedy,
     unreadable as unreadable,
     validated as validated,
 )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from hpe_rig.scene.keys import Key, Number, keys_of, path_of, resolve, with_values
 from hpe_rig.scene.scene import Scene, Sweep, plain_tables
@@ -34,9 +36,17 @@ def points_of_sweep(scene: Scene) -> tuple[ScenePoint, ...]:
     Trains have equally many pulses at all points, unless tracking.pulse_count says how many. Raises ``SettingsError``
     with every axis that is none and every value that its key cannot have.
     """
-    axes = scene.sweep.axes
-    if not axes:
+    if not scene.sweep.axes:
         return (ScenePoint(scene),)
+    # By content, and kept: whoever looks at the shots of a long sweep asks for the same points again and again.
+    return _kept_points(json.dumps(plain_tables(scene), sort_keys=False), scene.default_specimen)
+
+
+@lru_cache(maxsize=8)
+def _kept_points(text: str, specimen: str | None) -> tuple[ScenePoint, ...]:
+    """Return the points of the scene whose tables are the JSON ``text``."""
+    scene = Scene.model_validate(json.loads(text), context=STORED)
+    scene._default_specimen = specimen
     whole = _full_names(scene)
     names, places = list(whole), _places(scene.sweep)
     tables = plain_tables(scene)

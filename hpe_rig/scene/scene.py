@@ -548,6 +548,9 @@ def parse_scene(
     they may be younger than the run.
     """
     tables, context = parse_toml(text, f"scene {name}"), STORED if stored else None
+    if {"generators", "limits"} <= tables.keys():
+        mistake = Mistake("", "this is a bench file, not a scene", "a scene, and this file behind --bench")
+        raise SettingsError(f"scene {name}", [mistake])
     mistakes = mistakes_of(Scene, tables, context=context)
     if simulation_check is not None:
         mistakes += simulation_check(tables)

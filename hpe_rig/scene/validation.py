@@ -35,7 +35,9 @@ class Mistake:
 
     def __str__(self) -> str:
         where = f"{self.path}: " if self.path else ""
-        return printable(f"{where}{self.what}. Try: {self.remedy}.")
+        if self.remedy.startswith("did you mean"):
+            return printable(f"{where}{self.what}; {self.remedy}")
+        return printable(f"{where}{self.what}. Try: {self.remedy}{'' if self.remedy.endswith('?') else '.'}")
 
 
 class SettingsError(Exception):
@@ -65,17 +67,36 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        mistake = Mistake("", f"not valid TOML: {error}", "correct that line")
+        mistake = _not_toml(text, str(error))
     except RecursionError:
         mistake = _TOO_DEEP
     except ValueError:
         # Python's own limit on what it converts to a whole number, at a place that it does not tell.
         mistake = Mistake("", "a whole number in it has thousands of digits", "a number that a setting can have")
     else:
-        if _levels(tables) <= MOST_LEVELS:
+        if tables and _levels(tables) <= MOST_LEVELS:
             return tables
-        mistake = _TOO_DEEP
+        mistake = _TOO_DEEP if tables else Mistake("", "it is empty", "hpe-rig new, which writes one to start from")
     raise SettingsError(source, [mistake]) from None
+
+
+def _not_toml(text: str, error: str) -> Mistake:
+    """Return what is wrong where ``text`` is no TOML; ``error`` is the parser's own message, which ends with a line."""
+    lines = text.splitlines()
+    found = re.search(r"at line (\d+)", error)
+    number = int(found[1]) if found else len(lines)
+    line = lines[number - 1].strip() if 0 < number <= len(lines) else ""
+    where = f"line {number}, {_shortened(line)!r}"
+    if "overwrite" in error:
+        return Mistake("", f"{where}: this key stands a second time in its table", "keep one of the two")
+    if "twice" in error:
+        return Mistake("", f"{where}: this table stands a second time", "put its keys under the first one")
+    if re.search(r"=\s*-?\d+,\d", line):
+        return Mistake("", f"{where}: a comma in a number", "a decimal point")
+    if line.count('"') % 2 or line.count("'") % 2:
+        return Mistake("", f"{where}: a quotation mark is missing", "text between two quotation marks")
+    what = f"{where}: not valid TOML ({error.partition(' (at ')[0]})"
+    return Mistake("", what, "key = value, or [section], on that line")
 
 
 _TOO_DEEP = Mistake(
@@ -105,18 +126,44 @@ def named_text(
     path = folder / source
     try:
         return path.stem, path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        what = f"there is no shipped {kind} and no file of that name"
+        mistake = Mistake("", what, _meant(str(source), shipped, folder))
     except (OSError, ValueError) as error:
-        reason = unreadable(error)
-        what = f"neither a shipped {kind} nor a readable file ({reason})"
-        mistake = Mistake("", what, f"a path, or one of {', '.join(shipped)}")
-        raise SettingsError(f"{kind} {source}", [mistake]) from None
+        mistake = Mistake("", f"it cannot be read ({unreadable(error)})", read_remedy(error))
+    raise SettingsError(f"{kind} {source}", [mistake]) from None
+
+
+def _meant(source: str, shipped: Mapping[str, str], folder: Path) -> str:
+    """Return what to try in place of a name that nothing has: a file or a shipped name that is like it, or all."""
+    beside = [path.name for path in folder.glob("*.toml")]
+    if f"{source}.toml" in beside:
+        return f"did you mean {source}.toml?"
+    begins = [name for name in shipped if source and name.startswith(source)]
+    # Another number is another thing, not a slip: fig-13 is not meant by fig-3.
+    alike = [name for name in (*shipped, *beside) if re.findall(r"\d+", name) == re.findall(r"\d+", source)]
+    close = begins[:3] or difflib.get_close_matches(source, alike, n=2, cutoff=0.7)
+    return f"did you mean {' or '.join(close)}?" if close else f"a path, or one of {', '.join(shipped)}"
 
 
 def unreadable(error: OSError | ValueError) -> str:
     """Return in words why a settings file cannot be read."""
     if isinstance(error, OSError):
         return str(error.strerror).lower()
-    return "it is no UTF-8 text" if isinstance(error, UnicodeDecodeError) else "no file can have that name"
+    if not isinstance(error, UnicodeDecodeError):
+        return "no file can have that name"
+    return "it is saved as UTF-16" if _utf_16(error) else "it is no UTF-8 text"
+
+
+def read_remedy(error: OSError | ValueError) -> str:
+    """Return what to try where a settings file cannot be read."""
+    if isinstance(error, UnicodeDecodeError):
+        return "save it as UTF-8; editors ask for the encoding under Save as"
+    return "another path"
+
+
+def _utf_16(error: UnicodeDecodeError) -> bool:
+    return bytes(error.object[:2]) in (b"\xff\xfe", b"\xfe\xff")
 
 
 def mistakes_of(
@@ -209,11 +256,11 @@ def _words(entry: dict[str, Any], path: KeyPath, keys: Sequence[str], tables: Ma
     if kind == "missing" and path and isinstance(path[-1], int):
         return "this entry of the list is absent", "give every entry; none is optional"
     if kind == "missing":
-        return "this key is required and absent", f"add it; its section knows: {', '.join(keys)}"
+        return "this key is required and absent", "add it; hpe-rig new NAME --full writes every key with its meaning"
     if kind == "extra_forbidden":
         close = difflib.get_close_matches(str(path[-1]), keys, n=1, cutoff=0.5)
-        known = f"the keys here are {', '.join(keys)}"
-        return "unknown key", f"did you mean {close[0]}? ({known})" if close else f"remove it; {known}"
+        known = f"remove it; the keys here are {', '.join(keys)}"
+        return "unknown key", f"did you mean {close[0]}?" if close else known
     if kind in _BOUNDS:
         key, word = _BOUNDS[kind]
         bound = f"{word} {context[key]:g}{_unit(path)}"
@@ -224,7 +271,9 @@ def _words(entry: dict[str, Any], path: KeyPath, keys: Sequence[str], tables: Ma
     if kind == "finite_number":
         return f"{_shown(value)} is not finite", "a finite number"
     if kind == "literal_error":
-        return f"{_shown(value)} is not one of the choices", f"one of {context['expected']}"
+        close = difflib.get_close_matches(str(value), re.findall(r"'([^']+)'", str(context["expected"])), n=1)
+        meant = f"; did you mean {close[0]!r}?" if close else ""
+        return f"{_shown(value)} is not one of the choices", f"one of {context['expected']}{meant}"
     if kind in ("too_short", "too_long"):
         bound = context.get("min_length", context.get("max_length"))
         return f"{len(value)} entries where {bound} are needed", f"a list of {bound}"

@@ -89,7 +89,7 @@ class RunWriter:
             self._file = open_on(self._journal)
             self._endings = _endings(self._file, self._journal)
         if not self._journal.locked:
-            logging.getLogger(__name__).warning("%s: its disk knows no locks. Let no other run write it.", path)
+            logging.getLogger("hpe_rig").warning("%s: its disk knows no locks. Let no other run write it.", path)
         self._volts = volts_of_codes(plan.shots[0].capture.input_range_v, bench.bench.digitizer.board_model.code_limits)
         self._tables = {name: _Table(self._file, name) for name in (*BY_SHOT, *AT_ONCE)}
         self._chunk = _Chunk(self._file, "records/echo")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import multiprocessing
 import os
 import signal
@@ -23,6 +24,8 @@ OpenPool = Callable[[], AbstractContextManager[Executor]]
 
 MOST_LOSSES = 5
 """Losses of a worker in a row, without a piece finished between, that end a study."""
+WORKER_S = 10.0
+"""How long a scheduler may have no worker, such as right after a cluster has started."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -155,9 +158,10 @@ def cluster(address: str, workers: int, tls: TlsFiles = NO_TLS) -> Iterator[Exec
     if mistakes := tls.mistakes():
         raise SettingsError("command line", mistakes)
 
+    quiet = _quiet()
     if address == "local":
         with (
-            distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as own,
+            distributed.LocalCluster(workers, threads_per_worker=1, silence_logs=quiet, dashboard_address=None) as own,
             distributed.Client(own) as client,
         ):
             yield client.get_executor(pure=False, retries=MOST_LOSSES)
@@ -169,7 +173,30 @@ def cluster(address: str, workers: int, tls: TlsFiles = NO_TLS) -> Iterator[Exec
         mistake = Mistake("--scheduler", f"{address} does not answer ({error})", remedy)
         raise SettingsError("command line", [mistake]) from None
     with client:
+        _require_worker(client, address)
         yield client.get_executor(pure=False, retries=MOST_LOSSES)
+
+
+def _quiet() -> int:
+    """Let dask's loggers be heard where details are asked for, else in nothing: return the level from which on.
+
+    Its processes tell at length of every interrupt, which they all get. Importing it has set their levels.
+    """
+    if logging.getLogger("hpe_rig").isEnabledFor(logging.INFO):
+        return logging.INFO
+    names = [name for name in logging.Logger.manager.loggerDict if name.split(".")[0] in ("distributed", "tornado")]
+    for name in names:
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    return logging.CRITICAL
+
+
+def _require_worker(client: Any, address: str) -> None:
+    """Raise ``SettingsError`` where the scheduler has no worker, and gets none in ``WORKER_S``: nothing would begin."""
+    try:
+        client.wait_for_workers(1, timeout=WORKER_S)
+    except TimeoutError:
+        what = f"{address} has no workers, so that no case would ever begin"
+        raise SettingsError("command line", [Mistake("--scheduler", what, f"dask worker {address}, first")]) from None
 
 
 def _security(security: Callable[..., Any], tls: TlsFiles) -> Any:

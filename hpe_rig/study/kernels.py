@@ -1,8 +1,8 @@
 """Kernels that turn echoes and noise into amplitude and phase, for many realisations of one train of pulses.
 
 Every estimator sees a gate only through its spectrum in the transmitted band, that is through the projections of its
-hundred or more samples onto some fifty orthonormal vectors (`_basis`). White noise in the samples is white noise in
-these projections, so it is drawn there: the same statistics exactly, from fewer random numbers. The way from
+hundred or more samples onto some fifty orthonormal vectors (`orthonormal_rows`). White noise in the samples is white
+noise in these projections, so it is drawn there: the same statistics exactly, from fewer random numbers. The way from
 displacements to amplitude and phase is linear (least squares, or the paper's band-pass, Hann window and Kalman filter),
 so it is one matrix (`functional`).
 
@@ -13,14 +13,12 @@ so it is one matrix (`functional`).
 from __future__ import annotations
 
 import functools
-import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from hpe_rig.processing import (
     Band,
@@ -32,17 +30,17 @@ from hpe_rig.processing import (
     band_of,
     estimate,
     fit_motion,
+    fourier_columns,
     hann,
     motion_of,
-    peak_phase,
+    orthonormal_rows,
+    peak_steps,
     spec_of,
 )
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
 
-NEGLIGIBLE = 1e-13
-"""What is left of a column below this share of the largest is rounding."""
 PADDING = 8
 """The paper's chain: how finely its spectrum is sampled, as `processing.cross_spectrum`'s default."""
 
@@ -112,30 +110,14 @@ def _spectral_kernels(carrier_hz: float, sample_rate_hz: float, samples: int) ->
         "peak": band_grid(one, 1 << (PADDING * samples - 1).bit_length()),
         "plain": band.frequency_hz,
     }
-    # The Fourier transform on each grid as a real matrix: cosines make the real parts, minus sines the imaginary ones.
-    angle = {form: 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, hz) for form, hz in grid_hz.items()}
-    of_volts = {form: np.hstack([np.cos(turn), -np.sin(turn)]) for form, turn in angle.items()}
+    of_volts = {form: fourier_columns(samples, sample_rate_hz, hz) for form, hz in grid_hz.items()}
     of_volts["peak"] *= hann(samples)[:, None]
-    basis: dict[Form, Floats] = {"peak": _basis(np.hstack([of_volts["plain"], of_volts["peak"]]))}
+    basis: dict[Form, Floats] = {"peak": orthonormal_rows(np.hstack([of_volts["plain"], of_volts["peak"]]))}
     # All others see the tapered spectrum, from numbers of their own: the chain's noise does not hang on who else runs.
     of_volts["plain"] = np.hstack([band.analysis.real, band.analysis.imag])
-    basis["plain"] = basis["volts"] = _basis(of_volts["plain"])
+    basis["plain"] = basis["volts"] = orthonormal_rows(of_volts["plain"])
     of_numbers: dict[Form, Floats] = {form: basis[form] @ columns for form, columns in of_volts.items()}
     return SpectralKernels(basis, grid_hz, band, of_volts, of_numbers | {"volts": basis["volts"]})
-
-
-def _basis(columns: Floats) -> Floats:
-    """Return orthonormal rows (number, sample) that span ``columns`` (sample, column).
-
-    The random numbers multiply them, so they must not hang on rounding, as singular vectors of nearly equal values do.
-    Elimination by the largest column hangs on it where two are equally large: a slope keeps them apart.
-    """
-    slope = np.linspace(1.0, 0.7, columns.shape[1])
-    orthonormal, triangle, _ = qr(columns * slope, mode="economic", pivoting=True)
-    pivot = np.diagonal(triangle)
-    kept = np.abs(pivot) > NEGLIGIBLE * np.abs(pivot[0])
-    # A decomposition leaves the sign of each row open: that of its pivot settles it.
-    return np.ascontiguousarray((orthonormal[:, kept] * np.sign(pivot[kept])).T)
 
 
 @functools.lru_cache(maxsize=64)
@@ -186,18 +168,9 @@ def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
 def _peaks_states(
     train: Train, estimator: Estimator, clean: Floats, which: Places, level: Floats, noise: Floats
 ) -> Floats:
-    grid_hz = spectral_kernels(train).grid_hz["peak"]
-    # In one pass over the pulses where Numba is there: the noisy spectra of all of them need not exist at once.
-    if compiled():
-        from hpe_rig.study.cross_spectrum_numba import peak_steps
-
-        shape = (*noise.shape[:2], train.pulses - 1)
-        step, peak = np.empty(shape), np.empty(shape, dtype=np.intp)
-        peak_steps(clean, which, level, noise, step, peak)
-        peak_hz = grid_hz[peak]
-    else:
-        step, peak_hz = peak_phase(_complex(clean[:, None, which] + level[:, None, None, None] * noise), grid_hz)
-    return np.asarray((step * _metres(train) / peak_hz) @ step_functional(train, estimator))
+    steps = peak_steps(clean[:, None, which] + level[:, None, None, None] * noise)
+    step_m = steps.step * _metres(train) / spectral_kernels(train).grid_hz["peak"][steps.peak]
+    return np.asarray(step_m @ step_functional(train, estimator))
 
 
 def _complex(both: Floats) -> NDArray[np.complex128]:
@@ -209,12 +182,6 @@ def _complex(both: Floats) -> NDArray[np.complex128]:
 def _metres(train: Train) -> float:
     """Return displacement over phase, times the frequency: m Hz/rad."""
     return -train.sound_speed_m_per_s / (4 * np.pi)
-
-
-@functools.cache
-def compiled() -> bool:
-    """Return whether Numba is installed; without it results differ by rounding."""
-    return importlib.util.find_spec("numba") is not None
 
 
 def refuse_unusable(train: Train, estimators: Sequence[Estimator]) -> None:

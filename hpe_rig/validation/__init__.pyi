@@ -15,9 +15,10 @@ from .accuracy.report import (
 from .paper.experiments import write_page as write_page
 from .paper.muscle import (
     figure_15 as figure_15,
+    figure_16 as figure_16,
+    figure_17 as figure_17,
     figure_18 as figure_18,
     figure_19 as figure_19,
-    figures_16_17 as figures_16_17,
     table_2 as table_2,
 )
 from .paper.reproduction import reproduction_part as reproduction_part

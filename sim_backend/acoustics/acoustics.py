@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sim_backend.echoes import (
     EchoDelays,
     Pulse,
+    ScattererField,
     attenuated_to_focus,
     coloured,
     depth_delay_s,
@@ -109,7 +110,7 @@ class Acoustics:
         )
         self._gain_v = echo_gain_v(settings, self._delay_s, reference.weight, reference.colour)
         self._focus_motion = _focus_motion(settings, self._travel_s)
-        self._medium = _medium_motion(settings, self._field.offset_m, self._travel_s, beside_m)
+        self._medium = _medium_motion(settings, self._field, self._travel_s, beside_m)
         self._background_m = _background_motion(settings)
 
     def focus_displacement_m(
@@ -395,14 +396,15 @@ def _background_motion(settings: SimulationSettings) -> Callable[[Picoseconds], 
 
 
 def _medium_motion(
-    settings: SimulationSettings, offset_m: Floats, travel_s: float, beside_m: float
+    settings: SimulationSettings, scatterers: ScattererField, travel_s: float, beside_m: float
 ) -> MediumMotion | None:
     """Return how the medium's own field moves the scatterers; None where they move by the Gaussian of eq. (12)."""
     if settings.specimen is None or settings.specimen.field == "gaussian":
         return None
     from sim_backend.motion import medium_motion
 
-    return medium_motion(settings, offset_m, travel_s, beside_m)
+    motion = medium_motion(settings, scatterers.offset_m, travel_s, beside_m)
+    return replace(motion, shape=motion.shape * scatterers.moves)
 
 
 def _after_arrival_s(sample_ps: NDArray[np.int64], arrival_s: float) -> Floats:

@@ -125,7 +125,7 @@ def third_harmonics(tonebursts: Bursts, settings: SimulationSettings) -> Bursts:
     chain, transmitter = settings.receive_chain, settings.transmitter
     share = 0.0 if chain is None else chain.third_harmonic
     relative = np.full(tonebursts.onset_ps.shape, share)
-    if transmitter.saturation_v is not None:
+    if not transmitter.linear:
         from sim_backend.motion import harmonic_v, transmit_response
 
         first, third = (harmonic_v(tonebursts.amplitude_vpp, transmitter, harmonic) for harmonic in (1, 3))

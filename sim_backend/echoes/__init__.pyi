@@ -18,6 +18,7 @@ from .pulse import (
     waveform as waveform,
 )
 from .scatterers import (
+    ScattererField as ScattererField,
     depth_delay_s as depth_delay_s,
     draw_field as draw_field,
     draw_thinned as draw_thinned,

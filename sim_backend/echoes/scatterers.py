@@ -37,6 +37,8 @@ class ScattererField:
     """g, the Gaussian of eq. (12): displacement over the focus'."""
     excitation_weight: Floats
     """The excitation beam's pulse-echo weight: g times reflectivity."""
+    moves: Floats
+    """Share in the medium's motion: 0 of a reflector that stands still."""
     strength: Floats
     """Reflectivity, without any beam."""
 
@@ -133,13 +135,15 @@ def field_at(
     order = np.argsort(offset_m[:, 2], kind="stable")
     offset_m = offset_m[order]
     strength = np.ones(len(order)) if strength is None else strength[order]
+    moves = np.ones(len(order)) if moves is None else moves[order]
     seen_at_m = offset_m - np.array([*beams.lateral_offset_m, 0.0])
     motion = gaussian_weight(offset_m, beams.motion_width_m())
     return ScattererField(
         offset_m,
         gaussian_weight(seen_at_m, beams.tracking_width_m) * strength,
-        motion if moves is None else motion * moves[order],
+        motion * moves,
         gaussian_weight(offset_m, beams.excitation_width_m) * strength,
+        moves,
         strength,
     )
 

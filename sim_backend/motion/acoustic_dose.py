@@ -2,7 +2,7 @@
 
 Body force 2 a I / c of an intensity I in a medium that attenuates a (Np/m). FDA track 3, derated at the focus:
 I_SPTA <= 720 mW/cm^2 and I_SPPA <= 190 W/cm^2. The mechanical index of 1.9 that may stand in for the latter would
-allow 351 W/cm^2 of a linear wave at 3 MHz; it matters below a duty of 0.4 % alone. docs/theory/medium.md, section 6.
+allow 351 W/cm^2 of a linear wave at 3 MHz; it matters below a duty of 0.4 % alone. docs/theory/medium.md, section 7.
 """
 
 from __future__ import annotations

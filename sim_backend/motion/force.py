@@ -3,7 +3,8 @@
     drive voltage -> hybrid, amplifier, matching -> transducer at the carrier -> pressure^2 -> body force
 
 A saturating amplifier flattens the carrier: the fundamental grows less than the drive, and odd harmonics appear, of
-which a 3 MHz toneburst's third falls on the 9 MHz of the tracking pulses.
+which a 3 MHz toneburst's third falls on the 9 MHz of the tracking pulses. The diodes of the bridge behind it take their
+threshold off every half wave: the force then grows faster than the drive's square, from an offset on.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from sim_backend.wiring import Bursts, Picoseconds, to_ps
 
 Floats = NDArray[np.float64]
 
-_PHASES = 64
+_PHASES, _PHASES_OF_DIODES = 64, 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +80,7 @@ def force_share(settings: SimulationSettings) -> Callable[[Floats], Floats] | No
 def relative_pressure(drive_vpp: Floats, specimen: Specimen, transmitter: Transmitter | None = None) -> Floats:
     """Return the pressure at resonance relative to that of the reference drive, shape of ``drive_vpp``."""
     relative = drive_vpp / specimen.reference_drive_vpp
-    if transmitter is None or transmitter.saturation_v is None:
+    if transmitter is None or transmitter.linear:
         return relative
     reference_v = harmonic_v(np.array([specimen.reference_drive_vpp]), transmitter)
     return np.asarray(harmonic_v(drive_vpp, transmitter) / reference_v)
@@ -90,22 +91,26 @@ def harmonic_v(drive_vpp: Floats, transmitter: Transmitter, harmonic: int = 1) -
 
     ``drive_vpp`` at the hybrid's input, from one generator alone. Negative where the harmonic is in counterphase.
     """
-    amplifier_v = drive_vpp / 2 * _gain(transmitter.gain_db - transmitter.hybrid_loss_db)
-    if transmitter.saturation_v is None:
+    amplifier_v = np.asarray(drive_vpp / 2 * transmitter.amplifier_gain)
+    if transmitter.linear:
         out_v = amplifier_v if harmonic == 1 else np.zeros_like(amplifier_v)
     else:
-        out_v = _flattened_v(amplifier_v, transmitter.saturation_v, transmitter.saturation_sharpness, harmonic)
-    return np.asarray(out_v * _gain(transmitter.matching_gain_db))
+        out_v = _distorted_v(amplifier_v, transmitter, harmonic)
+    return np.asarray(out_v * 10 ** (transmitter.matching_gain_db / 20))
 
 
-def _flattened_v(amplitude_v: Floats, ceiling_v: float, sharpness: float, harmonic: int) -> Floats:
-    """Return the Fourier sine coefficient of a sine through v / (1 + |v / ceiling|^2p)^(1/2p), the Rapp law."""
-    # The midpoint rule over a half period: the sine's other half has the same odd harmonics.
-    phase = (np.arange(_PHASES) + 0.5) * np.pi / _PHASES
-    wave_v = np.asarray(amplitude_v)[..., None] * np.sin(phase)
-    flat_v = wave_v / (1 + np.abs(wave_v / ceiling_v) ** (2 * sharpness)) ** (1 / (2 * sharpness))
-    return np.asarray(flat_v @ np.sin(harmonic * phase) * (2 / _PHASES))
+def _distorted_v(amplitude_v: Floats, transmitter: Transmitter, harmonic: int) -> Floats:
+    """Return the Fourier sine coefficient of a sine through ceiling and diodes.
 
-
-def _gain(gain_db: float) -> float:
-    return float(10 ** (gain_db / 20))
+    v / (1 + |v / ceiling|^2p)^(1/2p), the Rapp law, then less by the threshold of the diodes, and nothing below it.
+    """
+    # The midpoint rule over a half period: the sine's other half has the same odd harmonics. It errs by 1 / phases^2
+    # where the diodes open, and by far less without them.
+    phases = _PHASES if transmitter.diode_threshold_v == 0 else _PHASES_OF_DIODES
+    phase = (np.arange(phases) + 0.5) * np.pi / phases
+    wave_v = amplitude_v[..., None] * np.sin(phase)
+    if transmitter.saturation_v is not None:
+        sharpness = 2 * transmitter.saturation_sharpness
+        wave_v = wave_v / (1 + np.abs(wave_v / transmitter.saturation_v) ** sharpness) ** (1 / sharpness)
+    passed_v = np.maximum(wave_v - transmitter.diode_threshold_v, 0.0) if transmitter.diode_threshold_v else wave_v
+    return np.asarray(passed_v @ np.sin(harmonic * phase) * (2 / phases))

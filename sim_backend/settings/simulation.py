@@ -136,6 +136,18 @@ class Transmitter(Section):
     """Ceiling of the amplifier's output amplitude; absent: it is linear and has no harmonics."""
     saturation_sharpness: Annotated[float, Field(ge=0.5, le=20, strict=True)] = 2.0
     """Exponent p of the ceiling, the Rapp law (assumed)."""
+    diode_threshold_v: PartOfVoltageV = 0.0
+    """Forward voltage of the diode bridge behind the amplifier, which a toneburst loses (assumed: none)."""
+
+    @property
+    def linear(self) -> bool:
+        """Whether what leaves it goes with the drive and has no harmonics."""
+        return self.saturation_v is None and self.diode_threshold_v == 0
+
+    @property
+    def amplifier_gain(self) -> float:
+        """Voltage gain from the hybrid's input to the amplifier's output."""
+        return float(10 ** ((self.gain_db - self.hybrid_loss_db) / 20))
 
 
 class Propagation(Section):
@@ -499,6 +511,13 @@ class SimulationSettings(Section):
                 )
             if self.beams.width_ratio is not None:
                 raise ValueError(f"beams.width_ratio sets the shape of a Gaussian motion: remove it, or set {remedy}")
+        if self.specimen is not None and self.transmitter.diode_threshold_v > 0:
+            amplitude_v = self.specimen.reference_drive_vpp / 2 * self.transmitter.amplifier_gain
+            if amplitude_v <= self.transmitter.diode_threshold_v:
+                raise ValueError(
+                    f"specimen.reference_drive_vpp leaves the amplifier with {amplitude_v:.3g} V, which does not pass "
+                    "transmitter.diode_threshold_v: a larger drive, or a lower threshold"
+                )
         if self.specimen is not None and self.motion is not None:
             raise ValueError(
                 "specimen and motion exclude each other: remove [simulation.specimen] or [[simulation.motion]]"

@@ -40,7 +40,9 @@ class Scan:
 
 @lru_cache(maxsize=8)
 def read_scan(path: str) -> Scan:
-    """Return the scan in ``path``. Raises ``ValueError`` with everything that it lacks, ``OSError`` where none is."""
+    """Return the scan in ``path``. Raises ``ValueError`` with all that it lacks, ``OSError`` for an unreadable file."""
+    if not Path(path).is_file():
+        raise ValueError(f"the scan {path} is no file here")
     columns = _columns(Path(path))
     mistakes = [f"{name} is missing" for name in COLUMNS if name not in columns]
     sizes = {name: each.size for name, each in columns.items()}

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from hpe_rig.scene import engineering
+
 Level = Literal["passed", "warning", "refused"]
 
 
@@ -47,9 +49,14 @@ def judged(check: str, good: bool, text: str, remedy: str) -> CheckResult:
     return CheckResult(check, "passed", text) if good else CheckResult(check, "refused", text, remedy)
 
 
+def in_hz(rate_hz: float) -> str:
+    """Return a rate as people read it in a message."""
+    return engineering(rate_hz, "Hz")
+
+
 def in_us(time_s: float) -> str:
     """Return a time as people read it in a message."""
-    return f"{time_s * 1e6:.4g} us"
+    return f"{time_s * 1e6:.4g} us" if abs(time_s) < 0.1 else engineering(time_s, "s")
 
 
 def is_whole(number: float) -> bool:

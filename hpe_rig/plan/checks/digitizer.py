@@ -11,7 +11,7 @@ import numpy as np
 from drivers.alazar import BoardModel, mistakes
 from drivers.interfaces import Capture
 from hpe_rig.bench import BenchFile, twin_of
-from hpe_rig.plan.checks.check_result import CheckResult, Level, judged
+from hpe_rig.plan.checks.check_result import CheckResult, Level, in_hz, judged
 from hpe_rig.plan.selection import select
 from hpe_rig.plan.shots import Plan, reference_gate
 from hpe_rig.scene import Scene
@@ -91,8 +91,8 @@ def board(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
         if mistake.field not in checks:
             yield CheckResult("digitizer", "refused", mistake.text, f"{_KEYS[mistake.field]} within that")
     nyquist_hz = capture.sample_rate_hz / 2
-    text = f"tracking.carrier_hz = {carrier_hz:g} Hz, half the sampling rate is {nyquist_hz:g} Hz"
-    yield judged("carrier", carrier_hz < nyquist_hz, text, f"acquisition.sample_rate_hz above {2 * carrier_hz:g} Hz")
+    text = f"tracking.carrier_hz = {in_hz(carrier_hz)}, half the sampling rate is {in_hz(nyquist_hz)}"
+    yield judged("carrier", carrier_hz < nyquist_hz, text, f"acquisition.sample_rate_hz above {in_hz(2 * carrier_hz)}")
 
 
 _KEYS = {"record_count": "tracking.pulse_count", "trigger_level_v": "digitizer.trigger_level_v"}
@@ -107,7 +107,7 @@ def _record_checks(capture: Capture, model: BoardModel) -> dict[str, tuple[str, 
     return {
         "sample_rate_hz": (
             "sample rate",
-            f"acquisition.sample_rate_hz = {capture.sample_rate_hz:g} Hz on the {model.name}",
+            f"acquisition.sample_rate_hz = {in_hz(capture.sample_rate_hz)} on the {model.name}",
             f"one of {rates} MHz",
         ),
         "input_range_v": (

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from hpe_rig.bench import BenchFile
-from hpe_rig.plan.checks.check_result import CheckResult, Level, in_us, is_whole, judged
+from hpe_rig.plan.checks.check_result import CheckResult, Level, in_hz, in_us, is_whole, judged
 from hpe_rig.plan.interference import admissible_delays_s, disturbed_pulses, forbidden_window_s
 from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import Scene
@@ -38,7 +38,7 @@ def excitation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     for burst_length_s in excitation.burst_length_s:
         cycles = burst_length_s * excitation.carrier_hz
         nearest_s = max(1, round(cycles)) / excitation.carrier_hz
-        text = f"a toneburst of {in_us(burst_length_s)} at {excitation.carrier_hz:g} Hz has {cycles:.6g} cycles"
+        text = f"a toneburst of {in_us(burst_length_s)} at {in_hz(excitation.carrier_hz)} has {cycles:.6g} cycles"
         remedy = f"excitation.burst_length_s = {nearest_s:.9g}, a whole number of cycles"
         yield judged("whole cycles", cycles >= 1 - 1e-9 and is_whole(cycles), text, remedy)
 
@@ -73,5 +73,5 @@ def _delay_remedy(shot: Shot) -> str:
         words = " or ".join(f"{low:g} to {high:g} us" for low, high in inner_us)
         return f"tracking.delay_s within {words} (plus any multiple of the pulse period, {in_us(period_s)})"
     needed_hz = 1 / (end_s - start_s)
-    rate = f"a tracking.pulse_rate_hz that is a multiple of the burst rate and below {needed_hz:.4g} Hz"
-    return f'{rate} (no t_d is free at {shot.tracking_train.rate_hz:g} Hz), or tracking.disturbed = "skip"'
+    rate = f"a tracking.pulse_rate_hz that is a multiple of the burst rate and below {in_hz(needed_hz)}"
+    return f'{rate} (no t_d is free at {in_hz(shot.tracking_train.rate_hz)}), or tracking.disturbed = "skip"'

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from hpe_rig.bench import BenchFile
-from hpe_rig.plan.checks.check_result import CheckResult, in_us, is_whole, judged
+from hpe_rig.plan.checks.check_result import CheckResult, in_hz, in_us, is_whole, judged
 from hpe_rig.plan.shots import Plan
 from hpe_rig.scene import Scene
 
@@ -30,7 +30,7 @@ def record_in_period(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[Che
     capture, period_s = plan.shots[0].capture, 1 / scene.tracking.pulse_rate_hz
     busy_s = (capture.trigger_delay_samples + capture.record_samples) / capture.sample_rate_hz
     text = f"a record ends {in_us(busy_s)} after its trigger, the pulse period is {in_us(period_s)}"
-    remedy = f"acquisition.record_samples or tracking.pulse_rate_hz below {1 / busy_s:.4g} Hz"
+    remedy = f"acquisition.record_samples or tracking.pulse_rate_hz below {in_hz(1 / busy_s)}"
     yield judged("record in period", busy_s < period_s, text, remedy)
 
 
@@ -39,8 +39,8 @@ def depth(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResult]:
     acquisition, rate_hz = scene.acquisition, scene.tracking.pulse_rate_hz
     far_m = scene.gate_depth_m + acquisition.gate_length_m / 2
     limit_hz = acquisition.sound_speed_m_per_s / (2 * far_m)
-    text = f"tracking.pulse_rate_hz = {rate_hz:g} Hz, c/2z at the gate's far end is {limit_hz:.5g} Hz"
-    yield judged("depth", rate_hz <= limit_hz, text, f"a pulse rate of at most {limit_hz:.5g} Hz")
+    text = f"tracking.pulse_rate_hz = {in_hz(rate_hz)}, c/2z at the gate's far end is {in_hz(limit_hz)}"
+    yield judged("depth", rate_hz <= limit_hz, text, f"a pulse rate of at most {in_hz(limit_hz)}")
     near_m = scene.gate_depth_m - acquisition.gate_length_m / 2
     text = f"the gate starts {near_m * 1e3:.4g} mm from the transducer"
     yield judged("gate depth", near_m > 0, text, "acquisition.gate_depth_m of more than half acquisition.gate_length_m")

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hpe_rig.bench import BenchFile, TwinDeclaration, twin_of
-from hpe_rig.plan.checks.check_result import CheckResult, Level
+from hpe_rig.plan.checks.check_result import CheckResult, Level, in_hz
 from hpe_rig.plan.checks.simulation import gate_in_twin_m
 from hpe_rig.plan.shots import Plan, Shot
 from hpe_rig.scene import Scene
@@ -74,7 +74,7 @@ def _echo(scene: Scene, bench: BenchFile, shot: Shot, twin: TwinDeclaration, off
 def _jitter(scene: Scene, twin: TwinDeclaration) -> Iterator[CheckResult]:
     """Yield whether jitter from pulse to pulse stays below a quarter of the carrier's period, beyond which it wraps."""
     wrap_s = 0.5 / scene.tracking.carrier_hz
-    shown = f"half a period of tracking.carrier_hz = {scene.tracking.carrier_hz:g} Hz is {wrap_s * 1e9:.3g} ns"
+    shown = f"half a period of tracking.carrier_hz = {in_hz(scene.tracking.carrier_hz)} is {wrap_s * 1e9:.3g} ns"
     for key, jitter_s in twin.jitters_s.items():
         # The difference of two pulses has sqrt(2) times the jitter of each; beyond three of these it rarely goes.
         step_s = math.sqrt(2) * jitter_s

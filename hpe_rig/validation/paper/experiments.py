@@ -62,6 +62,8 @@ class Repeated:
     sd_deg: Floats
     true_m: Floats
     averaging: Floats
+    speckle: Floats
+    """Relative standard uncertainty by speckle, one draw for all repeats; 0 where none is stated."""
 
     @property
     def error_nm(self) -> float:
@@ -72,6 +74,18 @@ class Repeated:
 def result_of(scene: SceneSource) -> Result:
     """Measure a scene and return its result."""
     return result_and_sampled_truth(scene)[0]
+
+
+CHAINS = {"coherent": "ours", "cross_spectrum": "the paper's"}
+"""Estimators that Fig. 15 to 19 show side by side: the program's default, and the paper's chain with its filter."""
+
+
+def by_chain(scene: SceneSource) -> dict[str, Result]:
+    """Measure a scene once and return what each of `CHAINS` makes of its records."""
+    setup = prepare(scene)
+    with TemporaryDirectory() as folder:
+        run_file = record_run(setup, Path(folder) / "run.h5")
+        return {chain: process(run_file, chain) for chain in CHAINS}
 
 
 def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, Floats]:
@@ -106,6 +120,12 @@ def repeated(shots: Sequence[ShotResult]) -> Repeated:
         sd_deg=np.degrees(np.angle(turn / mean_turn).std(axis=0, ddof=1)),
         true_m=np.array([[item.true_amplitude_m or np.nan for item in row] for row in estimates]).mean(axis=0),
         averaging=np.array([item.averaging_factor or np.nan for item in estimates[0]]),
+        speckle=np.array(
+            [
+                sum(each.amplitude_m for each in item.components if each.source == "speckle") / item.amplitude_m
+                for item in estimates[0]
+            ]
+        ),
     )
 
 

@@ -30,8 +30,8 @@ CLOSED_FORM = {
 }
 """Amplitude at the focus over force density by frequency, 1e-12 m per N/m^3: a Voigt medium, a Gaussian force."""
 
-SPECKLE = 0.017
-"""Relative spread of the tracked displacement over speckle, `hpe-rig check`: one draw for all repeats."""
+LIMITS = ("limits-muscle", "limits-gelatin-8")
+"""Scenes within the acoustic output that is allowed for people."""
 
 
 def figure_1() -> Experiment:
@@ -85,7 +85,7 @@ def figure_14() -> Experiment:
     soft, middle, hard = found.values()
     normal = [each.mean_nm / each.mean_nm[0] for each in found.values()]
     rise = max(float(np.diff(each.mean_nm).max() / (np.sqrt(2) * each.error_nm)) for each in found.values())
-    off = max(_off_truth(each, sampled_m[name]) for name, each in found.items())
+    off = max(_off_truth(each) for each in found.values())
     error = max(float(np.abs(_over_closed_form(name, each)).max()) for name, each in found.items())
     rows = [
         (f"{hz:.0f} Hz", *(f"{each.mean_nm[k]:.0f} +- {each.sd_nm[k]:.0f} ({normal[n][k]:.2f})" for n, each in
@@ -118,9 +118,9 @@ def figure_14() -> Experiment:
                 normal[0][5] < normal[1][5] < normal[2][5],
             ),
             Verdict(
-                "amplitudes as the truth at the pulses, within speckle and noise",
-                f"within {off:.1f} standard errors; the truth at every instant is less by "
-                + ", ".join(f"{(1 - each.true_m[0] / sampled_m[name][0]) * 100:.0f} %" for name, each in found.items())
+                "amplitudes as the truth at every instant, within speckle and noise",
+                f"within {off:.1f} standard errors; that at the pulses alone, which a plain fit finds, is more by "
+                + ", ".join(f"{(sampled_m[name][0] / each.true_m[0] - 1) * 100:.0f} %" for name, each in found.items())
                 + " at 100 Hz",
                 off < 3,
             ),
@@ -133,10 +133,10 @@ def figure_14() -> Experiment:
     )
 
 
-def _off_truth(each: Repeated, sampled_m: Floats) -> float:
-    """Return the largest departure from the tracked truth at the pulses in standard errors of noise and speckle."""
-    tracked_nm = sampled_m * each.averaging * 1e9
-    return float(np.abs((each.mean_nm - tracked_nm) / np.hypot(each.error_nm, SPECKLE * tracked_nm)).max())
+def _off_truth(each: Repeated) -> float:
+    """Return the largest departure from the tracked truth at every instant, in standard errors of noise and speckle."""
+    tracked_nm = each.true_m * each.averaging * 1e9
+    return float(np.abs((each.mean_nm - tracked_nm) / np.hypot(each.error_nm, each.speckle * tracked_nm)).max())
 
 
 def _over_closed_form(name: str, each: Repeated) -> Floats:
@@ -243,15 +243,16 @@ def dose() -> Experiment:
         panel.barh(place + shift, [pair[column] for pair in within.values()], 0.4, color=MARKS[column][1], label=name)
     panel.set_yticks(place, list(within), fontsize=6)
     label(panel, "displacement at 200 Hz (nm)", "", xscale="log")
-    jittered = [pair for name, pair in within.items() if "bovine" not in name]
+    jittered = [pair for name, pair in within.items() if not name.startswith(("bovine", "limits", "gelatin-moduli"))]
+    allowed = {name: result_and_sampled_truth(name)[0].shots[0].estimates[1].headline for name in LIMITS}
     header = "scene|duty|limit of I_sppa|moves at 200 Hz|detected from|the twin's intensity over the limit"
     return Experiment(
         "Dose",
         "displacement at the limit of FDA track 3 beside the detection floor",
-        "I_spta.3 of 720 mW/cm2 or I_sppa.3 of 190 W/cm2, whichever is less. The scenes push harder, by the last "
-        "column, to move what the paper moved: 20 to 22 kW/cm2 would be a linear wave of 26 MPa, a mechanical index of "
-        "15, more than such a bench can give. A wider force or a softer muscle than assumed would need less: a "
-        "column twice as wide moves 19 nm.",
+        "I_spta.3 of 720 mW/cm2 or I_sppa.3 of 190 W/cm2, whichever is less. The paper's scenes push harder, by the "
+        "last column, to move what the paper moved: 9 to 10 kW/cm2 would be a linear wave of 17 MPa; shocks make it "
+        "3.6 kW/cm2 in truth (docs/theory/nonlinear.md). `limits-muscle` and `limits-gelatin-8` stay within, and take "
+        "the trigger jitter away by a second gate on a membrane that stands still (assumed).",
         (tuple(header.split("|")), *rows),
         figure,
         (
@@ -260,6 +261,14 @@ def dose() -> Experiment:
                 f"moves at most {max(moved for moved, _ in jittered):.2g} nm, detected from "
                 f"{min(floor for _, floor in jittered):.3g} nm",
                 all(moved < floor for moved, floor in jittered),
+            ),
+            Verdict(
+                "within the limits, 200 Hz is measured at 5 u or better in at most 10 s, with that jitter and noise",
+                "; ".join(
+                    f"`{name}`: {each.amplitude_m * 1e9:.1f} +- {each.amplitude_uncertainty_m * 1e9:.1f} nm in 0.5 s"
+                    for name, each in allowed.items()
+                ),
+                all(each.amplitude_m > 5 * each.amplitude_uncertainty_m for each in allowed.values()),
             ),
         ),
     )

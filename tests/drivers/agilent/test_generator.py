@@ -384,7 +384,7 @@ def test_a_stuck_relay_is_blamed_on_the_relay_and_not_on_the_scene(scripted, stu
     generator = Agilent33250A(connection, "toneburst")
     generator.configure(BURST)
     connection.replies["OUTP"] = stuck
-    with pytest.raises(InstrumentError, match=r"read back [01]\. the relay at the output is stuck") as caught:
+    with pytest.raises(InstrumentError, match=r"read back [01]\. The relay at the output is stuck") as caught:
         getattr(generator, switch)()
     assert "scene" not in str(caught.value)
 

@@ -38,7 +38,7 @@ def refusals(scene: Scene, bench: BenchFile) -> list[str]:
 
 # On metal or on the twin: section of the scene or the bench file, the line in it, what is named.
 REFUSED = [
-    ("acquisition", "sample_rate_hz = 25e6", ["sample rate", "acquisition.sample_rate_hz = 2.5e+07", "20, 50"]),
+    ("acquisition", "sample_rate_hz = 25e6", ["sample rate", "acquisition.sample_rate_hz = 25 MHz", "20, 50"]),
     ("acquisition", "input_range_v = 3.0", ["input range", "acquisition.input_range_v = 3", "2, 4 V"]),
     ("acquisition", "record_samples = 1000", ["record length", "acquisition.record_samples = 1000", "1008"]),
     ("digitizer", "trigger_level_v = 6.0", ["digitizer", "trigger_level_v = 6", "5", "digitizer.trigger_level_v"]),

@@ -69,9 +69,11 @@ def test_every_scene_tells_its_dose_beside_its_floor(name):
     for line, length_s in zip(lines[1:], lengths, strict=True):
         moved = twin_dose(scene(name), length_s, np.array([200.0])).displacement_limit_m[0]
         assert f"{moved * 1e9:.3g} nm at 200 Hz" in line
-        # The bench of the paper cannot have stayed below the limit: its floor is far above what moves there.
+        # The bench of the paper cannot have stayed below the limit: its floor is far above what moves there. A gate on
+        # something that stands still takes the jitter away.
         if "trigger_jitter_s" in SCENES[name]:
-            assert moved < detection_floor(scene(name)).detected_m
+            still = "reference_gate_depth_m" in SCENES[name]
+            assert bool(moved > 4 * detection_floor(scene(name)).detected_m) is still
 
 
 def test_without_specimen_or_excitation_there_is_no_dose():

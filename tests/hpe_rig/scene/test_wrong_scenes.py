@@ -82,8 +82,8 @@ WRONG = [
     ),
     ("gate_length_m = 1.0e-3", "record_samples = 500", ["record length", "500", "record_samples = 512"]),
     ("gate_length_m = 1.0e-3", "record_samples = 32768", ["record in period", "250 us"]),
-    ("gate_length_m = 1.0e-3", "sample_rate_hz = 80e6", ["sample rate", "8e+07", "100, 125 MHz"]),
-    ("gate_length_m = 1.0e-3", "sample_rate_hz = 10e6", ["carrier", "9e+06 Hz", "1.8e+07"]),
+    ("gate_length_m = 1.0e-3", "sample_rate_hz = 80e6", ["sample rate", "80 MHz", "100, 125 MHz"]),
+    ("gate_length_m = 1.0e-3", "sample_rate_hz = 10e6", ["carrier", "9 MHz", "18 MHz"]),
     ("gate_length_m = 1.0e-3", "input_range_v = 0.3", ["input range", "0.3 V", "0.2, 0.4"]),
     ("gate_length_m = 1.0e-3", "shot_period_s = 0.1", ["master period", "200.1 ms", "100 ms"]),
     ("gate_length_m = 1.0e-3", "repeats = 0", ["acquisition.repeats", "at least 1"]),
@@ -110,7 +110,7 @@ def test_a_wrong_scene_earns_a_message_that_names_key_numbers_and_remedy(old: st
     message = message_of(edited(MUSCLE, old, new))
     missing = [word for word in words if word not in message]
     assert not missing, f"{missing} not in:\n{message}"
-    assert "Try: " in message
+    assert "Try: " in message or "did you mean" in message
 
 
 @pytest.mark.parametrize(

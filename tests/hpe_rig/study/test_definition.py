@@ -209,12 +209,12 @@ def test_what_a_study_cannot_vary_is_refused(key: str, values: str, told: str, t
             .replace("10.0", "0.0"),
             "prescribes none",
         ),
-        (PLAIN.replace("table-1", "no-such"), "neither a shipped scene"),
+        (PLAIN.replace("table-1", "no-such"), "no shipped scene and no file"),
         (PLAIN.replace("[10.0, 20.0]", "[]"), "at least 1"),
         ('common = ["depth"]\n' + PLAIN, "which is no axis"),
         (PLAIN + '[readings]\nphysical = ["coherant"]\n', "is not one of the choices"),
         ("title = ", "not valid TOML"),
-        ('title = "all"\nstudies = ["fig-99"]\n', "neither a shipped study"),
+        ('title = "all"\nstudies = ["fig-99"]\n', "no shipped study and no file"),
     ],
 )
 def test_a_wrong_definition_says_what_to_do(text: str, told: str, tmp_path: Path) -> None:

@@ -234,7 +234,7 @@ def test_the_command_names_its_results_and_a_mistake(study: str, tmp_path: Path)
     assert "192" in shown.output
     wrong = CliRunner().invoke(app, ["study", "fig-99", "--output", str(tmp_path / "out")])
     assert wrong.exit_code == 2
-    assert "neither a shipped study" in wrong.output
+    assert "no shipped study and no file" in wrong.output
     many = CliRunner().invoke(app, ["study", study, "--noise", "0", "--output", str(tmp_path / "out")])
     assert many.exit_code == 2
     assert "noise: 0 is out of bounds" in many.output

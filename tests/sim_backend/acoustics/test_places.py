@@ -8,7 +8,7 @@ import pytest
 from sim_backend.acoustics.acoustics import Acoustics
 from sim_backend.echoes.scatterers import draw_field
 from sim_backend.motion.field import field_transfer
-from sim_backend.settings import Beams, MotionComponent, Scatterers, SimulationSettings, Specimen
+from sim_backend.settings import Beams, MotionComponent, Reflector, Scatterers, SimulationSettings, Specimen
 from sim_backend.wiring import Bursts, no_bursts
 
 BOX_M = Scatterers().volume_m[0]
@@ -67,3 +67,14 @@ def test_a_prescribed_motion_falls_off_as_its_gaussian() -> None:
     time_ps = np.arange(10) * 10**9
     here, there = (Acoustics(settings, at).focus_displacement_m(no_bursts(), time_ps, 0) for at in (0.0, 0.17e-3))
     np.testing.assert_allclose(there, here * np.exp(-0.5), rtol=1e-12)
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_reflector_that_stands_still_stands_still_in_a_medium_too(moves: bool) -> None:
+    reflector = Reflector(position_m=(0.0, 0.0, -1e-3), moves=moves)
+    settings = SimulationSettings(specimen=Specimen(), scatterers=Scatterers(per_cell=0.0, reflectors=(reflector,)))
+    push = Bursts(np.zeros(1, np.int64), np.array([10**9]), np.array([3e6]), np.array([3000.0]), np.ones(1))
+    medium = Acoustics(settings)._medium
+    assert medium is not None
+    moved_m = medium.amplitudes_m(push, np.array([10**9])) @ medium.shape
+    assert bool(np.abs(moved_m).max() > 1e-9) == moves

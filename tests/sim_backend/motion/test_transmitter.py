@@ -5,7 +5,7 @@ import pytest
 
 from sim_backend.motion.acoustic_dose import dose
 from sim_backend.motion.force import harmonic_v, radiation_force
-from sim_backend.settings.simulation import Specimen, Transmitter
+from sim_backend.settings.simulation import SimulationSettings, Specimen, Transmitter
 from sim_backend.wiring import Bursts
 
 DRIVE_VPP = np.array([1e-3, 0.1, 0.5, 1.0])
@@ -44,6 +44,31 @@ def test_gentle_saturation_grows_a_third_harmonic_with_the_cube_of_the_drive():
     amplitude = np.array([0.01, 0.02])
     assert harmonic_v(2 * amplitude, soft, 3) == pytest.approx(amplitude**3 / 8, rel=2e-3)
     assert harmonic_v(2 * amplitude, soft) == pytest.approx(amplitude - 3 / 8 * amplitude**3, rel=1e-7)
+
+
+def test_diodes_take_their_threshold_off_every_half_wave():
+    """Of a sine of amplitude a, open from the phase asin(d) on, d = threshold / a: a closed form of either harmonic."""
+    bridge = Transmitter(gain_db=0.0, hybrid_loss_db=0.0, diode_threshold_v=0.3)
+    amplitude = np.array([0.2, 0.3, 0.5, 1.0, 10.0])
+    d = np.minimum(0.3 / amplitude, 1.0)
+    opens = np.arcsin(d)
+    fundamental = amplitude * (1 - 2 / np.pi * (opens + d * np.sqrt(1 - d**2)))
+    third = -4 / (3 * np.pi) * amplitude * d * np.cos(opens) ** 3
+    assert harmonic_v(2 * amplitude, bridge) == pytest.approx(fundamental, abs=1e-6)
+    assert harmonic_v(2 * amplitude, bridge, 3) == pytest.approx(third, abs=1e-6)
+
+
+def test_diodes_make_the_force_grow_faster_than_the_drive_squared():
+    drive_vpp = np.sqrt(np.linspace(0.3, 1.0, 8))
+    force = force_at(drive_vpp, Transmitter(diode_threshold_v=1.4))
+    slope, offset = np.polyfit(drive_vpp**2, force / force[-1], 1)
+    assert force[-1] == pytest.approx(force_at(np.ones(1))[0], rel=1e-12)
+    assert -0.1 < offset / slope < -0.02
+
+
+def test_a_reference_drive_below_the_threshold_is_refused():
+    with pytest.raises(ValueError, match="does not pass"):
+        SimulationSettings.model_validate({"specimen": {}, "transmitter": {"diode_threshold_v": 40.0}})
 
 
 def test_saturation_leaves_the_reference_force_and_lifts_what_is_below_it():

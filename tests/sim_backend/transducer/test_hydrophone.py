@@ -94,8 +94,11 @@ def test_everything_that_a_scan_lacks_is_said_at_once(tracking, tmp_path: Path) 
     behind = {name: each[tracking["z_m"] > 0.1e-3] for name, each in tracking.items()}
     with pytest.raises(ValueError, match="from before the focus"):
         read_scan(written(behind, tmp_path / "behind.csv"))
+    (tmp_path / "scan.txt").write_text("x_m\n0\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"\.csv, \.h5"):
         read_scan(str(tmp_path / "scan.txt"))
+    with pytest.raises(ValueError, match="is no file here"):
+        read_scan(str(tmp_path / "absent.csv"))
 
 
 def test_a_scene_with_unreadable_scans_says_so_of_each(tmp_path: Path) -> None:

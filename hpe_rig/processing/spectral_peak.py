@@ -1,0 +1,181 @@
+"""Cross-spectrum of consecutive echoes, read at its peak: paper eqs. (5) and (6).
+
+    samples of the gate --columns--> spectrum on a padded grid --peak_steps--> phase and frequency of every peak
+
+The windowed spectra of a gate of 130 samples on 184 bins are spanned by fifty-odd numbers, so a train takes the way
+over these (``orthonormal_rows``): half the products. A few pulses at a time, so that nothing of the padded grid leaves
+the cache; in one compiled loop where Numba is installed and the echoes are many.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import sys
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import qr
+
+from hpe_rig.processing.band import band_grid, gate_has_echo, require_pulses, spectrum_at, transforms
+from hpe_rig.processing.conditioning import hann
+from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion
+from hpe_rig.processing.motion import DivideBy, alike, motion_of_steps, noise_of_steps
+
+AT_ONCE = 128
+"""Pulses whose padded spectra are there together."""
+COMPILED_WORTH = 20_000
+"""Echoes from which on the compiled loop saves more than it takes to load."""
+NEGLIGIBLE = 1e-13
+"""What is left of a column below this share of the largest is rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Consecutive cross-spectra of trains: ``step`` (..., pulse - 1), their phase where they are largest.
+
+    ``peak`` (..., pulse - 1) the bin where that is; ``product`` (..., pulse - 1), the sum over all bins; ``energy``
+    (..., pulse) of each echo.
+    """
+
+    step: FloatArray
+    peak: NDArray[np.intp]
+    product: ComplexArray
+    energy: FloatArray
+
+
+def cross_spectrum(
+    echoes: EchoGate,
+    *,
+    gate_window: Literal["hann", "none"] = "hann",
+    divide_by: DivideBy = "centre",
+    padding: int = 8,
+) -> Motion:
+    """Return the displacement as the sum of steps, each from the consecutive cross-spectrum's phase at its peak.
+
+    Hann gate, FFT padded ``padding`` times and to a power of two (1: neither), peak searched inside the transmitted
+    band, step = -c dtheta / (2 w), with w = 2 pi times the peak's frequency or the carrier (eq. 6 as printed).
+    Raises ``ValueError`` for fewer than two valid pulses or no echo. Source: paper eqs. (5) and (6).
+    """
+    require_pulses(echoes, 2)
+    samples = echoes.gate_volts.shape[-1]
+    bins = samples if padding == 1 else 1 << (padding * samples - 1).bit_length()
+    frequency_hz = band_grid(echoes, bins)
+    window = hann(samples) if gate_window == "hann" else np.ones(samples)
+    found = gate_has_echo(echoes)
+    steps = _steps(echoes, frequency_hz, window, bins)
+    steps.product[~found] = np.nan
+    peak_hz = frequency_hz[steps.peak]
+    divisor_hz = peak_hz if divide_by == "centre" else np.full_like(peak_hz, echoes.carrier_hz)
+    # the padded bins hold no more than the unpadded ones, and the Hann window leaves two thirds of those
+    independent = frequency_hz.size * samples / bins / (1.5 if gate_window == "hann" else 1.0)
+    cross = np.abs(steps.product)
+    # a correlation has as many independent numbers as the squared window is long
+    seen = frequency_hz.size / bins * np.sum(window**2) ** 2 / np.sum(window**4)
+    steps.step[~alike(cross, steps.energy, float(seen))] = np.nan
+    return motion_of_steps(echoes, steps.step, divisor_hz, *noise_of_steps(cross, steps.energy, independent))
+
+
+def _steps(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray, bins: int) -> Steps:
+    """Return the steps of every train's valid pulses."""
+    volts, valid = echoes.gate_volts, echoes.valid
+    trains, pulses, samples = volts.shape[:-2], int(valid.sum()), volts.shape[-1]
+    by_fft = transforms(samples, frequency_hz.size, bins)
+    ways = () if by_fft else _ways(samples, echoes.sample_rate_hz, tuple(frequency_hz.tolist()), tuple(window.tolist()))
+    every = _empty((*trains, pulses))
+    fast = compiled() and (volts[..., 0].size > COMPILED_WORTH or "numba" in sys.modules)
+    for train in np.ndindex(trains):
+        echo = volts[train] if valid.all() else volts[train][valid]
+        for first in range(0, pulses - 1, AT_ONCE):
+            some = echo[first : first + AT_ONCE + 1]
+            if by_fft:
+                spectrum = spectrum_at(some * window.astype(volts.dtype), echoes.sample_rate_hz, frequency_hz)
+                parts = np.hstack([spectrum.real, spectrum.imag])
+            else:
+                parts = np.asarray(some, np.float64)
+                for way in ways:
+                    parts = parts @ way
+            made = peak_steps(parts, fast)
+            until = slice(first, first + len(parts) - 1)
+            every.step[train][until], every.peak[train][until] = made.step, made.peak
+            every.product[train][until] = made.product
+            every.energy[train][first : first + len(parts)] = made.energy
+    return every
+
+
+def peak_steps(parts: FloatArray, fast: bool | None = None) -> Steps:
+    """Return the steps of spectra (..., pulse, 2 * bin): their real parts, then their imaginary parts.
+
+    ``fast``: in the compiled loop; by default where there is one. Both differ by rounding.
+    """
+    if compiled() if fast is None else fast:
+        from hpe_rig.processing.spectral_peak_numba import peak_steps as loop
+
+        found = _empty(parts.shape[:-1])
+        pulses = parts.shape[-2]
+        between = -1, pulses - 1
+        trains = np.ascontiguousarray(parts).reshape(-1, pulses, parts.shape[-1])
+        loop(
+            trains,
+            found.step.reshape(between),
+            found.peak.reshape(between),
+            found.product.reshape(between),
+            found.energy.reshape(-1, pulses),
+        )
+        return found
+    bins = parts.shape[-1] // 2
+    real, imag = parts[..., :bins], parts[..., bins:]
+    power = real**2 + imag**2
+    peak = np.argmax(power[..., :-1, :] * power[..., 1:, :], axis=-1)
+    before, after = (
+        np.take_along_axis(real[..., at, :], peak[..., None], axis=-1)[..., 0]
+        + 1j * np.take_along_axis(imag[..., at, :], peak[..., None], axis=-1)[..., 0]
+        for at in (slice(None, -1), slice(1, None))
+    )
+    product = np.einsum("...i,...i->...", parts[..., :-1, :], parts[..., 1:, :]).astype(np.complex128)
+    product.imag = np.einsum("...i,...i->...", real[..., :-1, :], imag[..., 1:, :])
+    product.imag -= np.einsum("...i,...i->...", imag[..., :-1, :], real[..., 1:, :])
+    return Steps(np.angle(np.conj(before) * after), peak, product, power.sum(axis=-1))
+
+
+def _empty(shape: tuple[int, ...]) -> Steps:
+    between = (*shape[:-1], shape[-1] - 1)
+    return Steps(np.empty(between), np.empty(between, np.intp), np.empty(between, np.complex128), np.empty(shape))
+
+
+@functools.lru_cache(maxsize=8)
+def _ways(
+    samples: int, sample_rate_hz: float, frequency_hz: tuple[float, ...], window: tuple[float, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the matrices that take samples to spectra (2 * bin), real parts, then imaginary parts, one by one."""
+    columns = fourier_columns(samples, sample_rate_hz, np.array(frequency_hz)) * np.array(window)[:, None]
+    rows = orthonormal_rows(columns)
+    return np.ascontiguousarray(rows.T), rows @ columns
+
+
+def fourier_columns(samples: int, sample_rate_hz: float, frequency_hz: FloatArray) -> FloatArray:
+    """Return the Fourier transform as a real matrix (sample, 2 * bin): to real parts, then to imaginary parts."""
+    turn = 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, frequency_hz)
+    return np.hstack([np.cos(turn), -np.sin(turn)])
+
+
+def orthonormal_rows(columns: FloatArray) -> FloatArray:
+    """Return orthonormal rows (number, sample) that span ``columns`` (sample, column).
+
+    Where random numbers multiply them they must not hang on rounding, as singular vectors of nearly equal values do.
+    Elimination by the largest column hangs on it where two are equally large: a slope keeps them apart.
+    """
+    slope = np.linspace(1.0, 0.7, columns.shape[1])
+    orthonormal, triangle, _ = qr(columns * slope, mode="economic", pivoting=True)
+    pivot = np.diagonal(triangle)
+    kept = np.abs(pivot) > NEGLIGIBLE * np.abs(pivot[0])
+    # A decomposition leaves the sign of each row open: that of its pivot settles it.
+    return np.ascontiguousarray((orthonormal[:, kept] * np.sign(pivot[kept])).T)
+
+
+@functools.cache
+def compiled() -> bool:
+    """Return whether Numba is installed; without it results differ by rounding."""
+    return importlib.util.find_spec("numba") is not None

@@ -1,0 +1,129 @@
+"""Text fits the terminal, progress reaches a file, and what ends a program early is said plainly."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from hpe_rig.cli import terminal
+from hpe_rig.cli.app import app
+from hpe_rig.cli.terminal import in_words, told, wrapped
+from hpe_rig.scene import engineering
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_a_long_line_is_broken_between_words_and_stands_in_by_its_own_text() -> None:
+    broken = wrapped("  WARNING aliasing: " + "word " * 20, 40).splitlines()
+    assert len(broken) > 2
+    assert max(map(len, broken)) <= 40
+    assert all(line.startswith("          word") for line in broken[1:])
+    table = wrapped("   instruments  " + "master, " * 10, 40).splitlines()
+    assert all(line.startswith(" " * 16 + "master") for line in table[1:])
+
+
+def test_an_address_is_never_broken() -> None:
+    address = "http://127.0.0.1:8765/?token=" + "a-" * 40
+    assert address in wrapped(f"live page: {address}", 60)
+
+
+def test_text_for_a_file_is_left_as_it_is() -> None:
+    assert wrapped("word " * 100, None) == "word " * 100
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "said"),
+    [
+        (9e6, "Hz", "9 MHz"),
+        (3990.0, "Hz", "3990 Hz"),
+        (131e-6, "s", "131 us"),
+        (999999.7, "Hz", "1 MHz"),
+        (10922.4, "Hz", "10922 Hz"),
+        (0.0, "s", "0 s"),
+        (-2.5e-9, "m", "-2.5 nm"),
+        (1.5e8, "B", "150 MB"),
+    ],
+)
+def test_numbers_are_in_engineering_notation(value: float, unit: str, said: str) -> None:
+    assert engineering(value, unit) == said
+
+
+def test_progress_is_told_in_lines_where_there_is_no_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 0.0
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now_s)
+    with told("cases") as tell:
+        for done in range(1, 101):
+            now_s = float(done)
+            tell(done, 100, "")
+    lines = capsys.readouterr().err.splitlines()
+    # It began at 0 s and does a case a second.
+    assert lines[0] == "cases: 10 of 100, about 2 min left"
+    assert len(lines) == 9
+
+
+def test_a_quiet_command_tells_nothing(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(terminal, "EVERY_S", 0.0)
+    with told("cases", quiet=True) as tell:
+        tell(5, 10, "")
+    assert capsys.readouterr().err == ""
+
+
+def test_durations_are_said_as_people_say_them() -> None:
+    assert [in_words(duration_s) for duration_s in (40.2, 200.0, 7200.0)] == ["40 s", "3 min", "2.0 h"]
+
+
+def test_check_leads_with_its_verdict_and_lists_what_passed_when_asked() -> None:
+    quiet, full = (CliRunner().invoke(app, ["check", "table-1", *more]).stdout for more in ((), ("--verbose",)))
+    assert quiet.splitlines()[2].startswith("CAN BE MEASURED")
+    assert "  ok " not in quiet
+    assert full.count("  ok ") > 10
+    assert set(quiet.splitlines()) - set(full.splitlines()) == {
+        line for line in quiet.splitlines() if line.startswith("checks:")
+    }
+
+
+@pytest.mark.parametrize("columns", [80, 120])
+def test_check_fits_the_terminal(columns: int) -> None:
+    said = CliRunner().invoke(app, ["check", "table-1", "--verbose"], env={"COLUMNS": f"{columns}"}).stdout
+    assert max(map(len, said.splitlines())) <= columns
+
+
+def test_the_version_is_printed() -> None:
+    done = CliRunner().invoke(app, ["--version"])
+    assert (done.exit_code, done.stdout.split()[0]) == (0, "hpe-rig")
+
+
+def test_every_package_logs_under_its_own_name(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
+    before = {name: logging.getLogger(name).level for name in ("hpe_rig", "drivers", "sim_backend")}
+    try:
+        with caplog.at_level(logging.DEBUG):
+            run = ["--log-level", "debug", "run", "table-1", "--output", str(tmp_path / "run.h5"), "--json"]
+            assert CliRunner().invoke(app, run).exit_code == 0
+    finally:
+        for name, level in before.items():
+            logging.getLogger(name).setLevel(level)
+    named = {record.name for record in caplog.records}
+    assert named <= {"hpe_rig", "drivers", "sim_backend", "h5py"} | {name for name in named if "." in name}
+    said = [record.getMessage() for record in caplog.records]
+    assert "shot 1: fire" in said
+    assert "master <- *TRG" in " ".join(said)
+    assert any("AlazarStartCapture returns 512" in text for text in said)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to one process")
+def test_an_interrupt_while_the_program_loads_is_said_plainly() -> None:
+    # As soon as the entry has begun, and before anything else is loaded.
+    code = "import os, signal; from hpe_rig.cli import entry; import sys\n"
+    code += "sys.meta_path.insert(0, type('Hook', (), {'find_spec': staticmethod(lambda name, *_: "
+    code += "os.kill(os.getpid(), signal.SIGINT) if name == 'typer' else None)}))\nentry.main()"
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr) == (130, "hpe-rig: interrupted\n")

@@ -1,0 +1,58 @@
+"""First mistakes get plain answers: what is wrong, where, and what to try; never a traceback, never silence."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ANSWERS = {
+    "hpe-rig run bovine-muscel": "did you mean bovine-muscle?",
+    "hpe-rig run s": "did you mean s.toml?",
+    "hpe-rig chekc bovine-muscle": "Did you mean 'check'?",
+    "hpe-rig run bovine-muscle --estimator kasia": "did you mean kasai?",
+    'hpe-rig run bovine-muscle --output ""': "no file is named",
+    "hpe-rig run s.toml --bench s.toml": "this is a scene, not a bench file",
+    "hpe-rig check b.toml": "this is a bench file, not a scene",
+    "hpe-rig live nofile.h5": "no run can be followed",
+}
+CAUSES = {
+    "a key stands twice": "line 6, 'burst_count = 30': this key stands a second time",
+    "a table stands twice": "line 9, '[tracking]': this table stands a second time",
+    "saved as UTF-16, as Windows' Notepad can": "saved as UTF-16",
+    "the file is empty": "it is empty",
+    "a key is misspelt": "did you mean burst_count?",
+    "a section is misspelt": "did you mean excitation?",
+    "a comma for a point": "line 7, 'pulse_rate_hz = 3990,0': a comma in a number",
+    "a quotation mark is missing": "line 1, 'title = \"Try': a quotation mark is missing",
+}
+
+
+@pytest.fixture(scope="module")
+def messages() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("messages", ROOT / "scripts" / "messages.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["messages"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_forty_mistakes_that_users_make_first_are_answered(messages: ModuleType) -> None:
+    found = list(messages.provoked())
+    assert len(found) >= 40
+    for _, case, code, said in found:
+        assert code == 2, f"{case.typed}: exit code {code}\n{said}"
+        assert "Traceback" not in said
+        assert "error of the program" not in said
+        # A usage error of the command line says how to get help; all others what to try.
+        assert any(word in said for word in ("Try", "did you mean")), f"{case.typed}: {said}"
+        expected = CAUSES.get(case.cause) or ANSWERS.get(case.typed, "")
+        assert expected in said, f"{case.typed} ({case.cause}): {said}"
+    assert set(CAUSES) <= {case.cause for _, case, _, _ in found}
+    assert set(ANSWERS) <= {case.typed for _, case, _, _ in found}
