@@ -42,9 +42,11 @@ EXAMPLES = {
     "generators.max_vpp": "2.0",
     "processing.expected_amplitude_m": "500e-9",
     "processing.expected_snr_db": "40.0",
-    "processing.gate_profile_step_m": "1e-3",
-    "processing.gates.depth_m": "68.5e-3",
+    "processing.gate_profile_step_m": "0.5e-3",
+    "processing.gates.depth_m": "70.5e-3",
     "processing.gates.length_m": "0.8e-3",
+    "simulation.beams.excitation_scan": '"push.h5"',
+    "simulation.beams.tracking_scan": '"tracking.h5"',
     "processing.harmonic": '"least_squares"',
     "processing.reference_gate_depth_m": "66e-3",
     "processing.reference_gate_length_m": "1e-3",
@@ -56,6 +58,7 @@ EXAMPLES = {
     "simulation.scatterers.measured_pulse": "[0.0, 0.4, -1.0, 0.4, 0.0]",
     "simulation.specimen.preset": '"gelatin_8"',
     "simulation.transmitter.saturation_v": "100.0",
+    "title": '"Gelatin, 100 us at 200 Hz"',
     "tracking.pulse_count": "800",
     "transport": '"socket"',
 }
@@ -116,11 +119,12 @@ def settings_page(of: str) -> str:
             lines += [f"## {table.header}", "", f"{table.text} *({presence})*", ""]
         if not table.keys:
             continue
-        lines += ["| key | what it says | kind | unit | default | bounds | example |", "|---|---|---|---|---|---|---|"]
+        lines += ["| key | what it says | value | default | example |", "|---|---|---|---|---|"]
         for key in table.keys:
             path = f"{name}.{key.name}" if name else key.name
             found = set_in_shipped.get(path)
             known = _any_generator(path)
+            found = None if path == "title" else found
             example = toml_value(found) if found is not None else key.default or EXAMPLES.get(known)
             if example in (None, "[]"):
                 example = EXAMPLES.get(known)
@@ -129,7 +133,8 @@ def settings_page(of: str) -> str:
                 # An empty list or table is what may stand there, if nothing better is known.
                 example = key.default
             shown = f"`{example}`" if example else ""
-            row = (f"`{key.name}`", key.text, key.kind, key.unit, default, key.bounds, shown)
+            value = f"{key.kind}{f' in {key.unit}' if key.unit else ''}{f', {key.bounds}' if key.bounds else ''}"
+            row = (f"`{key.name}`", key.text, value, default, shown)
             lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |")
         lines.append("")
     return "\n".join(lines)
