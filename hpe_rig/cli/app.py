@@ -521,9 +521,11 @@ def new(
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
-    except OSError as error:
+    except (OSError, ValueError) as error:
+        # A name that no file can have is an error of values.
         taken = isinstance(error, FileExistsError)
-        why = "already exists and is not overwritten" if taken else f"cannot be written ({error.strerror})"
+        why = getattr(error, "strerror", None) or error
+        why = "already exists and is not overwritten" if taken else f"cannot be written ({why})"
         announce(f"hpe-rig: {path} {why}. Try: another {'name' if taken else 'folder'}.")
         raise typer.Exit(EXIT_MISTAKE) from None
     then = f"pass --bench {path}" if like == "bench" else f"run hpe-rig check {path}"

@@ -602,6 +602,7 @@ def test_numbers_and_nesting_without_end_are_refused(small_run: Path, tmp_path: 
         (["run", "s.toml", "--output", "stopped.h5"], "Try:"),
         (["run", "s.toml", "--output", "loop.h5"], "Try:"),
         (["run", "s.toml", "--bench", "loop.toml"], "cannot be read"),
+        (["new", "\x00"], "cannot be written (embedded null byte)"),
         (["check", "loop.toml"], "cannot be read"),
         (["check", "s.toml", "--target", "1e-300"], "no length"),
         (["report", "a" * 300 + ".h5"], "Try:"),

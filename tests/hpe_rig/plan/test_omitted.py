@@ -31,6 +31,15 @@ def test_noise_chain_and_jitter_are_left_out_where_the_scene_has_none(text, ther
     assert not set(absent) & said.keys()
 
 
+def test_a_prior_is_missed_only_where_something_pushes():
+    free = 'harmonic = "least_squares"'
+    pushed = omitted(PLAIN.replace("[processing]", f"[processing]\n{free}"))
+    assert "prior of media" in pushed
+    still = omitted(shipped_scenes()["table-1"])
+    assert "prior of media" not in still
+    assert "generators burst_train and toneburst" in still
+
+
 def test_reason_names_the_key_that_would_bring_the_noise():
     text = CHAIN.replace('preset = "paper"', "").replace("noise_v_per", "#")
     assert "simulation.receive_chain.noise_v_per_sqrt_hz" in omitted(text)["receiver noise"]

@@ -51,6 +51,13 @@ def test_disturbed_pulses_are_those_whose_intervals_overlap(
     assert disturbed_pulses(shot).tolist() == plainly_disturbed(shot)
 
 
+def test_a_scene_that_pushes_nothing_has_no_toneburst_and_bursts_of_no_length() -> None:
+    (shot,) = make_plan(TABLE_1, BENCH).shots
+    assert shot.toneburst is None
+    assert shot.timeline.burst_length_s == 0.0
+    assert shot.timeline.burst_onset_s.size == 0
+
+
 @pytest.mark.parametrize("pulse_rate_hz", [2000.0, 2500.0, 3000.0, 4000.0, 5000.0])
 @pytest.mark.parametrize("burst_length_s", [50e-6, 100e-6, 200e-6])
 def test_admissible_delays_are_exactly_the_undisturbed_ones(pulse_rate_hz: float, burst_length_s: float) -> None:
