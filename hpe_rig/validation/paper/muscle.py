@@ -96,7 +96,7 @@ def figure_15() -> Experiment:
                 )
             )
         label(left, "force F / F_0", "displacement (nm)")
-        left.set_title(f"means of five, {CHAINS[chain]} chain", fontsize=8)
+        left.set_title(f"means of five, {CHAINS[chain]}", fontsize=8)
     floor = detection_floor(load_scene("muscle-force"))
     axes[-1].axhspan(100, 200, color="0.9", label="the paper's floor")
     axes[-1].axhline(floor.detected_m * 1e9, color="0.3", ls="--", label="noise exceeds it once in 20")
