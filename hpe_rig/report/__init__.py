@@ -2,6 +2,8 @@
 
 page.py             run file -> page: ``write_report``
 views.py            one shot as people look at it: echoes, displacement, fit; the live page's too
+badges.py           verdicts of the checks, for the first screen
+symbols.py          units and symbols of print in plain texts
 residual_tests.py   whether the fit leaves nothing but noise
 foreseen.py         what the error model predicts for the amplitudes found
 sweep.py            many shots as curves, means over repeats, straight lines

@@ -7,19 +7,36 @@ the Okabe-Ito set, safe for colour-blind readers, and never the only thing that 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from hpe_rig.plan import Shot
 from hpe_rig.report.residual_tests import periodogram
-from hpe_rig.report.svg import BLUE, GREEN, GREY, ORANGE, SKY, Picture, legend, legend_above, mark, panel, picture, thin
+from hpe_rig.report.svg import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    PURPLE,
+    SKY,
+    Picture,
+    legend,
+    legend_above,
+    mark,
+    panel,
+    picture,
+    thin,
+)
 from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.report.views import EchoView, MotionView, grey_limit_v
 from hpe_rig.result import Estimate
 
 FloatArray = NDArray[np.float64]
+
+ECHO = "#C4804A"
 
 
 def timing(shot: Shot) -> tuple[Picture, ...]:
@@ -41,6 +58,8 @@ def rf_line(view: EchoView) -> Picture:
     """Return one RF line over depth with the gate."""
     figure, axes = panel()
     axes.axvspan(*(edge * 1e3 for edge in view.gate_m), color=SKY, alpha=0.25, lw=0, label="gate")
+    for edge_m in view.gate_m:
+        axes.axvline(edge_m * 1e3, color=BLUE, lw=0.8, ls="--")
     axes.plot(view.line_depth_m * 1e3, view.line_v * 1e3, color=GREY, lw=0.8)
     axes.set(xlabel="depth (mm)", ylabel="echo (mV)")
     legend(axes, "upper right")
@@ -104,9 +123,13 @@ def displacement(view: MotionView, span_s: float | None, key: str, title: str) -
     return picture(figure, key, title, alt)
 
 
-def amplitude_spectrum(estimates: Sequence[Estimate]) -> Picture:
-    """Return amplitude over frequency: the headline with its combined uncertainty, as tracked, and the ground truth."""
+def amplitude_spectrum(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]] = ()) -> Picture:
+    """Return amplitude over frequency: the headline with its combined uncertainty, as tracked, and the ground truth.
+
+    ``repeats``: the other shots of the same setting, a small mark each.
+    """
     figure, axes = panel()
+    _repeats(axes, repeats, lambda each: each.headline.amplitude_m * 1e9)
     frequency_hz = np.array([item.frequency_hz for item in estimates])
     amplitude_nm = np.array([item.headline.amplitude_m for item in estimates]) * 1e9
     uncertainty_nm = np.array([item.headline.amplitude_uncertainty_m for item in estimates]) * 1e9
@@ -131,11 +154,22 @@ def amplitude_spectrum(estimates: Sequence[Estimate]) -> Picture:
     return picture(figure, "amplitude", "Amplitude spectrum", alt)
 
 
-def phase_spectrum(estimates: Sequence[Estimate]) -> Picture:
-    """Return the headline's phase over frequency, unwrapped, with uncertainty and, on the twin, ground truth."""
+def phase_spectrum(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]] = ()) -> Picture:
+    """Return the headline's phase over frequency, unwrapped, with uncertainty and, on the twin, ground truth.
+
+    ``repeats``: the other shots of the same setting, a small mark each.
+    """
     figure, axes = panel()
     frequency_hz = np.array([item.frequency_hz for item in estimates])
     phase = np.unwrap([item.headline.phase_rad for item in estimates])
+    near = dict(zip(frequency_hz.tolist(), phase.tolist(), strict=True))
+
+    def beside(each: Estimate) -> float:
+        """Return the phase within half a turn of the shown shot's."""
+        centre = near.get(each.frequency_hz, 0.0)
+        return math.degrees(centre + math.remainder(each.headline.phase_rad - centre, 2 * math.pi))
+
+    _repeats(axes, repeats, beside)
     uncertainty_deg = np.degrees([item.headline.phase_uncertainty_rad for item in estimates])
     truth = phase - np.array([_or_nan(item.corrected_phase_error_rad) for item in estimates])
     if np.isfinite(truth).all():
@@ -150,6 +184,12 @@ def phase_spectrum(estimates: Sequence[Estimate]) -> Picture:
     largest = uncertainty_deg.max()
     alt = f"Phase in degrees: {pairs}; standard uncertainty up to {largest:.2g} degrees."
     return picture(figure, "phase", "Phase spectrum", alt)
+
+
+def _repeats(axes: Axes, repeats: Sequence[Sequence[Estimate]], value: Callable[[Estimate], float]) -> None:
+    found = [(each.frequency_hz, value(each)) for shot in repeats for each in shot]
+    if found:
+        axes.plot(*zip(*found, strict=True), "_", ms=9, color=PURPLE, label="other repeats")
 
 
 def _or_nan(value: float | None) -> float:
@@ -202,7 +242,7 @@ def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: 
     ]
     if bursts.size:
         rows += [
-            ("its echoes", bursts, (0.0, line.burst_length_s + line.gate_offset_s[1]), "#F0C9A8"),
+            ("its echoes", bursts, (0.0, line.burst_length_s + line.gate_offset_s[1]), ECHO),
             ("toneburst", bursts, (0.0, line.burst_length_s), ORANGE),
         ]
     unit, factor = ("ms", 1e3) if span_s > 2e-3 else ("us", 1e6)

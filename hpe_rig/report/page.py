@@ -6,6 +6,7 @@ Its numbers are estimated again from the stored records, never read from a table
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -20,14 +21,16 @@ from hpe_rig.plan import scene_of
 from hpe_rig.prediction import detection_text
 from hpe_rig.processing import margin_needed, samples_needed
 from hpe_rig.report import figures, provenance as report_provenance
+from hpe_rig.report.badges import badges
 from hpe_rig.report.depth_profile import profile_pictures
 from hpe_rig.report.foreseen import foreseen
 from hpe_rig.report.moduli import moduli_part
 from hpe_rig.report.residual_tests import ResidualTest, residual_tests
 from hpe_rig.report.svg import Picture
 from hpe_rig.report.sweep import Sweep, make_sweep
+from hpe_rig.report.symbols import symbols
 from hpe_rig.report.views import MotionView, echo_view, gate_alone, motion_view
-from hpe_rig.result import Estimate, RepeatMean, Result, ShotResult, Stages, shot_warnings
+from hpe_rig.result import Estimate, Result, ShotResult, Stages, headline_sentence, shot_warnings
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoreError, reason, refuse_unwritable
 
@@ -105,7 +108,7 @@ def render(
         run.save(result)
     shown = _shown(result, shot)
     with stages("draw"):
-        pictures, checks, motion = _look(run, shown)
+        pictures, checks, motion = _look(run, shown, _repeats(result, shown))
         sweep = make_sweep(result.shots)
         swept = figures.sweep_pictures(sweep) if sweep else ()
         fitted = moduli_part(run, estimator)
@@ -129,7 +132,8 @@ def render(
         fingerprint=report_provenance.fingerprint(path),
         facts=[*_facts(run, result), *_dose(run, shown)],
         strongest=strongest(shown),
-        lead_mean=_lead_mean(result, shot),
+        headline=headline_sentence(result),
+        asked=shot is not None,
         known=any(item.true_amplitude_m is not None for each in result.shots for item in each.estimates),
         most_rows=MOST_ROWS,
         longest_text=LONGEST_TEXT,
@@ -146,9 +150,14 @@ def strongest(shot: ShotResult) -> Estimate:
     return max(shot.estimates, key=lambda item: item.amplitude_m)
 
 
-def _lead_mean(result: Result, shot: int | None) -> RepeatMean | None:
-    """Return the mean of the largest amplitude; None without repeats or where the reader asked for one shot."""
-    return max(result.means, key=lambda mean: mean.amplitude_m, default=None) if shot is None else None
+def _repeats(result: Result, shown: ShotResult) -> list[tuple[Estimate, ...]]:
+    """Return the estimates of the other shots of the setting of ``shown``."""
+    alike = {shot for mean in result.means if shown.shot in mean.shots for shot in mean.shots} - {shown.shot}
+    return [each.estimates for each in result.shots if each.shot in alike and _same_window(each, shown)]
+
+
+def _same_window(shot: ShotResult, shown: ShotResult) -> bool:
+    return shot.window_length_s == shown.window_length_s
 
 
 def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage]:
@@ -194,7 +203,9 @@ def _shown(result: Result, shot: int | None) -> ShotResult:
     raise StoreError(f"shot {shot} has no result, of {len(result.shots)} that have one. Try: --shot {numbers}.")
 
 
-def _look(run: Run, result: ShotResult) -> tuple[list[Picture], list[ResidualTest], MotionView | None]:
+def _look(
+    run: Run, result: ShotResult, repeats: Sequence[Sequence[Estimate]]
+) -> tuple[list[Picture], list[ResidualTest], MotionView | None]:
     """Return the pictures of one shot, the tests of its residual and its motion, None where there is none."""
     shot = run.plan.shots[result.shot]
     scene = scene_of(run.scene, shot)
@@ -208,7 +219,10 @@ def _look(run: Run, result: ShotResult) -> tuple[list[Picture], list[ResidualTes
     if echoes is not None:
         pictures += [figures.rf_line(echoes), figures.m_mode(echoes)]
     if result.estimates:
-        pictures += [figures.amplitude_spectrum(result.estimates), figures.phase_spectrum(result.estimates)]
+        pictures += [
+            figures.amplitude_spectrum(result.estimates, repeats),
+            figures.phase_spectrum(result.estimates, repeats),
+        ]
     try:
         motion = motion_view(scene, shot, gate_alone(scene, shot, records, part.start), result.estimates)
     except ValueError as error:
@@ -299,10 +313,13 @@ def _bars(result: Result) -> list[tuple[str, float, float]]:
 
 def _page(*, result: Result, sweep: Sweep | None, **context: Any) -> str:
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
-    environment.filters.update(nm=_nm, deg=_deg, percent=_percent, svg=_svg)
+    environment.filters.update(nm=_nm, deg=_deg, percent=_percent, svg=_svg, symbols=symbols)
     template = (resources.files("hpe_rig.report") / "report.html").read_text(encoding="utf-8")
     warnings = (*result.warnings, *shot_warnings(result.shots))
-    return environment.from_string(template).render(result=result, sweep=sweep, warnings=warnings, **context)
+    shown = badges(result, warnings, context["findings"], context["checks"])
+    return environment.from_string(template).render(
+        result=result, sweep=sweep, warnings=warnings, badges=shown, **context
+    )
 
 
 def _svg(picture: Picture) -> Markup:

@@ -16,15 +16,24 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from hpe_rig.report.symbols import svg_symbols
 from hpe_rig.result import PALETTE
 
 FloatArray = NDArray[np.float64]
 
 SIZE_IN = (4.8, 3.1)
-BLUE, ORANGE, GREEN, _, GREY, _, SKY, _ = PALETTE
+BLUE, ORANGE, GREEN, PURPLE, GREY, _, SKY, _ = PALETTE
 MARKS = tuple(zip("os^DvxP*", PALETTE, strict=True))
 """Marker and colour of each curve of a panel: told apart without colours too."""
 MOST_POINTS = 1500
+VARIABLES = {
+    **{colour.lower(): f"c{place}" for place, colour in enumerate(PALETTE[:-1])},
+    "#000000": "ink",
+    "#333333": "ink",
+    "#c4804a": "echo",
+    "#b0b0b0": "grid",
+}
+"""Colours that a page may set otherwise, such as on a dark screen, by the name of the variable."""
 
 STYLE: Any = {
     "svg.fonttype": "none",
@@ -81,6 +90,9 @@ def panel(left: float = 0.15) -> tuple[Figure, Axes]:
     with rc_context(STYLE):
         figure = Figure(figsize=SIZE_IN)
         axes = figure.subplots()
+        # The page's own paper shows through, light or dark.
+        figure.set_facecolor("none")
+        axes.set_facecolor("none")
         # Fixed margins: fitting them to every text takes as long as all the drawing.
         figure.subplots_adjust(left=left, right=0.97, bottom=0.155, top=0.9)
         return figure, axes
@@ -100,12 +112,18 @@ def inline(svg: str, key: str, title: str, alt: str) -> str:
     body = re.sub(r"<metadata>.*?</metadata>\s*", "", body, flags=re.DOTALL)
     body = re.sub(r'\bid="', f'id="{key}-', body)
     body = re.sub(r'(url\(#|xlink:href="#)', rf"\g<1>{key}-", body)
+    body = svg_symbols(re.sub(r"((?:fill|stroke): )(#[0-9a-f]{6})", _variable, body))
     head, _, rest = body.partition(">")
     head = re.sub(r' (?:width|height)="[^"]*"', "", head)
     names = (
         f'<title id="{key}-t">{escape(title, quote=False)}</title><desc id="{key}-d">{escape(alt, quote=False)}</desc>'
     )
     return f'{head} role="img" aria-labelledby="{key}-t {key}-d">{names}{rest}'
+
+
+def _variable(found: re.Match[str]) -> str:
+    name = VARIABLES.get(found[2])
+    return found[0] if name is None else f"{found[1]}var(--{name}, {found[2]})"
 
 
 def label_decades(axis: Axis) -> None:

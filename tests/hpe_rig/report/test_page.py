@@ -15,8 +15,10 @@ import pytest
 from hpe_rig.acquire.run import prepare, record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.report.figures import sweep_pictures
-from hpe_rig.report.page import render, strongest, write_report
+from hpe_rig.report.page import render, write_report
 from hpe_rig.report.sweep import Sweep, SweepCurve
+from hpe_rig.report.symbols import symbols
+from hpe_rig.result import PALETTE, headline_sentence
 from hpe_rig.result.estimates import Result, shot_warnings
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import StoreError
@@ -114,14 +116,53 @@ def test_colours_of_text_stand_out_from_their_background(page: str) -> None:
         red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in parts)
         return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
-    named = dict(re.findall(r"--(\w+): (#[0-9a-f]{3,6});", page))
-    pairs = [(named[text], named["paper"]) for text in ("ink", "soft", "accent", "warn")]
-    pairs += [(named[text], named["tint"]) for text in ("ink", "soft", "warn")]
-    pairs += [("#4a2500", "#ffe9c7"), ("#003f2c", "#e3f4ec"), (named["warn"], "#fff3ec")]
-    for text, paper in pairs:
-        light, dark = sorted((luminance(text), luminance(paper)), reverse=True)
-        # WCAG 2.2, success criterion 1.4.3
-        assert (light + 0.05) / (dark + 0.05) >= 4.5, (text, paper)
+    def contrast(one: str, other: str) -> float:
+        light, dark = sorted((luminance(one), luminance(other)), reverse=True)
+        return (light + 0.05) / (dark + 0.05)
+
+    roots = [
+        dict(re.findall(r"--(\w+): (#[0-9a-fA-F]{3,6});", root))
+        for root in re.findall(r":root \{(.*?)\}", page, re.DOTALL)
+    ]
+    assert len(roots) == 2  # light and dark
+    for named in roots:
+        pairs = [(named[text], named["paper"]) for text in ("ink", "soft", "accent", "warn", "good")]
+        pairs += [(named[text], named["tint"]) for text in ("ink", "soft", "warn")]
+        pairs += [(named["warn"], named["alert"])]
+        for text, paper in pairs:
+            # WCAG 2.2, success criterion 1.4.3
+            assert contrast(text, paper) >= 4.5, (text, paper)
+        for name in ("c0", "c1", "c2", "c3", "c4", "c5", "c6", "echo"):
+            # and 1.4.11, of what is drawn
+            assert contrast(named[name], named["paper"]) >= 3.0, name
+    drawn = [(colour, roots[0]["paper"]) for colour in PALETTE]
+    assert all(contrast(*pair) >= 3.0 for pair in drawn)
+    for text, paper in (("#4a2500", "#ffe9c7"), ("#003f2c", "#e3f4ec"), ("#ffdca8", "#45300e"), ("#a9ecd0", "#0f2f24")):
+        assert contrast(text, paper) >= 4.5, (text, paper)
+
+
+def test_the_first_screen_has_sentence_badges_and_figure_and_the_rest_is_folded(page: str) -> None:
+    body = page[page.index("<body>") : page.index("<details")]
+    for part in ('<p class="headline">', '<ul class="badges"', 'id="amplitude-t"', 'id="phase-t"'):
+        assert part in body
+    ids = {attributes["id"] for _, attributes in Outline(page).elements if "id" in attributes}
+    badges = re.findall(r'<a class="(passed|noticed|open)" href="#([\w-]+)"><b>(.)</b>', body)
+    assert len(badges) >= 8
+    assert {part for _, part, _ in badges} <= ids
+    assert {(verdict, sign) for verdict, _, sign in badges} <= {("passed", "✓"), ("noticed", "!"), ("open", "–")}
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("787 +- 14 nm, 73.4 +- 0.5 deg", "787 ± 14 nm, 73.4 ± 0.5°"),
+        ("100 us at f_r, F_0 and sigma_J", "100 µs at f<sub>r</sub>, F<sub>0</sub> and σ<sub>J</sub>"),
+        ("<b>3 um</b>", "&lt;b&gt;3 µm&lt;/b&gt;"),
+        ("out/f_r.h5 of my_f_r and a_very_long_name", "out/f_r.h5 of my_f_r and a_very_long_name"),
+    ],
+)
+def test_units_and_symbols_are_those_of_print_and_names_of_files_stay(text: str, shown: str) -> None:
+    assert symbols(text) == shown
 
 
 def test_simulated_is_said_first_and_in_large(page: str) -> None:
@@ -141,7 +182,7 @@ def test_the_table_holds_the_results_numbers(page: str, result: Result) -> None:
             assert float(cells[first + 1]) == pytest.approx(value.amplitude_uncertainty_m * 1e9, rel=0.06)
             assert float(cells[first + 2]) == pytest.approx(np.degrees(value.phase_rad), abs=0.006)
             assert float(cells[first + 3]) == pytest.approx(np.degrees(value.phase_uncertainty_rad), rel=0.06)
-    assert f"{strongest(result.shots[0]).frequency_hz:g} Hz</b>" in page
+    assert f'<p class="headline">{symbols(headline_sentence(result))}.</p>' in page
 
 
 def test_every_part_is_there(page: str) -> None:
@@ -193,8 +234,8 @@ def test_an_aborted_sweep_gets_its_regressions_says_what_is_missing_and_stays_be
     assert len(page.encode()) < 1_000_000
     assert "the run is aborted" in page
     assert re.search(r"shot 1: (?:49|50) of \d+ records are missing", page)
-    assert "Over force F / F_0" in page
-    slopes = re.findall(r'<tr><th scope="row">100</th><td>T_b = 100 us</td><td>([\d.]+)</td>', page)
+    assert "Over force F / F<sub>0</sub>" in page
+    slopes = re.findall(r'<tr><th scope="row">100</th><td>T<sub>b</sub> = 100 µs</td><td>([\d.]+)</td>', page)
     last = process(run_file).shots[-1].estimates[0].headline.amplitude_m * 1e9
     # the twin's force is linear: the slope is the amplitude at full force
     assert float(slopes[0]) == pytest.approx(last, rel=0.02)
