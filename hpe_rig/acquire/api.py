@@ -107,6 +107,16 @@ class CheckedScene:
     def __str__(self) -> str:
         return self.text
 
+    def _repr_html_(self) -> str:
+        """Return HTML for a notebook: the timeline as a figure, what fails or warns, what is foreseen."""
+        from hpe_rig.acquire.notebook import plan_html
+        from hpe_rig.result import symbols
+
+        setup = self.setup
+        state = f"{len(setup.plan.shots)} shots; {'refused' if self.refused else 'may be measured'}"
+        shown = plan_html(setup.scene.scene.title, state, setup.plan.shots[0], self.findings)
+        return "\n".join([shown, *(f"<p>{symbols(line)}</p>" for line in self.foreseen)])
+
 
 def check(scene: SceneSource, bench: BenchSource = None, target: str | None = None) -> CheckedScene:
     """Return the plan of ``scene`` in words with every conflict, expected bias and jitter; opens nothing.

@@ -72,6 +72,12 @@ class Run:
         shots = f"{int(complete.sum())} of {complete.size} shots"
         return f"<Run {str(self.path)!r}: {self.scene.title!r}, {self.stored.status}, {shots}{simulated}>"
 
+    def _repr_html_(self) -> str:
+        """Return HTML for a notebook: state, timing of the first shot, checks of the plan; nothing is estimated."""
+        from hpe_rig.acquire.notebook import plan_html
+
+        return plan_html(self.scene.title, repr(self), self.plan.shots[0], self.findings)
+
     def displacement_m(self, shot: int = 0) -> NDArray[np.float64]:
         """Return the displacement of every tracking pulse of ``shot``, counted from 0, up to a constant; (pulse,), m.
 
