@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from hpe_rig.plan.shots import Shot
-from hpe_rig.result import BLUE, GREEN, ORANGE, SKY, Picture, panel, picture
+
+if TYPE_CHECKING:
+    from hpe_rig.result import Picture
 
 ECHO = "#C4804A"
 
@@ -27,6 +30,9 @@ def timing(shot: Shot) -> tuple[Picture, ...]:
 
 def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: str) -> Picture:
     """Draw every instrument's intervals in one row each, from ``start_s`` on."""
+    # Plans are made where nothing is drawn.
+    from hpe_rig.result import BLUE, GREEN, ORANGE, SKY, panel, picture
+
     line = shot.timeline
     bursts, pulses = line.burst_onset_s, line.pulse_onset_s
     rows = [
