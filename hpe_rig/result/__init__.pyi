@@ -18,6 +18,7 @@ from .phase import (
     phase_variance_at_rad2 as phase_variance_at_rad2,
     phase_variance_rad2 as phase_variance_rad2,
 )
+from .print_symbols import symbols as symbols
 from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance
 from .repeats import RepeatMean as RepeatMean
 from .rows import result_csv as result_csv
@@ -53,5 +54,4 @@ from .svg import (
     picture as picture,
     thin as thin,
 )
-from .symbols import symbols as symbols
 from .tables import csv_text as csv_text, mappings as mappings, rich_table as rich_table, text_table as text_table
