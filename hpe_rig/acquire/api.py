@@ -107,6 +107,20 @@ class CheckedScene:
     def __str__(self) -> str:
         return self.text
 
+    def _repr_html_(self) -> str:
+        """Return HTML for a notebook: the timeline as a figure, what fails or warns, what is foreseen."""
+        from html import escape
+
+        from hpe_rig.acquire.notebook import plan_html
+
+        setup = self.setup
+        count = len(setup.plan.shots)
+        state = f"{count} shot{'' if count == 1 else 's'}; {'refused' if self.refused else 'may be measured'}"
+        shown = plan_html(setup.scene.scene.title, state, setup.plan.shots[0], self.findings)
+        # Columns among these lines stand under one another only as they are.
+        foreseen = escape("\n".join(self.foreseen))
+        return f"{shown}\n<pre>{foreseen}</pre>"
+
 
 def check(scene: SceneSource, bench: BenchSource = None, target: str | None = None) -> CheckedScene:
     """Return the plan of ``scene`` in words with every conflict, expected bias and jitter; opens nothing.

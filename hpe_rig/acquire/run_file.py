@@ -68,9 +68,18 @@ class Run:
 
     def __repr__(self) -> str:
         """Return path, title and state; the file's texts and the plan would fill a screen."""
+        return f"<Run {str(self.path)!r}: {self.scene.title!r}, {self._state}>"
+
+    @property
+    def _state(self) -> str:
         complete, simulated = self.stored.shot_complete, ", simulated" if self.stored.simulated else ""
-        shots = f"{int(complete.sum())} of {complete.size} shots"
-        return f"<Run {str(self.path)!r}: {self.scene.title!r}, {self.stored.status}, {shots}{simulated}>"
+        return f"{self.stored.status}, {int(complete.sum())} of {complete.size} shots{simulated}"
+
+    def _repr_html_(self) -> str:
+        """Return HTML for a notebook: state, timing of the first shot, checks of the plan; nothing is estimated."""
+        from hpe_rig.acquire.notebook import plan_html
+
+        return plan_html(self.scene.title, f"{self.path}: {self._state}", self.plan.shots[0], self.findings)
 
     def displacement_m(self, shot: int = 0) -> NDArray[np.float64]:
         """Return the displacement of every tracking pulse of ``shot``, counted from 0, up to a constant; (pulse,), m.

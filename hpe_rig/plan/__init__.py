@@ -7,6 +7,7 @@
     which pulses and frequencies a fit uses                  selection.py
     what speaks against it, one file a subject               checks/
     the whole in words and as a drawing                      timeline.py
+    the timing of a shot as a picture                        timing_figure.py
 
 Others use ``make_plan``, ``check_plan``, ``refuse_conflicts``, and ``select`` for the pulses and frequencies of a fit.
 """

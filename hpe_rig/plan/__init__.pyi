@@ -36,3 +36,4 @@ from .shots import (
     scene_of as scene_of,
 )
 from .timeline import plan_text as plan_text
+from .timing_figure import timing as timing

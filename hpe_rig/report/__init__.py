@@ -3,7 +3,6 @@
 page.py             run file -> page: ``write_report``
 views.py            one shot as people look at it: echoes, displacement, fit; the live page's too
 badges.py           verdicts of the checks, for the first screen
-symbols.py          units and symbols of print in plain texts
 residual_tests.py   whether the fit leaves nothing but noise
 foreseen.py         what the error model predicts for the amplitudes found
 sweep.py            many shots as curves, means over repeats, straight lines
@@ -11,11 +10,10 @@ comparison.py       two runs side by side, with the significance of each differe
 provenance.py       attributes, settings read back, fingerprint of the file
 depth_profile.py    pictures over depth, of gates in the same records
 moduli.py           the medium's moduli, of a run at several places
-figures.py          pictures of one shot and of many
-svg.py              panels as SVG text, which other pages draw too
+figures.py          pictures of one shot and of many; spectra are the result's, timing the plan's
 report.html         the page's template
 
-Others use ``write_report``; the live page takes the views, pages of studies what draws panels.
+Others use ``write_report``; the live page takes the views.
 """
 
 import lazy_loader

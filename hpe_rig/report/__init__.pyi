@@ -1,14 +1,5 @@
 from .comparison import Comparison as Comparison, ResultDifference as ResultDifference, compare_runs as compare_runs
 from .page import write_report as write_report
-from .svg import (
-    MARKS as MARKS,
-    STYLE as STYLE,
-    Picture as Picture,
-    inline as inline,
-    label_decades as label_decades,
-    mark as mark,
-    picture as picture,
-)
 from .sweep import Line as Line, fit_line as fit_line
 from .views import (
     EchoView as EchoView,

@@ -7,8 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.report.svg import Picture, legend, mark, panel, picture
-from hpe_rig.result import GateResult, Headline
+from hpe_rig.result import GateResult, Headline, Picture, legend, mark, panel, picture
 
 FloatArray = NDArray[np.float64]
 

@@ -6,52 +6,17 @@ the Okabe-Ito set, safe for colour-blind readers, and never the only thing that 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from hpe_rig.plan import Shot
 from hpe_rig.report.residual_tests import periodogram
-from hpe_rig.report.svg import (
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    Picture,
-    legend,
-    legend_above,
-    mark,
-    panel,
-    picture,
-    thin,
-)
 from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.report.views import EchoView, MotionView, grey_limit_v
-from hpe_rig.result import Estimate
+from hpe_rig.result import BLUE, GREY, ORANGE, SKY, Picture, legend, legend_above, mark, panel, picture, thin
 
 FloatArray = NDArray[np.float64]
-
-ECHO = "#C4804A"
-
-
-def timing(shot: Shot) -> tuple[Picture, ...]:
-    """Return the timing diagram of one burst period and, closer, of one tracking pulse from firing to record."""
-    line = shot.timeline
-    period_s = 1 / shot.tracking_train.rate_hz
-    span_s = 1 / shot.burst_train.rate_hz if shot.burst_train else min(8, line.pulse_onset_s.size) * period_s
-    start_s = float(line.burst_onset_s[0]) if line.burst_onset_s.size else float(line.pulse_onset_s[0])
-    whole = _timing_picture(shot, start_s, span_s, "timing", f"One burst period of {span_s * 1e3:g} ms")
-    if not line.burst_onset_s.size:
-        whole = _timing_picture(shot, start_s, span_s, "timing", f"{span_s * 1e3:g} ms of tracking")
-    after = line.pulse_onset_s[line.pulse_onset_s >= start_s]
-    first_s = float(after[0]) if after.size else float(line.pulse_onset_s[0])
-    close_s = first_s - start_s + 1.1 * line.record_offset_s[1]
-    return whole, _timing_picture(shot, start_s, close_s, "timing-close", "Closer: to the first record and its gate")
 
 
 def rf_line(view: EchoView) -> Picture:
@@ -123,79 +88,6 @@ def displacement(view: MotionView, span_s: float | None, key: str, title: str) -
     return picture(figure, key, title, alt)
 
 
-def amplitude_spectrum(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]] = ()) -> Picture:
-    """Return amplitude over frequency: the headline with its combined uncertainty, as tracked, and the ground truth.
-
-    ``repeats``: the other shots of the same setting, a small mark each.
-    """
-    figure, axes = panel()
-    _repeats(axes, repeats, lambda each: each.headline.amplitude_m * 1e9)
-    frequency_hz = np.array([item.frequency_hz for item in estimates])
-    amplitude_nm = np.array([item.headline.amplitude_m for item in estimates]) * 1e9
-    uncertainty_nm = np.array([item.headline.amplitude_uncertainty_m for item in estimates]) * 1e9
-    true_nm = np.array([_or_nan(item.true_amplitude_m) for item in estimates]) * 1e9
-    known = bool(np.isfinite(true_nm).all())
-    if known:
-        axes.plot(frequency_hz, true_nm, "x", color=GREY, ms=6, label="true peak displacement")
-    if corrected := all(item.headline.corrected for item in estimates):
-        tracked_nm = np.array([item.amplitude_m for item in estimates]) * 1e9
-        axes.plot(frequency_hz, tracked_nm, "D", ms=4, mfc="none", color=BLUE, label="as tracked")
-    axes.errorbar(
-        frequency_hz, amplitude_nm, 2 * uncertainty_nm, fmt="o", ms=4, color=ORANGE, capsize=2,
-        label="peak displacement, 2 u" if corrected else "as tracked, 2 u",
-    )  # fmt: skip
-    axes.set(xlabel="vibration frequency (Hz)", ylabel="amplitude (nm)", ylim=(0, None))
-    legend(axes, "best")
-    pairs = ", ".join(f"{a:.4g} at {f:g} Hz" for f, a in zip(frequency_hz[:10], amplitude_nm[:10], strict=True))
-    alt = f"Amplitude in nm: {pairs}; standard uncertainty {uncertainty_nm.min():.2g} to {uncertainty_nm.max():.2g} nm."
-    if known:
-        ratio = amplitude_nm / np.maximum(true_nm, np.finfo(np.float64).tiny)
-        alt += f" The estimates are {ratio.min():.3f} to {ratio.max():.3f} of the true peak displacement."
-    return picture(figure, "amplitude", "Amplitude spectrum", alt)
-
-
-def phase_spectrum(estimates: Sequence[Estimate], repeats: Sequence[Sequence[Estimate]] = ()) -> Picture:
-    """Return the headline's phase over frequency, unwrapped, with uncertainty and, on the twin, ground truth.
-
-    ``repeats``: the other shots of the same setting, a small mark each.
-    """
-    figure, axes = panel()
-    frequency_hz = np.array([item.frequency_hz for item in estimates])
-    phase = np.unwrap([item.headline.phase_rad for item in estimates])
-    near = dict(zip(frequency_hz.tolist(), phase.tolist(), strict=True))
-
-    def beside(each: Estimate) -> float:
-        """Return the phase within half a turn of the shown shot's."""
-        centre = near.get(each.frequency_hz, 0.0)
-        return math.degrees(centre + math.remainder(each.headline.phase_rad - centre, 2 * math.pi))
-
-    _repeats(axes, repeats, beside)
-    uncertainty_deg = np.degrees([item.headline.phase_uncertainty_rad for item in estimates])
-    truth = phase - np.array([_or_nan(item.corrected_phase_error_rad) for item in estimates])
-    if np.isfinite(truth).all():
-        axes.plot(frequency_hz, np.degrees(truth), "x-", color=GREY, lw=0.8, label="ground truth")
-    axes.errorbar(
-        frequency_hz, np.degrees(phase), 2 * uncertainty_deg, fmt="o", ms=4, color=ORANGE, capsize=2,
-        label="estimate, 2 u",
-    )  # fmt: skip
-    axes.set(xlabel="vibration frequency (Hz)", ylabel="phase (degrees)")
-    legend(axes, "best")
-    pairs = ", ".join(f"{p:.2f} at {f:g} Hz" for f, p in zip(frequency_hz[:10], np.degrees(phase)[:10], strict=True))
-    largest = uncertainty_deg.max()
-    alt = f"Phase in degrees: {pairs}; standard uncertainty up to {largest:.2g} degrees."
-    return picture(figure, "phase", "Phase spectrum", alt)
-
-
-def _repeats(axes: Axes, repeats: Sequence[Sequence[Estimate]], value: Callable[[Estimate], float]) -> None:
-    found = [(each.frequency_hz, value(each)) for shot in repeats for each in shot]
-    if found:
-        axes.plot(*zip(*found, strict=True), "_", ms=9, color=PURPLE, label="other repeats")
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value
-
-
 def residual(view: MotionView) -> tuple[Picture, ...]:
     """Return what is left after the fit: over time and over frequency."""
     left_nm = view.residual_m * 1e9
@@ -229,45 +121,6 @@ def sweep_pictures(sweep: Sweep, most: int = 2) -> tuple[Picture, ...]:
         curves = [curve for curve in sweep.curves if curve.frequency_hz == frequency_hz]
         pictures += [_sweep_amplitude(sweep.label, curves), _sweep_phase(sweep.label, curves)]
     return tuple(pictures)
-
-
-def _timing_picture(shot: Shot, start_s: float, span_s: float, key: str, title: str) -> Picture:
-    """Draw every instrument's intervals in one row each, from ``start_s`` on."""
-    line = shot.timeline
-    bursts, pulses = line.burst_onset_s, line.pulse_onset_s
-    rows = [
-        ("gate", pulses, line.gate_offset_s, BLUE),
-        ("record", pulses, line.record_offset_s, SKY),
-        ("tracking pulse", pulses, (0.0, line.pulse_length_s), GREEN),
-    ]
-    if bursts.size:
-        rows += [
-            ("its echoes", bursts, (0.0, line.burst_length_s + line.gate_offset_s[1]), ECHO),
-            ("toneburst", bursts, (0.0, line.burst_length_s), ORANGE),
-        ]
-    unit, factor = ("ms", 1e3) if span_s > 2e-3 else ("us", 1e6)
-    figure, axes = panel(left=0.22)
-    for place, (_, onset_s, (low_s, high_s), colour) in enumerate(rows):
-        seen = onset_s[(onset_s + high_s >= start_s) & (onset_s + low_s <= start_s + span_s)]
-        starts = (seen + low_s - start_s) * factor
-        # what is narrower than a pixel is drawn a pixel wide
-        width = max((high_s - low_s) * factor, span_s * factor / 400)
-        axes.broken_barh([(float(left), width) for left in starts], (place - 0.3, 0.6), color=colour, lw=0)
-    axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
-    zero = "the toneburst's onset" if bursts.size else "the first pulse"
-    axes.set(xlim=(0, span_s * factor), xlabel=f"time after {zero} ({unit})", ylim=(-0.6, len(rows) - 0.4))
-    axes.grid(axis="y", visible=False)
-    first = pulses[pulses >= start_s]
-    delay_us = (float(first[0]) - start_s) * 1e6 if first.size else math.nan
-    gate_us = [edge * 1e6 for edge in line.gate_offset_s]
-    alt = (
-        f"Timing over {span_s * factor:.4g} {unit}: "
-        + (f"a toneburst of {line.burst_length_s * 1e6:g} us; " if bursts.size else "no toneburst; ")
-        + f"the first tracking pulse follows after {delay_us:.4g} us, the next ones every "
-        f"{1e6 / shot.tracking_train.rate_hz:g} us; each gate is open {gate_us[0]:.2f} to {gate_us[1]:.2f} us after "
-        f"its pulse, inside its record."
-    )
-    return picture(figure, key, title, alt)
 
 
 def _sweep_amplitude(label: str, curves: Sequence[SweepCurve]) -> Picture:

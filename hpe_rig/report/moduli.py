@@ -6,7 +6,7 @@ import io
 from dataclasses import dataclass
 
 from hpe_rig.acquire import Run, fit_moduli
-from hpe_rig.report.svg import Picture, inline
+from hpe_rig.result import Picture, inline
 from hpe_rig.scene import SettingsError
 from hpe_rig.store import StoreError
 

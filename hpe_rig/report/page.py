@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from hpe_rig.acquire import Run, open_run
 from hpe_rig.extensions import ESTIMATORS, installed, origin
-from hpe_rig.plan import scene_of
+from hpe_rig.plan import scene_of, timing
 from hpe_rig.prediction import detection_text
 from hpe_rig.processing import margin_needed, samples_needed
 from hpe_rig.report import figures, provenance as report_provenance
@@ -26,11 +26,22 @@ from hpe_rig.report.depth_profile import profile_pictures
 from hpe_rig.report.foreseen import foreseen
 from hpe_rig.report.moduli import moduli_part
 from hpe_rig.report.residual_tests import ResidualTest, residual_tests
-from hpe_rig.report.svg import Picture
 from hpe_rig.report.sweep import Sweep, make_sweep
-from hpe_rig.report.symbols import symbols
 from hpe_rig.report.views import MotionView, echo_view, gate_alone, motion_view
-from hpe_rig.result import Estimate, Result, ShotResult, Stages, headline_sentence, shot_warnings
+from hpe_rig.result import (
+    Estimate,
+    Picture,
+    Result,
+    ShotResult,
+    Stages,
+    amplitude_spectrum,
+    headline_sentence,
+    phase_spectrum,
+    repeats_of,
+    shot_warnings,
+    shown_shot,
+    symbols,
+)
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoreError, reason, refuse_unwritable
 
@@ -108,7 +119,7 @@ def render(
         run.save(result)
     shown = _shown(result, shot)
     with stages("draw"):
-        pictures, checks, motion = _look(run, shown, _repeats(result, shown))
+        pictures, checks, motion = _look(run, shown, repeats_of(result, shown))
         sweep = make_sweep(result.shots)
         swept = figures.sweep_pictures(sweep) if sweep else ()
         fitted = moduli_part(run, estimator)
@@ -150,16 +161,6 @@ def strongest(shot: ShotResult) -> Estimate:
     return max(shot.estimates, key=lambda item: item.amplitude_m)
 
 
-def _repeats(result: Result, shown: ShotResult) -> list[tuple[Estimate, ...]]:
-    """Return the estimates of the other shots of the setting of ``shown``."""
-    alike = {shot for mean in result.means if shown.shot in mean.shots for shot in mean.shots} - {shown.shot}
-    return [each.estimates for each in result.shots if each.shot in alike and _same_window(each, shown)]
-
-
-def _same_window(shot: ShotResult, shown: ShotResult) -> bool:
-    return shot.window_length_s == shown.window_length_s
-
-
 def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage]:
     """Return what every stage adds to the error of the strongest harmonic of ``shot``, first to last."""
     lead = strongest(shot)
@@ -193,9 +194,7 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage
 
 def _shown(result: Result, shot: int | None) -> ShotResult:
     if shot is None:
-        return max(
-            result.shots, key=lambda item: (item.complete, strongest(item).amplitude_m if item.estimates else 0.0)
-        )
+        return shown_shot(result)
     for item in result.shots:
         if item.shot == shot - 1:
             return item
@@ -214,14 +213,14 @@ def _look(
     around = slice(max(0, needed.start - margin), min(most, needed.stop + margin))
     part = slice(0, most) if whole else around
     records = run.records.gated(result.shot, part)
-    pictures = list(figures.timing(shot))
+    pictures = list(timing(shot))
     echoes = echo_view(scene, shot, records, first_sample=part.start)
     if echoes is not None:
         pictures += [figures.rf_line(echoes), figures.m_mode(echoes)]
     if result.estimates:
         pictures += [
-            figures.amplitude_spectrum(result.estimates, repeats),
-            figures.phase_spectrum(result.estimates, repeats),
+            amplitude_spectrum(result.estimates, repeats),
+            phase_spectrum(result.estimates, repeats),
         ]
     try:
         motion = motion_view(scene, shot, gate_alone(scene, shot, records, part.start), result.estimates)

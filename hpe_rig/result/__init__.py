@@ -9,6 +9,9 @@
     grid.py        arrays over (shot, frequency) and (shot, pulse): result file, xarray
     json_schema.py what --json prints, as a JSON schema
     figure.py      amplitude and phase over frequency
+    spectra.py     the same as the report's two pictures, beside ground truth and repeats
+    svg.py         panels as SVG text, which every page draws
+    print_symbols.py  units and symbols of print in plain texts
     html_repr.py   figure and tables, as a notebook shows a result
     tables.py      any rows as CSV and as text
     motion_map.py  amplitude, phase and velocity of every line and depth

@@ -18,6 +18,7 @@ from .phase import (
     phase_variance_at_rad2 as phase_variance_at_rad2,
     phase_variance_rad2 as phase_variance_rad2,
 )
+from .print_symbols import symbols as symbols
 from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance
 from .repeats import RepeatMean as RepeatMean
 from .rows import result_csv as result_csv
@@ -27,5 +28,30 @@ from .sentence import (
     lead_frequency_hz as lead_frequency_hz,
     scale_of as scale_of,
 )
+from .spectra import (
+    amplitude_spectrum as amplitude_spectrum,
+    phase_spectrum as phase_spectrum,
+    repeats_of as repeats_of,
+    shown_shot as shown_shot,
+)
 from .stages import Stages as Stages
+from .svg import (
+    BLUE as BLUE,
+    GREEN as GREEN,
+    GREY as GREY,
+    MARKS as MARKS,
+    ORANGE as ORANGE,
+    SKY as SKY,
+    STYLE as STYLE,
+    Picture as Picture,
+    image as image,
+    inline as inline,
+    label_decades as label_decades,
+    legend as legend,
+    legend_above as legend_above,
+    mark as mark,
+    panel as panel,
+    picture as picture,
+    thin as thin,
+)
 from .tables import csv_text as csv_text, mappings as mappings, rich_table as rich_table, text_table as text_table

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from collections.abc import Sequence
 from html import escape
 from itertools import groupby
 
 from hpe_rig.result.estimates import Headline, Result, shot_warnings
-from hpe_rig.result.figure import result_figure
+from hpe_rig.result.print_symbols import symbols
 from hpe_rig.result.repeats import RepeatMean
+from hpe_rig.result.sentence import headline_sentence
+from hpe_rig.result.spectra import amplitude_spectrum, phase_spectrum, repeats_of, shown_shot
+from hpe_rig.result.svg import image
 
 MOST_SHOTS = 6
 COLUMNS = (
@@ -25,7 +26,8 @@ COLUMNS = (
 def result_html(result: Result) -> str:
     """Return HTML that needs nothing else: source, figure, tables of the first ``MOST_SHOTS`` shots, warnings."""
     source = ", ".join(text for text in (_origin(result), result.run_file, result.estimator) if text)
-    parts = [f"<p><b>{escape(result.title)}</b><br>{escape(source)}</p>", _image(result)]
+    lead = "<br>".join([f"<b>{symbols(headline_sentence(result))}</b>", symbols(result.title), escape(source)])
+    parts = [f"<p>{lead}</p>", _spectra(result)]
     for shots, means in groupby(result.means, key=lambda mean: mean.shots):
         rows = [(mean.frequency_hz, mean) for mean in means]
         parts.append(_table(f"mean of {len(shots)} repeats from shot {shots[0] + 1} on", rows))
@@ -34,20 +36,22 @@ def result_html(result: Result) -> str:
     if len(result.shots) > MOST_SHOTS:
         parts.append(f"<p>and {len(result.shots) - MOST_SHOTS} more shots</p>")
     warnings = (*result.warnings, *shot_warnings(result.shots))
-    return "\n".join([*parts, *(f"<p><b>WARNING</b> {escape(text)}</p>" for text in warnings)])
+    return "\n".join([*parts, *(f"<p><b>WARNING</b> {symbols(text)}</p>" for text in warnings)])
 
 
 def _origin(result: Result) -> str:
     return result.origin + (f", simulated specimen: {result.simulated_specimen}" if result.simulated_specimen else "")
 
 
-def _image(result: Result) -> str:
-    """Return the figure as an image of its own: inline drawings of one page would share their ids."""
-    drawing = io.BytesIO()
-    result_figure(result).savefig(drawing, format="svg")
-    data = base64.b64encode(drawing.getvalue()).decode("ascii")
-    label = f"amplitude and phase over frequency of {len(result.shots)} shots"
-    return f'<img alt="{label}" src="data:image/svg+xml;base64,{data}">'
+def _spectra(result: Result) -> str:
+    """Return the report's two pictures, of the shot that stands for the result."""
+    shown = shown_shot(result)
+    if not shown.estimates:
+        return ""
+    repeats = repeats_of(result, shown)
+    drawn = (amplitude_spectrum(shown.estimates, repeats), phase_spectrum(shown.estimates, repeats))
+    which = f"shot {shown.shot + 1}" + (", beside the other repeats of its setting" if repeats else "")
+    return "".join([*(image(each) for each in drawn), f"<p>{which}; bars: 2 u</p>"])
 
 
 def _table(caption: str, rows: Sequence[tuple[float, Headline | RepeatMean]]) -> str:

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hpe_rig.report import MARKS, STYLE, label_decades, mark
+from hpe_rig.result import MARKS, STYLE, label_decades, mark
 from hpe_rig.study.results import StudyResult
 from hpe_rig.study.series import Curve, View, axis_label, curves, numbers
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from hpe_rig.report import STYLE, label_decades
+from hpe_rig.result import STYLE, label_decades
 from hpe_rig.study.curve_figures import DEGREES, NM
 from hpe_rig.study.definition import Axis
 from hpe_rig.study.results import StudyResult

@@ -14,8 +14,7 @@ from urllib.parse import quote
 import jinja2
 from markupsafe import Markup
 
-from hpe_rig.report import Picture
-from hpe_rig.result import csv_text, mappings
+from hpe_rig.result import Picture, csv_text, mappings
 
 TableRow = Mapping[str, Any]
 

@@ -12,7 +12,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from hpe_rig.processing import spec_of
-from hpe_rig.report import STYLE, Picture, inline, label_decades, mark, picture
+from hpe_rig.result import STYLE, Picture, inline, label_decades, mark, picture
 from hpe_rig.store import versions
 from hpe_rig.study.curve_figures import NM, curve_alt, curve_figure
 from hpe_rig.study.map_figures import map_alt, map_figure

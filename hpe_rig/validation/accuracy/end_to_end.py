@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.prediction import beam_averaging_factor, force_spectrum, scatterer_density
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, margin_samples, spec_of
-from hpe_rig.report import MARKS, label_decades, mark
+from hpe_rig.result import MARKS, label_decades, mark
 from hpe_rig.validation.accuracy.work_precision import pareto
 
 if TYPE_CHECKING:

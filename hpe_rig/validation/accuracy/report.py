@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.report import Picture, inline
+from hpe_rig.result import Picture, inline
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import unwritable, versions
 from hpe_rig.study import PageTable, Part, cell, render, table, write_whole

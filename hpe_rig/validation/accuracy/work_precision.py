@@ -13,8 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.report import label_decades, mark
-from hpe_rig.result import csv_text, mappings, text_table
+from hpe_rig.result import csv_text, label_decades, mappings, mark, text_table
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import unwritable
 

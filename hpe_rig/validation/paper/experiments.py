@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from hpe_rig.acquire import prepare, process, record_run
 from hpe_rig.plan import select
 from hpe_rig.processing import Motion, least_squares
-from hpe_rig.report import STYLE
-from hpe_rig.result import Result, ShotResult
+from hpe_rig.result import STYLE, Result, ShotResult
 from hpe_rig.scene import SceneSource
 
 Floats = NDArray[np.float64]

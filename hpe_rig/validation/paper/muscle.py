@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hpe_rig.prediction import detection_floor
-from hpe_rig.report import MARKS, Line, fit_line
-from hpe_rig.result import Result
+from hpe_rig.report import Line, fit_line
+from hpe_rig.result import MARKS, Result
 from hpe_rig.scene import load_scene
 from hpe_rig.validation.paper.experiments import (
     CHAINS,

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hpe_rig.bench import read_bench, twin_dose
 from hpe_rig.plan import disturbed_pulses, make_plan
 from hpe_rig.prediction import detection_floor
-from hpe_rig.report import MARKS
+from hpe_rig.result import MARKS
 from hpe_rig.scene import load_scene, shipped_scenes
 from hpe_rig.validation.paper.experiments import (
     Experiment,

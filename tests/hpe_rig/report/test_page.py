@@ -17,8 +17,7 @@ from hpe_rig.acquire.run_file import process
 from hpe_rig.report.figures import sweep_pictures
 from hpe_rig.report.page import render, write_report
 from hpe_rig.report.sweep import Sweep, SweepCurve
-from hpe_rig.report.symbols import symbols
-from hpe_rig.result import PALETTE, headline_sentence
+from hpe_rig.result import PALETTE, headline_sentence, symbols
 from hpe_rig.result.estimates import Result, shot_warnings
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import StoreError

@@ -22,9 +22,11 @@ import pytest
 import xarray as xr
 
 from drivers.interfaces import RecordBlock
+from hpe_rig.acquire.api import check
 from hpe_rig.acquire.run import Setup, prepare, record_run
-from hpe_rig.acquire.run_file import process
+from hpe_rig.acquire.run_file import open_run, process
 from hpe_rig.cli.app import resume, run
+from hpe_rig.result import headline_sentence, symbols
 from hpe_rig.result.html_repr import result_html
 from hpe_rig.result.rows import result_csv, result_frame
 from hpe_rig.scene.scene import shipped_scenes
@@ -290,7 +292,13 @@ def test_a_notebook_shows_figure_table_and_that_it_was_simulated(setup: Setup, t
     result = process(record_run(setup, tmp_path / "run.h5"))
     page = result._repr_html_()
     assert "SIMULATED" in page
-    assert page.count('<img alt="amplitude and phase over frequency of 2 shots" src="data:image/svg+xml;base64,') == 1
+    assert page.count('src="data:image/svg+xml;base64,') == 2
+    assert '<img alt="Amplitude in nm: ' in page
+    assert str(symbols(headline_sentence(result))) in page
+    run_page = open_run(tmp_path / "run.h5")._repr_html_()
+    assert "2 of 2 shots, simulated" in run_page
+    assert '<img alt="Timing over ' in run_page
+    assert check("table-1")._repr_html_().count('<img alt="Timing over ') == 2
     assert f"{result.shots[0].estimates[0].headline.amplitude_m * 1e9:.4g}" in page
     hostile = result_html(replace(result, title="<script>alert(1)</script>"))
     assert "<script>" not in hostile

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection, QuadMesh
 
-from hpe_rig.report.svg import Picture
+from hpe_rig.result import Picture
 from hpe_rig.scene.validation import SettingsError
 from hpe_rig.study.curve_figures import BAND, curve_alt, curve_figure
 from hpe_rig.study.definition import Definition

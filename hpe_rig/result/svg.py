@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 from dataclasses import dataclass
@@ -16,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from hpe_rig.report.symbols import svg_symbols
-from hpe_rig.result import PALETTE
+from hpe_rig.result.palette import PALETTE
+from hpe_rig.result.print_symbols import svg_symbols
 
 FloatArray = NDArray[np.float64]
 
@@ -104,6 +105,13 @@ def picture(figure: Figure, key: str, title: str, alt: str) -> Picture:
     with rc_context(STYLE):
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None}, dpi=110)
     return Picture(key, title, alt, inline(text.getvalue(), key, title, alt))
+
+
+def image(shown: Picture, width_em: float = 28.0) -> str:
+    """Return ``shown`` as an image of its own, on white: inline drawings of one notebook would share their ids."""
+    data = base64.b64encode(shown.svg.encode()).decode("ascii")
+    style = f"width:{width_em:g}em;max-width:100%;background:#fff"
+    return f'<img alt="{escape(shown.alt)}" style="{style}" src="data:image/svg+xml;base64,{data}">'
 
 
 def inline(svg: str, key: str, title: str, alt: str) -> str:
