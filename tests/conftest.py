@@ -23,3 +23,9 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
     alone = workers == 1 or option.collectonly or option.usepdb or option.capture == "no"
     if whole and not alone and getattr(option, "numprocesses", 0) is None:
         option.numprocesses, option.dist = workers, "loadfile"
+
+
+@pytest.fixture(autouse=True)
+def no_stated_width(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Print to files as wide as it takes: the processes that share the suite find COLUMNS in their environment."""
+    monkeypatch.delenv("COLUMNS", raising=False)

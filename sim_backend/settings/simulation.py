@@ -57,6 +57,8 @@ MOST_LOSS_DB = 400.0
 """Twice what separates the strongest pulse from the weakest noise."""
 LARGEST_HALF_APERTURE = 0.95
 """Of a bowl: an f-number of 0.53."""
+MOST_GATES = 100.0
+"""Reference gates in an echo's length, beyond which ``snr_db`` is off by over 20 dB for a pulse that fits the gate."""
 MOST_WIDTHS = 8.0
 """Sigmas between the axes of two beams beyond which one sees 1e-14 of what it would on the other's."""
 
@@ -452,6 +454,14 @@ class SimulationSettings(Section):
             raise ValueError(
                 f"scatterers.attenuation_db_per_cm_mhz takes {loss_db:.3g} dB of receiver.reference_carrier_hz on the "
                 f"way to beams.focus_depth_m and back, {MOST_LOSS_DB:g} dB leave no echo: less of one of the three"
+            )
+        receiver = self.receiver
+        # The reference pulse fills its gate, or echo_rms_v says little of what another pulse's echo is.
+        pulse_m = self.sound_speed_m_per_s / (2 * self.scatterers.bandwidth * receiver.reference_carrier_hz)
+        if pulse_m > MOST_GATES * receiver.reference_gate_m:
+            raise ValueError(
+                f"an echo at receiver.reference_carrier_hz with scatterers.bandwidth is {pulse_m:.3g} m long, more than "
+                f"{MOST_GATES:g} times receiver.reference_gate_m: a higher carrier, a larger bandwidth or gate"
             )
         offset, width = self.beams.lateral_offset_m, self.beams.tracking_width_m
         if any(abs(offset[axis]) > MOST_WIDTHS * width[axis] for axis in (0, 1)):

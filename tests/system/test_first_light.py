@@ -353,7 +353,8 @@ def test_a_shell_completes_commands_shipped_scenes_and_files(tmp_path: Path, mon
         return CliRunner().invoke(app, [], env=asked, prog_name="hpe-rig").output.split()
 
     assert {"report", "resume"} <= set(completed("hpe-rig re"))
-    assert {"bovine-liver.toml", "bovine-muscle", "bovine-muscle-synchronous"} == set(completed("hpe-rig run bov"))
+    variants = "bovine-muscle-synchronous", "bovine-muscle-aperture"
+    assert {"bovine-liver.toml", "bovine-muscle", *variants} == set(completed("hpe-rig run bov"))
 
 
 def test_a_repeat_keeps_the_scatterers_and_draws_new_noise(prepared: Prepare, tmp_path: Path) -> None:

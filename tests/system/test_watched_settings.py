@@ -72,7 +72,7 @@ def test_what_another_program_changes_after_arming_is_found_and_ends_the_run(
 ) -> None:
     path = tmp_path / "run.h5"
     meddler = another_program(worlds, role, FOREIGN[role])
-    with pytest.raises(InstrumentError, match=rf"shot 1 is not to be trusted: {role}: .*another program"):
+    with pytest.raises(InstrumentError, match=rf"shot 1 is not to be trusted: {role}: .*Another program"):
         record_run(prepared("bovine-muscle-synchronous", TWICE), path, meddler)
     assert not any(worlds[0].outputs_on().values())
     run = read_run(path)
