@@ -460,8 +460,8 @@ class SimulationSettings(Section):
         pulse_m = self.sound_speed_m_per_s / (2 * self.scatterers.bandwidth * receiver.reference_carrier_hz)
         if pulse_m > MOST_GATES * receiver.reference_gate_m:
             raise ValueError(
-                f"an echo at receiver.reference_carrier_hz with scatterers.bandwidth is {pulse_m:.3g} m long, more than "
-                f"{MOST_GATES:g} times receiver.reference_gate_m: a higher carrier, a larger bandwidth or gate"
+                f"an echo at receiver.reference_carrier_hz with scatterers.bandwidth is {pulse_m:.3g} m long, more "
+                f"than {MOST_GATES:g} times receiver.reference_gate_m: a higher carrier, a larger bandwidth or gate"
             )
         offset, width = self.beams.lateral_offset_m, self.beams.tracking_width_m
         if any(abs(offset[axis]) > MOST_WIDTHS * width[axis] for axis in (0, 1)):

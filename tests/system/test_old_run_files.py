@@ -22,7 +22,10 @@ SHAPES = {"specimen": (2, 119, 192), "aborted": (4, 41, 192), "compressed": (2, 
 CHAIN = "cross_spectrum"
 """The estimator of the paper: the others have become better since, it stays as published."""
 SINGLE = 1e-5
-"""Relative difference from numbers of versions whose spectra were of single precision: at most 4e-6, of a residual. With the samples in double precision those versions differ from this one by 1e-8."""
+"""Relative difference from numbers of versions whose spectra were of single precision: at most 4e-6, of a residual.
+
+With the samples in double precision those versions differ from this one by 1e-8.
+"""
 ENGINE = SINGLE
 """The same where the twin computes the echoes anew, to the tolerance of its echo engine, and rounds them to codes."""
 
