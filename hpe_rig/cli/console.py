@@ -155,7 +155,7 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
     said = getattr(error, "__notes__", ())
     notes, lines = ("".join(before + note for note in said) for before in ("; ", "\n  "))
     # First of all: where an import was interrupted, what is imported below cannot be.
-    if type(error) is KeyboardInterrupt:
+    if type(error) is KeyboardInterrupt:  # a stop from the page is a kind of it, with words of its own
         return f"interrupted{notes}", EXIT_INTERRUPTED
     from drivers.interfaces import InstrumentError
     from hpe_rig.acquire import StopRequested
