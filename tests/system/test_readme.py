@@ -59,6 +59,7 @@ def test_the_quick_start_is_two_commands_that_install_and_run(folder: Path) -> N
     install, test = (block.strip() for block in blocks(section, ""))
     first, _, second = install.partition(" && hpe-rig ")
     assert (first, test) == ("pip install .", 'pip install -e ".[test]" && pytest')
+    assert section.count("```") == 4, "whoever runs every fenced block of the section runs these two alone"
     assert "coherent" in invoked(second)
     # The files that the text below the commands names.
     for name in re.findall(r"`([\w.-]+\.h5)`", section):
