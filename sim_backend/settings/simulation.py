@@ -57,8 +57,8 @@ MOST_LOSS_DB = 400.0
 """Twice what separates the strongest pulse from the weakest noise."""
 LARGEST_HALF_APERTURE = 0.95
 """Of a bowl: an f-number of 0.53."""
-MOST_GATES = 100.0
-"""Reference gates in an echo's length, beyond which ``snr_db`` is off by over 20 dB for a pulse that fits the gate."""
+MOST_GATES = 1000.0
+"""Reference gates in an echo's length, beyond which ``snr_db`` is off by 30 dB for a pulse that fits the gate."""
 MOST_WIDTHS = 8.0
 """Sigmas between the axes of two beams beyond which one sees 1e-14 of what it would on the other's."""
 
