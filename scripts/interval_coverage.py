@@ -13,9 +13,9 @@ What has been measured stays in a folder, a file for every scene, estimator and 
 the source of what measures it stay the same. So a long campaign can be stopped, continued and spread over processes,
 and the page is made of what is there.
 
-    python scripts/interval_coverage.py --parts /tmp/coverage --seeds 0:200
-    python scripts/interval_coverage.py --parts /tmp/coverage --seeds 0:20 --scene table-1 --scene bovine-muscle
-    python scripts/interval_coverage.py --parts /tmp/coverage --seeds 0:0        # the page alone
+    python scripts/interval_coverage.py --parts coverage-parts --seeds 0:200
+    python scripts/interval_coverage.py --parts coverage-parts --seeds 0:20 --scene table-1 --scene bovine-muscle
+    python scripts/interval_coverage.py --parts coverage-parts --seeds 0:0        # the page alone
 """
 
 from __future__ import annotations
