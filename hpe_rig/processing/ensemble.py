@@ -125,7 +125,7 @@ def medium_ensemble(
     count = max(8, round(NODES_PER_E_FOLD * np.log(highest_hz / lowest_hz)))
     node_hz = _nodes(lowest_hz, highest_hz, count)
     spread = _even_sequence(members, 5)
-    s = 2j * np.pi * node_hz
+    s = np.asarray(2j * np.pi * node_hz, np.complex128)
     modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
     shear_k2 = -density_kg_per_m3 * s**2 / modulus_pa
     wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
