@@ -123,6 +123,11 @@ class Definition(Section):
         default={"physical": ("cross_spectrum", "coherent")}, min_length=1
     )
     """Estimators by reading of eq. (11): "physical", the scene's own; "literal", no delay of depth, in the gate."""
+    simulate: Literal["gate", "bench"] | None = None
+    """"gate": the gate's echoes of a prescribed motion with white noise, thousands a second; "bench": every realisation
+    a whole measurement of the scene, whichever it is; absent: "gate" where the base scene has nothing beyond it."""
+    corrected: bool = False
+    """Of "bench": amplitude and phase are those of the report, corrected for the averaging of the beams."""
     set: dict[str, Any] = Field(default_factory=dict)
     """Scene keys that differ from the base scene everywhere."""
     axes: Annotated[tuple[Axis, ...], Field(min_length=1)]
