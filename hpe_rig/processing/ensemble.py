@@ -16,10 +16,8 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtri, wofz
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray
-from hpe_rig.processing.shear_field import focal_motion
 
 Triple = tuple[float, float, float]
 
@@ -122,6 +120,8 @@ def medium_ensemble(
     if beams.lateral_m:
         # its own memory: however a caller words its arguments, an ensemble of waves beside the push is made once
         return _beside(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
+    from scipy.special import ndtri
+
     count = max(8, round(NODES_PER_E_FOLD * np.log(highest_hz / lowest_hz)))
     node_hz = _nodes(lowest_hz, highest_hz, count)
     spread = _even_sequence(members, 5)
@@ -150,6 +150,8 @@ def _beside(
     beams: BeamWidths, lowest_hz: float, highest_hz: float, known: KnownMedium | None, density_kg_per_m3: float
 ) -> Ensemble:
     """Return the ensemble where the tracking beam lies beside the force, by ``focal_motion``."""
+    from scipy.special import ndtri
+
     node_hz, alone = _nodes_beside(lowest_hz, highest_hz)
     spread = _even_sequence(MEMBERS_BESIDE, 5)
     s = np.asarray(2j * np.pi * node_hz, np.complex128)
@@ -183,6 +185,8 @@ def seen_beside(
     Speckle moves the middle of what is tracked as well as its area, each by the same share of its radius: the steepness
     is the root sum of squares of both, real part along the tracked phasor, imaginary part across.
     """
+    from hpe_rig.processing.shear_field import focal_motion
+
     (x, _, z), seen, place = beams.force_width_m, beams.tracking_width_m[0] ** 2 / 2, np.array([beams.lateral_m])
     medium = modulus_pa, frequency_hz, density_kg_per_m3, (x, z)
     tracked, by_area, by_place = (
@@ -201,6 +205,9 @@ def displacement(
     ``shear_k2`` (member, frequency) is the squared wave number, ``lateral`` and ``axial`` (member,) the squared widths
     of the force.
     """
+    # Here, as below: a prescribed motion has no medium, and needs no special functions.
+    from scipy.special import wofz
+
     node, weight = np.polynomial.legendre.leggauss(directions)
     # In the variable that makes a needle's spectrum smooth: m = tan(angle) / slope.
     slope = np.sqrt(np.maximum(axial / lateral - 1, 1e-12))[:, None]
@@ -233,6 +240,8 @@ def _modulus(s: ComplexArray, spread: FloatArray) -> ComplexArray:
 
 
 def _known_modulus(known: KnownMedium, s: ComplexArray, spread: FloatArray) -> ComplexArray:
+    from scipy.special import ndtri
+
     scale = np.exp(ndtri(spread[:, :2]) * [known.modulus_spread, known.viscosity_spread])
     return np.asarray(known.shear_modulus_pa * scale[:, :1] + s * (known.shear_viscosity_pa_s * scale[:, 1:]))
 

@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtrc
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, medium_ensemble
@@ -364,6 +363,8 @@ def _evidence(seen: Seen, data: FloatArray, along: FloatArray) -> Evidence:
     With ratio = s / sigma the noise that maximises the evidence is a closed form, so one dimension is scanned:
     -2 log evidence = n log sigma^2 + sum_i log p_i, n sigma^2 = sum_i z_i^2 / p_i + rest, p_i = 1 + ratio^2 L_i^2.
     """
+    from scipy.special import fdtrc
+
     count = data.shape[-1] - seen.background.shape[1]
     rest = np.einsum("...i,...i->...", data, data) - np.einsum("...i,...i->...", along, along)
     tried = SCAN - np.log(seen.value[0])
