@@ -1,11 +1,16 @@
-"""The uncertainty of a phase: that of a phasor in noise, also where there is nothing but noise."""
+"""The uncertainty of amplitude and phase of a phasor in noise, also where there is nothing but noise."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from hpe_rig.result.phase import PHASE_VARIANCE_LIMIT, phase_variance_at_rad2, phase_variance_rad2
+from hpe_rig.result.phase import (
+    PHASE_VARIANCE_LIMIT,
+    phase_variance_at_rad2,
+    phase_variance_rad2,
+    rectified_variance_m2,
+)
 
 TRIALS = 40_000
 
@@ -50,3 +55,20 @@ def test_a_phase_whose_amplitude_is_known_besides_spreads_as_far_as_noise_turns_
         assert stated == pytest.approx(np.mean(error**2), rel=0.05 + 3 * 1.6 / np.sqrt(TRIALS))
     drowned = phase_variance_at_rad2(np.asarray(1.0), np.asarray(1.0), np.asarray(0.01))
     assert drowned == pytest.approx(phase_variance_rad2(1.0, 0.01, 1.0), rel=0.01)
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.2, 0.5, 1.0, 2.0, 3.0, 6.0])
+def test_the_interval_of_a_weak_amplitude_holds_it_as_often_as_it_says_or_more_often(amplitude: float) -> None:
+    quadratures = np.random.default_rng(7).standard_normal((2, TRIALS))
+    found = np.abs(amplitude + quadratures[0] + 1j * quadratures[1])
+    error = (found - amplitude) / np.sqrt(1 + rectified_variance_m2(found, 1.0))
+    # One sigma of a quadrature would hold 39 and 85 % of noise alone, and have a mean square of 2.
+    assert 0.62 < np.mean(np.abs(error) < 1) < 0.83
+    assert 0.93 < np.mean(np.abs(error) < 1.96) < 0.975
+    assert 0.65 < np.mean(error**2) < 1.3
+
+
+def test_an_amplitude_that_counts_as_found_has_the_uncertainty_of_its_noise() -> None:
+    assert rectified_variance_m2(np.array([3.0, 4.0, 1e100]), 1.0) == pytest.approx(0)
+    assert rectified_variance_m2(0.0, 0.0) == 0
+    assert rectified_variance_m2(0.0, 4.0) == pytest.approx(4 * 1.2957, rel=0.12)
