@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
 from hpe_rig.processing.harmonic import HarmonicFit
-from hpe_rig.result import RECTIFIED, Averaging, Component, Estimate, rectified_variance_m2
+from hpe_rig.result import RECTIFIED, Averaging, Component, Estimate
 from hpe_rig.scene import Scene
 
 TRACKED = Averaging(1.0, 0.0, 0.0)
@@ -112,13 +112,12 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     def relative(source: str, amplitude: float, phase_rad: float = 0.0) -> Component:
         return Component(source, amplitude * peak_m, phase_rad)
 
-    rectified_m = math.sqrt(rectified_variance_m2(amplitude_m, random[0])) / averaging.factor
     carrier = (relative("carrier", averaging.carrier_relative),) if averaging.carrier_relative else ()
     shape = (relative("beam shape", averaging.shape_relative),) if averaging.shape_relative else ()
     return (
         fitted("noise", random * (1 - share)),
         fitted("trigger jitter", random * share),
-        Component(RECTIFIED, rectified_m, 0.0),
+        Component(RECTIFIED, math.sqrt(fit.rectified_m2[index]) / averaging.factor, 0.0),
         fitted("aliasing", aliasing),
         relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad),
         fitted("beam averaging", lost),

@@ -149,7 +149,7 @@ def _of_the_mean(
     if all(item.amplitude_m > OUT_OF_NOISE * part[0] for item, part in zip(each, parts, strict=True)):
         return u_m, u_rad
     # Phases of amplitudes that may be noise say little each, and their mean nothing that the mean phasor does not.
-    rectified_m = math.sqrt(rectified_variance_m2(amplitude_m, u_m**2))
+    rectified_m = math.sqrt(rectified_variance_m2(amplitude_m, u_m**2, u_m**2))
     return math.hypot(u_m, rectified_m), math.sqrt(phase_variance_rad2(amplitude_m, u_m**2, u_m**2))
 
 
