@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpe_rig.bench import check_declared, check_simulation, twin_of, twin_settings
-from hpe_rig.processing import Estimator, Options
+from hpe_rig.processing import Estimator, Options, spec_of
 from hpe_rig.scene import (
     Mistake,
     Scene,
@@ -65,6 +65,7 @@ class Case:
     scatterers: int
     noise: int
     standard_error_m: float | None
+    reading: Reading = "physical"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +121,10 @@ def _wrong_keys(definition: Definition) -> Iterator[Mistake]:
         if not any(key == used or key.startswith((f"{used}.", f"{used}[")) for used in USED_KEYS):
             yield Mistake(key, "a study's echoes and estimates do not depend on it", f"one of {', '.join(USED_KEYS)}")
 
+    for name in definition.readings.get("as_printed", ()):
+        if not spec_of(name).published:
+            what = f"{name} has no gain of a difference of pulses to leave in"
+            yield Mistake("readings.as_printed", what, '["cross_spectrum"]')
     for key, count in varied.items():
         if count > 1:
             yield Mistake(key, f"{count} axes vary it, and the last one alone would count", "one axis for it")
@@ -138,10 +143,14 @@ def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[s
     silent = own | {"simulation": {key: value for key, value in own["simulation"].items() if key != "snr_db"}}
     stream = _stream(grid, reading, place, own, streams)
     # Without noise one realisation of it says all.
-    noise = definition.noise if twin.receiver.snr_db is not None else 1
-    sizes = [definition.scatterers, noise, definition.standard_error_m]
+    scatterers, noise = definition.scatterers, definition.noise if twin.receiver.snr_db is not None else 1
+    if reading == "one_draw":
+        scatterers, noise = 1, scatterers * noise
+    sizes = [scatterers, noise, definition.standard_error_m]
+    # "physical" and "literal" differ in the settings already; what these two make of equal echoes differs besides.
+    told_apart = [reading] if reading in ("as_printed", "one_draw") else []
     return Case(
-        key=_hash([ENGINE, own, list(estimators), sizes, stream]),
+        key=_hash([ENGINE, own, list(estimators), sizes, stream, *told_apart]),
         echoes_key=_hash([silent, stream]),
         noise_key=_hash([own["tracking"], own["acquisition"], sizes, list(estimators), stream]),
         stream=stream,
@@ -149,9 +158,10 @@ def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[s
         twin=twin,
         gate_offset_s=2 * (scene.acquisition.gate_depth_m - twin.beams.focus_depth_m) / twin.sound_speed_m_per_s,
         estimators=estimators,
-        scatterers=definition.scatterers,
+        scatterers=scatterers,
         noise=noise,
         standard_error_m=definition.standard_error_m,
+        reading=reading,
     )
 
 
@@ -187,7 +197,7 @@ def _checked(tables: Tables, reading: Reading) -> tuple[Scene, SimulationSetting
         twin = twin_settings(scene)
         mistakes = list(_unfit(scene, twin))
     if not mistakes:
-        return scene, twin if reading == "physical" else _literal(scene, twin)
+        return scene, _literal(scene, twin) if reading in ("literal", "as_printed") else twin
     raise SettingsError("study", mistakes)
 
 
