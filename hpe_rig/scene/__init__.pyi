@@ -3,6 +3,7 @@ from .description import (
     DescribedTable as DescribedTable,
     annotated as annotated,
     described as described,
+    settings_schema as settings_schema,
 )
 from .editing import edited_text as edited_text
 from .keys import (
