@@ -43,6 +43,33 @@ def page_options(live: bool, port: int, opened: bool, closes: bool) -> PageOptio
 
 
 @contextmanager
+def live_page(path: Path, live: PageOptions | None, announce: Callable[[str], None]) -> Iterator[None]:
+    """Serve the page of a run, or of a queue in the folder ``path``; afterwards wait until it is closed, or close it.
+
+    Where what it watches ended well it stays until Ctrl-C or its own button. Raises ``StoreError`` where it cannot
+    start.
+    """
+    if live is None:
+        yield
+        return
+    with extra("live"):
+        from hpe_rig.live import live_page_of, open_page
+
+    with live_page_of(path, live.port) as page:
+        announce(f"live page: {page.address}")
+        if live.opened and not open_page(page.address):
+            announce("there is no browser to open here: open the address yourself")
+        yield
+        if not live.closes:
+            # What was printed must be read before anybody is waited for, also where it goes to a file.
+            sys.stdout.flush()
+            announce("the live page stays open until Ctrl-C, or Close page on it; --close ends it with the run")
+            with suppress(KeyboardInterrupt):
+                while not page.is_closed():
+                    time.sleep(0.2)
+
+
+@contextmanager
 def watched(
     setup: Setup,
     path: Path,
@@ -53,9 +80,8 @@ def watched(
 ) -> Iterator[Watch]:
     """Yield a function that wraps an observer so that the run ``run_id`` into ``path`` can be stopped and is logged.
 
-    The key p, and the live page, pause it between two shots. A ``live`` page stays after a run that has ended
-    well until Ctrl-C or its own button, unless it ``closes``. Raises ``StoreError`` where the log or the page cannot
-    start.
+    The key p, and the ``live`` page, pause it between two shots. Raises ``StoreError`` where the log or the page
+    cannot start.
     """
     with ExitStack() as stack:
         # Before the run file is there nobody can ask for a stop of this run.
@@ -65,28 +91,12 @@ def watched(
             from hpe_rig.acquire import log_path, logged
 
             log = stack.enter_context(logged(setup, log_path(path)))
-        if live is not None:
-            with extra("live"):
-                from hpe_rig.live import live_page_of, open_page
-
-            page = stack.enter_context(live_page_of(path, live.port))
-            announce(f"live page: {page.address}")
-            if live.opened and not open_page(page.address):
-                announce("there is no browser to open here: open the address yourself")
+        stack.enter_context(live_page(path, live, announce))
         stack.callback(_forget_stop, path, run_id)
         stack.callback(clear_pause, path, run_id)
-        with keyboard() as pressed:
-            pauses = _pauses(path, run_id, pressed, announce)
-            yield lambda observer: pausable(
-                stoppable(log(observer) if log else observer, path, run_id), pauses, announce
-            )
-        if live is not None and not live.closes:
-            # What the run printed must be read before anybody is waited for, also where it goes to a file.
-            sys.stdout.flush()
-            announce("the live page stays open until Ctrl-C, or Close page on it; --close ends it with the run")
-            with suppress(KeyboardInterrupt):
-                while not page.is_closed():
-                    time.sleep(0.2)
+        pressed = stack.enter_context(keyboard())
+        pauses = _pauses(path, run_id, pressed, announce)
+        yield lambda observer: pausable(stoppable(log(observer) if log else observer, path, run_id), pauses, announce)
 
 
 def _pauses(path: Path, run_id: str, pressed: Pressed, announce: Callable[[str], None]) -> Callable[[], bool]:
