@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from hpe_rig.acquire import (
+    Mover,
     Observer,
     QueueRun,
     Setup,
@@ -17,7 +18,7 @@ from hpe_rig.acquire import (
     read_queue,
     run_queue,
 )
-from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, asking, progress
+from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, progress
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.cli.watch import PageOptions, watched
 from hpe_rig.result import Result, rich_table
@@ -54,14 +55,14 @@ def queue_command(
     announce(f"{len(queue)} runs into {folder}, all of them checked")
 
     @contextmanager
-    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[Observer]:
+    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, Mover | None]]:
         # The next run must not wait for a reader; its own page follows.
         live_page = None if live is None else replace(live, closes=True)
-        page = watched(setup, path, run_id, live_page, verbose, announce)
+        page = watched(setup, path, run_id, live_page, verbose, announce, yes)
         with page as watching, progress(setup, quiet=False) as observer:
-            yield watching(observer)
+            yield watching.observed(observer), watching.move
 
-    ended, results = run_queue(folder, queue, Watching(announce, watch, asking(yes)), stops)
+    ended, results = run_queue(folder, queue, Watching(announce, watch), stops)
     _print(ended, results)
     left = [run for run in ended if run.state != "done"]
     if left:
