@@ -21,12 +21,14 @@ from .pause import (
 from .places import Mover as Mover
 from .provenance import provenance_now as provenance_now
 from .queue import (
+    QUEUE_FILE as QUEUE_FILE,
     QueueRun as QueueRun,
     Watching as Watching,
     listed as listed,
     new_queue as new_queue,
     read_queue as read_queue,
     run_queue as run_queue,
+    time_left_s as time_left_s,
 )
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import (

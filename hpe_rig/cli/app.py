@@ -377,7 +377,7 @@ def live(
     opened: Open = False,
     attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
 ) -> None:
-    """Serve the live page of a run, ongoing or ended. On this machine only; ends with Ctrl-C or Close page."""
+    """Serve the live page of a run or queue, ongoing or ended. On this machine only; ends with Ctrl-C or Close page."""
     from hpe_rig.store import extra
 
     with extra("live"):

@@ -55,6 +55,33 @@ def page_options(live: bool, port: int, opened: bool, closes: bool) -> PageOptio
 
 
 @contextmanager
+def live_page(path: Path, live: PageOptions | None, announce: Callable[[str], None]) -> Iterator[None]:
+    """Serve the page of a run, or of a queue in the folder ``path``; afterwards wait until it is closed, or close it.
+
+    Where what it watches ended well it stays until Ctrl-C or its own button. Raises ``StoreError`` where it cannot
+    start.
+    """
+    if live is None:
+        yield
+        return
+    with extra("live"):
+        from hpe_rig.live import live_page_of, open_page
+
+    with live_page_of(path, live.port) as page:
+        announce(f"live page: {page.address}")
+        if live.opened and not open_page(page.address):
+            announce("there is no browser to open here: open the address yourself")
+        yield
+        if not live.closes:
+            # What was printed must be read before anybody is waited for, also where it goes to a file.
+            sys.stdout.flush()
+            announce("the live page stays open until Ctrl-C, or Close page on it; --close ends it with the run")
+            with suppress(KeyboardInterrupt):
+                while not page.is_closed():
+                    time.sleep(0.2)
+
+
+@contextmanager
 def watched(
     setup: Setup,
     path: Path,
@@ -63,12 +90,13 @@ def watched(
     verbose: bool,
     announce: Callable[[str], None],
     yes: bool = False,
+    paged: bool = False,
 ) -> Iterator[Watched]:
     """Yield how the run ``run_id`` into ``path`` is watched: it can be stopped and is logged.
 
-    The key p, and the live page, pause it between two shots; where the tracking transducer is to be moved, unless
-    ``yes``, it waits for Enter or the live page. A ``live`` page stays after a run that has ended well until Ctrl-C or
-    its own button, unless it ``closes``. Raises ``StoreError`` where the log or the page cannot start.
+    The key p, and the ``live`` page, pause it between two shots; where the tracking transducer is to be moved, unless
+    ``yes``, it waits for Enter or the page. ``paged``: it has a page already. Raises ``StoreError`` where the log or
+    the page cannot start.
     """
     with ExitStack() as stack:
         # Before the run file is there nobody can ask for a stop of this run.
@@ -78,36 +106,20 @@ def watched(
             from hpe_rig.acquire import log_path, logged
 
             log = stack.enter_context(logged(setup, log_path(path)))
-        if live is not None:
-            with extra("live"):
-                from hpe_rig.live import live_page_of, open_page
-
-            page = stack.enter_context(live_page_of(path, live.port))
-            announce(f"live page: {page.address}")
-            if live.opened and not open_page(page.address):
-                announce("there is no browser to open here: open the address yourself")
+        stack.enter_context(live_page(path, live, announce))
         stack.callback(_forget_stop, path, run_id)
         stack.callback(clear_pause, path, run_id)
-        with keyboard() as pressed:
-            pauses = _pauses(path, run_id, pressed, announce)
-            here = live is not None or sys.stdin.isatty()
-            yield Watched(
-                lambda observer: pausable(
-                    stoppable(log(observer) if log else observer, path, run_id), pauses, announce
-                ),
-                _asking(path, run_id, pressed if here else None, announce, yes, live is not None),
-            )
-        if live is not None and not live.closes:
-            # What the run printed must be read before anybody is waited for, also where it goes to a file.
-            sys.stdout.flush()
-            announce("the live page stays open until Ctrl-C, or Close page on it; --close ends it with the run")
-            with suppress(KeyboardInterrupt):
-                while not page.is_closed():
-                    time.sleep(0.2)
+        pressed = stack.enter_context(keyboard())
+        pauses, paged = _pauses(path, run_id, pressed, announce), paged or live is not None
+        answers = pressed if paged or sys.stdin.isatty() else None
+        yield Watched(
+            lambda observer: pausable(stoppable(log(observer) if log else observer, path, run_id), pauses, announce),
+            _asking(path, run_id, answers, announce, yes, paged),
+        )
 
 
 def _asking(
-    path: Path, run_id: str, pressed: Pressed | None, announce: Callable[[str], None], yes: bool, live: bool
+    path: Path, run_id: str, pressed: Pressed | None, announce: Callable[[str], None], yes: bool, paged: bool
 ) -> Mover:
     """Return what asks for the tracking transducer to be moved and waits; with ``yes`` it only says where to.
 
@@ -119,7 +131,7 @@ def _asking(
         if yes:
             announce(where)
             return
-        page = ", or Go on at the live page," if live else ""
+        page = ", or Go on at the live page," if paged else ""
         announce(f"{where}; all outputs are off. Enter{page} when it stands there")
         if pressed is None:
             input()
