@@ -7,6 +7,7 @@ In the order of the flow::
     arrays.py        NPY, NPZ, MATLAB, HDF5, CSV and raw samples
     alazar.py        AlazarTech's binary records
     importers.py     which importer reads a file; those of other packages too
+    statements.py    who says what of a recording, and what is inferred
     recording.py     contents and settings -> samples (line, shot, pulse, sample), every inference said
     lines.py         lines chosen, or their mean
     baseband.py      I and Q -> samples around the carrier

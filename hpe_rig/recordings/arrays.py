@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,18 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "pulse_time_s": ("pulse_time", "pulse_times", "t_slow"),
     "line_position_m": ("line_positions", "xl", "lateral"),
 }
+DAMAGED = (
+    OSError,
+    ValueError,
+    TypeError,
+    LookupError,
+    EOFError,
+    ArithmeticError,
+    RuntimeError,
+    MemoryError,
+    zlib.error,
+)
+"""What SciPy raises on a damaged MATLAB file, whatever its bytes lead to."""
 LISTS = ("pulse_time_s", "line_position_m")
 
 
@@ -80,13 +93,10 @@ class Matlab:
 
         try:
             found = loadmat(path, struct_as_record=True, squeeze_me=False)
-        except (MatReadError, ValueError, TypeError, EOFError, KeyError, IndexError, NotImplementedError) as error:
+        except (MatReadError, *DAMAGED) as error:
             raise ValueError(
-                f"it is no MATLAB file of version 5 or 7.3 ({_first_line(error)}): save it anew"
+                f"it is no MATLAB file of version 5 or 7.3, or damaged ({_first_line(error)}): save it anew"
             ) from error
-        except Exception as error:
-            # A damaged file raises whatever its bytes lead to.
-            raise ValueError(f"it is a damaged MATLAB file ({_first_line(error)}): save it anew") from error
         arrays = dict(_fields({name: value for name, value in found.items() if not name.startswith("__")}))
         return contents(arrays)
 
