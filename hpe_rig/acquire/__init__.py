@@ -11,6 +11,7 @@
     stop_request.py   a safe stop that another process asks for
     log.py            every step beside the run file
     run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result
+    reprocessing.py   one estimated at every value of what is made of its records
     notebook.py       a run and a checked scene, as a notebook shows them
     depth_profile.py  the same shots in each of several gates over depth
     importing.py      a recording of another program becomes a run file
