@@ -76,11 +76,13 @@ class QueueRun:
 
 @dataclass(frozen=True, slots=True)
 class Watching:
-    """Who watches a queue: ``tell`` is told of every step; ``watch`` gives the observer of a run, with its identity."""
+    """Who watches a queue: ``tell`` is told of every step; ``watch`` gives the observer of a run, by its identity.
+
+    And who moves the tracking transducer between places, None where nobody does.
+    """
 
     tell: Callable[[str], None]
-    watch: Callable[[Setup, Path, str], AbstractContextManager[Observer]]
-    move: Mover | None = None
+    watch: Callable[[Setup, Path, str], AbstractContextManager[tuple[Observer, Mover | None]]]
 
 
 def listed(sources: Sequence[str], bench: Path | None) -> tuple[list[tuple[str, Path | None]], bool]:
@@ -190,11 +192,11 @@ def _measure(folder: Path, runs: list[QueueRun], index: int, setup: Setup, watch
         watching.tell(f"{rest.complete} of {len(setup.plan.shots)} shots are complete: the others go to {path.name}")
         runs[index] = _set(folder, runs, index, run_file=path.name)
     refuse_unwritable(path)
-    with watching.watch(setup, path, run_id) as observer:
+    with watching.watch(setup, path, run_id) as (observer, move):
         if rest is None:
-            record_run(setup, path, observer, options=options, move=watching.move)
+            record_run(setup, path, observer, options=options, move=move)
         else:
-            resume(rest, path, observer, options=options, move=watching.move)
+            resume(rest, path, observer, options=options, move=move)
     return process(path)
 
 

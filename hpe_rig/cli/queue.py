@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hpe_rig.acquire import (
+    Mover,
     Observer,
     QueueRun,
     Setup,
@@ -16,7 +17,7 @@ from hpe_rig.acquire import (
     read_queue,
     run_queue,
 )
-from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, asking, progress
+from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, progress
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.cli.watch import PageOptions, live_page, watched
 from hpe_rig.result import Result, rich_table
@@ -53,13 +54,13 @@ def queue_command(
     announce(f"{len(queue)} runs into {folder}, all of them checked")
 
     @contextmanager
-    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[Observer]:
-        run = watched(setup, path, run_id, None, verbose, announce)
+    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, Mover | None]]:
+        run = watched(setup, path, run_id, None, verbose, announce, yes, live is not None)
         with run as watching, progress(setup, quiet=False) as observer:
-            yield watching(observer)
+            yield watching.observed(observer), watching.move
 
     with live_page(folder, live, announce):
-        ended, results = run_queue(folder, queue, Watching(announce, watch, asking(yes)), stops)
+        ended, results = run_queue(folder, queue, Watching(announce, watch), stops)
         _print(ended, results)
         left = [run for run in ended if run.state != "done"]
         if left:

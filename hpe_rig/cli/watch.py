@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hpe_rig.acquire import (
+    Mover,
     Observer,
     Setup,
     clear_leftover,
@@ -20,12 +21,23 @@ from hpe_rig.acquire import (
     pause_requested,
     stoppable,
     toggle_pause,
+    wait_at_place,
 )
 from hpe_rig.cli.keys import Pressed, keyboard
 from hpe_rig.store import StoreError, extra
 
 LOOK_EVERY_S = 0.1
+GO_ON = "\r\np"
+"""Keys with which a run goes on where the tracking transducer has been moved."""
 Watch = Callable[[Observer], Observer]
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """How a run is watched: ``observed`` wraps its observer, ``move`` asks for the tracking transducer to be moved."""
+
+    observed: Watch
+    move: Mover
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,11 +89,14 @@ def watched(
     live: PageOptions | None,
     verbose: bool,
     announce: Callable[[str], None],
-) -> Iterator[Watch]:
-    """Yield a function that wraps an observer so that the run ``run_id`` into ``path`` can be stopped and is logged.
+    yes: bool = False,
+    paged: bool = False,
+) -> Iterator[Watched]:
+    """Yield how the run ``run_id`` into ``path`` is watched: it can be stopped and is logged.
 
-    The key p, and the ``live`` page, pause it between two shots. Raises ``StoreError`` where the log or the page
-    cannot start.
+    The key p, and the ``live`` page, pause it between two shots; where the tracking transducer is to be moved, unless
+    ``yes``, it waits for Enter or the page. ``paged``: it has a page already. Raises ``StoreError`` where the log or
+    the page cannot start.
     """
     with ExitStack() as stack:
         # Before the run file is there nobody can ask for a stop of this run.
@@ -95,8 +110,35 @@ def watched(
         stack.callback(_forget_stop, path, run_id)
         stack.callback(clear_pause, path, run_id)
         pressed = stack.enter_context(keyboard())
-        pauses = _pauses(path, run_id, pressed, announce)
-        yield lambda observer: pausable(stoppable(log(observer) if log else observer, path, run_id), pauses, announce)
+        pauses, paged = _pauses(path, run_id, pressed, announce), paged or live is not None
+        answers = pressed if paged or sys.stdin.isatty() else None
+        yield Watched(
+            lambda observer: pausable(stoppable(log(observer) if log else observer, path, run_id), pauses, announce),
+            _asking(path, run_id, answers, announce, yes, paged),
+        )
+
+
+def _asking(
+    path: Path, run_id: str, pressed: Pressed | None, announce: Callable[[str], None], yes: bool, paged: bool
+) -> Mover:
+    """Return what asks for the tracking transducer to be moved and waits; with ``yes`` it only says where to.
+
+    ``pressed`` is None where neither terminal nor live page can answer: then a line of standard input does.
+    """
+
+    def move(lateral_m: float) -> None:
+        where = f"move the tracking transducer to {lateral_m * 1e3:g} mm beside the push"
+        if yes:
+            announce(where)
+            return
+        page = ", or Go on at the live page," if paged else ""
+        announce(f"{where}; all outputs are off. Enter{page} when it stands there")
+        if pressed is None:
+            input()
+        else:
+            wait_at_place(path, run_id, lateral_m, lambda: any(key in GO_ON for key in pressed()))
+
+    return move
 
 
 def _pauses(path: Path, run_id: str, pressed: Pressed, announce: Callable[[str], None]) -> Callable[[], bool]:

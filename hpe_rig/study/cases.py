@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from hpe_rig.bench import check_declared, check_simulation, twin_of, twin_settings
 from hpe_rig.plan import PlanError
-from hpe_rig.processing import Estimator, Options
+from hpe_rig.processing import Estimator, Options, spec_of
 from hpe_rig.scene import (
     Mistake,
     Scene,
@@ -72,6 +72,7 @@ class Case:
     scatterers: int
     noise: int
     standard_error_m: float | None
+    reading: Reading = "physical"
 
     @property
     def sharing(self) -> tuple[str, ...]:
@@ -154,6 +155,10 @@ def _keys_of_no_gate(definition: Definition) -> Iterator[Mistake]:
         if not any(key == used or key.startswith((f"{used}.", f"{used}[")) for used in USED_KEYS):
             what = "a study of the gate alone does not depend on it"
             yield Mistake(key, what, f'simulate = "bench", which measures all of the scene, or {", ".join(USED_KEYS)}')
+    for name in definition.readings.get("as_printed", ()):
+        if not spec_of(name).published:
+            what = f"{name} has no gain of a difference of pulses to leave in"
+            yield Mistake("readings.as_printed", what, '["cross_spectrum"]')
     if definition.corrected:
         yield Mistake("corrected", "a study of the gate alone corrects nothing", f'simulate = "bench", {_MEASURES}')
 
@@ -163,9 +168,11 @@ def _keys_of_none(definition: Definition) -> Iterator[Mistake]:
     for key in dict.fromkeys((*definition.set, *(key for axis in definition.axes for key in axis.keys))):
         if key.partition(".")[0] == "sweep" or key in SET_BY_STUDY:
             yield Mistake(key, "a study says by itself what it repeats and varies", "its axes, scatterers and noise")
-    if "literal" in definition.readings:
-        what = "eq. (11) is read literally by the gate alone, and this study measures whole scenes"
-        yield Mistake("readings.literal", what, 'the reading "physical", or simulate = "gate" with prescribed motion')
+    for reading in sorted(definition.readings.keys() - {"physical"}):
+        what = "the paper is read otherwise by the gate alone, and this study measures whole scenes"
+        yield Mistake(
+            f"readings.{reading}", what, 'the reading "physical", or simulate = "gate" with prescribed motion'
+        )
 
 
 def _repeated(definition: Definition) -> Iterator[Mistake]:
@@ -222,10 +229,14 @@ def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[s
     silent = own | {"simulation": {key: value for key, value in own["simulation"].items() if key != "snr_db"}}
     stream = _stream(grid, reading, place, own, streams, lambda at: _dump(*_checked(_tables_at(grid, at), reading)))
     # Without noise one realisation of it says all.
-    noise = definition.noise if twin.receiver.snr_db is not None else 1
-    sizes = [definition.scatterers, noise, definition.standard_error_m]
+    scatterers, noise = definition.scatterers, definition.noise if twin.receiver.snr_db is not None else 1
+    if reading == "one_draw":
+        scatterers, noise = 1, scatterers * noise
+    sizes = [scatterers, noise, definition.standard_error_m]
+    # "physical" and "literal" differ in the settings already; what these two make of equal echoes differs besides.
+    told_apart = [reading] if reading in ("as_printed", "one_draw") else []
     return Case(
-        key=_hash([ENGINE, own, list(estimators), sizes, stream]),
+        key=_hash([ENGINE, own, list(estimators), sizes, stream, *told_apart]),
         echoes_key=_hash([silent, stream]),
         noise_key=_hash([own["tracking"], own["acquisition"], sizes, list(estimators), stream]),
         stream=stream,
@@ -233,9 +244,10 @@ def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[s
         twin=twin,
         gate_offset_s=2 * (scene.acquisition.gate_depth_m - twin.beams.focus_depth_m) / twin.sound_speed_m_per_s,
         estimators=estimators,
-        scatterers=definition.scatterers,
+        scatterers=scatterers,
         noise=noise,
         standard_error_m=definition.standard_error_m,
+        reading=reading,
     )
 
 
@@ -277,7 +289,7 @@ def _checked(tables: Tables, reading: Reading) -> tuple[Scene, SimulationSetting
         twin = twin_settings(scene)
         mistakes = list(_unfit(scene, twin))
     if not mistakes:
-        return scene, twin if reading == "physical" else _literal(scene, twin)
+        return scene, _literal(scene, twin) if reading in ("literal", "as_printed") else twin
     raise SettingsError("study", mistakes)
 
 

@@ -198,9 +198,16 @@ def _rows(one: _Running) -> list[CaseRecord]:
     rows = []
     for name, every in one.states.items():
         found = every[: one.draws]
+        if one.case.reading == "one_draw":
+            # Its realisations are those of the noise: they are what is independent, and what errors are told from.
+            found = found.swapaxes(0, 1)
         for index, hz in enumerate(one.case.train.frequencies_hz):
             amplitude_m, phase_rad = _true(one.case, hz)
             in_phase, quadrature = found[..., 2 * index], found[..., 2 * index + 1]
+            if one.case.reading == "as_printed":
+                # A difference of pulses over their interval is a mean velocity; the chain takes its gain off.
+                gain = np.sinc(hz / one.case.train.pulse_rate_hz)
+                in_phase, quadrature = gain * in_phase, gain * quadrature
             row: CaseRecord = {"estimator": name, "frequency_hz": hz, "amplitude_true_m": amplitude_m}
             row |= errors(np.hypot(in_phase, quadrature) - amplitude_m).named("amplitude", "m")
             row["phase_true_rad"] = phase_rad

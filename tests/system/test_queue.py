@@ -33,6 +33,7 @@ from hpe_rig.acquire import (
 )
 from hpe_rig.bench import BenchInUseError, hold, read_bench
 from hpe_rig.bench.lock import locked
+from hpe_rig.cli.watch import _asking
 from hpe_rig.live.queue_source import QueueSource
 from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, read_run, verify
@@ -70,14 +71,14 @@ class Watcher:
         self._run_file, self._shot = run_file, shot
 
     @contextmanager
-    def watch(self, setup: Setup, path: Path, run_id: str) -> Iterator[Observer]:
+    def watch(self, setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, None]]:
         def observe(progress: Progress) -> None:
             if not self.steps or self.steps[-1] != (path.name, progress.shot.index, progress.step):
                 self.steps.append((path.name, progress.shot.index, progress.step))
             if path.name == self._run_file and progress.shot.index == self._shot and progress.records:
                 raise KeyboardInterrupt
 
-        yield observe
+        yield observe, None
 
     @property
     def watching(self) -> Watching:
@@ -150,7 +151,7 @@ def test_the_page_of_a_queue_follows_its_runs_and_says_which_of_how_many_and_how
     seen = list[dict[str, Any]]()
 
     @contextmanager
-    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[Observer]:
+    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, None]]:
         def observe(progress: Progress) -> None:
             if progress.shot.index == 1 and progress.step is Step.CONFIGURE:
                 seen.append(source.poll() or {})
@@ -159,7 +160,7 @@ def test_the_page_of_a_queue_follows_its_runs_and_says_which_of_how_many_and_how
                 source.pause()
                 assert not pause_requested(path, run_id)
 
-        yield observe
+        yield observe, None
 
     run_queue(folder, queue, Watching(lambda text: None, watch))
     assert [(state["status"], state["file"], state["shot"]) for state in seen] == [
@@ -256,6 +257,17 @@ def test_a_pause_waits_before_a_shot_with_every_output_off(tmp_path: Path) -> No
     record_run(setup, path, pausable(observe, lambda: pause_requested(path), said.append, go_on))
     assert said == ["paused before shot 2, all outputs are off: p goes on, Ctrl-C stops", "going on"]
     assert read_run(path).status == "complete"
+
+
+def test_at_a_place_enter_goes_on_and_yes_only_says_where_to(tmp_path: Path) -> None:
+    path, said, keys = tmp_path / "run.h5", list[str](), iter(["", "x", "\n"])
+    _asking(path, "one", lambda: next(keys), said.append, yes=False, paged=False)(2.25e-3)
+    _asking(path, "one", None, said.append, yes=True, paged=False)(3e-3)
+    where = "move the tracking transducer to {} mm beside the push"
+    assert said[0] == f"{where.format(2.25)}; all outputs are off. Enter when it stands there"
+    assert said[1] == where.format(3)
+    assert next(keys, None) is None
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_pause_can_be_ended_by_a_stop(tmp_path: Path) -> None:

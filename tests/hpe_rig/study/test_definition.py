@@ -44,11 +44,10 @@ def test_the_shipped_studies_are_the_paper_s_figures_at_its_sizes() -> None:
     counts = {name: [len(axis.values()) for axis in one.axes] for name, one in studies.items()}
     assert {name: int(np.prod(counts[name])) for name in SIZES} == {name: 7 * size for name, size in SIZES.items()}
     assert (counts["fig-12"], counts["fig-13"]) == ([1, 11, 11], [4, 11, 11])
-    assert {name: one.scatterers * one.noise for name, one in studies.items()} == {
-        name: 1000 if name in SIZES else 100 for name in studies
-    }
-    assert all(set(one.readings) == {"physical", "literal"} for one in studies.values())
-    assert len(points_of("fig-4", studies["fig-4"])) == 7 * 2
+    assert {one.scatterers for one in studies.values()} == {800}
+    readings = {"physical", "literal", "as_printed", "one_draw"}
+    assert all(set(studies[name].readings) == readings for name in SIZES)
+    assert len(points_of("fig-4", studies["fig-4"])) == 7 * 4
 
 
 def test_figures_share_the_cases_they_have_in_common() -> None:
