@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -135,6 +135,25 @@ class Run:
             provenance=self.stored.provenance,
             profile=profile,
         )
+
+    def sweep(
+        self,
+        axes: Mapping[str, Sequence[float]],
+        *,
+        together: bool = False,
+        estimator: str | None = None,
+    ) -> Result:
+        """Return the estimates at every value of the ``axes``, all of the same records: nothing is acquired.
+
+        ``axes``: values by the name of a number of [processing] or [beams], or of the gate; each value with each or,
+        where ``together``, the first values of all axes, then the second ones. Raises ``SettingsError`` with every
+        axis that is none of these, ``PlanError`` where a window or gate is not in the records, and as ``estimate``.
+
+        >>> run.sweep({"gate_length_m": [0.5e-3, 1e-3]}).to_frame()[["acquisition.gate_length_m", "amplitude_m"]]
+        """
+        from hpe_rig.acquire.reprocessing import estimate_over
+
+        return estimate_over(self, axes, estimator, together)
 
     def with_profile(self, step_m: float | None) -> Run:
         """Return the run with gates every ``step_m`` over the depth of its records; with None as it is.

@@ -68,6 +68,10 @@ class Averaging:
     shared_phase_rad2: float = 0.0
 
 
+RECTIFIED = "rectified noise"
+"""Source of what an amplitude's error has beyond that of a quadrature where all of it may be noise."""
+
+
 @dataclass(frozen=True, slots=True)
 class Component:
     """One source of uncertainty: the standard uncertainties of amplitude and phase that it alone would leave."""
