@@ -180,6 +180,11 @@ class TwinDeclaration:
         return self.settings.specimen is not None
 
     @property
+    def medium_name(self) -> str | None:
+        """Law by which the specimen moves, of this program or an installed package; None without specimen."""
+        return None if self.settings.specimen is None else self.settings.specimen.medium
+
+    @property
     def prescribed(self) -> tuple[tuple[float, float], ...]:
         """Frequency, Hz, and amplitude, m, of every prescribed sinusoid; empty where no motion is prescribed."""
         return tuple((each.frequency_hz, each.amplitude_m) for each in self.settings.motion or ())
