@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hpe_rig.acquire.provenance import provenance_now
 from hpe_rig.acquire.run import Setup, prepare, record_run, source_text
-from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings, open_run
+from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings, open_run, plan_html
 from hpe_rig.bench import Bench, BenchFile, open_bench as open_instruments, twin_of
 from hpe_rig.extensions import ESTIMATORS, MEDIA, installed, named
 from hpe_rig.plan import CheckResult
@@ -111,8 +111,6 @@ class CheckedScene:
     def _repr_html_(self) -> str:
         """Return HTML for a notebook: the timeline as a figure, what fails or warns, what is foreseen."""
         from html import escape
-
-        from hpe_rig.acquire.notebook import plan_html
 
         setup = self.setup
         count = len(setup.plan.shots)
