@@ -11,6 +11,7 @@ coverage over media drawn at random from the ensemble's families, apart from its
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -24,7 +25,6 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import hpe_rig as hpe
-import hpe_rig.processing.prior as of_media
 from hpe_rig.prediction import beam_widths, medium_motion
 from hpe_rig.processing import (
     BRANCH_OVER_MODULUS,
@@ -244,6 +244,7 @@ def quadratures_m2(covariance: FloatArray, fit: HarmonicFit) -> FloatArray:
 
 def constants() -> Iterator[str]:
     """Yield what the prior's constants buy: the muscle scene's worst quadrature, and errors at the synchronous rate."""
+    of_media = sys.modules[medium_fit.__module__]
     yield "| changed | worst quadrature | synchronous, Voigt: error |"
     yield "|---|---|---|"
     voigt = [harmonics(*medium) for name, medium in media().items() if name.startswith("Voigt") and medium[1] == 1]
