@@ -19,7 +19,7 @@ from hpe_rig.acquire import prepare, process, record_run
 from hpe_rig.plan import select
 from hpe_rig.processing import Motion, least_squares
 from hpe_rig.result import STYLE, Result, ShotResult
-from hpe_rig.scene import SceneSource
+from hpe_rig.scene import Scene, SceneSource, load_scene
 
 Floats = NDArray[np.float64]
 
@@ -70,9 +70,9 @@ class Repeated:
         return float(np.sqrt(np.mean(self.sd_nm**2) / len(self.amplitude_m)))
 
 
-def result_of(scene: SceneSource) -> Result:
-    """Measure a scene and return its result."""
-    return result_and_sampled_truth(scene)[0]
+def seeded(name: str, seed: int) -> Scene:
+    """Return a shipped scene whose scatterers, noise and jitter are drawn by ``seed``."""
+    return load_scene(name).with_({"simulation.seed": seed})
 
 
 CHAINS = {"coherent": "ours", "cross_spectrum": "the paper's"}

@@ -18,6 +18,7 @@ from hpe_rig.validation.paper.experiments import (
     panels,
     repeated,
     result_and_sampled_truth,
+    seeded,
 )
 
 Floats = NDArray[np.float64]
@@ -67,9 +68,9 @@ def figure_1() -> Experiment:
     )
 
 
-def figure_14() -> Experiment:
+def figure_14(seed: int = 1) -> Experiment:
     """Displacement against frequency of three gelatins."""
-    runs = {name: result_and_sampled_truth(name) for name in GELATINS}
+    runs = {name: result_and_sampled_truth(seeded(name, seed)) for name in GELATINS}
     found = {name: repeated(result.shots) for name, (result, _) in runs.items()}
     sampled_m = {name: shots_m.mean(axis=0) for name, (_, shots_m) in runs.items()}
     figure, (left, right) = panels(2)
