@@ -4,13 +4,21 @@ Many small matrices gain nothing from more threads. Where files or tests are nam
 pytest-xdist is missing, all runs in one process; ``pytest -n 0`` runs the whole suite so.
 """
 
+import atexit
 import os
+import shutil
+import tempfile
 
 import pytest
 from hypothesis import settings
 
 for library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+    # No bytecode beside the sources; but the many programs that tests start need not each compile all of them.
+    os.environ["PYTHONPYCACHEPREFIX"] = tempfile.mkdtemp(prefix="hpe-rig-bytecode-")
+    atexit.register(shutil.rmtree, os.environ["PYTHONPYCACHEPREFIX"], ignore_errors=True)
 
 # The same examples in every run: what passes here passes there.
 settings.register_profile("seeded", derandomize=True)

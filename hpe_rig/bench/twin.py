@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.scene import Mistake, Scene, mistakes_of
+from hpe_rig.scene import Mistake, Scene, mistakes_of, settings_schema
 
 if TYPE_CHECKING:
     from hpe_rig.bench.bench_file import BenchFile
@@ -369,4 +369,4 @@ def simulation_schema() -> dict[str, Any]:
     """Return the JSON schema of the ``[simulation]`` section."""
     from sim_backend.settings import SimulationSettings
 
-    return SimulationSettings.model_json_schema()
+    return settings_schema(SimulationSettings)

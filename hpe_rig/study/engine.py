@@ -14,8 +14,9 @@ import itertools
 import operator
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import version
 
 import numpy as np
@@ -75,12 +76,7 @@ def run_batch(cases: Sequence[Case]) -> list[CaseRecord]:
         _run_block(active, first // DRAWS_AT_ONCE, draws)
         for one in active:
             one.draws = draws.stop
-            wanted_m = one.case.standard_error_m
-            one.finished = (
-                wanted_m is not None
-                and one.draws >= LEAST_DRAWS
-                and all(row["amplitude_bias_se_m"] <= wanted_m for row in _rows(one))
-            )
+            one.finished = settled(one.draws, one.case.standard_error_m, partial(_rows, one))
     common = {"peak_memory_bytes": peak_memory_bytes(), "version": version("hpe-rig")}
     return [
         {
@@ -93,6 +89,13 @@ def run_batch(cases: Sequence[Case]) -> list[CaseRecord]:
         }
         for one in running
     ]
+
+
+def settled(draws: int, standard_error_m: float | None, rows: Callable[[], list[CaseRecord]]) -> bool:
+    """Return whether after so many draws the means of all ``rows`` are known as well as wanted; None: never."""
+    if standard_error_m is None or draws < LEAST_DRAWS:
+        return False
+    return all(row["amplitude_bias_se_m"] <= standard_error_m for row in rows())
 
 
 def _run_block(active: list[_Running], block: int, draws: slice) -> None:

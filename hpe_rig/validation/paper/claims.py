@@ -96,7 +96,8 @@ def phase_limit(result: StudyResult, reading: str, quantity: str) -> Judgement:
     """Judge 5 degrees as the most where both W exceed 0.5."""
     _, x, y, table = map_of(result, reading)[-1]
     wide = (x[None, :] > 0.5) & (y[:, None] > 0.5)
-    return below(*(np.abs(table[f"{quantity}{of}_rad"])[wide] * DEGREES for of in ("", "_se")), 5.0, " deg")
+    value, se = (np.abs(table[f"{quantity}{of}_rad"])[wide] * DEGREES for of in ("", "_se"))
+    return below(value, se, 5.0, " deg")
 
 
 @judge_of
