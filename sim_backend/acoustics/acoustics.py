@@ -101,7 +101,10 @@ class Acoustics:
         self._beside_m = beside_m
         self._travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
         placing = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_SCATTERER_STREAM,)))
-        self._field = draw_field(settings.scatterers, settings.beams, placing, beside_m, self._placing)
+        # What attenuates around the focus is the specimen where it says how deep it is.
+        loss = {"attenuation_db_per_cm_mhz": settings.echo_attenuation_db_per_cm_mhz}
+        scatterers = settings.scatterers.model_copy(update=loss)
+        self._field = draw_field(scatterers, settings.beams, placing, beside_m, self._placing)
         self._noise = RecordStream(settings.seed, _NOISE_STREAM)
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._heard: dict[Pulse, Heard] = {}
@@ -156,7 +159,7 @@ class Acoustics:
         return noise()
 
     def _add_tracking_echoes(self, volts: Begun, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
-        strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
+        strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver, self._settings.transmitter)
         for carrier_hz in np.unique(pulses.carrier_hz):
             alike = pulses.carrier_hz == carrier_hz
             shape = echo_pulse(self._settings, float(carrier_hz))

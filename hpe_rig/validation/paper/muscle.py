@@ -131,8 +131,8 @@ def _figure_16_verdicts(force: Floats, shown: Floats, stated_nm: Floats, whose: 
         f"standard deviation of phase falls as F rises ({whose})",
         f"correlation of the logarithms {trend:.2f} (below -0.44 by chance once in 40)",
         trend < -0.44,
-        f"the stated deviations of phase have a correlation of {_stated_trend(force, stated_nm, means):.2f}; each of 20 "
-        "is known to a third from five repeats",
+        f"the stated deviations of phase have a correlation of {_stated_trend(force, stated_nm, means):.2f}; each of "
+        "20 is known to a third from five repeats",
     )
     # A deviation of five repeats is known to 1 / sqrt(8) of itself.
     largest = f"largest {phases.max():.1f} degrees, known to {phases.max() / np.sqrt(8):.0f}"
