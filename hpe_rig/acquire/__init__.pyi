@@ -30,6 +30,7 @@ from .queue import (
     run_queue as run_queue,
     time_left_s as time_left_s,
 )
+from .reprocessing import estimate_over as estimate_over, parse_axes as parse_axes
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import (
     Setup as Setup,

@@ -206,14 +206,29 @@ def process(
     run_file: RunFile,
     estimator: Estimator = None,
     gate_profile_step: ProfileStep = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=V,V",
+            help="Estimate at every value of a number of [processing], [beams] or the gate. Printed only.",
+        ),
+    ] = None,
+    together: Annotated[
+        bool, typer.Option("--together", help="Several --sweep: their first values, then their second ones.")
+    ] = False,
     json: Json = False,
     csv: Csv = False,
     wide: Wide = False,
 ) -> None:
     """Estimate again from a stored run. The result is printed and written beside the run file."""
-    from hpe_rig.acquire import process as process_run
+    from hpe_rig.acquire import open_run, parse_axes, process as process_run
 
-    show(process_run(run_file, estimator, Stages(), _step_m(gate_profile_step)), json, csv, wide)
+    if sweep:
+        run = open_run(run_file).with_profile(_step_m(gate_profile_step))
+        result = run.sweep(parse_axes(sweep), together=together, estimator=estimator)
+    else:
+        result = process_run(run_file, estimator, Stages(), _step_m(gate_profile_step))
+    show(result, json, csv, wide)
 
 
 def _step_m(text: str | None) -> float | None:

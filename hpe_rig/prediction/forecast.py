@@ -11,7 +11,7 @@ import numpy as np
 
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot, select, window_pulse_count
-from hpe_rig.prediction.aliasing import fitted_over_true
+from hpe_rig.prediction.aliasing import each_fitted_over_true
 from hpe_rig.prediction.amplitude import expected_amplitude_m, expected_snr_db
 from hpe_rig.prediction.beam_averaging import motion_width_m, predicted_averaging, resting_conditions
 from hpe_rig.prediction.error_model import Conditions, Expected, Speckle, draw_speckle, expected
@@ -101,7 +101,7 @@ def forecast_of(
         as_averaged(predict(conditions, (name,)).expected[0], conditions, predicted_averaging(scene, name)[place])
         for name, conditions in zip(estimators, known, strict=True)
     ]
-    ratios = [fitted_over_true(scene, shot, simulated, name) for name in estimators]
+    ratios = each_fitted_over_true(scene, shot, estimators, simulated)
     aliasing = tuple(complex(ratio[place]) - 1 for ratio in ratios if ratio is not None)
     own = known[estimators.index(scene.processing.estimator)] if scene.processing.estimator in estimators else known[0]
     return Prediction(own, tuple(found), aliasing if len(aliasing) == len(estimators) else ())

@@ -254,12 +254,19 @@ class Beams(Section):
     """Where the tracking axis lies, x and y from the excitation axis (assumed: on it)."""
     focus_depth_m: LengthM = 70.0e-3
     """Distance z_F from the transducer to the common focus (paper: 70 mm)."""
+    tracking_focus_depth_m: LengthM | None = None
+    """The same of a tracking transducer of its own; absent: one transducer pushes and tracks."""
 
     @model_validator(mode="after")
     def _ratio_is_a_number(self) -> Beams:
         if any(ratio != ratio for ratio in self.width_ratio or ()):
             raise ValueError("width_ratio holds nan: give numbers above 0, or inf for the same motion everywhere")
         return self
+
+    @property
+    def tracked_from_m(self) -> float:
+        """Distance from the transducer that tracks to the common focus."""
+        return self.focus_depth_m if self.tracking_focus_depth_m is None else self.tracking_focus_depth_m
 
     def motion_width_m(self) -> tuple[float, float, float]:
         """Return the sigmas of the displacement, E, or W times T where W is given."""
@@ -464,7 +471,7 @@ class SimulationSettings(Section):
 
     def loss_to_focus_db(self, frequency_hz: float) -> float:
         """Return what the way to the focus and back takes: specimen as frequency, water before it as its square."""
-        mhz, focus_cm = abs(frequency_hz) / 1e6, 100 * self.beams.focus_depth_m
+        mhz, focus_cm = abs(frequency_hz) / 1e6, 100 * self.beams.tracked_from_m
         if self.specimen is None or self.specimen.depth_m is None:
             return 2 * focus_cm * self.scatterers.attenuation_db_per_cm_mhz * mhz
         specimen_cm = 100 * self.specimen.depth_m
@@ -478,8 +485,11 @@ class SimulationSettings(Section):
         if depth_m is None:
             return self
         wrong = []
-        if depth_m > self.beams.focus_depth_m:
-            wrong.append(f"specimen.depth_m is {depth_m:g} m and beams.focus_depth_m {self.beams.focus_depth_m:g} m")
+        if depth_m > self.beams.tracked_from_m:
+            way_m = self.beams.tracked_from_m
+            wrong.append(
+                f"specimen.depth_m is {depth_m:g} m and the way to the focus, beams.focus_depth_m, {way_m:g} m"
+            )
         if self.propagation is not None and self.propagation.specimen_depth_m != depth_m:
             other_m = self.propagation.specimen_depth_m
             wrong.append(f"specimen.depth_m is {depth_m:g} m and propagation.specimen_depth_m {other_m:g} m")
@@ -528,6 +538,8 @@ class SimulationSettings(Section):
         if self.beams.field == "gaussian":
             return self
         wrong = []
+        if self.beams.tracking_focus_depth_m is not None:
+            wrong.append(f'beams.tracking_focus_depth_m needs beams.field = "gaussian", not "{self.beams.field}"')
         if self.beams.field == "measured":
             scans = {name: getattr(self.beams, name) for name in ("excitation_scan", "tracking_scan")}
             wrong += [f'beams.field = "measured" needs beams.{name}' for name, path in scans.items() if path is None]
