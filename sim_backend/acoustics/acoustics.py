@@ -162,7 +162,8 @@ class Acoustics:
         return noise()
 
     def _add_tracking_echoes(self, volts: Begun, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
-        strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver, self._settings.transmitter)
+        strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
+        strength_v *= transmitted_share(pulses.amplitude_vpp, self._settings)
         for carrier_hz in np.unique(pulses.carrier_hz):
             alike = pulses.carrier_hz == carrier_hz
             shape = echo_pulse(self._settings, float(carrier_hz))
@@ -346,6 +347,22 @@ def _begun(make: Begun, values: int) -> Begun:
     future = drawing.submit(make)
     drawing.shutdown(wait=False)
     return future.result
+
+
+def transmitted_share(amplitude_vpp: Floats, settings: SimulationSettings) -> Floats:
+    """Return what hybrid, amplifier and diodes leave of tracking pulses (burst,), over that of the reference pulse.
+
+    The carrier alone: its harmonics lie outside the receive band.
+    """
+    if settings.transmitter.linear:
+        return np.ones_like(amplitude_vpp)
+    from sim_backend.motion import harmonic_v
+
+    reference_vpp = settings.receiver.reference_pulse_vpp
+    left, of_reference = (
+        harmonic_v(vpp, settings.transmitter) / vpp for vpp in (amplitude_vpp, np.array([reference_vpp]))
+    )
+    return left / of_reference if of_reference[0] > 0 else np.zeros_like(amplitude_vpp)
 
 
 def burst_record_pairs(start_ps: Picoseconds, end_ps: Picoseconds, capture: Capture) -> tuple[Indices, Indices]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.echoes import echo_pulse, echoes
-from sim_backend.settings import Receiver, SimulationSettings, Specimen, Transmitter
+from sim_backend.settings import Receiver, SimulationSettings, Specimen
 from sim_backend.wiring import PS_PER_S, Bursts
 
 Floats = NDArray[np.float64]
@@ -49,19 +49,12 @@ def echo_gain_v(
     return receiver.echo_rms_v / rms if rms > 0 else 0.0
 
 
-def pulse_strength(pulses: Bursts, receiver: Receiver, transmitter: Transmitter | None = None) -> Floats:
+def pulse_strength(pulses: Bursts, receiver: Receiver) -> Floats:
     """Return each tracking pulse's strength relative to the reference pulse, (burst,).
 
-    A burst shorter than the transducer's response delivers amplitude in proportion to its length. What hybrid,
-    amplifier and diodes of ``transmitter`` take, the carrier loses; their harmonics lie outside the receive band.
+    A burst shorter than the transducer's response delivers amplitude in proportion to its length.
     """
-    relative = pulses.amplitude_vpp / receiver.reference_pulse_vpp
-    if transmitter is not None and not transmitter.linear:
-        from sim_backend.motion import harmonic_v
-
-        reference_v = float(harmonic_v(np.array([receiver.reference_pulse_vpp]), transmitter)[0])
-        relative = harmonic_v(pulses.amplitude_vpp, transmitter) / reference_v if reference_v else 0 * relative
-    return np.asarray(relative * pulses.cycles / _REFERENCE_CYCLES)
+    return np.asarray(pulses.amplitude_vpp / receiver.reference_pulse_vpp * pulses.cycles / _REFERENCE_CYCLES)
 
 
 def noise_v(receiver: Receiver, records: int, samples: int, rng: np.random.Generator) -> Floats:
