@@ -2,8 +2,10 @@
 
 Every step is linear in the velocities, so the same chain applied to a unit sinusoid gives the factor by which it
 scales amplitude and turns phase. For whole cycles that factor is the Hann window's mean, 1/2, and dividing by it is the
-paper's "times 2"; for any other length it is still exact. The noise of velocities is told from the spectrum of what a fit
-fit leaves of the displacement steps: pulse noise (2 sin(pi f T_prf))^2 + interval noise. docs/theory/estimation.md.
+paper's "times 2"; for any other length it is still exact. docs/theory/estimation.md.
+
+What noise velocities have is told from the spectrum of what a fit leaves of the displacement steps: pulse noise
+(2 sin(pi f T_prf))^2 + interval noise.
 """
 
 from __future__ import annotations
