@@ -41,7 +41,7 @@ def accuracy(
     draws: Annotated[
         int | None,
         typer.Option(
-            min=2, help="Draws per case in motion; ten times as many end to end. Default: 20, with --full 100."
+            min=2, help="Draws per case in motion; ten times as many end to end. Default: 10, with --full 100."
         ),
     ] = None,
     full: Annotated[bool, typer.Option("--full", help="Every size and all draws: minutes instead of one.")] = False,

@@ -37,7 +37,7 @@ class Effort:
     largest: int = 100_000
     most_echoes: int = 1_000
     longest_s: float = 0.5
-    draws: int = 20
+    draws: int = 10
 
     @property
     def realisations(self) -> tuple[int, ...]:
