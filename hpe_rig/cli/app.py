@@ -389,16 +389,25 @@ def live(
 
 @app.command()
 @guarded
-def align(scene: SceneName, bench: BenchPath = None, port: Port = 0, opened: Open = False) -> None:
+def align(
+    scene: SceneName,
+    bench: BenchPath = None,
+    band: Annotated[
+        str, typer.Option(metavar="LOW:HIGH", help="Where the echo is to be, in percent of full scale.")
+    ] = "10:80",
+    port: Port = 0,
+    opened: Open = False,
+) -> None:
     """Align the focus on a live page, without excitation. Single tracking shots are repeated until stopped."""
     from hpe_rig.acquire import prepare
     from hpe_rig.store import extra
 
     with extra("live"):
-        from hpe_rig.live import align as align_focus, without_pushing
+        from hpe_rig.live import align as align_focus, band_percent, without_pushing
 
+    wanted = band_percent(band)
     setup = without_pushing(prepare(scene, bench, refuse=False))
-    shots = align_focus(setup, port, partial(_say_page, opened))
+    shots = align_focus(setup, port, partial(_say_page, opened), wanted)
     typer.echo(f"stopped after {shots} single shots; all outputs verified off")
 
 

@@ -16,6 +16,7 @@
     tables.py      any rows as CSV and as text
     motion_map.py  amplitude, phase and velocity of every line and depth
     palette.py     the colours of every figure
+    page.css       the style of every page
     provenance.py  who measured when, and on which machine
     stages.py      wall time by stage
 

@@ -10,7 +10,7 @@ from typing import Concatenate, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.study import Curve, StudyResult, View, curves, maps, view
+from hpe_rig.study import Curve, StudyResult, View, curves, maps, view, with_error
 
 Floats = NDArray[np.float64]
 Columns = dict[str, Floats]
@@ -64,14 +64,6 @@ def below(largest: float, se: float, limit: float, unit: str) -> Judgement:
     """Judge an upper limit for the largest value found; what chance alone may lift above it tells nothing."""
     verdict = AGREES if largest < limit else UNTOLD if largest - SIGNIFICANT * se < limit else DIFFERS
     return Judgement(f"at most {with_error(largest, se)}{unit}", verdict)
-
-
-def with_error(value: float, se: float) -> str:
-    """Return a value and its standard error, both to the error's second digit."""
-    if not 0 < se < math.inf:
-        return f"{value:.4g}"
-    digits = max(0, 1 - math.floor(math.log10(se)))
-    return f"{value:.{digits}f} ± {se:.{digits}f}"
 
 
 def ends(result: StudyResult, reading: str) -> tuple[Curve, Curve]:
