@@ -34,7 +34,7 @@ from hpe_rig.processing import (
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-BEAMS = BeamWidths((0.17e-3, 0.17e-3, 1.80e-3), (0.078e-3, 0.078e-3, 0.83e-3), 0.3e-3)
+BEAMS = BeamWidths((0.34e-3, 0.34e-3, 3.60e-3), (0.078e-3, 0.078e-3, 0.83e-3), 0.3e-3)
 RATE_HZ, LENGTH_S = 100.0, 100e-6
 HARMONIC = np.arange(1, 1001)
 WANTED_HZ = RATE_HZ * np.arange(1.0, 11.0)

@@ -43,6 +43,7 @@ def print_runs(
 
 def _row(entry: RunEntry, folder: Path) -> tuple[str, ...]:
     state = entry.status if entry.shots_complete == entry.shots else f"{entry.shots_complete} of {entry.shots} shots"
+    state = f"imported, {state}" if entry.imported else state
     notes = ", ".join(f"{name}: {_short(note)}" for name, note in entry.notes.items())
     date = f"{entry.date:%Y-%m-%d %H:%M}"
     texts = (date, str(entry.path.relative_to(folder)), entry.title, state, _result(entry), notes)
@@ -76,7 +77,10 @@ def _plain(entry: RunEntry) -> dict[str, Any]:
     return {
         "date": entry.date.isoformat(timespec="seconds"),
         "file": str(entry.path),
-        **{name: getattr(entry, name) for name in ("title", "status", "shots_complete", "shots", "simulated")},
+        **{
+            name: getattr(entry, name)
+            for name in ("title", "status", "shots_complete", "shots", "simulated", "imported")
+        },
         **{name: getattr(entry, name) for name in ("user", "host")},
         "lead": lead and {name: _finite(getattr(lead, name)) for name in (*names, "phase_uncertainty_rad")},
         "notes": {name: note if isinstance(note, str | int | float) else str(note) for name, note in notes},

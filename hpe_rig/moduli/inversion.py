@@ -462,8 +462,10 @@ def _described(
     covariance = problem._in_values(unknown, own)
     freedom = problem.data_count - problem.free
     span = np.array([one.bounds[1] - one.bounds[0] for one in law.parameters])
-    # Laplace: the best likelihood, times the share of the range that the data leave
-    log_evidence = -cost / 2 + (np.linalg.slogdet(2 * np.pi * own)[1] / 2) - np.log(span).sum()
+    # Laplace: the best likelihood, times the share of the range that the data leave; never more than all of it, whose
+    # variance is that of an even distribution
+    left = np.linalg.inv(np.linalg.inv(own) + np.diag(12 / span**2))
+    log_evidence = -cost / 2 + (np.linalg.slogdet(2 * np.pi * left)[1] / 2) - np.log(span).sum()
     vibrations = problem.vibrations
     place = np.repeat(np.arange(len(vibrations)), [one.frequency_hz.size for one in vibrations])
     frequencies, frequency = np.unique(np.concatenate([one.frequency_hz for one in vibrations]), return_inverse=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
 from hpe_rig.processing.harmonic import HarmonicFit
-from hpe_rig.result import Averaging, Component, Estimate
+from hpe_rig.result import RECTIFIED, Averaging, Component, Estimate
 from hpe_rig.scene import Scene
 
 TRACKED = Averaging(1.0, 0.0, 0.0)
@@ -92,21 +92,22 @@ def _estimate(
 
 def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging) -> tuple[Component, ...]:
     """Return the sources of uncertainty of frequency ``index`` of ``fit``, corrected by ``averaging``."""
-    peak_m = float(fit.amplitude_m[index]) / averaging.factor
+    amplitude_m = float(fit.amplitude_m[index])
+    peak_m = amplitude_m / averaging.factor
     # Variances of (amplitude, phase): what the pulses' residual says, of which trigger jitter explains a share.
     total = np.diagonal(fit.covariance[index])
     aliasing = np.zeros(2) if fit.aliasing is None else np.diagonal(fit.aliasing[index])
     random = np.maximum(total - aliasing, 0.0)
     residual_m2 = float(fit.residual_rms_m) ** 2
     share = min(known.jitter_m**2 / residual_m2, 1.0) if residual_m2 > 0 else 0.0
-    unit = np.array([fit.amplitude_m[index], 1.0])
+    unit = np.array([amplitude_m, 1.0])
     lost = np.array([averaging.factor_uncertainty / averaging.factor, averaging.phase_uncertainty_rad]) * unit
     shared = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * unit**2
     aliasing, lost = _with_shared(aliasing, lost**2, shared)
 
     def fitted(source: str, variance: NDArray[np.float64]) -> Component:
-        amplitude_m, phase_rad = np.sqrt(variance).tolist()
-        return Component(source, amplitude_m / averaging.factor, phase_rad)
+        u_m, u_rad = np.sqrt(variance).tolist()
+        return Component(source, u_m / averaging.factor, u_rad)
 
     def relative(source: str, amplitude: float, phase_rad: float = 0.0) -> Component:
         return Component(source, amplitude * peak_m, phase_rad)
@@ -116,6 +117,7 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     return (
         fitted("noise", random * (1 - share)),
         fitted("trigger jitter", random * share),
+        Component(RECTIFIED, math.sqrt(fit.rectified_m2[index]) / averaging.factor, 0.0),
         fitted("aliasing", aliasing),
         relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad),
         fitted("beam averaging", lost),

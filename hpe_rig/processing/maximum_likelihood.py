@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from hpe_rig.processing.band import Band, band_spectrum, energy_of, inner, turned
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Motion, scatter
@@ -125,6 +124,8 @@ def _has_common_part(aligned: ComplexArray, band: Band, states: int) -> BoolArra
 
     Raises ``ValueError`` where none has.
     """
+    from scipy.special import gammaincinv
+
     # Every echo at unit energy, so that one spike does not count for a train. Noise alone sums to the number of pulses
     # times a gamma variable of as many degrees as there are independent numbers; the states chosen for the largest sum
     # add theirs.

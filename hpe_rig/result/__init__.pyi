@@ -1,4 +1,5 @@
 from .estimates import (
+    RECTIFIED as RECTIFIED,
     Averaging as Averaging,
     Component as Component,
     Estimate as Estimate,
@@ -17,6 +18,7 @@ from .phase import (
     PHASE_VARIANCE_LIMIT as PHASE_VARIANCE_LIMIT,
     phase_variance_at_rad2 as phase_variance_at_rad2,
     phase_variance_rad2 as phase_variance_rad2,
+    rectified_variance_m2 as rectified_variance_m2,
 )
 from .print_symbols import symbols as symbols
 from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance

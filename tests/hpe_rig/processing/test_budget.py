@@ -37,6 +37,7 @@ def test_components_in_squares_are_the_headlines_uncertainty_and_each_is_what_it
     stated = {
         "noise": (1e-9 / 0.9, 0.01),
         "trigger jitter": (0, 0),
+        "rectified noise": (0, 0),
         "aliasing": (0, 0),
         "speckle": (0.03 * peak_m, 0.002),
         "beam averaging": (0.02 * peak_m, 0.004),
