@@ -58,7 +58,7 @@ def _headline(results: Sequence[StudyResult]) -> str:
 
 def found_part(results: Sequence[StudyResult]) -> Part:
     """Return bias and jitter of every study, reading and estimator, least to largest over the cases."""
-    rows = [
+    rows: list[dict[str, Any]] = [
         {"study": result.definition.title, "reading": one.reading, "estimator": spec_of(one.estimator).label}
         | ({"frequency (Hz)": one.frequency_hz} if len({other.frequency_hz for other in views(result)}) > 1 else {})
         | dict(zip(FIGURES, spans(one.rows), strict=True))

@@ -52,7 +52,8 @@ def reproduction_part(results: Sequence[StudyResult]) -> Part | None:
     told = [row for row in found if not all(row[f"verdict, {name}"] == ABSENT for name in READINGS)]
     if not told:
         return None
-    told = [{name: text for name, text in row.items() if name not in _not_run(told)} for row in told]
+    absent = _not_run(told)
+    told = [{name: text for name, text in row.items() if name not in absent} for row in told]
     words = [
         "Each number and each stated trend of the paper against what comes out of the paper's own chain. Agrees: a "
         "number within its rounding and three standard errors; a trend significant (three standard errors) at 0, 20 "
