@@ -146,7 +146,7 @@ def test_the_page_begins_with_what_was_found_and_ends_with_how_long_it_took(page
     heads = re.findall(r'<h2 id="([^"]*)"', page)
     assert heads == ["reproduction-part", "found-part", "fig-5-part", "run-time-part", "made"]
     first = page[page.index('class="headline"') :].partition("</p>")[0]
-    assert "statements of the paper" in first
+    assert "Statements of the paper" in first
 
 
 def test_the_four_panels_have_units_and_bands_of_two_errors(tiny: StudyResult) -> None:
