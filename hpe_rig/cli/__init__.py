@@ -13,8 +13,8 @@ Files, from what is typed to what is shown::
     stored.py   damage, comparisons, moduli and maps of stored runs and recordings
     study.py    workers, progress and closing table of a study
     tables.py   a result in one sentence and as tables
-    terminal.py its width; progress
-    console.py  exit codes, error messages, log levels, progress, arguments that several commands share
+    terminal.py its width; progress; which log records it shows
+    console.py  exit codes, error messages, progress, arguments that several commands share
 
 Each command imports what it runs when it is called, which keeps ``hpe-rig --help`` as fast as typer.
 """

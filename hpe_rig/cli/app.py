@@ -18,7 +18,6 @@ from hpe_rig.cli.console import (
     EXIT_MISTAKE,
     EXIT_NO_CHECKSUMS,
     BenchPath,
-    LogLevel,
     RunFile,
     SceneName,
     announce,
@@ -29,9 +28,9 @@ from hpe_rig.cli.console import (
     progress,
     refuse_undecodable,
     show,
-    start_logging,
 )
 from hpe_rig.cli.studies import studies
+from hpe_rig.cli.terminal import LogLevel, start_logging
 from hpe_rig.result import Stages
 
 app = typer.Typer(

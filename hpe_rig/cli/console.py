@@ -1,9 +1,8 @@
-"""Exit codes, error messages, log levels, progress and printed results, the same for every command."""
+"""Exit codes, error messages, progress and printed results, the same for every command."""
 
 from __future__ import annotations
 
 import functools
-import logging
 import os
 import shlex
 import signal
@@ -12,7 +11,6 @@ import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
@@ -28,8 +26,6 @@ EXIT_MISTAKE, EXIT_INSTRUMENT, EXIT_UNSAFE, EXIT_PROGRAM, EXIT_INTERRUPTED = 2, 
 EXIT_SIGNAL = 128
 """Plus the number of the signal, as a shell counts."""
 EXIT_DAMAGED, EXIT_NO_CHECKSUMS = 4, 5
-LOGGERS = ("hpe_rig", "drivers", "sim_backend")
-"""One a package: steps of a run; every message to an instrument; what the twin ignores."""
 
 
 def guarded(command: Callable[P, None]) -> Callable[P, None]:
@@ -206,20 +202,3 @@ SceneName = Annotated[
 ]
 BenchPath = Annotated[Path | None, typer.Option("--bench", help="Bench file. Default: the simulated bench.")]
 RunFile = Annotated[Path, typer.Argument(metavar="RUN", help="Run file, such as bovine-muscle.h5.")]
-
-
-class LogLevel(StrEnum):
-    """Levels of Python's ``logging``, by the names that are typed."""
-
-    DEBUG = "debug"
-    INFO = "info"
-    WARNING = "warning"
-    ERROR = "error"
-
-
-def start_logging(level: LogLevel) -> None:
-    """Let records of at least ``level`` reach standard error; those of other packages from warnings on."""
-    chosen = logging.getLevelNamesMapping()[level.upper()]
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=max(chosen, logging.WARNING))
-    for name in LOGGERS:
-        logging.getLogger(name).setLevel(chosen)

@@ -1,4 +1,4 @@
-"""What is there: the runs of a folder as a table, as CSV or as JSON; the extensions of other packages."""
+"""Commands ``list`` and ``extensions``: the runs of a folder, and what other packages bring."""
 
 from __future__ import annotations
 
