@@ -364,8 +364,17 @@ class Record:
         return taken
 
 
-def replaced(path: str, text: str) -> bool:
-    """Put the code of ``text`` into every function that was loaded from ``path``; return whether one has changed."""
+def functions_by_file() -> Mapping[str, Sequence[types.FunctionType]]:
+    """Return every function that there is, by the file that it was loaded from."""
+    found: dict[str, list[types.FunctionType]] = defaultdict(list)
+    for item in gc.get_objects():
+        if isinstance(item, types.FunctionType):
+            found[item.__code__.co_filename].append(item)
+    return found
+
+
+def replaced(path: str, text: str, functions: Iterable[types.FunctionType]) -> bool:
+    """Put the code of ``text`` into those ``functions`` that were loaded from ``path``; return whether one changed."""
     new: dict[tuple[str, int], types.CodeType] = {}
 
     def gather(code: types.CodeType) -> None:
@@ -376,9 +385,9 @@ def replaced(path: str, text: str) -> bool:
 
     gather(compile(text, path, "exec", dont_inherit=True))
     changed = False
-    for function in [item for item in gc.get_objects() if isinstance(item, types.FunctionType)]:
+    for function in functions:
         old = function.__code__
-        code = new.get((old.co_qualname, old.co_firstlineno)) if old.co_filename == path else None
+        code = new.get((old.co_qualname, old.co_firstlineno))
         if code and code != old and code.co_freevars == old.co_freevars:
             function.__code__ = code
             changed = True
@@ -397,6 +406,7 @@ class Campaign:
     ) -> None:
         self.record, self.mutants, self.budget_s = record, mutants, budget_s
         self.results, self.killer = results, killer
+        self.functions: Mapping[str, Sequence[types.FunctionType]] = {}
         self.unplaced = killer.last.with_name("unplaced")
         self.unplaced.write_text("", "utf-8")
 
@@ -409,6 +419,7 @@ class Campaign:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         every = {item.nodeid: item for item in session.items}
+        self.functions = functions_by_file()
         gc.freeze()
         for mutant in self.mutants:
             names = self.record.tests_of(mutant, self.budget_s)
@@ -430,8 +441,10 @@ class Campaign:
     def judge(self, session: pytest.Session, mutant: Mutant | None, some: list[pytest.Item]) -> int:
         """Run ``some`` tests on the mutant, or on the code as it is, until one fails; in a fork."""
         gc.unfreeze()
-        if mutant and not replaced(str(self.record.tree / mutant.file), mutant.text):
-            return UNREPLACED
+        if mutant:
+            path = str(self.record.tree / mutant.file)
+            if not replaced(path, mutant.text, self.functions.get(path, ())):
+                return UNREPLACED
         session.items[:] = some
         session.config.pluginmanager.unregister(self)
         session.config.option.maxfail = 1

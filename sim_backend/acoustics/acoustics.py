@@ -99,9 +99,15 @@ class Acoustics:
         beams = settings.beams.model_copy(update={"lateral_offset_m": (x + beside_m, y)})
         self._settings = settings = settings.model_copy(update={"beams": beams})
         self._beside_m = beside_m
-        self._travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
+        # From the transducer that tracks to the focus, and how much longer from the one that pushes.
+        self._travel_s = settings.beams.tracked_from_m / settings.sound_speed_m_per_s
+        self._push_later_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s - self._travel_s
+        push_travel_s = self._travel_s + self._push_later_s
         placing = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_SCATTERER_STREAM,)))
-        self._field = draw_field(settings.scatterers, settings.beams, placing, beside_m, self._placing)
+        # What attenuates around the focus is the specimen where it says how deep it is.
+        loss = {"attenuation_db_per_cm_mhz": settings.echo_attenuation_db_per_cm_mhz}
+        scatterers = settings.scatterers.model_copy(update=loss)
+        self._field = draw_field(scatterers, settings.beams, placing, beside_m, self._placing)
         self._noise = RecordStream(settings.seed, _NOISE_STREAM)
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._heard: dict[Pulse, Heard] = {}
@@ -109,8 +115,8 @@ class Acoustics:
             echo_pulse(settings, settings.receiver.reference_carrier_hz), self._field.tracking_weight
         )
         self._gain_v = echo_gain_v(settings, self._delay_s, reference.weight, reference.colour)
-        self._focus_motion = _focus_motion(settings, self._travel_s)
-        self._medium = _medium_motion(settings, self._field, self._travel_s, beside_m)
+        self._focus_motion = _focus_motion(settings, push_travel_s)
+        self._medium = _medium_motion(settings, self._field, push_travel_s, beside_m)
         self._background_m = _background_motion(settings)
 
     def focus_displacement_m(
@@ -157,6 +163,7 @@ class Acoustics:
 
     def _add_tracking_echoes(self, volts: Begun, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
         strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
+        strength_v *= transmitted_share(pulses.amplitude_vpp, self._settings)
         for carrier_hz in np.unique(pulses.carrier_hz):
             alike = pulses.carrier_hz == carrier_hz
             shape = echo_pulse(self._settings, float(carrier_hz))
@@ -173,7 +180,8 @@ class Acoustics:
         for kind in np.unique(kinds, axis=0):
             alike = (kinds == kind).all(axis=1)
             shape = attenuated_to_focus(self._settings, rectangular_burst(*kind.tolist()))
-            passage = self._passage(heard.onset_ps[alike], capture)
+            # from another transducer they come as from this one, at another time
+            passage = self._passage(heard.onset_ps[alike] + to_ps(self._push_later_s), capture)
             motion_m = self._motion_sensed_m(tonebursts, passage.time_ps, capture)
             through = self._hear(shape, self._field.excitation_weight, of_push=True)
             self._add_echoes(volts, capture, through, passage, strength_v[alike], motion_m)
@@ -339,6 +347,22 @@ def _begun(make: Begun, values: int) -> Begun:
     future = drawing.submit(make)
     drawing.shutdown(wait=False)
     return future.result
+
+
+def transmitted_share(amplitude_vpp: Floats, settings: SimulationSettings) -> Floats:
+    """Return what hybrid, amplifier and diodes leave of tracking pulses (burst,), over that of the reference pulse.
+
+    The carrier alone: its harmonics lie outside the receive band.
+    """
+    if settings.transmitter.linear:
+        return np.ones_like(amplitude_vpp)
+    from sim_backend.motion import harmonic_v
+
+    reference_vpp = settings.receiver.reference_pulse_vpp
+    left, of_reference = (
+        harmonic_v(vpp, settings.transmitter) / vpp for vpp in (amplitude_vpp, np.array([reference_vpp]))
+    )
+    return left / of_reference if of_reference[0] > 0 else np.zeros_like(amplitude_vpp)
 
 
 def burst_record_pairs(start_ps: Picoseconds, end_ps: Picoseconds, capture: Capture) -> tuple[Indices, Indices]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable, Mapping
 from csv import DictReader
@@ -18,7 +19,7 @@ from typer.testing import CliRunner
 import hpe_rig as hpe
 from hpe_rig.acquire import import_recording, prepare_rest
 from hpe_rig.cli.app import app
-from hpe_rig.recordings import chosen_lines
+from hpe_rig.recordings import chosen_lines, matlab
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import StoreError, verify
 
@@ -292,6 +293,15 @@ def _without(key: str) -> dict[str, Any]:
     return {name: value for name, value in GOOD.items() if name != key}
 
 
+def mat_of_another_type() -> bytes:
+    """Return a MATLAB file whose one array has the type 255, at which SciPy 1.17 ends the interpreter."""
+    file = io.BytesIO()
+    savemat(file, {"rf": np.arange(40.0).reshape(5, 8)})
+    content = bytearray(file.getvalue())
+    content[content.index((9).to_bytes(4, "little") + (40 * 8).to_bytes(4, "little"))] = 255
+    return bytes(content)
+
+
 MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
     # file, what it holds (bytes, array or arrays by name), settings, a part of the message
     "empty npy": ("a.npy", b"", GOOD, "it is empty"),
@@ -353,6 +363,7 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
     "npz without": ("a.npz", {"a": RF[0]}, {**GOOD, "variable": "rf"}, "'rf' is no array"),
     "npz of bad rate": ("a.npz", {"a": RF[0], "fs": np.array(-5.0)}, _without("sample_rate_hz"), "'fs' of the file"),
     "text as mat": ("a.mat", b"MATLAB 4.2" * 20, GOOD, "MATLAB file"),
+    "mat of another type": ("a.mat", mat_of_another_type(), GOOD, "MATLAB file"),
     "empty mat": ("a.mat", {"mat": {"x": np.array(2.0)}}, GOOD, "no array of numbers"),
     "text as hdf5": ("a.h5", b"\x89HDF\r\n\x1a\n" + b"0" * 100, GOOD, "no readable HDF5 file"),
     "csv of words": ("a.csv", b"1,2,3\n4,five,6\n", GOOD, "line 2 holds something else"),
@@ -378,6 +389,13 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
     "unknown format": ("a.npy", RF[0], {**GOOD, "format": "npyy"}, "did you mean npy"),
     "absent": ("b.npy", None, GOOD, "does not exist"),
 }
+
+
+def test_a_matlab_file_whose_reading_never_ends_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matlab, "PATIENCE_S", 0.0)
+    (tmp_path / "a.mat").write_bytes(mat_of_another_type())
+    with pytest.raises(ValueError, match=r"no end of it within 0 s\): save it anew"):
+        matlab.matlab_to_npz(tmp_path / "a.mat", tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize("case", MALFORMED)
