@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
     from sim_backend.transducer import Push
 
-_OWN_BEAM_KEYS = {"pulse_length_m", "transducer_diameter_m"}
+_OWN_BEAM_KEYS = {"pulse_length_m", "transducer_diameter_m", "attenuation_db_per_cm_mhz"}
 """What [beams] says to the application alone."""
 REFERENCE_CYCLES = 3
 """Cycles of the tracking pulse that gives the twin's stated echo."""

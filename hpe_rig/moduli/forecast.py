@@ -105,9 +105,8 @@ def _expected(scene: Scene, push: Push, modulus_pa: ComplexArray, peak_m: float,
     place = vibration_at(scene, scene.processing.estimator, "", frequency_hz, np.zeros_like(modulus_pa), covariance)
 
     def motion(seen_m2: tuple[float, float], lateral_m: float, axial_m: float) -> ComplexArray:
-        across, along = (width**2 + seen for width, seen in zip(push.width_m, seen_m2, strict=True))
-        medium = modulus_pa, frequency_hz, push.density_kg_per_m3, push.width_m
-        field = shear_motion(*medium, across, along, np.array([lateral_m]), axial_m)
+        medium = modulus_pa, frequency_hz, push.density_kg_per_m3, push.force
+        field = shear_motion(*medium, *seen_m2, np.array([lateral_m]), axial_m)
         return push.spectrum(frequency_hz) * field.value[:, 0]
 
     scale = peak_m / abs(motion((0.0, 0.0), 0.0, 0.0)[0])

@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from hpe_rig.moduli.media import Law, MediumLaw, law_names, law_of
-from hpe_rig.processing import shear_motion
+from hpe_rig.processing import PushForce, shear_motion
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -45,12 +45,12 @@ REJECTED = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Push:
-    """The force of the tonebursts: Gaussian widths (across, along), m, and their relative uncertainties.
+    """The force of the tonebursts, and relative uncertainties of its widths (across, along).
 
     ``onset_uncertainty_s`` is that of the bursts' onset at the focus, against which the phases count.
     """
 
-    width_m: tuple[float, float]
+    force: PushForce
     burst_rate_hz: float
     burst_length_s: float
     density_kg_per_m3: float = 1000.0
@@ -220,6 +220,7 @@ class Problem:
             )
         known = [("across", -1, push.width_uncertainty[0]), ("along", -1, push.width_uncertainty[1])]
         known.append(("onset", -1, push.onset_uncertainty_s))
+        known += [(name, -1, 1.0) for name, _ in push.force.unsure]
         leader = _leaders(vibrations)
         if any(one.travel_s for one in vibrations):
             known.append(("travel", -1, TRAVEL_UNCERTAINTY))
@@ -324,8 +325,7 @@ class Problem:
     ) -> dict[str, ComplexArray]:
         """Return the phasors' derivatives (frequency, place) by every kind of unknown; by "gain", the phasors."""
         push, count, ones = self.push, self.free - 1, [self.vibrations[place] for place in places]
-        across = push.width_m[0] * np.exp(known.get(("across", -1), 0.0))
-        along = push.width_m[1] * np.exp(known.get(("along", -1), 0.0))
+        stretched = (float(np.exp(known.get((kind, -1), 0.0))) for kind in ("across", "along"))
         mean_area = np.array([one.tracking_m2[0] for one in ones])
         # by its logarithm: no step of a solver asks for an area below none
         area = mean_area * np.exp([known.get(("area", p), 0.0) for p in places])
@@ -339,9 +339,9 @@ class Problem:
             modulus,
             frequency_hz,
             push.density_kg_per_m3,
-            (across, along),
-            across**2 + area,
-            along**2 + ones[0].tracking_m2[1],
+            push.force.changed({kind: off for (kind, _), off in known.items()}).scaled(*stretched),
+            area,
+            ones[0].tracking_m2[1],
             lateral,
             ones[0].axial_m,
         )
@@ -361,8 +361,9 @@ class Problem:
             "gain": value,
             "phase": 1j * value,
             "onset": -1j * omega[:, None] * value,
-            "across": 2 * value + front * field.by_across * 2 * across**2,
-            "along": value + front * field.by_along * 2 * along**2,
+            "across": front * field.by_width,
+            "along": front * field.by_length,
+            **{kind: front * slopes for kind, slopes in field.by_unsure.items()},
             "travel": -1j * omega[:, None] * ones[0].travel_s * value,
             "axial": front * field.by_axial,
             "lateral": front * field.by_lateral,
@@ -400,7 +401,7 @@ class Problem:
     @cached_property
     def _unit_field(self) -> float:
         """A typical displacement per body force: that of a static force in 10 kPa."""
-        return 0.5 * self.push.width_m[0] ** 2 / 10e3
+        return 0.5 * self.push.force.across_m[0] ** 2 / 10e3
 
 
 def _leaders(vibrations: Sequence[Vibration]) -> tuple[int, ...]:

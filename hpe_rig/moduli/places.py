@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.moduli.inversion import ComplexArray, FloatArray, Push, Vibration
 from hpe_rig.plan import DepthGate, Plan, Shot, apart, depth_gates, places_of, shots_with_gate, with_gate
-from hpe_rig.prediction import beam_widths, depth_in_gate, tracked_spread
+from hpe_rig.prediction import beam_widths, depth_in_gate, force_of, tracked_spread
 from hpe_rig.processing import HarmonicFit, residual_m, shot_fit
 from hpe_rig.scene import Mistake, Scene, SettingsError
 from hpe_rig.store import StoredRun
@@ -51,14 +51,13 @@ def push_of(scenes: Sequence[Scene], width_uncertainty: float = WIDTH_UNCERTAINT
             mistakes.append(Mistake("excitation", what, "a run with tonebursts"))
         if beams is None:
             mistakes.append(Mistake("beams", "the widths of force and tracking beam are not known", "[beams]"))
-        elif not np.isclose(*beams.excitation_width_m[:2]):
+        elif beams.transducer_diameter_m is None and not np.isclose(*beams.excitation_width_m[:2]):
             what = f"a force of {beams.excitation_width_m[0]:g} m by {beams.excitation_width_m[1]:g} m is not round"
             mistakes.append(Mistake("beams.excitation_width_m", what, "equal widths across"))
         if excitation is not None and beams is not None:
-            width_m = beams.excitation_width_m[0], beams.excitation_width_m[2]
             density = scene.medium.density_kg_per_m3 if scene.medium else 1000.0
             burst = excitation.burst_rate_hz, excitation.burst_length_s[0]
-            pushes.append(Push(width_m, *burst, density, (width_uncertainty, width_uncertainty)))
+            pushes.append(Push(force_of(scene), *burst, density, (width_uncertainty, width_uncertainty)))
     if any(push != pushes[0] for push in pushes):
         what = "runs push with unlike widths, burst rates or lengths, or in media of unlike density"
         mistakes.append(Mistake("excitation", what, "runs of one push, or each on its own"))

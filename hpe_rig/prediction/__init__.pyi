@@ -7,6 +7,7 @@ from .amplitude import (
 from .beam_averaging import (
     beam_widths as beam_widths,
     depth_in_gate as depth_in_gate,
+    force_of as force_of,
     medium_motion as medium_motion,
     medium_of as medium_of,
     predicted_averaging as predicted_averaging,

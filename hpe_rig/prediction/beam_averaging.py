@@ -18,7 +18,9 @@ from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, scatte
 from hpe_rig.processing import (
     BeamWidths,
     Ensemble,
+    PushForce,
     Window,
+    aperture_force,
     displacement,
     harmonic_range_hz,
     medium_ensemble,
@@ -219,6 +221,17 @@ def beam_widths(scene: Scene, estimator: str) -> BeamWidths | None:
     gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
     depth_m = depth_spread(widths[1], *gate, spec_of(estimator).gate_window)
     return BeamWidths(*widths, depth_m, lateral_m=abs(scene.tracking.lateral_offset_m))
+
+
+def force_of(scene: Scene) -> PushForce:
+    """Return the shape of the push's force: that of the declared aperture, else a Gaussian; the scene has [beams]."""
+    beams, carrier = scene.beams, scene.excitation
+    assert beams is not None  # noqa: S101 (as its callers know)
+    if beams.transducer_diameter_m is None or carrier is None:
+        return PushForce(beams.excitation_width_m[:1], beams.excitation_width_m[2])
+    focus_m, loss = beams.focus_depth_m or scene.acquisition.gate_depth_m, beams.attenuation_db_per_cm_mhz
+    known = beams.transducer_diameter_m, focus_m, carrier.carrier_hz, scene.acquisition.sound_speed_m_per_s
+    return aperture_force(*known, loss)
 
 
 def _gaussian_steepness(beams: BeamWidths) -> float:

@@ -200,7 +200,10 @@ class Beams(Section):
     focus_depth_m: LengthM | None = None
     """Distance from the transducer to the common focus; absent: the middle of the gate, put there by its echoes."""
     transducer_diameter_m: Annotated[LengthM, Field(le=1.0)] | None = None
-    """Diameter of the focused aperture, whose oblique waves sense less of a displacement; absent: plane waves."""
+    """Diameter of the circular, focused aperture that pushes and tracks: its intensity is the force's shape, and its
+    oblique waves sense less of a displacement; absent: a Gaussian force and plane waves."""
+    attenuation_db_per_cm_mhz: Annotated[float, Field(ge=0, le=10, strict=True)] | None = None
+    """Attenuation of the push on its way, of an aperture; absent: 0.5, that of soft tissue."""
 
 
 class Medium(Section):
