@@ -141,8 +141,9 @@ def hangs(kind: str, every: int) -> Counter[str]:
     library, setup, outcomes = ctypes.CDLL(None), small_setup(), Counter[str]()
     folder = Path(tempfile.mkdtemp()).resolve()
     steps = steps_of(setup, folder, KINDS[kind], library)
-    # Without those before the bench is opened, and those after: the file is closed then, and waited for, for 60 s.
-    for number in range(3, steps - 8, every):
+    # Without those before the bench is opened, and those that close the run file, for which it waits 60 s; the last
+    # two are the result's.
+    for number in (*range(3, steps - 8, every), steps - 1, steps):
         (folder / "disk").mkdir()
         code = in_child(partial(hang, setup, folder / "disk", KINDS[kind], library, number), folder / "said")
         said = (folder / "said").read_text()

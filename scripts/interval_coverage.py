@@ -67,8 +67,6 @@ ALIKE = {
     "muscle-repeats": "muscle-force",
 }
 """Scenes left out: each is another one once the medium is drawn, but for settings that change no interval."""
-BOWLS = ("bovine-muscle-aperture",)
-"""Shipped scenes whose focus is their bowl's: it is not where a seed's sound speed puts the gate."""
 WRAPS = "quarter wavelengths from pulse to pulse"
 """Of the warning that the displacement may be off by half wavelengths: the drive is too strong for the pulse rate."""
 TOO_FAST = "motion between pulses"
@@ -134,7 +132,7 @@ def main() -> None:
 
 def measured_scenes() -> list[str]:
     """Return the shipped scenes that are measured."""
-    return [name for name in shipped_scenes() if name not in {*ALIKE, *BOWLS}]
+    return [name for name in shipped_scenes() if name not in ALIKE]
 
 
 def measured(folder: Path, name: str, estimators: Sequence[str], seeds: Sequence[int]) -> None:
@@ -161,7 +159,7 @@ def _key(name: str) -> str:
     for folder in SOURCES:
         for path in sorted((ROOT / folder).rglob("*.py")):
             digest.update(path.read_bytes())
-    for part in (errors_over_u, thinned, drawn, _as_large, drawn_medium, _ratios, _each_ratio):
+    for part in (errors_over_u, thinned, drawn, _bowl, _as_large, drawn_medium, _ratios, _each_ratio):
         digest.update(inspect.getsource(part).encode())
     digest.update(repr((FORCES, FAMILIES, CREEP_ORDER, WIDTH_SPREAD)).encode())
     return digest.hexdigest()[:12]
@@ -207,13 +205,15 @@ def thinned(scene: Scene) -> Scene:
 
 def drawn(scene: Scene, seed: int) -> Scene:
     """Return ``scene`` with everything drawn by ``seed`` that a stated uncertainty covers."""
-    speed, rng = scene.acquisition.sound_speed_m_per_s, np.random.default_rng(seed)
+    speed, rng, bowl = scene.acquisition.sound_speed_m_per_s, np.random.default_rng(seed), _bowl(scene)
     relative = scene.acquisition.sound_speed_uncertainty * rng.standard_normal()
     values: dict[str, Any] = {
         "simulation.seed": seed + 1,
         "simulation.sound_speed_m_per_s": speed * (1 + relative),
         "simulation.beams.focus_depth_m": scene.acquisition.gate_depth_m * (1 + relative),
     }
+    if bowl:
+        values["simulation.beams.transducer.focal_length_m"] = values["simulation.beams.focus_depth_m"]
     if scene.medium is None and "specimen" in (scene.simulation or {}):
         values |= {f"simulation.specimen.{name}": value for name, value in drawn_medium(rng).items()}
         values["processing.background_order"] = max(scene.processing.background_order, CREEP_ORDER)
@@ -221,8 +221,15 @@ def drawn(scene: Scene, seed: int) -> Scene:
         wide, deep = np.exp(WIDTH_SPREAD * rng.standard_normal(2)).tolist()
         if scene.beams is not None:
             x, y, z = scene.beams.excitation_width_m
-            values["simulation.beams.excitation_width_m"] = (x * wide, y * wide, z * deep)
+            # A bowl's field is what it is: then what the scene says of it is drawn.
+            key = "beams.excitation_width_m" if bowl else "simulation.beams.excitation_width_m"
+            values[key] = (x * wide, y * wide, z * deep)
     return _as_large(scene.with_(values), scene)
+
+
+def _bowl(scene: Scene) -> bool:
+    """Return whether the twin's beams are those of an aperture, not Gaussians."""
+    return (scene.simulation or {}).get("beams", {}).get("field") == "aperture"
 
 
 def _as_large(scene: Scene, before: Scene) -> Scene:

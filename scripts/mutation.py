@@ -34,7 +34,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 from coverage import Coverage
@@ -43,13 +42,16 @@ ROOMS = {
     "plan": (["hpe_rig/plan"], ["tests/hpe_rig/plan"]),
     "bench": (
         [f"hpe_rig/bench/{name}.py" for name in ("opening", "instruments", "interrupts", "lock")],
-        ["tests/hpe_rig/bench", "tests/system/test_safety.py"],
+        ["tests/hpe_rig/bench", "tests/system/test_safety.py", "tests/system/test_signals.py"],
     ),
     "sequencer": (
         ["hpe_rig/acquire/sequencer.py"],
-        ["tests/system/test_safety.py", "tests/system/test_watched_settings.py"],
+        ["tests/system/test_safety.py", "tests/system/test_watched_settings.py", "tests/system/test_boards.py"],
     ),
-    "store": (["hpe_rig/store"], ["tests/hpe_rig/store"]),
+    "store": (
+        ["hpe_rig/store"],
+        ["tests/hpe_rig/store", "tests/system/test_one_run_a_file.py", "tests/system/test_old_run_files.py"],
+    ),
     "processing": (["hpe_rig/processing"], ["tests/hpe_rig/processing"]),
     "wiring": (
         ["sim_backend/wiring.py", "sim_backend/world.py"],
@@ -79,7 +81,11 @@ PRELOADED = (
     "hypothesis.extra.numpy",
     "matplotlib.figure",
 )
-LONGEST_S = 2.5
+MORE_TESTS = [f"tests/system/test_{name}.py" for name in ("resume", "stopped_runs", "capture_modes", "distrust")]
+"""Tests of the program as a whole that run much of what is mutated."""
+PATHS = sorted({path for room in ROOMS.values() for path in room[1]} | set(MORE_TESTS))
+LONGEST_S = 4.0
+"""Processor time after which the recording gives up a test; it takes no part."""
 UNSEEN_KEYWORDS = {"strict", "frozen", "slots", "dtype", "encoding"}
 
 
@@ -188,35 +194,56 @@ class Recorder:
         self.coverage, self.now, self.users = coverage, "", dict[str, list[str]]()
         self.seconds: dict[str, float] = defaultdict(float)
         self.failed: set[str] = set()
+        self.item = ""
+
+    def pytest_sessionstart(self) -> None:
+        signal.signal(signal.SIGVTALRM, lambda *_: pytest.fail("takes too long for a mutation run"))
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        self.now = item.nodeid
+        self.now = self.item = item.nodeid
         self.coverage.switch_context(self.now)
-        return (yield)
+        with self.timed():
+            signal.setitimer(signal.ITIMER_VIRTUAL, LONGEST_S)
+            try:
+                return (yield)
+            finally:
+                signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+
+    @contextlib.contextmanager
+    def timed(self) -> Iterator[None]:
+        """Add the processor time of what runs now and of what it starts, less that of a shared fixture inside it."""
+        name, others_s, start_s = self.now, sum(self.seconds.values()) - self.seconds[self.now], sum(os.times()[:4])
+        yield
+        inside_s = sum(self.seconds.values()) - self.seconds[name] - others_s
+        self.seconds[name] += sum(os.times()[:4]) - start_s - inside_s
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(
         self, fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
     ) -> Iterator[None]:
-        before = self.now
+        before, file = self.now, self.item.partition("::")[0]
         if fixturedef.scope != "function":
-            self.now = f"{fixturedef.argname} of {before.partition('::')[0]}"
+            self.now = f"{fixturedef.argname} of {file}"
             self.users[self.now] = [
                 item.nodeid
                 for item in request.session.items
                 if fixturedef.argname in getattr(item, "fixturenames", ())
-                and item.nodeid.partition("::")[0] == before.partition("::")[0]
+                and (fixturedef.scope == "session" or item.nodeid.partition("::")[0] == file)
             ]
-        self.coverage.switch_context(self.now)
-        try:
+        if self.now == before:
             return (yield)
+        self.coverage.switch_context(self.now)
+        left_s, _ = signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        try:
+            with self.timed():
+                return (yield)
         finally:
+            signal.setitimer(signal.ITIMER_VIRTUAL, left_s)
             self.now = before
             self.coverage.switch_context(before)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        self.seconds[report.nodeid] += report.duration if report.when == "call" else 0.0
         if not report.passed:
             self.failed.add(report.nodeid)
 
@@ -240,14 +267,17 @@ class Deadline:
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         self.last.write_text(nodeid, "utf-8")
-        signal.setitimer(signal.ITIMER_REAL, 10.0 + 5 * self.seconds[nodeid])
+        # A busy machine makes others wait: processor time tells a loop, a long time a wait without end.
+        signal.setitimer(signal.ITIMER_VIRTUAL, 5.0 + 5 * self.seconds[nodeid])
+        signal.setitimer(signal.ITIMER_REAL, 90.0 + 20 * self.seconds[nodeid])
 
 
 def run_pytest(tree: Path, arguments: Iterable[str], plugins: list[object]) -> int:
     """Return pytest's code for tests of ``tree``; for a fork, which is used up by it."""
     # A program in the background may have been told to ignore Ctrl-C, and hands that down to the tests.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    for number in (signal.SIGALRM, signal.SIGVTALRM):
+        signal.signal(number, signal.SIG_DFL)
     sys.path.insert(0, str(tree))
     sys.dont_write_bytecode = True
     quiet = ["-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
@@ -274,29 +304,19 @@ def forked(call: Callable[[], int]) -> int:
             os.killpg(child, signal.SIGKILL)
 
 
-def record(tree: Path, folder: Path, slow: Path | None) -> int:
+def record(tree: Path, folder: Path) -> int:
     """Run the rooms' tests under coverage.py and write what they run and how long it takes; in a fork."""
     places = [tree / place for room in ROOMS.values() for place in room[0]]
     coverage = Coverage(None, include=[f"{place}/*" if place.is_dir() else str(place) for place in places])
-    recorder = Recorder(coverage)
     coverage.start()
-    paths = sorted({path for room in ROOMS.values() for path in room[1]} | {"tests/system"})
-    run_pytest(tree, [*paths, *(f"--deselect={name}" for name in slow_tests(slow))], [recorder])
+    recorder = Recorder(coverage)
+    run_pytest(tree, PATHS, [recorder])
     coverage.stop()
     data = coverage.get_data()
     lines = {str(Path(file).relative_to(tree)): data.contexts_by_lineno(file) for file in data.measured_files()}
     tests = {"seconds": recorder.seconds, "failed": sorted(recorder.failed), "users": recorder.users, "lines": lines}
     (folder / "tests.json").write_text(json.dumps(tests), "utf-8")
     return 0
-
-
-def slow_tests(report: Path | None) -> list[str]:
-    """Return the tests that took longer than ``LONGEST_S`` by a report of pytest's option ``--junitxml``."""
-    cases = ElementTree.parse(report).iter("testcase") if report else ()
-    slow = [case for case in cases if float(case.get("time", 0.0)) > LONGEST_S]
-    names = [f"{case.get('classname', '').replace('.', '/')}.py::{case.get('name')}" for case in slow]
-    # What starts copies of the tree says nothing of a fault in this one.
-    return ["tests/system/test_rules.py", *names]
 
 
 @dataclass(frozen=True)
@@ -310,6 +330,15 @@ class Record:
     users: Mapping[str, Sequence[str]]
     all_of_room: bool
 
+    @cached_property
+    def fixtures(self) -> Mapping[str, set[str]]:
+        """The shared fixtures of every test."""
+        used: dict[str, set[str]] = defaultdict(set)
+        for name, tests in self.users.items():
+            for test in tests:
+                used[test].add(name)
+        return used
+
     def tests_of(self, mutant: Mutant, budget_s: float) -> list[str]:
         """Return the tests that run a mutant, those of its room first and the fastest first, up to ``budget_s``."""
         contexts = self.lines.get(mutant.file, {})
@@ -318,22 +347,34 @@ class Record:
             # Run at import: whatever runs the file.
             names = {name for some in contexts.values() for name in some} if names else set()
         tests = {test for name in names for test in self.users.get(name, (name,))} & self.seconds.keys() - self.failed
+        tests -= self.users.keys()
         places = tuple(ROOMS[mutant.room][1])
         if self.all_of_room:
             # Some start programs of their own, in which nobody looked.
-            tests |= {test for test in self.seconds if test.startswith(places)} - self.failed
+            tests |= {test for test in self.seconds if test.startswith(places)} - self.failed - self.users.keys()
         ordered = sorted(tests, key=lambda test: (not test.startswith(places), self.seconds[test]))
-        taken, total_s = list[str](), 0.0
+        taken, made, total_s = list[str](), set[str](), 0.0
         for test in ordered:
-            total_s += self.seconds[test] + 0.01
+            fixtures = self.fixtures[test] - made
+            total_s += self.seconds[test] + sum(self.seconds[name] for name in fixtures) + 0.01
             if total_s > budget_s and taken:
                 break
+            made |= fixtures
             taken.append(test)
         return taken
 
 
-def replaced(path: str, text: str) -> bool:
-    """Put the code of ``text`` into every function that was loaded from ``path``; return whether one has changed."""
+def functions_by_file() -> Mapping[str, Sequence[types.FunctionType]]:
+    """Return every function that there is, by the file that it was loaded from."""
+    found: dict[str, list[types.FunctionType]] = defaultdict(list)
+    for item in gc.get_objects():
+        if isinstance(item, types.FunctionType):
+            found[item.__code__.co_filename].append(item)
+    return found
+
+
+def replaced(path: str, text: str, functions: Iterable[types.FunctionType]) -> bool:
+    """Put the code of ``text`` into those ``functions`` that were loaded from ``path``; return whether one changed."""
     new: dict[tuple[str, int], types.CodeType] = {}
 
     def gather(code: types.CodeType) -> None:
@@ -344,9 +385,9 @@ def replaced(path: str, text: str) -> bool:
 
     gather(compile(text, path, "exec", dont_inherit=True))
     changed = False
-    for function in [item for item in gc.get_objects() if isinstance(item, types.FunctionType)]:
+    for function in functions:
         old = function.__code__
-        code = new.get((old.co_qualname, old.co_firstlineno)) if old.co_filename == path else None
+        code = new.get((old.co_qualname, old.co_firstlineno))
         if code and code != old and code.co_freevars == old.co_freevars:
             function.__code__ = code
             changed = True
@@ -365,6 +406,7 @@ class Campaign:
     ) -> None:
         self.record, self.mutants, self.budget_s = record, mutants, budget_s
         self.results, self.killer = results, killer
+        self.functions: Mapping[str, Sequence[types.FunctionType]] = {}
         self.unplaced = killer.last.with_name("unplaced")
         self.unplaced.write_text("", "utf-8")
 
@@ -377,6 +419,7 @@ class Campaign:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         every = {item.nodeid: item for item in session.items}
+        self.functions = functions_by_file()
         gc.freeze()
         for mutant in self.mutants:
             names = self.record.tests_of(mutant, self.budget_s)
@@ -398,8 +441,10 @@ class Campaign:
     def judge(self, session: pytest.Session, mutant: Mutant | None, some: list[pytest.Item]) -> int:
         """Run ``some`` tests on the mutant, or on the code as it is, until one fails; in a fork."""
         gc.unfreeze()
-        if mutant and not replaced(str(self.record.tree / mutant.file), mutant.text):
-            return UNREPLACED
+        if mutant:
+            path = str(self.record.tree / mutant.file)
+            if not replaced(path, mutant.text, self.functions.get(path, ())):
+                return UNREPLACED
         session.items[:] = some
         session.config.pluginmanager.unregister(self)
         session.config.option.maxfail = 1
@@ -422,7 +467,11 @@ class Killer:
         name = self.last.read_text("utf-8")
         if name not in self.sound:
             self.sound[name] = alone(name) == 0
-        return ("timed out" if code == -signal.SIGALRM else "killed") if self.sound[name] else "unknown"
+        return (
+            ("timed out" if code in (-signal.SIGALRM, -signal.SIGVTALRM) else "killed")
+            if self.sound[name]
+            else "unknown"
+        )
 
 
 @contextlib.contextmanager
@@ -474,7 +523,6 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--budget-s", type=float, default=30.0, help="tests of one mutant, by the time they took")
     parser.add_argument("--again", action="store_true", help="those that were not killed, with all tests of their room")
-    parser.add_argument("--slow", type=Path, help="report of --junitxml that says which tests take too long for this")
     parser.add_argument("--rooms", nargs="*", choices=list(ROOMS), default=list(ROOMS))
     options = parser.parse_args()
     folder = options.folder.resolve()
@@ -492,7 +540,7 @@ def main() -> None:
     for module in PRELOADED:
         importlib.import_module(module)
     if not (folder / "tests.json").exists():
-        forked(lambda: record(tree, folder, options.slow))
+        forked(lambda: record(tree, folder))
     tests = json.loads((folder / "tests.json").read_text("utf-8"))
     failed = frozenset(tests["failed"])
     known = Record(tree, tests["lines"], tests["seconds"], failed, tests["users"], options.again)
@@ -504,7 +552,7 @@ def main() -> None:
         deadline = Deadline(known.seconds, killer.last)
         campaign = Campaign(known, left, options.budget_s, results, killer)
         if left:
-            forked(lambda: run_pytest(tree, ["tests"], [campaign, deadline]))
+            forked(lambda: run_pytest(tree, PATHS, [campaign, deadline]))
         # Constants, defaults and bodies of classes: a fresh import each.
         for mutant in campaign.left:
             names = known.tests_of(mutant, options.budget_s)

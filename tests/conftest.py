@@ -5,12 +5,20 @@ pytest-xdist is missing, all runs in one process; ``pytest -n 0`` runs the whole
 """
 
 import os
+import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
 for library in ("OMP", "OPENBLAS", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
+    # No bytecode beside the sources; but the processes of the suite, and those that they start, need not each compile
+    # every file, with the tests' assertions taken apart.
+    os.environ["PYTHONPYCACHEPREFIX"] = str(Path(__file__).parents[1] / ".pytest_cache" / "bytecode")
+    sys.pycache_prefix, sys.dont_write_bytecode = os.environ["PYTHONPYCACHEPREFIX"], False
 
 # The same examples in every run: what passes here passes there.
 settings.register_profile("seeded", derandomize=True)

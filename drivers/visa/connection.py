@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import socket
 import traceback
@@ -267,10 +268,22 @@ def _not_open(address: str, error: Exception) -> ConnectionError:
 def _resource_manager(backend: str) -> ResourceManager:
     import pyvisa
 
+    return pyvisa.ResourceManager(_library(backend or os.environ.get("PYVISA_LIBRARY", "")))
+
+
+@functools.cache
+def _library(backend: str) -> str:
+    """Return which library ``backend`` stands for, "" for the vendor's, else pyvisa-py's.
+
+    Looked for once: pyvisa asks the linker and the compiler each time, which takes a third of a second an instrument.
+    """
+    import pyvisa
+
     try:
-        return pyvisa.ResourceManager(backend)
+        found = pyvisa.ResourceManager(backend).visalib.library_path
     except (ValueError, OSError):
-        return pyvisa.ResourceManager("@py")
+        return "@py"
+    return backend or ("@py" if found == "py" else f"{found}@ivi")
 
 
 def _open(manager: ResourceManager, address: str) -> MessageBasedResource:

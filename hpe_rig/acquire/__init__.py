@@ -10,9 +10,8 @@
     provenance.py     who measures, when and where
     stop_request.py   a safe stop that another process asks for
     log.py            every step beside the run file
-    run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result
-    notebook.py       a run and a checked scene, as a notebook shows them
-    depth_profile.py  the same shots in each of several gates over depth
+    run_file.py       a stored run, opened once: ``open_run(path) -> Run``, and its result, also over depth
+    reprocessing.py   one estimated at every value of what is made of its records
     importing.py      a recording of another program becomes a run file
     mapping.py        one of many lines becomes a map of its motion
     settings_files.py the schema of scene, bench and simulation; a file with every key

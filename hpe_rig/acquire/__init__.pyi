@@ -11,21 +11,26 @@ from .importing import Imported as Imported, import_recording as import_recordin
 from .log import log_path as log_path, logged as logged
 from .mapping import map_motion as map_motion, map_recording as map_recording
 from .pause import (
+    awaited_place_m as awaited_place_m,
     clear_pause as clear_pause,
     pausable as pausable,
     pause_requested as pause_requested,
     toggle_pause as toggle_pause,
+    wait_at_place as wait_at_place,
 )
 from .places import Mover as Mover
 from .provenance import provenance_now as provenance_now
 from .queue import (
+    QUEUE_FILE as QUEUE_FILE,
     QueueRun as QueueRun,
     Watching as Watching,
     listed as listed,
     new_queue as new_queue,
     read_queue as read_queue,
     run_queue as run_queue,
+    time_left_s as time_left_s,
 )
+from .reprocessing import estimate_over as estimate_over, parse_axes as parse_axes
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import (
     Setup as Setup,

@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hpe_rig.acquire.provenance import provenance_now
 from hpe_rig.acquire.run import Setup, prepare, record_run, source_text
-from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings, open_run
-from hpe_rig.bench import Bench, open_bench as open_instruments
+from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings, open_run, plan_html
+from hpe_rig.bench import Bench, BenchFile, open_bench as open_instruments, twin_of
+from hpe_rig.extensions import ESTIMATORS, MEDIA, installed, named
 from hpe_rig.plan import CheckResult
 from hpe_rig.result import Result, ShotResult, Stages
 from hpe_rig.scene import Estimator, Mistake, Scene, SceneSource, SettingsError, parse_scene
@@ -111,8 +112,6 @@ class CheckedScene:
         """Return HTML for a notebook: the timeline as a figure, what fails or warns, what is foreseen."""
         from html import escape
 
-        from hpe_rig.acquire.notebook import plan_html
-
         setup = self.setup
         count = len(setup.plan.shots)
         state = f"{count} shot{'' if count == 1 else 's'}; {'refused' if self.refused else 'may be measured'}"
@@ -145,6 +144,7 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
 
     first, shot = setup.scene.scene.points[0], setup.plan.shots[0]
     scene, bench = first.scene, setup.bench.bench.with_(first.bench)
+    yield from _of_others(scene, bench)
     if not scene.wanted_frequencies_hz:
         yield "prediction: left out, no vibration frequency is wanted"
         return
@@ -160,6 +160,15 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
         from hpe_rig.moduli import moduli_text
 
         yield from moduli_text(scene, setup.plan, bench.simulated)
+
+
+def _of_others(scene: Scene, bench: BenchFile) -> Iterator[str]:
+    """Yield which estimator and medium other packages bring to the measurement, with these and their versions."""
+    twin = twin_of(scene) if bench.simulated else None
+    asked = {ESTIMATORS: scene.processing.estimator, MEDIA: "" if twin is None else twin.medium_name or ""}
+    brought = [named(group, name) for group, name in asked.items() if name in installed(group)]
+    if brought:
+        yield f"of other packages: {', '.join(brought)}"
 
 
 @contextmanager

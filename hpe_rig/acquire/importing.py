@@ -183,7 +183,8 @@ def _refuse_other_sweeps(tables: Mapping[str, Any], source: str) -> None:
         return
     others = [key for key in swept if key not in ("window_length_s", "lateral_offset_m")]
     what = "a recording has one value of it"
-    mistakes = [Mistake(f"sweep.{key}", what, "a scene without it, one recording a value") for key in others]
+    remedy = "a scene without it, one recording a value; hpe-rig process RUN.h5 --sweep varies what is made of records"
+    mistakes = [Mistake(f"sweep.{key}", what, remedy) for key in others]
     if mistakes:
         raise SettingsError(source, mistakes)
 

@@ -10,7 +10,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -68,15 +68,21 @@ class QueueRun:
     run_file: str
     state: State = "waiting"
     why: str = ""
+    planned_s: float = 0.0
+    """How long it takes by its plan."""
+    took_s: float = 0.0
+    """How long it took, where it is done, its result included."""
 
 
 @dataclass(frozen=True, slots=True)
 class Watching:
-    """Who watches a queue: ``tell`` is told of every step; ``watch`` gives the observer of a run, with its identity."""
+    """Who watches a queue: ``tell`` is told of every step; ``watch`` gives the observer of a run, by its identity.
+
+    And who moves the tracking transducer between places, None where nobody does.
+    """
 
     tell: Callable[[str], None]
-    watch: Callable[[Setup, Path, str], AbstractContextManager[Observer]]
-    move: Mover | None = None
+    watch: Callable[[Setup, Path, str], AbstractContextManager[tuple[Observer, Mover | None]]]
 
 
 def listed(sources: Sequence[str], bench: Path | None) -> tuple[list[tuple[str, Path | None]], bool]:
@@ -102,12 +108,12 @@ def new_queue(runs: Sequence[tuple[str, Path | None]], folder: Path) -> tuple[Qu
     for number, (source, bench) in enumerate(runs, 1):
         try:
             name, text = source_text(source)
-            prepare_text(name, text, bench)
+            setup = prepare_text(name, text, bench)
         except Failure as error:
             mistakes += _mistakes(f"run {number}, {source}", error)
             continue
         path = None if bench is None else str(bench.resolve())
-        found.append(QueueRun(name, text, path, f"{number:02d}-{name}.h5"))
+        found.append(QueueRun(name, text, path, f"{number:02d}-{name}.h5", planned_s=setup.plan.duration_s))
     if mistakes:
         raise SettingsError("the queue", mistakes)
     try:
@@ -147,17 +153,17 @@ def run_queue(
     """
     runs, results = list(queue), dict[int, Result]()
     setups = [prepare_text(run.name, run.scene_toml, _bench(run)) for run in runs]
-    pace = _Pace(setups)
+    runs = [replace(run, planned_s=setup.plan.duration_s) for run, setup in zip(runs, setups, strict=True)]
     with hold(_resources([setup.bench.bench for setup in setups])):
         for index, run in enumerate(runs):
             if run.state == "done":
                 continue
-            watching.tell(f"run {index + 1} of {len(runs)}: {run.name} -> {run.run_file}; {pace.end(index, runs)}")
+            watching.tell(f"run {index + 1} of {len(runs)}: {run.name} -> {run.run_file}; {_end(runs, index)}")
             try:
                 runs[index] = _set(folder, runs, index, state="running", why="")
-                with pace.measured(index):
-                    results[index] = _measure(folder, runs, index, setups[index], watching)
-                runs[index] = _set(folder, runs, index, state="done")
+                start_s = time.monotonic()
+                results[index] = _measure(folder, runs, index, setups[index], watching)
+                runs[index] = _set(folder, runs, index, state="done", took_s=time.monotonic() - start_s)
             except Failure as error:
                 runs[index] = _set(folder, runs, index, state="failed", why=_said(error))
                 watching.tell(f"run {index + 1} failed: {_said(error)}")
@@ -186,11 +192,11 @@ def _measure(folder: Path, runs: list[QueueRun], index: int, setup: Setup, watch
         watching.tell(f"{rest.complete} of {len(setup.plan.shots)} shots are complete: the others go to {path.name}")
         runs[index] = _set(folder, runs, index, run_file=path.name)
     refuse_unwritable(path)
-    with watching.watch(setup, path, run_id) as observer:
+    with watching.watch(setup, path, run_id) as (observer, move):
         if rest is None:
-            record_run(setup, path, observer, options=options, move=watching.move)
+            record_run(setup, path, observer, options=options, move=move)
         else:
-            resume(rest, path, observer, options=options, move=watching.move)
+            resume(rest, path, observer, options=options, move=move)
     return process(path)
 
 
@@ -211,28 +217,18 @@ def _set(folder: Path, runs: Sequence[QueueRun], index: int, **changes: Any) -> 
     return changed
 
 
-class _Pace:
-    """Estimated end of a queue: by the plans, then by how long the runs so far took beside their plans."""
+def time_left_s(queue: Sequence[QueueRun], index: int) -> float:
+    """Return how long the runs from ``index`` on take: by their plans, at the pace of those that are done."""
+    done = [run for run in queue if run.state == "done" and run.took_s]
+    pace = sum(run.took_s for run in done) / sum(run.planned_s for run in done) if done else 1.0
+    return pace * sum(run.planned_s for run in queue[index:] if run.state != "done")
 
-    def __init__(self, setups: Sequence[Setup]) -> None:
-        self._planned_s = [setup.plan.duration_s for setup in setups]
-        self._took_s = self._of_s = 0.0
 
-    def end(self, index: int, runs: Sequence[QueueRun]) -> str:
-        """Return in words when the queue ends, seen from the start of run ``index``."""
-        left = zip(self._planned_s[index:], runs[index:], strict=True)
-        left_s = sum(planned_s for planned_s, run in left if run.state != "done")
-        how = "as the runs so far went" if self._of_s else "by the plans alone"
-        end = datetime.now().astimezone() + timedelta(seconds=left_s * (self._took_s / self._of_s if self._of_s else 1))
-        return f"the queue ends at about {end.isoformat(' ', 'seconds')}, {how}"
-
-    @contextmanager
-    def measured(self, index: int) -> Iterator[None]:
-        """Take the time of the block as that of run ``index``; one that fails says nothing of the others."""
-        start_s = time.monotonic()
-        yield
-        self._took_s += time.monotonic() - start_s
-        self._of_s += self._planned_s[index]
+def _end(queue: Sequence[QueueRun], index: int) -> str:
+    """Return in words when the queue ends, seen from the start of run ``index``."""
+    how = "as the runs so far went" if any(run.took_s for run in queue) else "by the plans alone"
+    end = datetime.now().astimezone() + timedelta(seconds=time_left_s(queue, index))
+    return f"the queue ends at about {end.isoformat(' ', 'seconds')}, {how}"
 
 
 def _mistakes(where: str, error: Exception) -> Iterator[Mistake]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.acquire.run import planned
-from hpe_rig.bench import BenchFile, parse_bench
+from hpe_rig.bench import BenchFile, parse_bench, with_transducers
 from hpe_rig.plan import (
     CheckResult,
     Plan,
+    Shot,
+    depth_gates,
     gates_over_depth,
     omissions,
     places_of,
@@ -24,6 +26,8 @@ from hpe_rig.plan import (
     refuse_conflicts,
     scene_of,
     select,
+    shots_with_gate,
+    with_gate,
 )
 from hpe_rig.result import GateResult, Result, ShotResult, Stages
 from hpe_rig.scene import (
@@ -77,8 +81,6 @@ class Run:
 
     def _repr_html_(self) -> str:
         """Return HTML for a notebook: state, timing of the first shot, checks of the plan; nothing is estimated."""
-        from hpe_rig.acquire.notebook import plan_html
-
         return plan_html(self.scene.title, f"{self.path}: {self._state}", self.plan.shots[0], self.findings)
 
     def displacement_m(self, shot: int = 0) -> NDArray[np.float64]:
@@ -133,6 +135,25 @@ class Run:
             provenance=self.stored.provenance,
             profile=profile,
         )
+
+    def sweep(
+        self,
+        axes: Mapping[str, Sequence[float]],
+        *,
+        together: bool = False,
+        estimator: str | None = None,
+    ) -> Result:
+        """Return the estimates at every value of the ``axes``, all of the same records: nothing is acquired.
+
+        ``axes``: values by the name of a number of [processing] or [beams], or of the gate; each value with each or,
+        where ``together``, the first values of all axes, then the second ones. Raises ``SettingsError`` with every
+        axis that is none of these, ``PlanError`` where a window or gate is not in the records, and as ``estimate``.
+
+        >>> run.sweep({"gate_length_m": [0.5e-3, 1e-3]}).to_frame()[["acquisition.gate_length_m", "amplitude_m"]]
+        """
+        from hpe_rig.acquire.reprocessing import estimate_over
+
+        return estimate_over(self, axes, estimator, together)
 
     def with_profile(self, step_m: float | None) -> Run:
         """Return the run with gates every ``step_m`` over the depth of its records; with None as it is.
@@ -191,6 +212,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     stored = read_run(Path(path))
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench
     scene = parse_scene(stored.scene_name, stored.scene_toml, stored=True).scene
+    scene = with_transducers(scene, bench)
     if bench.simulated:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)
@@ -215,6 +237,18 @@ def _at_imported_times(plan: Plan, stored: StoredRun) -> Plan:
         return plan
     shots = (replace(shot, timeline=replace(shot.timeline, pulse_onset_s=onset_s)) for shot in plan.shots)
     return replace(plan, shots=tuple(shots))
+
+
+def plan_html(title: str, state: str, shot: Shot, findings: Iterable[CheckResult]) -> str:
+    """Return a plan as a notebook shows it: ``title``, ``state``, the timing of ``shot``, what did not pass."""
+    from hpe_rig.plan import timing
+    from hpe_rig.result import image, symbols
+
+    listed = list(findings)
+    noticed = [each for each in listed if each.level != "passed"]
+    lines = [f"<p><b>{symbols(title)}</b><br>{symbols(state)}</p>", "".join(image(each) for each in timing(shot))]
+    lines.append(f"<p>{len(listed) - len(noticed)} of {len(listed)} checks of the plan passed.</p>")
+    return "\n".join([*lines, *(f"<p><b>{each.level.upper()}</b> {symbols(each)}</p>" for each in noticed)])
 
 
 def process(
@@ -284,10 +318,38 @@ def _shots(run: Run, estimator: Estimator) -> Estimates:
 
 def _profile(run: Run, estimator: Estimator) -> tuple[tuple[GateResult, ...], tuple[str, ...]]:
     """Return every shot at every gate over depth, and in words what has no result."""
-    from hpe_rig.acquire.depth_profile import depth_profile
-
-    places = [depth_profile(scene, plan, run.stored, estimator) for scene, plan in places_of(run.scene, run.plan)]
+    places = [_depth_profile(scene, plan, run.stored, estimator) for scene, plan in places_of(run.scene, run.plan)]
     return tuple(each for found, _ in places for each in found), tuple(text for _, lost in places for text in lost)
+
+
+def _depth_profile(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) -> tuple[list[GateResult], list[str]]:
+    """Return what every gate over depth says of the shots of a place, and in words what has no result.
+
+    The averaging over the beam is that of the focal plane, at the gate's own depth. Raises ``ValueError`` where no
+    averaging can be predicted.
+    """
+    found, without = list[GateResult](), list[str]()
+    gates = depth_gates(scene, plan.shots[0]) if plan.shots else ()
+    if not gates:
+        return found, without
+    from hpe_rig.prediction import beam_widths, predicted_averaging
+    from hpe_rig.processing import burst_period_motion, estimate_run
+
+    # The truth that a twin stores is that of the focus.
+    untold = replace(stored, true_displacement_m=None)
+    for gate in gates:
+        there = with_gate(scene, gate)
+        shots = shots_with_gate(plan, gate, scene.acquisition.sound_speed_m_per_s)
+        averaging, beams = predicted_averaging(there, estimator), beam_widths(there, estimator)
+        estimates = estimate_run(there, shots, untold, estimator, averaging, beams)
+        motion = {shot.index: burst_period_motion(there, shot, stored) for shot in shots.shots}
+        for shot in estimates.shots:
+            time_s, moved_m = (values.tolist() for values in motion[shot.shot])
+            trusted = replace(shot, motion=None, untrusted=stored.untrusted.get(shot.shot, ""))
+            found.append(GateResult(gate.depth_m, gate.length_m, trusted, tuple(time_s), tuple(moved_m)))
+        where = f"gate at {gate.depth_m * 1e3:.4g} mm, shot"
+        without += [f"{where} {shot + 1} left out: {why}" for shot, why in estimates.without.items()]
+    return found, without
 
 
 def _no_estimate(run: Run, why: str) -> StoreError:

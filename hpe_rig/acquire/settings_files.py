@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from hpe_rig.bench import BenchFile, simulation_schema
 from hpe_rig.result import result_schema
-from hpe_rig.scene import DescribedTable, Mistake, Scene, SettingsError, annotated, described, parse_toml
+from hpe_rig.scene import (
+    DescribedTable,
+    Mistake,
+    Scene,
+    SettingsError,
+    annotated,
+    described,
+    parse_toml,
+    settings_schema,
+)
 
 SIMULATION = "What the twin simulates; read by the simulated bench alone. Without it the default muscle is measured."
 
@@ -16,8 +26,8 @@ SIMULATION = "What the twin simulates; read by the simulated bench alone. Withou
 def json_schema(of: str) -> dict[str, Any]:
     """Return the JSON schema of a scene, a bench file, the twin's settings or a result as ``--json`` prints it."""
     schemas: dict[str, Callable[[], dict[str, Any]]] = {
-        "scene": Scene.model_json_schema,
-        "bench": BenchFile.model_json_schema,
+        "scene": partial(settings_schema, Scene),
+        "bench": partial(settings_schema, BenchFile),
         "simulation": simulation_schema,
         "result": result_schema,
     }

@@ -21,7 +21,6 @@ from hpe_rig.cli.console import (
     RunFile,
     SceneName,
     announce,
-    asking,
     file_named,
     guarded,
     ignore_interrupts,
@@ -30,8 +29,8 @@ from hpe_rig.cli.console import (
     refuse_undecodable,
     show,
 )
-from hpe_rig.cli.log_level import LogLevel, start_logging
 from hpe_rig.cli.studies import studies
+from hpe_rig.cli.terminal import LogLevel, start_logging
 from hpe_rig.result import Stages
 
 app = typer.Typer(
@@ -147,10 +146,10 @@ def run(
     path, run_id = output or free_path(setup.scene.name, Path()), new_run_id()
     refuse_unwritable(result_path(path, chosen))
     page = page_options(live, port, opened, closes)
-    with watched(setup, path, run_id, page, verbose, announce) as watching:
+    with watched(setup, path, run_id, page, verbose, announce, yes) as watching:
         with progress(setup, quiet=json or csv) as observer:
             options = WriteOptions(compress, overwrite, run_id=run_id, provenance=provenance_now(setup.bench.bench))
-            record_run(setup, path, watching(observer), stages, options, move=asking(yes))
+            record_run(setup, path, watching.observed(observer), stages, options, move=watching.move)
         show(process(path, estimator, stages), json, csv, wide)
         if not (json or csv):
             announce(f"figures: hpe-rig report {path}")
@@ -194,10 +193,10 @@ def resume(
     path, run_id = output or free_path(run_file.stem, run_file.parent), new_run_id()
     refuse_unwritable(result_path(path, chosen))
     page = page_options(live, port, opened, closes)
-    with watched(rest.setup, path, run_id, page, verbose, announce) as watching:
+    with watched(rest.setup, path, run_id, page, verbose, announce, yes) as watching:
         with progress(rest.setup, quiet=json or csv) as observer:
             options = WriteOptions(compress, run_id=run_id, provenance=provenance_now(rest.setup.bench.bench))
-            resume_run(rest, path, watching(observer), stages, options, asking(yes))
+            resume_run(rest, path, watching.observed(observer), stages, options, watching.move)
         show(process(path, estimator, stages), json, csv, wide)
 
 
@@ -207,14 +206,29 @@ def process(
     run_file: RunFile,
     estimator: Estimator = None,
     gate_profile_step: ProfileStep = None,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=V,V",
+            help="Estimate at every value of a number of [processing], [beams] or the gate. Printed only.",
+        ),
+    ] = None,
+    together: Annotated[
+        bool, typer.Option("--together", help="Several --sweep: their first values, then their second ones.")
+    ] = False,
     json: Json = False,
     csv: Csv = False,
     wide: Wide = False,
 ) -> None:
     """Estimate again from a stored run. The result is printed and written beside the run file."""
-    from hpe_rig.acquire import process as process_run
+    from hpe_rig.acquire import open_run, parse_axes, process as process_run
 
-    show(process_run(run_file, estimator, Stages(), _step_m(gate_profile_step)), json, csv, wide)
+    if sweep:
+        run = open_run(run_file).with_profile(_step_m(gate_profile_step))
+        result = run.sweep(parse_axes(sweep), together=together, estimator=estimator)
+    else:
+        result = process_run(run_file, estimator, Stages(), _step_m(gate_profile_step))
+    show(result, json, csv, wide)
 
 
 def _step_m(text: str | None) -> float | None:
@@ -378,7 +392,7 @@ def live(
     opened: Open = False,
     attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,
 ) -> None:
-    """Serve the live page of a run, ongoing or ended. On this machine only; ends with Ctrl-C or Close page."""
+    """Serve the live page of a run or queue, ongoing or ended. On this machine only; ends with Ctrl-C or Close page."""
     from hpe_rig.store import extra
 
     with extra("live"):
@@ -515,7 +529,7 @@ def scenes() -> None:
 @guarded
 def extensions() -> None:
     """List the estimators, media and importers that other packages bring. Each is loaded and looked at."""
-    from hpe_rig.cli.extensions import extension_lines
+    from hpe_rig.cli.listing import extension_lines
 
     lines, sound = extension_lines()
     for line in lines:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 import typer
 
 if TYPE_CHECKING:
-    from hpe_rig.acquire import Mover, Observer, Setup
+    from hpe_rig.acquire import Observer, Setup
     from hpe_rig.result import Result
 
 P = ParamSpec("P")
@@ -135,19 +135,6 @@ def progress(setup: Setup, quiet: bool) -> Iterator[Observer]:
             tell(done, total, f"shot {progress.shot.index + 1}: {progress.step.value}")
 
         yield observe
-
-
-def asking(yes: bool) -> Mover:
-    """Return what asks at the terminal for the tracking transducer to be moved; with ``yes`` it only says where to."""
-
-    def move(lateral_m: float) -> None:
-        where = f"move the tracking transducer to {lateral_m * 1e3:g} mm beside the push"
-        if yes:
-            announce(where)
-        else:
-            typer.prompt(f"{where}; all outputs are off. Enter when it stands there", "", show_default=False, err=True)
-
-    return move
 
 
 def _failure(error: BaseException) -> tuple[str, int] | None:

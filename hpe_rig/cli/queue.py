@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 from hpe_rig.acquire import (
+    Mover,
     Observer,
     QueueRun,
     Setup,
@@ -17,9 +17,9 @@ from hpe_rig.acquire import (
     read_queue,
     run_queue,
 )
-from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, asking, progress
+from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, progress
 from hpe_rig.cli.tables import wide_console
-from hpe_rig.cli.watch import PageOptions, watched
+from hpe_rig.cli.watch import PageOptions, live_page, watched
 from hpe_rig.result import Result, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
 
@@ -54,18 +54,18 @@ def queue_command(
     announce(f"{len(queue)} runs into {folder}, all of them checked")
 
     @contextmanager
-    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[Observer]:
-        # The next run must not wait for a reader; its own page follows.
-        live_page = None if live is None else replace(live, closes=True)
-        page = watched(setup, path, run_id, live_page, verbose, announce)
-        with page as watching, progress(setup, quiet=False) as observer:
-            yield watching(observer)
+    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, Mover | None]]:
+        run = watched(setup, path, run_id, None, verbose, announce, yes, live is not None)
+        with run as watching, progress(setup, quiet=False) as observer:
+            yield watching.observed(observer), watching.move
 
-    ended, results = run_queue(folder, queue, Watching(announce, watch, asking(yes)), stops)
-    _print(ended, results)
-    left = [run for run in ended if run.state != "done"]
-    if left:
-        announce(f"{len(left)} of {len(ended)} runs are not done: hpe-rig queue --resume {folder} takes them up again")
+    with live_page(folder, live, announce):
+        ended, results = run_queue(folder, queue, Watching(announce, watch), stops)
+        _print(ended, results)
+        left = [run for run in ended if run.state != "done"]
+        if left:
+            again = f"hpe-rig queue --resume {folder} takes them up again"
+            announce(f"{len(left)} of {len(ended)} runs are not done: {again}")
     return EXIT_INSTRUMENT if left else 0
 
 

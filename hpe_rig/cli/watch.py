@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hpe_rig.acquire import (
+    Mover,
     Observer,
     Setup,
     clear_leftover,
@@ -20,12 +21,23 @@ from hpe_rig.acquire import (
     pause_requested,
     stoppable,
     toggle_pause,
+    wait_at_place,
 )
 from hpe_rig.cli.keys import Pressed, keyboard
 from hpe_rig.store import StoreError, extra
 
 LOOK_EVERY_S = 0.1
+GO_ON = "\r\np"
+"""Keys with which a run goes on where the tracking transducer has been moved."""
 Watch = Callable[[Observer], Observer]
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """How a run is watched: ``observed`` wraps its observer, ``move`` asks for the tracking transducer to be moved."""
+
+    observed: Watch
+    move: Mover
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +55,33 @@ def page_options(live: bool, port: int, opened: bool, closes: bool) -> PageOptio
 
 
 @contextmanager
+def live_page(path: Path, live: PageOptions | None, announce: Callable[[str], None]) -> Iterator[None]:
+    """Serve the page of a run, or of a queue in the folder ``path``; afterwards wait until it is closed, or close it.
+
+    Where what it watches ended well it stays until Ctrl-C or its own button. Raises ``StoreError`` where it cannot
+    start.
+    """
+    if live is None:
+        yield
+        return
+    with extra("live"):
+        from hpe_rig.live import live_page_of, open_page
+
+    with live_page_of(path, live.port) as page:
+        announce(f"live page: {page.address}")
+        if live.opened and not open_page(page.address):
+            announce("there is no browser to open here: open the address yourself")
+        yield
+        if not live.closes:
+            # What was printed must be read before anybody is waited for, also where it goes to a file.
+            sys.stdout.flush()
+            announce("the live page stays open until Ctrl-C, or Close page on it; --close ends it with the run")
+            with suppress(KeyboardInterrupt):
+                while not page.is_closed():
+                    time.sleep(0.2)
+
+
+@contextmanager
 def watched(
     setup: Setup,
     path: Path,
@@ -50,12 +89,14 @@ def watched(
     live: PageOptions | None,
     verbose: bool,
     announce: Callable[[str], None],
-) -> Iterator[Watch]:
-    """Yield a function that wraps an observer so that the run ``run_id`` into ``path`` can be stopped and is logged.
+    yes: bool = False,
+    paged: bool = False,
+) -> Iterator[Watched]:
+    """Yield how the run ``run_id`` into ``path`` is watched: it can be stopped and is logged.
 
-    The key p, and the live page, pause it between two shots. A ``live`` page stays after a run that has ended
-    well until Ctrl-C or its own button, unless it ``closes``. Raises ``StoreError`` where the log or the page cannot
-    start.
+    The key p, and the ``live`` page, pause it between two shots; where the tracking transducer is to be moved, unless
+    ``yes``, it waits for Enter or the page. ``paged``: it has a page already. Raises ``StoreError`` where the log or
+    the page cannot start.
     """
     with ExitStack() as stack:
         # Before the run file is there nobody can ask for a stop of this run.
@@ -65,28 +106,39 @@ def watched(
             from hpe_rig.acquire import log_path, logged
 
             log = stack.enter_context(logged(setup, log_path(path)))
-        if live is not None:
-            with extra("live"):
-                from hpe_rig.live import live_page_of, open_page
-
-            page = stack.enter_context(live_page_of(path, live.port))
-            announce(f"live page: {page.address}")
-            if live.opened and not open_page(page.address):
-                announce("there is no browser to open here: open the address yourself")
+        stack.enter_context(live_page(path, live, announce))
         stack.callback(_forget_stop, path, run_id)
         stack.callback(clear_pause, path, run_id)
-        with keyboard() as pressed:
-            pauses = _pauses(path, run_id, pressed, announce)
-            yield lambda observer: pausable(
-                stoppable(log(observer) if log else observer, path, run_id), pauses, announce
-            )
-        if live is not None and not live.closes:
-            # What the run printed must be read before anybody is waited for, also where it goes to a file.
-            sys.stdout.flush()
-            announce("the live page stays open until Ctrl-C, or Close page on it; --close ends it with the run")
-            with suppress(KeyboardInterrupt):
-                while not page.is_closed():
-                    time.sleep(0.2)
+        pressed = stack.enter_context(keyboard())
+        pauses, paged = _pauses(path, run_id, pressed, announce), paged or live is not None
+        answers = pressed if paged or sys.stdin.isatty() else None
+        yield Watched(
+            lambda observer: pausable(stoppable(log(observer) if log else observer, path, run_id), pauses, announce),
+            _asking(path, run_id, answers, announce, yes, paged),
+        )
+
+
+def _asking(
+    path: Path, run_id: str, pressed: Pressed | None, announce: Callable[[str], None], yes: bool, paged: bool
+) -> Mover:
+    """Return what asks for the tracking transducer to be moved and waits; with ``yes`` it only says where to.
+
+    ``pressed`` is None where neither terminal nor live page can answer: then a line of standard input does.
+    """
+
+    def move(lateral_m: float) -> None:
+        where = f"move the tracking transducer to {lateral_m * 1e3:g} mm beside the push"
+        if yes:
+            announce(where)
+            return
+        page = ", or Go on at the live page," if paged else ""
+        announce(f"{where}; all outputs are off. Enter{page} when it stands there")
+        if pressed is None:
+            input()
+        else:
+            wait_at_place(path, run_id, lateral_m, lambda: any(key in GO_ON for key in pressed()))
+
+    return move
 
 
 def _pauses(path: Path, run_id: str, pressed: Pressed, announce: Callable[[str], None]) -> Callable[[], bool]:

@@ -5,5 +5,6 @@ from .entry_points import (
     ExtensionError as ExtensionError,
     installed as installed,
     load as load,
+    named as named,
     origin as origin,
 )

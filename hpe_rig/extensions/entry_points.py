@@ -32,6 +32,11 @@ def origin(group: str, name: str) -> str:
     return f"{name} ({group}, of {_package(_group(group)[name])})"
 
 
+def named(group: str, name: str) -> str:
+    """Return ``name``, with the package that brings it where that is not this one."""
+    return origin(group, name) if name in _group(group) else name
+
+
 @cache
 def load(group: str, name: str) -> Any:
     """Return the object at the entry point ``name``; raise ``ExtensionError`` where it does not load."""

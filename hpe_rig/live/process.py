@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hpe_rig.acquire import read_queue
+from hpe_rig.live.queue_source import QueueSource
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
 from hpe_rig.store import StoreError, read_run, reason
@@ -33,14 +35,15 @@ class PageProcess:
 def serve_run(run_file: Path, port: int = 0, attached: bool = False, opened: bool = False) -> None:
     """Print the address of the live page of ``run_file`` and serve it until Ctrl-C or the page's own button.
 
-    ``opened``: in the browser too. ``attached``: until standard input ends, which is when the process that started this
-    one does. Only then is a file waited for that is not there yet. Raises ``StoreError`` where there is none, or one
-    that is no run file.
+    ``run_file`` may be the folder of a queue: its page shows one run after another. ``opened``: in the browser too.
+    ``attached``: until standard input ends, which is when the process that started this one does. Only then is a file
+    waited for that is not there yet. Raises ``StoreError`` where there is none, or one that is no run file.
     """
     # A run that starts its own page may be about to replace the file.
     if not attached:
         _refuse_never(run_file)
-    page = LivePage(RunSource(run_file), port)
+    source = QueueSource(run_file) if run_file.is_dir() else RunSource(run_file)
+    page = LivePage(source, port)
     print(page.address, flush=True)
     if opened:
         open_page(page.address)
@@ -52,7 +55,7 @@ def serve_run(run_file: Path, port: int = 0, attached: bool = False, opened: boo
 
 @contextlib.contextmanager
 def live_page_of(run_file: Path, port: int = 0) -> Iterator[PageProcess]:
-    """Start the live page of ``run_file`` in a process of its own and yield it; end it afterwards.
+    """Start the live page of ``run_file``, or of a queue's folder, in its own process and yield it; end it afterwards.
 
     Raises ``StoreError`` where it does not start.
     """
@@ -115,7 +118,10 @@ def _refuse_never(run_file: Path) -> None:
     except OSError as error:
         remedy = "the path of a run file, once the run has begun; hpe-rig run SCENE --live shows it from the start"
         raise StoreError(f"no run can be followed at {run_file} ({reason(error)}). Try: {remedy}.") from None
-    read_run(run_file)
+    if run_file.is_dir():
+        read_queue(run_file)
+    else:
+        read_run(run_file)
 
 
 def _close_with_input(page: LivePage) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hpe_rig.acquire import (
     Run,
+    awaited_place_m,
     open_run,
     pause_requested,
     request_stop,
@@ -85,6 +86,10 @@ class RunSource:
 
     def pause(self) -> None:
         """Ask the run to pause after its shot, or to go on; raise ``StoreError`` where none is going on."""
+        if pause_requested(self._path):
+            # Also before its file is there: a run may wait for its first place.
+            toggle_pause(self._path)
+            return
         stored = read_run(self._path)
         if stored.status != "running" or is_taken(self._path) is False:
             raise StoreError(f"the run in {self._path} has ended: there is nothing to pause. Try: reload the page.")
@@ -96,10 +101,12 @@ class RunSource:
         return status.st_mtime_ns, status.st_size, stop_path(self._path).exists(), pause_requested(self._path)
 
     def _waiting(self, why: str) -> State | None:
-        if self._seen == (0, 0, False, False):
+        asked = pause_requested(self._path)
+        if self._seen == (0, 0, False, asked):
             return None
-        self._seen = (0, 0, False, False)
-        return {"mode": "run", "status": "waiting", "title": self._path.name, "why": why}
+        self._seen = (0, 0, False, asked)
+        place = {"pause_requested": asked, "place_mm": _place_mm(self._path)}
+        return {"mode": "run", "status": "waiting", "title": self._path.name, "why": why, **place}
 
     def _state(self, run: Run) -> State:
         stored, plan = run.stored, run.plan
@@ -113,6 +120,7 @@ class RunSource:
             "simulated": stored.simulated,
             "status": stored.status,
             "pause_requested": stored.status == "running" and pause_requested(self._path, stored.run_id),
+            "place_mm": _place_mm(self._path, stored.run_id) if stored.status == "running" else None,
             "stop_requested": stored.status == "running" and stop_requested(self._path, stored.run_id),
             "shot": self._shot + 1,
             "shots": len(plan.shots),
@@ -165,6 +173,11 @@ class RunSource:
         self._history.append({"records": self._before + here, "nm": [item["nm"] for item in harmonics]})
         self._history = self._history[-LONGEST_HISTORY:]
         return state | {"harmonics": harmonics, "history": self._history}
+
+
+def _place_mm(run_file: Path, run_id: str = "") -> float | None:
+    place_m = awaited_place_m(run_file, run_id)
+    return None if place_m is None else place_m * 1e3
 
 
 def _arrived(stored: StoredRun, shot: int) -> int:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +28,33 @@ def fitted_over_true(
     From the medium's steady motion under the bursts, tracked at the pulses that the estimate uses; None where no
     medium is known, nothing pushes, or the wanted frequencies are no multiples of the burst rate.
     """
+    return each_fitted_over_true(scene, shot, (estimator or scene.processing.estimator,), simulated)[0]
+
+
+def each_fitted_over_true(
+    scene: Scene, shot: Shot, estimators: Sequence[str], simulated: bool = True
+) -> tuple[NDArray[np.complex128] | None, ...]:
+    """Return ``fitted_over_true`` of each of ``estimators``, of one motion."""
+    moved = _steady_motion(scene, shot, simulated)
+    if moved is None:
+        return (None,) * len(estimators)
+    true, displacement_m = moved
+    return tuple(_over_true(scene, shot, name, true, displacement_m) for name in estimators)
+
+
+def _over_true(
+    scene: Scene, shot: Shot, estimator: str, true: NDArray[np.complex128], displacement_m: NDArray[np.float64]
+) -> NDArray[np.complex128] | None:
+    # a plan with conflicts may have no fit at all
+    with suppress(ValueError):
+        return np.asarray(fitted(scene, shot, spec_of(estimator), displacement_m) / true)
+    return None
+
+
+def _steady_motion(
+    scene: Scene, shot: Shot, simulated: bool
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]] | None:
+    """Return A exp(j phase) of the wanted harmonics (frequency,) and the displacement at every pulse (pulse,)."""
     if scene.excitation is None or shot.toneburst is None or not scene.wanted_frequencies_hz:
         return None
     rate_hz, length_s = scene.excitation.burst_rate_hz, shot.toneburst.cycles / shot.toneburst.carrier_hz
@@ -38,14 +68,8 @@ def fitted_over_true(
     # the sinusoid A sin(w t + phase) has the coefficient A exp(j phase) = j times that of exp(j w t)
     true = 1j * motion[0] * force_spectrum(harmonic, rate_hz, length_s)
     parts = np.stack([true.real, true.imag], axis=-1).ravel()
-    time_s, spec = select(scene, shot).time_s, spec_of(estimator or scene.processing.estimator)
+    time_s = select(scene, shot).time_s
     if not time_s.size:
         # a plan with conflicts may have no pulse in its window
         return None
-    displacement_m = harmonic_columns(time_s, frequency_hz) @ parts
-    try:
-        found = fitted(scene, shot, spec, displacement_m)
-    except ValueError:
-        # a plan with conflicts may have no fit at all
-        return None
-    return np.asarray(found / true[place - 1])
+    return np.asarray(true[place - 1]), harmonic_columns(time_s, frequency_hz) @ parts

@@ -207,7 +207,7 @@ def _seen_through(
 def _ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ensemble:
     """Return the ensemble of the prior, unless a frequency lies outside its range."""
     assert scene.excitation is not None  # noqa: S101 (as its caller knows)
-    lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz, beams.lateral_m)
+    lowest_hz, highest_hz = harmonic_range_hz(scene.excitation.burst_rate_hz)
     if beams.lateral_m:
         return medium_ensemble(beams, lowest_hz, highest_hz)
     return medium_ensemble(beams, min(lowest_hz, float(frequency_hz.min())), max(highest_hz, float(frequency_hz.max())))

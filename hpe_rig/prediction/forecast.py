@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -10,10 +11,10 @@ import numpy as np
 
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot, select, window_pulse_count
-from hpe_rig.prediction.aliasing import fitted_over_true
+from hpe_rig.prediction.aliasing import each_fitted_over_true
 from hpe_rig.prediction.amplitude import expected_amplitude_m, expected_snr_db
 from hpe_rig.prediction.beam_averaging import motion_width_m, predicted_averaging, resting_conditions
-from hpe_rig.prediction.error_model import Conditions, Expected, draw_speckle, expected
+from hpe_rig.prediction.error_model import Conditions, Expected, Speckle, draw_speckle, expected
 from hpe_rig.prediction.linear_fit import noise_gain
 from hpe_rig.processing import ESTIMATORS, spec_of
 from hpe_rig.result import Averaging
@@ -100,7 +101,7 @@ def forecast_of(
         as_averaged(predict(conditions, (name,)).expected[0], conditions, predicted_averaging(scene, name)[place])
         for name, conditions in zip(estimators, known, strict=True)
     ]
-    ratios = [fitted_over_true(scene, shot, simulated, name) for name in estimators]
+    ratios = each_fitted_over_true(scene, shot, estimators, simulated)
     aliasing = tuple(complex(ratio[place]) - 1 for ratio in ratios if ratio is not None)
     own = known[estimators.index(scene.processing.estimator)] if scene.processing.estimator in estimators else known[0]
     return Prediction(own, tuple(found), aliasing if len(aliasing) == len(estimators) else ())
@@ -132,8 +133,15 @@ def predict(conditions: Conditions, estimators: tuple[str, ...] = ESTIMATORS, dr
 
 def _expected(conditions: Conditions, estimator: str, draws: int) -> Expected:
     many = PEAK_DRAWS * draws if spec_of(estimator).reads_peak else draws
-    speckle = draw_speckle(conditions, np.random.default_rng(0), many)
+    # All that speckle does not depend on is left out, so that estimators share their draws.
+    echoes = replace(conditions, pulses=1, frequency_hz=0.0, amplitude_m=0.0, snr=np.inf, trigger_jitter_s=0.0)
+    speckle = _drawn_speckle(replace(echoes, fit_gain=1.0), many)
     return expected(conditions, estimator, speckle, np.random.default_rng(1))
+
+
+@functools.lru_cache(maxsize=2)
+def _drawn_speckle(echoes: Conditions, draws: int) -> Speckle:
+    return draw_speckle(echoes, np.random.default_rng(0), draws)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,10 @@ columns, none where the record ends with the gate. Derivation: docs/theory/estim
 from __future__ import annotations
 
 import functools
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import next_fast_len, rfft
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Volts, margin_samples
 
@@ -31,6 +31,8 @@ BLOCK = 32
 """Pulses that are transformed together: few enough to stay in the cache from the volts to the spectrum."""
 TAPER_PERIODS = 1.45
 """Carrier periods at an end of the record that are faded at least, where no margin is left: into the gate."""
+SMOOTH = 30**60
+"""Divisible by every number of samples without a prime factor above 5."""
 LEAST_OUTSIDE = 1e-5
 """Share of a direction's energy in the margins above which it is taken off."""
 
@@ -115,7 +117,7 @@ def band_of(echoes: EchoGate) -> Band:
 def _band(before: int, gate: int, behind: int, sample_rate_hz: float, carrier_hz: float) -> Band:
     samples = before + gate + behind
     # the taper has faded to nothing: zeros behind it, for a faster FFT, are more of the margin
-    bins = next_fast_len(samples, real=True) if behind else samples
+    bins = fast_length(samples) if behind else samples
     middle = before + (gate - 1) / 2
     least = min(round(TAPER_PERIODS * sample_rate_hz / carrier_hz), gate // 4)
     taper = _faded(samples, max(before, least), max(behind, least))
@@ -133,6 +135,11 @@ def _band(before: int, gate: int, behind: int, sample_rate_hz: float, carrier_hz
     root = vectors[:, kept] * np.sqrt(share[kept])
     factor = np.exp(2j * np.pi * middle / sample_rate_hz * frequency_hz) / np.sqrt(bins)
     return Band((before, behind), taper, frequency_hz, analysis, factor, level, root, noise)
+
+
+def fast_length(samples: int) -> int:
+    """Return the smallest number from ``samples`` on with no prime factor above 5: what a Fourier transform likes."""
+    return next(count for count in itertools.count(samples) if SMOOTH % count == 0)
 
 
 def _faded(samples: int, before: int, behind: int) -> FloatArray:
@@ -170,6 +177,9 @@ def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, Ba
 
 def _transform(volts: Volts, band: Band, bins: int, spectrum: ComplexArray) -> None:
     """Put the spectrum of volts (..., pulse, sample) into ``spectrum`` (..., bin, pulse), by FFT of ``bins`` points."""
+    # Here, as in the other ways that transform whole records: few short ones do without, and without loading SciPy.
+    from scipy.fft import rfft
+
     count, pulses = spectrum.shape[-2:]
     start = round(band.frequency_hz[0] / (band.frequency_hz[1] - band.frequency_hz[0]))
     taper, mean = band.taper.astype(volts.dtype), np.full(band.taper.size, 1 / band.taper.size, volts.dtype)
@@ -281,6 +291,8 @@ def spectrum_at(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray) -
     spacing = sample_rate_hz / (frequency_hz[1] - frequency_hz[0])
     bins, first = round(spacing), round(frequency_hz[0] * spacing / sample_rate_hz)
     if transforms(samples, count, bins):
+        from scipy.fft import rfft
+
         spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
         by_pulse = np.swapaxes(spectrum, -1, -2)
         by_pulse[...] = rfft(volts, bins, axis=-1)[..., first : first + count]

@@ -16,16 +16,19 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtri, wofz
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray
-from hpe_rig.processing.shear_field import focal_motion
 
 Triple = tuple[float, float, float]
 
 MEMBERS = 240
 MEMBERS_BESIDE = 60
 """The same beside the push, where a member takes some ms."""
+TURNING_HZ = 8e3
+"""Frequency up to which a wave that has run turns too fast to be interpolated; beyond, none comes, and what the force
+moves by itself is smooth."""
+SMOOTH_NODES = 16
+"""Frequencies above, from which what is left is interpolated to 6e-5 of the rms motion (rms of the members)."""
 FAMILIES = 5
 DIRECTIONS = 12
 """Quadrature nodes over wave directions: the displacement is good to 3e-4 of itself, in the paper's beams."""
@@ -78,7 +81,7 @@ class Ensemble:
     ``tracked`` is the mean over the tracking beam and gate, ``peak`` that on its axis at the focus; both but for one
     real factor a member. ``steepness``: how ``tracked`` changes with the logarithm of the tracking beam's area, which
     is what speckle changes; beside the push also with the beam's place. ``voigt`` (member,) tells Voigt media.
-    Read-only.
+    ``alone``: how many nodes, the first, stand for their own frequency alone. Read-only.
     """
 
     node_hz: FloatArray
@@ -86,19 +89,19 @@ class Ensemble:
     peak: ComplexArray
     steepness: ComplexArray
     voigt: BoolArray
-    at_harmonics: bool = False
+    alone: int = 0
 
     def interpolation(self, frequency_hz: FloatArray) -> FloatArray:
-        """Return the matrix (frequency, node) that takes values at the nodes to ``frequency_hz`` within their range.
-
-        Beside the push the nodes are the harmonics themselves: waves that have run turn too fast to interpolate.
-        """
-        if self.at_harmonics:
-            return np.isclose(frequency_hz[:, None], self.node_hz).astype(np.float64)
-        order = self.node_hz.size - 1
-        position, node = (_position(each, self.node_hz[0], self.node_hz[-1]) for each in (frequency_hz, self.node_hz))
-        chebyshev = np.polynomial.chebyshev.chebvander
-        return np.asarray(np.linalg.solve(chebyshev(node, order).T, chebyshev(position, order).T).T)
+        """Return the matrix (frequency, node) that takes values at the nodes to ``frequency_hz`` within their range."""
+        own = np.isclose(frequency_hz[:, None], self.node_hz[: self.alone])
+        between = self.node_hz[self.alone :]
+        if not between.size:
+            return own.astype(np.float64)
+        found = np.zeros((frequency_hz.size, self.node_hz.size))
+        found[:, : self.alone] = own
+        smooth = ~own.any(axis=1)
+        found[smooth, self.alone :] = _interpolation(frequency_hz[smooth], between)
+        return found
 
 
 @functools.lru_cache(maxsize=32)
@@ -117,10 +120,12 @@ def medium_ensemble(
     if beams.lateral_m:
         # its own memory: however a caller words its arguments, an ensemble of waves beside the push is made once
         return _beside(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
+    from scipy.special import ndtri
+
     count = max(8, round(NODES_PER_E_FOLD * np.log(highest_hz / lowest_hz)))
-    node_hz = np.sqrt(lowest_hz * highest_hz) * (highest_hz / lowest_hz) ** (-np.cos(np.linspace(0, np.pi, count)) / 2)
+    node_hz = _nodes(lowest_hz, highest_hz, count)
     spread = _even_sequence(members, 5)
-    s = 2j * np.pi * node_hz
+    s = np.asarray(2j * np.pi * node_hz, np.complex128)
     modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
     shear_k2 = -density_kg_per_m3 * s**2 / modulus_pa
     wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
@@ -145,20 +150,31 @@ def _beside(
     beams: BeamWidths, lowest_hz: float, highest_hz: float, known: KnownMedium | None, density_kg_per_m3: float
 ) -> Ensemble:
     """Return the ensemble where the tracking beam lies beside the force, by ``focal_motion``."""
-    harmonic_hz = lowest_hz * np.arange(1.0, round(highest_hz / lowest_hz) + 1)
+    from scipy.special import ndtri
+
+    node_hz, alone = _nodes_beside(lowest_hz, highest_hz)
     spread = _even_sequence(MEMBERS_BESIDE, 5)
-    s = np.asarray(2j * np.pi * harmonic_hz, np.complex128)
+    s = np.asarray(2j * np.pi * node_hz, np.complex128)
     modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
     wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
-    found = np.empty((3, MEMBERS_BESIDE, harmonic_hz.size), np.complex128)
+    found = np.empty((3, MEMBERS_BESIDE, node_hz.size), np.complex128)
     for member, (across_m, along_m) in enumerate(
         zip(beams.force_width_m[0] * wide, beams.force_width_m[2] * deep, strict=True)
     ):
         own = replace(beams, force_width_m=(across_m, across_m, along_m))
-        found[:, member] = seen_beside(modulus_pa[member], density_kg_per_m3, harmonic_hz, own)
+        found[:, member] = seen_beside(modulus_pa[member], density_kg_per_m3, node_hz, own)
     found.flags.writeable = False
     voigt = np.arange(MEMBERS_BESIDE) % FAMILIES == 0 if known is None else np.ones(MEMBERS_BESIDE, bool)
-    return Ensemble(harmonic_hz, found[0], found[1], found[2], voigt, at_harmonics=True)
+    return Ensemble(node_hz, found[0], found[1], found[2], voigt, alone)
+
+
+def _nodes_beside(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, int]:
+    """Return the nodes (node,) beside the push, and how many, the first, are the harmonics up to ``TURNING_HZ``."""
+    harmonic_hz = lowest_hz * np.arange(1.0, round(highest_hz / lowest_hz) + 1)
+    alone = int(np.sum(harmonic_hz <= TURNING_HZ))
+    if harmonic_hz.size - alone <= SMOOTH_NODES:
+        return harmonic_hz, harmonic_hz.size
+    return np.concatenate([harmonic_hz[:alone], _nodes(harmonic_hz[alone], highest_hz, SMOOTH_NODES)]), alone
 
 
 def seen_beside(
@@ -169,6 +185,8 @@ def seen_beside(
     Speckle moves the middle of what is tracked as well as its area, each by the same share of its radius: the steepness
     is the root sum of squares of both, real part along the tracked phasor, imaginary part across.
     """
+    from hpe_rig.processing.shear_field import focal_motion
+
     (x, _, z), seen, place = beams.force_width_m, beams.tracking_width_m[0] ** 2 / 2, np.array([beams.lateral_m])
     medium = modulus_pa, frequency_hz, density_kg_per_m3, (x, z)
     tracked, by_area, by_place = (
@@ -187,6 +205,9 @@ def displacement(
     ``shear_k2`` (member, frequency) is the squared wave number, ``lateral`` and ``axial`` (member,) the squared widths
     of the force.
     """
+    # Here, as below: a prescribed motion has no medium, and needs no special functions.
+    from scipy.special import wofz
+
     node, weight = np.polynomial.legendre.leggauss(directions)
     # In the variable that makes a needle's spectrum smooth: m = tan(angle) / slope.
     slope = np.sqrt(np.maximum(axial / lateral - 1, 1e-12))[:, None]
@@ -219,6 +240,8 @@ def _modulus(s: ComplexArray, spread: FloatArray) -> ComplexArray:
 
 
 def _known_modulus(known: KnownMedium, s: ComplexArray, spread: FloatArray) -> ComplexArray:
+    from scipy.special import ndtri
+
     scale = np.exp(ndtri(spread[:, :2]) * [known.modulus_spread, known.viscosity_spread])
     return np.asarray(known.shear_modulus_pa * scale[:, :1] + s * (known.shear_viscosity_pa_s * scale[:, 1:]))
 
@@ -233,6 +256,20 @@ def _even_sequence(count: int, dimensions: int) -> FloatArray:
     for _ in range(64):
         g = (1 + g) ** (1 / (dimensions + 1))
     return np.asarray((0.5 + np.outer(np.arange(1, count + 1), g ** -np.arange(1.0, dimensions + 1))) % 1)
+
+
+def _nodes(lowest_hz: float, highest_hz: float, count: int) -> FloatArray:
+    """Return Chebyshev nodes (node,) of the logarithm of frequency, both ends among them."""
+    place = -np.cos(np.linspace(0, np.pi, count))
+    return np.asarray(np.sqrt(lowest_hz * highest_hz) * (highest_hz / lowest_hz) ** (place / 2))
+
+
+def _interpolation(frequency_hz: FloatArray, node_hz: FloatArray) -> FloatArray:
+    """Return the matrix (frequency, node) of the polynomial in the logarithm of frequency through the nodes."""
+    order = node_hz.size - 1
+    position, node = (_position(each, node_hz[0], node_hz[-1]) for each in (frequency_hz, node_hz))
+    chebyshev = np.polynomial.chebyshev.chebvander
+    return np.asarray(np.linalg.solve(chebyshev(node, order).T, chebyshev(position, order).T).T)
 
 
 def _position(frequency_hz: FloatArray, lowest_hz: float, highest_hz: float) -> FloatArray:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.fft import ifft, irfft, rfft
 
 from hpe_rig.processing.band import BAND
 from hpe_rig.processing.echoes import (
@@ -90,6 +89,8 @@ def _moved_samples(volts: Volts, gate: slice, records: EchoGate) -> FloatArray:
 
 def _analytic(volts: Volts, records: EchoGate) -> Iterator[ComplexArray]:
     """Yield the analytic signal of each record in the transmitted band, (sample,)."""
+    from scipy.fft import ifft, rfft
+
     samples = volts.shape[1]
     frequency_hz = np.arange(samples // 2 + 1) * records.sample_rate_hz / samples
     outside = (frequency_hz < BAND[0] * records.carrier_hz) | (frequency_hz > BAND[1] * records.carrier_hz)
@@ -106,6 +107,8 @@ def _turn_a_sample(volts: Volts, records: EchoGate) -> float:
 
 def _cut_where_moved(volts: Volts, gate: slice, moved: FloatArray) -> Volts:
     """Return the gate of each record shifted back by ``moved`` samples (pulse,), (pulse, sample)."""
+    from scipy.fft import irfft, rfft
+
     samples = volts.shape[1]
     omega = 2 * np.pi * np.arange(samples // 2 + 1) / samples
     out = np.empty((len(volts), gate.stop - gate.start), volts.dtype)

@@ -13,7 +13,7 @@ import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model
-from hpe_rig.result import phase_variance_at_rad2, phase_variance_rad2
+from hpe_rig.result import phase_variance_at_rad2, phase_variance_rad2, rectified_variance_m2
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +61,12 @@ class HarmonicFit:
     ``frequency_hz`` (frequency,); ``amplitude_m`` and ``phase_rad`` (..., frequency), phase in (-pi, pi];
     ``covariance`` (..., frequency, 2, 2) of (amplitude, phase); ``state`` (..., state) and ``state_covariance``
     (..., state, state) in m and m^2; ``background_m`` (...), its mean, 0 where the chain removes it;
-    ``residual_rms_m`` (...), displacement noise of one pulse; ``pulses``: how many were used; ``condition``: of the
-    model, 1 when every state is seen on its own; ``innovations`` where a filter was asked for them. Where there is a
-    prior of media ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` that harmonics which the fit does
-    not tell apart and shrinkage leave, and ``medium`` what is known of the medium afterwards.
+    ``rectified_m2`` (..., frequency): what noise across a phasor, where it may be all there is, adds to the variance of
+    its amplitude; ``residual_rms_m`` (...), displacement noise of one pulse; ``pulses``: how many were used;
+    ``condition``: of the model, 1 when every state is seen on its own; ``innovations`` where a filter was asked for
+    them. Where there is a prior of media ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` that
+    harmonics which the fit does not tell apart and shrinkage leave, and ``medium`` what is known of the medium
+    afterwards.
     """
 
     frequency_hz: FloatArray
@@ -74,6 +76,7 @@ class HarmonicFit:
     state: FloatArray
     state_covariance: FloatArray
     background_m: FloatArray
+    rectified_m2: FloatArray
     residual_rms_m: FloatArray
     pulses: int
     condition: float = np.nan
@@ -165,7 +168,8 @@ def fit_from_state(
     phase = np.arctan2(quadrature, in_phase)
     radial = _along_phasor(state_covariance, phase)
     unresolved = np.zeros_like(radial) if aliasing_m2 is None else _along_phasor(aliasing_m2, phase)
-    weights = _polar_weights(radial, unresolved, amplitude)
+    noise = radial - unresolved
+    weights = _polar_weights(radial, noise, amplitude)
     return HarmonicFit(
         frequency_hz,
         amplitude,
@@ -174,6 +178,7 @@ def fit_from_state(
         state,
         state_covariance,
         state[..., 2 * count] if state.shape[-1] > 2 * count else np.zeros(state.shape[:-1]),
+        rectified_variance_m2(amplitude, _along(noise), np.maximum(noise[..., 1, 1], 0.0)),
         np.sqrt(variance),
         pulses,
         condition,
@@ -194,7 +199,8 @@ def with_aliasing(
     total[..., :wanted, :wanted] += aliasing_m2
     radial, added = (_along_phasor(each, fit.phase_rad) for each in (total, aliasing_m2))
     aliased = 0.0 if known.aliasing is None else known.aliasing[..., 0, 0]
-    variance = phase_variance_at_rad2(known.amplitude_m, known.covariance[..., 0, 0] - aliased, radial[..., 1, 1])
+    noise = known.covariance[..., 0, 0] - aliased
+    variance = phase_variance_at_rad2(known.amplitude_m, noise, fit.amplitude_m, radial)
     weights = _factors(radial, variance)
     return replace(fit, covariance=radial * weights, state_covariance=total, aliasing=added * weights, medium=medium)
 
@@ -212,14 +218,19 @@ def _along_phasor(state_covariance: FloatArray, phase: FloatArray) -> FloatArray
     return np.asarray((turned + np.swapaxes(turned, -1, -2)) / 2)
 
 
-def _polar_weights(radial: FloatArray, unresolved: FloatArray, amplitude: FloatArray) -> FloatArray:
+def _polar_weights(radial: FloatArray, noise: FloatArray, amplitude: FloatArray) -> FloatArray:
     """Return the factors (..., frequency, 2, 2) from covariance along and across the phasor to (amplitude, phase).
 
-    ``unresolved`` is the part of ``radial`` that is aliasing. Where the amplitude may be noise alone, the phase's
-    variance is up to that of an unknown phase.
+    ``noise`` is ``radial`` without aliasing. Where the amplitude may be noise alone, the phase's variance is up to that
+    of an unknown phase.
     """
-    across = radial[..., 1, 1]
-    return _factors(radial, phase_variance_rad2(amplitude, across, across - unresolved[..., 1, 1]))
+    return _factors(radial, phase_variance_rad2(amplitude, radial[..., 1, 1], _along(noise)))
+
+
+def _along(covariance: FloatArray) -> FloatArray:
+    """Return the variance (...) along a phasor of what has none across: it says how likely the phasor is noise."""
+    across = np.maximum(covariance[..., 1, 1], np.finfo(np.float64).tiny)
+    return np.asarray(np.maximum(covariance[..., 0, 0] - covariance[..., 0, 1] ** 2 / across, 0.0))
 
 
 def _factors(radial: FloatArray, variance: FloatArray) -> FloatArray:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from math import comb, factorial
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from hpe_rig.processing.echoes import FloatArray, Motion
 from hpe_rig.processing.harmonic import HarmonicFit, Innovations, fit_from_state
@@ -194,6 +193,7 @@ def _process_roots(motion: Motion, states: int, harmonic: int, order: int) -> tu
     if order >= 0:
         start = scaled_time(motion.time_s)[used]
         powers = np.stack([comb(order, i) * (-start) ** (order - i) for i in range(order + 1)]) / factorial(order)
+        legendre = np.polynomial.legendre
         turn = np.stack([np.pad(legendre.poly2leg(row), (0, order + 1))[: order + 1] for row in np.eye(order + 1)])
         jump[:, harmonic : harmonic + order + 1, 0] = (turn.T @ powers).T * gaps[:, None]
     return alone, jump

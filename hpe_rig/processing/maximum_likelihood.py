@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from hpe_rig.processing.band import Band, band_spectrum, energy_of, inner, turned
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Motion, scatter
@@ -86,16 +85,19 @@ def _most_likely(
 
     moved = np.nan_to_num(_seed(spectrum, band, echoes) @ solver.T)
     # Noise can lead the seed astray; no motion at all is the other start, and each train takes the likelier one.
-    likely = [_likelihood(still(x), band) for x in (moved, 0 * moved)]
-    state = np.where((likely[0] >= likely[1])[..., None], moved, 0.0)
-    for _ in range(STEPS):
-        # One Gauss-Newton step: undo the motion found so far, see what little each echo still moves, fit that.
+    aligned = still(moved)
+    likelier = _likelihood(aligned, band) >= _likelihood(spectrum, band)
+    state = np.where(likelier[..., None], moved, 0.0)
+    if not likelier.all():
         aligned = still(state)
+    for _ in range(STEPS):
+        # One Gauss-Newton step: see what little each echo still moves, fit that, and undo it as well.
         rest = _residual(aligned, band, seconds)
         change = rest @ solver.T
         state = state + change
         if np.nanmax(np.abs(change)) < ENOUGH * echoes.sound_speed_m_per_s / echoes.carrier_hz:
             break
+        aligned = still(state)
     common = _has_common_part(aligned, band, matrix.shape[1])[..., None]
     return np.where(common, state, np.nan), np.where(common, rest - change @ matrix.T, np.nan)
 
@@ -125,6 +127,8 @@ def _has_common_part(aligned: ComplexArray, band: Band, states: int) -> BoolArra
 
     Raises ``ValueError`` where none has.
     """
+    from scipy.special import gammaincinv
+
     # Every echo at unit energy, so that one spike does not count for a train. Noise alone sums to the number of pulses
     # times a gamma variable of as many degrees as there are independent numbers; the states chosen for the largest sum
     # add theirs.

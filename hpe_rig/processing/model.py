@@ -13,7 +13,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from hpe_rig.plan import LARGEST_CONDITION as LARGEST_CONDITION
 from hpe_rig.processing.echoes import BoolArray, FloatArray
@@ -61,7 +60,9 @@ def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray
 
 def background_columns(time_s: FloatArray, order: int) -> FloatArray:
     """Return Legendre polynomials 0 to ``order`` over the train (pulse, order + 1); none for order -1."""
-    return np.asarray(legendre.legvander(scaled_time(time_s), order) if order >= 0 else np.zeros((time_s.size, 0)))
+    if order <= 0:
+        return np.ones((time_s.size, order + 1))
+    return np.asarray(np.polynomial.legendre.legvander(scaled_time(time_s), order))
 
 
 def scaled_time(time_s: FloatArray) -> FloatArray:

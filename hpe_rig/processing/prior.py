@@ -19,7 +19,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtrc
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, medium_ensemble
@@ -29,8 +28,6 @@ from hpe_rig.processing.model import background_columns, harmonic_columns
 
 HIGHEST_HZ = 4e4
 """Frequency up to which the bursts' harmonics are part of the model."""
-HIGHEST_BESIDE_HZ = 8e3
-"""The same beside the push, where shorter waves than the force is wide do not come."""
 WEIGHT = 3.0
 """Scale k of the weights over that of the evidence."""
 VOIGT_SHARE = 10.0
@@ -175,7 +172,7 @@ def medium_prior(
     Times count from a burst's onset at the focus. A ``known`` medium narrows the ensemble to Voigt media near it. The
     force's spectrum is that of rectangular pulses, paper eq. (18).
     """
-    lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz, beams.lateral_m)
+    lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
     harmonic = np.arange(1.0, round(highest_hz / burst_rate_hz) + 1)
     ensemble = medium_ensemble(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
     duty = burst_rate_hz * burst_length_s
@@ -199,10 +196,9 @@ def medium_prior(
     return prior
 
 
-def harmonic_range_hz(burst_rate_hz: float, lateral_m: float = 0.0) -> tuple[float, float]:
-    """Return the first and the last of the bursts' harmonics that are part of the model, ``lateral_m`` off the push."""
-    highest_hz = HIGHEST_BESIDE_HZ if lateral_m else HIGHEST_HZ
-    return burst_rate_hz, burst_rate_hz * max(1, int(highest_hz / burst_rate_hz * (1 + 1e-9)))
+def harmonic_range_hz(burst_rate_hz: float) -> tuple[float, float]:
+    """Return the first and the last of the bursts' harmonics that are part of the model."""
+    return burst_rate_hz, burst_rate_hz * max(1, int(HIGHEST_HZ / burst_rate_hz * (1 + 1e-9)))
 
 
 def medium_fit(
@@ -367,6 +363,8 @@ def _evidence(seen: Seen, data: FloatArray, along: FloatArray) -> Evidence:
     With ratio = s / sigma the noise that maximises the evidence is a closed form, so one dimension is scanned:
     -2 log evidence = n log sigma^2 + sum_i log p_i, n sigma^2 = sum_i z_i^2 / p_i + rest, p_i = 1 + ratio^2 L_i^2.
     """
+    from scipy.special import fdtrc
+
     count = data.shape[-1] - seen.background.shape[1]
     rest = np.einsum("...i,...i->...", data, data) - np.einsum("...i,...i->...", along, along)
     tried = SCAN - np.log(seen.value[0])

@@ -17,7 +17,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
 
 from hpe_rig.processing.band import band_grid, gate_has_echo, require_pulses, spectrum_at, transforms
 from hpe_rig.processing.conditioning import hann
@@ -167,6 +166,8 @@ def orthonormal_rows(columns: FloatArray) -> FloatArray:
     Where random numbers multiply them they must not hang on rounding, as singular vectors of nearly equal values do.
     Elimination by the largest column hangs on it where two are equally large: a slope keeps them apart.
     """
+    from scipy.linalg import qr
+
     slope = np.linspace(1.0, 0.7, columns.shape[1])
     orthonormal, triangle, _ = qr(columns * slope, mode="economic", pivoting=True)
     pivot = np.diagonal(triangle)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.recordings.contents import Contents
+from hpe_rig.recordings.matlab import PREFIX, matlab_to_npz
 from hpe_rig.recordings.settings import RecordingSettings
 
 MOST_STATED = 1_000_000
@@ -75,30 +77,11 @@ class Matlab:
 
         if h5py.is_hdf5(path):
             return Hdf5(reverse=True).read(path, settings)
-        from scipy.io import loadmat
-        from scipy.io.matlab import MatReadError
-
-        try:
-            found = loadmat(path, struct_as_record=True, squeeze_me=False)
-        except (MatReadError, ValueError, TypeError, EOFError, KeyError, IndexError, NotImplementedError) as error:
-            raise ValueError(
-                f"it is no MATLAB file of version 5 or 7.3 ({_first_line(error)}): save it anew"
-            ) from error
-        except Exception as error:
-            # A damaged file raises whatever its bytes lead to.
-            raise ValueError(f"it is a damaged MATLAB file ({_first_line(error)}): save it anew") from error
-        arrays = dict(_fields({name: value for name, value in found.items() if not name.startswith("__")}))
-        return contents(arrays)
-
-
-def _fields(values: Mapping[str, Any]) -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield arrays by name; those in a structure of one element as STRUCTURE.FIELD."""
-    for name, value in values.items():
-        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
-            inside = {f"{name}.{key}": value.reshape(-1)[0][key] for key in value.dtype.names}
-            yield from _fields(inside)
-        elif isinstance(value, np.ndarray):
-            yield name, value
+        with tempfile.TemporaryDirectory() as folder:
+            converted = Path(folder) / "variables.npz"
+            matlab_to_npz(path, converted)
+            with np.load(converted) as loaded:
+                return contents({name.removeprefix(PREFIX): loaded[name] for name in loaded.files})
 
 
 class Hdf5:

@@ -12,14 +12,14 @@ import numpy as np
 
 from hpe_rig.acquire import Run, open_run
 from hpe_rig.bench import settings_differences
-from hpe_rig.result import PALETTE, Component, Headline, RepeatMean, Result, ShotResult
+from hpe_rig.result import PALETTE, RECTIFIED, Component, Headline, RepeatMean, Result, ShotResult
 from hpe_rig.scene import parse_toml
 from hpe_rig.store import read_snapshots
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-OWN_TO_A_SHOT = ("noise", "trigger jitter")
+OWN_TO_A_SHOT = ("noise", "trigger jitter", RECTIFIED)
 """Sources of uncertainty that are drawn anew in every shot; others may be the same in both runs, or not."""
 UNLIKELY = 0.01
 

@@ -16,7 +16,8 @@ import jinja2
 from markupsafe import Markup
 
 from hpe_rig.acquire import Run, open_run
-from hpe_rig.extensions import ESTIMATORS, installed, origin
+from hpe_rig.bench import twin_of
+from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, named
 from hpe_rig.plan import scene_of, timing
 from hpe_rig.prediction import detection_text
 from hpe_rig.processing import margin_needed, samples_needed
@@ -241,11 +242,17 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
     gate, tracking = scene.acquisition, scene.tracking
     facts = [("bench", run.bench.title), ("run file", result.run_file), ("run", result.status)]
     if run.bench.recording is not None:
-        facts = [("imported", f"{run.bench.recording.source}, read as {run.bench.recording.format}"), *facts[1:]]
+        facts = [
+            ("imported", f"{run.bench.recording.source}, read as {named(IMPORTERS, run.bench.recording.format)}"),
+            *facts[1:],
+        ]
         facts.append(("SHA-256", run.bench.recording.sha256))
         facts += [("taken as", text) for text in run.bench.recording.inferred]
     if result.provenance.started:
         facts.append(("started", result.provenance.started.replace("T", " ")))
+    twin = twin_of(scene) if run.stored.simulated else None
+    if twin is not None and twin.medium_name is not None:
+        facts.append(("simulated medium", named(MEDIA, twin.medium_name)))
     if result.simulated_specimen:
         facts.append(("simulated specimen", result.simulated_specimen))
     if scene.excitation:
@@ -260,15 +267,9 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
         ("track", f"{shot.capture.record_count} pulses of {tracking.cycles} cycles at {tracking.pulse_rate_hz:g} Hz"),
         ("gate", f"{gate.gate_length_m * 1e3:g} mm at {gate.gate_depth_m * 1e3:g} mm depth"),
         ("shots", _shot_count(run, result)),
-        ("estimator", _estimator(result)),
+        ("estimator", named(ESTIMATORS, result.estimator)),
         ("phase", result.phase_reference),
     ]
-
-
-def _estimator(result: Result) -> str:
-    """Return the estimator's name, with its package where that is not this one."""
-    name = result.estimator
-    return origin(ESTIMATORS, name) if name in installed(ESTIMATORS) else name
 
 
 def _shot_count(run: Run, result: Result) -> str:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import circmean, linregress
 
 from hpe_rig.result import Headline, ShotResult
 
@@ -90,6 +89,9 @@ def fit_line(x: FloatArray, y: FloatArray) -> Line | None:
     """
     if x.size == 0 or not np.ptp(x) > 0:
         return None
+    # Here: it takes half a second to load, and few reports are of a sweep.
+    from scipy.stats import linregress
+
     found = linregress(x, y)
     # Two points leave no residual to take an uncertainty from, for which scipy states 0.
     slope_u, intercept_u = (found.stderr, found.intercept_stderr) if x.size > 2 else (math.nan, math.nan)
@@ -181,6 +183,6 @@ def _spread(values: FloatArray) -> tuple[float, float]:
 
 def _circular(phase: FloatArray) -> tuple[float, float]:
     """Return circular mean and standard deviation about it; a plain mean fails where phases pass half a turn."""
-    mean = float(circmean(phase, high=math.pi, low=-math.pi))
+    mean = float(np.angle(np.exp(1j * phase).mean()))
     away = np.angle(np.exp(1j * (phase - mean)))
     return mean, float(np.sqrt(away @ away / (phase.size - 1))) if phase.size > 1 else math.nan

@@ -68,6 +68,10 @@ class Averaging:
     shared_phase_rad2: float = 0.0
 
 
+RECTIFIED = "rectified noise"
+"""Source of what an amplitude's error has beyond that of a quadrature where all of it may be noise."""
+
+
 @dataclass(frozen=True, slots=True)
 class Component:
     """One source of uncertainty: the standard uncertainties of amplitude and phase that it alone would leave."""
@@ -323,6 +327,7 @@ class Result:
     def to_frame(self) -> pd.DataFrame:
         """Return a pandas frame of one row a shot and frequency, SI units in the columns' names; unknown is None.
 
+        Gates over depth have rows of their own, told by ``gate_depth_m``.
         Raises ``ModuleNotFoundError`` that names the extra where pandas is not installed.
         """
         from hpe_rig.result.rows import result_frame

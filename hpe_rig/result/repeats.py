@@ -12,11 +12,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 
-from hpe_rig.result.estimates import Estimate, Headline, ShotResult
-from hpe_rig.result.phase import phase_variance_rad2
+from hpe_rig.result.estimates import RECTIFIED, Estimate, Headline, ShotResult
+from hpe_rig.result.phase import phase_variance_rad2, rectified_variance_m2
 
 INDEPENDENT = ("noise", "trigger jitter")
-"""Components that are drawn anew in every repeat; all others are common to them."""
+"""Components that are drawn anew in every repeat; all others are common to them, but what noise has of its own."""
 OUT_OF_NOISE = 4.0
 """Amplitude over its u from which on no phase is that of noise."""
 DISAGREE = 0.01
@@ -149,12 +149,14 @@ def _of_the_mean(
     if all(item.amplitude_m > OUT_OF_NOISE * part[0] for item, part in zip(each, parts, strict=True)):
         return u_m, u_rad
     # Phases of amplitudes that may be noise say little each, and their mean nothing that the mean phasor does not.
-    return u_m, math.sqrt(phase_variance_rad2(amplitude_m, u_m**2, u_m**2))
+    rectified_m = math.sqrt(rectified_variance_m2(amplitude_m, u_m**2, u_m**2))
+    return math.hypot(u_m, rectified_m), math.sqrt(phase_variance_rad2(amplitude_m, u_m**2, u_m**2))
 
 
 def _parts(estimate: Estimate, independent: bool) -> tuple[float, float]:
     """Return u of amplitude, m, and phase, rad, from the components that are independent between repeats, or not."""
-    parts = [each for each in estimate.budget if (each.source in INDEPENDENT) is independent]
+    listed = [each for each in estimate.budget if each.source != RECTIFIED]
+    parts = [each for each in listed if (each.source in INDEPENDENT) is independent]
     return math.hypot(*(each.amplitude_m for each in parts)), math.hypot(*(each.phase_rad for each in parts))
 
 

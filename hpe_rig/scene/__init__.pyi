@@ -3,6 +3,7 @@ from .description import (
     DescribedTable as DescribedTable,
     annotated as annotated,
     described as described,
+    settings_schema as settings_schema,
 )
 from .editing import edited_text as edited_text
 from .keys import (
@@ -29,6 +30,7 @@ from .quantities import (
     Seed as Seed,
     SpeedMPerS as SpeedMPerS,
     VoltageV as VoltageV,
+    Widths as Widths,
 )
 from .scene import (
     DEFAULT_SPECIMEN as DEFAULT_SPECIMEN,
@@ -44,6 +46,7 @@ from .scene import (
     estimator_names as estimator_names,
     load_scene as load_scene,
     parse_scene as parse_scene,
+    plain_tables as plain_tables,
     scene_text as scene_text,
     shipped_scenes as shipped_scenes,
     with_default_specimen as with_default_specimen,

@@ -2,19 +2,28 @@
 
 `described` serves the reference of the documentation, `annotated` the file with every key that ``hpe-rig new --full``
 writes. Both read the schema that validates the file, so that neither can disagree with it.
+What a key means stands below it in the source, and is read from there when a schema is asked for: no measurement is.
 """
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import math
 import re
+import sys
 import textwrap
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
 from typing import Any
 
-from hpe_rig.scene.validation import unit_of
+from pydantic import BaseModel
+
+from hpe_rig.scene.validation import models_in, unit_of
 
 JsonSchema = Mapping[str, Any]
 WIDTH = 110
@@ -59,6 +68,50 @@ class DescribedTable:
         """The line that begins the table; empty at the top of a file."""
         name = ".".join(self.path)
         return f"[[{name}]]" if self.repeated else f"[{name}]" if name else ""
+
+
+def settings_schema(model: type[BaseModel]) -> dict[str, Any]:
+    """Return the JSON schema of ``model`` and all models in it, each key described by the docstring below it."""
+    schema = model.model_json_schema()
+    tables = {model.__name__: schema, **schema.get("$defs", {})}
+    for found in {model, *_models_under(model)}:
+        keys = tables[found.__name__]["properties"]
+        for name, text in _texts_of_keys(found).items():
+            keys[name] = dict(sorted({"description": text, **keys[name]}.items()))
+    return schema
+
+
+def _models_under(model: type[BaseModel]) -> Iterator[type[BaseModel]]:
+    for field in model.model_fields.values():
+        for inner in models_in(field.annotation):
+            yield inner
+            yield from _models_under(inner)
+
+
+def _texts_of_keys(model: type[BaseModel]) -> dict[str, str]:
+    """Return the docstrings below the fields of ``model`` and of what it inherits from."""
+    texts: dict[str, str] = {}
+    for kind in reversed(model.__mro__):
+        if issubclass(kind, BaseModel) and kind is not BaseModel:
+            texts |= _texts_in_module(kind.__module__).get(kind.__name__, {})
+    return {name: text for name, text in texts.items() if name in model.model_fields}
+
+
+@cache
+def _texts_in_module(name: str) -> dict[str, dict[str, str]]:
+    """Return the docstrings below the annotated attributes of every class of a module, none where it has no source."""
+    texts: dict[str, dict[str, str]] = {}
+    with suppress(OSError):
+        for node in ast.parse(inspect.getsource(sys.modules[name])).body:
+            if isinstance(node, ast.ClassDef):
+                texts[node.name] = {
+                    before.target.id: inspect.cleandoc(after.value.value)
+                    for before, after in pairwise(node.body)
+                    if isinstance(before, ast.AnnAssign) and isinstance(before.target, ast.Name)
+                    if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                    if isinstance(after.value.value, str)
+                }
+    return texts
 
 
 def described(schema: JsonSchema, path: tuple[str, ...] = (), text: str = "") -> list[DescribedTable]:

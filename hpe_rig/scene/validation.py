@@ -7,7 +7,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -344,15 +344,16 @@ def _keys_at(model: type[BaseModel], path: KeyPath) -> list[str]:
     """Return the keys of the section at ``path``, following sub-models through options, lists and tuples."""
     for part in path:
         if isinstance(part, str) and part in model.model_fields:
-            model = next(_models_in(model.model_fields[part].annotation), model)
+            model = next(models_in(model.model_fields[part].annotation), model)
     return list(model.model_fields)
 
 
-def _models_in(annotation: Any) -> Any:
+def models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield every model in ``annotation``, through options, lists and tuples."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for inner in getattr(annotation, "__args__", ()):
-        yield from _models_in(inner)
+        yield from models_in(inner)
 
 
 SMALLEST_M, LARGEST_M = 1e-15, 1e-3

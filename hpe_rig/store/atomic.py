@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -60,7 +61,8 @@ def unwritable(path: Path) -> str:
 
 
 def _draft(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}.draft")
+    # Of this thread alone: another may still be waiting for a disk that does not answer.
+    return path.with_name(f".{path.name}.{os.getpid()}-{threading.get_native_id()}.draft")
 
 
 def _replace(draft: Path, path: Path) -> None:

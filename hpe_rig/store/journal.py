@@ -17,7 +17,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Final, final
+from typing import Final, TypeVar, final
 
 from hpe_rig.bench import interruptible
 from hpe_rig.store import lock
@@ -32,6 +32,7 @@ FLAGS_PLACE: Final = 11
 """Byte of the superblock in which the library marks a file as being written."""
 
 Write = tuple[int, bytes]
+Made = TypeVar("Made")
 
 
 @final
@@ -213,14 +214,14 @@ class Journal:
             raise _lost(self.path, f"was changed by another program: it has {here.st_size} bytes, not {self._size},")
 
 
-def in_time(make: Callable[[threading.Event], Journal], undo: Callable[[Journal], None]) -> Journal:
-    """Return what ``make`` makes, by a thread of its own; signals interrupt the wait for it.
+def in_time(make: Callable[[threading.Event], Made], undo: Callable[[Made], object]) -> Made:
+    """Return what ``make`` makes on the disk, by a thread of its own; signals interrupt the wait for it.
 
     Where it is interrupted, or the disk takes longer than ``LONGEST_STEP_S`` (``OSError``), the event that ``make`` is
     given is set, and what it makes all the same is undone.
     """
     given_up, tasks = threading.Event(), SimpleQueue[tuple[Callable[[], None], Future[None]] | None]()
-    made: list[Journal] = []
+    made: list[Made] = []
     done: Future[None] = Future()
 
     def undone(_: Future[None]) -> None:
@@ -229,7 +230,7 @@ def in_time(make: Callable[[threading.Event], Journal], undo: Callable[[Journal]
 
     tasks.put((lambda: made.append(make(given_up)), done))
     tasks.put(None)
-    threading.Thread(target=_work, args=(tasks,), daemon=True, name="new run file").start()
+    threading.Thread(target=_work, args=(tasks,), daemon=True, name="new file").start()
     try:
         with interruptible():
             done.result(LONGEST_STEP_S)

@@ -34,7 +34,10 @@ class Lead:
 
 @dataclass(frozen=True, slots=True)
 class RunEntry:
-    """One run file of a folder; ``date`` is when the run started, of files that do not say when they were written."""
+    """One run file of a folder; ``date`` is when the run started, of files that do not say when they were written.
+
+    ``imported``: name of the recording that the records were imported from, "" of records that were measured here.
+    """
 
     path: Path
     date: datetime
@@ -43,6 +46,7 @@ class RunEntry:
     shots_complete: int
     shots: int
     simulated: bool
+    imported: str
     user: str
     host: str
     notes: Mapping[str, Any]
@@ -50,9 +54,9 @@ class RunEntry:
 
     def words(self) -> str:
         """Return everything that a search looks through, a piece a line."""
-        kind = "simulated" if self.simulated else "measured"
+        kind = "imported" if self.imported else "simulated" if self.simulated else "measured"
         notes = [f"{name}: {note}" for name, note in self.notes.items()]
-        return "\n".join([self.path.name, self.title, self.status, kind, self.user, self.host, *notes])
+        return "\n".join([self.path.name, self.title, self.status, kind, self.imported, self.user, self.host, *notes])
 
 
 def list_runs(folder: Path, below: bool = False) -> tuple[list[RunEntry], list[str]]:
@@ -97,6 +101,7 @@ def _entry(stored: StoredRun) -> RunEntry:
         shots_complete=int(stored.shot_complete.sum()),
         shots=stored.shot_complete.size,
         simulated=stored.simulated,
+        imported=_source(stored),
         user=stored.provenance.user,
         host=stored.provenance.host,
         notes=notes if isinstance(notes, dict) else {},
@@ -105,8 +110,17 @@ def _entry(stored: StoredRun) -> RunEntry:
 
 
 def _tables(stored: StoredRun) -> Mapping[str, Any]:
+    return _parsed(stored.scene_toml, stored.scene_name)
+
+
+def _source(stored: StoredRun) -> str:
+    recording = _parsed(stored.bench_toml, stored.bench_name).get("recording")
+    return str(recording.get("source", "")) if isinstance(recording, dict) else ""
+
+
+def _parsed(text: str, name: str) -> Mapping[str, Any]:
     try:
-        return parse_toml(stored.scene_toml, stored.scene_name)
+        return parse_toml(text, name)
     except SettingsError:
         return {}
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import threading
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -14,6 +16,7 @@ from hpe_rig.result import MOTION_UNITS, UNITS, Result, ShotResult, result_grid
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import seal
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
+from hpe_rig.store.journal import in_time
 from hpe_rig.store.layout import LIBVER, name_axes
 
 
@@ -24,9 +27,9 @@ def write_result(path: Path, result: Result) -> None:
     Group ``motion``: displacement, its uncertainty, model and residual of every pulse, float64 (shot, pulse).
     Of gates over depth also group ``profile``, as ``results`` (shot, depth, frequency), and group ``burst_period`` with
     ``displacement_m`` (shot, depth, time).
-    Raises ``StoreError`` if it cannot be written.
+    Raises ``StoreError`` if it cannot be written. A disk that does not answer keeps nobody waiting who interrupts the
+    program, and ends it after a minute; an earlier result stays whole in any case.
     """
-    _refuse_foreign(path)
     try:
         # In memory first: an error of the disk must not meet the library, see journal.py.
         with h5py.File("result", "w", driver="core", backing_store=False, libver=LIBVER) as file:
@@ -34,15 +37,24 @@ def write_result(path: Path, result: Result) -> None:
             seal(file)
             file.flush()
             image = file.id.get_file_image()
-        with atomic_file(path) as draft, draft.open("xb") as disk:
-            disk.write(image)
-            disk.flush()
-            os.fsync(disk.fileno())
+        in_time(partial(_replace, path, image), lambda _: None)
     except (OSError, RuntimeError) as error:
         raise StoreError(
             f"{path} cannot be written ({reason(error)}). The run file is as it was. "
             "Try: make room or a writable folder, then hpe-rig process."
         ) from error
+
+
+def _replace(path: Path, image: bytes, given_up: threading.Event) -> None:
+    """Bring ``image`` to ``path``, unless nobody waits for it any more."""
+    _refuse_foreign(path)
+    with atomic_file(path) as draft:
+        with draft.open("xb") as disk:
+            disk.write(image)
+            disk.flush()
+            os.fsync(disk.fileno())
+        if given_up.is_set():
+            raise InterruptedError
 
 
 def _write(file: h5py.File, result: Result) -> None:

@@ -6,6 +6,7 @@ from .executor import (
     untrusted_network as untrusted_network,
 )
 from .map_figures import OURS as OURS, lateral_average as lateral_average
+from .measured_case import one_shot as one_shot
 from .page import PageTable as PageTable, Part as Part, cell as cell, render as render, table as table
 from .report import write_study_report as write_study_report
 from .results import SUMMARY as SUMMARY, StudyResult as StudyResult, write_whole as write_whole

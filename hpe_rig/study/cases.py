@@ -6,13 +6,14 @@ import hashlib
 import itertools
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hpe_rig.bench import check_declared, check_simulation, twin_of, twin_settings
-from hpe_rig.processing import Estimator, Options
+from hpe_rig.plan import PlanError
+from hpe_rig.processing import Estimator, Options, spec_of
 from hpe_rig.scene import (
     Mistake,
     Scene,
@@ -20,12 +21,14 @@ from hpe_rig.scene import (
     mistakes_of,
     parse_toml,
     path_of,
+    plain_tables,
     scene_text,
     shipped_scenes,
     with_values,
 )
 from hpe_rig.study.definition import Definition, Reading
 from hpe_rig.study.kernels import Train, refuse_unusable
+from hpe_rig.study.measured_case import MeasuredCase, first_setup, one_shot
 
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
@@ -41,6 +44,10 @@ USED = {
 }
 """The scene keys that a study's echoes and estimates depend on, by section, and the SNR."""
 USED_KEYS = (*(f"{section}.{key}" for section, keys in USED.items() for key in keys), "simulation.receiver.snr_db")
+
+SET_BY_STUDY = ("simulation.seed", "acquisition.repeats")
+"""Keys that whole measurements set for every realisation, beside [sweep]."""
+_MEASURES = "which measures all of the scene"
 
 Tables = dict[str, Any]
 
@@ -65,6 +72,20 @@ class Case:
     scatterers: int
     noise: int
     standard_error_m: float | None
+    reading: Reading = "physical"
+
+    @property
+    def sharing(self) -> tuple[str, ...]:
+        """What cases have in common that are computed together, first of all the noise."""
+        return self.noise_key, self.echoes_key
+
+    @property
+    def cost(self) -> float:
+        """How long it takes beside others of its kind."""
+        return float(self.scatterers * self.noise * self.train.pulses)
+
+
+AnyCase = Case | MeasuredCase
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +94,7 @@ class GridPoint:
 
     coordinates: dict[str, Any]
     reading: Reading
-    case: Case
+    case: AnyCase
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +118,15 @@ def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[
     base = parse_toml(text, f"scene {base_name}")
     grid = _Grid(base, definition, [axis.columns() for axis in definition.axes])
     shown = [axis.values() for axis in definition.axes]
-    found: dict[str, Mistake] = {str(mistake): mistake for mistake in _wrong_keys(definition)}
+    whole = _is_measured(grid)
+    make, wrong = (_measured_case, _keys_of_none) if whole else (_case, _keys_of_no_gate)
+    found: dict[str, Mistake] = {str(mistake): mistake for mistake in (*wrong(definition), *_repeated(definition))}
     out: list[GridPoint] = []
     streams: dict[str, int] = {}
     for reading in definition.readings:
         for place in itertools.product(*(range(len(each)) for each in shown)):
             try:
-                case = _case(grid, reading, place, streams)
+                case = make(grid, reading, place, streams)
             except SettingsError as error:
                 found |= {str(mistake): mistake for mistake in error.mistakes}
                 continue
@@ -114,15 +137,83 @@ def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[
     return out
 
 
-def _wrong_keys(definition: Definition) -> Iterator[Mistake]:
-    varied = Counter(itertools.chain(*(axis.keys for axis in definition.axes)))
-    for key in (*definition.set, *varied):
-        if not any(key == used or key.startswith((f"{used}.", f"{used}[")) for used in USED_KEYS):
-            yield Mistake(key, "a study's echoes and estimates do not depend on it", f"one of {', '.join(USED_KEYS)}")
+def _is_measured(grid: _Grid) -> bool:
+    """Return whether every realisation is a whole measurement: as told, else where the base scene needs it."""
+    if grid.definition.simulate is not None:
+        return grid.definition.simulate == "bench"
+    try:
+        tables = with_values(grid.base, {path_of(key): value for key, value in grid.definition.set.items()})
+        scene = Scene.model_validate(tables)
+        return any(_beyond_gate(scene, twin_settings(scene)))
+    except ValueError:
+        # What is wrong with it is told with the mistakes of all points.
+        return False
 
+
+def _keys_of_no_gate(definition: Definition) -> Iterator[Mistake]:
+    for key in dict.fromkeys((*definition.set, *(key for axis in definition.axes for key in axis.keys))):
+        if not any(key == used or key.startswith((f"{used}.", f"{used}[")) for used in USED_KEYS):
+            what = "a study of the gate alone does not depend on it"
+            yield Mistake(key, what, f'simulate = "bench", which measures all of the scene, or {", ".join(USED_KEYS)}')
+    for name in definition.readings.get("as_printed", ()):
+        if not spec_of(name).published:
+            what = f"{name} has no gain of a difference of pulses to leave in"
+            yield Mistake("readings.as_printed", what, '["cross_spectrum"]')
+    if definition.corrected:
+        yield Mistake("corrected", "a study of the gate alone corrects nothing", f'simulate = "bench", {_MEASURES}')
+
+
+def _keys_of_none(definition: Definition) -> Iterator[Mistake]:
+    """Yield what a study by whole measurements sets by itself, and what it knows nothing of."""
+    for key in dict.fromkeys((*definition.set, *(key for axis in definition.axes for key in axis.keys))):
+        if key.partition(".")[0] == "sweep" or key in SET_BY_STUDY:
+            yield Mistake(key, "a study says by itself what it repeats and varies", "its axes, scatterers and noise")
+    for reading in sorted(definition.readings.keys() - {"physical"}):
+        what = "the paper is read otherwise by the gate alone, and this study measures whole scenes"
+        yield Mistake(
+            f"readings.{reading}", what, 'the reading "physical", or simulate = "gate" with prescribed motion'
+        )
+
+
+def _repeated(definition: Definition) -> Iterator[Mistake]:
+    varied = Counter(itertools.chain(*(axis.keys for axis in definition.axes)))
     for key, count in varied.items():
         if count > 1:
             yield Mistake(key, f"{count} axes vary it, and the last one alone would count", "one axis for it")
+
+
+def _measured_case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[str, int]) -> MeasuredCase:
+    definition, estimators = grid.definition, grid.definition.readings[reading]
+    scene = _whole_scene(grid, place, definition.corrected)
+    own = plain_tables(scene)
+    stream = _stream(grid, reading, place, own, streams, lambda at: plain_tables(_whole_scene(grid, at)))
+    sizes = definition.scatterers, definition.noise, definition.standard_error_m
+    key = _hash([ENGINE, "bench", own, list(estimators), sizes, stream, definition.corrected])
+    case = MeasuredCase(key, stream, scene, estimators, *sizes, definition.corrected)
+    try:
+        first_setup(case)
+    except PlanError as error:
+        raise SettingsError(
+            "study", [Mistake(each.check, each.text, each.remedy) for each in error.conflicts]
+        ) from None
+    return case
+
+
+def _whole_scene(grid: _Grid, place: tuple[int, ...], corrected: bool = False) -> Scene:
+    """Return the scene at a place of the axes, one shot of it; raise with every mistake."""
+    tables = _tables_at(grid, place)
+    mistakes = mistakes_of(Scene, tables) + check_simulation(tables)
+    if not mistakes:
+        scene = Scene.model_validate(tables)
+        mistakes = check_declared(scene)
+    if not mistakes and corrected and scene.beams is None:
+        mistakes = [Mistake("corrected", "without [beams] nothing is corrected", "a scene with [beams], or false")]
+    if not mistakes and not scene.wanted_frequencies_hz:
+        what = "no vibration frequency is wanted, so that there is no amplitude"
+        mistakes = [Mistake("processing.frequencies_hz", what, "frequencies_hz = [200.0]")]
+    if mistakes:
+        raise SettingsError("study", mistakes)
+    return one_shot(scene)
 
 
 def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[str, int]) -> Case:
@@ -136,12 +227,16 @@ def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[s
         raise SettingsError("study", [Mistake("", what or remedy, remedy.removeprefix("try "))]) from None
     own = _dump(scene, twin)
     silent = own | {"simulation": {key: value for key, value in own["simulation"].items() if key != "snr_db"}}
-    stream = _stream(grid, reading, place, own, streams)
+    stream = _stream(grid, reading, place, own, streams, lambda at: _dump(*_checked(_tables_at(grid, at), reading)))
     # Without noise one realisation of it says all.
-    noise = definition.noise if twin.receiver.snr_db is not None else 1
-    sizes = [definition.scatterers, noise, definition.standard_error_m]
+    scatterers, noise = definition.scatterers, definition.noise if twin.receiver.snr_db is not None else 1
+    if reading == "one_draw":
+        scatterers, noise = 1, scatterers * noise
+    sizes = [scatterers, noise, definition.standard_error_m]
+    # "physical" and "literal" differ in the settings already; what these two make of equal echoes differs besides.
+    told_apart = [reading] if reading in ("as_printed", "one_draw") else []
     return Case(
-        key=_hash([ENGINE, own, list(estimators), sizes, stream]),
+        key=_hash([ENGINE, own, list(estimators), sizes, stream, *told_apart]),
         echoes_key=_hash([silent, stream]),
         noise_key=_hash([own["tracking"], own["acquisition"], sizes, list(estimators), stream]),
         stream=stream,
@@ -149,21 +244,28 @@ def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[s
         twin=twin,
         gate_offset_s=2 * (scene.acquisition.gate_depth_m - twin.beams.focus_depth_m) / twin.sound_speed_m_per_s,
         estimators=estimators,
-        scatterers=definition.scatterers,
+        scatterers=scatterers,
         noise=noise,
         standard_error_m=definition.standard_error_m,
+        reading=reading,
     )
 
 
-def _stream(grid: _Grid, reading: Reading, place: tuple[int, ...], own: Tables, known: dict[str, int]) -> int:
+def _stream(
+    grid: _Grid,
+    reading: Reading,
+    place: tuple[int, ...],
+    own: Tables,
+    known: dict[str, int],
+    tables_at: Callable[[tuple[int, ...]], Tables],
+) -> int:
     """Return the entropy of a case's random numbers, from its definition or from what it has in common."""
     seed = grid.definition.seed
     if grid.definition.common == "all":
         return int(_hash([seed]), 16)
     shared = grid.common_place(place)
     if (name := f"{reading} {shared}") not in known:
-        first = own if shared == place else _dump(*_checked(_tables_at(grid, shared), reading))
-        known[name] = int(_hash([seed, first]), 16)
+        known[name] = int(_hash([seed, own if shared == place else tables_at(shared)]), 16)
     return known[name]
 
 
@@ -187,21 +289,30 @@ def _checked(tables: Tables, reading: Reading) -> tuple[Scene, SimulationSetting
         twin = twin_settings(scene)
         mistakes = list(_unfit(scene, twin))
     if not mistakes:
-        return scene, twin if reading == "physical" else _literal(scene, twin)
+        return scene, _literal(scene, twin) if reading in ("literal", "as_printed") else twin
     raise SettingsError("study", mistakes)
 
 
-def _unfit(scene: Scene, twin: SimulationSettings) -> Iterator[Mistake]:
+def _beyond_gate(scene: Scene, twin: SimulationSettings) -> Iterator[tuple[str, str]]:
+    """Yield what the scene has beyond the echoes of a gate under prescribed motion, by key and in words."""
     if not twin.motion:
-        yield Mistake(
-            "simulation.motion",
-            "a study needs a motion whose true amplitude is known, and this scene prescribes none",
-            "a base scene with [[simulation.motion]], such as table-1",
-        )
+        yield "simulation.motion", "its true motion must be prescribed, and this scene prescribes none"
+    beyond = {
+        "excitation": (scene.excitation is not None, "it knows no tonebursts"),
+        "simulation.background": (bool(twin.background), "it knows no motion of the whole specimen"),
+        "simulation.scatterers.reflectors": (bool(twin.scatterers.reflectors), "it draws scatterers alone"),
+        "simulation.receive_chain": (twin.receive_chain is not None, "its noise is white, as snr_db says"),
+        "simulation.instruments.trigger_jitter_s": (twin.instruments.trigger_jitter_s > 0, "it knows no jitter"),
+        "processing.follow_gate": (scene.processing.follow_gate, "its gate stands still"),
+    }
+    yield from ((key, why) for key, (there, why) in beyond.items() if there)
+
+
+def _unfit(scene: Scene, twin: SimulationSettings) -> Iterator[Mistake]:
+    for key, why in _beyond_gate(scene, twin):
+        yield Mistake(key, f"of a study of the gate alone {why}", f'simulate = "bench", {_MEASURES}, or table-1')
     if scene.tracking.pulse_count is None:
         yield Mistake("tracking.pulse_count", "a study needs it, and it is absent", 'set."tracking.pulse_count" = 100')
-    if twin.scatterers.reflectors:
-        yield Mistake("simulation.scatterers.reflectors", "a study draws scatterers alone", "a scene without them")
     known_hz = [part.frequency_hz for part in twin.motion or ()]
     for hz in scene.processing.frequencies_hz or ():
         if hz not in known_hz and known_hz:

@@ -29,7 +29,7 @@ from hpe_rig.scene import (
     validated,
 )
 
-Reading = Literal["physical", "literal"]
+Reading = Literal["physical", "literal", "as_printed", "one_draw"]
 Finite = Annotated[float, Field(ge=-1e100, le=1e100)]
 
 MOST_POINTS = 1_000_000
@@ -122,7 +122,14 @@ class Definition(Section):
     readings: dict[Reading, Annotated[tuple[Estimator, ...], Field(min_length=1)]] = Field(
         default={"physical": ("cross_spectrum", "coherent")}, min_length=1
     )
-    """Estimators by reading of eq. (11): "physical", the scene's own; "literal", no delay of depth, in the gate."""
+    """Estimators by reading of the paper: "physical", the scene's own; "literal", eq. (11) without delay of depth,
+    scatterers in the gate alone; "as_printed", the same with the gain of a difference of pulses left in the amplitude;
+    "one_draw", physical with one draw of scatterers for ``scatterers`` times ``noise`` realisations of noise."""
+    simulate: Literal["gate", "bench"] | None = None
+    """"gate": the gate's echoes of a prescribed motion with white noise, thousands a second; "bench": every realisation
+    a whole measurement of the scene, whichever it is; absent: "gate" where the base scene has nothing beyond it."""
+    corrected: bool = False
+    """Of "bench": amplitude and phase are those of the report, corrected for the averaging of the beams."""
     set: dict[str, Any] = Field(default_factory=dict)
     """Scene keys that differ from the base scene everywhere."""
     axes: Annotated[tuple[Axis, ...], Field(min_length=1)]

@@ -14,8 +14,9 @@ import itertools
 import operator
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import version
 
 import numpy as np
@@ -75,12 +76,7 @@ def run_batch(cases: Sequence[Case]) -> list[CaseRecord]:
         _run_block(active, first // DRAWS_AT_ONCE, draws)
         for one in active:
             one.draws = draws.stop
-            wanted_m = one.case.standard_error_m
-            one.finished = (
-                wanted_m is not None
-                and one.draws >= LEAST_DRAWS
-                and all(row["amplitude_bias_se_m"] <= wanted_m for row in _rows(one))
-            )
+            one.finished = settled(one.draws, one.case.standard_error_m, partial(_rows, one))
     common = {"peak_memory_bytes": peak_memory_bytes(), "version": version("hpe-rig")}
     return [
         {
@@ -93,6 +89,13 @@ def run_batch(cases: Sequence[Case]) -> list[CaseRecord]:
         }
         for one in running
     ]
+
+
+def settled(draws: int, standard_error_m: float | None, rows: Callable[[], list[CaseRecord]]) -> bool:
+    """Return whether after so many draws the means of all ``rows`` are known as well as wanted; None: never."""
+    if standard_error_m is None or draws < LEAST_DRAWS:
+        return False
+    return all(row["amplitude_bias_se_m"] <= standard_error_m for row in rows())
 
 
 def _run_block(active: list[_Running], block: int, draws: slice) -> None:
@@ -195,9 +198,16 @@ def _rows(one: _Running) -> list[CaseRecord]:
     rows = []
     for name, every in one.states.items():
         found = every[: one.draws]
+        if one.case.reading == "one_draw":
+            # Its realisations are those of the noise: they are what is independent, and what errors are told from.
+            found = found.swapaxes(0, 1)
         for index, hz in enumerate(one.case.train.frequencies_hz):
             amplitude_m, phase_rad = _true(one.case, hz)
             in_phase, quadrature = found[..., 2 * index], found[..., 2 * index + 1]
+            if one.case.reading == "as_printed":
+                # A difference of pulses over their interval is a mean velocity; the chain takes its gain off.
+                gain = np.sinc(hz / one.case.train.pulse_rate_hz)
+                in_phase, quadrature = gain * in_phase, gain * quadrature
             row: CaseRecord = {"estimator": name, "frequency_hz": hz, "amplitude_true_m": amplitude_m}
             row |= errors(np.hypot(in_phase, quadrature) - amplitude_m).named("amplitude", "m")
             row["phase_true_rad"] = phase_rad

@@ -24,7 +24,8 @@ PNG_DPI = 150
 LEAD = (
     "Bias and jitter of eq. (14) and (15): mean and standard deviation of the error of amplitude and phase. Bands: two "
     "Monte Carlo standard errors to each side. Physical: every scatterer echoes from its own depth; literal: eq. (11) "
-    "as printed, all echoes start at once, scatterers fill the gate.",
+    "as printed, all echoes start at once, scatterers fill the gate; as_printed: the same, and the amplitude keeps the "
+    "gain of a difference of pulses; one_draw: physical, one draw of scatterers for all realisations of noise.",
 )
 
 

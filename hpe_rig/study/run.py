@@ -10,10 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.study.cases import Case, points_of
+from hpe_rig.study.cases import AnyCase, points_of
 from hpe_rig.study.definition import read_studies
 from hpe_rig.study.engine import run_batch
 from hpe_rig.study.executor import OpenPool, completed, processes
+from hpe_rig.study.measured import measure_case
+from hpe_rig.study.measured_case import MeasuredCase
 from hpe_rig.study.results import CaseRecord, CaseStore, StudyResult, result_of, write_study
 
 MOST_CASES = 24
@@ -67,7 +69,7 @@ def run_study(
 
 
 def _compute(
-    cases: Sequence[Case],
+    cases: Sequence[AnyCase],
     store: CaseStore,
     records: dict[str, CaseRecord],
     open_pool: OpenPool,
@@ -78,7 +80,7 @@ def _compute(
     done, total = 0, sum(size.values())
     watch(done, total)
     ahead = ahead or 2 * (os.cpu_count() or 1) + 2
-    with closing(completed(open_pool, run_batch, batches(cases), ahead)) as finished:
+    with closing(completed(open_pool, compute, batches(cases), ahead)) as finished:
         for batch in finished:
             for record in batch:
                 store.write(record)
@@ -87,11 +89,18 @@ def _compute(
             watch(done, total)
 
 
-def batches(cases: Sequence[Case]) -> list[list[Case]]:
+def compute(cases: Sequence[AnyCase]) -> list[CaseRecord]:
+    """Return one record a case of a batch, in their order."""
+    # Of a definition all cases are of one kind, and no batch holds those of two.
+    measured = [case for case in cases if isinstance(case, MeasuredCase)]
+    return [measure_case(case) for case in measured] or run_batch([c for c in cases if not isinstance(c, MeasuredCase)])
+
+
+def batches(cases: Sequence[AnyCase]) -> list[list[AnyCase]]:
     """Return cases that share noise together, those that share echoes side by side, longest batches first."""
-    ordered = sorted(cases, key=lambda case: (case.noise_key, case.echoes_key, case.key))
+    ordered = sorted(cases, key=lambda case: (case.sharing, case.key))
     out = []
-    for _, group in itertools.groupby(ordered, lambda case: case.noise_key):
+    for _, group in itertools.groupby(ordered, lambda case: case.sharing[0]):
         own = list(group)
         out += [own[first : first + MOST_CASES] for first in range(0, len(own), MOST_CASES)]
-    return sorted(out, key=lambda batch: -sum(case.scatterers * case.noise * case.train.pulses for case in batch))
+    return sorted(out, key=lambda batch: -sum(case.cost for case in batch))

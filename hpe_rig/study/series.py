@@ -17,6 +17,13 @@ from hpe_rig.study.results import StudyResult
 Floats = NDArray[np.float64]
 StudyRow = dict[str, Any]
 
+READINGS = {
+    "physical": "physical",
+    "literal": "eq. (11) read literally",
+    "as_printed": "eq. (11) literally, gain of the difference left in",
+    "one_draw": "one draw of scatterers",
+}
+"""What a reader calls the readings of the paper."""
 LEAST_OF_A_MAP = 5
 """Values of an axis from which two axes make a map."""
 
@@ -38,8 +45,7 @@ class View:
     @property
     def title(self) -> str:
         """What a reader calls it."""
-        reading = "physical" if self.reading == "physical" else "eq. (11) read literally"
-        return f"{reading}, {spec_of(self.estimator).label}"
+        return f"{READINGS[self.reading]}, {spec_of(self.estimator).label}"
 
     def values(self, column: str) -> Floats:
         """Return a column, (row,)."""

@@ -59,9 +59,10 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Any:
         from pathlib import Path
         import numpy as np
         import hpe_rig as hpe
-        from hpe_rig.cli.extensions import extension_lines
+        from hpe_rig.cli.listing import extension_lines
         from hpe_rig.report import write_report
-        from hpe_rig.validation.accuracy.own_scene import ways
+        from hpe_rig.study import one_shot
+        from hpe_rig.validation.accuracy.own_scene import OWN, scene_rows, ways
 
         law = {"shear_modulus_pa": 5e3, "springpot_modulus_pa": 2e3, "power": 0.5}
         scene = hpe.load_scene("bovine-muscle").with_({
@@ -72,6 +73,8 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Any:
         })
         seen = {"lines": extension_lines()[0], "check": str(hpe.check(scene))}
         seen["ways"] = [str(way) for way in ways(hpe.load_scene("table-1")) if way.values.get("processing.estimator")]
+        chosen = [way for way in ways(scene) if way.varied == OWN or way.setting == "coherent"]
+        seen["rows"] = [(row.setting, row.error) for row in scene_rows(one_shot(scene), None, chosen, 2)]
         measured = hpe.measure(scene, path="run.h5")
         result = measured.estimate()
         strongest = max(result.shots[0].estimates, key=lambda each: each.amplitude_m)
@@ -79,12 +82,15 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Any:
         seen["truth"] = strongest.true_amplitude_m
         seen["moduli"] = str(hpe.fit_moduli(measured, laws=["fractional_voigt"]))
         seen["report"] = Path(write_report(Path("run.h5"))).read_text(encoding="utf-8")
-        samples = np.rint(1000 * np.random.default_rng(1).normal(size=(40, 256))).astype("<i2")
+        late = np.arange(256) - 8 * np.sin(2 * np.pi * 200 * np.arange(40) / 4000)[:, None] / 100
+        noise = np.random.default_rng(1).normal(size=(40, 256))
+        samples = np.rint(1000 * np.cos(0.2 * np.pi * late) + 10 * noise).astype("<i2")
         head = json.dumps({"fs": 5e7, "prf": 4000, "fc": 5e6, "samples": 256}).encode()
         Path("rf.bx").write_bytes(head + b"\\n" + samples.tobytes())
         own = '[tracking]\\n[acquisition]\\ngate_depth_m = 2e-3\\n[processing]\\nfrequencies_hz = [200.0]\\n'
         Path("s.toml").write_text('title = "bench X"\\n' + own)
         imported = hpe.import_records("rf.bx", "s.toml", "x.h5")
+        seen["of_import"] = Path(write_report(Path("x.h5"))).read_text(encoding="utf-8")
         seen["imported"] = bool((imported.records[0].codes == samples).all()), imported.bench.recording.format
         try:
             Path("bad.bx").write_bytes(b"rubbish")
@@ -108,7 +114,13 @@ def test_what_a_package_brings_is_listed_with_its_version(found: Any) -> None:
 @pytest.mark.slow
 def test_an_installed_estimator_is_predicted_measured_and_compared_like_ours(found: Any) -> None:
     assert re.search(r"^ +demodulated +-?[0-9.]+ nm", found["check"], flags=re.MULTILINE)
+    assert (
+        "of other packages: demodulated (hpe_rig.estimators, of hpe-example 1.0), fractional_voigt (" in found["check"]
+    )
     assert any("demodulated" in way for way in found["ways"])
+    # Both ways of the same records of the foreign medium: a few per cent of its true amplitudes, of which 2 seeds tell.
+    assert [setting for setting, _ in found["rows"]] == ["demodulated", "coherent"]
+    assert all(0 < error < 0.2 for _, error in found["rows"])
     (amplitude_m, uncertainty_m), true_m = found["estimate"], found["truth"]
     # Three standard uncertainties, and what a prior of Voigt media makes of a medium that is none.
     assert abs(amplitude_m - true_m) < 3 * uncertainty_m + 0.05 * true_m
@@ -120,11 +132,13 @@ def test_an_installed_medium_moves_the_twin_and_is_fitted(found: Any) -> None:
     value, u = map(float, re.findall(r"power p ([0-9.]+) \+- ([0-9.]+)", found["moduli"])[0])
     assert "Fractional Voigt, probability" in found["moduli"]
     assert abs(value - 0.5) < 3 * u < 0.3
+    assert "<dt>simulated medium</dt><dd>fractional_voigt (hpe_rig.media, of hpe-example 1.0)</dd>" in found["report"]
 
 
 @pytest.mark.slow
 def test_an_installed_importer_reads_its_files_and_names_itself_where_it_cannot(found: Any) -> None:
     assert found["imported"] == [True, "bench_x"]
+    assert "rf.bx, read as bench_x (hpe_rig.importers, of hpe-example 1.0)" in found["of_import"]
     assert "importer bench_x (hpe_rig.importers, of hpe-example 1.0): it is no file of bench X" in found["refused"]
 
 
@@ -168,7 +182,7 @@ def test_an_extension_that_fails_names_itself_and_costs_no_other(tmp_path: Path)
         from pathlib import Path
         import numpy as np
         import hpe_rig as hpe
-        from hpe_rig.cli.extensions import extension_lines
+        from hpe_rig.cli.listing import extension_lines
 
         lines, sound = extension_lines()
         def message(call):

@@ -29,7 +29,7 @@ from hpe_rig.store import read_run
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="a console's signals cannot be sent to one process on Windows")
 
-REPEATS = 4
+REPEATS = 3
 SHORT = (
     ("burst_count = 20", "burst_count = 2"),
     ("pulse_rate_hz = 4000.0", "pulse_rate_hz = 1000.0"),
@@ -40,7 +40,8 @@ SHORT = (
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 OUTPUTS = 5
 
-# Loads everything once, then forks a run for each line it is sent: how slow, its folder and its command.
+# Loads everything once, then forks a run for each line it is sent: how slow, whether it waits with its first records
+# until there is a file `go`, its folder and its command.
 RUNNER = """
 import json, os, signal, sys, threading, time, typer
 from contextlib import suppress
@@ -50,7 +51,9 @@ from hpe_rig.bench import opening
 from hpe_rig.cli.app import main
 import hpe_rig.acquire, hpe_rig.processing, hpe_rig.cli.watch, hpe_rig.cli.tables, hpe_rig.live, pyvisa_py, scipy.linalg
 signal.signal(signal.SIGINT, signal.default_int_handler)
-SLOWLY_S = [0.0]
+# What media and beams can do is worked out once, here, for all runs.
+hpe_rig.check(sys.argv[1])
+SLOWLY_S, HELD = [0.0], [False]
 
 class Both:
     '''An instrument in the other process, and the twin's of this one, which triggers the digitizer.'''
@@ -85,6 +88,8 @@ def slowly(board, deadline_s):
         # As long as a shot takes, in the small pieces that a wait has.
         for _ in range(4):
             time.sleep(SLOWLY_S[0])
+        while HELD[0] and not Path("go").exists():
+            time.sleep(0.01)
         yield block
 AlazarDigitizer.records = slowly
 
@@ -99,7 +104,7 @@ for line in sys.stdin:
     if isinstance(asked, int):
         print(os.waitstatus_to_exitcode(os.waitpid(asked, 0)[1]), flush=True)
         continue
-    SLOWLY_S[0], folder, *arguments = asked
+    SLOWLY_S[0], HELD[0], folder, *arguments = asked
     child = os.fork()
     if not child:
         os.chdir(folder)
@@ -132,12 +137,15 @@ class Rig:
     runner: subprocess.Popen[str]
     runs: int = 0
 
-    def start(self, *arguments: str, slowly_s: float = 0.015) -> tuple[Path, int]:
-        """Start a command and return its folder and process; a record takes four times ``slowly_s``."""
+    def start(self, *arguments: str, slowly_s: float = 0.006, held: bool = False) -> tuple[Path, int]:
+        """Start a command and return its folder and process; a record takes four times ``slowly_s``.
+
+        ``held``: the first one takes until there is a file ``go`` in the folder.
+        """
         self.runs += 1
         place = self.folder / f"run-{self.runs}"
         place.mkdir()
-        return place, self._told([slowly_s, str(place), *arguments])
+        return place, self._told([slowly_s, held, str(place), *arguments])
 
     def ended(self, process: int) -> int:
         """Wait for a process to end and return its exit code, minus the signal where one killed it."""
@@ -187,9 +195,10 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
         (folder / "metal.toml").write_text(metal, encoding="utf-8")
         # Locks of its own: what else goes on on this machine is at other benches, if with a board of that number.
         own = {**os.environ, "TMPDIR": str(folder)}
+        loaded = [sys.executable, "-c", RUNNER, str(folder / "scene.toml")]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
         runner = stack.enter_context(
-            subprocess.Popen([sys.executable, "-c", RUNNER], text=True, env=own, **pipes)  # type: ignore[call-overload]
+            subprocess.Popen(loaded, text=True, env=own, **pipes)  # type: ignore[call-overload]
         )
         stack.callback(runner.terminate)
         assert runner.stdout is not None
@@ -338,8 +347,8 @@ def like(run_file: Path, whole: Path) -> bool:
 def test_of_two_programs_at_one_bench_the_second_is_refused_or_safe(
     rig: Rig, whole: Path, first: str, second: str
 ) -> None:
-    # Slow enough for the second to come in between, on a busy machine too.
-    place, process = rig.start(*COMMANDS[first], slowly_s=0.05)
+    # The first run goes on once the second program is over, which comes in between so, on a busy machine too.
+    place, process = rig.start(*COMMANDS[first], held=first in ("run", "resume"))
     wait_for(lambda: bool(rig.outputs_on()) if first in ("run", "resume") else holds(rig, process))
     live = place / "run.h5"
     command = SECOND[second] or ("resume", str(live), "--bench", "../metal.toml", "--output", "run.h5")
@@ -349,6 +358,7 @@ def test_of_two_programs_at_one_bench_the_second_is_refused_or_safe(
         wait_for(lambda: "in use" in text_of(other_place / "err") or holds(rig, other))
         os.kill(other, signal.SIGINT)
     code = rig.ended(other)
+    (place / "go").touch()
     if first == "align":
         os.kill(process, signal.SIGINT)
     first_code = rig.ended(process)

@@ -294,7 +294,7 @@ def bounded_memory() -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-@pytest.mark.parametrize("cases", [1500, pytest.param(12_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [400, pytest.param(12_000, marks=pytest.mark.slow)])
 def test_mutated_scenes_and_benches_end_in_a_plan_or_a_message(tmp_path: Path, cases: int) -> None:
     rng = np.random.default_rng(6)
 
@@ -329,7 +329,7 @@ keys = {"simulation.receiver.snr_db" = {start = 20.0, stop = 40.0, count = 2}}
 """
 
 
-@pytest.mark.parametrize("cases", [300, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [100, pytest.param(3000, marks=pytest.mark.slow)])
 def test_mutated_studies_end_in_cases_or_a_message(tmp_path: Path, cases: int) -> None:
     rng, tables, path = np.random.default_rng(8), parse_toml(STUDY, "study"), tmp_path / "study.toml"
     tables["set"] = {"simulation.scatterers.per_cell": 5.0}
@@ -390,7 +390,7 @@ def small_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("cases", [150, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [50, pytest.param(2000, marks=pytest.mark.slow)])
 def test_mutated_run_files_end_in_a_run_or_a_message(small_run: Path, tmp_path: Path, cases: int) -> None:
     rng, data, path = np.random.default_rng(9), small_run.read_bytes(), tmp_path / "run.h5"
 
@@ -403,7 +403,7 @@ def test_mutated_run_files_end_in_a_run_or_a_message(small_run: Path, tmp_path: 
     assert found["message"] >= cases // 3
 
 
-@pytest.mark.parametrize("cases", [30, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [12, pytest.param(1000, marks=pytest.mark.slow)])
 def test_whatever_stands_beside_a_run_file_is_no_traceback(small_run: Path, tmp_path: Path, cases: int) -> None:
     rng, run, path = np.random.default_rng(10), small_run.read_bytes(), tmp_path / "run.h5"
     beside = {file.name: file.read_bytes() for file in small_run.parent.glob("run.*") if file != small_run}
@@ -437,7 +437,7 @@ OPTIONS: Mapping[str, Sequence[str]] = {
 }
 
 
-@pytest.mark.parametrize("cases", [130, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [50, pytest.param(4000, marks=pytest.mark.slow)])
 def test_mutated_arguments_end_in_a_result_or_a_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cases: int
 ) -> None:
@@ -474,7 +474,7 @@ def measured(folder: Path, scene: str, bench: str) -> str:
     return "result"
 
 
-@pytest.mark.parametrize("cases", [40, pytest.param(1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cases", [12, pytest.param(1500, marks=pytest.mark.slow)])
 def test_what_check_accepts_is_measured_and_estimated(tmp_path: Path, cases: int) -> None:
     rng = np.random.default_rng(7)
     found = {"message": 0, "refused": 0, "result": 0}

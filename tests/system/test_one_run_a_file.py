@@ -28,7 +28,7 @@ from hpe_rig.acquire.resumption import prepare_rest
 from hpe_rig.acquire.run_file import process
 from hpe_rig.bench import opening
 from hpe_rig.cli.app import app
-from hpe_rig.store import StoreError, WriteOptions, read_run, result_path
+from hpe_rig.store import StoreError, WriteOptions, journal, read_run, result_path
 
 Prepare = Callable[..., Setup]
 SMALL = (
@@ -94,10 +94,36 @@ def test_a_disk_that_hangs_as_the_file_is_made_keeps_no_output_on(
     assert not any(any(world.outputs_on().values()) for world in worlds)
     answers.set()
     for thread in threading.enumerate():
-        if thread.name == "new run file":
+        if thread.name == "new file":
             thread.join(10)
     assert [item.name for item in tmp_path.iterdir() if "h5" in item.name] == (["run.h5"] if overwrite else [])
     assert before is None or path.read_bytes() == before
+
+
+def test_a_disk_that_hangs_under_the_result_is_left_by_ctrl_c_or_after_a_minute_and_an_earlier_result_stays(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, answers = record_run(setup, tmp_path / "run.h5"), threading.Event()
+    process(path)
+    before = result_path(path, "coherent").read_bytes()
+
+    def hangs(number: int) -> None:
+        if journal.LONGEST_STEP_S == 60.0:
+            threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
+        assert answers.wait(20)
+
+    monkeypatch.setattr(os, "fsync", hangs)
+    with pytest.raises(KeyboardInterrupt):
+        process(path)
+    monkeypatch.setattr(journal, "LONGEST_STEP_S", 0.05)
+    with pytest.raises(StoreError, match=r"has not answered for 0\.05 s.*The run file is as it was.*Try:"):
+        process(path)
+    answers.set()
+    for thread in threading.enumerate():
+        if thread.name == "new file":
+            thread.join(10)
+    assert sorted(item.name for item in tmp_path.iterdir() if "h5" in item.name) == ["run.coherent.h5", "run.h5"]
+    assert result_path(path, "coherent").read_bytes() == before
 
 
 def test_only_a_run_file_is_overwritten_and_no_result_or_other_file(setup: Setup, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,6 +33,8 @@ from hpe_rig.acquire import (
 )
 from hpe_rig.bench import BenchInUseError, hold, read_bench
 from hpe_rig.bench.lock import locked
+from hpe_rig.cli.watch import _asking
+from hpe_rig.live.queue_source import QueueSource
 from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, read_run, verify
 
@@ -68,14 +71,14 @@ class Watcher:
         self._run_file, self._shot = run_file, shot
 
     @contextmanager
-    def watch(self, setup: Setup, path: Path, run_id: str) -> Iterator[Observer]:
+    def watch(self, setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, None]]:
         def observe(progress: Progress) -> None:
             if not self.steps or self.steps[-1] != (path.name, progress.shot.index, progress.step):
                 self.steps.append((path.name, progress.shot.index, progress.step))
             if path.name == self._run_file and progress.shot.index == self._shot and progress.records:
                 raise KeyboardInterrupt
 
-        yield observe
+        yield observe, None
 
     @property
     def watching(self) -> Watching:
@@ -133,6 +136,63 @@ def test_a_queue_outlives_a_failing_bench_and_an_interrupt(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_ten_runs_one_failing_bench_one_interrupt_and_nothing_is_lost(tmp_path: Path) -> None:
     nothing_is_lost(tmp_path, goes_through(tmp_path, count=10, failing=3, stopped=6))
+
+
+def test_the_page_of_a_queue_follows_its_runs_and_says_which_of_how_many_and_how_long(tmp_path: Path) -> None:
+    runs = [(str(path), None) for path in scenes(tmp_path, 2)]
+    folder, now_s = tmp_path / "queue", [0.0]
+    queue = new_queue(runs, folder)
+    source = QueueSource(folder, lambda: now_s[0])
+    waiting = source.poll()
+    assert waiting is not None
+    assert (waiting["status"], waiting["queue"]["run"], waiting["queue"]["runs"]) == ("waiting", 1, 2)
+    # Nothing is measured yet: the plans alone say how long it takes.
+    assert waiting["queue"]["left_s"] == pytest.approx(2 * prepare(runs[0][0]).plan.duration_s, abs=0.06)
+    seen = list[dict[str, Any]]()
+
+    @contextmanager
+    def watch(setup: Setup, path: Path, run_id: str) -> Iterator[tuple[Observer, None]]:
+        def observe(progress: Progress) -> None:
+            if progress.shot.index == 1 and progress.step is Step.CONFIGURE:
+                seen.append(source.poll() or {})
+                source.pause()
+                assert pause_requested(path, run_id)
+                source.pause()
+                assert not pause_requested(path, run_id)
+
+        yield observe, None
+
+    run_queue(folder, queue, Watching(lambda text: None, watch))
+    assert [(state["status"], state["file"], state["shot"]) for state in seen] == [
+        ("running", "01-scene-0.h5", 1),
+        ("running", "02-scene-1.h5", 1),
+    ]
+    assert [(state["queue"]["run"], state["queue"]["done"]) for state in seen] == [(1, 0), (2, 1)]
+    # At the pace of the first run, whose plan was as long as the second one's.
+    assert seen[1]["queue"]["left_s"] == pytest.approx(read_queue(folder)[0].took_s, rel=1e-3, abs=0.06)
+    ended = source.poll()
+    assert ended is not None
+    assert (ended["status"], ended["ended"].partition(";")[0]) == (
+        "complete",
+        "The queue has ended: 2 of 2 runs are done",
+    )
+    with pytest.raises(StoreError, match="has ended"):
+        source.stop()
+
+
+def test_the_page_of_a_queue_that_was_stopped_ends_once_no_run_follows(tmp_path: Path) -> None:
+    runs = [(str(path), None) for path in scenes(tmp_path, 2)]
+    folder, now_s = tmp_path / "queue", [0.0]
+    with pytest.raises(KeyboardInterrupt):
+        run_queue(folder, new_queue(runs, folder), Watcher("01-scene-0.h5", 0).watching)
+    source = QueueSource(folder, lambda: now_s[0])
+    between = source.poll()
+    assert between is not None
+    assert between["status"] == "running"
+    now_s[0] = 3.0
+    ended = source.poll()
+    assert ended is not None
+    assert (ended["status"], ended["queue"]["done"]) == ("aborted", 0)
 
 
 def test_a_failure_ends_the_queue_where_that_is_asked_for(tmp_path: Path) -> None:
@@ -197,6 +257,17 @@ def test_a_pause_waits_before_a_shot_with_every_output_off(tmp_path: Path) -> No
     record_run(setup, path, pausable(observe, lambda: pause_requested(path), said.append, go_on))
     assert said == ["paused before shot 2, all outputs are off: p goes on, Ctrl-C stops", "going on"]
     assert read_run(path).status == "complete"
+
+
+def test_at_a_place_enter_goes_on_and_yes_only_says_where_to(tmp_path: Path) -> None:
+    path, said, keys = tmp_path / "run.h5", list[str](), iter(["", "x", "\n"])
+    _asking(path, "one", lambda: next(keys), said.append, yes=False, paged=False)(2.25e-3)
+    _asking(path, "one", None, said.append, yes=True, paged=False)(3e-3)
+    where = "move the tracking transducer to {} mm beside the push"
+    assert said[0] == f"{where.format(2.25)}; all outputs are off. Enter when it stands there"
+    assert said[1] == where.format(3)
+    assert next(keys, None) is None
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_pause_can_be_ended_by_a_stop(tmp_path: Path) -> None:

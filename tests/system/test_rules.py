@@ -148,18 +148,23 @@ def face_mistakes(root: Path) -> list[str]:
     return mistakes
 
 
-def imports(file: Path) -> Iterator[tuple[int, str, list[str]]]:
-    """Yield line, module and names (none: the module itself) of every import, wherever in the file it stands."""
-    for node in ast.walk(parsed(file.read_text(encoding="utf-8"))):
+@cache
+def imports(text: str) -> list[tuple[int, str, list[str]]]:
+    """Return line, module and names (none: the module itself) of every import, wherever in a file's text it stands."""
+    return list(_imports(text))
+
+
+def _imports(text: str) -> Iterator[tuple[int, str, list[str]]]:
+    for node in ast.walk(parsed(text)):
         match node:
             case ast.ImportFrom(module=str(module), level=0, names=names):
                 yield node.lineno, module, [alias.name for alias in names]
             case ast.Import(names=names):
                 yield from ((node.lineno, alias.name, []) for alias in names)
             case ast.Call(func=ast.Name(id="import_module") | ast.Attribute(attr="import_module"), args=[first, *_]):
-                text = first.values[0] if isinstance(first, ast.JoinedStr) and first.values else first
-                if isinstance(text, ast.Constant):
-                    yield node.lineno, str(text.value), []
+                name = first.values[0] if isinstance(first, ast.JoinedStr) and first.values else first
+                if isinstance(name, ast.Constant):
+                    yield node.lineno, str(name.value), []
 
 
 def room_of(module: str, rooms: dict[str, set[str]]) -> str:
@@ -177,7 +182,7 @@ def door_mistakes(root: Path) -> list[str]:
     for file in files:
         place = file.relative_to(root)
         here = room_of(".".join(place.with_suffix("").parts), rooms)
-        for line, module, names in imports(file):
+        for line, module, names in imports(file.read_text(encoding="utf-8")):
             room = room_of(module, rooms)
             if not room:
                 continue

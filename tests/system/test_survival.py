@@ -133,7 +133,7 @@ def test_a_run_killed_at_any_moment_opens_keeps_its_records_and_resumes_to_the_s
     kill_at_random(prepared(scene, *edits), tmp_path, kills, seed=1)
 
 
-@pytest.mark.parametrize("kills", [4, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [2, pytest.param(400, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("compress", [False, True], ids=["plain", "compressed"])
 def test_a_writer_killed_in_the_middle_of_writing_leaves_whole_records(
     prepared: Prepare, tmp_path: Path, kills: int, compress: bool

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.polynomial import legendre
 
 from hpe_rig.bench import BenchFile
 from hpe_rig.plan.checks.check_result import CheckResult, is_whole, judged
@@ -140,7 +139,10 @@ def _condition(chosen: Selection, order: int) -> float:
     """Return the condition number of the fit's matrix, its columns scaled to unit length; inf where they depend."""
     time_s = chosen.time_s
     angle = 2 * np.pi * np.outer(time_s - time_s[0], chosen.wanted_hz)
-    scaled = (time_s - time_s[0]) * (2 / (time_s[-1] - time_s[0])) - 1
-    matrix = np.hstack([np.sin(angle), np.cos(angle), legendre.legvander(scaled, order)])[chosen.used]
+    background = np.ones((time_s.size, 1))
+    if order:
+        scaled = (time_s - time_s[0]) * (2 / (time_s[-1] - time_s[0])) - 1
+        background = np.polynomial.legendre.legvander(scaled, order)
+    matrix = np.hstack([np.sin(angle), np.cos(angle), background])[chosen.used]
     values = np.linalg.svd(matrix / np.linalg.norm(matrix, axis=0).clip(min=1e-300), compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0 else math.inf

@@ -24,8 +24,9 @@ from hpe_rig.acquire import Run, measure, planned, prepare
 from hpe_rig.bench import twin_of
 from hpe_rig.processing import ESTIMATORS
 from hpe_rig.result import Result, text_table
-from hpe_rig.scene import Mistake, Processing, Scene, SettingsError, with_default_specimen
+from hpe_rig.scene import Mistake, Processing, Scene, SettingsError
 from hpe_rig.store import StoreError
+from hpe_rig.study import one_shot
 from hpe_rig.validation.accuracy.work_precision import draw_panels, file_mistakes, grouped, write_rows
 
 Floats = NDArray[np.float64]
@@ -111,16 +112,6 @@ def write_own_scene(
     most = seeds or (QUICK_SEEDS if quick else SEEDS)
     rows = scene_rows(scene, bench, ways(scene), most, QUICK_S if quick else math.inf, tell)
     write_rows(rows, output, figure, draw_scene, show, scene_text)
-
-
-def one_shot(scene: Scene) -> Scene:
-    """Return the scene with its first force, burst length, pulse rate and window alone, once."""
-    scene = with_default_specimen(scene).rates[0].windows[0].model_copy(update={"sweep": type(scene.sweep)()})
-    values: dict[str, Any] = {"acquisition.repeats": 1}
-    if scene.excitation is not None:
-        values["excitation.force_fraction"] = [scene.excitation.force_fraction[0]]
-        values["excitation.burst_length_s"] = [scene.excitation.burst_length_s[0]]
-    return scene.with_(values)
 
 
 def ways(scene: Scene) -> list[Way]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Concatenate, ParamSpec
 
 import numpy as np
@@ -19,7 +20,11 @@ P = ParamSpec("P")
 SIGNIFICANT = 3.0
 """Standard errors: of 200 comparisons of nothing with nothing, one in two such pages shows one by chance."""
 SHOWN_DB = 20.0
-AGREES, IN_PART, DIFFERS, UNTOLD, ABSENT = "agrees", "in part", "differs", "not told", "not run"
+JUDGED_DB = (0.0, 20.0, 40.0)
+"""At each of these a trend must show: at 0 dB it is noise, at 40 dB speckle."""
+LEVEL = 0.05
+"""A change that is less than this share of the quantity, by three standard errors, is none."""
+AGREES, IN_PART, DIFFERS, UNTOLD, ABSENT = "agrees", "in part", "differs", "inconclusive", "not run"
 UNITS = {"amplitude": ("m", 1e9, "nm"), "phase": ("rad", 180 / math.pi, "deg")}
 QUANTITIES = {
     "amplitude_bias": "displacement bias",
@@ -60,10 +65,26 @@ def number(value: float, se: float, said: float, rounding: float, unit: str = ""
     return Judgement(f"{with_error(value, se)}{unit}", AGREES if agrees else DIFFERS)
 
 
-def below(largest: float, se: float, limit: float, unit: str) -> Judgement:
-    """Judge an upper limit for the largest value found; what chance alone may lift above it tells nothing."""
-    verdict = AGREES if largest < limit else UNTOLD if largest - SIGNIFICANT * se < limit else DIFFERS
-    return Judgement(f"at most {with_error(largest, se)}{unit}", verdict)
+def family(count: int) -> float:
+    """Return how many standard errors are as rare, as the largest of ``count`` independent ones, as three of one.
+
+    The largest of many found values is large by chance: what is said of it is judged by this (Sidak).
+    """
+    rare = 2 * NormalDist().cdf(-SIGNIFICANT)
+    return -NormalDist().inv_cdf((1 - (1 - rare) ** (1 / max(count, 1))) / 2)
+
+
+def span_of_largest(values: Floats, se: Floats) -> tuple[float, float]:
+    """Return between which values the largest of the true values lies, selection included."""
+    margin = family(values.size) * se
+    return float((values - margin).max()), float((values + margin).max())
+
+
+def below(values: Floats, se: Floats, limit: float, unit: str) -> Judgement:
+    """Judge an upper limit for the largest of true values by those found and how far chance lifts the largest."""
+    low, high = span_of_largest(values, se)
+    verdict = AGREES if high < limit else DIFFERS if low > limit else UNTOLD
+    return Judgement(f"at most {values.max():.3g}{unit}, {low:.3g} to {high:.3g} with selection", verdict)
 
 
 def with_error(value: float, se: float) -> str:
@@ -82,38 +103,44 @@ def ends(result: StudyResult, reading: str) -> tuple[Curve, Curve]:
 
 @judge_of
 def trend(result: StudyResult, reading: str, quantity: str, falls: bool) -> Judgement:
-    """Judge a trend from the first to the last value of the parameter, at every SNR.
+    """Judge a trend from the first to the last value of the parameter, at 0, 20 and 40 dB.
 
-    It agrees where it shows significantly at some SNR and its opposite at none. Equal random numbers along the
-    parameter make the standard errors upper bounds.
+    It agrees where it is significant at all three, in part where at some; it differs where its opposite is significant
+    at one and it at none, or where the quantity stays level at all three. Equal random numbers along the parameter make
+    the standard errors upper bounds.
     """
-    x, a, a_se, b, b_se = _both_ends(result, reading, quantity)
-    z = (b - a) / np.maximum(np.hypot(a_se, b_se), 1e-300) * (-1 if falls else 1)
-    right, wrong = z > SIGNIFICANT, z < -SIGNIFICANT
-    shown = int(np.argmin(np.abs(x - SHOWN_DB)))
+    x, *found = _both_ends(result, reading, quantity)
+    judged_at = sorted({int(np.argmin(np.abs(x - db))) for db in JUDGED_DB})
+    a, a_se, b, b_se = (each[judged_at] for each in found)
+    change, margin = b - a, SIGNIFICANT * np.hypot(a_se, b_se)
+    right, wrong = (change < -margin, change > margin) if falls else (change > margin, change < -margin)
+    level = ~(right | wrong) & (np.abs(change) + margin < LEVEL * np.maximum(a, b))
     unit, ways = UNITS[quantity.split("_")[0]][2], ("falls", "rises") if falls else ("rises", "falls")
-    words = f"{QUANTITIES[quantity]} {a[shown]:.3g} to {b[shown]:.3g} {unit} at {x[shown]:g} dB"
-    words += f"; {ways[0]} at {_places(x, right)}"
-    if wrong.any():
-        words += f", {ways[1]} at {_places(x, wrong)}"
-    if not right.any():
-        return Judgement(words, DIFFERS if wrong.any() else UNTOLD)
-    return Judgement(words, IN_PART if wrong.any() else AGREES)
+    names = np.select([right, wrong, level], [*ways, "level"], "unclear")
+    words = "; ".join(f"{x[n]:g} dB {a[k]:.3g} to {b[k]:.3g}, {names[k]}" for k, n in enumerate(judged_at))
+    missed = DIFFERS if wrong.any() or level.all() else UNTOLD
+    verdict = missed if not right.any() else AGREES if right.all() else IN_PART
+    return Judgement(f"{QUANTITIES[quantity]} ({unit}): {words}", verdict)
 
 
 @judge_of
 def flat(result: StudyResult, reading: str, quantity: str, small: float, from_db: float = -math.inf) -> Judgement:
-    """Judge "no effect": less than ``small`` (nm or degrees), or not significant, at every SNR."""
+    """Judge "no effect": at every SNR less than ``small`` (nm or degrees), or what chance makes of the largest change.
+
+    Inconclusive where chance alone makes more than twice ``small`` at SNRs from 20 dB on: nothing could then be seen.
+    """
     x, a, a_se, b, b_se = _both_ends(result, reading, quantity, from_db)
     change, se = np.abs(b - a), np.hypot(a_se, b_se)
-    effect = (change > SIGNIFICANT * se) & (change > small)
+    effect = (change > family(change.size) * se) & (change > small)
+    blind = bool((SIGNIFICANT * se[x >= SHOWN_DB] > 2 * small).any())
     place = int(np.argmax(change))
     unit = UNITS[quantity.split("_")[0]][2]
     words = f"{QUANTITIES[quantity]} changes at most by {with_error(change[place], se[place])} {unit}"
     words += f", at {x[place]:g} dB"
     if effect.any():
         words += f"; significantly at {_places(x, effect)}"
-    return Judgement(words, DIFFERS if effect.all() else IN_PART if effect.any() else AGREES)
+    verdict = DIFFERS if effect.all() else IN_PART if effect.any() else UNTOLD if blind else AGREES
+    return Judgement(words, verdict)
 
 
 @judge_of
@@ -122,8 +149,9 @@ def slight(result: StudyResult, reading: str, quantity: str, share: float) -> Ju
     x, a, a_se, b, b_se = _both_ends(result, reading, quantity, SHOWN_DB)
     ratio, se = b / a - 1, np.hypot(a_se / a, b_se / b) * np.abs(b / a)
     place = int(np.argmax(np.abs(ratio)))
+    low, high = span_of_largest(np.abs(ratio), se)
     words = f"{QUANTITIES[quantity]} {ratio[place] * 100:+.0f} ± {se[place] * 100:.1g} % at {x[place]:g} dB"
-    return Judgement(words, AGREES if abs(ratio[place]) < share else DIFFERS)
+    return Judgement(words, AGREES if high < share else DIFFERS if low > share else UNTOLD)
 
 
 def map_of(result: StudyResult, reading: str) -> list[tuple[float, Floats, Floats, Columns]]:

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from hpe_rig.acquire.pause import pause_path, wait_at_place
 from hpe_rig.acquire.run import prepare, prepare_text, record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress, Step, unobserved
@@ -32,8 +33,9 @@ from hpe_rig.live.history import TimeLeft
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
 from hpe_rig.live.state import State
+from hpe_rig.scene import load_scene
 from hpe_rig.scene.scene import scene_text
-from hpe_rig.store import StoreError, read_run
+from hpe_rig.store import StoreError, WriteOptions, read_run
 
 
 class Counter:
@@ -334,6 +336,67 @@ def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_pa
     assert not stop_path(run_file).exists()
 
 
+@contextmanager
+def waiting_for_places(tmp_path: Path, ended: list[str]) -> Iterator[LivePage]:
+    """Yield the page of a run over two places that waits for the transducer at each; ``ended`` says how it ended."""
+    path, places = tmp_path / "run.h5", {"sweep.lateral_offset_m": [0.0, 2e-3], "excitation.burst_count": 4}
+    setup = prepare(load_scene("gelatin-moduli").with_({**places, "processing.window_start_s": 0.0}))
+
+    def observe(progress: Progress) -> None:
+        if progress.step is Step.MOVE:
+            wait_at_place(path, "one", progress.shot.lateral_offset_m, lambda: False)
+
+    def measure() -> None:
+        try:
+            ended.append(read_run(record_run(setup, path, observe, options=WriteOptions(run_id="one"))).status)
+        except StopRequested:
+            ended.append("stopped")
+
+    served = LivePage(RunSource(path))
+    threads = [threading.Thread(target=each, daemon=True) for each in (served.serve, measure)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield served
+    finally:
+        threads[1].join(30)
+        served.close()
+        threads[0].join(10)
+    assert not threads[1].is_alive()
+    assert not pause_path(path).exists()
+
+
+def waits_for(page: LivePage, place_mm: float) -> None:
+    deadline_s, base = time.monotonic() + 30, urlsplit(page.address).path
+    while (state := json.loads(asked(page, base + "state")[2])).get("place_mm") != place_mm:
+        assert time.monotonic() < deadline_s, state
+        time.sleep(0.02)
+    assert state["pause_requested"]
+
+
+def test_a_run_that_waits_for_the_transducer_to_be_moved_goes_on_from_the_page(tmp_path: Path) -> None:
+    ended: list[str] = []
+    with waiting_for_places(tmp_path, ended) as page:
+        # for the first of them before there is a run file
+        for place_mm in (0.0, 2.0):
+            waits_for(page, place_mm)
+            assert post(page.address, "pause") == 200
+    assert ended == ["complete"]
+
+
+def test_a_run_that_waits_for_the_transducer_to_be_moved_can_be_stopped_from_the_page(tmp_path: Path) -> None:
+    ended: list[str] = []
+    with waiting_for_places(tmp_path, ended) as page:
+        waits_for(page, 0.0)
+        assert post(page.address, "pause") == 200
+        waits_for(page, 2.0)
+        assert post(page.address, "stop") == 200
+    assert ended == ["stopped"]
+    stored = read_run(tmp_path / "run.h5")
+    assert stored.status == "aborted"
+    assert stored.shot_complete.tolist() == [True, False]
+
+
 def test_a_stop_that_is_asked_for_as_a_shot_ends_leaves_it_complete(tmp_path: Path) -> None:
     run_file = tmp_path / "run.h5"
 
@@ -444,7 +507,7 @@ def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tm
         "from hpe_rig.cli.watch import watched\nsetup = prepare('table-1')\n"
         f"path = Path({str(tmp_path / 'run.h5')!r})\n"
         "with watched(setup, path, '', None, False, print) as watching:\n"
-        "    record_run(setup, path, watching(lambda progress: None))\n"
+        "    record_run(setup, path, watching.observed(lambda progress: None))\n"
         "print(*sorted({name.partition('.')[0] for name in sys.modules}))\n"
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

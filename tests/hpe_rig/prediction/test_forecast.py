@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import mpmath
 import numpy as np
 import pytest
 
 from hpe_rig.acquire.run import prepare, prepare_text
 from hpe_rig.plan import select
 from hpe_rig.prediction.bounds import harmonic_bound
-from hpe_rig.prediction.error_model import Conditions, draw_speckle, expected
+from hpe_rig.prediction.error_model import Conditions, Speckle, draw_speckle, expected
 from hpe_rig.prediction.forecast import conditions_of, predict, remedies
 from hpe_rig.prediction.linear_fit import noise_gain
 from hpe_rig.prediction.text import prediction_text
@@ -70,6 +71,18 @@ def test_bias_and_jitter_of_table_one_are_predicted(estimator: Estimator, spread
 )
 def test_bias_and_jitter_of_figures_5_to_11_are_predicted(name: str, value: float, estimator: Estimator) -> None:
     _compare(replace(MotionCase(snr_db=20), **{name: value}), estimator, 1000, 0.02, 0.15 + 2 / np.sqrt(1000))
+
+
+@pytest.mark.parametrize("over_noise", [0.0, 0.3, 99.9, 100.1, 3e4])
+def test_noise_lengthens_an_amplitude_as_the_rice_distribution_says(table_one: Conditions, over_noise: float) -> None:
+    rigid = Speckle(np.ones((1, 64), complex), np.ones((1, 64), complex))
+    generator = np.random.default_rng(0)
+    deviation_m = expected(table_one, "coherent", rigid, generator).quadrature_m
+    amplitude_m = over_noise * deviation_m
+    found = expected(replace(table_one, amplitude_m=amplitude_m), "coherent", rigid, generator)
+    length = float(mpmath.sqrt(mpmath.pi / 2) * mpmath.laguerre(0.5, 0, -(mpmath.mpf(over_noise) ** 2) / 2))
+    # rounding of the amplitude, which the bias is a small part of
+    assert found.bias_m == pytest.approx((length - over_noise) * deviation_m, abs=1e-12 * (amplitude_m + deviation_m))
 
 
 def test_remedies_reach_the_target_each_alone(table_one: Conditions) -> None:

@@ -16,7 +16,7 @@ from hpe_rig.prediction.detection import detection_floor
 from hpe_rig.prediction.forecast import forecast_of
 from hpe_rig.report.page import write_report
 from hpe_rig.scene.scene import load_scene, shipped_scenes
-from hpe_rig.validation.accuracy.own_scene import one_shot
+from hpe_rig.study import one_shot
 
 FAST = {"bovine-muscle", "table-1"}
 NAMES = [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in shipped_scenes()]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from hpe_rig.processing import (
     EchoGate,
@@ -18,7 +19,7 @@ from hpe_rig.processing import (
     estimate,
     velocity_between_pulses,
 )
-from hpe_rig.processing.band import band_spectrum
+from hpe_rig.processing.band import band_spectrum, fast_length
 
 if TYPE_CHECKING:
     from conftest import TableOne
@@ -188,3 +189,8 @@ def test_gates_without_echo_or_with_one_pulse_are_refused(table_one: TableOne, e
     lonely: EchoGate = table_one.gate(np.ones((100, 130)), np.arange(100) == 5)
     with pytest.raises(ValueError, match="1 valid pulses"):
         estimator(lonely)
+
+
+def test_a_fast_length_is_scipys() -> None:
+    counts = [*range(1, 3000), 65537, 1_000_003]
+    assert [fast_length(count) for count in counts] == [next_fast_len(count, real=True) for count in counts]

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hpe_rig.prediction.beam_averaging import medium_motion
-from hpe_rig.processing import Motion, harmonic_columns, least_squares
+from hpe_rig.processing import Motion, harmonic_columns, least_squares, shear_motion
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, displacement, medium_ensemble
 from hpe_rig.processing.prior import (
     FREEDOM,
@@ -436,3 +436,32 @@ def test_a_slow_creep_counts_where_the_steps_of_a_sum_do_not_see_it() -> None:
     white, of_steps, still = each
     assert white < of_steps < 1.1 * white
     assert still < white / 3
+
+
+@pytest.mark.parametrize("lateral_m", [0.25e-3, 1e-3])
+def test_beside_the_push_what_is_faster_than_8_khz_aliases_onto_no_harmonic(lateral_m: float) -> None:
+    """Stiff and viscous: a thousandth of the motion is faster. Its own field, 1000 harmonics, 1 nm of noise a pulse."""
+    beams = replace(BEAMS, lateral_m=lateral_m)
+    across, along = FORCE_M[0] ** 2 + TRACKING_M[0] ** 2 / 2, FORCE_M[2] ** 2 + DEPTH_M**2
+    modulus = voigt(12e3, 5.7)
+    field = shear_motion(
+        modulus, RATE_HZ * HARMONIC, 1000.0, (FORCE_M[0], FORCE_M[2]), across, along, np.array([lateral_m])
+    )
+    duty = RATE_HZ * LENGTH_S * HARMONIC
+    wave = 1j * np.sinc(duty) * np.exp(-1j * np.pi * duty) * field.value[:, 0]
+    wave *= RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2)
+    found = medium_fit(noisy(SHIFTING, wave, 1e-9, 20), WANTED_HZ, medium_prior(beams, RATE_HZ, LENGTH_S))
+    # Draws and their negatives have no noise on the mean. Harmonics to 8 kHz alone leave 3.1 and 0.16 nm.
+    assert np.abs(found.fit.state.mean(axis=0) - wanted(wave)).max() < 0.1e-9
+
+
+def test_beside_the_push_the_ensemble_is_interpolated_to_1e_3_of_the_motion() -> None:
+    beams, harmonic = replace(BEAMS, lateral_m=2.25e-3), np.arange(81, 401)
+    ensemble = medium_ensemble(beams, RATE_HZ, 4e4)
+    member = int(np.flatnonzero(ensemble.voigt)[1])
+    # the same nodes alone, each harmonic for itself
+    other = medium_ensemble(beams, RATE_HZ * 81, RATE_HZ * 81 * 2)
+    assert other.alone == other.node_hz.size == 2
+    between = (ensemble.tracked @ ensemble.interpolation(other.node_hz).T)[member]
+    rms = np.sqrt(np.sum(np.abs(ensemble.tracked @ ensemble.interpolation(RATE_HZ * harmonic).T) ** 2, axis=1))[member]
+    assert np.abs(between - other.tracked[member]).max() < 1e-3 * rms

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable, Mapping
+from csv import DictReader
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
+from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.acquire import import_recording, prepare_rest
-from hpe_rig.recordings import chosen_lines
+from hpe_rig.cli.app import app
+from hpe_rig.recordings import chosen_lines, matlab
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import StoreError, verify
 
@@ -186,6 +190,59 @@ def test_an_imported_run_is_whole_says_where_it_comes_from_and_is_not_resumed(sc
         prepare_rest(made.path)
 
 
+def test_an_imported_run_is_swept_over_what_is_made_of_its_records(scene: Path) -> None:
+    run = hpe.import_records(RF, scene, scene.parent / "run.h5", axes="line,pulse,sample", lines="1", **RATES)
+    result = run.sweep({"gate_length_m": [0.6e-3, 1e-3], "gate_depth_m": [1.2e-3, 1.0e-3]})
+    names = ("acquisition.gate_length_m", "acquisition.gate_depth_m")
+    assert [tuple(shot.swept[name] for name in names) for shot in result.shots] == [
+        (0.6e-3, 1.2e-3),
+        (0.6e-3, 1.0e-3),
+        (1e-3, 1.2e-3),
+        (1e-3, 1.0e-3),
+    ]
+    # Each point is what an import with a scene of these values would have given.
+    other = scene.parent / "other.toml"
+    other.write_text(SCENE.replace("1.2e-3", "1.0e-3").replace("gate_length_m = 1.0e-3", "gate_length_m = 0.6e-3"))
+    alone = hpe.import_records(RF, other, scene.parent / "alone.h5", axes="line,pulse,sample", lines="1", **RATES)
+    assert result.shots[1].estimates == alone.estimate().shots[0].estimates
+    assert len({shot.estimates for shot in result.shots}) == 4
+    together = run.sweep({"gate_length_m": [0.6e-3, 1e-3], "background_order": [0, 1]}, together=True)
+    assert len(together.shots) == 2
+    assert together.shots[1].estimates[0].amplitude_m != result.shots[2].estimates[0].amplitude_m
+
+
+@pytest.mark.parametrize(
+    ("axes", "said"),
+    [
+        ({"pulse_rate_hz": [1e3], "snr": [1.0], "carrier_hz": [1e6]}, "snr"),
+        ({"pulse_rate_hz": [1e3], "carrier_hz": [1e6]}, r"(?s)2 mistakes.*pulse_rate_hz.*carrier_hz.*hpe-rig run"),
+        ({"gate_depth_m": [1.2e-3, 20e-3]}, "a gate leaves the records, which go from 0 to 2.464 mm"),
+        ({"background_order": [-3]}, "background_order"),
+        ({"gate_length_m": []}, "gate_length_m"),
+    ],
+)
+def test_what_the_records_do_not_hold_is_not_swept(axes: Mapping[str, list[float]], said: str, scene: Path) -> None:
+    run = hpe.import_records(RF[0], scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
+    with pytest.raises(SettingsError, match=said):
+        run.sweep(axes)
+
+
+def test_the_command_sweeps_a_stored_run_and_the_list_says_that_it_was_imported(scene: Path) -> None:
+    path = scene.parent / "run.h5"
+    hpe.import_records(RF[0], scene, path, axes="pulse,sample", **RATES)
+    options = ["--sweep", "gate_length_m=0.6e-3,1e-3", "--sweep", "background_order=0,1"]
+    done = CliRunner().invoke(app, ["process", str(path), *options, "--together", "--csv"])
+    rows = list(DictReader(done.stdout.splitlines()))
+    assert [float(row["acquisition.gate_length_m"]) for row in rows] == [0.6e-3, 1e-3]
+    assert list(path.parent.glob("run.*.h5")) == []
+    wrong = CliRunner().invoke(app, ["process", str(path), "--sweep", "x", "--sweep", "gate_length_m=a"])
+    assert wrong.exit_code == 2
+    assert "2 mistakes" in wrong.stderr
+    assert "imported, complete" in CliRunner().invoke(app, ["list", str(path.parent)]).stdout
+    (row,) = json.loads(CliRunner().invoke(app, ["list", str(path.parent), "--find", "imported", "--json"]).stdout)
+    assert row["imported"] == "array"
+
+
 def test_lines_become_places_or_their_mean(scene: Path) -> None:
     rates = RATES | {"axes": "line,pulse,sample", "line_pitch_m": 0.3e-3}
     places = hpe.import_records(RF, scene, scene.parent / "all.h5", lines="all", **rates)
@@ -234,6 +291,15 @@ def _with(index: Any, value: float) -> NDArray[np.float64]:
 
 def _without(key: str) -> dict[str, Any]:
     return {name: value for name, value in GOOD.items() if name != key}
+
+
+def mat_of_another_type() -> bytes:
+    """Return a MATLAB file whose one array has the type 255, at which SciPy 1.17 ends the interpreter."""
+    file = io.BytesIO()
+    savemat(file, {"rf": np.arange(40.0).reshape(5, 8)})
+    content = bytearray(file.getvalue())
+    content[content.index((9).to_bytes(4, "little") + (40 * 8).to_bytes(4, "little"))] = 255
+    return bytes(content)
 
 
 MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
@@ -297,6 +363,7 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
     "npz without": ("a.npz", {"a": RF[0]}, {**GOOD, "variable": "rf"}, "'rf' is no array"),
     "npz of bad rate": ("a.npz", {"a": RF[0], "fs": np.array(-5.0)}, _without("sample_rate_hz"), "'fs' of the file"),
     "text as mat": ("a.mat", b"MATLAB 4.2" * 20, GOOD, "MATLAB file"),
+    "mat of another type": ("a.mat", mat_of_another_type(), GOOD, "MATLAB file"),
     "empty mat": ("a.mat", {"mat": {"x": np.array(2.0)}}, GOOD, "no array of numbers"),
     "text as hdf5": ("a.h5", b"\x89HDF\r\n\x1a\n" + b"0" * 100, GOOD, "no readable HDF5 file"),
     "csv of words": ("a.csv", b"1,2,3\n4,five,6\n", GOOD, "line 2 holds something else"),
@@ -322,6 +389,13 @@ MALFORMED: dict[str, tuple[str, Any, Mapping[str, Any], str]] = {
     "unknown format": ("a.npy", RF[0], {**GOOD, "format": "npyy"}, "did you mean npy"),
     "absent": ("b.npy", None, GOOD, "does not exist"),
 }
+
+
+def test_a_matlab_file_whose_reading_never_ends_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matlab, "PATIENCE_S", 0.0)
+    (tmp_path / "a.mat").write_bytes(mat_of_another_type())
+    with pytest.raises(ValueError, match=r"no end of it within 0 s\): save it anew"):
+        matlab.matlab_to_npz(tmp_path / "a.mat", tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize("case", MALFORMED)

@@ -26,17 +26,25 @@ from hpe_rig.store.verification import ranges
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "run_files"
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def setup() -> Setup:
     """Return a measurement of three shots of 400 records in chunks of 123."""
     text = shipped_scenes()["table-1"].replace("pulse_count = 101", "pulse_count = 400").replace("snr_db = 40.0", "")
     return prepare_text("small", text.replace("[acquisition]", "[acquisition]\nrepeats = 3\nrecord_samples = 4096"))
 
 
+@pytest.fixture(scope="module")
+def content(setup: Setup, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return the bytes of a run file."""
+    return record_run(setup, tmp_path_factory.mktemp("whole") / "run.h5").read_bytes()
+
+
 @pytest.fixture
-def path(setup: Setup, tmp_path: Path) -> Path:
+def path(content: bytes, tmp_path: Path) -> Path:
     """Return a run file."""
-    return record_run(setup, tmp_path / "run.h5")
+    path = tmp_path / "run.h5"
+    path.write_bytes(content)
+    return path
 
 
 def flipped(path: Path, name: str, place: tuple[int, ...]) -> None:
@@ -80,6 +88,30 @@ def test_one_bit_of_an_echo_costs_its_chunk_and_is_listed_by_shot_and_record(pat
     assert [found.shots[shot].estimates == whole.shots[shot].estimates for shot in range(3)] == [True, False, True]
     assert any(text.startswith("123 of 400 records fail their checksums") for text in found.shots[1].warnings)
     assert not any("triggers were lost" in text for text in found.shots[1].warnings)
+
+
+@pytest.mark.parametrize("repaired_after", [1, 2, 3])
+def test_records_of_a_run_that_goes_on_are_read_three_times_before_they_count_as_damaged(
+    path: Path, monkeypatch: pytest.MonkeyPatch, repaired_after: int
+) -> None:
+    place, pauses = ("records/echo", (1, 130, 7)), list[float]()
+
+    def pause(duration_s: float) -> None:
+        pauses.append(duration_s)
+        if len(pauses) == repaired_after:
+            # As where the writer was in the middle of a change.
+            flipped(path, *place)
+
+    monkeypatch.setattr("hpe_rig.store.reader.time.sleep", pause)
+    flipped(path, *place)
+    assert read_run(path).records[1].damaged.sum() == 123
+    assert not pauses
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        file.attrs.modify("status", np.bytes_("running"))
+    records = read_run(path).records[1]
+    assert pauses == [0.02] * min(repaired_after, 2)
+    assert records.damaged.sum() == (123 if repaired_after == 3 else 0)
+    assert records.valid.all() == (repaired_after < 3)
 
 
 def test_the_live_page_of_a_damaged_run_says_so(path: Path) -> None:

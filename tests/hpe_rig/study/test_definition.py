@@ -10,7 +10,8 @@ import pytest
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.scene.validation import SettingsError
 from hpe_rig.study.cases import GridPoint, points_of
-from hpe_rig.study.definition import AxisRange, Definition, read_studies, shipped_studies
+from hpe_rig.study.definition import Axis, AxisRange, Definition, read_studies, shipped_studies
+from hpe_rig.study.measured_case import MeasuredCase
 
 SIZES = {"fig-4": 1, "fig-5": 5, "fig-6": 5, "fig-7": 6, "fig-8": 5, "fig-9": 3, "fig-10": 3, "fig-11": 4}
 
@@ -43,11 +44,10 @@ def test_the_shipped_studies_are_the_paper_s_figures_at_its_sizes() -> None:
     counts = {name: [len(axis.values()) for axis in one.axes] for name, one in studies.items()}
     assert {name: int(np.prod(counts[name])) for name in SIZES} == {name: 7 * size for name, size in SIZES.items()}
     assert (counts["fig-12"], counts["fig-13"]) == ([1, 11, 11], [4, 11, 11])
-    assert {name: one.scatterers * one.noise for name, one in studies.items()} == {
-        name: 1000 if name in SIZES else 100 for name in studies
-    }
-    assert all(set(one.readings) == {"physical", "literal"} for one in studies.values())
-    assert len(points_of("fig-4", studies["fig-4"])) == 7 * 2
+    assert {one.scatterers for one in studies.values()} == {800}
+    readings = {"physical", "literal", "as_printed", "one_draw"}
+    assert all(set(studies[name].readings) == readings for name in SIZES)
+    assert len(points_of("fig-4", studies["fig-4"])) == 7 * 4
 
 
 def test_figures_share_the_cases_they_have_in_common() -> None:
@@ -187,7 +187,7 @@ def test_a_collection_tells_the_mistakes_of_all_its_studies_and_loses_none(tmp_p
 @pytest.mark.parametrize(
     ("key", "values", "told"),
     [
-        ("excitation.burst_rate_hz", "[100.0]", "do not depend on it"),
+        ("excitation.burst_rate_hz", "[100.0]", "does not depend on it"),
         ("simulation.motion[3].amplitude_m", "[1e-6]", "no such entry"),
         ("simulation.receiver.snr_db.x", "[1e-6]", "no such entry"),
         ("processing.frequencies_hz", "[[300.0]]", "no true value"),
@@ -204,7 +204,8 @@ def test_what_a_study_cannot_vary_is_refused(key: str, values: str, told: str, t
     ("text", "told"),
     [
         (
-            PLAIN.replace("table-1", "gelatin-12")
+            'simulate = "gate"\n'
+            + PLAIN.replace("table-1", "gelatin-12")
             .replace("simulation.receiver.snr_db", "tracking.delay_s")
             .replace("10.0", "0.0"),
             "prescribes none",
@@ -213,12 +214,28 @@ def test_what_a_study_cannot_vary_is_refused(key: str, values: str, told: str, t
         (PLAIN.replace("[10.0, 20.0]", "[]"), "at least 1"),
         ('common = ["depth"]\n' + PLAIN, "which is no axis"),
         (PLAIN + '[readings]\nphysical = ["coherant"]\n', "is not one of the choices"),
+        ('simulate = "bench"\n' + PLAIN + '[readings]\nliteral = ["coherent"]\n', "by the gate alone"),
+        ('simulate = "bench"\n' + PLAIN.replace("tracking.pulse_count", "acquisition.repeats"), "says by itself"),
+        ('simulate = "bench"\n' + PLAIN.replace("simulation.receiver.snr_db", "sweep.pulse_rate_hz"), "says by itself"),
+        (
+            'simulate = "bench"\n' + PLAIN.replace('"tracking.pulse_count" = 40', '"processing.window_length_s" = 1.0'),
+            "window:",
+        ),
+        ("corrected = true\n" + PLAIN, "corrects nothing"),
         ("title = ", "not valid TOML"),
         ('title = "all"\nstudies = ["fig-99"]\n', "no shipped study and no file"),
     ],
 )
 def test_a_wrong_definition_says_what_to_do(text: str, told: str, tmp_path: Path) -> None:
     assert told in _mistakes(text, tmp_path)
+
+
+@pytest.mark.parametrize("scene", shipped_scenes())
+def test_every_shipped_scene_may_be_studied_and_all_but_the_gate_alone_is_measured_whole(scene: str) -> None:
+    axis = Axis(name="gate", unit="m", keys={"acquisition.gate_length_m": [1e-3, 1.5e-3]})
+    cases = [point.case for point in points_of("own", Definition(title="own", scene=scene, axes=(axis,)))]
+    assert {isinstance(case, MeasuredCase) for case in cases} == {scene != "table-1"}
+    assert len({case.key for case in cases}) == 2
 
 
 def test_shipped_studies_are_listed_in_the_order_of_their_figures() -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hpe_rig.scene import SettingsError
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.study.cases import Case, points_of
 from hpe_rig.study.definition import Definition
@@ -188,3 +189,29 @@ def test_the_tracked_part_of_the_peak_is_the_published_one(
     if reading == "literal" and ratio_z == 2.18:
         # The scatter of a draw, 0.024: 2000 draws know theirs to 1.6 %, and two digits are given.
         assert row["amplitude_speckle_jitter_m"] / 1e-6 == pytest.approx(0.024, abs=0.0025)
+
+
+def test_as_printed_keeps_the_gain_of_the_difference_and_one_draw_has_the_noise_of_one_draw_alone() -> None:
+    readings = {name: ["cross_spectrum"] for name in ("physical", "literal", "as_printed", "one_draw")}
+    rate = {"tracking.pulse_rate_hz": 1000.0, "tracking.pulse_count": 25}
+    cases = cases_of(
+        set=rate, scatterers=8, noise=3, readings=readings, axes=[SNR | {"keys": {SNR_KEY: [30.0]}}], common="all"
+    )
+    rows = [estimate(record, "cross_spectrum") for record in run_batch_of_each(cases)]
+    literal_m, printed_m = (row["amplitude_true_m"] + row["amplitude_bias_m"] for row in rows[1:3])
+    assert printed_m / literal_m == pytest.approx(np.sinc(200 / 1000), rel=1e-12)
+    assert rows[2]["phase_bias_rad"] == pytest.approx(rows[1]["phase_bias_rad"], abs=1e-12)
+    assert (cases[3].scatterers, cases[3].noise) == (1, 24)
+    # Physical: 8 draws with their speckle; one draw: noise alone, of 24 realisations that are independent.
+    assert rows[3]["amplitude_jitter_m"] < 0.5 * rows[0]["amplitude_jitter_m"]
+    expected = rows[3]["amplitude_jitter_m"] / np.sqrt(23)
+    assert rows[3]["amplitude_bias_se_m"] == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_estimator_without_a_difference_has_no_gain_to_leave_in() -> None:
+    with pytest.raises(SettingsError, match="coherent has no gain of a difference of pulses"):
+        cases_of(readings={"as_printed": ["coherent"]})
+
+
+def run_batch_of_each(cases: list[Case]) -> list[CaseRecord]:
+    return [run_batch([case])[0] for case in cases]

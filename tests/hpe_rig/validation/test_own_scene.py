@@ -14,13 +14,13 @@ from typer.testing import CliRunner
 from hpe_rig.cli.app import app
 from hpe_rig.processing import ESTIMATORS
 from hpe_rig.scene.scene import Scene, load_scene
+from hpe_rig.study import one_shot
 from hpe_rig.validation.accuracy.own_scene import (
     OWN,
     SceneRow,
     Way,
     _beats,
     _Trial,
-    one_shot,
     scene_rows,
     scene_text,
     ways,

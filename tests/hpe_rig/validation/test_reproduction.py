@@ -60,10 +60,11 @@ def curves(jitter_nm: Callable[[float, float], float]) -> StudyResult:
         (lambda p, snr: 100 + 20 * p, DIFFERS),
         (lambda p, snr: 100 - 2 * p, UNTOLD),
         (lambda p, snr: 100 - 20 * p if snr < 30 else 100 + 20 * p, IN_PART),
-        (lambda p, snr: 100 - 20 * p if snr < 10 else 100 + 2 * p, AGREES),
+        (lambda p, snr: 100 - 20 * p if snr < 10 else 100 + 2 * p, IN_PART),
+        (lambda p, snr: 1000 - 2 * p, DIFFERS),
     ],
 )
-def test_a_trend_agrees_where_it_is_significant_and_nowhere_opposite(
+def test_a_trend_agrees_where_it_is_significant_at_0_20_and_40_db_and_a_level_quantity_has_none(
     jitter_nm: Callable[[float, float], float], verdict: str
 ) -> None:
     assert judgement.trend("amplitude_jitter", falls=True)(curves(jitter_nm), "physical").verdict == verdict
@@ -79,10 +80,24 @@ def test_no_effect_means_small_or_within_chance_at_every_snr() -> None:
 def test_a_number_agrees_within_its_rounding_and_three_errors() -> None:
     assert judgement.number(0.8150, 0.001, 0.818, 0.0005).verdict == AGREES
     assert judgement.number(0.8150, 0.001, 0.819, 0.0005).verdict == DIFFERS
-    assert judgement.below(4.9, 1.0, 5.0, "").verdict == AGREES
-    assert judgement.below(7.0, 1.0, 5.0, "").verdict == UNTOLD
-    assert judgement.below(9.0, 1.0, 5.0, "").verdict == DIFFERS
     assert judgement.with_error(0.81453, 0.00123) == "0.8145 ± 0.0012"
+
+
+def test_a_limit_for_the_largest_of_many_knows_how_far_chance_lifts_it() -> None:
+    one = np.ones(1)
+    assert judgement.below(1.9 * one, one, 5.0, "").verdict == AGREES
+    assert judgement.below(4.9 * one, one, 5.0, "").verdict == UNTOLD
+    assert judgement.below(8.5 * one, one, 5.0, "").verdict == DIFFERS
+    assert judgement.below(np.full(121, 8.5), np.ones(121), 5.0, "").verdict == UNTOLD
+    assert judgement.family(1) == pytest.approx(3.0, abs=1e-9)
+    # Of 121 independent values the largest exceeds it as rarely as one exceeds three: to 0.0027 +- 3 sqrt(0.0027 / n).
+    draws = np.abs(np.random.default_rng(1).standard_normal((20_000, 121))).max(axis=1)
+    rare = 2 * 0.001349898
+    assert np.mean(draws > judgement.family(121)) == pytest.approx(rare, abs=3 * np.sqrt(rare / 20_000))
+
+
+def test_no_effect_is_inconclusive_where_chance_alone_would_hide_one() -> None:
+    assert judgement.flat("amplitude_jitter", 1.0)(curves(lambda p, snr: 100.0), "physical").verdict == UNTOLD
 
 
 def test_the_lateral_theory_is_the_mean_motion_under_the_squared_beam() -> None:
@@ -111,10 +126,10 @@ def test_differences_from_the_lateral_theory_are_told_by_w_z() -> None:
 
     study = result({"W_z": [0.2, 0.4, 1.0], "W_x": w, "W_y": w}, values)
     assert claim_judges.differences_fall(study, "physical").verdict == AGREES
-    first, last = (claim_judges.difference_at(k, said) for k, said in ((0, 0.3), (-1, 0.3)))
+    first, last = claim_judges.difference_at(0, 0.3, and_more=True), claim_judges.difference_at(-1, 0.3)
     assert first(study, "physical").verdict == AGREES  # "up to and above"
     assert last(study, "physical").verdict == DIFFERS
-    assert last(study, "physical").found == "at most 0.1000 ± 0.0010 at W_z = 1"
+    assert last(study, "physical").found == "at most 0.100 at W_z = 1, 0.096 to 0.104 with selection"
 
 
 def test_every_reading_is_judged_by_its_own_rows_and_what_was_not_run_says_so() -> None:

@@ -1,0 +1,84 @@
+"""Each command loads what its scene needs: the modules of a fresh process at its end."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+# What a room offers is imported on first use, which `-X importtime` does not see.
+NOTING_MODULES = """
+import atexit, pathlib, runpy, sys
+atexit.register(lambda: pathlib.Path("modules").write_text(" ".join(sys.modules), encoding="utf-8"))
+runpy.run_module("hpe_rig", run_name="__main__", alter_sys=True)
+"""
+CORE = {"drivers", "h5py", "hpe_rig", "lazy_loader", "numpy", "pydantic", "typer"}
+BROUGHT_ALONG = {
+    *("annotated_doc", "annotated_types", "cython_runtime", "pydantic_core", "shellingham", "typing_extensions"),
+    *("typing_inspection", "charset_normalizer", "colorama"),
+}
+"""By pydantic, typer and NumPy."""
+DRAWING = {"jinja2", "markupsafe", "matplotlib"}
+NEVER = {"h5netcdf", "hdf5plugin", "numba", "pandas", "pyvisa", "pyvisa_py", "serial", "starlette", "uvicorn"}
+NEVER |= {"websockets", "xarray", "dask", "distributed", "tomlkit"}
+
+
+def loaded_by(folder: Path, *arguments: str) -> set[str]:
+    """Return the modules that ``hpe-rig`` has loaded at the end of a command."""
+    command = [sys.executable, "-c", NOTING_MODULES, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return set((folder / "modules").read_text(encoding="utf-8").split())
+
+
+def packages(loaded: set[str]) -> set[str]:
+    """Return which packages these modules are of, but for Python's own and those that others bring along."""
+    top = {name.partition(".")[0] for name in loaded if not name.startswith("_")}
+    return top - sys.stdlib_module_names - BROUGHT_ALONG
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a run of ``table-1``, and the modules of the process that measured it."""
+    folder = tmp_path_factory.mktemp("loaded")
+    measured = loaded_by(folder, "run", "table-1", "--output", "mine.h5", "--json")
+    (folder / "run").write_text(" ".join(measured), encoding="utf-8")
+    return folder
+
+
+def test_a_run_of_a_prescribed_motion_loads_no_scipy_and_nothing_that_pushes(folder: Path) -> None:
+    loaded = set((folder / "run").read_text(encoding="utf-8").split())
+    assert packages(loaded) == CORE | {"sim_backend"}
+    # Of the motion room its own file alone: no force, no field, no specimen.
+    assert {name for name in loaded if name.startswith("sim_backend.motion.")} == {"sim_backend.motion.prescribed"}
+    assert not loaded & {"sim_backend.receiver.chain", "hpe_rig.acquire.resumption", "hpe_rig.acquire.log"}
+    assert not [name for name in loaded if name.startswith(("hpe_rig.report.", "hpe_rig.live.", "hpe_rig.moduli."))]
+
+
+def test_a_check_opens_no_twin_and_loads_no_scipy(tmp_path: Path) -> None:
+    loaded = loaded_by(tmp_path, "check", "table-1")
+    assert packages(loaded) == CORE | {"sim_backend"}
+    # What the twin's settings may say, and what they say of the motion: no echoes, no instruments.
+    rooms = {".".join(name.split(".")[:2]) for name in loaded if name.startswith("sim_backend.")}
+    assert rooms == {"sim_backend.motion", "sim_backend.settings", "sim_backend.wiring"}
+
+
+def test_processing_loads_neither_scipy_nor_the_physics(folder: Path) -> None:
+    loaded = loaded_by(folder, "process", "mine.h5", "--json")
+    assert packages(loaded) == CORE | {"sim_backend"}
+    assert not [name for name in loaded if name.startswith(("sim_backend.echoes", "sim_backend.digitizer"))]
+
+
+def test_a_list_of_runs_loads_no_twin(folder: Path) -> None:
+    assert packages(loaded_by(folder, "list")) == CORE | {"rich"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "command", [("report", "mine.h5"), ("run", "bovine-muscle", "--json"), ("check", "bovine-muscle")]
+)
+def test_nothing_loads_extras_that_nobody_asked_for(folder: Path, command: tuple[str, ...]) -> None:
+    loaded = packages(loaded_by(folder, *command))
+    assert loaded >= CORE | {"scipy"}
+    assert not loaded & NEVER
+    assert bool(loaded & DRAWING) == (command[0] == "report")
