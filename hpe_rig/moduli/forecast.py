@@ -14,12 +14,9 @@ import numpy as np
 from hpe_rig.moduli.inversion import ComplexArray, FloatArray, Push, Vibration, bound
 from hpe_rig.moduli.places import depths_of, detected, push_of, strongest, vibration_at, with_shared_noise
 from hpe_rig.plan import Plan, places_of
-from hpe_rig.prediction import detection_floor, expected_amplitude_m, medium_of, noise_gain
+from hpe_rig.prediction import TYPICAL, detection_floor, expected_amplitude_m, medium_of, noise_gain
 from hpe_rig.processing import shear_motion
 from hpe_rig.scene import Scene, SettingsError
-
-TYPICAL = (9e3, 2.0)
-"""Shear modulus, Pa, and viscosity, Pa s, where neither scene nor twin has a medium: those of muscle."""
 
 
 @dataclass(frozen=True, slots=True)

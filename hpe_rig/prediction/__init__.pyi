@@ -5,6 +5,7 @@ from .amplitude import (
     relative_drive as relative_drive,
 )
 from .beam_averaging import (
+    TYPICAL as TYPICAL,
     beam_widths as beam_widths,
     depth_in_gate as depth_in_gate,
     force_of as force_of,

@@ -203,7 +203,8 @@ class Beams(Section):
     """The same of a pushing transducer that does not track; absent: one transducer does both. Needs focus_depth_m."""
     transducer_diameter_m: Annotated[LengthM, Field(le=1.0)] | None = None
     """Diameter of the circular, focused aperture that pushes and tracks: its intensity is the force's shape, and its
-    oblique waves sense less of a displacement; absent: a Gaussian force and plane waves."""
+    oblique waves sense less of a displacement; absent: a Gaussian force and plane waves. Of two transducers that of
+    the one that tracks, the force is Gaussian."""
     attenuation_db_per_cm_mhz: Annotated[float, Field(ge=0, le=10, strict=True)] | None = None
     """Attenuation of the push on its way, of an aperture; absent: 0.5, that of soft tissue."""
 

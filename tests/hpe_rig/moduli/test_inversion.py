@@ -74,7 +74,9 @@ HELD = json.loads((Path(__file__).parents[2] / "fixtures" / "held_shear_field.js
 @pytest.mark.parametrize("medium", HELD["media"], ids=lambda medium: f"{medium['shear_modulus_pa']:g} Pa")
 def test_spectra_by_an_independent_quadrature_give_the_moduli_back_to_1e_6(medium: dict[str, Any]) -> None:
     """scripts/held_shear_field.py, which uses nothing of ours: converged to 2e-11 of the largest amplitude."""
-    push = Push(tuple(HELD["width_m"]), HELD["burst_rate_hz"], HELD["burst_length_s"])
+    push = Push(
+        PushForce(tuple(HELD["width_m"][:1]), HELD["width_m"][1]), HELD["burst_rate_hz"], HELD["burst_length_s"]
+    )
     assert push == PUSH
     phasors = np.array(medium["real_m"]) + 1j * np.array(medium["imaginary_m"])
     covariance = NOISE_M**2 * np.eye(2 * FREQUENCY_HZ.size)
