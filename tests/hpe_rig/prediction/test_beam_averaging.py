@@ -8,6 +8,7 @@ import pytest
 from hpe_rig.acquire.run import prepare_text, record_run
 from hpe_rig.prediction.beam_averaging import (
     SHAPE_RELATIVE,
+    beam_widths,
     depth_spread,
     gaussian_averaging,
     medium_motion,
@@ -273,15 +274,18 @@ def test_a_declared_aperture_lowers_what_is_tracked_and_widens_its_uncertainty()
     oblique = predicted_averaging(scene.with_({"beams.transducer_diameter_m": 45e-3}), "coherent")[0]
     assert plain is not None
     assert oblique is not None
-    # its force is no Gaussian either: the twin's field under both, over the echoes' energy in the focal plane
-    lateral_m, width_m = np.linspace(0, 0.25e-3, 26), scene.beams.tracking_width_m[0] if scene.beams else 0.0
-    energy = np.exp(-2 * (lateral_m / width_m) ** 2) * lateral_m
+    # its force is no Gaussian either: the twin's field under both, over the echoes' energy
+    beams = beam_widths(scene, "coherent")
+    assert beams is not None
+    lateral_m, (node, weight) = np.linspace(0, 0.25e-3, 26), np.polynomial.hermite.hermgauss(5)
+    energy = np.exp(-2 * (lateral_m / beams.tracking_width_m[0]) ** 2) * lateral_m
+    depth_m = np.sqrt(2) * beams.axial_spread_m * node
     settings = SimulationSettings.model_validate({"beams": {"field": "aperture"}, "specimen": {}})
     specimen, hz = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0), np.array([scene.wanted_frequencies_hz[0]])
     aperture, gaussian = (
-        abs(field[0] @ energy / energy.sum() / field[0, 0])
+        abs(energy @ field[0] @ weight / energy.sum() / weight.sum() / field[0, 0, 2])
         for field in (
-            field_transfer(specimen, force, lateral_m, np.zeros(1), hz)[:, :, 0]
+            field_transfer(specimen, force, lateral_m, depth_m, hz)
             for force in (push_intensity(settings), (0.34e-3, 0.34e-3, 3.6e-3))
         )
     )
