@@ -12,9 +12,9 @@ from .accuracy.report import (
     write_accuracy as write_accuracy,
     write_accuracy_report as write_accuracy_report,
 )
-from .paper.experiments import write_page as write_page
+from .paper.experiments import tally as tally, write_page as write_page
+from .paper.force_lines import figure_15 as figure_15
 from .paper.muscle import (
-    figure_15 as figure_15,
     figure_16 as figure_16,
     figure_17 as figure_17,
     figure_18 as figure_18,
