@@ -238,18 +238,17 @@ def _by_its_force(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> 
     force = force_of(scene)
     if len(force.centre_m) == 1:
         return [1.0] * frequency_hz.size
-    modulus_pa, density = medium_of(scene, frequency_hz, simulated=False) or (
-        TYPICAL[0] + 2j * np.pi * frequency_hz * TYPICAL[1],
-        1000.0,
-    )
-    seen, place = (beams.tracking_width_m[0] ** 2 / 2, beams.axial_spread_m**2), np.array([beams.lateral_m])
-    gaussian = PushForce(beams.force_width_m[:1], beams.force_width_m[2])
-    tracked, peak, of_gaussian, its_peak = (
-        np.abs(shear_motion(modulus_pa, frequency_hz, density, each, *area, place).value[:, 0])
-        for each in (force, gaussian)
-        for area in (seen, (0.0, 0.0))
-    )
-    return np.asarray(tracked / peak * its_peak / of_gaussian).tolist()
+    typical_pa = np.asarray(TYPICAL[0] + 2j * np.pi * frequency_hz * TYPICAL[1])
+    modulus_pa, density = medium_of(scene, frequency_hz, simulated=False) or (typical_pa, 1000.0)
+    place = np.array([beams.lateral_m])
+
+    def share(of: PushForce) -> FloatArray:
+        medium = modulus_pa, frequency_hz, density, of
+        tracked = shear_motion(*medium, beams.tracking_width_m[0] ** 2 / 2, beams.axial_spread_m**2, place).value
+        return np.asarray(np.abs(tracked / shear_motion(*medium, 0.0, 0.0, place).value)[:, 0])
+
+    found: list[float] = (share(force) / share(PushForce(beams.force_width_m[:1], beams.force_width_m[2]))).tolist()
+    return found
 
 
 def _scaled(averaging: Averaging, share: float) -> Averaging:
