@@ -51,7 +51,8 @@ REJECTED = 1e-3
 class Push:
     """The force of the tonebursts, and relative uncertainties of its widths (across, along).
 
-    ``onset_uncertainty_s`` is that of the bursts' onset at the focus, against which the phases count.
+    ``onset_uncertainty_s`` is that of the bursts' onset at the focus, against which the phases count;
+    ``shape_relative`` what nothing else explains of each amplitude, relative, and of its phase, rad.
     """
 
     force: PushForce
@@ -60,6 +61,7 @@ class Push:
     density_kg_per_m3: float = 1000.0
     width_uncertainty: tuple[float, float] = (0.05, 0.05)
     onset_uncertainty_s: float = 0.5e-6
+    shape_relative: float = 0.0
 
     def spectrum(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the amplitude of sin(wt + phase) of a unit force that is on during every burst, (frequency,)."""
@@ -240,7 +242,7 @@ class Problem:
                 ("area", place, one.area_uncertainty),
                 ("shape", place, one.area_uncertainty),
             ]
-        whitening = tuple(np.linalg.inv(np.linalg.cholesky(one.covariance_m2)) for one in vibrations)
+        whitening = tuple(np.linalg.inv(np.linalg.cholesky(_covariance(one, push))) for one in vibrations)
         unit_m = float(np.sqrt(np.mean(np.concatenate([np.abs(one.phasor_m) ** 2 for one in vibrations]))))
         return Problem(tuple(vibrations), push, law, whitening, tuple(one for one in known if one[2] > 0), unit_m)
 
@@ -405,6 +407,12 @@ class Problem:
     def _unit_field(self) -> float:
         """A typical displacement per body force: that of a static force in 10 kPa."""
         return 0.5 * self.push.force.across_m[0] ** 2 / 10e3
+
+
+def _covariance(one: Vibration, push: Push) -> FloatArray:
+    """Return the covariance of noise and of what the force's shape leaves unexplained."""
+    unexplained_m = push.shape_relative * np.repeat(np.abs(one.phasor_m), 2)
+    return np.asarray(one.covariance_m2 + np.diag(unexplained_m**2))
 
 
 def _leaders(vibrations: Sequence[Vibration]) -> tuple[int, ...]:

@@ -25,6 +25,8 @@ GAIN_UNCERTAINTY = 0.005
 PHASE_UNCERTAINTY_RAD = 0.002
 WIDTH_UNCERTAINTY = 0.05
 """Relative, of the widths of the force, unless told otherwise."""
+APERTURE_SHAPE = 0.005
+"""Relative, of each amplitude: by how much two sums of Gaussians for one aperture differ, to 4 mm off the axis."""
 LEAST_PULSES = 30
 """Pulses without which no correlation of residuals is worth its name."""
 DEEPEST_SIGMAS = 2.0
@@ -57,7 +59,9 @@ def push_of(scenes: Sequence[Scene], width_uncertainty: float = WIDTH_UNCERTAINT
         if excitation is not None and beams is not None:
             density = scene.medium.density_kg_per_m3 if scene.medium else 1000.0
             burst = excitation.burst_rate_hz, excitation.burst_length_s[0]
-            pushes.append(Push(force_of(scene), *burst, density, (width_uncertainty, width_uncertainty)))
+            force, widths = force_of(scene), (width_uncertainty, width_uncertainty)
+            shape = APERTURE_SHAPE if force.unsure else 0.0
+            pushes.append(Push(force, *burst, density, widths, shape_relative=shape))
     if any(push != pushes[0] for push in pushes):
         what = "runs push with unlike widths, burst rates or lengths, or in media of unlike density"
         mistakes.append(Mistake("excitation", what, "runs of one push, or each on its own"))
