@@ -240,8 +240,7 @@ PLACES_M = {"1 to 6 mm, five": (1e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6e-3), "1 mm": (
 
 def moduli() -> None:
     """Print what a fit of moduli makes of the twin's push, by a Gaussian force and by the aperture's own."""
-    from hpe_rig.moduli.inversion import Push, Vibration, fit_medium
-    from hpe_rig.moduli.places import APERTURE_SHAPE
+    from hpe_rig.moduli import APERTURE_SHAPE, Push, Vibration, fit_medium
     from hpe_rig.processing import PushForce, aperture_force
     from sim_backend.motion import field_transfer
 
