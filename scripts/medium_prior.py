@@ -1,27 +1,42 @@
-"""Table and figure of what the prior of media leaves of noise and aliasing, beside plain least squares.
+"""Tables and figure of what the prior of media leaves of noise and aliasing, beside plain least squares.
 
 Usage: python scripts/medium_prior.py [FOLDER]     the figure is written to docs/figures unless FOLDER is given
+       python scripts/medium_prior.py --constants  what the prior's constants buy, and nothing else
 
 Truths are the media's own fields, 1000 harmonics, quadrature apart from the ensemble's. Errors are the largest of ten
-harmonics, of the mean over noise and its negative; gain and u are over those of one sinusoid in the same noise.
+harmonics, of the mean over noise and its negative; gain and u are over those of one sinusoid in the same noise. Then
+coverage over media drawn at random from the ensemble's families, apart from its points, and the muscle scene.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest import mock
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hpe_rig.prediction import medium_motion
+import hpe_rig as hpe
+from hpe_rig.prediction import beam_widths, medium_motion
 from hpe_rig.processing import (
+    BRANCH_OVER_MODULUS,
+    LOW_VISCOSITY_PA_S,
+    MAXWELL_VISCOSITY_PA_S,
+    MODULUS_PA,
+    POWER,
+    POWER_REFERENCE_HZ,
+    VISCOSITY_PA_S,
     BeamWidths,
     HarmonicFit,
+    MediumPrior,
     Motion,
     harmonic_columns,
     least_squares,
@@ -29,6 +44,7 @@ from hpe_rig.processing import (
     medium_fit,
     medium_prior,
     seen_by,
+    shot_fit,
 )
 
 FloatArray = NDArray[np.float64]
@@ -42,6 +58,20 @@ RMS_M = 0.5e-6
 NOISE_M = (770e-9, 77e-9, 7.7e-9)
 TRAINS = {"shifting 3990 Hz": (3990.0, 131e-6), "synchronous 4000 Hz": (4000.0, 130e-6), "2500 Hz": (2500.0, 130e-6)}
 DRIVEN_HZ = 1 / LENGTH_S
+FAMILIES = ("Voigt", "Zener", "power law", "nearly elastic", "Maxwell")
+DRIVES = (0.01, 1.0, 10.0, 100.0)
+DRAWN = 200
+JITTER_S = 1e-9
+CONSTANTS: tuple[Mapping[str, float], ...] = (
+    {},
+    {"members": 480},
+    {"WEIGHT": 2.0},
+    {"FREEDOM": 0.01},
+    {"WEIGHT": 2.0, "FREEDOM": 0.01},
+    {"MISFIT": 0.001},
+    {"MISFIT": 0.006},
+    {"members": 480, "WEIGHT": 2.0},
+)
 PRIOR, PLAIN = "#0072B2", "#D55E00"
 
 
@@ -62,9 +92,10 @@ def media() -> dict[str, tuple[ComplexArray, float]]:
     return every
 
 
-def harmonics(modulus_pa: ComplexArray, wider: float) -> ComplexArray:
+def harmonics(modulus_pa: ComplexArray, wider: float, longer: float | None = None) -> ComplexArray:
     """Return A exp(j phase) of the tracked motion (harmonic,)."""
-    width_m = tuple(wider * width for width in BEAMS.force_width_m)
+    x, y, z = BEAMS.force_width_m
+    width_m = wider * x, wider * y, (longer or wider) * z
     axes = width_m, BEAMS.tracking_width_m, BEAMS.axial_spread_m
     moved, _ = medium_motion(modulus_pa, 1000.0, RATE_HZ * HARMONIC, *axes)
     duty = RATE_HZ * LENGTH_S
@@ -79,11 +110,13 @@ def train(rate_hz: float, delay_s: float) -> tuple[FloatArray, NDArray[np.bool_]
     return time_s, (inside > 105e-6) & (inside < 1 / RATE_HZ - 95e-6)
 
 
-def measured(rate_hz: float, delay_s: float, wave: ComplexArray, noise_m: float, trials: int = 40) -> Motion:
+def measured(
+    rate_hz: float, delay_s: float, wave: ComplexArray, noise_m: float, trials: int = 40, seed: int = 1
+) -> Motion:
     """Return trains of ``wave`` (harmonic,) with noise and with its negative."""
     time_s, valid = train(rate_hz, delay_s)
     parts = np.stack([wave.real, wave.imag], axis=-1).ravel()
-    noise = noise_m * np.random.default_rng(1).standard_normal((trials, time_s.size))
+    noise = noise_m * np.random.default_rng(seed).standard_normal((trials, time_s.size))
     moved = harmonic_columns(time_s, RATE_HZ * HARMONIC) @ parts + np.concatenate([noise, -noise])
     return Motion(time_s, moved, np.full(moved.shape, noise_m**2), valid)
 
@@ -127,6 +160,113 @@ def rows() -> Iterator[str]:
                     f"| {u:.2f} | {nev:.2f} | {float(np.median(found.evidence.significance)):.2f} "
                     f"| {old[0]:.2f} %, {old[1]:.2f} deg | {old[2]:.2f} | {old[4]:.1f} |"
                 )
+
+
+def drawn(family: str, generator: np.random.Generator) -> ComplexArray:
+    """Return A exp(j phase) (harmonic,) of a medium of ``family`` and a force, as the ensemble spreads them."""
+
+    def log_even(limits: tuple[float, float]) -> float:
+        return float(limits[0] * (limits[1] / limits[0]) ** generator.uniform())
+
+    s, modulus_pa = 2j * np.pi * RATE_HZ * HARMONIC, log_even(MODULUS_PA)
+    match family:
+        case "Zener":
+            loss_pa, branch_pa = s * log_even(VISCOSITY_PA_S), modulus_pa * log_even(BRANCH_OVER_MODULUS)
+            found = modulus_pa + loss_pa / (1 + loss_pa / branch_pa)
+        case "power law":
+            found = modulus_pa * (s / (2 * np.pi * POWER_REFERENCE_HZ)) ** generator.uniform(*POWER)
+        case "Maxwell":
+            loss_pa = s * log_even(MAXWELL_VISCOSITY_PA_S)
+            found = loss_pa / (1 + loss_pa / modulus_pa)
+        case _:
+            found = modulus_pa + s * log_even(VISCOSITY_PA_S if family == "Voigt" else LOW_VISCOSITY_PA_S)
+    wide, deep = np.exp(BEAMS.width_spread * generator.standard_normal(2)).tolist()
+    return harmonics(np.asarray(found), wide, deep)
+
+
+def coverage() -> Iterator[str]:
+    """Yield how often intervals of the quadratures hold the truth, over media drawn at random."""
+    prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
+    yield f"| pulses | noise | drive | NEV | within u | within 1.96 u |   of {DRAWN} media each"
+    yield "|---|---|---|---|---|---|"
+    for name, at in TRAINS.items():
+        for noise_m in NOISE_M:
+            for drive in DRIVES:
+                generator, ratio = np.random.default_rng(2), []
+                for index in range(DRAWN):
+                    wave = drive * drawn(FAMILIES[index % len(FAMILIES)], generator)
+                    motion = measured(*at, wave, noise_m, 2, index)
+                    fit = medium_fit(motion, WANTED_HZ, prior).fit
+                    error = fit.state[..., :20] - np.stack([wave[:10].real, wave[:10].imag], axis=-1).ravel()
+                    ratio.append(error / np.sqrt(np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[..., :20]))
+                held = [100 * np.mean(np.abs(ratio) < k) for k in (1.0, 1.96)]
+                yield (
+                    f"| {name} | {noise_m * 1e9:.3g} nm | {drive:g} | {np.mean(np.square(ratio)):.2f} "
+                    f"| {held[0]:.0f} % | {held[1]:.0f} % |"
+                )
+
+
+def muscle_scene() -> Iterator[str]:
+    """Yield what the shipped muscle scene states, over one sinusoid in the same noise, with and without jitter."""
+    yield "| bovine-muscle | noise a pulse | rms | worst | of noise | of aliasing | worst |"
+    yield "|---|---|---|---|---|---|---|"
+    for jitter_s in (0.0, JITTER_S):
+        for what, change in (
+            ("prior", {}),
+            ("prior, [medium]", {"medium.shear_modulus_pa": 12e3, "medium.shear_viscosity_pa_s": 5.7}),
+            ("least squares", {"processing.harmonic": "least_squares"}),
+        ):
+            fit = muscle_fit(jitter_s, change)
+            sinusoid_m = float(fit.residual_rms_m) * np.sqrt(2 / fit.pulses)
+            whole = quadratures_m2(fit.covariance, fit)
+            aliased = np.zeros_like(whole) if fit.aliasing is None else quadratures_m2(fit.aliasing, fit)
+            worst = np.unravel_index(np.argmax(whole), whole.shape)
+            parts = [np.sqrt(each) / sinusoid_m for each in (whole.mean(), whole[worst])]
+            parts += [np.sqrt(each[worst]) / sinusoid_m for each in (whole - aliased, aliased)]
+            cells = " | ".join(f"{each:.2f}" for each in parts)
+            noise_nm, worst_nm = float(fit.residual_rms_m) * 1e9, float(np.sqrt(whole[worst])) * 1e9
+            yield f"| {what}, {jitter_s * 1e9:g} ns | {noise_nm:.1f} nm | {cells} | {worst_nm:.3g} nm |"
+
+
+def muscle_fit(jitter_s: float, change: Mapping[str, Any]) -> HarmonicFit:
+    """Return the fit of the shipped muscle scene, measured on the twin, with a ``change`` to its processing."""
+    scene = hpe.load_scene("bovine-muscle").with_({"simulation.instruments.trigger_jitter_s": jitter_s})
+    with TemporaryDirectory() as folder:
+        run = hpe.measure(scene, path=Path(folder) / "run.h5")
+        other = run.scene.with_(change)
+        return shot_fit(other, run.plan.shots[0], run.stored, "coherent", beam_widths(other, "coherent"))
+
+
+def quadratures_m2(covariance: FloatArray, fit: HarmonicFit) -> FloatArray:
+    """Return the variances (frequency, 2) along and across the phasors."""
+    return np.stack([covariance[:, 0, 0], covariance[:, 1, 1] * fit.amplitude_m**2], axis=-1)
+
+
+def constants() -> Iterator[str]:
+    """Yield what the prior's constants buy: the muscle scene's worst quadrature, and errors at the synchronous rate."""
+    of_media = sys.modules[medium_fit.__module__]
+    yield "| changed | worst quadrature | synchronous, Voigt: error |"
+    yield "|---|---|---|"
+    voigt = [harmonics(*medium) for name, medium in media().items() if name.startswith("Voigt") and medium[1] == 1]
+    trains = [measured(*TRAINS["synchronous 4000 Hz"], wave, 23e-9) for wave in voigt]
+    for changed in CONSTANTS:
+        made, values = dict(changed), {}
+        if members := made.pop("members", None):
+            values["medium_ensemble"] = lambda *args, count=members: medium_ensemble(*args, members=int(count))
+        with mock.patch.multiple(of_media, **({"WEIGHT": of_media.WEIGHT} | values | made)):
+            for cached in (of_media.medium_prior, of_media._seen):
+                cached.cache_clear()
+            fit = muscle_fit(0.0, {})
+            sinusoid_m = float(fit.residual_rms_m) * np.sqrt(2 / fit.pulses)
+            worst = np.sqrt(quadratures_m2(fit.covariance, fit).max()) / sinusoid_m
+            prior: MediumPrior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
+            found = [
+                summary(medium_fit(train, WANTED_HZ, prior).fit, wave, 1.0)[:2]
+                for train, wave in zip(trains, voigt, strict=True)
+            ]
+        off, turn = np.max(found, axis=0)
+        name = ", ".join(f"{key} {value:g}" for key, value in changed.items()) or "as it is"
+        yield f"| {name} | {worst:.3f} | {off:.2f} %, {turn:.2f} deg |"
 
 
 def cost() -> Iterator[str]:
@@ -195,9 +335,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     default = Path(__file__).parents[1] / "docs" / "figures"
     parser.add_argument("folder", nargs="?", type=Path, default=default, help="where the figure is written")
-    path = parser.parse_args().folder
-    for line in (*rows(), "", *cost()):
-        print(line)
+    parser.add_argument("--constants", action="store_true", help="what the prior's constants buy, nothing else")
+    asked = parser.parse_args()
+    if asked.constants:
+        print(*constants(), sep="\n")
+        return
+    path = asked.folder
+    for table in (rows(), coverage(), muscle_scene(), cost()):
+        for line in (*table, ""):
+            print(line, flush=True)
     path.mkdir(parents=True, exist_ok=True)
     with rc_context({"svg.hashsalt": "hpe_rig", "svg.fonttype": "none"}):
         draw().savefig(path / "medium-prior.svg", metadata={"Date": None})

@@ -214,12 +214,17 @@ def propagate(cables: Sequence[Cable], respond: Mapping[str, Respond]) -> dict[s
     return emissions
 
 
-def driven(cables: Sequence[Cable], emissions: Mapping[str, Emission], roles: Sequence[str]) -> Bursts:
-    """Return the bursts of ``roles`` as they arrive at the transducer, in volts across its amplifier's input."""
+def driven(
+    cables: Sequence[Cable],
+    emissions: Mapping[str, Emission],
+    roles: Sequence[str],
+    targets: Sequence[str] = ("transducer.drive",),
+) -> Bursts:
+    """Return the bursts of ``roles`` as they arrive at transducers, in volts across their amplifiers' inputs."""
     share = DRIVE_INPUT_OHM / (DRIVE_INPUT_OHM + SOURCE_OHM)
     arriving = []
     for cable in cables:
-        if cable.target == "transducer.drive" and _role(cable.source) in roles:
+        if cable.target in targets and _role(cable.source) in roles:
             bursts = emissions[_role(cable.source)].bursts
             onset_ps, end_ps = bursts.onset_ps + cable.delay_ps, bursts.end_ps + cable.delay_ps
             arriving.append(

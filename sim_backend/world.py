@@ -47,8 +47,10 @@ from sim_backend.wiring import (
 
 GENERATORS = ("master", "burst_train", "toneburst", "tracking_train", "tracking_pulser")
 PULSER = "tracking_pulser"
+TRANSDUCERS = ("transducer.drive", "tracking_transducer.drive")
+"""Inputs of the transducer that pushes, and of one that only tracks."""
 SOURCES = (*(f"{role}.output" for role in GENERATORS), "digitizer.aux")
-TARGETS = (*(f"{role}.trigger" for role in GENERATORS), "digitizer.trigger", "transducer.drive")
+TARGETS = (*(f"{role}.trigger" for role in GENERATORS), "digitizer.trigger", *TRANSDUCERS)
 KEPT_CAPTURES = 16
 """How many armings are remembered with everything that was emitted: a long run must not grow."""
 
@@ -210,7 +212,7 @@ class World:
         return captures[index]
 
     def _flight_ps(self) -> int:
-        return to_ps(self._settings.beams.focus_depth_m / self._settings.sound_speed_m_per_s)
+        return to_ps(self._settings.beams.tracked_from_m / self._settings.sound_speed_m_per_s)
 
     # What the digitizer's library asks for
 
@@ -278,7 +280,8 @@ class World:
         }
         emissions = propagate(self._cables, {**respond, "digitizer": digitizer})
         excitation = [role for role in GENERATORS if role != PULSER]
-        tonebursts, pulses = driven(self._cables, emissions, excitation), driven(self._cables, emissions, [PULSER])
+        tonebursts = driven(self._cables, emissions, excitation)
+        pulses = driven(self._cables, emissions, [PULSER], TRANSDUCERS)
         captured = self._capture_of(emissions, taken[-1], tonebursts, pulses) if taken else None
         return Evaluation(emissions, tonebursts, pulses, captured, until_ps)
 

@@ -23,6 +23,7 @@ from hpe_rig.bench import (
     read_bench,
     twin_tables,
     uninterrupted,
+    with_transducers,
 )
 from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
 from hpe_rig.result import Stages
@@ -88,6 +89,7 @@ def prepare_text(
             raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file of your own")])
         check = check_simulation if bench.bench.simulated else None
         scene = parse_scene(name, text, check, stored)
+        scene = replace(scene, scene=with_transducers(scene.scene, bench.bench))
         if bench.bench.simulated:
             # Filled in here and in open_run alone: everything behind a plan meets a described specimen.
             scene = replace(scene, scene=with_default_specimen(scene.scene))

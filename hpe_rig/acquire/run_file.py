@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.acquire.run import planned
-from hpe_rig.bench import BenchFile, parse_bench
+from hpe_rig.bench import BenchFile, parse_bench, with_transducers
 from hpe_rig.plan import (
     CheckResult,
     Plan,
@@ -212,6 +212,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     stored = read_run(Path(path))
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench
     scene = parse_scene(stored.scene_name, stored.scene_toml, stored=True).scene
+    scene = with_transducers(scene, bench)
     if bench.simulated:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)

@@ -12,6 +12,7 @@ from .bench_file import (
     parse_bench as parse_bench,
     read_bench as read_bench,
     titled as titled,
+    with_transducers as with_transducers,
 )
 from .comparison import (
     Difference as Difference,

@@ -25,10 +25,12 @@ from hpe_rig.scene import (
     LengthM,
     Mistake,
     PressurePa,
+    Scene,
     Section,
     SettingsError,
     Title,
     VoltageV,
+    Widths,
     dotted,
     mistakes_of,
     parse_toml,
@@ -59,6 +61,7 @@ Inlet = Literal[
     "tracking_pulser.trigger",
     "digitizer.trigger",
     "transducer.drive",
+    "tracking_transducer.drive",
 ]
 
 
@@ -160,6 +163,51 @@ class Cable(Section):
     """Propagation delay of the cable and of what stands in it."""
 
 
+class PushingTransducer(Section):
+    """The transducer that pushes."""
+
+    focus_depth_m: LengthM
+    """Distance to the common focus."""
+    width_m: Widths
+    """Sigmas of its force, beams.excitation_width_m of a scene."""
+
+
+class TrackingTransducer(Section):
+    """The transducer that tracks."""
+
+    focus_depth_m: LengthM
+    """Distance to the common focus; gates count from this transducer."""
+    width_m: Widths
+    """Sigmas of its beam, beams.tracking_width_m of a scene."""
+    pulse_length_m: Annotated[LengthM, Field(le=0.1)] | None = None
+    """Axial length of its pulse as received; absent: that of its cycles."""
+    diameter_m: Annotated[LengthM, Field(le=1.0)] | None = None
+    """Diameter of its focused aperture; absent: plane waves."""
+
+
+class Transducers(Section):
+    """The transducers of a bench where one pushes and another one tracks."""
+
+    push: PushingTransducer
+    """The transducer that pushes, on the cable to transducer.drive."""
+    tracking: TrackingTransducer
+    """The transducer that tracks, on the cable to tracking_transducer.drive."""
+
+    @property
+    def beams(self) -> dict[str, Any]:
+        """What they say of a scene's [beams], by its keys."""
+        push, tracking = self.push, self.tracking
+        own = {
+            "excitation_width_m": push.width_m,
+            "tracking_width_m": tracking.width_m,
+            "focus_depth_m": tracking.focus_depth_m,
+            "push_focus_depth_m": push.focus_depth_m,
+            "pulse_length_m": tracking.pulse_length_m,
+            "transducer_diameter_m": tracking.diameter_m,
+        }
+        return {key: value for key, value in own.items() if value is not None}
+
+
 class OutputLimits(Section):
     """What the bench must never exceed."""
 
@@ -246,6 +294,8 @@ class BenchFile(Section):
     """The digitizer."""
     wiring: tuple[Cable, ...]
     """The cables."""
+    transducers: Transducers | None = None
+    """The transducers where one pushes and another one tracks; absent: one does both, and scenes have [beams]."""
     recording: ForeignRecording | None = None
     """Where imported records come from; only in run files that hpe-rig import wrote."""
     store_user: Annotated[bool, Field(strict=True)] = True
@@ -265,6 +315,11 @@ class BenchFile(Section):
         if mistakes:
             raise SettingsError("the sweep", mistakes)
         return BenchFile.model_validate(tables)
+
+    @property
+    def tracked_by(self) -> Inlet:
+        """The input of the transducer that tracks."""
+        return "transducer.drive" if self.transducers is None else "tracking_transducer.drive"
 
     def path_delay_s(self, source: str, target: str) -> float:
         """Return the delay of the cable from ``source`` to ``target``; NaN where there is none."""
@@ -291,6 +346,7 @@ def parse_bench(name: str, text: str) -> BenchText:
     if not mistakes:
         bench = BenchFile.model_validate(tables)
         mistakes = _missing_addresses(bench) + _missing_cables(bench) + _crossed_cables(bench)
+        mistakes += _wrong_transducer(bench)
     if mistakes:
         raise SettingsError(f"bench {name}", mistakes)
     return BenchText(name, text, bench)
@@ -327,6 +383,30 @@ def _loosened(bench: BenchFile, values: Mapping[KeyPath, int | float]) -> Iterat
             if own is None or value > own:
                 what = f"{value:g} is above what the bench file allows"
                 yield Mistake(name, what, "at most its own" if own is None else f"at most {own:g}")
+
+
+def with_transducers(scene: Scene, bench: BenchFile) -> Scene:
+    """Return ``scene`` with the beams of the bench's transducers where it says none of its own.
+
+    Raises ``SettingsError`` where it says others, or of a second transducer that the bench does not have.
+    """
+    beams = scene.beams
+    if bench.transducers is None:
+        if beams is None or beams.push_focus_depth_m is None:
+            return scene
+        what = "the bench has one transducer that pushes and tracks"
+        remedy = "no beams.push_focus_depth_m, or a bench file with [transducers]"
+        raise SettingsError("the scene", [Mistake("beams.push_focus_depth_m", what, remedy)])
+    own = {} if beams is None else beams.model_dump(exclude_none=True)
+    known = bench.transducers.beams
+    unlike = [
+        Mistake(f"beams.{key}", f"{own[key]} here and {known[key]} in the bench file's [transducers]", "one of them")
+        for key in known
+        if own.get(key, known[key]) != known[key]
+    ]
+    if unlike:
+        raise SettingsError("the scene", unlike)
+    return scene.with_({f"beams.{key}": value for key, value in known.items() if key not in own})
 
 
 def _plain_tables(value: Any) -> Any:
@@ -368,7 +448,7 @@ def _missing_cables(bench: BenchFile) -> list[Mistake]:
         ("master.output", "tracking_train.trigger"),
         ("tracking_train.output", "digitizer.trigger"),
         ("digitizer.aux", "tracking_pulser.trigger"),
-        ("tracking_pulser.output", "transducer.drive"),
+        ("tracking_pulser.output", bench.tracked_by),
     ]
     if bench.generators.burst_train is not None and bench.generators.toneburst is not None:
         needed += [
@@ -382,6 +462,24 @@ def _missing_cables(bench: BenchFile) -> list[Mistake]:
         for source, target in needed
         if math.isnan(bench.path_delay_s(source, target))
     ]
+
+
+def _wrong_transducer(bench: BenchFile) -> list[Mistake]:
+    """Return the cables to a transducer that is not there, and the pulser's to one that does not track."""
+    ends = {(cable.source, cable.target) for cable in bench.wiring}
+    if bench.transducers is None:
+        if not any(target == "tracking_transducer.drive" for _, target in ends):
+            return []
+        what, remedy = "a cable goes to tracking_transducer.drive, and there is no [transducers]", "[transducers]"
+        return [Mistake("wiring", what, remedy)]
+    mistakes = []
+    if ("tracking_pulser.output", "transducer.drive") in ends:
+        what = "tracking_pulser.output drives the transducer that pushes, and [transducers] has another one that tracks"
+        mistakes.append(Mistake("wiring", what, "its cable to tracking_transducer.drive alone, or no [transducers]"))
+    if ("toneburst.output", "tracking_transducer.drive") in ends:
+        what = "toneburst.output drives the transducer that tracks"
+        mistakes.append(Mistake("wiring", what, "its cable to transducer.drive alone"))
+    return mistakes
 
 
 def _crossed_cables(bench: BenchFile) -> list[Mistake]:

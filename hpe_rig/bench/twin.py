@@ -202,8 +202,8 @@ class TwinDeclaration:
 
     @property
     def focus_depth_m(self) -> float:
-        """Distance from the transducer to the common focus of the beams, in the middle of the scatterers."""
-        return self.settings.beams.focus_depth_m
+        """Distance from the transducer that tracks to the common focus, in the middle of the scatterers."""
+        return self.settings.beams.tracked_from_m
 
     @property
     def echo_reach_m(self) -> float:
@@ -275,7 +275,9 @@ def contradictions(scene: Scene) -> Iterator[tuple[str, str, str]]:
     if scene.beams is not None:
         pairs.append(("beams.excitation_width_m", scene.beams.excitation_width_m, beams.motion_width_m()))
         pairs.append(("beams.tracking_width_m", scene.beams.tracking_width_m, beams.tracking_width_m))
-        pairs.append(("beams.focus_depth_m", scene.beams.focus_depth_m or beams.focus_depth_m, beams.focus_depth_m))
+        pairs.append(("beams.focus_depth_m", scene.beams.focus_depth_m or beams.tracked_from_m, beams.tracked_from_m))
+        declared_m = scene.beams.push_focus_depth_m or beams.focus_depth_m
+        pairs.append(("beams.push_focus_depth_m", declared_m, beams.focus_depth_m))
         across_m = 0.0 if beams.field == "gaussian" else beams.transducer.diameter_m
         pairs.append(("beams.transducer_diameter_m", scene.beams.transducer_diameter_m or 0.0, across_m))
     if scene.medium is not None and specimen is not None:
@@ -310,6 +312,9 @@ def twin_tables(scene: Scene) -> dict[str, Any]:
     """Return the tables of the twin's settings that a scene declares."""
     simulation = scene.simulation or {}
     beams = {} if scene.beams is None else scene.beams.model_dump(exclude=_OWN_BEAM_KEYS, exclude_none=True)
+    if "push_focus_depth_m" in beams:
+        # the twin's own word for the focus is the distance from where it is pushed
+        beams |= {"tracking_focus_depth_m": beams["focus_depth_m"], "focus_depth_m": beams.pop("push_focus_depth_m")}
     declared = {"sound_speed_m_per_s": scene.acquisition.sound_speed_m_per_s}
     return declared | simulation | {"beams": beams | simulation.get("beams", {})}
 

@@ -10,15 +10,13 @@ Files, from what is typed to what is shown::
     watch.py    stop request, pause, log and live page around a run
     comparison.py  two runs side by side
     bench.py    the report of a bench, and its comparison with another
-    listing.py  the runs of a folder
+    listing.py  the runs of a folder; what other packages bring
     verify.py   what is damaged in a file
     mapping.py  a map's progress and files
-    extensions.py  what other packages bring
     moduli.py   what a medium is made of, and its figure
     study.py    workers, progress and closing table of a study
     tables.py   a result in one sentence and as tables
-    terminal.py its width; progress
-    log_level.py  which log records reach standard error
+    terminal.py its width; progress; which log records it shows
     console.py  exit codes, error messages, progress, arguments that several commands share
 
 Each command imports what it runs when it is called, which keeps ``hpe-rig --help`` as fast as typer.

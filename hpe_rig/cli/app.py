@@ -29,8 +29,8 @@ from hpe_rig.cli.console import (
     refuse_undecodable,
     show,
 )
-from hpe_rig.cli.log_level import LogLevel, start_logging
 from hpe_rig.cli.studies import studies
+from hpe_rig.cli.terminal import LogLevel, start_logging
 from hpe_rig.result import Stages
 
 app = typer.Typer(
@@ -529,7 +529,7 @@ def scenes() -> None:
 @guarded
 def extensions() -> None:
     """List the estimators, media and importers that other packages bring. Each is loaded and looked at."""
-    from hpe_rig.cli.extensions import extension_lines
+    from hpe_rig.cli.listing import extension_lines
 
     lines, sound = extension_lines()
     for line in lines:

@@ -1,10 +1,10 @@
-"""Command ``list``: the runs of a folder as a table, as CSV or as JSON."""
+"""Commands ``list`` and ``extensions``: the runs of a folder, and what other packages bring."""
 
 from __future__ import annotations
 
 import json as json_format
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import typer
 
 from hpe_rig.cli.console import announce
 from hpe_rig.cli.tables import wide_console
+from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, installed, origin
 from hpe_rig.result import csv_text, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
 from hpe_rig.store import RunEntry, chosen, list_runs
@@ -111,3 +112,22 @@ def _instant(text: str | None, option: str, end: bool = False) -> datetime | Non
     if end and len(text) <= len("2026-03-05"):
         found = found.replace(hour=23, minute=59, second=59, microsecond=999_999)
     return found.astimezone()
+
+
+def extension_lines() -> tuple[list[str], bool]:
+    """Return a line for every installed extension, and whether all of them load and are what their groups take."""
+    from hpe_rig.moduli import law_of
+    from hpe_rig.processing import spec_of
+    from hpe_rig.recordings import foreign_importer
+
+    checks: dict[str, Callable[[str], object]] = {ESTIMATORS: spec_of, MEDIA: law_of, IMPORTERS: foreign_importer}
+    lines, sound = list[str](), True
+    for group, check in checks.items():
+        for name in installed(group):
+            try:
+                check(name)
+                lines.append(origin(group, name))
+            except ValueError as error:
+                lines.append(f"FAILS {error}")
+                sound = False
+    return lines or ["no package brings an extension; docs/how-to/extend.md says how one does"], sound

@@ -1,7 +1,8 @@
-"""Terminal: how wide it is, text broken to fit it, and progress of what takes long, as a bar or as lines."""
+"""Terminal: how wide it is, text broken to fit it, progress as a bar or as lines, and what of the logs it shows."""
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import shutil
@@ -10,6 +11,7 @@ import textwrap
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 
 LEAST_COLUMNS = 40
 DEEPEST = 18
@@ -17,6 +19,8 @@ DEEPEST = 18
 EVERY_S = 10.0
 """How often a line tells of the progress where there is no terminal to draw a bar on."""
 
+OWN_LOGGERS = ("hpe_rig", "drivers", "sim_backend")
+"""Steps of a run, every message to an instrument, what the twin ignores; ``--verbose`` writes a log beside the run."""
 Tell = Callable[[int, int, str], None]
 """What is told of the progress: done, of how many, and in words what is under way."""
 
@@ -94,3 +98,20 @@ def in_words(duration_s: float) -> str:
     if duration_s < 90:
         return f"{duration_s:.0f} s"
     return f"{duration_s / 60:.0f} min" if duration_s < 5400 else f"{duration_s / 3600:.1f} h"
+
+
+class LogLevel(StrEnum):
+    """Levels of Python's ``logging``, by the names that are typed."""
+
+    DEBUG = "debug"
+    INFO = "info"
+    WARNING = "warning"
+    ERROR = "error"
+
+
+def start_logging(level: LogLevel) -> None:
+    """Let records of at least ``level`` reach standard error; those of other packages from warnings on."""
+    chosen = logging.getLevelNamesMapping()[level.upper()]
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=max(chosen, logging.WARNING))
+    for name in OWN_LOGGERS:
+        logging.getLogger(name).setLevel(chosen)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.acquire import Setup, planned
-from hpe_rig.bench import BenchFile, check_simulation
+from hpe_rig.bench import BenchFile, check_simulation, with_transducers
 from hpe_rig.design.model import Baseline, baseline, design_setting, predicted
 from hpe_rig.design.variables import Variable
 from hpe_rig.moduli import ModuliForecast, moduli_forecast
@@ -167,7 +167,7 @@ class Problem:
             mistakes += check_simulation(tables)
         if mistakes:
             return Candidate(values, tuple(_conflict(mistake) for mistake in mistakes))
-        scene = Scene.model_validate(tables)
+        scene = with_transducers(Scene.model_validate(tables), self.bench)
         if self.bench.simulated:
             scene = with_default_specimen(scene)
         try:

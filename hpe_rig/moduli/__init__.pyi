@@ -22,4 +22,3 @@ from .places import (
     vibration_at as vibration_at,
     vibrations_of as vibrations_of,
 )
-from .shear_speed import fit_voigt as fit_voigt, speed_of_runs as speed_of_runs

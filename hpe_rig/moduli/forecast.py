@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hpe_rig.moduli.inversion import ComplexArray, FloatArray, Push, Vibration, bound
-from hpe_rig.moduli.places import detected, push_of, strongest, vibration_at
+from hpe_rig.moduli.places import depths_of, detected, push_of, strongest, vibration_at, with_shared_noise
 from hpe_rig.plan import Plan, places_of
 from hpe_rig.prediction import detection_floor, expected_amplitude_m, medium_of, noise_gain
 from hpe_rig.processing import shear_motion
@@ -31,12 +31,15 @@ class ModuliForecast:
     places: int
     known: str
     """Whose medium it is."""
+    gates: int = 0
+    """At all depths of all places."""
 
     def __str__(self) -> str:
         """Return the line that ``hpe-rig check`` prints."""
         mu1, mu2 = (100 * u / value for u, value in zip(self.uncertainty, self.values, strict=True))
         return (
-            f"moduli: mu1 +- {mu1:.2g} %, mu2 +- {mu2:.2g} % from {self.places} place{'s' * (self.places > 1)}, for "
+            f"moduli: mu1 +- {mu1:.2g} %, mu2 +- {mu2:.2g} % from {self.places} place{'s' * (self.places > 1)}"
+            f"{f', {self.gates} gates' * (self.gates > self.places)}, for "
             f"{self.known} of {self.values[0] * 1e-3:.4g} kPa and {self.values[1]:.3g} Pa s (Cramer-Rao bound)"
         )
 
@@ -54,14 +57,17 @@ def moduli_forecast(scene: Scene, plan: Plan, simulated: bool = True) -> ModuliF
     modulus_pa = values[0] + 2j * np.pi * frequency_hz * values[1]
     places = [(place, part) for place, part in places_of(scene, plan) if part.shots]
     # what noise hangs on is the same at all places, pulses and echoes: as on the axis
-    noise_m = _noise_m(_on_axis(places[0][0]), places[0][1], simulated)
+    noise_m, shared = _noise_m(_on_axis(places[0][0]), places[0][1], simulated)
     peak_m = expected_amplitude_m(scene, float(frequency_hz[0]), plan.shots[0])
-    expected = [_expected(place, push, modulus_pa, peak_m, noise_m) for place, _ in places]
-    seen = [one.only(detected(one)) for one in expected if detected(one).any()]
+    seen = list[Vibration]()
+    for place, part in places:
+        here = (_expected(gate, push, modulus_pa, peak_m, noise_m, z) for gate, _, z in depths_of(place, part, []))
+        seen += with_shared_noise([one.only(detected(one)) for one in here if detected(one).any()], shared)
     if sum(2 * one.frequency_hz.size for one in seen) <= len(values) + 1:
         raise ValueError("too few harmonics are expected to stand out of the noise")
     sigma = np.sqrt(np.diag(bound(seen, push, "voigt", values)))
-    return ModuliForecast(values, (float(sigma[0]), float(sigma[1])), len(seen), known)
+    count = len({one.place for one in seen})
+    return ModuliForecast(values, (float(sigma[0]), float(sigma[1])), count, known, len(seen))
 
 
 def moduli_text(scene: Scene, plan: Plan, simulated: bool = True) -> Iterator[str]:
@@ -89,20 +95,27 @@ def _on_axis(scene: Scene) -> Scene:
     return scene.model_copy(update={"tracking": scene.tracking.model_copy(update={"lateral_offset_m": 0.0})})
 
 
-def _noise_m(scene: Scene, plan: Plan, simulated: bool) -> FloatArray:
-    """Return the noise of a quadrature (frequency,) of a place, all its shots that serve together."""
+def _noise_m(scene: Scene, plan: Plan, simulated: bool) -> tuple[FloatArray, float]:
+    """Return the noise of a quadrature (frequency,) of a place, all its shots that serve together.
+
+    And how far that of two depths correlates: trigger jitter is the same in both.
+    """
     shots = [shot for shot in plan.shots if strongest(shot, plan)]
     gain = noise_gain(scene, shots[0])
-    noise_m = detection_floor(scene, simulated, shots[0]).quadrature_m * gain / gain.max() / np.sqrt(len(shots))
+    floor = detection_floor(scene, simulated, shots[0])
+    noise_m = floor.quadrature_m * gain / gain.max() / np.sqrt(len(shots))
     if not noise_m.all():
         raise ValueError("no noise is known: it needs processing.expected_snr_db")
-    return np.asarray(noise_m)
+    return np.asarray(noise_m), (floor.trigger_jitter_m / floor.quadrature_m) ** 2
 
 
-def _expected(scene: Scene, push: Push, modulus_pa: ComplexArray, peak_m: float, noise_m: FloatArray) -> Vibration:
-    """Return the vibration at a place where the focus moves by ``peak_m`` at the first frequency."""
+def _expected(
+    scene: Scene, push: Push, modulus_pa: ComplexArray, peak_m: float, noise_m: FloatArray, axial_m: float
+) -> Vibration:
+    """Return the vibration ``axial_m`` off the focus where the focus moves by ``peak_m`` at the first frequency."""
     frequency_hz, covariance = np.array(scene.wanted_frequencies_hz), np.diag(np.repeat(noise_m**2, 2))
-    place = vibration_at(scene, scene.processing.estimator, "", frequency_hz, np.zeros_like(modulus_pa), covariance)
+    unmoved = np.zeros_like(modulus_pa)
+    place = vibration_at(scene, scene.processing.estimator, "", frequency_hz, unmoved, covariance, axial_m)
 
     def motion(seen_m2: tuple[float, float], lateral_m: float, axial_m: float) -> ComplexArray:
         across, along = (width**2 + seen for width, seen in zip(push.width_m, seen_m2, strict=True))
@@ -111,4 +124,5 @@ def _expected(scene: Scene, push: Push, modulus_pa: ComplexArray, peak_m: float,
         return push.spectrum(frequency_hz) * field.value[:, 0]
 
     scale = peak_m / abs(motion((0.0, 0.0), 0.0, 0.0)[0])
-    return replace(place, phasor_m=scale * motion(place.tracking_m2, place.lateral_m, place.axial_m))
+    phasor_m = scale * motion(place.tracking_m2, place.lateral_m, place.axial_m)
+    return replace(place, phasor_m=phasor_m, place=f"{place.lateral_m:g}")

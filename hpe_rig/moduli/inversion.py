@@ -33,6 +33,10 @@ STARTS_FOLLOWED = 3
 TRAVELS, TRAVEL_UNCERTAINTY = 0.5, 0.5
 """Of the way from the focus to another depth, how much the force's onset travels with the sound, 0 to 1: a force that
 is long against the shear wave's way goes with it, one that acts everywhere at once does not."""
+ROUGH, FINE = 1e-4, 1e-8
+"""Relative change of chi-square at which a start has been followed far enough, and at which a minimum is found."""
+APART = 0.05
+"""Of coordinates, from where on two minima are two."""
 MOST_STEPS = 100
 """Of the solver from one start; a law that cannot explain the data would crawl on."""
 SECOND_MINIMUM = 12.0
@@ -160,9 +164,8 @@ def fit_medium(vibrations: Sequence[Vibration], push: Push, law: MediumLaw = "vo
             f"{problem.data_count} numbers cannot give {problem.free} unknowns of a {law} medium and their "
             "uncertainty: measure at more places or frequencies"
         )
-    found = sorted((_solved(problem, start) for start in _starts(problem)), key=lambda each: each[1])
-    best, cost = found[0]
-    return _described(problem, best, cost, _second(problem, found))
+    (best, cost), *others = _minima(problem)
+    return _described(problem, best, cost, _second(problem, best, cost, others))
 
 
 def compare_media(
@@ -422,8 +425,25 @@ def _starts(problem: Problem) -> list[FloatArray]:
     return kept
 
 
-def _solved(problem: Problem, start: FloatArray) -> tuple[FloatArray, float]:
-    """Return the unknowns of the minimum next to ``start``, and its chi-square."""
+def _minima(problem: Problem) -> list[tuple[FloatArray, float]]:
+    """Return unknowns and chi-square of the best minimum, then of others that may be nearly as good.
+
+    Every start is followed roughly; what is no second minimum then needs no digits.
+    """
+    count = problem.free - 1
+    rough = sorted((_solved(problem, start, ROUGH) for start in _starts(problem)), key=lambda each: each[1])
+    best, cost = _solved(problem, rough[0][0], FINE)
+    others = (
+        unknown
+        for unknown, its_cost in rough[1:]
+        if its_cost - cost < 10 * SECOND_MINIMUM and np.abs(unknown[:count] - best[:count]).max() > APART
+    )
+    found = [(best, cost), *(_solved(problem, unknown, FINE) for unknown in others)]
+    return sorted(found, key=lambda each: each[1])
+
+
+def _solved(problem: Problem, start: FloatArray, change: float) -> tuple[FloatArray, float]:
+    """Return the unknowns of the minimum next to ``start``, and its chi-square, to this relative ``change`` of it."""
     limits = np.array([one.bounds for one in problem.law.parameters])
     low, high = np.full(start.size, -np.inf), np.full(start.size, np.inf)
     low[: len(limits)], high[: len(limits)] = limits.T
@@ -435,20 +455,21 @@ def _solved(problem: Problem, start: FloatArray) -> tuple[FloatArray, float]:
         problem.jacobian,
         (low, high),
         x_scale="jac",
-        xtol=1e-9,
-        ftol=1e-8,
+        xtol=change / 10,
+        ftol=change,
         gtol=1e-10,
         max_nfev=MOST_STEPS,
     )
     return np.asarray(found.x), 2 * float(found.cost)
 
 
-def _second(problem: Problem, found: list[tuple[FloatArray, float]]) -> tuple[dict[str, float], float] | None:
-    """Return another minimum that is nearly as good as the first, None where there is none."""
-    best, cost = found[0]
+def _second(
+    problem: Problem, best: FloatArray, cost: float, others: Sequence[tuple[FloatArray, float]]
+) -> tuple[dict[str, float], float] | None:
+    """Return another minimum that is nearly as good as the best, None where there is none."""
     count = problem.free - 1
-    for other, its_cost in found[1:]:
-        if its_cost - cost < SECOND_MINIMUM and np.abs(other[:count] - best[:count]).max() > 0.05:
+    for other, its_cost in others:
+        if its_cost - cost < SECOND_MINIMUM and np.abs(other[:count] - best[:count]).max() > APART:
             return _named(problem.law, problem.law.values(other[:count])), its_cost - cost
     return None
 
@@ -462,8 +483,10 @@ def _described(
     covariance = problem._in_values(unknown, own)
     freedom = problem.data_count - problem.free
     span = np.array([one.bounds[1] - one.bounds[0] for one in law.parameters])
-    # Laplace: the best likelihood, times the share of the range that the data leave
-    log_evidence = -cost / 2 + (np.linalg.slogdet(2 * np.pi * own)[1] / 2) - np.log(span).sum()
+    # Laplace: the best likelihood, times the share of the range that the data leave; never more than all of it, whose
+    # variance is that of an even distribution
+    left = np.linalg.inv(np.linalg.inv(own) + np.diag(12 / span**2))
+    log_evidence = -cost / 2 + (np.linalg.slogdet(2 * np.pi * left)[1] / 2) - np.log(span).sum()
     vibrations = problem.vibrations
     place = np.repeat(np.arange(len(vibrations)), [one.frequency_hz.size for one in vibrations])
     frequencies, frequency = np.unique(np.concatenate([one.frequency_hz for one in vibrations]), return_inverse=True)

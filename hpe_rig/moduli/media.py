@@ -28,6 +28,8 @@ Modulus = Callable[[ComplexArray, FloatArray], tuple[ComplexArray, ComplexArray]
 SMALL_VISCOSITY_PA_S = 0.05
 POWER_REFERENCE_HZ = 100.0
 STIFFNESS_PA = (100.0, 2e6)
+BRANCH_PA = (100.0, 1e9)
+"""To where the branch's spring is rigid, so that a Zener medium holds the Voigt one: at 1 kHz and 5.7 Pa s to 2 Pa."""
 VISCOSITY_PA_S = (0.0, 500.0)
 POWER = (0.0, 0.95)
 
@@ -162,7 +164,7 @@ LAWS: dict[MediumLaw, Law] = {
         "zener",
         (
             _stiffness("shear_modulus_pa", _STIFF),
-            _stiffness("branch_modulus_pa", (2e3, 15e3, 100e3, 1e6)),
+            Parameter.logarithmic("branch_modulus_pa", BRANCH_PA, (2e3, 15e3, 100e3, 1e6)),
             _viscosity((0.5, 2.0, 8.0)),
         ),
         _zener,

@@ -76,7 +76,7 @@ def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tu
     for source in sources:
         for scene, plan in places_of(source.scene, source.plan):
             place, own = f"{source.name}, {scene.tracking.lateral_offset_m:g}", list[Vibration]()
-            for there, shots, axial_m in _depths(scene, plan, omitted):
+            for there, shots, axial_m in depths_of(scene, plan, omitted):
                 label = _label(there, axial_m, source, len(sources))
                 chosen = estimator or scene.processing.estimator
                 fits = list(_fits(there, shots, source.stored, chosen, label, omitted))
@@ -90,11 +90,12 @@ def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tu
                     omitted.append(f"{label}: {lost} Hz, less than {DETECTED:g} times its uncertainty")
                 if kept.any():
                     own.append(vibration.only(kept))
-            found += with_shared_noise(own, scene, plan, source.stored)
+            shared = _shared(scene, plan, source.stored) if len(own) > 1 else 0.0
+            found += with_shared_noise(own, shared)
     return found, omitted
 
 
-def _depths(scene: Scene, plan: Plan, omitted: list[str]) -> Iterator[tuple[Scene, Plan, float]]:
+def depths_of(scene: Scene, plan: Plan, omitted: list[str]) -> Iterator[tuple[Scene, Plan, float]]:
     """Yield scene, plan and distance from the focus of every gate that serves; the scene's own where it has no more."""
     gates = depth_gates(scene, plan.shots[0]) if plan.shots else ()
     if not gates:
@@ -118,17 +119,14 @@ def _depths_mm(gates: Sequence[DepthGate]) -> str:
     return ", ".join(f"{gate.depth_m * 1e3:.4g}" for gate in gates) + " mm"
 
 
-def with_shared_noise(depths: Sequence[Vibration], scene: Scene, plan: Plan, stored: StoredRun) -> list[Vibration]:
+def with_shared_noise(depths: Sequence[Vibration], correlation: float) -> list[Vibration]:
     """Return the vibrations at the ``depths`` of a place, noisier by what all of them share.
 
     The mean of n equally noisy values of which any two correlate by c is 1 + (n - 1) c times as noisy, in variance, as
-    that of independent ones: trigger jitter moves all depths of a record alike. c is that of the residuals of the first
-    shot; nothing changes where it is none.
+    that of independent ones: trigger jitter moves all depths of a record alike. Nothing changes where it is none.
     """
-    if len(depths) < 2:
-        return list(depths)
-    shared = 1 + (len(depths) - 1) * max(_shared(scene, plan, stored), 0.0)
-    return [replace(one, covariance_m2=one.covariance_m2 * shared) for one in depths]
+    noisier = 1 + (len(depths) - 1) * max(correlation, 0.0)
+    return [replace(one, covariance_m2=one.covariance_m2 * noisier) for one in depths]
 
 
 def _shared(scene: Scene, plan: Plan, stored: StoredRun) -> float:

@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from hpe_rig.result import Estimate
-
 FloatArray = NDArray[np.float64]
 
 
@@ -76,23 +74,6 @@ def shear_speed(
     spare = place.size - 2
     misfit = np.sum(weight * rest**2, axis=0) / spare if spare else np.full(frequency.shape, np.nan)
     return ShearSpeed(frequency, speed, speed**2 / (2 * np.pi * frequency) / np.sqrt(information), misfit)
-
-
-def speed_of_runs(runs: Sequence[Sequence[Estimate]], position_m: Sequence[float]) -> ShearSpeed:
-    """Return the speed from several runs, one a place: each the estimates of a shot, phases from the same edge.
-
-    Frequencies that are not significant in a run carry their large uncertainty along. Raises ``ValueError`` for runs
-    of different frequencies and as ``shear_speed``.
-    """
-    frequencies = [[each.frequency_hz for each in run] for run in runs]
-    if len(runs) != len(position_m) or any(own != frequencies[0] for own in frequencies):
-        raise ValueError(
-            f"{len(runs)} runs of frequencies {frequencies} Hz at {len(position_m)} positions: every run needs a "
-            "position, and all the same processing.frequencies_hz"
-        )
-    phase = np.array([[each.phase_rad for each in run] for run in runs])
-    uncertainty = np.array([[each.phase_uncertainty_rad for each in run] for run in runs])
-    return shear_speed(position_m, frequencies[0], phase, uncertainty)
 
 
 def voigt_speed(

@@ -21,7 +21,7 @@ def forbidden_window_s(shot: Shot) -> tuple[float, float]:
     from any depth down to the gate's far end, or what follows it within ``SETTLING_S``.
     """
     gate_start_s, gate_end_s = shot.timeline.gate_offset_s
-    quiet_s = shot.timeline.burst_length_s + gate_end_s - gate_start_s + SETTLING_S
+    quiet_s = shot.timeline.burst_length_s + gate_end_s + shot.timeline.push_later_s - gate_start_s + SETTLING_S
     return -(gate_end_s + shot.timeline.pulse_length_s), quiet_s
 
 

@@ -28,7 +28,8 @@ class Timeline:
     """Instants of one shot at the transducer, in seconds after the master trigger's edge.
 
     ``burst_onset_s`` (burst,), ``pulse_onset_s`` (pulse,); the gate and the record of pulse k stand
-    ``gate_offset_s`` and ``record_offset_s`` (start, end) after ``pulse_onset_s[k]``.
+    ``gate_offset_s`` and ``record_offset_s`` (start, end) after ``pulse_onset_s[k]``. ``push_later_s``: how much longer
+    sound takes to the gate from the transducer that pushes than from the one that tracks.
     """
 
     burst_onset_s: NDArray[np.float64]
@@ -37,6 +38,7 @@ class Timeline:
     pulse_length_s: float
     gate_offset_s: tuple[float, float]
     record_offset_s: tuple[float, float]
+    push_later_s: float = 0.0
 
     @property
     def sensing_s(self) -> NDArray[np.float64]:
@@ -46,7 +48,7 @@ class Timeline:
     @property
     def reference_s(self) -> float:
         """Phase reference: arrival of the first toneburst at the gate, or the master's edge where nothing pushes."""
-        return float(self.burst_onset_s[0]) + self._way_s if self.burst_onset_s.size else 0.0
+        return float(self.burst_onset_s[0]) + self._way_s + self.push_later_s if self.burst_onset_s.size else 0.0
 
     @property
     def _way_s(self) -> float:
@@ -222,7 +224,7 @@ def tracking_path_s(bench: BenchFile) -> tuple[float, float]:
     trigger_s = bench.path_delay_s("master.output", "tracking_train.trigger") + generators.tracking_train.latency_s
     trigger_s += bench.path_delay_s("tracking_train.output", "digitizer.trigger")
     onset_s = trigger_s + board.aux_latency_s + bench.path_delay_s("digitizer.aux", "tracking_pulser.trigger")
-    onset_s += generators.tracking_pulser.latency_s + bench.path_delay_s("tracking_pulser.output", "transducer.drive")
+    onset_s += generators.tracking_pulser.latency_s + bench.path_delay_s("tracking_pulser.output", bench.tracked_by)
     return trigger_s, onset_s
 
 
@@ -351,4 +353,5 @@ def _timeline(scene: Scene, bench: BenchFile, burst_length_s: float | None, capt
         pulse_length_s=tracking.cycles / tracking.carrier_hz,
         gate_offset_s=_gate_offset_s(scene),
         record_offset_s=(start_s, start_s + capture.record_samples / capture.sample_rate_hz),
+        push_later_s=0.0 if scene.beams is None else scene.beams.push_farther_m / scene.acquisition.sound_speed_m_per_s,
     )

@@ -68,7 +68,7 @@ def _drawing(shot: Shot, width: int) -> Iterator[str]:
     yield f"{'':14}  0{in_us(span_s):>{width - 1}}"
     if bursts:
         yield row("toneburst", "#", after(bursts, 0, line.burst_length_s))
-        yield row("its echoes", "~", after(bursts, 0, line.burst_length_s + line.gate_offset_s[1]))
+        yield row("its echoes", "~", after(bursts, 0, line.burst_length_s + line.gate_offset_s[1] + line.push_later_s))
     yield row("tracking pulse", "|", after(pulses, 0, line.pulse_length_s))
     yield row("record", ".", after(pulses, *line.record_offset_s))
     yield row("gate", "=", after(pulses, *line.gate_offset_s))

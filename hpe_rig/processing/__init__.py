@@ -22,6 +22,7 @@
     many lines and depths at once, a pixel each                             motion_map.py
     what harmonics it does not resolve leave in a fit without prior         unresolved.py
     what distinguishes them, one row each                                   estimators.py
+    what codes coarser than the noise leave                                 quantisation.py
     the uncertainty of each estimate, source by source                      budget.py
     a stored run, shot by shot, with its warnings                           shots.py, stationarity.py
     the motion of all burst periods over one another                        burst_period.py

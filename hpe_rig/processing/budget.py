@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
 from hpe_rig.processing.harmonic import HarmonicFit
-from hpe_rig.result import RECTIFIED, Averaging, Component, Estimate
+from hpe_rig.result import PHASE_VARIANCE_LIMIT, RECTIFIED, Averaging, Component, Estimate
 from hpe_rig.scene import Scene
 
+TINY_M = 1e-30
 TRACKED = Averaging(1.0, 0.0, 0.0)
 """Averaging where no beams are known: what is tracked is taken as it is."""
 
@@ -29,7 +30,8 @@ class Known:
     Where nothing is said of the sound speed it is as uncertain, relatively, as a scene takes it to be.
     ``trigger_jitter_s``, root mean square, is 0 where nobody states it: it is then within noise, as the residual holds
     both. ``subtracts_jitter``: a reference gate's motion has been subtracted, and the jitter with it. ``gate_edge``:
-    relative error of a rigid motion that the gate's ends leave: a gain, which turns no phase.
+    relative error of a rigid motion that the gate's ends leave: a gain, which turns no phase. ``rounding_m``: what the
+    digitizer's codes leave along and across the phasor of each frequency, nothing where they are fine.
     """
 
     sound_speed_m_per_s: float = 1540.0
@@ -37,6 +39,7 @@ class Known:
     trigger_jitter_s: float = 0.0
     subtracts_jitter: bool = False
     gate_edge: float = 0.0
+    rounding_m: tuple[tuple[float, float], ...] = ()
 
     @property
     def jitter_m(self) -> float:
@@ -112,12 +115,14 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     def relative(source: str, amplitude: float, phase_rad: float = 0.0) -> Component:
         return Component(source, amplitude * peak_m, phase_rad)
 
+    rounding = np.array(known.rounding_m[index] if known.rounding_m else (0.0, 0.0)) / (1.0, max(amplitude_m, TINY_M))
     carrier = (relative("carrier", averaging.carrier_relative),) if averaging.carrier_relative else ()
     shape = (relative("beam shape", averaging.shape_relative),) if averaging.shape_relative else ()
     return (
         fitted("noise", random * (1 - share)),
         fitted("trigger jitter", random * share),
         Component(RECTIFIED, math.sqrt(fit.rectified_m2[index]) / averaging.factor, 0.0),
+        fitted("quantisation", np.minimum(rounding**2, (np.inf, PHASE_VARIANCE_LIMIT))),
         fitted("aliasing", aliasing),
         relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad),
         fitted("beam averaging", lost),

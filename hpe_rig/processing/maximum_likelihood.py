@@ -85,16 +85,19 @@ def _most_likely(
 
     moved = np.nan_to_num(_seed(spectrum, band, echoes) @ solver.T)
     # Noise can lead the seed astray; no motion at all is the other start, and each train takes the likelier one.
-    likely = [_likelihood(still(x), band) for x in (moved, 0 * moved)]
-    state = np.where((likely[0] >= likely[1])[..., None], moved, 0.0)
-    for _ in range(STEPS):
-        # One Gauss-Newton step: undo the motion found so far, see what little each echo still moves, fit that.
+    aligned = still(moved)
+    likelier = _likelihood(aligned, band) >= _likelihood(spectrum, band)
+    state = np.where(likelier[..., None], moved, 0.0)
+    if not likelier.all():
         aligned = still(state)
+    for _ in range(STEPS):
+        # One Gauss-Newton step: see what little each echo still moves, fit that, and undo it as well.
         rest = _residual(aligned, band, seconds)
         change = rest @ solver.T
         state = state + change
         if np.nanmax(np.abs(change)) < ENOUGH * echoes.sound_speed_m_per_s / echoes.carrier_hz:
             break
+        aligned = still(state)
     common = _has_common_part(aligned, band, matrix.shape[1])[..., None]
     return np.where(common, state, np.nan), np.where(common, rest - change @ matrix.T, np.nan)
 

@@ -20,6 +20,7 @@ from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.prior import MediumPrior, medium_prior
+from hpe_rig.processing.quantisation import rounding_m
 from hpe_rig.processing.residual_line import Line, residual_line
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.processing.unresolved import with_unresolved
@@ -192,7 +193,10 @@ def _estimate_shot(
     if scene.medium is None:
         averaging = tuple(averaging_seen(fit, index, each) for index, each in enumerate(averaging))
     here = replace(
-        known, subtracts_jitter=reference is not None, gate_edge=gate_edge_relative(echoes, spec.gate_window)
+        known,
+        subtracts_jitter=reference is not None,
+        gate_edge=gate_edge_relative(echoes, spec.gate_window),
+        rounding_m=() if moved is None else rounding_m(echoes, records.volts_per_code, moved, fit),
     )
     drift = _drift(steady, chosen, options) if reference is None else None
     line = None if moved is None else _line(moved, chosen, options)

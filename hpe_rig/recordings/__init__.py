@@ -8,6 +8,7 @@ In the order of the flow::
     matlab.py        MATLAB's version 5, read by a program of its own
     alazar.py        AlazarTech's binary records
     importers.py     which importer reads a file; those of other packages too
+    statements.py    who says what of a recording, and what is inferred
     recording.py     contents and settings -> samples (line, shot, pulse, sample), every inference said
     lines.py         lines chosen, or their mean
     baseband.py      I and Q -> samples around the carrier

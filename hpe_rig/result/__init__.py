@@ -8,16 +8,14 @@
     motion.py      displacement of a shot, pulse by pulse, with u and model
     grid.py        arrays over (shot, frequency) and (shot, pulse): result file, xarray
     json_schema.py what --json prints, as a JSON schema
-    figure.py      amplitude and phase over frequency
+    figure.py      amplitude and phase over frequency; the colours of every figure
     spectra.py     the same as the report's two pictures, beside ground truth and repeats
     svg.py         panels as SVG text, which every page draws
     print_symbols.py  units and symbols of print in plain texts
     html_repr.py   figure and tables, as a notebook shows a result
     tables.py      any rows as CSV and as text
     motion_map.py  amplitude, phase and velocity of every line and depth
-    palette.py     the colours of every figure
-    provenance.py  who measured when, and on which machine
-    stages.py      wall time by stage
+    provenance.py  who measured when, on which machine, and how long each stage took
 
 All rooms but ``scene`` may use it; it uses ``scene`` alone.
 """

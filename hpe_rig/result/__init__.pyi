@@ -9,11 +9,11 @@ from .estimates import (
     ShotResult as ShotResult,
     shot_warnings as shot_warnings,
 )
+from .figure import PALETTE as PALETTE
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
 from .json_schema import result_schema as result_schema
 from .motion import MOST_PULSES as MOST_PULSES, ShotMotion as ShotMotion
 from .motion_map import BadPixel as BadPixel, MotionMap as MotionMap
-from .palette import PALETTE as PALETTE
 from .phase import (
     PHASE_VARIANCE_LIMIT as PHASE_VARIANCE_LIMIT,
     phase_variance_at_rad2 as phase_variance_at_rad2,
@@ -21,7 +21,7 @@ from .phase import (
     rectified_variance_m2 as rectified_variance_m2,
 )
 from .print_symbols import symbols as symbols
-from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance
+from .provenance import UNKNOWN as UNKNOWN, Provenance as Provenance, Stages as Stages
 from .repeats import RepeatMean as RepeatMean
 from .rows import result_csv as result_csv
 from .sentence import (
@@ -36,7 +36,6 @@ from .spectra import (
     repeats_of as repeats_of,
     shown_shot as shown_shot,
 )
-from .stages import Stages as Stages
 from .svg import (
     BLUE as BLUE,
     GREEN as GREEN,

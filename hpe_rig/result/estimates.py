@@ -327,6 +327,7 @@ class Result:
     def to_frame(self) -> pd.DataFrame:
         """Return a pandas frame of one row a shot and frequency, SI units in the columns' names; unknown is None.
 
+        Gates over depth have rows of their own, told by ``gate_depth_m``.
         Raises ``ModuleNotFoundError`` that names the extra where pandas is not installed.
         """
         from hpe_rig.result.rows import result_frame

@@ -26,14 +26,23 @@ FIRST = (
 def result_rows(result: Result) -> list[dict[str, Value]]:
     """Return one row a shot and frequency, in SI units with the unit in every name; unknown is None.
 
-    The headline stands first, the components of its uncertainty and the scene's notes last.
+    The headline stands first, the components of its uncertainty and the scene's notes last. Where there are gates over
+    depth, a row a gate, shot and frequency follows, with ``gate_depth_m`` and ``gate_length_m``, None in the others.
     """
     notes: dict[str, Value] = {f"note_{name.replace(' ', '_')}": note for name, note in result.notes.items()}
+    tables = result.as_dict()
+    gates: list[dict[str, Any]] = tables.get("profile", [])
+    none: dict[str, Value] = {"gate_depth_m": None, "gate_length_m": None} if gates else {}
+    seen = [(none, shot) for shot in tables["shots"]]
+    seen += [({"gate_depth_m": gate["depth_m"], "gate_length_m": gate["length_m"]}, gate["shot"]) for gate in gates]
     rows: list[dict[str, Value]] = []
-    for shot in result.as_dict()["shots"]:
-        of_shot = _single_values(shot) | shot["swept"]
+    for gate, shot in seen:
+        of_shot = _single_values(shot) | shot["swept"] | gate
         rows += [of_shot | _estimate_row(estimate) | notes for estimate in shot["estimates"]]
-    return rows
+    if not gates:
+        return rows
+    names = dict.fromkeys(name for row in rows for name in row)
+    return [{name: row.get(name) for name in names} for row in rows]
 
 
 def _estimate_row(estimate: dict[str, Any]) -> dict[str, Value]:

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
-from hpe_rig.result.palette import PALETTE
+from hpe_rig.result.figure import PALETTE
 from hpe_rig.result.print_symbols import svg_symbols
 
 FloatArray = NDArray[np.float64]

@@ -30,6 +30,7 @@ from .quantities import (
     Seed as Seed,
     SpeedMPerS as SpeedMPerS,
     VoltageV as VoltageV,
+    Widths as Widths,
 )
 from .scene import (
     DEFAULT_SPECIMEN as DEFAULT_SPECIMEN,

@@ -46,3 +46,4 @@ Count = Annotated[int, Field(ge=1, le=1_000_000, strict=True)]
 """How many of something."""
 Seed = Annotated[int, Field(ge=0, le=2**63 - 1, strict=True)]
 """Seeds of random numbers, as a file stores them."""
+Widths = tuple[LengthM, LengthM, LengthM]

@@ -41,6 +41,7 @@ from hpe_rig.scene.quantities import (
     VibrationHz,
     ViscosityPaS,
     VoltageV,
+    Widths,
 )
 from hpe_rig.scene.validation import (
     STORED,
@@ -56,7 +57,6 @@ if TYPE_CHECKING:
     from hpe_rig.scene.points import ScenePoint
 
 Offset = Annotated[float, Field(ge=-0.1, le=0.1, strict=True)]
-Widths = tuple[LengthM, LengthM, LengthM]
 BUILT_IN_ESTIMATORS: Final = ("coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum")
 
 
@@ -199,8 +199,23 @@ class Beams(Section):
     """Axial length c T / 2 of the tracking pulse as received, T its full length; absent: that of its cycles."""
     focus_depth_m: LengthM | None = None
     """Distance from the transducer to the common focus; absent: the middle of the gate, put there by its echoes."""
+    push_focus_depth_m: LengthM | None = None
+    """The same of a pushing transducer that does not track; absent: one transducer does both. Needs focus_depth_m."""
     transducer_diameter_m: Annotated[LengthM, Field(le=1.0)] | None = None
     """Diameter of the focused aperture, whose oblique waves sense less of a displacement; absent: plane waves."""
+
+    @model_validator(mode="after")
+    def _two_distances_have_one_focus(self) -> Beams:
+        if self.push_focus_depth_m is not None and self.focus_depth_m is None:
+            raise ValueError("push_focus_depth_m is of the focus that focus_depth_m is of: give both")
+        return self
+
+    @property
+    def push_farther_m(self) -> float:
+        """How much farther from the focus the transducer stands that pushes than the one that tracks."""
+        if self.push_focus_depth_m is None or self.focus_depth_m is None:
+            return 0.0
+        return self.push_focus_depth_m - self.focus_depth_m
 
 
 class Medium(Section):
@@ -605,7 +620,8 @@ def with_default_specimen(scene: Scene) -> Scene:
     if scene.simulation is not None:
         return scene
     muscle = _default_specimen()
-    beams: dict[str, Any] = {"focus_depth_m": scene.acquisition.gate_depth_m}
+    apart = scene.beams is not None and scene.beams.push_focus_depth_m is not None
+    beams: dict[str, Any] = {} if apart else {"focus_depth_m": scene.acquisition.gate_depth_m}
     if scene.beams is None and muscle.beams is not None:
         beams["excitation_width_m"] = muscle.beams.excitation_width_m
     simulation = {**(muscle.simulation or {}), "beams": beams}

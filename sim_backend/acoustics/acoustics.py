@@ -99,7 +99,10 @@ class Acoustics:
         beams = settings.beams.model_copy(update={"lateral_offset_m": (x + beside_m, y)})
         self._settings = settings = settings.model_copy(update={"beams": beams})
         self._beside_m = beside_m
-        self._travel_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s
+        # From the transducer that tracks to the focus, and how much longer from the one that pushes.
+        self._travel_s = settings.beams.tracked_from_m / settings.sound_speed_m_per_s
+        self._push_later_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s - self._travel_s
+        push_travel_s = self._travel_s + self._push_later_s
         placing = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_SCATTERER_STREAM,)))
         self._field = draw_field(settings.scatterers, settings.beams, placing, beside_m, self._placing)
         self._noise = RecordStream(settings.seed, _NOISE_STREAM)
@@ -109,8 +112,8 @@ class Acoustics:
             echo_pulse(settings, settings.receiver.reference_carrier_hz), self._field.tracking_weight
         )
         self._gain_v = echo_gain_v(settings, self._delay_s, reference.weight, reference.colour)
-        self._focus_motion = _focus_motion(settings, self._travel_s)
-        self._medium = _medium_motion(settings, self._field, self._travel_s, beside_m)
+        self._focus_motion = _focus_motion(settings, push_travel_s)
+        self._medium = _medium_motion(settings, self._field, push_travel_s, beside_m)
         self._background_m = _background_motion(settings)
 
     def focus_displacement_m(
@@ -173,7 +176,8 @@ class Acoustics:
         for kind in np.unique(kinds, axis=0):
             alike = (kinds == kind).all(axis=1)
             shape = attenuated_to_focus(self._settings, rectangular_burst(*kind.tolist()))
-            passage = self._passage(heard.onset_ps[alike], capture)
+            # from another transducer they come as from this one, at another time
+            passage = self._passage(heard.onset_ps[alike] + to_ps(self._push_later_s), capture)
             motion_m = self._motion_sensed_m(tonebursts, passage.time_ps, capture)
             through = self._hear(shape, self._field.excitation_weight, of_push=True)
             self._add_echoes(volts, capture, through, passage, strength_v[alike], motion_m)

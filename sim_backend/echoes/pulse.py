@@ -56,7 +56,7 @@ def attenuated_to_focus(settings: SimulationSettings, pulse: Pulse) -> Pulse:
     scatterers = settings.scatterers
     if scatterers.attenuation_db_per_cm_mhz == 0:
         return pulse
-    way_cm = 2 * settings.beams.focus_depth_m * 100
+    way_cm = 2 * settings.beams.tracked_from_m * 100
     return attenuated(pulse, scatterers.attenuation_db_per_cm_mhz * way_cm / 1e6)
 
 

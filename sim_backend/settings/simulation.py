@@ -249,12 +249,19 @@ class Beams(Section):
     """Where the tracking axis lies, x and y from the excitation axis (assumed: on it)."""
     focus_depth_m: LengthM = 70.0e-3
     """Distance z_F from the transducer to the common focus (paper: 70 mm)."""
+    tracking_focus_depth_m: LengthM | None = None
+    """The same of a tracking transducer of its own; absent: one transducer pushes and tracks."""
 
     @model_validator(mode="after")
     def _ratio_is_a_number(self) -> Beams:
         if any(ratio != ratio for ratio in self.width_ratio or ()):
             raise ValueError("width_ratio holds nan: give numbers above 0, or inf for the same motion everywhere")
         return self
+
+    @property
+    def tracked_from_m(self) -> float:
+        """Distance from the transducer that tracks to the common focus."""
+        return self.focus_depth_m if self.tracking_focus_depth_m is None else self.tracking_focus_depth_m
 
     def motion_width_m(self) -> tuple[float, float, float]:
         """Return the sigmas of the displacement, E, or W times T where W is given."""
@@ -448,7 +455,7 @@ class SimulationSettings(Section):
 
     @model_validator(mode="after")
     def _something_comes_back(self) -> SimulationSettings:
-        loss_db = self.scatterers.attenuation_db_per_cm_mhz * 200 * self.beams.focus_depth_m
+        loss_db = self.scatterers.attenuation_db_per_cm_mhz * 200 * self.beams.tracked_from_m
         loss_db *= self.receiver.reference_carrier_hz / 1e6
         if loss_db > MOST_LOSS_DB:
             raise ValueError(
@@ -485,6 +492,8 @@ class SimulationSettings(Section):
         if self.beams.field == "gaussian":
             return self
         wrong = []
+        if self.beams.tracking_focus_depth_m is not None:
+            wrong.append(f'beams.tracking_focus_depth_m needs beams.field = "gaussian", not "{self.beams.field}"')
         if self.beams.field == "measured":
             scans = {name: getattr(self.beams, name) for name in ("excitation_scan", "tracking_scan")}
             wrong += [f'beams.field = "measured" needs beams.{name}' for name, path in scans.items() if path is None]

@@ -80,12 +80,12 @@ def test_the_main_job_on_every_board_and_in_every_way_to_capture(
         np.testing.assert_allclose(np.diff(run.records.trigger_time_s), run.period_s, rtol=0, atol=41e-9)
     noise_v = 1e-3  # 40 dB below the scene's echoes of 0.1 V rms
     for one, other in zip(run.estimates, reference.estimates, strict=True):
+        # Eight bits step by more than the noise, which then dithers nothing, and the budget says so.
+        (rounding,) = (each for each in one.budget if each.source == "quantisation")
+        assert (rounding.amplitude_m > 0) == (code_v > noise_v / 0.6)
         # Two draws of the same noise at most: four standard deviations of their difference.
-        allowed_m = 4 * np.sqrt(2) * max(one.amplitude_uncertainty_m, other.amplitude_uncertainty_m)
-        if code_v > 4 * noise_v:
-            # Eight bits step by more than the noise, which then dithers nothing: at 1 um a sample moves by about a
-            # code, and what rounding does to it comes back with the motion. Seen: 0.9 % (8.9 of 990 nm).
-            allowed_m += 0.01 * other.amplitude_m
+        noise_m = np.sqrt(2) * max(one.amplitude_uncertainty_m, other.amplitude_uncertainty_m)
+        allowed_m = 4 * np.hypot(noise_m, rounding.amplitude_m * (one.averaging_factor or 1.0))
         assert abs(one.amplitude_m - other.amplitude_m) <= allowed_m
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 from pathlib import Path
 
@@ -14,7 +16,7 @@ import hpe_rig as hpe
 from hpe_rig.cli.app import app
 from hpe_rig.processing import shear_motion
 from hpe_rig.report import write_report
-from hpe_rig.result import Result
+from hpe_rig.result import Result, result_csv
 
 TRUTH = {"shear_modulus_pa": 7.25e3, "viscosity_pa_s": 1.0}
 SHORT = {
@@ -57,6 +59,18 @@ def test_a_profile_is_the_field_of_the_medium_within_its_uncertainty(result: Res
             )
             assert abs(head.amplitude_m - found) < 4 * head.amplitude_uncertainty_m
             assert abs(off_rad) < 4 * head.phase_uncertainty_rad
+
+
+def test_rows_of_gates_follow_those_of_the_shots(result: Result) -> None:
+    frame, rows = result.to_frame(), list(csv.DictReader(io.StringIO(result_csv(result))))
+    own = sum(len(shot.estimates) for shot in result.shots)
+    of_gates = [(gate, each) for gate in result.profile for each in gate.shot.estimates]
+    assert len(frame) == len(rows) == own + len(of_gates) == 2 * 4 * 6
+    assert frame["gate_depth_m"][:own].isna().all()
+    for row, (gate, each) in zip(rows[own:], of_gates, strict=True):
+        assert float(row["gate_depth_m"]) == gate.depth_m
+        assert float(row["corrected_amplitude_m"]) == each.corrected_amplitude_m
+        assert row["true_amplitude_m"] == ""
 
 
 def test_the_scenes_own_gate_is_one_of_them_and_says_the_same(result: Result) -> None:

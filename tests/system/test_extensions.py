@@ -59,7 +59,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Any:
         from pathlib import Path
         import numpy as np
         import hpe_rig as hpe
-        from hpe_rig.cli.extensions import extension_lines
+        from hpe_rig.cli.listing import extension_lines
         from hpe_rig.report import write_report
         from hpe_rig.study import one_shot
         from hpe_rig.validation.accuracy.own_scene import OWN, scene_rows, ways
@@ -182,7 +182,7 @@ def test_an_extension_that_fails_names_itself_and_costs_no_other(tmp_path: Path)
         from pathlib import Path
         import numpy as np
         import hpe_rig as hpe
-        from hpe_rig.cli.extensions import extension_lines
+        from hpe_rig.cli.listing import extension_lines
 
         lines, sound = extension_lines()
         def message(call):

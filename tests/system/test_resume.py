@@ -23,7 +23,7 @@ from hpe_rig.acquire.sequencer import Progress
 from hpe_rig.acquire.stop_request import request_stop, stop_path
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.cli.app import app
-from hpe_rig.result.stages import Stages
+from hpe_rig.result.provenance import Stages
 from hpe_rig.store import StoreError, read_run, writer as store_writer
 from hpe_rig.store.format import STAGES
 

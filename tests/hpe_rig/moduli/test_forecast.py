@@ -10,6 +10,7 @@ import pytest
 import hpe_rig as hpe
 from hpe_rig.acquire import prepare
 from hpe_rig.moduli.forecast import ModuliForecast, moduli_forecast, moduli_text
+from hpe_rig.moduli.places import with_shared_noise
 
 SHORT = {"excitation.burst_count": 15, "processing.window_start_s": 50e-3}
 
@@ -37,6 +38,21 @@ def test_more_places_and_better_known_ones_tell_more() -> None:
     noisy = forecast({"processing.expected_snr_db": 10.0})
     repeated = forecast({"processing.expected_snr_db": 10.0, "acquisition.repeats": 10})
     assert noisy.uncertainty[1] > repeated.uncertainty[1] > five.uncertainty[1]
+
+
+def test_depths_are_counted_and_tell_more_but_for_what_they_share(tmp_path: Path) -> None:
+    values = {**SHORT, "sweep.lateral_offset_m": [1e-3, 3e-3], "processing.gate_profile_step_m": 1e-3}
+    run = hpe.measure(hpe.load_scene("gelatin-moduli").with_(values), path=tmp_path / "run.h5")
+    found = hpe.fit_moduli(run, laws=["voigt"])
+    fit = found.best
+    expected, one = forecast(values), forecast({"sweep.lateral_offset_m": [1e-3, 3e-3]})
+    assert "from 2 places, 6 gates" in str(expected)
+    assert expected.uncertainty[0] < 0.8 * one.uncertainty[0]
+    np.testing.assert_allclose(expected.uncertainty, list(fit.uncertainty.values()), rtol=0.2)
+    # what all depths of a record share does not average out over them
+    one_gate = found.vibrations[0]
+    shared = with_shared_noise([one_gate] * 3, 0.5)
+    np.testing.assert_allclose(shared[1].covariance_m2, 2 * one_gate.covariance_m2)
 
 
 def test_the_declared_medium_counts_before_the_twins_and_a_typical_one_where_neither_is() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpe_rig.moduli.shear_speed import fit_voigt, shear_speed, speed_of_runs, voigt_speed
+from hpe_rig.moduli.shear_speed import fit_voigt, shear_speed, voigt_speed
 from hpe_rig.result.estimates import Estimate
 
 FREQUENCY_HZ = np.arange(100.0, 1001.0, 100.0)
@@ -59,16 +59,6 @@ def _run(place_m: float, speed: np.ndarray) -> tuple[Estimate, ...]:
     phase = np.angle(np.exp(-2j * np.pi * FREQUENCY_HZ * place_m / speed))
     figures = zip(FREQUENCY_HZ.tolist(), phase.tolist(), strict=True)
     return tuple(Estimate(f, 1e-7, 1e-9, angle, 0.01, None, None, None, None) for f, angle in figures)
-
-
-def test_runs_at_several_places_give_the_speed() -> None:
-    speed = voigt_speed(FREQUENCY_HZ, 4.0e3, 1.0)
-    runs = [_run(place_m, speed) for place_m in (1e-3, 2e-3, 3e-3)]
-    np.testing.assert_allclose(speed_of_runs(runs, [1e-3, 2e-3, 3e-3]).speed_m_per_s, speed, rtol=1e-12)
-    with pytest.raises(ValueError, match="every run needs a position"):
-        speed_of_runs([runs[0], runs[1][:-1]], [1e-3, 2e-3])
-    with pytest.raises(ValueError, match="every run needs a position"):
-        speed_of_runs(runs, [1e-3, 2e-3])
 
 
 def test_order_of_places_does_not_matter_and_noise_free_phases_are_exact() -> None:

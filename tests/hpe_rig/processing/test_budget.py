@@ -26,7 +26,7 @@ def parts(estimate: Estimate) -> dict[str, Component]:
 
 
 def test_components_in_squares_are_the_headlines_uncertainty_and_each_is_what_it_says() -> None:
-    (estimate,) = estimates_of(fit(), Known(1540.0, 0.005, gate_edge=2e-4), (AVERAGING,))
+    (estimate,) = estimates_of(fit(), Known(1540.0, 0.005, gate_edge=2e-4, rounding_m=((3e-9, 4e-9),)), (AVERAGING,))
     lead, found = estimate.headline, parts(estimate)
     peak_m = 1e-7 / 0.9
     assert lead.corrected
@@ -38,6 +38,7 @@ def test_components_in_squares_are_the_headlines_uncertainty_and_each_is_what_it
         "noise": (1e-9 / 0.9, 0.01),
         "trigger jitter": (0, 0),
         "rectified noise": (0, 0),
+        "quantisation": (3e-9 / 0.9, 0.04),
         "aliasing": (0, 0),
         "speckle": (0.03 * peak_m, 0.002),
         "beam averaging": (0.02 * peak_m, 0.004),

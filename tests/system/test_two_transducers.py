@@ -1,0 +1,120 @@
+"""A bench on which one transducer pushes and another one tracks: times, beams, the twin, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hpe_rig as hpe
+from hpe_rig.acquire import prepare
+from hpe_rig.bench import parse_bench, read_bench
+from hpe_rig.plan import disturbed_pulses
+from hpe_rig.scene import SettingsError, shipped_scenes
+
+PUSH_M, TRACKING_M, SOUND_SPEED_M_PER_S = 70e-3, 40e-3, 1540.0
+LATER_S = (PUSH_M - TRACKING_M) / SOUND_SPEED_M_PER_S
+TRANSDUCERS = """
+[transducers.push]
+focus_depth_m = 70e-3
+width_m = [0.34e-3, 0.34e-3, 3.60e-3]
+
+[transducers.tracking]
+focus_depth_m = 40e-3
+width_m = [0.078e-3, 0.078e-3, 0.83e-3]
+pulse_length_m = 1.32e-3
+"""
+PULSER = 'source = "tracking_pulser.output"\ntarget = "{}transducer.drive"'
+
+
+def bench_text() -> str:
+    text = read_bench().text
+    assert PULSER.format("") in text
+    return text.replace(PULSER.format(""), PULSER.format("tracking_")) + TRANSDUCERS
+
+
+def scene_text(beams: str = "") -> str:
+    """Return a scene of one place without [beams] of its own, in focus of the tracking transducer."""
+    text = shipped_scenes()["gelatin-moduli"]
+    text = text[: text.index("[beams]")] + beams + text[text.index("[processing]") :]
+    text = text.replace("lateral_offset_m = [1.0e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6.0e-3]", "lateral_offset_m = [0.0]")
+    return text.replace("gate_depth_m = 70.0e-3", "gate_depth_m = 40.0e-3").replace(
+        "burst_count = 30", "burst_count = 20"
+    )
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("two")
+    (folder / "scene.toml").write_text(scene_text(), encoding="utf-8")
+    (folder / "bench.toml").write_text(bench_text(), encoding="utf-8")
+    return folder / "scene.toml", folder / "bench.toml"
+
+
+def test_gates_count_from_the_transducer_that_tracks_and_phases_from_the_push(files: tuple[Path, Path]) -> None:
+    setup = prepare(*files)
+    [shot] = setup.plan.shots
+    way_s = TRACKING_M / SOUND_SPEED_M_PER_S
+    assert np.mean(shot.timeline.gate_offset_s) == pytest.approx(2 * way_s)
+    assert shot.timeline.reference_s - shot.timeline.burst_onset_s[0] == pytest.approx(PUSH_M / SOUND_SPEED_M_PER_S)
+    beams = setup.scene.scene.beams
+    assert beams is not None
+    assert beams.tracking_width_m == (0.078e-3, 0.078e-3, 0.83e-3)
+
+
+def test_a_toneburst_disturbs_pulses_for_as_much_longer_as_it_travels(files: tuple[Path, Path], tmp_path: Path) -> None:
+    near = bench_text().replace("focus_depth_m = 70e-3", "focus_depth_m = 40e-3")
+    (tmp_path / "near.toml").write_text(near, encoding="utf-8")
+    far, near_by = (prepare(files[0], bench).plan.shots[0] for bench in (files[1], tmp_path / "near.toml"))
+    lost = disturbed_pulses(far).sum() - disturbed_pulses(near_by).sum()
+    per_burst = LATER_S * 3990.0
+    assert lost == pytest.approx(20 * per_burst, abs=2)
+
+
+def test_the_twin_moves_and_echoes_when_the_plan_says(files: tuple[Path, Path], tmp_path: Path) -> None:
+    """On the axis, where speckle turns no phase. From another time on, one of 1 kHz would be off by 0.12 rad."""
+    run = hpe.measure(files[0], bench=files[1], path=tmp_path / "run.h5")
+    [shot] = run.estimate().shots
+    for each in shot.estimates:
+        assert each.corrected_phase_error_rad is not None
+        assert abs(each.corrected_phase_error_rad) < 4 * each.corrected_phase_uncertainty_rad
+        assert each.corrected_phase_uncertainty_rad < 0.03
+    fit = hpe.fit_moduli(run, laws=["voigt"]).best
+    assert abs(fit.values["shear_modulus_pa"] - 7250) < 3 * fit.uncertainty["shear_modulus_pa"]
+    again = hpe.open_run(tmp_path / "run.h5")
+    assert again.scene.beams == run.scene.beams
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (bench_text().replace(PULSER.format("tracking_"), PULSER.format("")), "drives the transducer that pushes"),
+        (read_bench().text.replace(PULSER.format(""), PULSER.format("tracking_")), r"there is no \[transducers\]"),
+        (bench_text().replace("width_m = [0.34e-3, 0.34e-3, 3.60e-3]", "width_m = [0.34e-3]"), "push.width_m"),
+        (bench_text().replace("focus_depth_m = 40e-3", "focus_depth_m = -40e-3"), "tracking.focus_depth_m"),
+        (bench_text()[: bench_text().index("[transducers.tracking]")], "transducers.tracking"),
+    ],
+)
+def test_a_bench_whose_transducers_cannot_be_is_refused(text: str, said: str) -> None:
+    with pytest.raises(SettingsError, match=said):
+        parse_bench("bench", text)
+
+
+@pytest.mark.parametrize(
+    ("beams", "alone", "said"),
+    [
+        ("excitation_width_m = [0.5e-3, 0.5e-3, 3.60e-3]\n", False, "beams.excitation_width_m"),
+        ("focus_depth_m = 41e-3\n", False, "beams.focus_depth_m"),
+        ("focus_depth_m = 40e-3\npush_focus_depth_m = 70e-3\n", True, "one transducer that pushes and tracks"),
+        ("push_focus_depth_m = 70e-3\n", True, "give both"),
+    ],
+)
+def test_a_scene_that_says_otherwise_is_refused(
+    beams: str, alone: bool, said: str, files: tuple[Path, Path], tmp_path: Path
+) -> None:
+    widths = {"excitation_width_m": "[0.34e-3, 0.34e-3, 3.60e-3]", "tracking_width_m": "[0.078e-3, 0.078e-3, 0.83e-3]"}
+    rest = "".join(f"{key} = {value}\n" for key, value in widths.items() if key not in beams)
+    (tmp_path / "scene.toml").write_text(scene_text(f"[beams]\n{beams}{rest}\n"), encoding="utf-8")
+    with pytest.raises(SettingsError, match=said):
+        prepare(tmp_path / "scene.toml", None if alone else files[1])
