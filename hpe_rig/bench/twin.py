@@ -106,10 +106,10 @@ class TwinDeclaration:
 
         ``off_focus_m``: from the focus to the nearest place in the gate.
         """
-        receiver, scatterers = self.settings.receiver, self.settings.scatterers
+        receiver = self.settings.receiver
         strength = amplitude_vpp / receiver.reference_pulse_vpp * cycles / REFERENCE_CYCLES
-        way_cm = 200 * self.focus_depth_m
-        lost_db = scatterers.attenuation_db_per_cm_mhz * way_cm * (carrier_hz - receiver.reference_carrier_hz) / 1e6
+        lost_db = self.settings.loss_to_focus_db(carrier_hz)
+        lost_db -= self.settings.loss_to_focus_db(receiver.reference_carrier_hz)
         widths = min(off_focus_m, self.echo_reach_m) / self.settings.beams.tracking_width_m[2]
         strength *= math.exp(-(widths**2) / 2)
         return float(receiver.echo_rms_v * strength * 10 ** (-min(max(lost_db, -6000.0), 6000.0) / 20))

@@ -8,13 +8,14 @@ from .accuracy.motion import (
 )
 from .accuracy.own_scene import write_own_scene as write_own_scene
 from .accuracy.report import (
+    FULL as FULL,
     Effort as Effort,
     write_accuracy as write_accuracy,
     write_accuracy_report as write_accuracy_report,
 )
-from .paper.experiments import write_page as write_page
+from .paper.experiments import tally as tally, write_page as write_page
+from .paper.force_lines import figure_15 as figure_15
 from .paper.muscle import (
-    figure_15 as figure_15,
     figure_16 as figure_16,
     figure_17 as figure_17,
     figure_18 as figure_18,

@@ -104,7 +104,10 @@ class Acoustics:
         self._push_later_s = settings.beams.focus_depth_m / settings.sound_speed_m_per_s - self._travel_s
         push_travel_s = self._travel_s + self._push_later_s
         placing = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_SCATTERER_STREAM,)))
-        self._field = draw_field(settings.scatterers, settings.beams, placing, beside_m, self._placing)
+        # What attenuates around the focus is the specimen where it says how deep it is.
+        loss = {"attenuation_db_per_cm_mhz": settings.echo_attenuation_db_per_cm_mhz}
+        scatterers = settings.scatterers.model_copy(update=loss)
+        self._field = draw_field(scatterers, settings.beams, placing, beside_m, self._placing)
         self._noise = RecordStream(settings.seed, _NOISE_STREAM)
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._heard: dict[Pulse, Heard] = {}
@@ -160,6 +163,7 @@ class Acoustics:
 
     def _add_tracking_echoes(self, volts: Begun, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
         strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
+        strength_v *= transmitted_share(pulses.amplitude_vpp, self._settings)
         for carrier_hz in np.unique(pulses.carrier_hz):
             alike = pulses.carrier_hz == carrier_hz
             shape = echo_pulse(self._settings, float(carrier_hz))
@@ -343,6 +347,22 @@ def _begun(make: Begun, values: int) -> Begun:
     future = drawing.submit(make)
     drawing.shutdown(wait=False)
     return future.result
+
+
+def transmitted_share(amplitude_vpp: Floats, settings: SimulationSettings) -> Floats:
+    """Return what hybrid, amplifier and diodes leave of tracking pulses (burst,), over that of the reference pulse.
+
+    The carrier alone: its harmonics lie outside the receive band.
+    """
+    if settings.transmitter.linear:
+        return np.ones_like(amplitude_vpp)
+    from sim_backend.motion import harmonic_v
+
+    reference_vpp = settings.receiver.reference_pulse_vpp
+    left, of_reference = (
+        harmonic_v(vpp, settings.transmitter) / vpp for vpp in (amplitude_vpp, np.array([reference_vpp]))
+    )
+    return left / of_reference if of_reference[0] > 0 else np.zeros_like(amplitude_vpp)
 
 
 def burst_record_pairs(start_ps: Picoseconds, end_ps: Picoseconds, capture: Capture) -> tuple[Indices, Indices]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,12 +52,9 @@ def echo_pulse(settings: SimulationSettings, carrier_hz: float) -> Pulse:
 
 
 def attenuated_to_focus(settings: SimulationSettings, pulse: Pulse) -> Pulse:
-    """Return ``pulse`` after the medium's loss on the way to the focus and back."""
-    scatterers = settings.scatterers
-    if scatterers.attenuation_db_per_cm_mhz == 0:
-        return pulse
-    way_cm = 2 * settings.beams.tracked_from_m * 100
-    return attenuated(pulse, scatterers.attenuation_db_per_cm_mhz * way_cm / 1e6)
+    """Return ``pulse`` after what water and specimen take on the way to the focus and back."""
+    loss_db = tuple(map(settings.loss_to_focus_db, pulse.frequency_hz))
+    return attenuated(pulse, loss_db) if any(loss_db) else pulse
 
 
 @functools.lru_cache(maxsize=64)
@@ -165,15 +162,14 @@ def sampled_pulse(value: Floats, sample_rate_hz: float, start_s: float, toleranc
     return _strong_terms(start_s, start_s + count / sample_rate_hz, frequency_hz, amplitude, tolerance)
 
 
-def attenuated(pulse: Pulse, loss_db_per_hz: float) -> Pulse:
-    """Return the pulse behind a loss that grows in proportion to frequency: each exponential by its own loss.
+def attenuated(pulse: Pulse, loss_db: Sequence[float]) -> Pulse:
+    """Return the pulse behind a loss by frequency: each exponential by its own, ``loss_db`` (frequency,).
 
     Exact for a Fourier series whose support has room for the broader pulse; the Hann pulse keeps its support, which
     leaves steps of the order of (loss across its band in Np)^2 / 4 at its ends.
     """
-    loss_np = loss_db_per_hz * math.log(10) / 20
-    pairs = zip(pulse.frequency_hz, pulse.amplitude, strict=True)
-    return replace(pulse, amplitude=tuple(amplitude * math.exp(-loss_np * abs(hz)) for hz, amplitude in pairs))
+    pairs = zip(loss_db, pulse.amplitude, strict=True)
+    return replace(pulse, amplitude=tuple(amplitude * 10 ** (-lost / 20) for lost, amplitude in pairs))
 
 
 def waveform(pulse: Pulse, time_s: Floats) -> Floats:

@@ -1,10 +1,10 @@
 """Radiation force at the focus: the square of the pressure, rectified and low-passed, eq. (17).
 
-    drive voltage -> hybrid, amplifier, matching -> transducer at the carrier -> pressure^2 -> body force
+    drive voltage -> hybrid, amplifier, diodes, matching -> transducer at the carrier -> pressure^2 -> body force
 
-A saturating amplifier flattens the carrier: the fundamental grows less than the drive, and odd harmonics appear, of
-which a 3 MHz toneburst's third falls on the 9 MHz of the tracking pulses. The diodes of the bridge behind it take their
-threshold off every half wave: the force then grows faster than the drive's square, from an offset on.
+A saturating hybrid or amplifier flattens the carrier: the fundamental grows less than the drive, and odd harmonics
+appear, of which a 3 MHz toneburst's third falls on the 9 MHz of the tracking pulses. The diodes of the bridge behind it
+take their threshold off every half wave: the force then grows faster than the drive's square, from an offset on.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def harmonic_v(drive_vpp: Floats, transmitter: Transmitter, harmonic: int = 1) -
 
 
 def _distorted_v(amplitude_v: Floats, transmitter: Transmitter, harmonic: int) -> Floats:
-    """Return the Fourier sine coefficient of a sine through ceiling and diodes.
+    """Return the Fourier sine coefficient of a sine through the hybrid's and the amplifier's ceiling, and diodes.
 
     v / (1 + |v / ceiling|^2p)^(1/2p), the Rapp law, then less by the threshold of the diodes, and nothing below it.
     """
@@ -109,8 +109,10 @@ def _distorted_v(amplitude_v: Floats, transmitter: Transmitter, harmonic: int) -
     phases = _PHASES if transmitter.diode_threshold_v == 0 else _PHASES_OF_DIODES
     phase = (np.arange(phases) + 0.5) * np.pi / phases
     wave_v = amplitude_v[..., None] * np.sin(phase)
-    if transmitter.saturation_v is not None:
-        sharpness = 2 * transmitter.saturation_sharpness
-        wave_v = wave_v / (1 + np.abs(wave_v / transmitter.saturation_v) ** sharpness) ** (1 / sharpness)
+    sharpness = 2 * transmitter.saturation_sharpness
+    core_v = transmitter.hybrid_saturation_v
+    for ceiling_v in (None if core_v is None else core_v * transmitter.amplifier_gain, transmitter.saturation_v):
+        if ceiling_v is not None:
+            wave_v = wave_v / (1 + np.abs(wave_v / ceiling_v) ** sharpness) ** (1 / sharpness)
     passed_v = np.maximum(wave_v - transmitter.diode_threshold_v, 0.0) if transmitter.diode_threshold_v else wave_v
     return np.asarray(passed_v @ np.sin(harmonic * phase) * (2 / phases))

@@ -17,6 +17,7 @@ def _gelatin(shear_modulus_pa: float) -> dict[str, Any]:
         "density_kg_per_m3": 1000.0,  # assumed
         # Assumed; the paper says only that graphite, not gelatin, makes the attenuation.
         "attenuation_db_per_cm_mhz": 0.5,
+        "depth_m": 12.5e-3,  # assumed, as of the muscle: the paper does not say how deep its gelatins were measured
     }
 
 

@@ -90,6 +90,9 @@ class Specimen(Section):
     """Frequency at which a power law has ``shear_modulus_pa``."""
     attenuation_db_per_cm_mhz: Annotated[AttenuationDbPerCmMHz, Field(ge=1e-4)] = 0.5
     """Attenuation of the medium (assumed); with the force it tells the intensity at the focus."""
+    depth_m: LengthM | None = None
+    """How much of the way to the focus lies in the specimen, water before it: what both take of tracking pulses and
+    tonebursts on the way there and back, high frequencies first; absent: nothing but what ``scatterers`` say."""
     density_kg_per_m3: DensityKgPerM3 = 1000.0
     """Mass density (assumed)."""
     field: Literal["medium", "gaussian"] = "medium"
@@ -132,19 +135,21 @@ class Transmitter(Section):
     """Gain of the power amplifier (paper: 40 dB)."""
     hybrid_loss_db: Annotated[RatioDb, Field(ge=0)] = 3.0
     """Loss of the hybrid junction from either generator: half the power goes to its other port (assumed)."""
+    hybrid_saturation_v: VoltageV | None = None
+    """Amplitude at the hybrid's input at which its core saturates, by the law below; absent: it is linear."""
     matching_gain_db: RatioDb = 0.0
     """Voltage gain of diode bridge and matching transformer (assumed)."""
     saturation_v: VoltageV | None = None
     """Ceiling of the amplifier's output amplitude; absent: it is linear and has no harmonics."""
     saturation_sharpness: Annotated[float, Field(ge=0.5, le=20, strict=True)] = 2.0
-    """Exponent p of the ceiling, the Rapp law (assumed)."""
+    """Exponent p of both ceilings, the Rapp law (assumed)."""
     diode_threshold_v: PartOfVoltageV = 0.0
-    """Forward voltage of the diode bridge behind the amplifier, which a toneburst loses (assumed: none)."""
+    """Forward voltage of the diode bridge behind the amplifier, which every burst loses (assumed: none)."""
 
     @property
     def linear(self) -> bool:
         """Whether what leaves it goes with the drive and has no harmonics."""
-        return self.saturation_v is None and self.diode_threshold_v == 0
+        return self.saturation_v is None and self.hybrid_saturation_v is None and self.diode_threshold_v == 0
 
     @property
     def amplifier_gain(self) -> float:
@@ -453,13 +458,54 @@ class SimulationSettings(Section):
     instruments: Instruments = Instruments()
     """What the simulated instruments are."""
 
+    @property
+    def _in_specimen(self) -> bool:
+        return self.specimen is not None and self.specimen.depth_m is not None
+
+    @property
+    def echo_attenuation_db_per_cm_mhz(self) -> float:
+        """Attenuation of echoes around the focus, one way."""
+        if self.specimen is not None and self.specimen.depth_m is not None:
+            return self.specimen.attenuation_db_per_cm_mhz
+        return self.scatterers.attenuation_db_per_cm_mhz
+
+    def loss_to_focus_db(self, frequency_hz: float) -> float:
+        """Return what the way to the focus and back takes: specimen as frequency, water before it as its square."""
+        mhz, focus_cm = abs(frequency_hz) / 1e6, 100 * self.beams.tracked_from_m
+        if self.specimen is None or self.specimen.depth_m is None:
+            return 2 * focus_cm * self.scatterers.attenuation_db_per_cm_mhz * mhz
+        specimen_cm = 100 * self.specimen.depth_m
+        water = (self.propagation or Propagation()).water_attenuation_db_per_cm_mhz2
+        lost_db = specimen_cm * self.specimen.attenuation_db_per_cm_mhz * mhz
+        return 2 * (lost_db + (focus_cm - specimen_cm) * water * mhz**2)
+
+    @model_validator(mode="after")
+    def _one_way_through_the_specimen(self) -> SimulationSettings:
+        depth_m = None if self.specimen is None else self.specimen.depth_m
+        if depth_m is None:
+            return self
+        wrong = []
+        if depth_m > self.beams.tracked_from_m:
+            way_m = self.beams.tracked_from_m
+            wrong.append(
+                f"specimen.depth_m is {depth_m:g} m and the way to the focus, beams.focus_depth_m, {way_m:g} m"
+            )
+        if self.propagation is not None and self.propagation.specimen_depth_m != depth_m:
+            other_m = self.propagation.specimen_depth_m
+            wrong.append(f"specimen.depth_m is {depth_m:g} m and propagation.specimen_depth_m {other_m:g} m")
+        if self.scatterers.attenuation_db_per_cm_mhz:
+            wrong.append("specimen.depth_m and scatterers.attenuation_db_per_cm_mhz attenuate the same echoes twice")
+        if wrong:
+            raise ValueError(f"{'; '.join(wrong)}: the focus lies in one specimen, at one depth: change one of the two")
+        return self
+
     @model_validator(mode="after")
     def _something_comes_back(self) -> SimulationSettings:
-        loss_db = self.scatterers.attenuation_db_per_cm_mhz * 200 * self.beams.tracked_from_m
-        loss_db *= self.receiver.reference_carrier_hz / 1e6
+        loss_db = self.loss_to_focus_db(self.receiver.reference_carrier_hz)
         if loss_db > MOST_LOSS_DB:
+            of = "specimen" if self._in_specimen else "scatterers"
             raise ValueError(
-                f"scatterers.attenuation_db_per_cm_mhz takes {loss_db:.3g} dB of receiver.reference_carrier_hz on the "
+                f"{of}.attenuation_db_per_cm_mhz takes {loss_db:.3g} dB of receiver.reference_carrier_hz on the "
                 f"way to beams.focus_depth_m and back, {MOST_LOSS_DB:g} dB leave no echo: less of one of the three"
             )
         receiver = self.receiver

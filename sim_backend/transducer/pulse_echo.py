@@ -77,7 +77,7 @@ def pulse_echo_beam(
         settings.beams.transducer,
         scan if settings.beams.field == "measured" else None,
         settings.sound_speed_m_per_s,
-        settings.scatterers.attenuation_db_per_cm_mhz,
+        settings.echo_attenuation_db_per_cm_mhz,
         frequency_hz,
         # To two digits up, so that places drawn at random share a table.
         _rounded_up(lateral_reach_m),

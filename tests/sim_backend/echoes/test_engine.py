@@ -151,7 +151,8 @@ def test_a_micrometre_at_1e_8_takes_few_nodes_and_a_jumping_pulse_none():
 @pytest.mark.parametrize("bandwidth", [0.065, 0.3, 0.75])
 def test_pulses_whose_ends_step_by_attenuation_meet_the_tolerance(bandwidth):
     """126 dB at the carrier, and steps at the ends: what counts is their size against the weakened pulse's."""
-    pulse = attenuated(hann_pulse(9.0e6, bandwidth), 14e-6)
+    whole = hann_pulse(9.0e6, bandwidth)
+    pulse = attenuated(whole, [14e-6 * hz for hz in whole.frequency_hz])
     tau, weight, g = (part[::5] for part in scene(3))
     motion = EchoDelays(tau, g[None], 2e-5 / SOUND_SPEED * np.sin(2 * np.pi * np.arange(200)[:, None] / 20.3))
     exact = running_sum(motion.delay_s(), weight, pulse, GATE_S)

@@ -7,6 +7,7 @@ from scipy.special import erf
 from sim_backend.echoes.pulse import (
     attenuated,
     band_limited_burst,
+    echo_pulse,
     extended,
     gaussian_pulse,
     hann_pulse,
@@ -14,6 +15,7 @@ from sim_backend.echoes.pulse import (
     sampled_pulse,
     waveform,
 )
+from sim_backend.settings import SimulationSettings
 
 SIGMA_OVER_WIDTH = 1 / (2 * np.sqrt(2 * np.log(2)))
 
@@ -78,7 +80,8 @@ def test_attenuation_lowers_the_centre_frequency_of_a_gaussian_by_alpha_sigma_sq
     sigma_hz = 0.2 * 9.0e6 * SIGMA_OVER_WIDTH
     loss_db_per_hz = 20.0 / 9.0e6
     a = loss_db_per_hz * np.log(10) / 20
-    pulse = attenuated(gaussian_pulse(9.0e6, 0.2, 1e-13), loss_db_per_hz)
+    source = gaussian_pulse(9.0e6, 0.2, 1e-13)
+    pulse = attenuated(source, [loss_db_per_hz * hz for hz in source.frequency_hz])
     time_s = np.linspace(-1e-6, 1e-6, 2001)
     lower_hz = 9.0e6 - a * sigma_hz**2
     expected = np.exp(-a * 9.0e6 + (a * sigma_hz) ** 2 / 2) * np.exp(-0.5 * (2 * np.pi * sigma_hz * time_s) ** 2)
@@ -100,3 +103,32 @@ def test_extended_pulse_equals_the_pulse_inside_its_support():
     pulse = hann_pulse(9.0e6, 0.065)
     time_s = np.linspace(pulse.start_s, pulse.end_s, 100, endpoint=False)
     assert np.array_equal(extended(pulse, time_s), waveform(pulse, time_s))
+
+
+def in_gelatin(depth_m: float | None, **scatterers: object) -> SimulationSettings:
+    specimen = {"preset": "gelatin_8", "depth_m": depth_m}
+    return SimulationSettings.model_validate({"specimen": specimen, "scatterers": scatterers})
+
+
+def test_echoes_lose_what_specimen_and_water_take_on_the_way_there_and_back():
+    """0.5 dB/cm/MHz over 1.25 cm of gelatin, 0.0018 dB/cm/MHz^2 over 5.75 cm of water, twice."""
+    settings = in_gelatin(12.5e-3)
+    assert settings.loss_to_focus_db(9.0e6) == pytest.approx(2 * (0.5 * 1.25 * 9 + 0.0018 * 5.75 * 81), rel=1e-12)
+    assert settings.loss_to_focus_db(3.0e6) == pytest.approx(2 * (0.5 * 1.25 * 3 + 0.0018 * 5.75 * 9), rel=1e-12)
+    assert in_gelatin(None).loss_to_focus_db(9.0e6) == 0
+    assert settings.echo_attenuation_db_per_cm_mhz == 0.5
+
+
+def test_the_centre_frequency_falls_with_the_depth_of_the_specimen():
+    """By the slope of the loss at the carrier times the variance of the amplitude spectrum; the water's bends it."""
+    sigma_hz = 0.3 * 9.0e6 * SIGMA_OVER_WIDTH
+
+    def centre_hz(depth_m: float | None) -> float:
+        pulse = echo_pulse(in_gelatin(depth_m, pulse="gaussian", bandwidth=0.3), 9.0e6)
+        strength = np.abs(pulse.amplitude)
+        return float(strength @ np.array(pulse.frequency_hz) / strength.sum())
+
+    for depth_m in (12.5e-3, 30e-3):
+        nepers = in_gelatin(depth_m).loss_to_focus_db
+        slope = (nepers(9.001e6) - nepers(8.999e6)) / 2e3 * np.log(10) / 20
+        assert centre_hz(None) - centre_hz(depth_m) == pytest.approx(slope * sigma_hz**2, rel=0.02)

@@ -46,6 +46,17 @@ def test_gentle_saturation_grows_a_third_harmonic_with_the_cube_of_the_drive():
     assert harmonic_v(2 * amplitude, soft) == pytest.approx(amplitude - 3 / 8 * amplitude**3, rel=1e-7)
 
 
+def test_a_hybrid_saturates_before_the_amplifier_as_an_amplifier_would_at_that_voltage():
+    """At sharpness 1 two ceilings in a row are one: 1 / ceiling^2 of both, added."""
+    gain = 10 ** (37 / 20)
+    both = Transmitter(hybrid_saturation_v=1.0, saturation_v=0.5 * gain, saturation_sharpness=1.0)
+    one = Transmitter(saturation_v=gain / np.sqrt(1 + 4), saturation_sharpness=1.0)
+    for harmonic in (1, 3):
+        assert harmonic_v(DRIVE_VPP, both, harmonic) == pytest.approx(harmonic_v(DRIVE_VPP, one, harmonic), rel=1e-9)
+    far = Transmitter(hybrid_saturation_v=1e6)
+    assert harmonic_v(DRIVE_VPP, far) == pytest.approx(harmonic_v(DRIVE_VPP, Transmitter()), rel=1e-9)
+
+
 def test_diodes_take_their_threshold_off_every_half_wave():
     """Of a sine of amplitude a, open from the phase asin(d) on, d = threshold / a: a closed form of either harmonic."""
     bridge = Transmitter(gain_db=0.0, hybrid_loss_db=0.0, diode_threshold_v=0.3)
