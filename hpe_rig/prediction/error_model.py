@@ -177,7 +177,7 @@ def draw_scattering(
     ``MOST_SCATTERERS`` so many are drawn: what draws say does not depend on how strong the echo is.
     """
     lateral_m = [2 * LATERAL * width for width in conditions.tracking_width_m[:2]]
-    expected = conditions.scatterers_per_m3 * np.prod(lateral_m) * deep_m
+    expected = float(conditions.scatterers_per_m3 * np.prod(lateral_m) * deep_m)
     count = generator.poisson(min(expected, MOST_SCATTERERS), draws)
     owner = np.repeat(np.arange(draws), count)
     place = (generator.random((3, owner.size)) - 0.5) * np.array([*lateral_m, deep_m])[:, None]
