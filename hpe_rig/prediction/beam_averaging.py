@@ -25,7 +25,6 @@ from hpe_rig.processing import (
     harmonic_range_hz,
     medium_ensemble,
     seen_beside,
-    shear_motion,
     spec_of,
 )
 from hpe_rig.result import Averaging
@@ -238,6 +237,9 @@ def _by_its_force(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> 
     force = force_of(scene)
     if len(force.centre_m) == 1:
         return [1.0] * frequency_hz.size
+    # here: it needs SciPy, and most scenes declare no aperture
+    from hpe_rig.processing import shear_motion
+
     typical_pa = np.asarray(TYPICAL[0] + 2j * np.pi * frequency_hz * TYPICAL[1])
     modulus_pa, density = medium_of(scene, frequency_hz, simulated=False) or (typical_pa, 1000.0)
     place = np.array([beams.lateral_m])

@@ -16,7 +16,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 FloatArray = NDArray[np.float64]
 
@@ -91,6 +90,8 @@ def aperture_force(
 
     The attenuation is that of soft tissue where it is None. Raises ``ValueError`` for a bowl wider than its sphere.
     """
+    from scipy.special import ndtr
+
     if diameter_m >= 2 * focal_length_m:
         raise ValueError(f"a bowl {diameter_m:g} m across cannot focus at {focal_length_m:g} m")
     wavelength_m, f_number = sound_speed_m_per_s / frequency_hz, focal_length_m / diameter_m
