@@ -14,11 +14,12 @@
 
     cross_spectrum     v_n = -c dtheta_n(f_c) / (4 pi f_c T_prf)            spectral_peak.py, eqs. (5) (6)
                        compiled, where Numba is                             spectral_peak_numba.py
-                       D_n = v_n / w_i -> band-pass -> Hann -> Kalman, x 2  velocity_chain.py, velocity_noise.py
+                       D_n = v_n / w_i -> band-pass -> Hann -> Kalman, x 2  velocity_chain.py
                        then off with sinc(f_i / f_prf), T_prf / 2, 90 deg
 
     what a medium can do of tonebursts, as a prior of the fit               ensemble.py, prior.py
     how it moves beside the push                                            shear_field.py
+    f(r, z) of a Gaussian beam, or of an aperture                           push_force.py
     many lines and depths at once, a pixel each                             motion_map.py
     what harmonics it does not resolve leave in a fit without prior         unresolved.py
     what distinguishes them, one row each                                   estimators.py
