@@ -74,7 +74,8 @@ def fit_sphere(scene: Scene, result: Result) -> SphereFit:
         return np.concatenate([off.real, off.imag])
 
     fit = least_squares(residual, np.array([np.log(5e3), np.log(0.5), 1.0]), x_scale="jac")
-    covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+    slope: Floats = np.asarray(fit.jac)
+    covariance = np.linalg.inv(slope.T @ slope)
     mu1_pa, mu2_pa_s = np.exp(fit.x[:2])
     relative = np.sqrt(np.diag(covariance))
     chi_square = 2 * fit.cost / (len(fit.fun) - 3)
