@@ -45,8 +45,9 @@ def sphere_phasors(scene: Scene, mu1_pa: float, mu2_pa_s: float, sampled: bool =
     if specimen is None or specimen.sphere is None or excitation is None:
         raise ValueError("the scene pushes no sphere: give it [excitation] and [simulation.specimen.sphere]")
     rate_hz, length_s = excitation.burst_rate_hz, excitation.burst_length_s[0]
-    s = 2j * np.pi * rate_hz * np.arange(1, HIGHEST + 1)
-    response = sphere_response(specimen.sphere, mu1_pa + s * mu2_pa_s, specimen.density_kg_per_m3, s)
+    s: Complexes = np.asarray(2j * np.pi * rate_hz * np.arange(1, HIGHEST + 1), np.complex128)
+    modulus_pa: Complexes = np.asarray(mu1_pa + s * mu2_pa_s, np.complex128)
+    response = sphere_response(specimen.sphere, modulus_pa, specimen.density_kg_per_m3, s)
     # Eq. (18), one-sided; cos becomes sin by 90 degrees.
     force_n = 2 * specimen.sphere.force_n * rate_hz * length_s * np.sinc(s.imag / 2 / np.pi * length_s)
     phasor = 1j * force_n * np.exp(-s * length_s / 2) * response
@@ -74,7 +75,8 @@ def fit_sphere(scene: Scene, result: Result) -> SphereFit:
         return np.concatenate([off.real, off.imag])
 
     fit = least_squares(residual, np.array([np.log(5e3), np.log(0.5), 1.0]), x_scale="jac")
-    covariance = np.linalg.inv(fit.jac.T @ fit.jac)
+    slope: Floats = np.asarray(fit.jac)
+    covariance = np.linalg.inv(slope.T @ slope)
     mu1_pa, mu2_pa_s = np.exp(fit.x[:2])
     relative = np.sqrt(np.diag(covariance))
     chi_square = 2 * fit.cost / (len(fit.fun) - 3)
