@@ -29,7 +29,17 @@ from numpy.typing import NDArray
 
 import hpe_rig as hpe
 from hpe_rig.bench import twin_of
-from hpe_rig.moduli import Push, Vibration, bound, fit_medium, plane_wave_of, push_of, vibration_at
+from hpe_rig.moduli import (
+    Push,
+    Source,
+    Vibration,
+    bound,
+    fit_medium,
+    plane_wave_of,
+    push_of,
+    vibration_at,
+    vibrations_of,
+)
 from hpe_rig.scene import Scene
 
 SCENE = "gelatin-moduli"
@@ -82,7 +92,7 @@ def measured(name: str, seed: int) -> list[dict[str, Any]]:
     scene = drawn(hpe.load_scene(SCENE), name, seed, np.random.default_rng(seed))
     with TemporaryDirectory() as folder:
         run = hpe.measure(scene, path=Path(folder) / "run.h5")
-        vibrations = hpe.fit_moduli(run, laws=["voigt"]).vibrations
+        vibrations, _ = vibrations_of([Source("", run.scene, run.plan, run.stored)])
     return [_plain(one) for one in vibrations]
 
 

@@ -8,12 +8,9 @@ Files, from what is typed to what is shown::
     keys.py     keys pressed while a run goes on
     queue.py    several runs, one after another
     watch.py    stop request, pause, log and live page around a run
-    comparison.py  two runs side by side
     bench.py    the report of a bench, and its comparison with another
     listing.py  the runs of a folder; what other packages bring
-    verify.py   what is damaged in a file
-    mapping.py  a map's progress and files
-    moduli.py   what a medium is made of, and its figure
+    stored.py   damage, comparisons, moduli and maps of stored runs and recordings
     study.py    workers, progress and closing table of a study
     tables.py   a result in one sentence and as tables
     terminal.py its width; progress; which log records it shows

@@ -132,6 +132,7 @@ def run(
     opened: Open = False,
     closes: Close = False,
     verbose: Verbose = False,
+    report: Annotated[bool, typer.Option("--report", help="Write the report too, as hpe-rig report does.")] = False,
 ) -> None:
     """Measure a scene, from the plan to the printed result. SCENE may be a run file, whose scene is measured again."""
     stages = Stages()
@@ -151,7 +152,11 @@ def run(
             options = WriteOptions(compress, overwrite, run_id=run_id, provenance=provenance_now(setup.bench.bench))
             record_run(setup, path, watching.observed(observer), stages, options, move=watching.move)
         show(process(path, estimator, stages), json, csv, wide)
-        if not (json or csv):
+        if report:
+            from hpe_rig.report import write_report
+
+            announce(f"{write_report(path, estimator)}: open it in any browser")
+        elif not (json or csv):
             announce(f"figures: hpe-rig report {path}")
 
 
@@ -278,12 +283,14 @@ def map_command(
 ) -> None:
     """Map amplitude, phase and velocity over lines and depths of a recording. Bad pixels are marked."""
     from hpe_rig.acquire import map_recording
-    from hpe_rig.cli.mapping import counting, write_map
+    from hpe_rig.cli.stored import write_map
+    from hpe_rig.cli.terminal import told
     from hpe_rig.recordings import parse_options
 
     options = parse_options(setting or []) | ({} if lines is None else {"lines": lines})
-    with counting("lines") as progress:
-        found, inferred = map_recording(recording, scene, sidecar, options, progress)
+    with told("lines") as tell:
+        counted = lambda done, total: tell(done, total, "")  # noqa: E731
+        found, inferred = map_recording(recording, scene, sidecar, options, counted)
     for text in (*inferred, str(found)):
         typer.echo(text)
     write_map(found, output, figure)
@@ -295,7 +302,7 @@ def verify(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Run file or result file.")], json: Json = False
 ) -> None:
     """Compare every byte of a file with its checksums. Exit code 0: sound, 4: damaged, 5: it has no checksums."""
-    from hpe_rig.cli.verify import print_verification
+    from hpe_rig.cli.stored import print_verification
     from hpe_rig.store import verify as verify_file
 
     found = verify_file(file)
@@ -337,7 +344,7 @@ def compare(
     json: Json = False,
 ) -> None:
     """Compare two runs. Settings that differ, results side by side, and how significant each difference is."""
-    from hpe_rig.cli.comparison import print_comparison
+    from hpe_rig.cli.stored import print_comparison
 
     print_comparison(first, second, estimator, figure, json)
 
@@ -368,7 +375,7 @@ def moduli(
 ) -> None:
     """Fit the shear modulus and viscosity of the medium to the vibrations at all places of one or more runs."""
     from hpe_rig.acquire import fit_moduli
-    from hpe_rig.cli.moduli import print_moduli
+    from hpe_rig.cli.stored import print_moduli
 
     print_moduli(
         fit_moduli(
@@ -403,16 +410,25 @@ def live(
 
 @app.command()
 @guarded
-def align(scene: SceneName, bench: BenchPath = None, port: Port = 0, opened: Open = False) -> None:
+def align(
+    scene: SceneName,
+    bench: BenchPath = None,
+    band: Annotated[
+        str, typer.Option(metavar="LOW:HIGH", help="Where the echo is to be, in percent of full scale.")
+    ] = "10:80",
+    port: Port = 0,
+    opened: Open = False,
+) -> None:
     """Align the focus on a live page, without excitation. Single tracking shots are repeated until stopped."""
     from hpe_rig.acquire import prepare
     from hpe_rig.store import extra
 
     with extra("live"):
-        from hpe_rig.live import align as align_focus, without_pushing
+        from hpe_rig.live import align as align_focus, band_percent, without_pushing
 
+    wanted = band_percent(band)
     setup = without_pushing(prepare(scene, bench, refuse=False))
-    shots = align_focus(setup, port, partial(_say_page, opened))
+    shots = align_focus(setup, port, partial(_say_page, opened), wanted)
     typer.echo(f"stopped after {shots} single shots; all outputs verified off")
 
 

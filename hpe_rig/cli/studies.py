@@ -91,12 +91,16 @@ def design(
         Path | None,
         typer.Option(callback=file_named, help="New scene file, .toml. Default: none."),
     ] = None,
+    report: Annotated[
+        bool,
+        typer.Option("--report", help="Write a page, SCENE-design.html: before and after, the goal over each key."),
+    ] = False,
 ) -> None:
     """Optimise a scene within limits. By the analytic model, checked by Monte Carlo; no instrument is opened."""
     from hpe_rig.design import Request, write_design
 
     bounds = tuple(bound or ())
-    request = Request(scene, over, minimise, bench, bounds, longest_s, target, draws, seed, output)
+    request = Request(scene, over, minimise, bench, bounds, longest_s, target, draws, seed, output, report)
     write_design(request, typer.echo, announce)
 
 

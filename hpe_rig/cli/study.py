@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import functools
-import math
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,10 @@ from hpe_rig.study import (
     StudyResult,
     TlsFiles,
     cluster,
+    error_figures,
     processes,
     run_study,
+    spans,
     untrusted_network,
 )
 
@@ -85,34 +86,18 @@ def physics(result: StudyResult) -> str:
     if len(result.rows) <= MOST_ROWS:
         rows = []
         for row in result.rows:
-            found = [f"{value:.2f} +- {error:.2f}" for value, error in _figures(row)]
+            found = [f"{value:.2f} +- {error:.2f}" for value, error in error_figures(row)]
             rows.append((row["estimator"], *(_shown(row[name]) for name in (*axes, *told_apart)), *found))
         return text_table(("estimator\n", *(f"{name}\n" for name in (*axes, *told_apart)), *figures), rows)
     groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in result.rows:
         groups.setdefault((row["estimator"], *(f"{row[name]}" for name in told_apart)), []).append(row)
-    rows = [(*key, *map(_span, zip(*(_figures(row) for row in found), strict=True))) for key, found in groups.items()]
+    rows = [(*key, *spans(found)) for key, found in groups.items()]
     return text_table(("estimator\n", *(f"{name}\n" for name in told_apart), *figures), rows)
 
 
 def _shown(value: object) -> str:
     return f"{value:g}" if isinstance(value, int | float) else str(value)
-
-
-def _figures(row: Mapping[str, Any]) -> list[tuple[float, float]]:
-    """Return bias and jitter of amplitude, in %, and of phase, in degrees, each with its standard error."""
-    percent, degrees = 100 / (row["amplitude_true_m"] or math.nan), math.degrees(1)
-    names = (("amplitude", "m", percent), ("phase", "rad", degrees))
-    return [
-        (row[f"{of}_{name}_{unit}"] * scale, row[f"{of}_{name}_se_{unit}"] * scale)
-        for of, unit, scale in names
-        for name in ("bias", "jitter")
-    ]
-
-
-def _span(figures: Sequence[tuple[float, float]]) -> str:
-    values = [value for value, _ in figures if math.isfinite(value)]
-    return f"{min(values):.2f} to {max(values):.2f}" if values else "-"
 
 
 @contextmanager

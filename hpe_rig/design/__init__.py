@@ -1,8 +1,8 @@
 """Design: the scene with the least jitter, bias or time within limits of dose, time and ``hpe-rig check``.
 
 In the order of the flow: `command` (options) -> `variables` (what may change) -> `problem` (candidates and their cost,
-by the closed forms of `model`) -> `search` -> `simulation_check` (the model against Monte Carlo). The command line
-takes `Request` and `write_design`.
+by the closed forms of `model`) -> `search` -> `simulation_check` (the model against Monte Carlo) -> `page`. The command
+line takes `Request` and `write_design`.
 """
 
 import lazy_loader

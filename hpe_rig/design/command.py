@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -47,6 +47,7 @@ class Request:
     draws: int = 200
     seed: int = 0
     output: Path | None = None
+    report: bool = False
 
 
 def write_design(request: Request, tell: Callable[[str], None], announce: Callable[[str], None]) -> None:
@@ -56,11 +57,17 @@ def write_design(request: Request, tell: Callable[[str], None], announce: Callab
     found = find_design(problem, request.seed)
     if request.draws > 0:
         announce(f"simulating {request.draws} draws of scatterers and noise")
-    tell("\n".join(design_lines(found, request.draws, request.seed)))
+    comparison = compared(found, request.draws, request.seed)
+    tell("\n".join(design_lines(comparison)))
+    words = f"hpe-rig design {request.scene} --minimise {request.minimise} --over {request.over}"
+    if request.report:
+        from hpe_rig.design.page import write_page
+
+        announce("drawing the goal over each number")
+        tell(f"{write_page(found, comparison, words)}: open it in any browser")
     if request.output is None:
         return
     new = edited_text(text, found.best.values)
-    words = f"hpe-rig design {request.scene} --minimise {request.minimise} --over {request.over}"
     try:
         with request.output.open("x", encoding="utf-8") as file:
             file.write(f"# {words}\n{new}")
@@ -119,32 +126,52 @@ def _wrong_words(request: Request) -> Iterator[Mistake]:
             yield Mistake("--output", f"{request.output} cannot be written ({why})", "another place")
 
 
-def design_lines(found: DesignResult, draws: int = 0, seed: int = 0) -> Iterator[str]:
-    """Yield the table of a design: what changed, what is predicted, what ``draws`` draws simulate, time and dose."""
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The scene before and after: what was asked, rows (name, before, after), and what is to be said besides."""
+
+    asked: str
+    varied: Sequence[tuple[str, str, str]]
+    outcome: Sequence[tuple[str, str, str]]
+    remarks: Sequence[str]
+
+
+def compared(found: DesignResult, draws: int = 0, seed: int = 0) -> Comparison:
+    """Return what changed, what is predicted, what ``draws`` draws simulate, time and dose, before and after."""
     problem, pair = found.problem, (found.problem.judged(found.start), found.best)
     constraints, scene, plan = problem.constraints, found.best.scene, found.best.plan
     assert scene is not None  # noqa: S101
     assert plan is not None  # noqa: S101
     shots = "" if len(plan.shots) == 1 else f" in shot 1 of {len(plan.shots)}"
     target = "" if constraints.target_m is None else f", target {constraints.target_m * 1e9:g} nm"
-    yield (
+    asked = (
         f"{problem.goal}{shots} of {scene.wanted_frequencies_hz[0]:g} Hz with {scene.processing.estimator}, at most "
         f"{constraints.longest_s:.4g} s{target}; {problem.tried} scenes tried"
     )
-    if not found.best.values:
-        yield "no scene within the limits is better than the one at hand"
-    rows = []
+    varied = []
     for variable in problem.space:
-        values = [candidate.values.get(variable.key.path, variable.key.value) for candidate in pair]
-        rows.append((str(variable.key), *("absent" if value is None else f"{value:.6g}" for value in values)))
+        before, now = (candidate.values.get(variable.key.path, variable.key.value) for candidate in pair)
+        varied.append((str(variable.key), _number(before), _number(now)))
     after = _column(problem, found.best, draws, seed)
-    columns = [_column(problem, pair[0], draws, seed) if found.best.values else after, after]
-    rows += [(name, *(column.get(name, "-") for column in columns)) for name in after]
-    yield text_table(("", "before", "after"), rows)
-    for reason in found.held:
-        yield f"held back: {reason}"
+    before_too = _column(problem, pair[0], draws, seed) if found.best.values else after
+    outcome = [(name, before_too.get(name, "-"), text) for name, text in after.items()]
+    remarks = [] if found.best.values else ["no scene within the limits is better than the one at hand"]
+    remarks += [f"held back: {reason}" for reason in found.held]
     if found.start.conflicts:
-        yield f"before, check refuses it: {', '.join(dict.fromkeys(item.check for item in found.start.conflicts))}"
+        refused = ", ".join(dict.fromkeys(item.check for item in found.start.conflicts))
+        remarks.append(f"before, check refuses it: {refused}")
+    return Comparison(asked, varied, outcome, remarks)
+
+
+def _number(value: float | None) -> str:
+    return "absent" if value is None else f"{value:.6g}"
+
+
+def design_lines(found: Comparison) -> Iterator[str]:
+    """Yield what was asked, the table of before and after, and the remarks."""
+    yield found.asked
+    yield text_table(("", "before", "after"), [*found.varied, *found.outcome])
+    yield from found.remarks
 
 
 def _column(problem: Problem, candidate: Candidate, draws: int, seed: int) -> dict[str, str]:

@@ -1,4 +1,4 @@
-from .alignment import align as align, without_pushing as without_pushing
+from .alignment import align as align, band_percent as band_percent, without_pushing as without_pushing
 from .process import (
     PageProcess as PageProcess,
     live_page_of as live_page_of,

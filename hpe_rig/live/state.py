@@ -87,6 +87,18 @@ def level_state(view: EchoView, full_scale_v: float) -> State:
     }
 
 
+def band_verdict(level: State, band_percent: tuple[float, float]) -> str:
+    """Return in words whether the largest echo in the gate is within its band of full scale, and what to try if not."""
+    percent, (low, high) = 100 * level["of_full_scale"], band_percent
+    if level["clipped"]:
+        return "clipped: a larger input_range_v, or a lower gain"
+    if percent > high:
+        return f"above {high:g} %: a larger input_range_v leaves room for stronger echoes"
+    if percent < low:
+        return f"below {low:g} %: move to a stronger echo, or a smaller input_range_v"
+    return f"within {low:g} to {high:g} % of full scale"
+
+
 def _list(values: FloatArray, digits: int) -> list[float]:
     return [round(float(value), digits) for value in values]
 

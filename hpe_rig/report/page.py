@@ -37,6 +37,7 @@ from hpe_rig.result import (
     Stages,
     amplitude_spectrum,
     headline_sentence,
+    page_style,
     phase_spectrum,
     repeats_of,
     shot_warnings,
@@ -317,8 +318,14 @@ def _page(*, result: Result, sweep: Sweep | None, **context: Any) -> str:
     template = (resources.files("hpe_rig.report") / "report.html").read_text(encoding="utf-8")
     warnings = (*result.warnings, *shot_warnings(result.shots))
     shown = badges(result, warnings, context["findings"], context["checks"])
+    style = Markup(page_style())  # noqa: S704, a file of this program
     return environment.from_string(template).render(
-        result=result, sweep=sweep, warnings=warnings, badges=shown, **context
+        style=style,
+        result=result,
+        sweep=sweep,
+        warnings=warnings,
+        badges=shown,
+        **context,
     )
 
 

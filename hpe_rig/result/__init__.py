@@ -15,6 +15,7 @@
     html_repr.py   figure and tables, as a notebook shows a result
     tables.py      any rows as CSV and as text
     motion_map.py  amplitude, phase and velocity of every line and depth
+    page.css       the style of every page
     provenance.py  who measured when, on which machine, and how long each stage took
 
 All rooms but ``scene`` may use it; it uses ``scene`` alone.

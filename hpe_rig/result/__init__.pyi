@@ -51,6 +51,7 @@ from .svg import (
     legend as legend,
     legend_above as legend_above,
     mark as mark,
+    page_style as page_style,
     panel as panel,
     picture as picture,
     thin as thin,

@@ -7,6 +7,7 @@ import io
 import re
 from dataclasses import dataclass
 from html import escape
+from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,8 @@ VARIABLES = {
     "#b0b0b0": "grid",
 }
 """Colours that a page may set otherwise, such as on a dark screen, by the name of the variable."""
+PAPER = re.compile(r'(id="[^"]*patch_\d+">\s*<path [^>]*?fill: )#ffffff')
+"""What stands before the white of a figure's background, of a panel's and of a legend's."""
 
 STYLE: Any = {
     "svg.fonttype": "none",
@@ -62,9 +65,15 @@ class Picture:
     svg: str
 
 
+def page_style() -> str:
+    """Return the style sheet that all pages share: it sets the variables of `VARIABLES`, for light and dark screens."""
+    return (resources.files("hpe_rig.result") / "page.css").read_text(encoding="utf-8")
+
+
 def mark(place: int) -> tuple[str, str]:
-    """Return marker and colour of the curve number ``place``; they come again after eight."""
-    return MARKS[place % len(MARKS)]
+    """Return marker and colour of the curve number ``place``; the same two come together again after 64."""
+    count = len(MARKS)
+    return MARKS[place % count][0], PALETTE[(place + place // count) % count]
 
 
 def legend(axes: Axes, place: Any) -> None:
@@ -120,6 +129,7 @@ def inline(svg: str, key: str, title: str, alt: str) -> str:
     body = re.sub(r"<metadata>.*?</metadata>\s*", "", body, flags=re.DOTALL)
     body = re.sub(r'\bid="', f'id="{key}-', body)
     body = re.sub(r'(url\(#|xlink:href="#)', rf"\g<1>{key}-", body)
+    body = PAPER.sub(r"\g<1>var(--paper, #ffffff)", body)
     body = svg_symbols(re.sub(r"((?:fill|stroke): )(#[0-9a-f]{6})", _variable, body))
     head, _, rest = body.partition(">")
     head = re.sub(r' (?:width|height)="[^"]*"', "", head)

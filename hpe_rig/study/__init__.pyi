@@ -11,5 +11,14 @@ from .page import PageTable as PageTable, Part as Part, cell as cell, render as 
 from .report import write_study_report as write_study_report
 from .results import SUMMARY as SUMMARY, StudyResult as StudyResult, write_whole as write_whole
 from .run import OnProgress as OnProgress, run_study as run_study
-from .series import Curve as Curve, View as View, curves as curves, maps as maps, view as view
+from .series import (
+    Curve as Curve,
+    View as View,
+    curves as curves,
+    error_figures as error_figures,
+    maps as maps,
+    spans as spans,
+    view as view,
+    with_error as with_error,
+)
 from .statistics import Errors as Errors, errors as errors

@@ -89,8 +89,8 @@ def _panel(axes: Axes, found: Sequence[Curve], quantity: str, unit: str, scale: 
 
 def _mean_and_deviation(curve: Curve, label: str) -> Figure:
     """Return mean, deviation of the realisations as bars, and the mean's own band, over a target line: as Fig. 4."""
-    figure = Figure(figsize=(7.2, 3.2))
-    figure.subplots_adjust(left=0.1, right=0.98, bottom=0.15, top=0.96, wspace=0.28)
+    figure = Figure(figsize=(7.2, 3.4))
+    figure.subplots_adjust(left=0.1, right=0.98, bottom=0.14, top=0.9, wspace=0.28)
     for axes, title, quantity, unit, scale in zip(
         figure.subplots(1, 2), ("(a) displacement (nm)", "(b) phase (degrees)"), ("amplitude", "phase"),
         ("m", "rad"), (NM, DEGREES), strict=True,
@@ -105,5 +105,5 @@ def _mean_and_deviation(curve: Curve, label: str) -> Figure:
             curve.x, mean - spread, mean + spread, color=MARKS[1][1], alpha=0.4, lw=0, label="mean's 2 s.e."
         )
         axes.set(xlabel=label, ylabel=title)
-        axes.legend(frameon=False, fontsize=8)
+    figure.legend(*axes.get_legend_handles_labels(), loc="upper center", ncols=3, frameon=False)
     return figure

@@ -24,6 +24,8 @@ Levels = Sequence[float] | Floats | None
 OURS = 2.19
 """W_x and W_y of the paper's transducer, marked."""
 LATERAL = ("W_x", "W_y")
+DARK = "#101010"
+"""Outline of white lines and numbers: black would turn white with the page's ink on a dark screen."""
 HEIGHT_IN, BELOW_IN, ABOVE_IN = 3.1, 0.47, 0.28
 
 
@@ -136,9 +138,9 @@ def _map(
     if wanted is None or wanted:
         lines = axes.contour(x, y, values, wanted, colors="w", linewidths=0.8)
         # Light on a dark line shows on both ends of the colour scale.
-        lines.set(path_effects=[withStroke(linewidth=1.8, foreground="k")])
+        lines.set(path_effects=[withStroke(linewidth=1.8, foreground=DARK)])
         for text in axes.clabel(lines, fontsize=7, fmt="%g"):
-            text.set_path_effects([withStroke(linewidth=1.5, foreground="k")])
+            text.set_path_effects([withStroke(linewidth=1.5, foreground=DARK)])
     for name, values_of in (("x", x), ("y", y)):
         if values_of.min() > 0 and values_of.max() / values_of.min() >= 20:
             axes.set(**{f"{name}scale": "log"})

@@ -18,9 +18,10 @@ from hpe_rig.study.curve_figures import NM, curve_alt, curve_figure
 from hpe_rig.study.map_figures import map_alt, map_figure
 from hpe_rig.study.page import Part, render, table
 from hpe_rig.study.results import SUMMARY, StudyResult, write_whole
-from hpe_rig.study.series import View, is_map, views
+from hpe_rig.study.series import View, error_figures, is_map, shown, spans, views, with_error
 
 PNG_DPI = 150
+FIGURES = ("amplitude bias (%)", "amplitude jitter (%)", "phase bias (°)", "phase jitter (°)")
 LEAD = (
     "Bias and jitter of eq. (14) and (15): mean and standard deviation of the error of amplitude and phase. Bands: two "
     "Monte Carlo standard errors to each side. Physical: every scatterer echoes from its own depth; literal: eq. (11) "
@@ -35,12 +36,39 @@ def write_study_report(name: str, results: Sequence[StudyResult], output: Path, 
     Raises ``SettingsError`` where the page cannot be written.
     """
     path = output / f"{name}.html"
-    parts = [*lead, *(study_part(one, output / one.name) for one in results)]
+    leading = list(lead)
+    headline = leading[0].headline if leading else _headline(results)
+    parts = [*leading, found_part(results), *(study_part(one, output / one.name) for one in results)]
     parts.append(run_time_part(results))
     facts = {**versions(), "cases computed with": ", ".join(sorted({v for one in results for v in one.versions}))}
-    title = results[0].definition.title if len(results) == 1 else f"Parameter study: {name}"
-    write_whole(path, render(title, LEAD, parts, facts))
+    title = results[0].definition.title if len(results) == 1 else f"Parameter studies: {name}"
+    write_whole(path, render(title, (headline, *LEAD), parts, facts))
     return path
+
+
+def _headline(results: Sequence[StudyResult]) -> str:
+    """Return what the first study found, by the paper's chain if that took part, in one sentence."""
+    one = _first_of_each(results[0])[0]
+    bias, jitter, _, phase_jitter = spans(one.rows)
+    return (
+        f"{one.title}: the amplitude's bias is {bias} %, its jitter {jitter} %, the phase's jitter {phase_jitter} deg "
+        f"over {len(one.rows)} cases."
+    )
+
+
+def found_part(results: Sequence[StudyResult]) -> Part:
+    """Return bias and jitter of every study, reading and estimator, least to largest over the cases."""
+    rows: list[dict[str, Any]] = [
+        {"study": result.definition.title, "reading": one.reading, "estimator": spec_of(one.estimator).label}
+        | ({"frequency (Hz)": one.frequency_hz} if len({other.frequency_hz for other in views(result)}) > 1 else {})
+        | dict(zip(FIGURES, spans(one.rows), strict=True))
+        for result in results
+        for one in views(result)
+    ]
+    columns = dict.fromkeys(name for row in rows for name in row)
+    rows = [{name: row.get(name) for name in columns} for row in rows]
+    caption = "Least to largest over the cases of a study, in % of the true amplitude and in degrees."
+    return Part("found-part", "What was found", (), (), (table("found", caption, rows, False),))
 
 
 def study_part(result: StudyResult, folder: Path) -> Part:
@@ -50,9 +78,20 @@ def study_part(result: StudyResult, folder: Path) -> Part:
     # Readings of the same estimator side by side.
     side_by_side = sorted(found, key=lambda one: estimators.index(one.estimator))
     pictures = tuple(_picture(result, one, folder) for one in side_by_side)
-    caption = f"{result.definition.title}: every case, SI units, se: standard error."
-    every = table(result.name, caption, result.rows, beside=f"{folder.name}/{SUMMARY}")
+    caption = f"{result.definition.title}: every case, with Monte Carlo standard errors."
+    every = table(result.name, caption, result.rows, beside=f"{folder.name}/{SUMMARY}", shown=_shown(result))
     return Part(f"{result.name}-part", result.definition.title, _precision(result), pictures, (every,))
+
+
+def _shown(result: StudyResult) -> list[dict[str, Any]]:
+    """Return the cases as a person reads them: axes with their units, bias and jitter in % and degrees."""
+    axes = result.definition.axes
+    return [
+        {axis.name: shown(row[axis.name], axis.unit) for axis in axes}
+        | {"reading": row["reading"], "estimator": spec_of(row["estimator"]).label, "f (Hz)": row["frequency_hz"]}
+        | {name: with_error(*found) for name, found in zip(FIGURES, error_figures(row), strict=True)}
+        for row in result.rows
+    ]
 
 
 def run_time_part(results: Sequence[StudyResult]) -> Part:
@@ -117,10 +156,15 @@ def _picture(result: StudyResult, one: View, folder: Path) -> Picture:
 def _precision(result: StudyResult) -> tuple[str, ...]:
     """Return how well the study knows its means, in words, and which estimates were refused."""
     relative = np.array([row["amplitude_bias_se_m"] / row["amplitude_true_m"] for row in result.rows])
+    known = "one draw has no standard error."
+    if np.isfinite(relative).any():
+        known = (
+            f"standard error of the mean displacement {_median(relative) * 100:.2g} % of D_0 (median), at most "
+            f"{np.nanmax(relative) * 100:.2g} %."
+        )
     words = [
         f"{result.realisations} realisations, {result.rows[0]['draws']} scatterer draws a case with "
-        f"{result.rows[0]['noise']} of noise each; standard error of the mean displacement "
-        f"{_median(relative) * 100:.2g} % of D_0 (median), at most {np.max(relative) * 100:.2g} %."
+        f"{result.rows[0]['noise']} of noise each; {known}"
     ]
     refused = sum(row["refused"] for row in result.rows)
     if refused:
@@ -149,8 +193,11 @@ def _run_time_figure(results: Sequence[StudyResult]) -> Figure:
         for reading, axes in panels.items():
             axes.set(xlabel="processor time of a case (s)", title=reading)
             label_decades(axes.xaxis)
+            label_decades(axes.yaxis)
         panels[readings[0]].set_ylabel("standard error of the mean displacement (nm)")
-        panels[readings[0]].legend(fontsize=7, ncols=2)
+        figure.legend(
+            *panels[readings[0]].get_legend_handles_labels(), loc="outside upper center", ncols=6, frameon=False
+        )
         return figure
 
 

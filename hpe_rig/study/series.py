@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,10 +129,39 @@ def _rows_at(one: View, axes: Sequence[Axis], values: Sequence[Any]) -> list[Stu
 
 def shown(value: Any, unit: str) -> str:
     """Return a value with its unit as a person writes it."""
-    if isinstance(value, str):
-        return value
+    if not isinstance(value, int | float):
+        return str(value)
     if unit == "m":
         return f"{value * 1e9:g} nm" if abs(value) < 5e-5 else f"{value * 1e3:g} mm"
     if unit == "Hz" and abs(value) >= 1e3:
         return f"{value / 1e6:g} MHz" if abs(value) >= 1e6 else f"{value / 1e3:g} kHz"
     return f"{value:g} {unit}".rstrip()
+
+
+def error_figures(row: Mapping[str, Any]) -> list[tuple[float, float]]:
+    """Return bias and jitter of amplitude, in %, and of phase, in degrees, each with its Monte Carlo standard error."""
+    percent, degrees = 100 / (row["amplitude_true_m"] or math.nan), math.degrees(1)
+    names = (("amplitude", "m", percent), ("phase", "rad", degrees))
+    return [
+        (row[f"{of}_{name}_{unit}"] * scale, row[f"{of}_{name}_se_{unit}"] * scale)
+        for of, unit, scale in names
+        for name in ("bias", "jitter")
+    ]
+
+
+def spans(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Return the least and the largest of each of `error_figures` over ``rows``; a dash where none is known."""
+    found = []
+    for values in zip(*([value for value, _ in error_figures(row)] for row in rows), strict=True):
+        known = [value for value in values if math.isfinite(value)]
+        low, high = (f"{edge(known):.3g}" if known else "–" for edge in (min, max))
+        found.append(low if low == high else f"{low} to {high}")
+    return found
+
+
+def with_error(value: float, se: float) -> str:
+    """Return a value and its standard error, both to the error's second digit."""
+    if not 0 < se < math.inf:
+        return f"{value:.4g}"
+    digits = max(0, 1 - math.floor(math.log10(se)))
+    return f"{value:.{digits}f} ± {se:.{digits}f}"

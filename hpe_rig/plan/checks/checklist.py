@@ -22,17 +22,10 @@ from hpe_rig.scene import Scene, ScenePoint
 
 Check = Callable[[Scene, BenchFile, Plan], Iterator[CheckResult]]
 
-CHECKS: Final[tuple[Check, ...]] = (
-    simulation,
-    trackable,
-    excitation,
-    generators,
-    drive,
-    acoustic_output,
-    interference,
-    tracking_train,
-    record_in_period,
-    depth,
+PUSH: Final[tuple[Check, ...]] = (simulation, trackable, excitation, generators, drive, acoustic_output)
+TRACKING: Final[tuple[Check, ...]] = (interference, tracking_train)
+PULSE_PERIOD: Final[tuple[Check, ...]] = (record_in_period, depth)
+ESTIMATE: Final[tuple[Check, ...]] = (
     wanted_frequencies,
     driven_harmonics,
     resolution,
@@ -41,24 +34,11 @@ CHECKS: Final[tuple[Check, ...]] = (
     gate_in_record,
     gates_over_depth,
     background,
-    board,
-    capture_mode,
-    memory,
-    periods,
 )
+BOARD: Final[tuple[Check, ...]] = (board, capture_mode, memory, periods)
+CHECKS: Final[tuple[Check, ...]] = (*PUSH, *TRACKING, *PULSE_PERIOD, *ESTIMATE, *BOARD)
 """Every check, in the order in which ``hpe-rig check`` prints them."""
-OF_RECORDS: Final[tuple[Check, ...]] = (
-    interference,
-    tracking_train,
-    wanted_frequencies,
-    driven_harmonics,
-    resolution,
-    fit_size,
-    fit_condition,
-    gate_in_record,
-    gates_over_depth,
-    background,
-)
+OF_RECORDS: Final[tuple[Check, ...]] = (*TRACKING, *ESTIMATE)
 """The checks that records have to pass which were imported: they ask nothing of instruments."""
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.result import csv_text
+from hpe_rig.result import csv_text, mark
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.validation.accuracy.work_precision import file_mistakes
 
@@ -233,7 +233,7 @@ def write_figure(rows: list[Measurement], path: Path) -> None:
         _draw_work([row for row in rows if row.scatterers == count], panel)
         panel.set(xscale="log", yscale="log", xlabel="run time (s)", title=f"{count:.0e} scatterers")
     panels[0].set_ylabel("relative rms error")
-    panels[0].legend(fontsize=7)
+    above.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
     for panel, (along, other) in zip(
         below.subplots(1, 2, sharey=True), (("scatterers", "echoes"), ("echoes", "scatterers")), strict=True
     ):
@@ -247,8 +247,8 @@ def write_figure(rows: list[Measurement], path: Path) -> None:
 
 def _draw_work(rows: list[Measurement], panel: Axes) -> None:
     echoes = sorted({row.echoes for row in rows})
-    kinds = {"direct": ("x", "C3"), "running_sum": ("s", "C0"), "interpolated": ("^", "C1"), "series": ("o", "C2")}
-    for kind, (marker, colour) in kinds.items():
+    for kind_place, kind in enumerate(("direct", "running_sum", "interpolated", "series")):
+        marker, colour = mark(kind_place)
         for place, echo_count in enumerate(echoes):
             some = [row for row in rows if (row.evaluation, row.echoes) == (kind, echo_count)]
             shade, label = 0.35 + 0.65 * (place + 1) / len(echoes), kind if place == 0 else None
@@ -267,4 +267,4 @@ def _draw_cost(rows: list[Measurement], panel: Axes, along: str, other: str) -> 
         panel.plot(*zip(*line, strict=True), marker="o", ms=4, lw=0.8, label=f"{value:.0e} {other}")
     panel.set(xscale="log", yscale="log", xlabel=along, ylabel="run time (s)", title=f"The engine at {tolerance:g}")
     if some:
-        panel.legend(fontsize=7)
+        panel.legend(loc="lower center", bbox_to_anchor=(0.5, 1.1), ncols=3, frameon=False, fontsize=7)

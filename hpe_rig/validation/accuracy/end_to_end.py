@@ -264,12 +264,13 @@ def draw_end_to_end(rows: Sequence[EndToEnd], path: Path) -> None:
     """Draw error over run time of every way, and the numerical part of it over tolerance and nodes."""
     figure = Figure(figsize=(11, 4.8))
     whole, numerical = figure.subplots(1, 2, width_ratios=[3, 2])
-    figure.subplots_adjust(left=0.065, right=0.99, bottom=0.11, top=0.93, wspace=0.18)
+    figure.subplots_adjust(left=0.065, right=0.99, bottom=0.11, top=0.8, wspace=0.18)
     _whole(whole, rows)
     _numerical(numerical, rows)
     for axes in (whole, numerical):
         axes.set(xscale="log", yscale="log")
         label_decades(axes.xaxis)
+        label_decades(axes.yaxis)
         axes.grid(alpha=0.3)
     figure.savefig(path)
 
@@ -293,9 +294,8 @@ def _whole(axes: Axes, rows: Sequence[EndToEnd]) -> None:
     axes.set(
         xlabel="processor time, scene to amplitude (s)",
         ylabel="rms error / true amplitude",
-        title="Final amplitude; larger marks: longer gates",
     )
-    axes.legend(fontsize=7, ncols=2)
+    _legend_above(axes, "Final amplitude; larger marks: longer gates", 4)
 
 
 def _numerical(axes: Axes, rows: Sequence[EndToEnd]) -> None:
@@ -316,9 +316,13 @@ def _numerical(axes: Axes, rows: Sequence[EndToEnd]) -> None:
     axes.set(
         xlabel=f"processor time of {most} realisations (s)",
         ylabel="rms numerical error / amplitude",
-        title="Of which tolerance and nodes",
     )
-    axes.legend(fontsize=7)
+    _legend_above(axes, "Of which tolerance and nodes", 2)
+
+
+def _legend_above(axes: Axes, title: str, columns: int) -> None:
+    """Put the legend with its title above the panel, where it covers nothing."""
+    axes.legend(title=title, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize=8)
 
 
 def _star(axes: Axes, points: Sequence[tuple[float, float]]) -> None:

@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.result import Picture, inline
+from matplotlib import rc_context
+
+from hpe_rig.result import STYLE, Picture, inline
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import unwritable, versions
 from hpe_rig.study import PageTable, Part, cell, render, table, write_whole
@@ -110,10 +112,10 @@ def lead(end_to_end: PageTable) -> list[str]:
     shipped = [row for row in end_to_end.rows if row["shipped"]]
     each = (f"{row['error'] * 100:.2g} % in {row['time_s']:.2g} s from {row['realisations']}" for row in shipped)
     return [
-        "Every way the twin and the estimators can work, with how wrong and how long: times on one core of this "
+        f"Shipped default, error of the final amplitude by number of realisations: {'; '.join(each)}.",
+        f"Tolerance and nodes contribute {shipped[0]['numerical_error']:.1g}; the rest is scatterers and noise. Below: "
+        "every way the twin and the estimators can work, with how wrong and how long: times on one core of this "
         "machine (processor time end to end, else wall time), errors against exact references.",
-        f"Shipped default, error of the final amplitude by number of realisations: {'; '.join(each)}. Tolerance and "
-        f"nodes contribute {shipped[0]['numerical_error']:.1g}; the rest is scatterers and noise.",
     ]
 
 
@@ -204,7 +206,8 @@ def _part(
     """Return a section with the picture that ``draw`` writes of ``rows``, entitled ``drawn``, and their table."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "drawn.svg"
-        draw(rows, path)
+        with rc_context(STYLE):
+            draw(rows, path)
         svg = inline(path.read_text(encoding="utf-8"), key, drawn, alt)
     return Part(f"{key}-part", title, words, (Picture(key, drawn, alt, svg),), (table(key, caption, rows),))
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from numpy.typing import NDArray
 from hpe_rig.result import csv_text, label_decades, mappings, mark, text_table
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import unwritable
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
 
 Floats = NDArray[np.float64]
 Row = TypeVar("Row")
@@ -148,6 +152,8 @@ def draw_panels(
 ) -> None:
     """Draw panels by title, in each (time, error) by method, on logarithmic axes: the best is low and to the left.
 
+    A method has the same mark in every panel; one legend above them all.
+
     ``over_bound``: errors are ratios to a bound, so that all panels share an axis, with a line at 1 and no others.
     """
     from matplotlib.figure import Figure
@@ -158,18 +164,25 @@ def draw_panels(
     axes = figure.subplots(lines, columns, squeeze=False, sharey=over_bound).ravel()
     for spare in axes[len(panels) :]:
         spare.set_axis_off()
+    marks = {method: mark(place) for place, method in enumerate(dict.fromkeys(itertools.chain(*panels.values())))}
+    drawn: dict[str, Artist] = {}
     for one, (title, methods) in zip(axes, panels.items(), strict=False):
-        for place, (method, points) in enumerate(methods.items()):
-            marker, colour = mark(place)
+        for method, points in methods.items():
+            marker, colour = marks[method]
             line = "" if over_bound else "-"
-            one.plot(*zip(*points, strict=True), marker=marker, ls=line, lw=0.8, ms=4, color=colour, label=method)
-        one.set(xscale="log", yscale="log", xlabel=x_label, title=title)
+            (drawn[method],) = one.plot(
+                *zip(*points, strict=True), marker=marker, ls=line, lw=0.8, ms=4, color=colour, label=method
+            )
+        one.set(xscale="log", yscale="log", xlabel=x_label)
+        one.set_title(title, fontsize=9)
         label_decades(one.xaxis)
+        label_decades(one.yaxis)
         one.grid(alpha=0.3)
         if over_bound:
             one.axhline(1, color="0.6", lw=0.8)
-        if not over_bound or one is axes[0]:
-            one.legend(fontsize=7, framealpha=0.5)
     for one in axes[::columns]:
         one.set_ylabel(y_label)
+    figure.legend(
+        [drawn[method] for method in marks], list(marks), loc="outside upper center", ncols=2 * columns, frameon=False
+    )
     figure.savefig(path)

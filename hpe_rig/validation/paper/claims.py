@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from hpe_rig.study import OURS, StudyResult, lateral_average
+from hpe_rig.study import OURS, StudyResult, lateral_average, with_error
 from hpe_rig.validation.paper.judgement import (
     AGREES,
     DIFFERS,
@@ -26,7 +26,6 @@ from hpe_rig.validation.paper.judgement import (
     map_of,
     number,
     span_of_largest,
-    with_error,
 )
 
 NM, DEGREES = 1e9, 180 / math.pi

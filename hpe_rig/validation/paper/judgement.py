@@ -11,7 +11,7 @@ from typing import Concatenate, ParamSpec
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.study import Curve, StudyResult, View, curves, maps, view
+from hpe_rig.study import Curve, StudyResult, View, curves, maps, view, with_error
 
 Floats = NDArray[np.float64]
 Columns = dict[str, Floats]
@@ -85,14 +85,6 @@ def below(values: Floats, se: Floats, limit: float, unit: str) -> Judgement:
     low, high = span_of_largest(values, se)
     verdict = AGREES if high < limit else DIFFERS if low > limit else UNTOLD
     return Judgement(f"at most {values.max():.3g}{unit}, {low:.3g} to {high:.3g} with selection", verdict)
-
-
-def with_error(value: float, se: float) -> str:
-    """Return a value and its standard error, both to the error's second digit."""
-    if not 0 < se < math.inf:
-        return f"{value:.4g}"
-    digits = max(0, 1 - math.floor(math.log10(se)))
-    return f"{value:.{digits}f} ± {se:.{digits}f}"
 
 
 def ends(result: StudyResult, reading: str) -> tuple[Curve, Curve]:

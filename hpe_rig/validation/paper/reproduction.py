@@ -7,21 +7,11 @@ from dataclasses import dataclass
 
 from hpe_rig.study import Part, StudyResult, table
 from hpe_rig.validation.paper import claims
-from hpe_rig.validation.paper.judgement import (
-    ABSENT,
-    AGREES,
-    DIFFERS,
-    IN_PART,
-    UNTOLD,
-    Judge,
-    flat,
-    judged,
-    slight,
-    trend,
-)
+from hpe_rig.validation.paper.judgement import ABSENT, AGREES, Judge, flat, judged, slight, trend
 
 READINGS = ("physical", "literal", "as_printed", "one_draw")
-COUNTED = (AGREES, IN_PART, DIFFERS, UNTOLD)
+WORDS = {"physical": "physically", "literal": "literally", "as_printed": "as printed", "one_draw": "with one draw"}
+"""How a reading is said in a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,25 +46,15 @@ def rows(results: Mapping[str, StudyResult]) -> list[dict[str, str]]:
     return out
 
 
-def counts(rows_told: list[dict[str, str]]) -> str:
-    """Return how many statements agree, agree in part, differ and stay open in each reading that was run."""
-    parts = []
-    for name in READINGS:
-        verdicts = [row[f"verdict, {name}"] for row in rows_told]
-        listed = ", ".join(f"{verdicts.count(word)} {word}" for word in COUNTED)
-        if len(verdicts) > verdicts.count(ABSENT):
-            parts.append(f"{name.replace('_', ' ')} {len(verdicts) - verdicts.count(ABSENT)}: {listed}")
-    return f"{len(rows_told)} statements. {'; '.join(parts)}."
-
-
 def reproduction_part(results: Sequence[StudyResult]) -> Part | None:
     """Return the paper's statements against these studies; None where they tell nothing about any."""
     found = rows({one.name: one for one in results})
     told = [row for row in found if not all(row[f"verdict, {name}"] == ABSENT for name in READINGS)]
     if not told:
         return None
+    absent = _not_run(told)
+    told = [{name: text for name, text in row.items() if name not in absent} for row in told]
     words = [
-        counts(told),
         "Each number and each stated trend of the paper against what comes out of the paper's own chain. Agrees: a "
         "number within its rounding and three standard errors; a trend significant (three standard errors) at 0, 20 "
         "and 40 dB. In part: at some of them. Inconclusive: neither it nor its absence shows. What is said of a "
@@ -84,7 +64,23 @@ def reproduction_part(results: Sequence[StudyResult]) -> Part | None:
         rest = len(found) - len(told)
         words.append(f"{rest} statements need other studies: hpe-rig study reproduction has them all.")
     shown = table("reproduction", "Reproduction of the paper.", told, folded=False)
-    return Part("reproduction-part", "Reproduction", tuple(words), (), (shown,))
+    return Part("reproduction-part", "Reproduction", tuple(words), (), (shown,), _headline(told))
+
+
+def _not_run(told: Sequence[Mapping[str, str]]) -> set[str]:
+    """Return the columns of readings that no study was run in."""
+    absent = [name for name in READINGS if all(row[f"verdict, {name}"] == ABSENT for row in told)]
+    return {column for name in absent for column in (name, f"verdict, {name}")}
+
+
+def _headline(told: Sequence[Mapping[str, str]]) -> str:
+    """Return how many statements agree in each reading that was run."""
+    parts = []
+    for name in READINGS:
+        verdicts = [verdict for row in told if (verdict := row.get(f"verdict, {name}", ABSENT)) != ABSENT]
+        if verdicts:
+            parts.append(f"{verdicts.count(AGREES)} of {len(verdicts)} read {WORDS[name]}")
+    return f"Statements of the paper that agree with what comes out: {', '.join(parts)}."
 
 
 SPECKLE = (

@@ -13,8 +13,9 @@ from typer.testing import CliRunner
 
 from hpe_rig.acquire.run import Setup, prepare, prepare_text
 from hpe_rig.cli.app import app
-from hpe_rig.design.command import Request, write_design
+from hpe_rig.design.command import Request, compared, write_design
 from hpe_rig.design.model import effective_pulses, predicted
+from hpe_rig.design.page import write_page
 from hpe_rig.design.problem import Constraints, Goal, Problem
 from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import simulate
@@ -83,6 +84,23 @@ def test_noise_falls_with_the_pulses_so_as_many_as_time_and_depth_allow_are_best
     bound_m, _ = harmonic_bound(20e-9, 130, int(count), 1e4, 9e6, 1540.0)
     # Rice at 20 nm 0.1 %, pulses that are no whole cycles 1 %, the band's share of a speckle's echo 1 %
     assert most_pulses.best.predict(50, 0).noise_jitter_m == pytest.approx(float(bound_m), rel=0.02)
+
+
+def test_the_page_says_before_and_after_and_draws_the_goal_over_each_number(
+    most_pulses: DesignResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    comparison = compared(most_pulses)
+    path = write_page(most_pulses, comparison, "hpe-rig design scenes/mine.toml --over pulse_count")
+    page = path.read_text(encoding="utf-8")
+    assert path.name == "mine-design.html"
+    before, after = next(row[1:] for row in comparison.outcome if row[0] == "jitter over amplitude")
+    assert f"Jitter over amplitude: {after} instead of {before}." in page
+    assert page.count("<figure") == len(most_pulses.problem.space)
+    for name, _, now in (*comparison.varied, *comparison.outcome):
+        assert name in page
+        assert f">{now}<" in page or "_" in now or " deg" in now
+    assert "<script" not in page
 
 
 def test_what_holds_the_best_scene_back_is_said(most_pulses: DesignResult) -> None:

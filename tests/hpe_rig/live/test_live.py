@@ -28,13 +28,14 @@ from hpe_rig.acquire.stop_request import StopRequested, clear_stop, request_stop
 from hpe_rig.cli.app import app
 from hpe_rig.cli.watch import PageOptions, watched
 from hpe_rig.live import server
-from hpe_rig.live.alignment import AlignSource, align, without_pushing
+from hpe_rig.live.alignment import AlignSource, align, band_percent, without_pushing
 from hpe_rig.live.history import TimeLeft
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
-from hpe_rig.live.state import State
+from hpe_rig.live.state import State, band_verdict
 from hpe_rig.scene import load_scene
 from hpe_rig.scene.scene import scene_text
+from hpe_rig.scene.validation import SettingsError
 from hpe_rig.store import StoreError, WriteOptions, read_run
 
 
@@ -490,6 +491,24 @@ def test_alignment_repeats_single_shots_until_stopped_from_the_page() -> None:
     shown = [state for state in states if "rf" in state]
     assert shown[-1]["mode"] == "align"
     assert shown[-1]["level"]["rms_mv"] > 10
+    trend = shown[-1]["trend_percent"]
+    assert trend[-1] == pytest.approx(100 * shown[-1]["level"]["of_full_scale"], abs=0.006)
+    assert shown[-1]["highest_percent"] == pytest.approx(max(trend), abs=0.006)
+    assert shown[-1]["verdict"] == "within 10 to 80 % of full scale"
+
+
+def test_the_band_says_what_to_try_beyond_it() -> None:
+    def said(of_full_scale: float, clipped: bool = False) -> str:
+        return band_verdict({"of_full_scale": of_full_scale, "clipped": clipped}, (10.0, 80.0))
+
+    assert said(0.05).startswith("below 10 %")
+    assert said(0.5).startswith("within")
+    assert said(0.9).startswith("above 80 %")
+    assert said(1.0, True).startswith("clipped")
+    assert band_percent("5:60") == (5.0, 60.0)
+    for wrong in ("80:10", "10", "a:b", "-1:5", "0:101", "nan:5"):
+        with pytest.raises(SettingsError, match="no band"):
+            band_percent(wrong)
 
 
 def test_an_alignment_without_records_says_so() -> None:

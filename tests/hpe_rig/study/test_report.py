@@ -8,6 +8,7 @@ import io
 import itertools
 import math
 import re
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from html.parser import HTMLParser
 from pathlib import Path
@@ -110,7 +111,7 @@ def test_every_picture_is_named_and_told_in_words(page: str) -> None:
 
 def test_the_table_behind_a_study_downloads_in_full_precision(page: str, tiny: StudyResult) -> None:
     links = {a["download"]: a["href"] for tag, a in Outline(page).elements if tag == "a" and "download" in a}
-    assert set(links) == {"reproduction.csv", "fig-5.csv", "time-by-study.csv", "realisations.csv"}
+    assert set(links) == {"reproduction.csv", "found.csv", "fig-5.csv", "time-by-study.csv", "realisations.csv"}
     text = base64.b64decode((links["fig-5.csv"] or "").partition("base64,")[2]).decode()
     rows = list(csv.DictReader(io.StringIO(text)))
     assert [float(row["amplitude_bias_m"]) for row in rows] == [row["amplitude_bias_m"] for row in tiny.rows]
@@ -122,6 +123,30 @@ def test_every_figure_stands_beside_the_results_as_svg_and_png(folder: Path, pag
     for reading in ("physical", "literal"):
         assert {f"fig-5-{reading}-cross_spectrum-200.{suffix}" for suffix in ("svg", "png")} <= names
     assert (folder / "fig-5" / "fig-5-physical-cross_spectrum-200.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_page_counts_the_verdicts_and_a_link_shows_those_rows_alone(page: str, tiny: StudyResult) -> None:
+    elements = Outline(page).elements
+    places = {attributes.get("id") for _, attributes in elements}
+    links = re.findall(r'href="#(reproduction-[^"]*)">(\d+) ([^<]*)</a>', page)
+    told = reproduction_part([tiny])
+    assert told is not None
+    for reading in ("physical", "literal"):
+        verdicts = Counter(row[f"verdict, {reading}"] for row in told.tables[0].rows)
+        found = {verdict: int(count) for anchor, count, verdict in links if f"-{reading}-" in anchor}
+        assert found == verdicts
+    for anchor, count, _ in links:
+        assert anchor in places
+        assert f"#{anchor}:target ~ .scroll tbody tr:not(.{anchor})" in page
+        rows = [a for tag, a in elements if tag == "tr" and anchor in (a.get("class") or "").split()]
+        assert len(rows) == int(count)
+
+
+def test_the_page_begins_with_what_was_found_and_ends_with_how_long_it_took(page: str) -> None:
+    heads = re.findall(r'<h2 id="([^"]*)"', page)
+    assert heads == ["reproduction-part", "found-part", "fig-5-part", "run-time-part", "made"]
+    first = page[page.index('class="headline"') :].partition("</p>")[0]
+    assert "Statements of the paper" in first
 
 
 def test_the_four_panels_have_units_and_bands_of_two_errors(tiny: StudyResult) -> None:
@@ -153,7 +178,8 @@ def test_axes_of_words_and_single_draws_are_drawn_too(tiny: StudyResult, tmp_pat
     study = StudyResult("words", definition, rows, ("0",))
     page = write_study_report("words", [study], tmp_path).read_text(encoding="utf-8")
     assert all(str(value) in page for value in values)
-    assert "nan % of D_0" in page
+    assert "one draw has no standard error" in page
+    assert "nan %" not in page
     ticks = curve_figure(study, views(study)[0]).axes[0].get_xticklabels()
     assert [tick.get_text() for tick in ticks] == [str(value) for value in values]
 

@@ -13,6 +13,7 @@ from scipy.integrate import dblquad
 from hpe_rig.study.definition import Definition, shipped_studies
 from hpe_rig.study.map_figures import lateral_average
 from hpe_rig.study.results import StudyResult
+from hpe_rig.study.series import with_error
 from hpe_rig.validation.paper import claims as claim_judges, judgement, reproduction
 from hpe_rig.validation.paper.judgement import ABSENT, AGREES, DIFFERS, IN_PART, UNTOLD
 
@@ -80,7 +81,7 @@ def test_no_effect_means_small_or_within_chance_at_every_snr() -> None:
 def test_a_number_agrees_within_its_rounding_and_three_errors() -> None:
     assert judgement.number(0.8150, 0.001, 0.818, 0.0005).verdict == AGREES
     assert judgement.number(0.8150, 0.001, 0.819, 0.0005).verdict == DIFFERS
-    assert judgement.with_error(0.81453, 0.00123) == "0.8145 ± 0.0012"
+    assert with_error(0.81453, 0.00123) == "0.8145 ± 0.0012"
 
 
 def test_a_limit_for_the_largest_of_many_knows_how_far_chance_lifts_it() -> None:
