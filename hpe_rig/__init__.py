@@ -30,6 +30,12 @@ l_g  gate_length_m      F_s  sample_rate_hz    f_v    frequencies_hz    T_s  pro
 E, T excitation_width_m, tracking_width_m      D_0, phi_s  amplitude_m, phase_rad
 """
 
+from hpe_rig.startup import end_plainly, is_program
+
+if is_program():
+    # Before anything else is loaded, which takes as long as Python's own start.
+    end_plainly()
+
 import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
