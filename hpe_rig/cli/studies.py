@@ -29,10 +29,22 @@ def accuracy(
         Path | None,
         typer.Option(callback=file_named, help="Work-precision figure, .svg, .png or .pdf."),
     ] = None,
-    largest: Annotated[int, typer.Option(help="Largest number of scatterers.")] = 1_000_000,
-    most_echoes: Annotated[int, typer.Option(help="Largest number of echoes.")] = 10_000,
-    longest_s: Annotated[float, typer.Option(help="Skip cases expected to take longer, in s.")] = 5.0,
-    draws: Annotated[int, typer.Option(min=2, help="Draws per case in motion; ten times as many end to end.")] = 100,
+    largest: Annotated[
+        int | None, typer.Option(help="Largest number of scatterers. Default: 100000, with --full 1000000.")
+    ] = None,
+    most_echoes: Annotated[
+        int | None, typer.Option(help="Largest number of echoes. Default: 1000, with --full 10000.")
+    ] = None,
+    longest_s: Annotated[
+        float | None, typer.Option(help="Skip cases expected to take longer, in s. Default: 0.5, with --full 5.")
+    ] = None,
+    draws: Annotated[
+        int | None,
+        typer.Option(
+            min=2, help="Draws per case in motion; ten times as many end to end. Default: 10, with --full 100."
+        ),
+    ] = None,
+    full: Annotated[bool, typer.Option("--full", help="Every size and all draws: minutes instead of one.")] = False,
     scene: Annotated[
         str | None,
         typer.Option(metavar="SCENE", help="Measure on this scene what it leaves open: estimator, fit, gate, field."),
@@ -42,15 +54,21 @@ def accuracy(
     quick: Annotated[bool, typer.Option("--quick", help="With --scene: within a minute, by fewer seeds.")] = False,
 ) -> None:
     """Measure error against run time. Of the simulated physics, of the estimators, end to end, or on a scene."""
-    from hpe_rig.validation import Effort, write_accuracy, write_accuracy_report, write_own_scene
+    from dataclasses import replace
+
+    from hpe_rig.cli.terminal import told
+    from hpe_rig.validation import FULL, Effort, write_accuracy, write_accuracy_report, write_own_scene
 
     if scene is not None:
         _refuse_part(part)
         write_own_scene(scene, bench, seeds, quick, output, figure, typer.echo, announce)
         return
-    effort = Effort(largest, most_echoes, longest_s, draws)
+    asked = {"largest": largest, "most_echoes": most_echoes, "longest_s": longest_s, "draws": draws}
+    stated = {name: value for name, value in asked.items() if value is not None}
+    effort = replace(FULL if full else Effort(), **stated)  # type: ignore[arg-type]
     if part is None:
-        write_accuracy_report(output or Path("accuracy.html"), figure, effort, announce)
+        with told("accuracy") as step:
+            write_accuracy_report(output or Path("accuracy.html"), figure, effort, announce, step)
     else:
         write_accuracy(part, output, figure, effort, typer.echo)
 

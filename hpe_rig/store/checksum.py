@@ -39,7 +39,7 @@ COVERED_ELSEWHERE: Final = ("records/trigger_time_s",)
 Place = tuple[int, ...]
 
 
-def digest(name: str, place: Place, *parts: bytes) -> int:
+def digest(name: str, place: Place, *parts: bytes | memoryview) -> int:
     """Return the checksum of ``parts``, the bytes of the piece of dataset ``name`` at ``place``; never zero."""
     found = blake2b(f"{name} {place}".encode(), digest_size=8)
     for part in parts:

@@ -16,6 +16,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -23,7 +24,7 @@ from typing import Any, final
 
 import h5py
 import numpy as np
-from h5py import h5f, h5fd, h5p
+from h5py import h5f, h5fd, h5p, h5s
 from numpy.typing import NDArray
 
 from drivers.interfaces import RecordBlock
@@ -92,10 +93,12 @@ class RunWriter:
             logging.getLogger("hpe_rig").warning("%s: its disk knows no locks. Let no other run write it.", path)
         self._volts = volts_of_codes(plan.shots[0].capture.input_range_v, bench.bench.digitizer.board_model.code_limits)
         self._tables = {name: _Table(self._file, name) for name in (*BY_SHOT, *AT_ONCE)}
-        self._chunk = _Chunk(self._file, "records/echo")
+        # A checksum takes as long as writing what it is of: they go on at the same time.
+        self._beside = ThreadPoolExecutor(1, thread_name_prefix="checksum")
+        self._chunk = _Chunk(self._file, "records/echo", self._beside)
         self._chunks = (
             self._chunk,
-            *([_Chunk(self._file, "records/monitor")] if "records/monitor" in self._file else []),
+            *([_Chunk(self._file, "records/monitor", self._beside)] if "records/monitor" in self._file else []),
         )
         self._arrivals = _Arrivals(self._file, self._chunk.rows)
         self._shot: _ShotRows | None = None
@@ -229,18 +232,29 @@ class RunWriter:
         time_s: NDArray[np.float64],
     ) -> None:
         # Records of one block may reach over several chunks, and late ones may belong to an earlier chunk.
-        for number in np.unique(index // self._chunk.rows):
-            here = index // self._chunk.rows == number
+        for number, here in self._by_chunk(index):
             if (rows.index, number) != self._chunk.place:
                 self._write_chunk()
                 for chunk in self._chunks:
-                    chunk.begin(rows.index, int(number))
+                    chunk.begin(rows.index, number)
             for chunk, of_input in zip(self._chunks, codes, strict=True):
-                chunk.put(index[here] % chunk.rows, of_input[here])
+                chunk.put(index[here] - number * chunk.rows, of_input[here])
             rows.recorded[index[here]] = True
             rows.trigger_time_s[index[here]] = time_s[here]
             if index[here][-1] % self._chunk.rows == self._chunk.rows - 1:
                 self._write_chunk()
+
+    def _by_chunk(self, index: NDArray[np.int64]) -> Iterator[tuple[int, slice | NDArray[np.bool_]]]:
+        """Yield each chunk that records ``index`` (record,) belong to, and which of them do."""
+        rows = self._chunk.rows
+        if index.size and index[-1] - index[0] == index.size - 1 and bool(np.all(np.diff(index) == 1)):
+            # One after another, as nearly always: slices copy nothing.
+            first, last = int(index[0]), int(index[-1])
+            for number in range(first // rows, last // rows + 1):
+                yield number, slice(max(0, number * rows - first), (number + 1) * rows - first)
+            return
+        for number in np.unique(index // rows).tolist():
+            yield number, index // rows == number
 
     def _write_chunk(self) -> None:
         """Write the current chunk, then the marks of its records; do nothing if no record was added since."""
@@ -288,6 +302,7 @@ class RunWriter:
                 self._journal.amend(self._endings["failed"])
         with contextlib.suppress(OSError):
             self._journal.close()
+        self._beside.shutdown()
         if failure is not None:
             raise failure
 
@@ -374,13 +389,23 @@ class _Arrivals:
     def put(self, shot: int, number: int, recorded: NDArray[np.bool_], time_s: NDArray[np.float64]) -> None:
         """Write those of chunk ``number`` out of the shot's, each (pulse,)."""
         rows = slice(number * self._rows, (number + 1) * self._rows)
-        self._time_s[shot, rows] = time_s[rows]
-        self._time_s.flush()
-        self._recorded[shot, rows] = recorded[rows]
-        self._recorded.flush()
-        parts = stored_bytes(recorded[rows], self._recorded.dtype), stored_bytes(time_s[rows], self._time_s.dtype)
-        self._sums[shot, number] = digest("records/recorded", (shot, number), *parts)
-        self._sums.flush()
+        marks = np.ascontiguousarray(recorded[rows], self._recorded.dtype)
+        times_s = np.ascontiguousarray(time_s[rows], self._time_s.dtype)
+        _put_row(self._time_s, (shot, rows.start), times_s)
+        _put_row(self._recorded, (shot, rows.start), marks)
+        found = digest("records/recorded", (shot, number), marks.tobytes(), times_s.tobytes())
+        _put_row(self._sums, (shot, number), np.array([found], "<u8"))
+
+
+def _put_row(dataset: h5py.Dataset, start: tuple[int, int], values: NDArray[Any]) -> None:
+    """Write ``values`` (place,), of the dataset's own type, from ``start`` on along its last axis.
+
+    Through the library's own interface: to find out what an index means takes h5py ten times as long as writing it.
+    """
+    there, here = dataset.id.get_space(), h5s.create_simple((values.size,))
+    there.select_hyperslab(start, (1, values.size))
+    dataset.id.write(here, there, values)
+    dataset.id.flush()
 
 
 @final
@@ -391,8 +416,8 @@ class _Chunk:
     that a late record only means writing it once more.
     """
 
-    def __init__(self, file: h5py.File, name: str) -> None:
-        self._name, self.short_name = name, name.rpartition("/")[2]
+    def __init__(self, file: h5py.File, name: str, beside: Executor) -> None:
+        self._name, self.short_name, self._beside = name, name.rpartition("/")[2], beside
         self._echo = echo = file[name]
         self._sums = file[f"{GROUP}/{name}"]
         self._plain = echo.id.get_create_plist().get_nfilters() == 0
@@ -408,7 +433,10 @@ class _Chunk:
 
     def put(self, rows: NDArray[np.int64], codes: NDArray[np.int16]) -> None:
         """Put ``codes`` (row, sample) into the rows ``rows``."""
-        self.codes[rows] = codes
+        if rows[-1] - rows[0] == rows.size - 1 and bool(np.all(np.diff(rows) == 1)):
+            self.codes[rows[0] : rows[-1] + 1] = codes
+        else:
+            self.codes[rows] = codes
         self.fresh = True
 
     def write(self, shot: int, first: int, codes: NDArray[np.int16]) -> None:
@@ -424,17 +452,17 @@ class _Chunk:
         shot, number = self.place
         first = number * self.rows
         if self._plain:
+            found = self._beside.submit(digest, self._name, self.place, self.codes.data)
             # Bypasses the library's cache, which would only copy.
             self._echo.id.write_direct_chunk((shot, first, 0), self.codes)
-            stored = self.codes.tobytes()
         else:
             rows = min(self.rows, self._echo.shape[1] - first)
             self._echo[shot, first : first + rows] = self.codes[:rows]
             self._echo.flush()
             _, stored = self._echo.id.read_direct_chunk((shot, first, 0))
-        self._echo.flush()
-        self._sums[shot, number] = digest(self._name, self.place, stored)
-        self._sums.flush()
+            found = self._beside.submit(digest, self._name, self.place, stored)
+        self._echo.id.flush()
+        _put_row(self._sums, self.place, np.array([found.result()], "<u8"))
         self.fresh = False
 
 

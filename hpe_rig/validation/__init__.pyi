@@ -8,6 +8,7 @@ from .accuracy.motion import (
 )
 from .accuracy.own_scene import write_own_scene as write_own_scene
 from .accuracy.report import (
+    FULL as FULL,
     Effort as Effort,
     write_accuracy as write_accuracy,
     write_accuracy_report as write_accuracy_report,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -99,7 +99,7 @@ def ways() -> list[tuple[str, Way]]:
 
 def rows(
     realisations: Sequence[int] = (1, 10, 100, 1000),
-    chosen: Sequence[tuple[str, Way]] | None = None,
+    chosen: Iterable[tuple[str, Way]] | None = None,
     seed: int = 0,
 ) -> list[EndToEnd]:
     """Return a row for every way and number of realisations, ascending; the largest gives bias and deviation."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from matplotlib import rc_context
 
@@ -23,25 +23,33 @@ from hpe_rig.validation.accuracy import (
     motion as accuracy_motion,
     specimen as accuracy_specimen,
 )
-from hpe_rig.validation.accuracy.end_to_end import EndToEnd, draw_end_to_end, rows as end_to_end_rows
+from hpe_rig.validation.accuracy.end_to_end import EndToEnd, draw_end_to_end, rows as end_to_end_rows, ways
 from hpe_rig.validation.accuracy.extremes import Extreme, extremes
 from hpe_rig.validation.accuracy.work_precision import Point, draw_points, grouped, points_text, write_rows
+
+Row = TypeVar("Row")
+Step = Callable[[int, int, str], None]
+"""What is told (parts done, of how many, doing what)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much is tried: sizes of the echo engine's scenes, draws a case of the estimators."""
+    """How much is tried: sizes of the echo engine's scenes, draws a case of the estimators; by default a minute's."""
 
-    largest: int = 1_000_000
-    most_echoes: int = 10_000
-    longest_s: float = 5.0
-    draws: int = 100
+    largest: int = 100_000
+    most_echoes: int = 1_000
+    longest_s: float = 0.5
+    draws: int = 10
 
     @property
     def realisations(self) -> tuple[int, ...]:
         """Realisations end to end."""
         most = 10 * self.draws
         return (*(count for count in (1, 10, 100) if count < most), most)
+
+
+FULL = Effort(1_000_000, 10_000, 5.0, 100)
+"""Minutes: every size that the engine is made for."""
 
 
 def write_accuracy(
@@ -62,22 +70,39 @@ def write_accuracy(
         raise SettingsError("command line", [mistake])
 
 
-def write_accuracy_report(path: Path, figure: Path | None, effort: Effort, tell: Callable[[str], None]) -> None:
-    """Run every accuracy study and write the report, part by part; raises ``SettingsError`` where it cannot."""
+def write_accuracy_report(
+    path: Path,
+    figure: Path | None,
+    effort: Effort,
+    tell: Callable[[str], None],
+    step: Step = lambda done, total, doing: None,
+) -> None:
+    """Run every accuracy study and write the report, part by part; raises ``SettingsError`` where it cannot.
+
+    ``step`` hears of every row, ``tell`` of every part.
+    """
     refuse(path, figure, effort)
-    parts, seconds = [], {}
+    parts: list[Part] = []
+    seconds: dict[str, float] = {}
     medium: list[Point] = []
+
+    def watched(rows: Iterable[Row]) -> Iterator[Row]:
+        for count, row in enumerate(rows, 1):
+            yield row
+            step(len(seconds), len(studies), f"{name}, {count} tried")
+
     studies: dict[str, Callable[[], Part]] = {
-        "end to end": lambda: end_to_end_part(end_to_end_rows(effort.realisations)),
-        "specimen": lambda: specimen_part(medium),
-        "stiff and extreme": lambda: extremes_part(list(extremes(medium))),
-        "echo": lambda: echo_part(effort),
-        "chain": lambda: _points_part("chain", "Receive chain: tails and oversampling", list(accuracy_chain.points())),
-        "motion": lambda: motion_part(effort.draws),
-        "harmonic": harmonic_part,
+        "end to end": lambda: end_to_end_part(end_to_end_rows(effort.realisations, watched(ways()))),
+        "specimen": lambda: specimen_part(medium, list(watched(accuracy_specimen.points()))),
+        "stiff and extreme": lambda: extremes_part(list(watched(extremes(medium)))),
+        "echo": lambda: echo_part(list(watched(echo_rows(effort)))),
+        "chain": lambda: chain_part(list(watched(accuracy_chain.points()))),
+        "motion": lambda: motion_part(list(watched(accuracy_motion.rows(draws=effort.draws))), effort.draws),
+        "harmonic": lambda: harmonic_part(list(watched(accuracy_harmonic.rows()))),
     }
     for name, study in studies.items():
         start_s = time.perf_counter()
+        step(len(seconds), len(studies), name)
         try:
             parts.append(study())
         except KeyboardInterrupt as interrupt:
@@ -137,9 +162,9 @@ def end_to_end_part(rows: Sequence[EndToEnd]) -> Part:
     return _part("end-to-end", "End to end", rows, draw_end_to_end, title, f"Front: {alt}.", caption, words)
 
 
-def specimen_part(found: list[Point]) -> Part:
-    """Return the medium's section; its points are added to ``found``."""
-    found += accuracy_specimen.points()
+def specimen_part(found: list[Point], points: Sequence[Point]) -> Part:
+    """Return the medium's section; its ``points`` are added to ``found``."""
+    found += points
     return _points_part("specimen", "Medium: response to a burst train", found)
 
 
@@ -152,20 +177,29 @@ def extremes_part(cases: Sequence[Extreme]) -> Part:
     return Part("stiff", "Stiff and extreme cases", words, (), (table("extremes", "Error by case.", cases, False),))
 
 
-def echo_part(effort: Effort) -> Part:
-    """Return the echo engine's section."""
+def echo_rows(effort: Effort) -> Iterator[accuracy_echo.Measurement]:
+    """Yield every evaluation of the scenes that ``effort`` allows for."""
     scatterers = tuple(count for count in accuracy_echo.SCATTERERS if count <= effort.largest)
     echoes = tuple(count for count in accuracy_echo.ECHOES if count <= effort.most_echoes)
-    rows = list(accuracy_echo.measurements(scatterers, echoes, longest_s=effort.longest_s))
-    alt = f"Relative error against run time, {scatterers[0]} to {scatterers[-1]} scatterers: the table has the numbers."
+    return accuracy_echo.measurements(scatterers, echoes, longest_s=effort.longest_s)
+
+
+def echo_part(rows: Sequence[accuracy_echo.Measurement]) -> Part:
+    """Return the echo engine's section."""
+    least, most = (bound(row.scatterers for row in rows) for bound in (min, max))
+    alt = f"Relative error against run time, {least} to {most} scatterers: the table has the numbers."
     caption = "Echo engine: error relative to the direct sum, every evaluation."
     title = "Echoes: error against run time"
     return _part("echo", "Echo engine", rows, accuracy_echo.write_figure, title, alt, caption)
 
 
-def motion_part(draws: int) -> Part:
+def chain_part(points: Sequence[Point]) -> Part:
+    """Return the receive chain's section."""
+    return _points_part("chain", "Receive chain: tails and oversampling", points)
+
+
+def motion_part(rows: list[accuracy_motion.MotionRow], draws: int) -> Part:
     """Return the section of the estimators of displacement."""
-    rows = list(accuracy_motion.rows(draws=draws))
     alt = "; ".join(_best(rows, name) for name in dict.fromkeys(row.estimator for row in rows))
     title = "Estimators: noise jitter over its bound against time"
     caption = f"Estimators, the paper's parameters one at a time, {draws} draws a case."
@@ -173,9 +207,8 @@ def motion_part(draws: int) -> Part:
     return _part("motion", "Echoes to amplitude and phase", rows, draw, title, f"{alt}.", caption)
 
 
-def harmonic_part() -> Part:
+def harmonic_part(rows: Sequence[accuracy_harmonic.HarmonicRow]) -> Part:
     """Return the section of the fits."""
-    rows = list(accuracy_harmonic.rows())
     alt = "; ".join(
         f"{row.method}, {row.pulses} pulses: {row.jitter_m / row.bound_m:.2f} in {row.time_s:.2g} s" for row in rows
     )

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from hpe_rig import validation
 from hpe_rig.cli.app import app
 from hpe_rig.validation.accuracy import end_to_end, report as accuracy_report
 from hpe_rig.validation.accuracy.end_to_end import EndToEnd, Way, pareto
 from hpe_rig.validation.accuracy.extremes import extremes
-from hpe_rig.validation.accuracy.report import end_to_end_part, lead
+from hpe_rig.validation.accuracy.report import FULL, Effort, end_to_end_part, lead, write_accuracy_report
 from hpe_rig.validation.accuracy.work_precision import Point
 
 
@@ -101,16 +102,39 @@ def test_mistakes_of_the_command_line_are_told_at_once_before_anything_runs(tmp_
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interruption_keeps_the_parts_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted() -> None:
-        raise KeyboardInterrupt
+def interrupted() -> None:
+    raise KeyboardInterrupt
 
-    monkeypatch.setattr(accuracy_report, "end_to_end_rows", lambda realisations: two_ways())
+
+def test_an_interruption_keeps_the_parts_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(accuracy_report, "end_to_end_rows", lambda realisations, chosen: two_ways())
     monkeypatch.setattr(accuracy_report.accuracy_specimen, "points", interrupted)
     done = CliRunner().invoke(app, ["accuracy", "--output", str(tmp_path / "a.html")])
     assert done.exit_code == 130
     assert "a.html holds the parts before specimen" in done.output
     assert 'download="end-to-end.csv"' in (tmp_path / "a.html").read_text(encoding="utf-8")
+
+
+def test_full_tries_more_of_everything_and_what_is_stated_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    efforts: list[Effort] = []
+    monkeypatch.setattr(validation, "write_accuracy_report", lambda path, figure, effort, *_: efforts.append(effort))
+    for arguments in ([], ["--full"], ["--full", "--draws", "7"], ["--largest", "500"]):
+        assert CliRunner().invoke(app, ["accuracy", *arguments]).exit_code == 0
+    quick, full, stated, small = efforts
+    assert (quick, full) == (Effort(), FULL)
+    assert all(getattr(full, name) > getattr(quick, name) for name in ("largest", "most_echoes", "longest_s", "draws"))
+    assert (stated, small) == (replace(FULL, draws=7), replace(Effort(), largest=500))
+
+
+def test_every_part_tells_how_far_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(accuracy_report, "end_to_end_rows", lambda realisations, chosen: list(chosen) and two_ways())
+    monkeypatch.setattr(accuracy_report.accuracy_specimen, "points", interrupted)
+    heard: list[tuple[int, int, str]] = []
+    with pytest.raises(KeyboardInterrupt):
+        write_accuracy_report(tmp_path / "a.html", None, Effort(), lambda text: None, lambda *step: heard.append(step))
+    assert heard[0] == (0, 7, "end to end")
+    assert heard[1] == (0, 7, "end to end, 1 tried")
+    assert heard[-1] == (1, 7, "specimen")
 
 
 @pytest.mark.slow
