@@ -15,7 +15,7 @@ A scene is a name, a path or a ``Scene`` wherever one is taken. The map:
 scene.toml -> plan -> bench -> sequencer -> records -> processing -> result -> report
 scene/        plan/   bench/   acquire/     store/     processing/   result/   report/
 before it: prediction/; after it: moduli/; beside it, files and code of others: recordings/, extensions/
-around it: live/, study/, design/, validation/, cli/
+around it: live/, study/, design/, validation/, cli/; startup.py: Ctrl-C while the program loads
 
 what                                        equation of the paper          where
 burst train, spectrum of its force          (17), (18)                     prediction/theory.py, sim_backend/motion
