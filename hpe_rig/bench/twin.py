@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from hpe_rig.bench.bench_file import BenchFile
     from sim_backend.motion import Dose
     from sim_backend.settings import SimulationSettings
-    from sim_backend.transducer import Push
+    from sim_backend.transducer import Push, WaterOutput
 
-_OWN_BEAM_KEYS = {"pulse_length_m", "transducer_diameter_m"}
+_OWN_BEAM_KEYS = {"pulse_length_m", "transducer_diameter_m", "attenuation_db_per_cm_mhz"}
 """What [beams] says to the application alone."""
 REFERENCE_CYCLES = 3
 """Cycles of the tracking pulse that gives the twin's stated echo."""
@@ -339,6 +339,16 @@ def twin_push(scene: Scene) -> Push | None:
     from sim_backend.transducer import push_of
 
     return push_of(twin.settings)
+
+
+def twin_water_output(scene: Scene, surface_pa: float) -> WaterOutput | None:
+    """Return what a hydrophone would find in water with ``surface_pa`` at the transducer; None where it is linear."""
+    twin = twin_of(scene)
+    if twin is None or twin.settings.propagation is None or scene.excitation is None:
+        return None
+    from sim_backend.transducer import water_output
+
+    return water_output(twin.settings, surface_pa)
 
 
 def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
