@@ -180,9 +180,12 @@ class TwinDeclaration:
         return self.settings.specimen is not None
 
     @property
-    def medium_name(self) -> str | None:
-        """Law by which the specimen moves, of this program or an installed package; None without specimen."""
-        return None if self.settings.specimen is None else self.settings.specimen.medium
+    def foreign_medium(self) -> str | None:
+        """Law of another package by which the specimen moves; None where it is one of the twin's own."""
+        from sim_backend.settings import OWN_MEDIA
+
+        medium = None if self.settings.specimen is None else self.settings.specimen.medium
+        return None if medium in OWN_MEDIA else medium
 
     @property
     def prescribed(self) -> tuple[tuple[float, float], ...]:
