@@ -5,8 +5,10 @@ from .amplitude import (
     relative_drive as relative_drive,
 )
 from .beam_averaging import (
+    TYPICAL as TYPICAL,
     beam_widths as beam_widths,
     depth_in_gate as depth_in_gate,
+    force_of as force_of,
     medium_motion as medium_motion,
     medium_of as medium_of,
     predicted_averaging as predicted_averaging,

@@ -69,6 +69,7 @@ from .prior import (
     medium_prior as medium_prior,
     seen_by as seen_by,
 )
+from .push_force import PushForce as PushForce, aperture_force as aperture_force
 from .shear_field import (
     ShearMotion as ShearMotion,
     focal_motion as focal_motion,

@@ -5,11 +5,13 @@ from __future__ import annotations
 import itertools
 import os
 import sys
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -20,7 +22,9 @@ from hpe_rig.acquire import (
     QueueRun,
     Setup,
     Step,
+    StopRequested,
     Watching,
+    json_schema,
     listed,
     new_queue,
     pausable,
@@ -180,6 +184,26 @@ def test_the_page_of_a_queue_follows_its_runs_and_says_which_of_how_many_and_how
         source.stop()
 
 
+def test_a_stop_between_two_runs_ends_the_queue_before_the_next_and_is_forgotten_by_a_resume(tmp_path: Path) -> None:
+    runs = [(str(path), None) for path in scenes(tmp_path, 2)]
+    folder = tmp_path / "queue"
+    queue, source, told = new_queue(runs, folder), QueueSource(folder), Watcher()
+    source.poll()
+
+    def tell(text: str) -> None:
+        if text.startswith("run 2"):
+            # The first run is complete, the second one has not begun.
+            source.poll()
+            source.stop()
+
+    with pytest.raises(StopRequested):
+        run_queue(folder, queue, Watching(tell, told.watch))
+    assert [run.state for run in read_queue(folder)] == ["done", "stopped"]
+    assert {name for name, _, _ in told.steps} == {"01-scene-0.h5"}
+    ended, _ = run_queue(folder, read_queue(folder), Watcher().watching)
+    assert [run.state for run in ended] == ["done", "done"]
+
+
 def test_the_page_of_a_queue_that_was_stopped_ends_once_no_run_follows(tmp_path: Path) -> None:
     runs = [(str(path), None) for path in scenes(tmp_path, 2)]
     folder, now_s = tmp_path / "queue", [0.0]
@@ -223,7 +247,10 @@ def test_a_list_names_scenes_and_benches_from_its_own_folder(tmp_path: Path) -> 
     found, stops = listed([str(path)], None)
     assert stops
     assert found == [(str(tmp_path / "a.toml"), tmp_path / "b.toml"), ("table-1", tmp_path / "c.toml")]
+    validator = jsonschema.Draft202012Validator(json_schema("queue"))
+    validator.validate(tomllib.loads(path.read_text("utf-8")))
     path.write_text(runs.replace("bench", "bank"), "utf-8")
+    assert not validator.is_valid(tomllib.loads(path.read_text("utf-8")))
     with pytest.raises(SettingsError, match="bank"):
         listed([str(path)], None)
 
