@@ -2,8 +2,9 @@
 
 The same I and Q for all: the peers give one velocity a pixel, the map amplitude, phase, velocity and their
 uncertainties, at one frequency or at ten. Another row has samples in place of I and Q, 16 a pixel. Peers that are not
-installed are left out. The least of many times, taken in turn; beside it the processor's, of all threads together,
-which tells more where other programs use the machine as well.
+installed are left out. The least of many times, taken in turn; beside it the processor's, of all threads together;
+then the medians of their ratios to the faster peer's in the same round. Where other programs use the machine as well,
+the clock says more of these; the map has as many threads as there are cores, PyMUST has one.
 
     python scripts/map_peers.py [--rounds 15]
 """
@@ -63,6 +64,14 @@ def peers(echo: NDArray[np.complex64]) -> dict[str, Callable[[], Any]]:
     return found
 
 
+def _ratio(times_s: dict[str, list[float]], name: str) -> str:
+    """Return the median over the rounds of a way's time over that of the peer that is the faster in the median."""
+    of_peers = [times_s[each] for each in times_s if not each.startswith("map")]
+    if not of_peers:
+        return "-"
+    return f"{np.median(np.array(times_s[name]) / min(of_peers, key=np.median)):.2f}"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--rounds", type=int, default=15)
@@ -77,18 +86,19 @@ def main() -> None:
         "map, ten frequencies": partial(map_pixels, by_pulse, time_s, TEN_HZ, pixels),
         "map of samples, ten frequencies": partial(map_pixels, samples, time_s, TEN_HZ, gates),
     }
-    best, busy = dict.fromkeys(ways, np.inf), dict.fromkeys(ways, np.inf)
+    clock: dict[str, list[float]] = {name: [] for name in ways}
+    busy: dict[str, list[float]] = {name: [] for name in ways}
     for _ in range(rounds):
         for name, way in ways.items():
             start, begun = time.perf_counter(), time.process_time()
             way()
-            best[name] = min(best[name], time.perf_counter() - start)
-            busy[name] = min(busy[name], time.process_time() - begun)
-    fastest = min((best[name] for name in peers(echo)), default=np.nan)
+            clock[name].append(time.perf_counter() - start)
+            busy[name].append(time.process_time() - begun)
     rows = [
-        (name, f"{1e3 * best[name]:.1f}", f"{1e3 * busy[name]:.1f}", f"{best[name] / fastest:.2f}") for name in ways
+        (name, f"{1e3 * min(clock[name]):.1f}", f"{1e3 * min(busy[name]):.1f}", _ratio(clock, name), _ratio(busy, name))
+        for name in ways
     ]
-    print(text_table(("128 x 200 x 60", "ms", "processor ms", "over the faster peer"), rows, words=1))
+    print(text_table(("128 x 200 x 60", "ms", "processor ms", "ratio", "processor ratio"), rows, words=1))
     if find_spec("resource") is not None:
         peak = importlib.import_module("resource")
         print(f"largest memory {peak.getrusage(peak.RUSAGE_SELF).ru_maxrss / 1e3:.0f} MB")

@@ -75,7 +75,7 @@ def cases() -> dict[str, list[Case]]:
             Case("hpe-rig check bovine-muscle --target 20", "a length without unit is one in metres"),
             Case("hpe-rig new s", "a file of that name is there", scene()),
             Case("hpe-rig new mine --like bovine", "a shipped scene's name is cut short"),
-            Case("hpe-rig schema scenes", "there are three schemas"),
+            Case("hpe-rig schema scenes", "a schema's name is misspelt"),
             Case("hpe-rig study fig-3", "the paper's figure 3 is no study"),
             Case("hpe-rig study fig-7 --workers 0", "a study needs a process"),
             Case("hpe-rig emulate --transport usb", "the transport is none of the five"),

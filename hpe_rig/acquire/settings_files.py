@@ -24,12 +24,18 @@ SIMULATION = "What the twin simulates; read by the simulated bench alone. Withou
 
 
 def json_schema(of: str) -> dict[str, Any]:
-    """Return the JSON schema of a scene, a bench file, the twin's settings or a result as ``--json`` prints it."""
+    """Return the JSON schema of a scene, a bench file, the twin's settings, a queue's list or what --json prints."""
+    from hpe_rig.acquire.queue import QueueList
+    from hpe_rig.store import listing_schema, verification_schema
+
     schemas: dict[str, Callable[[], dict[str, Any]]] = {
         "scene": partial(settings_schema, Scene),
         "bench": partial(settings_schema, BenchFile),
         "simulation": simulation_schema,
+        "queue": partial(settings_schema, QueueList),
         "result": result_schema,
+        "list": listing_schema,
+        "verify": verification_schema,
     }
     if of not in schemas:
         raise SettingsError(f"schema {of}", [Mistake("", "there is no such schema", f"one of {', '.join(schemas)}")])

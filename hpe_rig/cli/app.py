@@ -592,7 +592,9 @@ def new(
 @app.command()
 @guarded
 def schema(
-    of: Annotated[str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation, result.")] = "scene",
+    of: Annotated[
+        str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation, queue, result, list, verify.")
+    ] = "scene",
 ) -> None:
     """Print the JSON schema of a settings file, for use in editors, or of what --json prints."""
     import json

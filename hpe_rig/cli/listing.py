@@ -31,7 +31,7 @@ def print_runs(
     for text in unreadable:
         announce(f"hpe-rig: {printable(text)}")
     if json:
-        typer.echo(json_format.dumps([_plain(entry) for entry in found], indent=2))
+        typer.echo(json_format.dumps([entry.as_dict() for entry in found], indent=2))
     elif csv:
         typer.echo(csv_text(_alike([_flat(entry) for entry in found])), nl=False)
     elif not found:
@@ -67,29 +67,9 @@ def _result(entry: RunEntry) -> str:
 
 def _flat(entry: RunEntry) -> dict[str, Any]:
     """Return the entry as one row: result and notes as columns of their own."""
-    row = _plain(entry)
+    row = entry.as_dict()
     lead, notes = row.pop("lead") or {}, row.pop("notes")
     return {**row, **lead, **{f"note_{name.replace(' ', '_')}": note for name, note in notes.items()}}
-
-
-def _plain(entry: RunEntry) -> dict[str, Any]:
-    lead, notes = entry.lead, entry.notes.items()
-    names = ("estimator", "frequency_hz", "amplitude_m", "amplitude_uncertainty_m", "phase_rad")
-    return {
-        "date": entry.date.isoformat(timespec="seconds"),
-        "file": str(entry.path),
-        **{
-            name: getattr(entry, name)
-            for name in ("title", "status", "shots_complete", "shots", "simulated", "imported")
-        },
-        **{name: getattr(entry, name) for name in ("user", "host")},
-        "lead": lead and {name: _finite(getattr(lead, name)) for name in (*names, "phase_uncertainty_rad")},
-        "notes": {name: note if isinstance(note, str | int | float) else str(note) for name, note in notes},
-    }
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _alike(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

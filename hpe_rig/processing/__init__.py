@@ -14,7 +14,7 @@
 
     cross_spectrum     v_n = -c dtheta_n(f_c) / (4 pi f_c T_prf)            spectral_peak.py, eqs. (5) (6)
                        compiled, where Numba is                             spectral_peak_numba.py
-                       D_n = v_n / w_i -> band-pass -> Hann -> Kalman, x 2  velocity_chain.py, velocity_noise.py
+                       D_n = v_n / w_i -> band-pass -> Hann -> Kalman, x 2  velocity_chain.py
                        then off with sinc(f_i / f_prf), T_prf / 2, 90 deg
 
     what a medium can do of tonebursts, as a prior of the fit               ensemble.py, prior.py

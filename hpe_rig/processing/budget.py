@@ -32,6 +32,8 @@ class Known:
     both. ``subtracts_jitter``: a reference gate's motion has been subtracted, and the jitter with it. ``gate_edge``:
     relative error of a rigid motion that the gate's ends leave: a gain, which turns no phase. ``rounding_m``: what the
     digitizer's codes leave along and across the phasor of each frequency, nothing where they are fine.
+    ``carrier_relative``: by how much the echo's mean frequency is off the carrier that a phase is divided by, where no
+    averaging predicts it.
     """
 
     sound_speed_m_per_s: float = 1540.0
@@ -40,6 +42,7 @@ class Known:
     subtracts_jitter: bool = False
     gate_edge: float = 0.0
     rounding_m: tuple[tuple[float, float], ...] = ()
+    carrier_relative: float = 0.0
 
     @property
     def jitter_m(self) -> float:
@@ -116,7 +119,8 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
         return Component(source, amplitude * peak_m, phase_rad)
 
     rounding = np.array(known.rounding_m[index] if known.rounding_m else (0.0, 0.0)) / (1.0, max(amplitude_m, TINY_M))
-    carrier = (relative("carrier", averaging.carrier_relative),) if averaging.carrier_relative else ()
+    off_carrier = averaging.carrier_relative or known.carrier_relative
+    carrier = (relative("carrier", off_carrier),) if off_carrier else ()
     shape = (relative("beam shape", averaging.shape_relative),) if averaging.shape_relative else ()
     return (
         fitted("noise", random * (1 - share)),

@@ -40,8 +40,10 @@ RESULTS: Final = (
 ComplexSingles = NDArray[np.complex64]
 Singles = NDArray[np.float32]
 
-BATCH_BYTES: Final = 2_000_000
-"""Baseband samples that a thread works on at a time: few enough to stay near the cache."""
+BATCH_BYTES: Final = 6_400_000
+"""Baseband samples that a thread works on at a time: a step on them takes longer than to wait for the interpreter."""
+ALONE: Final = 200_000
+"""Products of two numbers in a matrix product; from 262 144 on OpenBLAS wakes threads of its own for it."""
 NOISY_RAD: Final = 0.5
 """Residual of a pixel's phase, root mean square, from which on it is noise, or moves beyond what steps can follow."""
 NEAR_RAD: Final = math.pi / 2
@@ -212,15 +214,15 @@ class _Pixels:
         from scipy.fft import fft, ifft
 
         lines, gates, length, _ = z.shape
-        some = z[..., ::STRIDE].transpose(0, 3, 1, 2).reshape(lines, -1, gates * length)
+        some = np.ascontiguousarray(z[..., ::STRIDE].transpose(0, 3, 1, 2)).reshape(lines, -1, gates * length)
         rate_hz = np.fft.fftfreq(gates * length, self.factor / self.settings.sample_rate_hz).astype(np.float32)
         spectrum = fft(some, axis=-1)
         spectrum *= rate_hz
         along = ifft(spectrum, axis=-1, overwrite_x=True)
-        both = (some.conj() * along).real.reshape(lines, -1, gates, length).sum(axis=(1, 3))
-        power = (some.real**2 + some.imag**2).reshape(lines, -1, gates, length).sum(axis=(1, 3))
+        shape = (lines, -1, gates, length)
+        echo, along = some.reshape(shape), along.reshape(shape)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(both / power)
+            return np.asarray(_inner(echo, along) / _inner(echo, echo))
 
     def _fitted(
         self,
@@ -232,8 +234,8 @@ class _Pixels:
         shape, (pulses, states) = phase.shape[:-1], self.model.matrix.shape
         matrix = self.model.matrix.astype(np.float32)
         flat = phase.reshape(-1, pulses)
-        state = flat @ (self.model.root @ (self.model.root.T @ self.model.matrix.T)).T.astype(np.float32)
-        residual = state @ matrix.T
+        state = _product(flat, (self.model.root @ (self.model.root.T @ self.model.matrix.T)).T.astype(np.float32))
+        residual = _product(state, np.ascontiguousarray(matrix.T))
         residual -= flat
         variance = np.einsum("ij,ij->i", residual, residual) / np.float32(pulses - states)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -284,6 +286,26 @@ class _Pixels:
         return [amplitude, amplitude_u, phase, phase_u, velocity, velocity_u]
 
 
+def _inner(one: ComplexSingles, other: ComplexSingles) -> Singles:
+    """Return Re sum conj(one) other over pulses and samples: (line, pulse, gate, sample) to (line, gate)."""
+    parts = ((one.real, other.real), (one.imag, other.imag))
+    return np.asarray(sum(np.einsum("lpgs,lpgs->lg", a, b) for a, b in parts))
+
+
+def _product(left: Singles, right: Singles) -> Singles:
+    """Return ``left @ right``, by blocks of rows that BLAS leaves in this thread.
+
+    Each of the pool's threads would else wake as many of BLAS's own, all on the same cores.
+    """
+    rows = max(1, ALONE // right.size)
+    whole = len(left) // rows * rows
+    out = np.empty((len(left), right.shape[1]), np.float32)
+    blocks = left[:whole].reshape(-1, rows, left.shape[1])
+    np.matmul(blocks, right, out=out[:whole].reshape(-1, rows, right.shape[1]))
+    np.matmul(left[whole:], right, out=out[whole:])
+    return out
+
+
 def _is_finite(samples: NDArray[Any]) -> bool:
     """Return whether all samples are, at a glance where they lie in one piece; in doubt False."""
     order = np.argsort(samples.strides)[::-1]
@@ -298,7 +320,7 @@ def _phases(z: ComplexSingles) -> tuple[Singles, Singles]:
     parts = np.ascontiguousarray(some).view(np.float32)
     power = np.einsum("lgsp,lgsp->lg", parts, parts) / np.float32(some.shape[2] * some.shape[3])
     if z.shape[2] == 1:
-        return _followed(np.angle(z[:, :, 0])), power
+        return _followed(z[:, :, 0]), power
     product = np.zeros((*z.shape[:2], z.shape[-1] - 1), np.complex64)
     for at in range(z.shape[2]):
         product += z[:, :, at, :-1].conj() * z[:, :, at, 1:]
@@ -314,13 +336,13 @@ def _phases(z: ComplexSingles) -> tuple[Singles, Singles]:
     return np.asarray(first + np.angle(others), np.float32), power
 
 
-def _followed(angle: Singles) -> Singles:
-    """Return ``angle`` (..., pulse) against the first pulse, without its jumps by whole turns."""
-    angle -= angle[..., :1].copy()
-    turns = angle * np.float32(1 / (2 * np.pi))
-    np.rint(turns, out=turns)
-    turns *= np.float32(2 * np.pi)
-    angle -= turns
+def _followed(z: ComplexSingles) -> Singles:
+    """Return the phase of ``z`` (..., pulse) against the first pulse, without its jumps by whole turns."""
+    first = z[..., :1]
+    size = np.abs(first)
+    # turned so that the first is real; where there is none everything is taken as it is
+    turned = z * np.where(size > 0, first.conj() / np.where(size > 0, size, 1), 1).astype(np.complex64)
+    angle = np.arctan2(np.ascontiguousarray(turned.imag), np.ascontiguousarray(turned.real))
     # no single one is farther where all of them together are not
     far = np.einsum("...p,...p->...", angle, angle) >= NEAR_RAD**2
     if far.any():

@@ -197,6 +197,7 @@ def _estimate_shot(
         subtracts_jitter=reference is not None,
         gate_edge=gate_edge_relative(echoes, spec.gate_window),
         rounding_m=() if moved is None else rounding_m(echoes, records.volts_per_code, moved, fit),
+        carrier_relative=off_carrier(motion, steady) if spec.by_carrier else 0.0,
     )
     drift = _drift(steady, chosen, options) if reference is None else None
     line = None if moved is None else _line(moved, chosen, options)
@@ -406,6 +407,19 @@ def _steady(scene: Scene, shot: Shot, echoes: EchoGate, motion: Motion | None) -
         return shot_motion(scene, shot, echoes, coherent)
     except ValueError:
         return None
+
+
+def off_carrier(motion: Motion | None, by_echo: Motion | None) -> float:
+    """Return by how much a ``motion`` divided by the carrier is off the same divided ``by_echo``, relative; at most 1.
+
+    The echo's mean frequency in a gate is not the carrier: speckle draws it.
+    """
+    if motion is None or by_echo is None:
+        return 0.0
+    both = motion.valid & by_echo.valid
+    one, other = (each.displacement_m[both] - each.displacement_m[both].mean() for each in (motion, by_echo))
+    energy = float(other @ other)
+    return min(abs(float(one @ other) / energy - 1), 1.0) if energy > 0 else 0.0
 
 
 def _drift(motion: Motion | None, chosen: Selection, options: Options) -> Drift | None:

@@ -11,7 +11,7 @@ from .estimates import (
 )
 from .figure import PALETTE as PALETTE
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
-from .json_schema import result_schema as result_schema
+from .json_schema import dataclass_schema as dataclass_schema, result_schema as result_schema, titled as titled
 from .motion import MOST_PULSES as MOST_PULSES, ShotMotion as ShotMotion
 from .motion_map import BadPixel as BadPixel, MotionMap as MotionMap
 from .phase import (

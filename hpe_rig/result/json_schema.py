@@ -1,10 +1,12 @@
-"""JSON schema of a result as ``hpe-rig process --json`` prints it, made from the types that it is made of."""
+"""JSON schemas of what ``--json`` prints, made from the types that it is made of."""
 
 from __future__ import annotations
 
 import types
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from datetime import datetime
+from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from hpe_rig.result.estimates import DERIVED, Estimate, Result, ShotResult
@@ -21,7 +23,20 @@ def result_schema() -> dict[str, Any]:
     schema["properties"] |= derived
     absent = {"means", "simulated_specimen", "imported", "profile"}
     schema["required"] = [name for name in schema["properties"] if name not in absent]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "Result of hpe-rig", **schema}
+    return titled("Result of hpe-rig", schema)
+
+
+def titled(title: str, schema: dict[str, Any]) -> dict[str, Any]:
+    """Return ``schema`` as a document of its own."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, **schema}
+
+
+def dataclass_schema(kind: type, **changed: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of an object with the fields of the dataclass ``kind``, and with those that are ``changed``."""
+    schema = _object(kind)
+    schema["properties"] |= changed
+    schema["required"] = list(schema["properties"])
+    return schema
 
 
 def _object(kind: type) -> dict[str, Any]:
@@ -41,10 +56,14 @@ def _object(kind: type) -> dict[str, Any]:
 
 
 def _of(hint: Any) -> dict[str, Any]:
-    plain = {str: "string", bool: "boolean", int: "integer"}
+    plain = {str: "string", bool: "boolean", int: "integer", Path: "string"}
     origin, inner = get_origin(hint), get_args(hint)
     if hint is float:
         return dict(NUMBER)
+    if hint is Any:
+        return {}
+    if hint is datetime:
+        return {"type": "string", "format": "date-time"}
     if hint in plain:
         return {"type": plain[hint]}
     if is_dataclass(hint) and isinstance(hint, type):

@@ -21,13 +21,13 @@ def mappings(rows: Iterable[Any]) -> list[Mapping[str, Any]]:
 
 
 def csv_text(rows: Iterable[Any]) -> str:
-    """Return rows, dataclass instances or mappings with the same columns, as CSV with a header.
+    """Return rows, dataclass instances or mappings, as CSV with a header.
 
-    Numbers keep every digit, None is empty; no rows give no header.
+    Numbers keep every digit, None and what a row lacks are empty; no rows give no header.
     """
     cells = mappings(rows)
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(cells[0]) if cells else [], lineterminator="\n")
+    writer = csv.DictWriter(text, list(dict.fromkeys(name for row in cells for name in row)), lineterminator="\n")
     writer.writeheader()
     writer.writerows(cells)
     return text.getvalue()

@@ -13,7 +13,12 @@ from .format import (
     versions as versions,
 )
 from .layout import Predecessor as Predecessor
-from .listing import RunEntry as RunEntry, chosen as chosen, list_runs as list_runs
+from .listing import (
+    RunEntry as RunEntry,
+    chosen as chosen,
+    list_runs as list_runs,
+    listing_schema as listing_schema,
+)
 from .lock import is_taken as is_taken
 from .reader import (
     StoredGroundTruth as StoredGroundTruth,
@@ -25,7 +30,12 @@ from .reader import (
 from .records import GatedRecords as GatedRecords, ShotRecords as ShotRecords, assemble as assemble
 from .result_file import write_result as write_result
 from .validation import UntrustedError as UntrustedError, trusted as trusted
-from .verification import Damage as Damage, Verification as Verification, verify as verify
+from .verification import (
+    Damage as Damage,
+    Verification as Verification,
+    verification_schema as verification_schema,
+    verify as verify,
+)
 from .writer import (
     RunWriter as RunWriter,
     WriteOptions as WriteOptions,

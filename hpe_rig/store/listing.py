@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import h5py
 
+from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.scene import SettingsError, parse_toml
 from hpe_rig.store.format import FORMAT, RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.reader import StoredRun, read_run
@@ -52,11 +53,29 @@ class RunEntry:
     notes: Mapping[str, Any]
     lead: Lead | None
 
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as JSON has it."""
+        own = {name: getattr(self, name) for name in ("title", "status", "shots_complete", "shots", "simulated")}
+        own |= {name: getattr(self, name) for name in ("imported", "user", "host")}
+        lead = self.lead and {name: _finite(value) for name, value in asdict(self.lead).items()}
+        notes = {name: note if isinstance(note, str | int | float) else str(note) for name, note in self.notes.items()}
+        date = self.date.isoformat(timespec="seconds")
+        return {"date": date, "file": str(self.path), **own, "lead": lead, "notes": notes}
+
     def words(self) -> str:
         """Return everything that a search looks through, a piece a line."""
         kind = "imported" if self.imported else "simulated" if self.simulated else "measured"
         notes = [f"{name}: {note}" for name, note in self.notes.items()]
         return "\n".join([self.path.name, self.title, self.status, kind, self.imported, self.user, self.host, *notes])
+
+
+def listing_schema() -> dict[str, Any]:
+    """Return the JSON schema of what ``hpe-rig list --json`` prints."""
+    note = {"type": ["string", "number", "boolean"]}
+    entry = dataclass_schema(RunEntry, file={"type": "string"}, notes={"type": "object", "additionalProperties": note})
+    del entry["properties"]["path"]
+    entry["required"] = list(entry["properties"])
+    return titled("Listing of hpe-rig", {"type": "array", "items": entry})
 
 
 def list_runs(folder: Path, below: bool = False) -> tuple[list[RunEntry], list[str]]:
@@ -107,6 +126,10 @@ def _entry(stored: StoredRun) -> RunEntry:
         notes=notes if isinstance(notes, dict) else {},
         lead=_lead(stored.path),
     )
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _tables(stored: StoredRun) -> Mapping[str, Any]:

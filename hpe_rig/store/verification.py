@@ -12,6 +12,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.reader import StoredRun, damage_by_shot, read_run
@@ -57,6 +58,11 @@ class Verification:
     def as_dict(self) -> dict[str, Any]:
         """Return everything as JSON has it; shots and records count from 0."""
         return asdict(self) | {"path": str(self.path), "sound": self.checksums and not self.damage}
+
+
+def verification_schema() -> dict[str, Any]:
+    """Return the JSON schema of what ``hpe-rig verify --json`` prints."""
+    return titled("Verification of hpe-rig", dataclass_schema(Verification, sound={"type": "boolean"}))
 
 
 def verify(path: Path) -> Verification:

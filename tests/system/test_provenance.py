@@ -7,11 +7,12 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import h5py
+import jsonschema
 import pytest
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
-from hpe_rig.acquire import prepare, provenance_now, record_run
+from hpe_rig.acquire import json_schema, prepare, provenance_now, record_run
 from hpe_rig.bench import read_bench
 from hpe_rig.cli.app import app
 from hpe_rig.report.page import render
@@ -126,6 +127,9 @@ def test_runs_are_listed_and_found_by_note_and_date(run: hpe.Run) -> None:
     assert chosen(entries, [], since=entry.date + timedelta(seconds=1)) == []
     done = CliRunner().invoke(app, ["list", str(folder), "--find", "sample id: 7", "--json"])
     (row,) = json.loads(done.stdout)
+    validator = jsonschema.Draft202012Validator(json_schema("list"))
+    validator.validate([row])
+    assert len(list(validator.iter_errors([row | {"shots": "two", "another": 1}]))) == 2
     assert row["notes"]["temperature_c"] == 21.5
     assert "1051 +- 69 nm" in CliRunner().invoke(app, ["list", str(folder)]).stdout
     refused = CliRunner().invoke(app, ["list", str(folder), "--since", "yesterday"])

@@ -5,11 +5,13 @@ from __future__ import annotations
 import itertools
 import os
 import sys
+import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -21,6 +23,7 @@ from hpe_rig.acquire import (
     Setup,
     Step,
     Watching,
+    json_schema,
     listed,
     new_queue,
     pausable,
@@ -223,7 +226,10 @@ def test_a_list_names_scenes_and_benches_from_its_own_folder(tmp_path: Path) -> 
     found, stops = listed([str(path)], None)
     assert stops
     assert found == [(str(tmp_path / "a.toml"), tmp_path / "b.toml"), ("table-1", tmp_path / "c.toml")]
+    validator = jsonschema.Draft202012Validator(json_schema("queue"))
+    validator.validate(tomllib.loads(path.read_text("utf-8")))
     path.write_text(runs.replace("bench", "bank"), "utf-8")
+    assert not validator.is_valid(tomllib.loads(path.read_text("utf-8")))
     with pytest.raises(SettingsError, match="bank"):
         listed([str(path)], None)
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from hpe_rig.processing.budget import Known, estimates_of
+from hpe_rig.processing.echoes import Motion
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
+from hpe_rig.processing.shots import off_carrier
 from hpe_rig.result import Averaging, Component, Estimate
 
 AVERAGING = Averaging(0.9, -0.02, 0.03, 0.018, 0.004, speckle_phase_rad=0.002, offset_relative=0.01)
@@ -86,6 +88,18 @@ def test_trigger_jitter_takes_its_share_of_the_residual(jitter_s: float, share: 
     assert noise.amplitude_m**2 + jitter.amplitude_m**2 == pytest.approx(1e-18)
     (still,) = estimates_of(fit(), Known(1540.0, 0.0, jitter_s, subtracts_jitter=True))
     assert parts(still)["trigger jitter"].amplitude_m == 0
+
+
+def test_a_phase_divided_by_the_carrier_is_off_by_the_echo_s_own_mean_frequency() -> None:
+    time_s, valid = np.arange(100) / 4000, np.ones(100, dtype=bool)
+    moved_m = 1e-6 * np.sin(2 * np.pi * 200 * time_s) + 3e-6
+    by_echo, by_carrier = (Motion(time_s, scale * moved_m, np.ones(100), valid) for scale in (1.0, 0.98))
+    assert off_carrier(by_carrier, by_echo) == pytest.approx(0.02)
+    assert off_carrier(by_carrier, None) == 0
+    (estimate,) = estimates_of(fit(), Known(carrier_relative=0.02))
+    assert parts(estimate)["carrier"].amplitude_m == pytest.approx(2e-9)
+    (with_beams,) = estimates_of(fit(), Known(carrier_relative=0.02), (replace(AVERAGING, carrier_relative=0.018),))
+    assert parts(with_beams)["carrier"].amplitude_m == pytest.approx(0.018e-7 / 0.9)
 
 
 def test_without_beams_the_headline_is_what_is_tracked() -> None:

@@ -10,11 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import h5py
+import jsonschema
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.acquire import Setup, prepare_text, record_run, resume
+from hpe_rig.acquire import Setup, json_schema, prepare_text, record_run, resume
 from hpe_rig.acquire.resumption import prepare_rest
 from hpe_rig.acquire.run_file import open_run, process
 from hpe_rig.cli.app import app
@@ -81,6 +82,7 @@ def test_one_bit_of_an_echo_costs_its_chunk_and_is_listed_by_shot_and_record(pat
     assert done.exit_code == 4
     assert "DAMAGED: shot 2: record 124 to 246 fail their checksums" in done.output
     done = CliRunner().invoke(app, ["verify", str(path), "--json"])
+    jsonschema.Draft202012Validator(json_schema("verify")).validate(json.loads(done.stdout))
     assert json.loads(done.stdout)["damage"][0]["records"] == [[123, 245]]
     records = open_run(path).records[1]
     assert np.flatnonzero(~records.valid).tolist() == list(range(123, 246))
