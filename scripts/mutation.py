@@ -46,11 +46,14 @@ ROOMS = {
     ),
     "sequencer": (
         ["hpe_rig/acquire/sequencer.py"],
-        ["tests/system/test_safety.py", "tests/system/test_watched_settings.py", "tests/system/test_boards.py"],
+        [f"tests/system/test_{name}.py" for name in ("safety", "watched_settings", "boards", "capture_modes")],
     ),
     "store": (
         ["hpe_rig/store"],
-        ["tests/hpe_rig/store", "tests/system/test_one_run_a_file.py", "tests/system/test_old_run_files.py"],
+        [
+            "tests/hpe_rig/store",
+            *(f"tests/system/test_{name}.py" for name in ("one_run_a_file", "old_run_files", "distrust", "resume")),
+        ],
     ),
     "processing": (["hpe_rig/processing"], ["tests/hpe_rig/processing"]),
     "wiring": (
@@ -81,9 +84,6 @@ PRELOADED = (
     "hypothesis.extra.numpy",
     "matplotlib.figure",
 )
-MORE_TESTS = [f"tests/system/test_{name}.py" for name in ("resume", "stopped_runs", "capture_modes", "distrust")]
-"""Tests of the program as a whole that run much of what is mutated."""
-PATHS = sorted({path for room in ROOMS.values() for path in room[1]} | set(MORE_TESTS))
 LONGEST_S = 4.0
 """Processor time after which the recording gives up a test; it takes no part."""
 UNSEEN_KEYWORDS = {"strict", "frozen", "slots", "dtype", "encoding"}
@@ -304,13 +304,18 @@ def forked(call: Callable[[], int]) -> int:
             os.killpg(child, signal.SIGKILL)
 
 
-def record(tree: Path, folder: Path) -> int:
+def tests_of_rooms(rooms: Iterable[str]) -> list[str]:
+    """Return the files and folders of the tests of some rooms."""
+    return sorted({path for room in rooms for path in ROOMS[room][1]})
+
+
+def record(tree: Path, folder: Path, rooms: Iterable[str]) -> int:
     """Run the rooms' tests under coverage.py and write what they run and how long it takes; in a fork."""
     places = [tree / place for room in ROOMS.values() for place in room[0]]
     coverage = Coverage(None, include=[f"{place}/*" if place.is_dir() else str(place) for place in places])
     coverage.start()
     recorder = Recorder(coverage)
-    run_pytest(tree, PATHS, [recorder])
+    run_pytest(tree, tests_of_rooms(rooms), [recorder])
     coverage.stop()
     data = coverage.get_data()
     lines = {str(Path(file).relative_to(tree)): data.contexts_by_lineno(file) for file in data.measured_files()}
@@ -540,7 +545,7 @@ def main() -> None:
     for module in PRELOADED:
         importlib.import_module(module)
     if not (folder / "tests.json").exists():
-        forked(lambda: record(tree, folder))
+        forked(lambda: record(tree, folder, options.rooms))
     tests = json.loads((folder / "tests.json").read_text("utf-8"))
     failed = frozenset(tests["failed"])
     known = Record(tree, tests["lines"], tests["seconds"], failed, tests["users"], options.again)
@@ -552,7 +557,7 @@ def main() -> None:
         deadline = Deadline(known.seconds, killer.last)
         campaign = Campaign(known, left, options.budget_s, results, killer)
         if left:
-            forked(lambda: run_pytest(tree, PATHS, [campaign, deadline]))
+            forked(lambda: run_pytest(tree, tests_of_rooms(options.rooms), [campaign, deadline]))
         # Constants, defaults and bodies of classes: a fresh import each.
         for mutant in campaign.left:
             names = known.tests_of(mutant, options.budget_s)

@@ -17,6 +17,7 @@ from .media import (
 )
 from .outcome import ModuliResult as ModuliResult, moduli_of as moduli_of, plane_wave_of as plane_wave_of
 from .places import (
+    APERTURE_SHAPE as APERTURE_SHAPE,
     Source as Source,
     push_of as push_of,
     vibration_at as vibration_at,

@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
 from hpe_rig.moduli.media import Law, MediumLaw, law_names, law_of
-from hpe_rig.processing import shear_motion
+from hpe_rig.processing import PushForce, shear_motion
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -49,17 +49,19 @@ REJECTED = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Push:
-    """The force of the tonebursts: Gaussian widths (across, along), m, and their relative uncertainties.
+    """The force of the tonebursts, and relative uncertainties of its widths (across, along).
 
-    ``onset_uncertainty_s`` is that of the bursts' onset at the focus, against which the phases count.
+    ``onset_uncertainty_s`` is that of the bursts' onset at the focus, against which the phases count;
+    ``shape_relative`` what nothing else explains of each amplitude, relative, and of its phase, rad.
     """
 
-    width_m: tuple[float, float]
+    force: PushForce
     burst_rate_hz: float
     burst_length_s: float
     density_kg_per_m3: float = 1000.0
     width_uncertainty: tuple[float, float] = (0.05, 0.05)
     onset_uncertainty_s: float = 0.5e-6
+    shape_relative: float = 0.0
 
     def spectrum(self, frequency_hz: FloatArray) -> ComplexArray:
         """Return the amplitude of sin(wt + phase) of a unit force that is on during every burst, (frequency,)."""
@@ -223,6 +225,7 @@ class Problem:
             )
         known = [("across", -1, push.width_uncertainty[0]), ("along", -1, push.width_uncertainty[1])]
         known.append(("onset", -1, push.onset_uncertainty_s))
+        known += [(name, -1, 1.0) for name, _ in push.force.unsure]
         leader = _leaders(vibrations)
         if any(one.travel_s for one in vibrations):
             known.append(("travel", -1, TRAVEL_UNCERTAINTY))
@@ -239,7 +242,7 @@ class Problem:
                 ("area", place, one.area_uncertainty),
                 ("shape", place, one.area_uncertainty),
             ]
-        whitening = tuple(np.linalg.inv(np.linalg.cholesky(one.covariance_m2)) for one in vibrations)
+        whitening = tuple(np.linalg.inv(np.linalg.cholesky(_covariance(one, push))) for one in vibrations)
         unit_m = float(np.sqrt(np.mean(np.concatenate([np.abs(one.phasor_m) ** 2 for one in vibrations]))))
         return Problem(tuple(vibrations), push, law, whitening, tuple(one for one in known if one[2] > 0), unit_m)
 
@@ -327,8 +330,7 @@ class Problem:
     ) -> dict[str, ComplexArray]:
         """Return the phasors' derivatives (frequency, place) by every kind of unknown; by "gain", the phasors."""
         push, count, ones = self.push, self.free - 1, [self.vibrations[place] for place in places]
-        across = push.width_m[0] * np.exp(known.get(("across", -1), 0.0))
-        along = push.width_m[1] * np.exp(known.get(("along", -1), 0.0))
+        stretched = (float(np.exp(known.get((kind, -1), 0.0))) for kind in ("across", "along"))
         mean_area = np.array([one.tracking_m2[0] for one in ones])
         # by its logarithm: no step of a solver asks for an area below none
         area = mean_area * np.exp([known.get(("area", p), 0.0) for p in places])
@@ -342,9 +344,9 @@ class Problem:
             modulus,
             frequency_hz,
             push.density_kg_per_m3,
-            (across, along),
-            across**2 + area,
-            along**2 + ones[0].tracking_m2[1],
+            push.force.changed({kind: off for (kind, _), off in known.items()}).scaled(*stretched),
+            area,
+            ones[0].tracking_m2[1],
             lateral,
             ones[0].axial_m,
         )
@@ -364,8 +366,9 @@ class Problem:
             "gain": value,
             "phase": 1j * value,
             "onset": -1j * omega[:, None] * value,
-            "across": 2 * value + front * field.by_across * 2 * across**2,
-            "along": value + front * field.by_along * 2 * along**2,
+            "across": front * field.by_width,
+            "along": front * field.by_length,
+            **{kind: front * slopes for kind, slopes in field.by_unsure.items()},
             "travel": -1j * omega[:, None] * ones[0].travel_s * value,
             "axial": front * field.by_axial,
             "lateral": front * field.by_lateral,
@@ -403,7 +406,13 @@ class Problem:
     @cached_property
     def _unit_field(self) -> float:
         """A typical displacement per body force: that of a static force in 10 kPa."""
-        return 0.5 * self.push.width_m[0] ** 2 / 10e3
+        return 0.5 * self.push.force.across_m[0] ** 2 / 10e3
+
+
+def _covariance(one: Vibration, push: Push) -> FloatArray:
+    """Return the covariance of noise and of what the force's shape leaves unexplained."""
+    unexplained_m = push.shape_relative * np.repeat(np.abs(one.phasor_m), 2)
+    return np.asarray(one.covariance_m2 + np.diag(unexplained_m**2))
 
 
 def _leaders(vibrations: Sequence[Vibration]) -> tuple[int, ...]:

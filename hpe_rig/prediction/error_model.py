@@ -30,6 +30,9 @@ PADDING = 4
 FAR_FROM_NOISE = 5e3
 """Square of amplitude over noise, halved, from which on the mean of a Rice distribution is a series."""
 PHASE_LIMIT = np.pi / np.sqrt(3)
+MOST_SCATTERERS = 5000
+"""Most that are drawn. With tens in every resolution cell the sums are as good as normal: the excess of their fourth
+moment goes as one over the scatterers in a cell."""
 LATERAL = 3.5
 """Half width of the drawn box in sigmas of the tracking beam: scatterers beyond echo 2e-3 of the peak."""
 
@@ -170,10 +173,12 @@ def draw_scattering(
     """Return ``draws`` draws of the conditions's scatterers in ``cells`` cells within ``deep_m`` around the focus.
 
     They are displaced as ``moved`` says of places (3, scatterer), without it by the Gaussian of eq. (12). Beams and
-    density alone count: the same draws serve any gate and pulse that stay within.
+    density alone count: the same draws serve any gate and pulse that stay within. Of more scatterers a draw than
+    ``MOST_SCATTERERS`` so many are drawn: what draws say does not depend on how strong the echo is.
     """
     lateral_m = [2 * LATERAL * width for width in conditions.tracking_width_m[:2]]
-    count = generator.poisson(conditions.scatterers_per_m3 * np.prod(lateral_m) * deep_m, draws)
+    expected = float(conditions.scatterers_per_m3 * np.prod(lateral_m) * deep_m)
+    count = generator.poisson(min(expected, MOST_SCATTERERS), draws)
     owner = np.repeat(np.arange(draws), count)
     place = (generator.random((3, owner.size)) - 0.5) * np.array([*lateral_m, deep_m])[:, None]
     squared, phase = np.square(place), 2 * np.pi * generator.random(owner.size)

@@ -226,6 +226,8 @@ def medium_motion(
     ]
     # Far beside the axis only the shell that holds scatterers is tabulated.
     inner_m = float(lateral_m.min(initial=abs(beside_m)))
+    # a shell of some thickness, though every scatterer be as far from the axis as the tracking beam
+    reach_m[0] = max(reach_m[0], inner_m + width_m[0] / 100)
     field = _kept_field(specimen, force, *reach_m, lateral_inner_m=inner_m if inner_m > width_m[0] else 0.0)
     shape = field.shapes(lateral_m, axial_m).T
     return MediumMotion(shape, field, specimen, settings.transmitter, travel_s, force_share(settings))

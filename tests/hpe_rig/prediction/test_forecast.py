@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from dataclasses import replace
 
 import mpmath
@@ -47,6 +48,21 @@ def test_more_scatterers_cannot_tell_the_drawn_envelopes_from_the_closed_form(ta
     )
     # spread 0.06 over 3000 draws: 0.0011; three of these
     assert 1 + found.bias_m / 1e-6 == pytest.approx(factor, abs=0.0033)
+
+
+def test_a_density_beyond_all_measure_is_drawn_in_bounded_memory_and_is_developed_speckle(
+    table_one: Conditions,
+) -> None:
+    dense = replace(table_one, scatterers_per_m3=1e5 * table_one.scatterers_per_m3)
+    tracemalloc.start()
+    speckle = draw_speckle(dense, np.random.default_rng(1), 100)
+    _, most_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    # Ten arrays of 100 draws of 5000 scatterers; without a bound these would be a thousand times as many.
+    assert most_bytes < 100e6
+    intensity = np.abs(speckle.resting) ** 2
+    # A normal sum's intensity spreads as much as its mean: 1 +- 0.1 over 100 draws of one independent instant.
+    assert intensity.std() / intensity.mean() == pytest.approx(1.0, abs=0.3)
 
 
 def _compare(case: MotionCase, estimator: Estimator, draws: int, bias: float, jitter: float) -> None:

@@ -191,3 +191,16 @@ def test_scatterers_move_by_the_field_at_their_places():
         plain = gain_v * waveform(hann_pulse(9e6, 0.065), age_s[:, None] - delay_s) @ places.tracking_weight
         # Rounding of phases of 5000 rad in the plain form.
         assert np.abs(ours[record] - plain).max() < 1e-10 * np.abs(plain).max()
+
+
+def test_a_single_reflector_on_a_tracking_axis_beside_the_push_moves_by_the_field_there():
+    settings = SimulationSettings(specimen=Specimen())
+    width_m = settings.beams.excitation_width_m
+    motion = medium_motion(settings, np.array([[1.0e-3, 0.0, 0.0]]), 70e-3 / 1540.0, beside_m=1.0e-3)
+    exact = focus_field(Specimen(), width_m, 1.5e-3, 1.8e-3)
+    time_ps = np.arange(1, 60) * 10**8
+    pulse = ForcePulses(np.array([0]), np.array([10**8]), np.array([1e6]))
+    ours = transients(motion.field.response, pulse, time_ps) @ motion.shape[:, 0]
+    there = exact.shapes(np.array([1.0e-3]), np.zeros(1))[0]
+    expected = transients(exact.response, pulse, time_ps) @ there
+    assert np.abs(ours - expected).max() < 1e-3 * np.abs(expected).max()
