@@ -155,11 +155,10 @@ def drive() -> Iterator[str]:
     yield "|---:|---:|---:|---:|---:|---:|---:|"
     squares = np.array([0.01, 0.04, 0.09, 0.16, 0.25, 0.36, 0.49, 0.64, 0.81, 1.0])
     force = push.share(np.sqrt(squares), SPECIMEN.force_density_n_per_m3)
-    for square, share, over in zip(squares, force, force / squares / (force[0] / squares[0]), strict=True):
-        other = [
-            np.interp(np.sqrt(square) * at_pa, push.surface_pa, each)
-            for each in (push.positive_pa, push.negative_pa, push.sppa_w_per_m2, push.peak_force_n_per_m3)
-        ]
+    here = push.at(np.sqrt(squares) * at_pa)
+    columns = here.positive_pa, here.negative_pa, here.sppa_w_per_m2, here.peak_force_n_per_m3
+    gain = force / squares / (force[0] / squares[0])
+    for square, share, over, *other in zip(squares, force, gain, *columns, strict=True):
         exponent = push.exponent(float(share) * SPECIMEN.force_density_n_per_m3)
         yield (
             f"| {square:.2f} | {over:.2f} | {exponent:.2f} | {other[0] * 1e-6:.1f} | {other[1] * 1e-6:.1f} | "

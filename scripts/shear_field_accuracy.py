@@ -15,7 +15,7 @@ from itertools import pairwise
 import mpmath as mp
 import numpy as np
 
-from hpe_rig.processing import shear_motion
+from hpe_rig.processing import PushForce, shear_motion
 
 WIDTH_M = (0.34e-3, 3.6e-3)
 DENSITY = 1000.0
@@ -47,11 +47,11 @@ def main() -> None:
 
 def deviations(modulus: complex, frequency_hz: float) -> list[float]:
     """Return by how much the field differs from mpmath's at every place, over the largest displacement."""
-    squares = WIDTH_M[0] ** 2, WIDTH_M[1] ** 2
+    force = PushForce(WIDTH_M[:1], WIDTH_M[1])
     ours = [
-        shear_motion(
-            np.array([modulus]), np.array([frequency_hz]), DENSITY, WIDTH_M, *squares, np.array([place])
-        ).value[0, 0]
+        shear_motion(np.array([modulus]), np.array([frequency_hz]), DENSITY, force, 0.0, 0.0, np.array([place])).value[
+            0, 0
+        ]
         for place in LATERAL_M
     ]
     exact = [reference(modulus, frequency_hz, place) for place in LATERAL_M]

@@ -68,4 +68,5 @@ from .stop_request import (
     stop_path as stop_path,
     stop_requested as stop_requested,
     stoppable as stoppable,
+    write_stop as write_stop,
 )

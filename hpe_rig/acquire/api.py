@@ -16,10 +16,10 @@ from hpe_rig.acquire.provenance import provenance_now
 from hpe_rig.acquire.run import Setup, prepare, record_run, source_text
 from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings, open_run, plan_html
 from hpe_rig.bench import Bench, BenchFile, open_bench as open_instruments, twin_of
-from hpe_rig.extensions import ESTIMATORS, MEDIA, installed, named
+from hpe_rig.extensions import ESTIMATORS, MEDIA, origin
 from hpe_rig.plan import CheckResult
 from hpe_rig.result import Result, ShotResult, Stages
-from hpe_rig.scene import Estimator, Mistake, Scene, SceneSource, SettingsError, parse_scene
+from hpe_rig.scene import BUILT_IN_ESTIMATORS, Estimator, Mistake, Scene, SceneSource, SettingsError, parse_scene
 from hpe_rig.store import StoreError, WriteOptions, versions
 
 if TYPE_CHECKING:
@@ -164,9 +164,10 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
 
 def _of_others(scene: Scene, bench: BenchFile) -> Iterator[str]:
     """Yield which estimator and medium other packages bring to the measurement, with these and their versions."""
-    twin = twin_of(scene) if bench.simulated else None
-    asked = {ESTIMATORS: scene.processing.estimator, MEDIA: "" if twin is None else twin.medium_name or ""}
-    brought = [named(group, name) for group, name in asked.items() if name in installed(group)]
+    twin, estimator = twin_of(scene) if bench.simulated else None, scene.processing.estimator
+    brought = [] if estimator in BUILT_IN_ESTIMATORS else [origin(ESTIMATORS, estimator)]
+    if twin is not None and twin.foreign_medium is not None:
+        brought.append(origin(MEDIA, twin.foreign_medium))
     if brought:
         yield f"of other packages: {', '.join(brought)}"
 

@@ -25,6 +25,7 @@ from hpe_rig.acquire.resumption import Rest, prepare_rest, resume
 from hpe_rig.acquire.run import Setup, prepare_text, record_run, source_text
 from hpe_rig.acquire.run_file import open_run, process
 from hpe_rig.acquire.sequencer import Observer
+from hpe_rig.acquire.stop_request import StopRequested, clear_stop, stop_requested
 from hpe_rig.bench import BenchFile, hold, resources, uninterrupted
 from hpe_rig.plan import PlanError
 from hpe_rig.result import Result
@@ -155,11 +156,13 @@ def run_queue(
     setups = [prepare_text(run.name, run.scene_toml, _bench(run)) for run in runs]
     runs = [replace(run, planned_s=setup.plan.duration_s) for run, setup in zip(runs, setups, strict=True)]
     with hold(_resources([setup.bench.bench for setup in setups])):
+        clear_stop(folder / QUEUE_FILE)
         for index, run in enumerate(runs):
             if run.state == "done":
                 continue
             watching.tell(f"run {index + 1} of {len(runs)}: {run.name} -> {run.run_file}; {_end(runs, index)}")
             try:
+                _look_for_stop(folder)
                 runs[index] = _set(folder, runs, index, state="running", why="")
                 start_s = time.monotonic()
                 results[index] = _measure(folder, runs, index, setups[index], watching)
@@ -175,7 +178,15 @@ def run_queue(
                     runs[index] = _set(folder, runs, index, state="stopped", why=type(error).__name__)
                 error.add_note(f"the queue goes on with hpe-rig queue --resume {folder}")
                 raise
+        clear_stop(folder / QUEUE_FILE)
     return tuple(runs), results
+
+
+def _look_for_stop(folder: Path) -> None:
+    """Raise ``StopRequested`` where the live page asked for a stop while no run was being measured."""
+    if stop_requested(folder / QUEUE_FILE):
+        clear_stop(folder / QUEUE_FILE)
+        raise StopRequested
 
 
 def _measure(folder: Path, runs: list[QueueRun], index: int, setup: Setup, watching: Watching) -> Result:

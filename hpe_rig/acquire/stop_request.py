@@ -38,13 +38,21 @@ def request_stop(run_file: Path) -> None:
     if stored.status != "running" or is_taken(run_file) is False:
         how = "without a word, its program was killed" if stored.status == "running" else stored.status
         raise StoreError(f"the run in {run_file} has ended ({how}): there is nothing to stop. Try: reload the page.")
+    write_stop(run_file, stored.run_id)
+
+
+def write_stop(file: Path, run_id: str = "") -> None:
+    """Write a request to stop beside a run file, or beside a queue's list, to end it before its next run.
+
+    Raises ``StoreError`` where that is impossible.
+    """
     try:
         # Renamed into place, which follows no link.
-        with atomic_file(stop_path(run_file)) as draft, draft.open("x", encoding="ascii") as file:
-            file.write(stored.run_id)
+        with atomic_file(stop_path(file)) as draft, draft.open("x", encoding="ascii") as written:
+            written.write(run_id)
     except OSError as error:
         raise StoreError(
-            f"the request to stop cannot be written beside {run_file} ({reason(error)}). "
+            f"the request to stop cannot be written beside {file} ({reason(error)}). "
             "Try: Ctrl-C where the run was started."
         ) from None
 

@@ -49,4 +49,5 @@ from .twin import (
     twin_push as twin_push,
     twin_settings as twin_settings,
     twin_tables as twin_tables,
+    twin_water_output as twin_water_output,
 )

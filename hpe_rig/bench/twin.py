@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from hpe_rig.bench.bench_file import BenchFile
     from sim_backend.motion import Dose
     from sim_backend.settings import SimulationSettings
-    from sim_backend.transducer import Push
+    from sim_backend.transducer import Push, WaterOutput
 
-_OWN_BEAM_KEYS = {"pulse_length_m", "transducer_diameter_m"}
+_OWN_BEAM_KEYS = {"pulse_length_m", "transducer_diameter_m", "attenuation_db_per_cm_mhz"}
 """What [beams] says to the application alone."""
 REFERENCE_CYCLES = 3
 """Cycles of the tracking pulse that gives the twin's stated echo."""
@@ -180,9 +180,12 @@ class TwinDeclaration:
         return self.settings.specimen is not None
 
     @property
-    def medium_name(self) -> str | None:
-        """Law by which the specimen moves, of this program or an installed package; None without specimen."""
-        return None if self.settings.specimen is None else self.settings.specimen.medium
+    def foreign_medium(self) -> str | None:
+        """Law of another package by which the specimen moves; None where it is one of the twin's own."""
+        from sim_backend.settings import OWN_MEDIA
+
+        medium = None if self.settings.specimen is None else self.settings.specimen.medium
+        return None if medium in OWN_MEDIA else medium
 
     @property
     def prescribed(self) -> tuple[tuple[float, float], ...]:
@@ -320,11 +323,14 @@ def twin_tables(scene: Scene) -> dict[str, Any]:
 
 
 def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.float64]) -> Dose | None:
-    """Return the simulated specimen's dose and what it could move at ``frequency_hz``; None where there is none."""
+    """Return the simulated specimen's dose and what it could move at ``frequency_hz``; None without or of a sphere."""
     from sim_backend.motion import dose, force_shape
 
     twin = twin_of(scene)
     if twin is None or twin.settings.specimen is None or scene.excitation is None:
+        return None
+    if twin.settings.specimen.sphere is not None:
+        # Its force is that on a surface, not what an intensity does to a medium that attenuates.
         return None
     train = scene.excitation.burst_rate_hz, burst_length_s
     force, speed = force_shape(twin.settings), twin.sound_speed_m_per_s
@@ -339,6 +345,16 @@ def twin_push(scene: Scene) -> Push | None:
     from sim_backend.transducer import push_of
 
     return push_of(twin.settings)
+
+
+def twin_water_output(scene: Scene, surface_pa: float) -> WaterOutput | None:
+    """Return what a hydrophone would find in water with ``surface_pa`` at the transducer; None where it is linear."""
+    twin = twin_of(scene)
+    if twin is None or twin.settings.propagation is None or scene.excitation is None:
+        return None
+    from sim_backend.transducer import water_output
+
+    return water_output(twin.settings, surface_pa)
 
 
 def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import final
 
-from hpe_rig.acquire import QueueRun, read_queue, time_left_s
+from hpe_rig.acquire import QUEUE_FILE, QueueRun, read_queue, time_left_s, write_stop
 from hpe_rig.live.source import RunSource
 from hpe_rig.live.state import State
 from hpe_rig.store import StoreError
@@ -47,8 +47,13 @@ class QueueSource:
         return self._state | _of_queue(queue, index, ended, self._state)
 
     def stop(self) -> None:
-        """Ask the run that goes on to stop, and with it the queue; raise ``StoreError`` between two runs."""
-        self._run.stop()
+        """Ask the run that goes on to stop, and with it the queue; between two runs the queue, before the next one."""
+        if self._ended:
+            raise StoreError(f"the queue in {self._folder} has ended: there is nothing to stop. Try: reload the page.")
+        try:
+            self._run.stop()
+        except StoreError:
+            write_stop(self._folder / QUEUE_FILE)
 
     def pause(self) -> None:
         """Ask the run that goes on to pause after its shot, or to go on; raise ``StoreError`` between two runs."""

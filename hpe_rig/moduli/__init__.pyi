@@ -1,8 +1,6 @@
 from .forecast import ModuliForecast as ModuliForecast, moduli_forecast as moduli_forecast, moduli_text as moduli_text
 from .inversion import (
     Moduli as Moduli,
-    Push as Push,
-    Vibration as Vibration,
     bound as bound,
     compare_media as compare_media,
     fit_medium as fit_medium,
@@ -17,8 +15,10 @@ from .media import (
 )
 from .outcome import ModuliResult as ModuliResult, moduli_of as moduli_of, plane_wave_of as plane_wave_of
 from .places import (
+    APERTURE_SHAPE as APERTURE_SHAPE,
     Source as Source,
     push_of as push_of,
     vibration_at as vibration_at,
     vibrations_of as vibrations_of,
 )
+from .vibration_model import Push as Push, Vibration as Vibration

@@ -11,15 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hpe_rig.moduli.inversion import ComplexArray, FloatArray, Push, Vibration, bound
+from hpe_rig.moduli.inversion import bound
 from hpe_rig.moduli.places import depths_of, detected, push_of, strongest, vibration_at, with_shared_noise
+from hpe_rig.moduli.vibration_model import ComplexArray, FloatArray, Push, Vibration
 from hpe_rig.plan import Plan, places_of
-from hpe_rig.prediction import detection_floor, expected_amplitude_m, medium_of, noise_gain
+from hpe_rig.prediction import TYPICAL, detection_floor, expected_amplitude_m, medium_of, noise_gain
 from hpe_rig.processing import shear_motion
 from hpe_rig.scene import Scene, SettingsError
-
-TYPICAL = (9e3, 2.0)
-"""Shear modulus, Pa, and viscosity, Pa s, where neither scene nor twin has a medium: those of muscle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,9 +116,8 @@ def _expected(
     place = vibration_at(scene, scene.processing.estimator, "", frequency_hz, unmoved, covariance, axial_m)
 
     def motion(seen_m2: tuple[float, float], lateral_m: float, axial_m: float) -> ComplexArray:
-        across, along = (width**2 + seen for width, seen in zip(push.width_m, seen_m2, strict=True))
-        medium = modulus_pa, frequency_hz, push.density_kg_per_m3, push.width_m
-        field = shear_motion(*medium, across, along, np.array([lateral_m]), axial_m)
+        medium = modulus_pa, frequency_hz, push.density_kg_per_m3, push.force
+        field = shear_motion(*medium, *seen_m2, np.array([lateral_m]), axial_m)
         return push.spectrum(frequency_hz) * field.value[:, 0]
 
     scale = peak_m / abs(motion((0.0, 0.0), 0.0, 0.0)[0])

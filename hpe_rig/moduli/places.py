@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.moduli.inversion import ComplexArray, FloatArray, Push, Vibration
+from hpe_rig.moduli.vibration_model import ComplexArray, FloatArray, Push, Vibration
 from hpe_rig.plan import DepthGate, Plan, Shot, apart, depth_gates, places_of, shots_with_gate, with_gate
-from hpe_rig.prediction import beam_widths, depth_in_gate, tracked_spread
+from hpe_rig.prediction import beam_widths, depth_in_gate, force_of, tracked_spread
 from hpe_rig.processing import HarmonicFit, residual_m, shot_fit
 from hpe_rig.scene import Mistake, Scene, SettingsError
 from hpe_rig.store import StoredRun
@@ -25,6 +25,8 @@ GAIN_UNCERTAINTY = 0.005
 PHASE_UNCERTAINTY_RAD = 0.002
 WIDTH_UNCERTAINTY = 0.05
 """Relative, of the widths of the force, unless told otherwise."""
+APERTURE_SHAPE = 0.005
+"""Relative, of each amplitude: by how much two sums of Gaussians for one aperture differ, to 4 mm off the axis."""
 LEAST_PULSES = 30
 """Pulses without which no correlation of residuals is worth its name."""
 DEEPEST_SIGMAS = 2.0
@@ -51,14 +53,15 @@ def push_of(scenes: Sequence[Scene], width_uncertainty: float = WIDTH_UNCERTAINT
             mistakes.append(Mistake("excitation", what, "a run with tonebursts"))
         if beams is None:
             mistakes.append(Mistake("beams", "the widths of force and tracking beam are not known", "[beams]"))
-        elif not np.isclose(*beams.excitation_width_m[:2]):
+        elif beams.transducer_diameter_m is None and not np.isclose(*beams.excitation_width_m[:2]):
             what = f"a force of {beams.excitation_width_m[0]:g} m by {beams.excitation_width_m[1]:g} m is not round"
             mistakes.append(Mistake("beams.excitation_width_m", what, "equal widths across"))
         if excitation is not None and beams is not None:
-            width_m = beams.excitation_width_m[0], beams.excitation_width_m[2]
             density = scene.medium.density_kg_per_m3 if scene.medium else 1000.0
             burst = excitation.burst_rate_hz, excitation.burst_length_s[0]
-            pushes.append(Push(width_m, *burst, density, (width_uncertainty, width_uncertainty)))
+            force, widths = force_of(scene), (width_uncertainty, width_uncertainty)
+            shape = APERTURE_SHAPE if force.unsure else 0.0
+            pushes.append(Push(force, *burst, density, widths, shape_relative=shape))
     if any(push != pushes[0] for push in pushes):
         what = "runs push with unlike widths, burst rates or lengths, or in media of unlike density"
         mistakes.append(Mistake("excitation", what, "runs of one push, or each on its own"))

@@ -5,12 +5,15 @@ from .amplitude import (
     relative_drive as relative_drive,
 )
 from .beam_averaging import (
+    TYPICAL as TYPICAL,
     beam_widths as beam_widths,
     depth_in_gate as depth_in_gate,
+    force_of as force_of,
     medium_motion as medium_motion,
     medium_of as medium_of,
     predicted_averaging as predicted_averaging,
     pulse_length_m as pulse_length_m,
+    resting_conditions as resting_conditions,
     tracked_spread as tracked_spread,
 )
 from .bounds import echo_bound as echo_bound
@@ -24,6 +27,7 @@ from .error_model import (
     draw_scattering as draw_scattering,
     draw_speckle as draw_speckle,
     expected as expected,
+    tracked_over_peak as tracked_over_peak,
 )
 from .forecast import (
     LEAST_POINTS as LEAST_POINTS,

@@ -7,18 +7,21 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hpe_rig.bench import BenchFile, twin_dose, twin_of, twin_push
+from hpe_rig.bench import BenchFile, DriveCalibration, twin_dose, twin_of, twin_push, twin_water_output
 from hpe_rig.plan import Shot, drive_output
 from hpe_rig.prediction.aliasing import fitted_over_true
 from hpe_rig.prediction.beam_averaging import predicted_averaging, pulse_length_m
 from hpe_rig.prediction.detection import FALSE_ALARMS, detection_floor
 from hpe_rig.prediction.error_model import Expected
 from hpe_rig.prediction.forecast import Prediction, Remedy, forecast_of, remedies
-from hpe_rig.prediction.theory import beam_averaging_factor
+from hpe_rig.prediction.theory import beam_averaging_factor, focal_distortion
 from hpe_rig.processing import spec_of
 from hpe_rig.scene import Scene
 
 LISTED = 4
+STEEP = 0.25
+"""Distortion at the focus from which nonlinear propagation changes the force in muscle by a tenth and more
+(scripts/nonlinear_push.py); IEC 61949 takes a field for nearly linear up to 0.5."""
 AGREEING = 2.0
 """Intensities further apart than this factor are not of one transducer: attenuation over the way is known no better."""
 
@@ -40,7 +43,7 @@ def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = Non
     if scene.excitation is None:
         return
     yield from _push_text(scene) if simulated else ()
-    frequency_hz = np.array(scene.wanted_frequencies_hz[:LISTED])
+    frequency_hz, found = np.array(scene.wanted_frequencies_hz[:LISTED]), None
     for length_s in scene.excitation.burst_length_s:
         found = twin_dose(scene, length_s, frequency_hz) if simulated else None
         if found is None:
@@ -53,6 +56,24 @@ def detection_text(scene: Scene, simulated: bool = True, shot: Shot | None = Non
             + f"; the twin's force at {found.reference_drive_vpp:g} Vpp is "
             f"{found.intensity_w_per_m2 / found.limit_w_per_m2:.3g} times that"
         )
+    if found is not None:
+        yield from _linear_text(scene, found.intensity_w_per_m2)
+
+
+def _linear_text(scene: Scene, intensity_w_per_m2: float) -> Iterator[str]:
+    """Yield that the push is no longer linear where the scene takes it for that."""
+    twin, excitation = twin_of(scene), scene.excitation
+    if twin is None or excitation is None or twin.settings.propagation is not None:
+        return
+    beams, speed = twin.settings.beams, twin.sound_speed_m_per_s
+    shape = beams.transducer.diameter_m, beams.excitation_width_m[0], speed
+    distortion = focal_distortion(intensity_w_per_m2, excitation.carrier_hz, twin.focus_depth_m, *shape)
+    if distortion > STEEP:
+        yield (
+            f"push: taken to propagate linearly, though its distortion at the focus is {distortion:.2g} (IEC 61949); "
+            f"from {STEEP:g} on force and output go with drive otherwise by 10 % and more. Try: "
+            "[simulation.propagation]"
+        )
 
 
 def _push_text(scene: Scene) -> Iterator[str]:
@@ -63,8 +84,9 @@ def _push_text(scene: Scene) -> Iterator[str]:
     specimen = twin.settings.specimen
     force = specimen.force_density_n_per_m3
     surface_pa = push.surface_for(force)
-    known = push.positive_pa, push.negative_pa, push.sppa_w_per_m2, push.heat_w_per_m3
-    high_pa, low_pa, sppa, heat = (float(np.interp(surface_pa, push.surface_pa, each)) for each in known)
+    here = push.at(np.array([surface_pa]))
+    known = here.positive_pa, here.negative_pa, here.sppa_w_per_m2, here.heat_w_per_m3
+    high_pa, low_pa, sppa, heat = (float(each[0]) for each in known)
     index = low_pa * 1e-6 / math.sqrt(scene.excitation.carrier_hz * 1e-6)
     yield (
         f"push: {surface_pa * 1e-3:.3g} kPa at the transducer make p+ {high_pa * 1e-6:.3g} MPa and p- "
@@ -72,6 +94,19 @@ def _push_text(scene: Scene) -> Iterator[str]:
         f"{sppa * 1e-4:.3g} W/cm2, heating {heat * 1e-9:.2g} W/mm3; the force there goes with drive to the power "
         f"{2 * push.exponent(force):.2g}"
     )
+    water = twin_water_output(scene, surface_pa)
+    if water is not None:
+        focus_m, drive_vpp = twin.focus_depth_m, specimen.reference_drive_vpp
+        own = drive_vpp, scene.excitation.carrier_hz, water.negative_pa, water.sppa_w_per_m2
+        keys = "amplitude_vpp", "carrier_hz", "rarefaction_pa", "sppa_w_per_m2"
+        drive = DriveCalibration(**dict(zip(keys, own, strict=True)))
+        duty = scene.excitation.burst_rate_hz * max(scene.excitation.burst_length_s)
+        output = drive_output(drive, focus_m, drive_vpp, duty)
+        yield (
+            f"output in water at that drive, shocks included: p+ {water.positive_pa * 1e-6:.3g} MPa, p- "
+            f"{water.negative_pa * 1e-6:.2g} MPa; derated as the FDA asks MI {output.mechanical_index:.2g}, I_sppa "
+            f"{output.sppa_w_per_m2 * 1e-4:.3g} W/cm2, I_spta {output.spta_w_per_m2 * 0.1:.3g} mW/cm2"
+        )
 
 
 def calibration_text(scene: Scene, bench: BenchFile) -> Iterator[str]:

@@ -17,6 +17,9 @@ Triple = tuple[float, float, float]
 DEPTHS = 256
 INSTANTS = 96
 
+WATER_DENSITY, WATER_NONLINEARITY = 1000.0, 3.5
+"""kg/m^3, and the coefficient beta = 1 + B/2A."""
+
 
 def echo_power(gate_length_m: float, pulse_length_m: float, tracking_depth_m: float) -> float:
     """Return the mean echo power in a gate around the focus, relative to that at the focus.
@@ -79,6 +82,27 @@ def gate_energy(
     depth = _midpoints(gate_length_m + pulse_length_m, DEPTHS)
     echo = _gate_echoes(depth, tracking_width_m, gate_length_m, pulse_length_m, gate_window)
     return depth, np.sum(echo**2, axis=0)
+
+
+def focal_distortion(
+    intensity_w_per_m2: float,
+    carrier_hz: float,
+    focus_m: float,
+    diameter_m: float,
+    width_m: float,
+    sound_speed_m_per_s: float,
+) -> float:
+    """Return the local distortion parameter of IEC 61949, z p 2 pi f beta / (rho c^3 sqrt(F_a)), in water.
+
+    Of an aperture ``diameter_m`` across whose intensity at the focus has the sigma ``width_m``: F_a is 0.69 times
+    the source's area over that of the -6 dB beam. p is the pressure of a linear wave of that intensity. Up to 0.5 the
+    standard takes a field for nearly linear.
+    """
+    pressure_pa = np.sqrt(2 * WATER_DENSITY * sound_speed_m_per_s * intensity_w_per_m2)
+    beam_m = 2 * width_m * np.sqrt(2 * np.log(4))
+    area_ratio = 0.69 * (diameter_m / beam_m) ** 2
+    steepening = 2 * np.pi * carrier_hz * WATER_NONLINEARITY / (WATER_DENSITY * sound_speed_m_per_s**3)
+    return float(focus_m * pressure_pa * steepening / np.sqrt(area_ratio))
 
 
 def scatterer_density(tracking_width_m: Triple, per_cell: float) -> float:

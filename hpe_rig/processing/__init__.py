@@ -19,6 +19,7 @@
 
     what a medium can do of tonebursts, as a prior of the fit               ensemble.py, prior.py
     how it moves beside the push                                            shear_field.py
+    f(r, z) of a Gaussian beam, or of an aperture                           push_force.py
     many lines and depths at once, a pixel each                             motion_map.py
     what harmonics it does not resolve leave in a fit without prior         unresolved.py
     what distinguishes them, one row each                                   estimators.py

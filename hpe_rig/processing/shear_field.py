@@ -1,13 +1,14 @@
-"""Shear field of a Gaussian body force in a viscoelastic medium, on the axis and off it, with its derivatives.
+"""Shear field of a body force in a viscoelastic medium, on the axis and off it, with its derivatives.
 
     u(r, z) = f0 sx^2 sz / (sqrt(2 pi) rho w^2) int_0^inf k^3 J0(k r) exp(-A k^2 / 2) [V(kappa) - V(k)] dk,
     V(kappa) = pi / (2 kappa) exp(-b^2) [erfcx(kappa sqrt(a) + b) + erfcx(kappa sqrt(a) - b)],
     kappa^2 = k^2 - q^2,   q^2 = rho w^2 / mu,   a = B / 2,   b = z / 2 sqrt(a),
 
-the force f0 exp(-(x^2 + y^2) / 2 sx^2 - z^2 / 2 sz^2) along z, time factor exp(+jwt), A = sx^2 and B = sz^2 the squared
-widths of the force, larger by the variances of what a tracking beam averages over. The integral over wave numbers along
-the axis is done in closed form, that over those across it along a path in the upper half plane, clear of the shear pole
-q even in an elastic medium. docs/theory/moduli.md has the derivation.
+of a Gaussian force f0 exp(-(x^2 + y^2) / 2 sx^2 - z^2 / 2 sz^2) along z, time factor exp(+jwt), A = sx^2 and B = sz^2
+the squared widths of the force, larger by the variances of what a tracking beam averages over. A force that is a sum of
+Gaussians moves by the sum of theirs. The integral over wave numbers along the axis is done in closed form, that over
+those across it along a path in the upper half plane, clear of the shear pole q even in an elastic medium.
+docs/theory/moduli.md has the derivation.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import jv, wofz
+
+from hpe_rig.processing.push_force import PushForce
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -43,55 +46,83 @@ PANEL_PHASE_RAD = 7.0
 class ShearMotion:
     """Displacement per body force and its derivatives at every frequency and place, complex (frequency, place).
 
-    ``value`` in m per N/m^3; ``by_modulus`` its derivative with respect to the complex modulus, ``by_across``,
-    ``by_across_twice`` (the second) and ``by_along`` with respect to the squared widths A and B, ``by_lateral`` and
-    ``by_axial`` to the place.
+    ``value`` in m per N/m^3; ``by_modulus`` its derivative with respect to the complex modulus, ``by_across`` and
+    ``by_across_twice`` (the second) with respect to the variance that the tracking averages over across the beam,
+    ``by_lateral`` and ``by_axial`` to the place, ``by_width`` and ``by_length`` to the logarithms of the force's widths
+    across and along, its strength at the focus the same, ``by_unsure`` to what else is ``unsure`` of it, by name.
     """
 
     value: ComplexArray
     by_modulus: ComplexArray
     by_across: ComplexArray
     by_across_twice: ComplexArray
-    by_along: ComplexArray
     by_lateral: ComplexArray
     by_axial: ComplexArray
+    by_width: ComplexArray
+    by_length: ComplexArray
+    by_unsure: dict[str, ComplexArray]
 
 
 def shear_motion(
     modulus_pa: ComplexArray,
     frequency_hz: FloatArray,
     density_kg_per_m3: float,
-    force_width_m: tuple[float, float],
-    across_m2: FloatArray | float,
-    along_m2: float,
+    force: PushForce,
+    seen_across_m2: FloatArray | float,
+    seen_along_m2: float,
     lateral_m: FloatArray,
     axial_m: float = 0.0,
 ) -> ShearMotion:
-    """Return the field of a round force with the sigmas ``force_width_m`` (across, along) where it is tracked.
+    """Return the field of a round ``force`` where it is tracked.
 
-    ``modulus_pa`` and ``frequency_hz`` (frequency,); ``across_m2``, one or (place,), and ``along_m2``: squared widths
-    with what the tracking averages over; ``lateral_m`` (place,) distances from the axis, ``axial_m`` that from the
+    ``modulus_pa`` and ``frequency_hz`` (frequency,); ``seen_across_m2``, one or (place,), and ``seen_along_m2``: the
+    variances that the tracking averages over; ``lateral_m`` (place,) distances from the axis, ``axial_m`` that from the
     focal plane. Good to 1e-10 of the largest displacement, 1e-8 for waves of a tenth of the force's width: 0.5 to
     500 kPa, viscosities from none to 50 Pa s, places to 20 mm, waves from a tenth of the force's width to some thousand
     of it.
     """
+    # every Gaussian of the force along the same path: that of the narrowest
+    narrow_m2, along_m2 = min(force.across_m) ** 2, force.along_m**2 + seen_along_m2
+    narrowest = narrow_m2 + seen_across_m2
     k, waves, slope, q2, front = _waves(
-        modulus_pa, frequency_hz, density_kg_per_m3, force_width_m, across_m2, along_m2, lateral_m
+        modulus_pa, frequency_hz, density_kg_per_m3, (1.0, force.along_m), narrowest, along_m2, lateral_m
     )
-    half, k2 = along_m2 / 2, (k**2)[:, None]
-    dynamic = _along(np.sqrt(k**2 - q2[:, None]), half, axial_m)
-    static = _along(k[None], half, axial_m)
-    kernel, _, by_half, by_axial = (front[:, None] * (own - rest) for own, rest in zip(dynamic, static, strict=True))
-    # the static part does not hang on the modulus: dq2/dmu = -q2/mu, dkappa2/dq2 = -1
-    by_modulus = (front * q2 / modulus_pa)[:, None] * dynamic[1]
+    half, k2 = along_m2 / 2, k**2
+    kappa, area_m2 = np.sqrt(k2 - q2[:, None]), np.square(force.across_m)[:, None]
+    # the path's waves hold the narrowest Gaussian across already
+    across = area_m2 * np.exp(-k2 * (area_m2 - narrow_m2) / 2)
+    spectra, wider = (np.array(force.share) @ each for each in (across, (2 - k2 * area_m2) * across))
+    unsure = [np.array(share) @ across for _, share in force.unsure]
+    # Gaussians at the same distance before and behind have all but the sign of the slope along the axis in common.
+    off_m, centre_m = axial_m - np.array(force.centre_m), np.array(force.centre_m)[:, None]
+    distance_m, which = np.unique(np.round(np.abs(off_m), 12), return_inverse=True)
+    fold = np.zeros((distance_m.size, off_m.size))
+    fold[which, np.arange(off_m.size)] = 1.0
+    signed = fold * np.sign(off_m)
+    shapes = fold @ spectra, signed @ spectra, signed @ (centre_m * spectra), fold @ wider
+    rest = [fold @ each for each in unsure]
+    sums = np.zeros((5 + len(rest), *kappa.shape), np.complex128)
+    for away_m, spectrum, odd, shifted, widened, *others in zip(distance_m, *shapes, *rest, strict=True):
+        dynamic, static = _along(kappa, half, away_m), _along(k[None], half, away_m)
+        value, _, by_half, by_axial = (own - at_rest for own, at_rest in zip(dynamic, static, strict=True))
+        # the static part does not hang on the modulus: dq2/dmu = -q2/mu, dkappa2/dq2 = -1
+        sums[0] += value * spectrum
+        sums[1] += dynamic[1] * spectrum
+        sums[2] += by_axial * odd
+        sums[3] += (value + force.along_m**2 * by_half) * spectrum - by_axial * shifted
+        sums[4] += value * widened
+        sums[5:] += value * np.array(others)[:, None] if others else 0.0
+    kernel, by_kappa, by_axial, longer, widened, *extra = (front[:, None] * each for each in sums)
     return ShearMotion(
         value=kernel @ waves,
-        by_modulus=by_modulus @ waves,
-        by_across=kernel @ (-k2 / 2 * waves),
-        by_across_twice=kernel @ (k2**2 / 4 * waves),
-        by_along=by_half @ waves / 2,
+        by_modulus=(q2 / modulus_pa)[:, None] * by_kappa @ waves,
+        by_across=kernel @ (-k2[:, None] / 2 * waves),
+        by_across_twice=kernel @ (k2[:, None] ** 2 / 4 * waves),
         by_lateral=kernel @ slope,
         by_axial=by_axial @ waves,
+        by_width=widened @ waves,
+        by_length=longer @ waves,
+        by_unsure={name: each @ waves for (name, _), each in zip(force.unsure, extra, strict=True)},
     )
 
 
@@ -141,9 +172,9 @@ def _waves(
 
 
 def _along(kappa: ComplexArray, half: float, axial_m: float) -> tuple[ComplexArray, ...]:
-    """Return V and its derivatives by kappa^2, by ``half`` = B / 2 and by z, each (..., k)."""
+    """Return V and its derivatives by kappa^2, by ``half`` = B / 2 and by z, each (..., k), at z >= 0."""
     root = np.sqrt(half)
-    shift = abs(axial_m) / (2 * root)
+    shift = axial_m / (2 * root)
     plus, minus = kappa * root + shift, kappa * root - shift
     falling = np.exp(-(shift**2))
     ahead = falling * wofz(1j * plus)
@@ -156,7 +187,7 @@ def _along(kappa: ComplexArray, half: float, axial_m: float) -> tuple[ComplexArr
     by_kappa = -value / kappa + turn * root * (by_plus + by_minus)
     # kz^2 / (kz^2 + kappa^2) = 1 - kappa^2 / (kz^2 + kappa^2)
     by_half = kappa**2 * value - np.sqrt(np.pi / half) * falling
-    by_axial = np.sign(axial_m) * (np.pi / 2) * (ahead - behind)
+    by_axial = (np.pi / 2) * (ahead - behind)
     return value, by_kappa / (2 * kappa), by_half, by_axial
 
 

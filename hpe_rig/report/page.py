@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from hpe_rig.acquire import Run, open_run
 from hpe_rig.bench import twin_of
-from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, named
+from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, named, origin
 from hpe_rig.plan import scene_of, timing
 from hpe_rig.prediction import detection_text
 from hpe_rig.processing import margin_needed, samples_needed
@@ -252,8 +252,8 @@ def _facts(run: Run, result: Result) -> list[tuple[str, str]]:
     if result.provenance.started:
         facts.append(("started", result.provenance.started.replace("T", " ")))
     twin = twin_of(scene) if run.stored.simulated else None
-    if twin is not None and twin.medium_name is not None:
-        facts.append(("simulated medium", named(MEDIA, twin.medium_name)))
+    if twin is not None and twin.foreign_medium is not None:
+        facts.append(("simulated medium", origin(MEDIA, twin.foreign_medium)))
     if result.simulated_specimen:
         facts.append(("simulated specimen", result.simulated_specimen))
     if scene.excitation:

@@ -33,6 +33,7 @@ from .quantities import (
     Widths as Widths,
 )
 from .scene import (
+    BUILT_IN_ESTIMATORS as BUILT_IN_ESTIMATORS,
     DEFAULT_SPECIMEN as DEFAULT_SPECIMEN,
     Estimator as Estimator,
     Excitation as Excitation,

@@ -202,7 +202,11 @@ class Beams(Section):
     push_focus_depth_m: LengthM | None = None
     """The same of a pushing transducer that does not track; absent: one transducer does both. Needs focus_depth_m."""
     transducer_diameter_m: Annotated[LengthM, Field(le=1.0)] | None = None
-    """Diameter of the focused aperture, whose oblique waves sense less of a displacement; absent: plane waves."""
+    """Diameter of the circular, focused aperture that pushes and tracks: its intensity is the force's shape, and its
+    oblique waves sense less of a displacement; absent: a Gaussian force and plane waves. Of two transducers that of
+    the one that tracks, the force is Gaussian."""
+    attenuation_db_per_cm_mhz: Annotated[float, Field(ge=0, le=10, strict=True)] | None = None
+    """Attenuation of the push on its way, of an aperture; absent: 0.5, that of soft tissue."""
 
     @model_validator(mode="after")
     def _two_distances_have_one_focus(self) -> Beams:

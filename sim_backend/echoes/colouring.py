@@ -7,13 +7,16 @@ phase. docs/theory/transducer.md, section 2.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.echoes.pulse import Pulse
 from sim_backend.settings import SimulationSettings
-from sim_backend.transducer import Mixture, pulse_echo_beam
+
+if TYPE_CHECKING:
+    from sim_backend.transducer import Mixture
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -42,6 +45,9 @@ def coloured(settings: SimulationSettings, offset_m: Floats, pulse: Pulse, of_pu
 
     ``of_push``: of a toneburst, whose axis is that of the push, not of the tracking.
     """
+    # here, so that Gaussian beams load nothing of it
+    from sim_backend.transducer import pulse_echo_beam
+
     x, y = (0.0, 0.0) if of_push else settings.beams.lateral_offset_m
     lateral_m, axial_m = np.hypot(offset_m[:, 0] - x, offset_m[:, 1] - y), offset_m[:, 2]
     node_hz, mixture, to_lines = _band(pulse)

@@ -3,7 +3,14 @@ from .hydrophone import Scan as Scan, read_scan as read_scan, round_field as rou
 from .intensity import GaussianSum as GaussianSum, gaussian_sum as gaussian_sum, push_intensity as push_intensity
 from .nonlinear import Accuracy as Accuracy, Beam as Beam, nonlinear_beam as nonlinear_beam
 from .pulse_echo import Mixture as Mixture, PulseEchoBeam as PulseEchoBeam, pulse_echo_beam as pulse_echo_beam
-from .push import Push as Push, equivalent_force as equivalent_force, path as path, push_of as push_of
+from .push import (
+    Push as Push,
+    WaterOutput as WaterOutput,
+    equivalent_force as equivalent_force,
+    path as path,
+    push_of as push_of,
+    water_output as water_output,
+)
 from .radiation import (
     NEPER_PER_DB as NEPER_PER_DB,
     apodisation as apodisation,

@@ -16,8 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.settings import SimulationSettings, Specimen, Transducer
-from sim_backend.transducer.hydrophone import read_scan, round_field
-from sim_backend.transducer.radiation import bowl_pressure, wave_number
 
 Floats = NDArray[np.float64]
 
@@ -76,6 +74,10 @@ def _kept(
     attenuation_db_per_cm_mhz: float,
     scan: str | None,
 ) -> GaussianSum:
+    # here, so that a Gaussian push, which is the sum of one, loads none of it
+    from sim_backend.transducer.hydrophone import read_scan, round_field
+    from sim_backend.transducer.radiation import bowl_pressure, wave_number
+
     k = wave_number(frequency_hz, sound_speed_m_per_s, attenuation_db_per_cm_mhz)
     sigma_m, reach_m, across_m = push_extent(transducer, frequency_hz, sound_speed_m_per_s)
     axial_m = np.linspace(-reach_m, reach_m, _AXIAL_POINTS + 1)

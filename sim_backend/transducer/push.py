@@ -10,7 +10,7 @@ F replaces drive^2 in the twin's force. The surface's pressure at the reference 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import numpy as np
@@ -45,6 +45,21 @@ class Push:
     """Largest intensity while a toneburst is on."""
     heat_w_per_m3: Floats
     """Largest heating rate while a toneburst is on."""
+
+    def at(self, surface_pa: Floats) -> Push:
+        """Return the push at these surface pressures (level,): by monotone cubics in logarithms, powers beyond."""
+        from scipy.interpolate import PchipInterpolator
+
+        known, wanted = np.log(self.surface_pa), np.log(surface_pa)
+        inside = np.clip(wanted, known[0], known[-1])
+
+        def there(name: str) -> Floats:
+            value = np.log(getattr(self, name))
+            slopes = (value[1] - value[0]) / (known[1] - known[0]), (value[-1] - value[-2]) / (known[-1] - known[-2])
+            beyond = np.where(wanted < inside, slopes[0], slopes[1]) * (wanted - inside)
+            return np.asarray(np.exp(PchipInterpolator(known, value)(inside) + beyond))
+
+        return Push(*(there(each.name) for each in fields(self)))
 
     def share(self, pressure: Floats, force_density_n_per_m3: float) -> Floats:
         """Return the force over ``force_density_n_per_m3`` at ``pressure`` over that of the drive which makes it."""
@@ -88,6 +103,41 @@ def push_of(settings: SimulationSettings, carrier_hz: float = 3.0e6) -> Push | N
     return _push(specimen, propagation, settings.sound_speed_m_per_s, *geometry, carrier_hz)
 
 
+@dataclass(frozen=True, slots=True)
+class WaterOutput:
+    """Acoustic output in water, as a hydrophone would measure it: nothing derated."""
+
+    positive_pa: float
+    """Peak positive pressure."""
+    negative_pa: float
+    """Peak negative pressure."""
+    sppa_w_per_m2: float
+    """Largest intensity while a toneburst is on."""
+
+
+def water_output(settings: SimulationSettings, surface_pa: float, carrier_hz: float = 3.0e6) -> WaterOutput:
+    """Return the output of a scene's transducer in water, driven to ``surface_pa``; raise ``ValueError`` without one.
+
+    With the water of ``settings.propagation``, harmonics and shocks included; computed once for a pressure.
+    """
+    if settings.propagation is None:
+        raise ValueError("no nonlinear propagation is declared. Try: [simulation.propagation]")
+    return _water(settings.beams.transducer, settings.propagation, settings.sound_speed_m_per_s, surface_pa, carrier_hz)
+
+
+@lru_cache(maxsize=8)
+def _water(
+    transducer: Transducer, propagation: Propagation, speed_m_per_s: float, surface_pa: float, carrier_hz: float
+) -> WaterOutput:
+    layer = _water_layer(propagation, speed_m_per_s, math.inf)
+    beam = nonlinear_beam(transducer, [layer], carrier_hz, surface_pa, Accuracy(propagation.harmonics))
+    # The bowl's own edge is no place that a hydrophone comes to.
+    near = beam.depth_m > transducer.focal_length_m / 2
+    positive_pa, negative_pa = beam.extremes_pa()
+    peaks = positive_pa[near].max(), negative_pa[near].max(), beam.intensity_w_per_m2()[near].max()
+    return WaterOutput(*(float(each) for each in peaks))
+
+
 @lru_cache(maxsize=8)
 def _push(
     specimen: Specimen,
@@ -121,17 +171,15 @@ def _push(
 
 def path(specimen: Specimen, propagation: Propagation, speed_m_per_s: float, focus_m: float) -> list[Layer]:
     """Return what the push goes through: water, then the specimen, with one sound speed as everywhere in the twin."""
-    water = Layer(
-        focus_m - propagation.specimen_depth_m,
-        speed_m_per_s,
-        propagation.water_density_kg_per_m3,
-        propagation.water_nonlinearity,
-        propagation.water_attenuation_db_per_cm_mhz2,
-        2.0,
-    )
+    water = _water_layer(propagation, speed_m_per_s, focus_m - propagation.specimen_depth_m)
     loss = specimen.attenuation_db_per_cm_mhz
     own = specimen.density_kg_per_m3, propagation.nonlinearity, loss, propagation.attenuation_power
     return [water, Layer(math.inf, speed_m_per_s, *own)]
+
+
+def _water_layer(propagation: Propagation, speed_m_per_s: float, thickness_m: float) -> Layer:
+    own = propagation.water_density_kg_per_m3, propagation.water_nonlinearity
+    return Layer(thickness_m, speed_m_per_s, *own, propagation.water_attenuation_db_per_cm_mhz2, 2.0)
 
 
 def equivalent_force(beam: Beam, focus_m: float, width_m: Triple, start_m: float) -> float:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
-from hpe_rig.processing import shear_motion
+from hpe_rig.processing import PushForce, shear_motion
 from hpe_rig.report import write_report
 from hpe_rig.result import Result, result_csv
 
@@ -43,8 +43,8 @@ def test_a_profile_is_the_field_of_the_medium_within_its_uncertainty(result: Res
     for gate in result.profile:
         for estimate in gate.shot.estimates:
             omega = 2 * math.pi * estimate.frequency_hz
-            hz, width = np.array([estimate.frequency_hz]), (0.34e-3, 3.6e-3)
-            medium = np.array([7.25e3 + 1j * omega]), hz, 1000.0, width, width[0] ** 2, width[1] ** 2
+            hz, force = np.array([estimate.frequency_hz]), PushForce((0.34e-3,), 3.6e-3)
+            medium = np.array([7.25e3 + 1j * omega]), hz, 1000.0, force, 0.0, 0.0
             beside_m = np.array([gate.shot.lateral_offset_m])
             here, focus = (shear_motion(*medium, beside_m, z).value[0, 0] for z in (gate.depth_m - 70e-3, 0.0))
             [own] = [each for each in result.shots if each.shot == gate.shot.shot]

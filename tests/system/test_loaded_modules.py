@@ -78,7 +78,11 @@ def test_a_list_of_runs_loads_no_twin(folder: Path) -> None:
     "command", [("report", "mine.h5"), ("run", "bovine-muscle", "--json"), ("check", "bovine-muscle")]
 )
 def test_nothing_loads_extras_that_nobody_asked_for(folder: Path, command: tuple[str, ...]) -> None:
-    loaded = packages(loaded_by(folder, *command))
+    modules = loaded_by(folder, *command)
+    loaded = packages(modules)
+    # of the transducer's physics what a Gaussian push is a sum of, and no more
+    physics = {name for name in modules if name.startswith("sim_backend.transducer.")}
+    assert physics <= {"sim_backend.transducer.intensity"}
     assert loaded >= CORE | {"scipy"}
     assert not loaded & NEVER
     assert bool(loaded & DRAWING) == (command[0] == "report")

@@ -22,6 +22,7 @@ from hpe_rig.acquire import (
     QueueRun,
     Setup,
     Step,
+    StopRequested,
     Watching,
     json_schema,
     listed,
@@ -181,6 +182,26 @@ def test_the_page_of_a_queue_follows_its_runs_and_says_which_of_how_many_and_how
     )
     with pytest.raises(StoreError, match="has ended"):
         source.stop()
+
+
+def test_a_stop_between_two_runs_ends_the_queue_before_the_next_and_is_forgotten_by_a_resume(tmp_path: Path) -> None:
+    runs = [(str(path), None) for path in scenes(tmp_path, 2)]
+    folder = tmp_path / "queue"
+    queue, source, told = new_queue(runs, folder), QueueSource(folder), Watcher()
+    source.poll()
+
+    def tell(text: str) -> None:
+        if text.startswith("run 2"):
+            # The first run is complete, the second one has not begun.
+            source.poll()
+            source.stop()
+
+    with pytest.raises(StopRequested):
+        run_queue(folder, queue, Watching(tell, told.watch))
+    assert [run.state for run in read_queue(folder)] == ["done", "stopped"]
+    assert {name for name, _, _ in told.steps} == {"01-scene-0.h5"}
+    ended, _ = run_queue(folder, read_queue(folder), Watcher().watching)
+    assert [run.state for run in ended] == ["done", "done"]
 
 
 def test_the_page_of_a_queue_that_was_stopped_ends_once_no_run_follows(tmp_path: Path) -> None:

@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hpe_rig.moduli.inversion import Problem, Push, Vibration, bound, compare_media, fit_medium
+from hpe_rig.moduli.inversion import bound, compare_media, fit_medium
 from hpe_rig.moduli.media import LAWS
+from hpe_rig.moduli.vibration_model import Problem, Push, Vibration
+from hpe_rig.processing import PushForce
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import Specimen
 
 FREQUENCY_HZ = np.arange(100.0, 1001.0, 100.0)
-PUSH = Push((0.34e-3, 3.6e-3), 100.0, 100e-6)
+PUSH = Push(PushForce((0.34e-3,), 3.6e-3), 100.0, 100e-6)
 FIVE = (1e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6e-3)
 NOISE_M = 0.7e-9
 SPECKLE = 0.02
@@ -32,7 +34,7 @@ def vibrations(
     frequency_hz: np.ndarray = FREQUENCY_HZ,
 ) -> list[Vibration]:
     """Return the twin's motion at ``places_m``, 800 nm at 100 Hz on the axis, with noise and speckle where drawn."""
-    width = (push.width_m[0], *push.width_m)
+    width = (push.force.across_m[0], push.force.across_m[0], push.force.along_m)
     field = field_transfer(specimen, width, np.array([0.0, *places_m]), np.zeros(1), frequency_hz)[:, :, 0]
     motion = field * push.spectrum(frequency_hz)[:, None]
     motion *= 800e-9 / abs(motion[0, 0])
@@ -73,7 +75,9 @@ HELD = json.loads((Path(__file__).parents[2] / "fixtures" / "held_shear_field.js
 @pytest.mark.parametrize("medium", HELD["media"], ids=lambda medium: f"{medium['shear_modulus_pa']:g} Pa")
 def test_spectra_by_an_independent_quadrature_give_the_moduli_back_to_1e_6(medium: dict[str, Any]) -> None:
     """scripts/held_shear_field.py, which uses nothing of ours: converged to 2e-11 of the largest amplitude."""
-    push = Push(tuple(HELD["width_m"]), HELD["burst_rate_hz"], HELD["burst_length_s"])
+    push = Push(
+        PushForce(tuple(HELD["width_m"][:1]), HELD["width_m"][1]), HELD["burst_rate_hz"], HELD["burst_length_s"]
+    )
     assert push == PUSH
     phasors = np.array(medium["real_m"]) + 1j * np.array(medium["imaginary_m"])
     covariance = NOISE_M**2 * np.eye(2 * FREQUENCY_HZ.size)
@@ -123,7 +127,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(places: tuple[float, ...]
     z, chi_square = [], []
     for _ in range(trials):
         wide, deep = np.exp(0.05 * rng.standard_normal(2))
-        drawn = Push((0.34e-3 * wide, 3.6e-3 * deep), 100.0, 100e-6)
+        drawn = Push(PushForce((0.34e-3 * wide,), 3.6e-3 * deep), 100.0, 100e-6)
         fit = fit_medium(vibrations(specimen, places, rng, drawn), PUSH)
         z.append((np.array(list(fit.values.values())) - truth) / np.array(list(fit.uncertainty.values())))
         chi_square.append(fit.chi_square / fit.freedom)
@@ -156,13 +160,13 @@ def test_more_data_never_hurt_and_contributions_say_what_each_brings() -> None:
 
 def test_a_wrong_width_is_taken_up_where_it_is_uncertain_and_excluded_where_it_is_not() -> None:
     specimen = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0)
-    narrow = Push((0.27e-3, 3.6e-3), 100.0, 100e-6, width_uncertainty=(0.3, 0.3))
+    narrow = Push(PushForce((0.27e-3,), 3.6e-3), 100.0, 100e-6, width_uncertainty=(0.3, 0.3))
     measured = vibrations(specimen, FIVE, np.random.default_rng(6))
     fit = fit_medium(measured, narrow)
     assert abs(fit.values["shear_modulus_pa"] - 9e3) < 3 * fit.uncertainty["shear_modulus_pa"]
     assert not fit.excluded
     assert fit.adjusted["across"] == pytest.approx(np.log(0.34 / 0.27) / 0.3, abs=0.2)
-    sure = Push((0.17e-3, 1.8e-3), 100.0, 100e-6, width_uncertainty=(1e-3, 1e-3))
+    sure = Push(PushForce((0.17e-3,), 1.8e-3), 100.0, 100e-6, width_uncertainty=(1e-3, 1e-3))
     assert fit_medium(measured, sure).excluded
 
 
@@ -184,7 +188,7 @@ def test_a_place_beyond_what_the_field_was_tested_to_is_refused() -> None:
 def at_depths(medium: tuple[float, float], depths_m: Sequence[float]) -> list[Vibration]:
     """Return the twin's motion at two places and several depths, its force everywhere at once, without noise."""
     specimen = Specimen(shear_modulus_pa=medium[0], shear_viscosity_pa_s=medium[1])
-    places_m, width = np.array([0.0, 1e-3, 4e-3]), (PUSH.width_m[0], *PUSH.width_m)
+    places_m, width = np.array([0.0, 1e-3, 4e-3]), (0.34e-3, 0.34e-3, 3.6e-3)
     covariance = NOISE_M**2 * np.eye(2 * FREQUENCY_HZ.size)
     known = {"gain_uncertainty": SPECKLE, "phase_uncertainty_rad": SPECKLE, "area_uncertainty": 0.6}
     known |= {"lateral_uncertainty_m": 35e-6, "place_uncertainty_m": 20e-6, "tracking_m2": (3e-9, 1e-7)}
@@ -200,11 +204,15 @@ def at_depths(medium: tuple[float, float], depths_m: Sequence[float]) -> list[Vi
 
 
 def test_slopes_by_everything_that_depths_add_are_those_of_finite_differences() -> None:
-    problem = Problem.of(at_depths((9e3, 2.0), (-1e-3, 0.0, 2e-3)), PUSH, LAWS["voigt"])
+    # a force of several Gaussians of which something is not known, as an aperture's
+    unsure = ("reach", ((0.1, 0.3), (0.0, 0.2))), ("loss", ((0.05, 0.0), (0.0, -0.1)))
+    force = PushForce((0.34e-3, 0.8e-3), 3.6e-3, (-1e-3, 4e-3), ((0.7, 0.2), (0.1, 0.2)), unsure)
+    motion = at_depths((9e3, 2.0), (-1e-3, 0.0, 2e-3))
+    problem = Problem.of(motion, replace(PUSH, force=force), LAWS["voigt"])
     coordinates = [one.to_coordinate(value) for one, value in zip(problem.law.parameters, (9e3, 2.0), strict=True)]
     unknown = problem.start(np.array(coordinates))[0]
     kinds = [kind for kind, _, _ in problem.nuisances]
-    assert {"stage", "travel", "axial"} <= set(kinds)
+    assert {"stage", "travel", "axial", "reach", "loss"} <= set(kinds)
     # one unknown a place for the stage, whatever the number of depths
     assert kinds.count("stage") == 2
     jacobian = problem.jacobian(unknown)

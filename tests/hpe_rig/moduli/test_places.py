@@ -10,7 +10,8 @@ import pytest
 
 import hpe_rig as hpe
 from hpe_rig.moduli import ModuliResult, Source, law_of, moduli_of, push_of
-from hpe_rig.moduli.inversion import Problem
+from hpe_rig.moduli.places import APERTURE_SHAPE
+from hpe_rig.moduli.vibration_model import Problem
 from hpe_rig.prediction.beam_averaging import resting_conditions
 from hpe_rig.prediction.error_model import draw_speckle, tracked_over_peak
 from hpe_rig.store import StoredRun
@@ -117,3 +118,14 @@ def test_a_force_that_changed_between_places_needs_an_amplitude_a_place(tmp_path
     assert common.best.excluded
     own = hpe.fit_moduli(strong, weak, laws=["voigt"], common_amplitude=False)
     require_truth(own)
+
+
+def test_a_declared_aperture_pushes_by_its_own_intensity_and_two_transducers_by_a_gaussian() -> None:
+    scene = hpe.load_scene("gelatin-moduli")
+    one = scene.with_({"beams.transducer_diameter_m": 45e-3})
+    two = one.with_({"beams.focus_depth_m": 70e-3, "beams.push_focus_depth_m": 60e-3})
+    gaussian, aperture = push_of([scene]), push_of([one])
+    assert push_of([two]) == gaussian
+    assert (gaussian.force.across_m, gaussian.force.along_m) == ((0.34e-3,), 3.6e-3)
+    assert (gaussian.shape_relative, aperture.shape_relative) == (0.0, APERTURE_SHAPE)
+    assert [name for name, _ in aperture.force.unsure] == ["reach", "loss"]

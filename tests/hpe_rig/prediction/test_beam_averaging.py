@@ -8,6 +8,7 @@ import pytest
 from hpe_rig.acquire.run import prepare_text, record_run
 from hpe_rig.prediction.beam_averaging import (
     SHAPE_RELATIVE,
+    beam_widths,
     depth_spread,
     gaussian_averaging,
     medium_motion,
@@ -28,7 +29,7 @@ from sim_backend.echoes.pulse import hann_pulse
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings.simulation import Beams, Scatterers, SimulationSettings, Specimen
-from sim_backend.transducer import pulse_echo_beam
+from sim_backend.transducer import pulse_echo_beam, push_intensity
 
 FORCE_M = (0.17e-3, 0.17e-3, 1.80e-3)
 TRACKING_M = (0.078e-3, 0.078e-3, 0.83e-3)
@@ -273,5 +274,22 @@ def test_a_declared_aperture_lowers_what_is_tracked_and_widens_its_uncertainty()
     oblique = predicted_averaging(scene.with_({"beams.transducer_diameter_m": 45e-3}), "coherent")[0]
     assert plain is not None
     assert oblique is not None
-    assert oblique.factor / plain.factor == pytest.approx(oblique_share(45e-3, 70e-3))
+    # its force is no Gaussian either: the twin's field under both, over the echoes' energy
+    beams = beam_widths(scene, "coherent")
+    assert beams is not None
+    lateral_m, (node, weight) = np.linspace(0, 0.25e-3, 26), np.polynomial.hermite.hermgauss(5)
+    energy = np.exp(-2 * (lateral_m / beams.tracking_width_m[0]) ** 2) * lateral_m
+    depth_m = np.sqrt(2) * beams.axial_spread_m * node
+    settings = SimulationSettings.model_validate({"beams": {"field": "aperture"}, "specimen": {}})
+    specimen, hz = Specimen(shear_modulus_pa=9e3, shear_viscosity_pa_s=2.0), np.array([scene.wanted_frequencies_hz[0]])
+    aperture, gaussian = (
+        abs(energy @ field[0] @ weight / energy.sum() / weight.sum() / field[0, 0, 2])
+        for field in (
+            field_transfer(specimen, force, lateral_m, depth_m, hz)
+            for force in (push_intensity(settings), (0.34e-3, 0.34e-3, 3.6e-3))
+        )
+    )
+    assert aperture / gaussian > 1.001
+    expected = oblique_share(45e-3, 70e-3) * aperture / gaussian
+    assert oblique.factor / plain.factor == pytest.approx(expected, abs=1e-3)
     assert (plain.shape_relative, oblique.shape_relative) == (0.0, SHAPE_RELATIVE)

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from hpe_rig.prediction.bounds import harmonic_bound
+from hpe_rig.prediction.text import detection_text
 from hpe_rig.prediction.theory import (
     beam_averaging_factor,
+    focal_distortion,
     force_spectrum,
     scatterer_density,
 )
 from hpe_rig.processing import Window
+from hpe_rig.scene import load_scene
 
 EXCITATION = (0.17e-3, 0.17e-3, 1.80e-3)
 TRACKING = (0.078e-3, 0.078e-3, 0.83e-3)
@@ -73,3 +78,20 @@ def test_bound_gives_the_reference_figures_for_table_one() -> None:
     amplitude_m, phase_rad = harmonic_bound(1e-6, 130, 100, 1e4, 9e6, 1540.0)
     assert amplitude_m == pytest.approx(1.69e-9, rel=5e-3, abs=0)
     assert np.degrees(phase_rad) == pytest.approx(0.097, abs=1e-3)
+
+
+def test_distortion_at_the_focus_is_that_of_iec_61949() -> None:
+    # 5 MPa of a linear wave in water, 3 MHz, 45 mm across at 70 mm; a -6 dB beam 1.13 mm wide
+    beam_m, pressure_pa = 2 * 0.34e-3 * math.sqrt(2 * math.log(4)), 5e6
+    area_ratio = 0.69 * (math.pi * 22.5e-3**2) / (math.pi * (beam_m / 2) ** 2)
+    expected = 70e-3 * pressure_pa * 2 * math.pi * 3e6 * 3.5 / (1000 * 1540**3 * math.sqrt(area_ratio))
+    intensity = pressure_pa**2 / (2 * 1000 * 1540)
+    assert focal_distortion(intensity, 3e6, 70e-3, 45e-3, 0.34e-3, 1540.0) == pytest.approx(expected)
+    assert expected == pytest.approx(0.19, abs=0.01)
+
+
+def test_a_push_beyond_linear_propagation_is_said_to_be_one_and_a_weak_one_is_not() -> None:
+    strong, weak = (" ".join(detection_text(load_scene(name))) for name in ("bovine-muscle", "limits-muscle"))
+    assert "taken to propagate linearly, though its distortion at the focus is 0.63" in strong
+    assert "[simulation.propagation]" in strong
+    assert "linearly" not in weak

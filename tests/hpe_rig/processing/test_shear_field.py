@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hpe_rig.processing.ensemble import displacement
+from hpe_rig.processing.push_force import PushForce
 from hpe_rig.processing.shear_field import focal_motion, shear_motion
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import Specimen
@@ -20,8 +21,8 @@ MEDIA = ((500.0, 0.0), (500.0, 50.0), (9e3, 0.0), (9e3, 2.0), (500e3, 0.0), (500
 
 def ours(mu1: float, mu2: float, width_m: tuple[float, float], lateral_m: np.ndarray, axial_m: float) -> np.ndarray:
     modulus = mu1 + 2j * np.pi * FREQUENCY_HZ * mu2
-    squares = width_m[0] ** 2, width_m[1] ** 2
-    return shear_motion(modulus, FREQUENCY_HZ, 1000.0, width_m, *squares, lateral_m, axial_m).value
+    force = PushForce(width_m[:1], width_m[1])
+    return shear_motion(modulus, FREQUENCY_HZ, 1000.0, force, 0.0, 0.0, lateral_m, axial_m).value
 
 
 @pytest.mark.parametrize("width_m", [pytest.param(NARROW, marks=pytest.mark.slow), WIDE])
@@ -40,10 +41,11 @@ def test_the_field_is_the_twins_to_1e_9_of_the_peak(medium: tuple[float, float],
 @pytest.mark.parametrize("lateral_m", [0.0, 1e-3, 20e-3])
 def test_the_quick_field_is_the_full_one_to_1e_5_of_the_peak(medium: tuple[float, float], lateral_m: float) -> None:
     modulus = medium[0] + 2j * np.pi * FREQUENCY_HZ * medium[1]
-    there = modulus, FREQUENCY_HZ, 1000.0, WIDE, WIDE[0] ** 2, WIDE[1] ** 2, np.array([lateral_m])
-    full, peak = shear_motion(*there), np.abs(ours(*medium, WIDE, np.zeros(1), 0.0))
+    there, place = (modulus, FREQUENCY_HZ, 1000.0), np.array([lateral_m])
+    full = shear_motion(*there, PushForce(WIDE[:1], WIDE[1]), 0.0, 0.0, place)
+    peak = np.abs(ours(*medium, WIDE, np.zeros(1), 0.0))
     slopes = full.by_across * WIDE[0] ** 2, full.by_lateral * WIDE[0]
-    value, by_across, by_lateral = focal_motion(*there)
+    value, by_across, by_lateral = focal_motion(*there, WIDE, WIDE[0] ** 2, WIDE[1] ** 2, place)
     quick = value, by_across * WIDE[0] ** 2, by_lateral * WIDE[0]
     for found, expected in zip(quick, (full.value, *slopes), strict=True):
         np.testing.assert_array_less(np.abs(found - expected) / peak, 1.2e-5)
@@ -69,7 +71,8 @@ def test_waves_from_a_tenth_of_the_force_to_a_thousand_of_it(wavelengths_over_wi
     # a little loss, so that the plain quadrature along its own path has no pole on it
     modulus = np.array([1000.0 * speed**2 * (1 + 0.1j)])
     lateral_m = np.array([0.0, 0.4e-3, 1.1e-3])
-    found = shear_motion(modulus, np.array([frequency_hz]), 1000.0, NARROW, NARROW[0] ** 2, NARROW[1] ** 2, lateral_m)
+    force = PushForce(NARROW[:1], NARROW[1])
+    found = shear_motion(modulus, np.array([frequency_hz]), 1000.0, force, 0.0, 0.0, lateral_m)
     expected = brute_force(modulus[0], frequency_hz, NARROW, lateral_m)
     assert np.abs(found.value[0] - expected).max() < 1e-8 * np.abs(expected).max()
 
@@ -98,10 +101,12 @@ def brute_force(
 
 def test_derivatives_are_those_of_finite_differences() -> None:
     frequency_hz, lateral_m, axial_m = FREQUENCY_HZ, np.array([0.0, 0.5e-3, 2e-3, -3e-3]), 1.2e-3
-    modulus, across, along = 9e3 + 4j * np.pi * frequency_hz, 0.36e-3**2, 3.65e-3**2
+    modulus, seen, along = 9e3 + 4j * np.pi * frequency_hz, 0.12e-3**2, 0.6e-3**2
+    force = PushForce((0.34e-3, 0.9e-3), 3.6e-3, (-4e-3, 0.5e-3), ((0.1, 0.3), (0.8, 0.2)))
 
-    def value(modulus=modulus, across=across, along=along, lateral_m=lateral_m, axial_m=axial_m):
-        return shear_motion(modulus, frequency_hz, 1000.0, WIDE, across, along, lateral_m, axial_m)
+    def value(modulus=modulus, seen=seen, wide=1.0, deep=1.0, lateral_m=lateral_m, axial_m=axial_m):
+        own = force.scaled(wide, deep)
+        return shear_motion(modulus, frequency_hz, 1000.0, own, seen, along, lateral_m, axial_m)
 
     found, step = value(), 1e-5
     peak = np.abs(found.value).max()
@@ -113,8 +118,9 @@ def test_derivatives_are_those_of_finite_differences() -> None:
     compare(
         value(modulus * (1 + step)).value, value(modulus * (1 - step)).value, found.by_modulus * modulus[:, None], 1
     )
-    compare(value(across=across * (1 + step)).value, value(across=across * (1 - step)).value, found.by_across, across)
-    compare(value(along=along * (1 + step)).value, value(along=along * (1 - step)).value, found.by_along, along)
+    compare(value(seen=seen * (1 + step)).value, value(seen=seen * (1 - step)).value, found.by_across, seen)
+    compare(value(wide=1 + step).value, value(wide=1 - step).value, found.by_width, 1)
+    compare(value(deep=1 + step).value, value(deep=1 - step).value, found.by_length, 1)
     shift = 1e-3 * step
     compare(value(lateral_m=lateral_m + shift).value, value(lateral_m=lateral_m - shift).value, found.by_lateral, 1e-3)
     compare(value(axial_m=axial_m + shift).value, value(axial_m=axial_m - shift).value, found.by_axial, 1e-3)
@@ -122,8 +128,8 @@ def test_derivatives_are_those_of_finite_differences() -> None:
 
 def test_areas_of_their_own_at_every_place_are_those_of_one_at_a_time() -> None:
     modulus, lateral_m = 9e3 + 4j * np.pi * FREQUENCY_HZ, np.array([0.0, 1e-3, 4e-3])
-    across = np.array([1.0, 1.1, 1.3]) * 0.34e-3**2
-    together = shear_motion(modulus, FREQUENCY_HZ, 1000.0, WIDE, across, 3.6e-3**2, lateral_m)
+    seen, force = np.array([0.0, 0.1, 0.3]) * 0.34e-3**2, PushForce(WIDE[:1], WIDE[1])
+    together = shear_motion(modulus, FREQUENCY_HZ, 1000.0, force, seen, 0.0, lateral_m)
     for place in range(3):
-        alone = shear_motion(modulus, FREQUENCY_HZ, 1000.0, WIDE, float(across[place]), 3.6e-3**2, lateral_m[[place]])
+        alone = shear_motion(modulus, FREQUENCY_HZ, 1000.0, force, float(seen[place]), 0.0, lateral_m[[place]])
         np.testing.assert_allclose(together.value[:, place], alone.value[:, 0], atol=1e-11 * np.abs(alone.value).max())

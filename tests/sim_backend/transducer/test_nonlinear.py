@@ -9,7 +9,17 @@ from scipy.special import jv
 
 from sim_backend.motion import force_share
 from sim_backend.settings import Beams, Propagation, SimulationSettings, Specimen, Transducer
-from sim_backend.transducer import Accuracy, Layer, Push, advance, bowl_pressure, nonlinear_beam, path
+from sim_backend.transducer import (
+    Accuracy,
+    Layer,
+    Push,
+    advance,
+    bowl_pressure,
+    nonlinear_beam,
+    path,
+    water_output,
+    wave_number,
+)
 from sim_backend.transducer.push import equivalent_force
 
 FREQUENCY_HZ, SPEED, SOURCE_PA = 3e6, 1540.0, 1e6
@@ -123,3 +133,25 @@ def test_muscle_is_pushed_by_more_than_the_square_where_shocks_form() -> None:
     at = share(np.sqrt(np.array([0.01, 0.25, 0.49, 1.0])))
     assert at[-1] == pytest.approx(1.0)
     assert (at / [0.01, 0.25, 0.49, 1.0]).tolist() == pytest.approx([0.57, 0.63, 0.76, 1.0], abs=0.02)
+
+
+def test_a_push_between_its_levels_follows_powers_of_the_drive() -> None:
+    surface_pa = np.array([1e3, 1e4, 1e5])
+    table = Push(surface_pa, 1e-9 * surface_pa**2, *[3.0 * surface_pa**2] * 5)
+    at_pa = np.array([1e2, 3e3, 5e4, 1e6])
+    here = table.at(at_pa)
+    np.testing.assert_allclose(here.surface_pa, at_pa)
+    np.testing.assert_allclose(here.sppa_w_per_m2, 3.0 * at_pa**2)
+
+
+def test_the_output_of_a_weak_beam_in_water_is_the_linear_focus() -> None:
+    settings = SimulationSettings(specimen=Specimen(), beams=Beams(), propagation=Propagation(harmonics=8))
+    weak = water_output(settings, 1e3)
+    k = wave_number(3e6, 1540.0, 0.0018 * 3)
+    gain = np.abs(bowl_pressure(settings.beams.transducer, k, np.zeros(1), np.linspace(-3e-3, 1e-3, 41))).max()
+    # steps of 0.2 mm around the focus and the water's attenuation: within 1 %
+    assert weak.positive_pa == pytest.approx(1e3 * gain, rel=0.01)
+    assert weak.negative_pa == pytest.approx(1e3 * gain, rel=0.01)
+    assert weak.sppa_w_per_m2 == pytest.approx((1e3 * gain) ** 2 / (2 * 995 * 1540), rel=0.02)
+    with pytest.raises(ValueError, match=r"simulation\.propagation"):
+        water_output(SimulationSettings(), 1e3)
