@@ -15,7 +15,7 @@ A scene is a name, a path or a ``Scene`` wherever one is taken. The map:
 scene.toml -> plan -> bench -> sequencer -> records -> processing -> result -> report
 scene/        plan/   bench/   acquire/     store/     processing/   result/   report/
 before it: prediction/; after it: moduli/; beside it, files and code of others: recordings/, extensions/
-around it: live/, study/, design/, validation/, cli/
+around it: live/, study/, design/, validation/, cli/; startup.py: Ctrl-C while the program loads
 
 what                                        equation of the paper          where
 burst train, spectrum of its force          (17), (18)                     prediction/theory.py, sim_backend/motion
@@ -29,6 +29,12 @@ T_b  burst_length_s     f_r  burst_rate_hz     f_prf  pulse_rate_hz     t_d  tra
 l_g  gate_length_m      F_s  sample_rate_hz    f_v    frequencies_hz    T_s  processing.window_length_s
 E, T excitation_width_m, tracking_width_m      D_0, phi_s  amplitude_m, phase_rad
 """
+
+from hpe_rig.startup import end_plainly, is_program
+
+if is_program():
+    # Before anything else is loaded, which takes as long as Python's own start.
+    end_plainly()
 
 import lazy_loader
 

@@ -133,13 +133,13 @@ def started(tmp_path: Path) -> Iterator[Callable[..., tuple[subprocess.Popen[str
     def start(*words: str, **environment: str) -> tuple[subprocess.Popen[str], str]:
         run = subprocess.Popen(
             [sys.executable, "-m", "hpe_rig", *words], cwd=tmp_path, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment},
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env={**os.environ, **environment},
         )  # fmt: skip
         begun.append(run)
-        assert run.stderr is not None
+        assert run.stdout is not None
         said = ""
         while not (found := re.search(r"http://127\.0\.0\.1:\d+/\S+/", said)):
-            line = run.stderr.readline()
+            line = run.stdout.readline()
             assert line, said
             said += line
         return run, found.group()

@@ -62,7 +62,7 @@ def test_the_quick_start_is_two_commands_that_install_and_run(folder: Path) -> N
     assert section.count("```") == 4, "whoever runs every fenced block of the section runs these two alone"
     assert "coherent" in invoked(second)
     # The files that the text below the commands names.
-    for name in re.findall(r"`([\w.-]+\.h5)`", section):
+    for name in re.findall(r"`([\w.-]+\.(?:h5|html))`", section):
         assert (folder / name).exists(), name
 
 
@@ -116,7 +116,7 @@ def test_the_things_to_try_are_five_and_run(folder: Path) -> None:
     invoked("run bovine-muscle")
     for command in cheap:
         invoked(command)
-    assert {"bovine-muscle.html", "my-scene.toml"} <= {path.name for path in folder.iterdir()}
+    assert {"bovine-muscle.cross_spectrum.h5", "my-scene.toml"} <= {path.name for path in folder.iterdir()}
 
 
 def test_the_readme_is_read_in_one_go() -> None:

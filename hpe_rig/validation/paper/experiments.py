@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -170,15 +170,6 @@ MET, PARTLY = 0.75, 0.25
 """Share of the seeds from which on a statement is met, or met in part."""
 Tally = Mapping[tuple[str, str], Sequence[bool]]
 """Whether a statement, by experiment and words, is met with each further seed."""
-
-
-def tally(experiments: Iterable[Experiment]) -> dict[tuple[str, str], list[bool]]:
-    """Return which statements are met, experiment by experiment: of many seeds, a list each."""
-    out: dict[tuple[str, str], list[bool]] = {}
-    for item in experiments:
-        for verdict in item.verdicts:
-            out.setdefault((item.key, verdict.statement), []).append(bool(verdict.met))
-    return out
 
 
 def write_page(experiments: Sequence[Experiment], folder: Path, others: Tally | None = None) -> Path:

@@ -127,3 +127,17 @@ def test_an_interrupt_while_the_program_loads_is_said_plainly() -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
     assert (done.returncode, done.stderr) == (130, "hpe-rig: interrupted\n")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to one process")
+def test_an_interrupt_while_the_package_itself_loads_is_said_plainly_by_the_program_alone(tmp_path: Path) -> None:
+    # The first package of others that hpe_rig loads interrupts; the folder's own stands before the installed one.
+    (tmp_path / "lazy_loader.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(1)\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(ROOT)))}
+    for words, code in ((["-m", "hpe_rig"], 130), (["-c", "import hpe_rig"], -2)):
+        done = subprocess.run([sys.executable, *words], capture_output=True, text=True, env=environment, cwd=tmp_path)
+        assert done.returncode == code
+        assert ("Traceback" in done.stderr) == (code != 130)
+        assert ("hpe-rig: interrupted" in done.stderr) == (code == 130)

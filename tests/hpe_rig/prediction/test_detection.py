@@ -65,6 +65,8 @@ def test_every_scene_tells_its_dose_beside_its_floor(name):
     lines = list(detection_text(scene(name)))
     lengths = scene(name).excitation.burst_length_s
     assert lines[0].startswith("detection floor")
+    # Of a sphere no intensity is known: its force is that on a surface.
+    lengths = () if "simulation.specimen.sphere" in SCENES[name] else lengths
     assert len(lines) == 1 + len(lengths)
     for line, length_s in zip(lines[1:], lengths, strict=True):
         moved = twin_dose(scene(name), length_s, np.array([200.0])).displacement_limit_m[0]
