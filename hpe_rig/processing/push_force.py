@@ -116,7 +116,7 @@ def aperture_force(
     intensity[:, : lit_m.size] = seen[:, 1:] / seen[axial_m.size // 2, 0]
     step_m = STATION_STEP * sigma_m
     count = math.ceil(reach_m / step_m)
-    centre_m = step_m * np.arange(-count, count + 1)
+    centre_m = np.asarray(step_m * np.arange(-count, count + 1), np.float64)
     share = _shares(intensity, lateral_m, axial_m, across_m, centre_m)
 
     def ended(reach: float) -> FloatArray:
