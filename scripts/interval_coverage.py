@@ -356,21 +356,41 @@ pulse rate: such runs are counted as warned and are in no share.
 """
 
 NOTES = """\
-Speckle has dark spots, where its error is far larger than elsewhere: with u true on the mean (NEV 1) the 68 % interval
-holds more than 68 %. Where least squares or the paper's chain meet harmonics that alias unseen, the error is nearly the
-same in every run on a medium, and shares say little there; NEV does.
+## Errors that are not normal
 
-`joint` finds no displacement of single pulses and cannot follow tissue that moves by millimetres: `cardiac-background`
-has a gate that follows, so it is refused there.
+u is a standard deviation, whatever the distribution of an error: NEV is 1 where it is true. The shares within u and
+1.96 u are those of a normal error only where the error is one, and three of the sources are not
+(`python scripts/error_distributions.py`):
+
+| error | within u | within 1.96 u | NEV | kurtosis |
+|---|---:|---:|---:|---:|
+| speckle, `table-1` | 73 % | 95 % | 1.00 | 5.7 |
+| speckle, gate with Hann window (`cross_spectrum`) | 77 % | 95 % | 1.00 | 9.3 |
+| speckle, force of unknown width (phase of `bovine-muscle`) | 81 % | 94 % | 1.00 | 14.9 |
+| the paper's chain at 4 kHz, synchronous: harmonics that alias unseen | 66 % | 100 % | 0.80 | 1.5 |
+
+![Densities of these errors over u beside a normal one](figures/error-distributions.svg)
+
+* Speckle has dark spots, where its error is far larger than elsewhere. How dark the spot is that a gate holds, its
+  echoes do not say: nothing tells how bright they would be elsewhere.
+* The phase's error by speckle goes with the inverse square of the force's width, which the motion at one spot cannot
+  tell from the medium: with a width known to 30 %, the mean of its square is twice the median. Ten times the media in
+  the prior, at ten times the cost, narrow what is said of the averaging by a tenth.
+* Where least squares or the paper's chain meet harmonics that alias unseen, the error is nearly the same in every run
+  on a medium, and never much larger: 1.96 u holds all of it.
 
 The weakest of the three forces of `muscle-force` and `muscle-force-200us`, 1 % of the drive, moves a fifth of u at
-100 Hz: no motion is found there, and its phase may be anything. u says so
-([the phase of a weak amplitude](theory/estimation.md#uncertainties)); at amplitudes of one to three u it is then wider
-than the error.
+100 Hz: no motion is found there, its phase may be anything, and its amplitude is that of noise. u says so
+([amplitudes and phases that may be noise](theory/estimation.md#uncertainties)); at amplitudes of one to three u it is
+then wider than the error.
+
+`joint` finds no displacement of single pulses: it cannot follow tissue that moves by millimetres
+(`cardiac-background`), nor subtract a reference gate's motion (`limits-gelatin-8`, `limits-muscle`), and is refused
+there. In `bovine-muscle-aperture` the bowl's focal length is drawn with the sound speed, so that its focus is in the
+gate, and in place of the twin's force the widths that `[beams]` says it has.
 
 Left out: `gelatin-12` and `gelatin-15`, which are `gelatin-8` once the medium is drawn; `muscle-repeats`, which is
-`muscle-force` with fewer forces; `bovine-muscle-aperture`, whose focus is its bowl's, so that it cannot be drawn with
-the sound speed.
+`muscle-force` with fewer forces.
 """
 
 

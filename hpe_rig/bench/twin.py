@@ -323,11 +323,14 @@ def twin_tables(scene: Scene) -> dict[str, Any]:
 
 
 def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.float64]) -> Dose | None:
-    """Return the simulated specimen's dose and what it could move at ``frequency_hz``; None where there is none."""
+    """Return the simulated specimen's dose and what it could move at ``frequency_hz``; None without or of a sphere."""
     from sim_backend.motion import dose, force_shape
 
     twin = twin_of(scene)
     if twin is None or twin.settings.specimen is None or scene.excitation is None:
+        return None
+    if twin.settings.specimen.sphere is not None:
+        # Its force is that on a surface, not what an intensity does to a medium that attenuates.
         return None
     train = scene.excitation.burst_rate_hz, burst_length_s
     force, speed = force_shape(twin.settings), twin.sound_speed_m_per_s

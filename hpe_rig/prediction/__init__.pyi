@@ -13,6 +13,7 @@ from .beam_averaging import (
     medium_of as medium_of,
     predicted_averaging as predicted_averaging,
     pulse_length_m as pulse_length_m,
+    resting_conditions as resting_conditions,
     tracked_spread as tracked_spread,
 )
 from .bounds import echo_bound as echo_bound
@@ -26,6 +27,7 @@ from .error_model import (
     draw_scattering as draw_scattering,
     draw_speckle as draw_speckle,
     expected as expected,
+    tracked_over_peak as tracked_over_peak,
 )
 from .forecast import (
     LEAST_POINTS as LEAST_POINTS,

@@ -98,4 +98,5 @@ from .spectral_peak import (
     peak_steps as peak_steps,
 )
 from .stationarity import Drift as Drift, drift_between_halves as drift_between_halves
+from .unresolved import with_unresolved as with_unresolved
 from .velocity_chain import Steps as Steps, velocity_to_harmonics as velocity_to_harmonics

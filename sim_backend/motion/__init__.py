@@ -5,6 +5,7 @@
     u = f0 * mean over directions of what mu(s) allows    specimen.py: moduli, response at the focus, transient
     S(t) = 1/(2 pi j) int exp(s t) U(s)/s ds              inverse_laplace.py: step response from a transfer function
     u(r, t) = sum_i shape_i(r) amplitude_i(t)             field.py: the same around the focus
+    F = U (6 pi a mu (1 + l + l^2/9) + m s^2)             sphere.py: of a rigid sphere instead of the medium
     FDA track 3 limits                                    acoustic_dose.py
 
 The theory is docs/theory/medium.md. A prescribed motion loads nothing but its own file.

@@ -26,3 +26,4 @@ from .specimen import (
     transfer as transfer,
     transient_displacement as transient_displacement,
 )
+from .sphere import sphere_response as sphere_response

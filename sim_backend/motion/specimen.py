@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.motion.force import ForcePulses
-from sim_backend.motion.inverse_laplace import Panels, panels_of
+from sim_backend.motion.inverse_laplace import AXIS_CONTOUR, Panels, panels_of
+from sim_backend.motion.sphere import SPHERE_CONTOUR, SPHERE_DEGREES, sphere_response, sphere_share
 from sim_backend.settings import OWN_MEDIA, Specimen, creeps, modulus_of
 from sim_backend.wiring import PS_PER_S, Picoseconds
 
@@ -84,10 +85,15 @@ def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: Floats
 def transfer(specimen: Specimen, width_m: Triple, s_per_s: Complexes) -> Complexes:
     """Return the same at complex frequencies ``s_per_s`` (frequency,), continued into the left half plane.
 
+    Of a rigid sphere, whose force stands for the body force, its own displacement. Of the medium:
+
     ``U = f0 (2 pi)^(-1/2) sx sy sz / mu(s) * mean over directions of (1 - m^2) sqrt(pi/a) (1 + j sqrt(pi) z w(z))``,
     z = q sqrt(a), q = j s sqrt(rho / mu(s)), a half the squared width of the force along the direction.
     """
     modulus = shear_modulus(specimen, s_per_s)
+    if specimen.sphere is not None:
+        moved = sphere_response(specimen.sphere, modulus, specimen.density_kg_per_m3, s_per_s)
+        return np.asarray(sphere_share(specimen, specimen.sphere) * moved)
     a, share = _directions(width_m)
     q = 1j * s_per_s * np.sqrt(specimen.density_kg_per_m3 / modulus)
     # (frequency, direction) @ (direction,): what each direction adds when at rest, times its share of inertia.
@@ -135,11 +141,12 @@ class StepResponse:
 
 @lru_cache(maxsize=8)
 def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
-    """Return the specimen's step response, good to 1e-10 of itself at any time from 1 ps to 10^4 s.
+    """Return the specimen's step response, good to 1e-10 of itself at any time from 1 ps to 10^4 s, a sphere's to 1e-6.
 
     Kept: a plan's checks and the measurement of a scene ask for the same one.
     """
-    panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None])
+    course = (AXIS_CONTOUR,) if specimen.sphere is None else (SPHERE_CONTOUR, SPHERE_DEGREES)
+    panels = panels_of(lambda s: transfer(specimen, width_m, s)[:, None], *course)
     return StepResponse(memory_s(specimen, panels), panels)
 
 

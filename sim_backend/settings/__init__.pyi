@@ -13,6 +13,7 @@ from .simulation import (
     Scatterers as Scatterers,
     SimulationSettings as SimulationSettings,
     Specimen as Specimen,
+    Sphere as Sphere,
     Transducer as Transducer,
     Transmitter as Transmitter,
     resolution_cell_m3 as resolution_cell_m3,

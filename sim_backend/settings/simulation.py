@@ -69,6 +69,17 @@ class Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+class Sphere(Section):
+    """A rigid sphere with its front at the focus, which the toneburst pushes instead of the medium."""
+
+    radius_m: LengthM = 0.795e-3
+    """Radius (paper: steel 440-C, diameter 1.59 mm)."""
+    density_kg_per_m3: Annotated[float, Field(ge=100, le=20_000, strict=True)] = 7650.0
+    """Mass density (assumed: steel 440-C)."""
+    force_n: Annotated[float, Field(gt=0, le=10, strict=True)] = 5.0e-3
+    """Radiation force on it while a toneburst of ``specimen.reference_drive_vpp`` is on (assumed)."""
+
+
 class Specimen(Section):
     """A viscoelastic medium driven by the radiation force of the excitation beam."""
 
@@ -101,6 +112,8 @@ class Specimen(Section):
     """Body force at the focus while a toneburst of ``reference_drive_vpp`` is on (assumed)."""
     reference_drive_vpp: VoltageV = 1.0
     """Toneburst amplitude at the generator that gives ``force_density_n_per_m3``; force goes with its square."""
+    sphere: Sphere | None = None
+    """A rigid sphere at the focus whose motion calibrates the moduli; absent: none."""
     resonance_hz: FrequencyHz = 3.0e6
     """Centre of the transducer's transmit band (paper: 3.0 MHz)."""
     resonance_quality: Annotated[float, Field(ge=1e-3, le=1e6, strict=True)] = 2.34
@@ -478,6 +491,24 @@ class SimulationSettings(Section):
         water = (self.propagation or Propagation()).water_attenuation_db_per_cm_mhz2
         lost_db = specimen_cm * self.specimen.attenuation_db_per_cm_mhz * mhz
         return 2 * (lost_db + (focus_cm - specimen_cm) * water * mhz**2)
+
+    @model_validator(mode="after")
+    def _sphere_echoes_alone(self) -> SimulationSettings:
+        if self.specimen is None or self.specimen.sphere is None:
+            return self
+        wrong = []
+        if self.scatterers.per_cell:
+            wrong.append(
+                "specimen.sphere's front is all that may echo, how the medium moves around it is not known here: "
+                "scatterers.per_cell = 0, and a point among scatterers.reflectors"
+            )
+        if self.specimen.field != "gaussian":
+            wrong.append('specimen.sphere moves as a whole, not as the medium does around it: field = "gaussian"')
+        if self.propagation is not None or self.beams.field != "gaussian":
+            wrong.append('specimen.sphere has force_n as its force: no propagation, and beams.field = "gaussian"')
+        if wrong:
+            raise ValueError("; ".join(wrong))
+        return self
 
     @model_validator(mode="after")
     def _one_way_through_the_specimen(self) -> SimulationSettings:

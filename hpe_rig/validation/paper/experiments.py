@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -159,6 +159,12 @@ def panels(count: int) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
+def letter(axes: Sequence[Axes]) -> None:
+    """Letter panels as the paper does: (a), (b), ..."""
+    for panel, sign in zip(axes, "abcdef", strict=False):
+        panel.set_title(f"({sign})", loc="left", fontsize=8)
+
+
 def label(axes: Axes, x: str, y: str, **more: Any) -> None:
     """Name a panel's axes and, where curves have names, put a legend."""
     axes.set(xlabel=x, ylabel=y, **more)
@@ -170,15 +176,6 @@ MET, PARTLY = 0.75, 0.25
 """Share of the seeds from which on a statement is met, or met in part."""
 Tally = Mapping[tuple[str, str], Sequence[bool]]
 """Whether a statement, by experiment and words, is met with each further seed."""
-
-
-def tally(experiments: Iterable[Experiment]) -> dict[tuple[str, str], list[bool]]:
-    """Return which statements are met, experiment by experiment: of many seeds, a list each."""
-    out: dict[tuple[str, str], list[bool]] = {}
-    for item in experiments:
-        for verdict in item.verdicts:
-            out.setdefault((item.key, verdict.statement), []).append(bool(verdict.met))
-    return out
 
 
 def write_page(experiments: Sequence[Experiment], folder: Path, others: Tally | None = None) -> Path:
