@@ -4,7 +4,8 @@ The first call copies the tree and records, under coverage.py, which tests run w
 tests that run its lines, those of its own room and the fastest first, until one fails, with a time limit. A fault in a
 function is put into a fork of a process that has collected every test already: the function's code object is replaced,
 wherever the function is known. Everything else, such as the value of a constant, is imported anew. Messages
-(f-strings), annotations and decorators stay as they are.
+(f-strings, also where they are all that is returned), what goes to the log, annotations, decorators and ``__all__``
+stay as they are.
 
     python scripts/mutation.py FOLDER --count 400
 
@@ -103,11 +104,20 @@ def _nodes(node: ast.AST) -> Iterator[ast.AST]:
         if name in ("annotation", "returns", "decorator_list", "type_params", "op", "ops", "ctx"):
             continue
         for child in value if isinstance(value, list) else [value]:
-            skipped = isinstance(child, ast.JoinedStr) or (
-                isinstance(child, ast.keyword) and child.arg in UNSEEN_KEYWORDS
-            )
-            if isinstance(child, ast.AST) and not skipped:
+            if isinstance(child, ast.AST) and not _is_unseen(child):
                 yield from _nodes(child)
+
+
+def _is_unseen(node: ast.AST) -> bool:
+    """Return whether ``node`` is a message, a line of the log, a list of names or an option of no number."""
+    match node:
+        case ast.JoinedStr() | ast.Return(ast.JoinedStr()) | ast.Assign([ast.Name("__all__")]):
+            return True
+        case ast.Call(ast.Attribute(ast.Name("_LOG"))):
+            return True
+        case ast.keyword(arg=name):
+            return name in UNSEEN_KEYWORDS
+    return False
 
 
 def _of(node: ast.AST) -> Iterator[ast.AST]:

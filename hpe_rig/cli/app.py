@@ -394,7 +394,9 @@ def moduli(
 @app.command()
 @guarded
 def live(
-    run_file: RunFile,
+    run_file: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Run file, such as bovine-muscle.h5, or the folder of a queue.")
+    ],
     port: Port = 0,
     opened: Open = False,
     attached: Annotated[bool, typer.Option("--attached", hidden=True)] = False,

@@ -1,8 +1,6 @@
 from .forecast import ModuliForecast as ModuliForecast, moduli_forecast as moduli_forecast, moduli_text as moduli_text
 from .inversion import (
     Moduli as Moduli,
-    Push as Push,
-    Vibration as Vibration,
     bound as bound,
     compare_media as compare_media,
     fit_medium as fit_medium,
@@ -23,3 +21,4 @@ from .places import (
     vibration_at as vibration_at,
     vibrations_of as vibrations_of,
 )
+from .vibration_model import Push as Push, Vibration as Vibration

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hpe_rig.moduli.inversion import Moduli, Vibration, compare_media
+from hpe_rig.moduli.inversion import Moduli, compare_media
 from hpe_rig.moduli.media import MediumLaw, law_of
 from hpe_rig.moduli.places import WIDTH_UNCERTAINTY, Source, push_of, vibrations_of
 from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
+from hpe_rig.moduli.vibration_model import Vibration
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.moduli.inversion import ComplexArray, FloatArray, Push, Vibration
+from hpe_rig.moduli.vibration_model import ComplexArray, FloatArray, Push, Vibration
 from hpe_rig.plan import DepthGate, Plan, Shot, apart, depth_gates, places_of, shots_with_gate, with_gate
 from hpe_rig.prediction import beam_widths, depth_in_gate, force_of, tracked_spread
 from hpe_rig.processing import HarmonicFit, residual_m, shot_fit

@@ -119,7 +119,7 @@ def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[
     grid = _Grid(base, definition, [axis.columns() for axis in definition.axes])
     shown = [axis.values() for axis in definition.axes]
     whole = _is_measured(grid)
-    make, wrong = (_measured_case, _keys_of_none) if whole else (_case, _keys_of_no_gate)
+    make, wrong = (_measured_case, _wrong_for_bench) if whole else (_case, _wrong_for_gate)
     found: dict[str, Mistake] = {str(mistake): mistake for mistake in (*wrong(definition), *_repeated(definition))}
     out: list[GridPoint] = []
     streams: dict[str, int] = {}
@@ -150,7 +150,8 @@ def _is_measured(grid: _Grid) -> bool:
         return False
 
 
-def _keys_of_no_gate(definition: Definition) -> Iterator[Mistake]:
+def _wrong_for_gate(definition: Definition) -> Iterator[Mistake]:
+    """Yield what a study of the gate alone does not depend on."""
     for key in dict.fromkeys((*definition.set, *(key for axis in definition.axes for key in axis.keys))):
         if not any(key == used or key.startswith((f"{used}.", f"{used}[")) for used in USED_KEYS):
             what = "a study of the gate alone does not depend on it"
@@ -163,8 +164,8 @@ def _keys_of_no_gate(definition: Definition) -> Iterator[Mistake]:
         yield Mistake("corrected", "a study of the gate alone corrects nothing", f'simulate = "bench", {_MEASURES}')
 
 
-def _keys_of_none(definition: Definition) -> Iterator[Mistake]:
-    """Yield what a study by whole measurements sets by itself, and what it knows nothing of."""
+def _wrong_for_bench(definition: Definition) -> Iterator[Mistake]:
+    """Yield what a study by whole measurements sets by itself, and readings that it does not know."""
     for key in dict.fromkeys((*definition.set, *(key for axis in definition.axes for key in axis.keys))):
         if key.partition(".")[0] == "sweep" or key in SET_BY_STUDY:
             yield Mistake(key, "a study says by itself what it repeats and varies", "its axes, scatterers and noise")

@@ -10,8 +10,8 @@ import pytest
 
 import hpe_rig as hpe
 from hpe_rig.moduli import ModuliResult, Source, law_of, moduli_of, push_of
-from hpe_rig.moduli.inversion import Problem
 from hpe_rig.moduli.places import APERTURE_SHAPE
+from hpe_rig.moduli.vibration_model import Problem
 from hpe_rig.prediction.beam_averaging import resting_conditions
 from hpe_rig.prediction.error_model import draw_speckle, tracked_over_peak
 from hpe_rig.store import StoredRun

@@ -267,6 +267,15 @@ def test_every_object_is_of_a_type_and_format_that_hdf5_1_10_knows(setup: Setup,
     assert {"records/echo", "results/amplitude_m", "truth/displacement_m"} <= set(plain)
 
 
+def test_the_axis_of_the_samples_is_the_time_after_the_pulse(setup: Setup, tmp_path: Path) -> None:
+    shot = setup.plan.shots[0]
+    with h5py.File(record_run(setup, tmp_path / "run.h5")) as file:
+        sample_s = file["records/sample"][()]
+        assert file["records/echo"].dims[2][0] == file["records/sample"]
+    assert sample_s[0] == shot.timeline.record_offset_s[0]
+    np.testing.assert_allclose(np.diff(sample_s), 1 / shot.capture.sample_rate_hz, rtol=1e-6)
+
+
 def test_a_missing_record_is_nan_in_xarray(setup: Setup, tmp_path: Path) -> None:
     path = written(setup, tmp_path / "run.h5", block_of(setup, 0, 5, 0.5), block_of(setup, 6, 42, 0.5))
     with xr.open_dataset(path, group="records", engine="h5netcdf") as records:
