@@ -36,6 +36,8 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
     alone = workers == 1 or option.collectonly or option.usepdb or option.capture == "no"
     if whole and not alone and getattr(option, "numprocesses", 0) is None:
         option.numprocesses, option.dist = workers, "loadfile"
+        # By number of tests the long files, of few tests, would come last, when nobody is left to share with.
+        option.loadscopereorder = False
 
 
 @pytest.fixture(autouse=True)

@@ -237,20 +237,30 @@ def _by_its_force(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> 
     force = force_of(scene)
     if len(force.centre_m) == 1:
         return [1.0] * frequency_hz.size
+    typical_pa = np.asarray(TYPICAL[0] + 2j * np.pi * frequency_hz * TYPICAL[1])
+    modulus_pa, density = medium_of(scene, frequency_hz, simulated=False) or (typical_pa, 1000.0)
+    medium = tuple(modulus_pa.tolist()), tuple(frequency_hz.tolist()), density
+    gaussian = PushForce(beams.force_width_m[:1], beams.force_width_m[2])
+    own, its = (_tracked_share(*medium, each, beams) for each in (force, gaussian))
+    return [one / other for one, other in zip(own, its, strict=True)]
+
+
+@functools.lru_cache(maxsize=16)
+def _tracked_share(
+    modulus_pa: tuple[complex, ...],
+    frequency_hz: tuple[float, ...],
+    density: float,
+    force: PushForce,
+    beams: BeamWidths,
+) -> tuple[float, ...]:
+    """Return tracked over peak motion under a force, (frequency,)."""
     # here: it needs SciPy, and most scenes declare no aperture
     from hpe_rig.processing import shear_motion
 
-    typical_pa = np.asarray(TYPICAL[0] + 2j * np.pi * frequency_hz * TYPICAL[1])
-    modulus_pa, density = medium_of(scene, frequency_hz, simulated=False) or (typical_pa, 1000.0)
-    place = np.array([beams.lateral_m])
-
-    def share(of: PushForce) -> FloatArray:
-        medium = modulus_pa, frequency_hz, density, of
-        tracked = shear_motion(*medium, beams.tracking_width_m[0] ** 2 / 2, beams.axial_spread_m**2, place).value
-        return np.asarray(np.abs(tracked / shear_motion(*medium, 0.0, 0.0, place).value)[:, 0])
-
-    found: list[float] = (share(force) / share(PushForce(beams.force_width_m[:1], beams.force_width_m[2]))).tolist()
-    return found
+    medium = np.array(modulus_pa), np.array(frequency_hz), density, force
+    seen, place = (beams.tracking_width_m[0] ** 2 / 2, beams.axial_spread_m**2), np.array([beams.lateral_m])
+    tracked, peak = (shear_motion(*medium, *area, place).value[:, 0] for area in (seen, (0.0, 0.0)))
+    return tuple(np.abs(tracked / peak).tolist())
 
 
 def _scaled(averaging: Averaging, share: float) -> Averaging:

@@ -94,48 +94,58 @@ def aperture_force(
 
     if diameter_m >= 2 * focal_length_m:
         raise ValueError(f"a bowl {diameter_m:g} m across cannot focus at {focal_length_m:g} m")
-    wavelength_m, f_number = sound_speed_m_per_s / frequency_hz, focal_length_m / diameter_m
-    sigma_m = SIGMAS_A_LENGTH * wavelength_m * f_number**2
-    # as far as a longer force needs, and at most half of the way to the bowl
-    reach_m = min((REACH + REACH_UNCERTAINTY + FADING) * sigma_m, focal_length_m / 2)
-    rim_m = reach_m / (2 * f_number)
-    widest_m = max(WIDEST * rim_m, wavelength_m * f_number)
-    across_m = np.geomspace(NARROWEST * wavelength_m * f_number, widest_m, WIDTHS)
-    axial_m = np.linspace(-reach_m, reach_m, 2 * math.ceil(5 * reach_m / sigma_m) + 1)
-    # closer to one another towards the axis, where the beam is narrow
-    lateral_m = REGION * widest_m * ((np.arange(POINTS) + 0.5) / POINTS) ** 2
     declared = attenuation_db_per_cm_mhz is not None
-    loss_db = attenuation_db_per_cm_mhz if attenuation_db_per_cm_mhz is not None else TISSUE_DB_PER_CM_MHZ
+    loss_db = TISSUE_DB_PER_CM_MHZ if attenuation_db_per_cm_mhz is None else attenuation_db_per_cm_mhz
     loss_np_per_m = 100 * NEPER_PER_DB * loss_db * frequency_hz * 1e-6
+    wave_number = 2 * math.pi * frequency_hz / sound_speed_m_per_s - 1j * loss_np_per_m
+    spot_m, f_number = sound_speed_m_per_s / frequency_hz * focal_length_m / diameter_m, focal_length_m / diameter_m
+    farthest = REACH + REACH_UNCERTAINTY + FADING
+    # at most half of the way to the bowl
+    sigma_m = min(SIGMAS_A_LENGTH * spot_m * f_number, focal_length_m / 2 / farthest)
+    reach_m = farthest * sigma_m
+    rim_m = max(reach_m / (2 * f_number), 3 * spot_m)
+    across_m = np.geomspace(NARROWEST * spot_m, WIDEST * rim_m, WIDTHS)
+    # closer to one another towards the axis, where the beam is narrow
+    lateral_m = REGION * WIDEST * rim_m * ((np.arange(POINTS) + 0.5) / POINTS) ** 2
+    axial_m = np.linspace(-reach_m, reach_m, 2 * math.ceil(5 * farthest) + 1)
     # nothing worth the time beyond the geometric beam and its edge
-    lit = lateral_m < 1.3 * max(rim_m, 3 * wavelength_m * f_number)
-    places_m = np.concatenate([np.zeros(1), lateral_m[lit]])
-    wave_number = 2 * math.pi / wavelength_m - 1j * loss_np_per_m
+    lit_m = lateral_m[lateral_m < 1.3 * rim_m]
+    places_m = np.concatenate([np.zeros(1), lit_m])
     seen = np.abs(bowl_pressure(diameter_m, focal_length_m, wave_number, places_m, axial_m)) ** 2
     intensity = np.zeros((axial_m.size, lateral_m.size))
-    intensity[:, lit] = seen[:, 1:] / seen[axial_m.size // 2, 0]
+    intensity[:, : lit_m.size] = seen[:, 1:] / seen[axial_m.size // 2, 0]
     step_m = STATION_STEP * sigma_m
     count = math.ceil(reach_m / step_m)
-    centre_m = step_m * np.arange(-count, count + 1)
-    # beyond the reach nothing, where Gaussians would else stand for whatever they like
-    spacing_m = axial_m[1] - axial_m[0]
-    beyond = math.ceil(3 * step_m / spacing_m)
-    axial_m = spacing_m * np.arange(-beyond - len(axial_m) // 2, beyond + len(axial_m) // 2 + 1)
-    intensity = np.pad(intensity, ((beyond, beyond), (0, 0)))
-    area = lateral_m**0.75
-    along = np.exp(-0.5 * ((axial_m[:, None] - centre_m) / step_m) ** 2)
-    across = area[:, None] * np.exp(-0.5 * (lateral_m[:, None] / across_m) ** 2)
-    share = np.linalg.pinv(along, rcond=RANK) @ (intensity * area) @ np.linalg.pinv(across, rcond=RANK).T
+    centre_m = np.asarray(step_m * np.arange(-count, count + 1), np.float64)
+    share = _shares(intensity, lateral_m, axial_m, across_m, centre_m)
 
     def ended(reach: float) -> FloatArray:
         return np.asarray(ndtr((reach - np.abs(centre_m) / sigma_m) / FADING)[:, None] * share)
 
     longer = (ended(REACH + REACH_UNCERTAINTY) - ended(REACH - REACH_UNCERTAINTY)) / 2
     # exp(-2 alpha z) over the focus' value, to first order in what alpha is off by
-    off_np_per_m = LOSS_UNCERTAINTY[declared] * loss_np_per_m
-    lossier = -2 * off_np_per_m * centre_m[:, None] * ended(REACH)
+    lossier = -2 * LOSS_UNCERTAINTY[declared] * loss_np_per_m * centre_m[:, None] * ended(REACH)
     unsure = ("reach", _rows(longer)), ("loss", _rows(lossier))
     return PushForce(tuple(across_m.tolist()), step_m, tuple(centre_m.tolist()), _rows(ended(REACH)), unsure)
+
+
+def _shares(
+    value: FloatArray, lateral_m: FloatArray, axial_m: FloatArray, across_m: FloatArray, centre_m: FloatArray
+) -> FloatArray:
+    """Return the shares (station, width) of the Gaussians nearest to ``value`` (axial, lateral) over the volume.
+
+    Beyond the ends of ``axial_m`` nothing is wanted: else Gaussians there would stand for whatever they like.
+    """
+    step_m, spacing_m = centre_m[1] - centre_m[0], axial_m[1] - axial_m[0]
+    beyond = math.ceil(3 * step_m / spacing_m)
+    middle = len(axial_m) // 2
+    farther_m = spacing_m * np.arange(-beyond - middle, beyond + middle + 1)
+    # a ring's area, its places being the denser the nearer to the axis
+    area = lateral_m**0.75
+    along = np.exp(-0.5 * ((farther_m[:, None] - centre_m) / step_m) ** 2)
+    across = area[:, None] * np.exp(-0.5 * (lateral_m[:, None] / across_m) ** 2)
+    wanted = np.pad(value, ((beyond, beyond), (0, 0))) * area
+    return np.asarray(np.linalg.pinv(along, rcond=RANK) @ wanted @ np.linalg.pinv(across, rcond=RANK).T)
 
 
 def _rows(matrix: FloatArray) -> tuple[tuple[float, ...], ...]:

@@ -506,6 +506,18 @@ class Scene(Section):
         return self
 
     @model_validator(mode="after")
+    def _aperture_is_part_of_its_sphere(self, info: ValidationInfo) -> Scene:
+        if info.context == STORED or self.beams is None or self.beams.transducer_diameter_m is None:
+            return self
+        focus_m = self.beams.focus_depth_m or self.acquisition.gate_depth_m
+        if self.beams.transducer_diameter_m >= 2 * focus_m:
+            raise ValueError(
+                f"beams.transducer_diameter_m is {self.beams.transducer_diameter_m:g} m, and a bowl that focuses at "
+                f"{focus_m:g} m (beams.focus_depth_m, else the gate's depth) is less than {2 * focus_m:g} m across"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _gate_meets_the_force(self, info: ValidationInfo) -> Scene:
         if info.context == STORED:
             return self

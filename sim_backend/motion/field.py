@@ -159,7 +159,7 @@ def focus_response(specimen: Specimen, force: Force) -> StepResponse:
 
 @lru_cache(maxsize=8)
 def _kept_sum_response(specimen: Specimen, force: GaussianSum) -> StepResponse:
-    spectrum = _Spectrum(force, np.zeros(1), np.zeros(1))
+    spectrum = _focus_spectrum(force)
     panels = panels_of(lambda s: spectrum.transfer(specimen, s), _turned(FIELD_CONTOUR, spectrum.ray / _RAY))
     return StepResponse(memory_s(specimen, panels), panels)
 
@@ -168,7 +168,14 @@ def focus_transfer(specimen: Specimen, force: Force, frequency_hz: Floats) -> Co
     """Return displacement at the focus over body force there, complex (frequency,), as `frequency_response` does."""
     if not isinstance(force, GaussianSum):
         return frequency_response(specimen, force, frequency_hz)
-    return field_transfer(specimen, force, np.zeros(1), np.zeros(1), frequency_hz)[:, 0, 0]
+    s = np.asarray(2j * np.pi * np.asarray(frequency_hz), np.complex128)
+    return _focus_spectrum(force).transfer(specimen, s)[:, 0]
+
+
+@lru_cache(maxsize=8)
+def _focus_spectrum(force: GaussianSum) -> _Spectrum:
+    """Kept: a plan's checks ask for the motion of the focus at every frequency and estimator."""
+    return _Spectrum(force, np.zeros(1), np.zeros(1))
 
 
 def _worth(specimen: Specimen, panels: Panels) -> Floats:

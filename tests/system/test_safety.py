@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.interfaces import InstrumentError, RecordBlock
@@ -19,6 +20,7 @@ from hpe_rig.acquire.sequencer import SAFETY_MARGIN_S, Progress, Step, acquire
 from hpe_rig.bench.instruments import Bench, UnsafeBenchError, proven_off
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.bench.opening import open_bench
+from hpe_rig.cli.app import app
 
 Prepare = Callable[..., Setup]
 
@@ -184,11 +186,5 @@ main()
     assert done.returncode == code, done.stderr
     assert "every output is off, verified" in done.stderr
     assert "Traceback" not in done.stderr
-    again = subprocess.run(
-        [sys.executable, "-m", "hpe_rig", "process", "run.h5"],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        check=False,
-    )
-    assert "Traceback" not in again.stderr
+    again = CliRunner().invoke(app, ["process", str(tmp_path / "run.h5")])
+    assert again.exception is None or isinstance(again.exception, SystemExit)

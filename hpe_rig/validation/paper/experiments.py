@@ -159,6 +159,12 @@ def panels(count: int) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
+def letter(axes: Sequence[Axes]) -> None:
+    """Letter panels as the paper does: (a), (b), ..."""
+    for panel, sign in zip(axes, "abcdef", strict=False):
+        panel.set_title(f"({sign})", loc="left", fontsize=8)
+
+
 def label(axes: Axes, x: str, y: str, **more: Any) -> None:
     """Name a panel's axes and, where curves have names, put a legend."""
     axes.set(xlabel=x, ylabel=y, **more)

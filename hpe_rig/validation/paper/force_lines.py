@@ -26,6 +26,8 @@ SPECIMEN_DEPTH_M = 12.5e-3
 """How deep the focus lies in the muscle: half the height of the paper's section (assumed)."""
 
 
+RAYLEIGH_MEAN = 1.25
+"""Mean size of a noise phasor over the deviation of a quadrature."""
 ABOVE_PLATEAU = 1.95
 """What the size of a noise phasor exceeds once in 20, over its mean: sqrt(2 ln 20) / sqrt(pi / 2)."""
 
@@ -177,7 +179,10 @@ def _verdicts(found: Mapping[tuple[str, float], ForceLine]) -> Iterator[Verdict]
             f"points at F <= 0.04 settle at {', '.join(f'{nm:.0f}' for nm in plateau)} nm",
             all(100 < nm < 200 for nm in plateau),
             f"in proportion to trigger jitter: {100 / min(plateau):.1f} to {200 / max(plateau):.1f} ns would put all "
-            "three there; the generators' manual says 1 ns",
+            "three there; the generators' manual says 1 ns"
+            if chain == "cross_spectrum"
+            else f"of {own[middle].deviation_nm:.0f} nm of noise in a quadrature a plain fit would keep "
+            f"{RAYLEIGH_MEAN * own[middle].deviation_nm:.0f} nm; the prior of media, scaled by what it sees, less",
         )
     plateau = [found["cross_spectrum", length_s].plateau_nm for length_s in HIGHEST]
     reliable_nm = ABOVE_PLATEAU * float(np.mean(plateau))

@@ -22,6 +22,7 @@ from hpe_rig.validation.paper.experiments import (
     by,
     by_chain,
     label,
+    letter,
     panels,
     repeated,
     seeded,
@@ -408,6 +409,7 @@ def _four_panels(x_name: str, curves: Mapping[str, tuple[Floats, Sequence[Floats
         panel.set(xlabel=x_name, ylabel=y_name)
     axes[0].set_ylim(0, None)
     axes[0].legend(frameon=False, fontsize=7)
+    letter(axes)
     return figure
 
 

@@ -15,6 +15,7 @@ from hpe_rig.validation.paper.experiments import (
     Repeated,
     Verdict,
     label,
+    letter,
     panels,
     repeated,
     result_and_sampled_truth,
@@ -90,6 +91,7 @@ def figure_14(seed: int = 1) -> Experiment:
         right.plot(hz, true_nm / true_nm[0], color=colour, lw=1)
     label(left, "frequency (Hz)", "displacement (nm)", ylim=(0, None))
     right.set(xlabel="frequency (Hz)", ylabel="displacement over that at 100 Hz", ylim=(0, None))
+    letter((left, right))
     soft, middle, hard = found.values()
     normal = [each.mean_nm / each.mean_nm[0] for each in found.values()]
     rise = max(float(np.diff(each.mean_nm).max() / (np.sqrt(2) * each.error_nm)) for each in found.values())

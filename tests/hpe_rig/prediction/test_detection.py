@@ -67,8 +67,10 @@ def test_every_scene_tells_its_dose_beside_its_floor(name):
     assert lines[0].startswith("detection floor")
     # Of a sphere no intensity is known: its force is that on a surface.
     lengths = () if "simulation.specimen.sphere" in SCENES[name] else lengths
-    assert len(lines) == 1 + len(lengths)
-    for line, length_s in zip(lines[1:], lengths, strict=True):
+    # and that it pushes too hard for linear propagation, where it does
+    doses = lines[1 : 1 + len(lengths)]
+    assert [line.partition(":")[0] for line in lines[1 + len(lengths) :]] in ([], ["push"])
+    for line, length_s in zip(doses, lengths, strict=True):
         moved = twin_dose(scene(name), length_s, np.array([200.0])).displacement_limit_m[0]
         assert f"{moved * 1e9:.3g} nm at 200 Hz" in line
         # The bench of the paper cannot have stayed below the limit: its floor is far above what moves there. A gate on

@@ -71,3 +71,10 @@ def test_its_motion_is_that_of_the_twins_own_intensity_within_what_is_not_known(
 def test_a_bowl_wider_than_its_sphere_is_refused() -> None:
     with pytest.raises(ValueError, match="cannot focus"):
         aperture_force(0.2, 0.1, 3e6, 1540.0)
+
+
+@pytest.mark.parametrize(("diameter_m", "frequency_hz"), [(5e-3, 3e6), (100e-3, 8e6), (45e-3, 1e6)])
+def test_any_aperture_has_a_force_that_is_1_at_its_focus_and_fades(diameter_m: float, frequency_hz: float) -> None:
+    found = aperture_force(diameter_m, 70e-3, frequency_hz, 1540.0)
+    assert found.at(np.zeros(1), np.zeros(1))[0, 0] == pytest.approx(1.0, abs=0.05)
+    assert abs(found.at(np.zeros(1), np.array([-60e-3, 60e-3]))).max() < 0.02
