@@ -1,4 +1,4 @@
-"""Figure of measured and fitted vibrations: amplitude and phase over frequency, a colour a place."""
+"""Figure of measured and fitted vibrations: amplitude and phase over frequency, a mark a place."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ if TYPE_CHECKING:
 
 def moduli_figure(result: ModuliResult) -> Figure:
     """Return the figure; lines are the likeliest medium, points with bars of 2 u what was measured."""
-    from matplotlib import colormaps
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9.0, 4.2), layout="constrained")
+    from hpe_rig.result import mark
+
+    figure = Figure(figsize=(9.6, 4.2), layout="constrained")
     amplitude, phase = figure.subplots(1, 2)
-    colours = colormaps["viridis"](np.linspace(0, 0.85, len(result.vibrations)))
-    for one, modelled, colour in zip(result.vibrations, result.best.modelled_m, colours, strict=True):
+    for place, (one, modelled) in enumerate(zip(result.vibrations, result.best.modelled_m, strict=True)):
+        marker, colour = mark(place)
         variance = np.diag(one.covariance_m2).reshape(-1, 2).mean(axis=1)
         sigma, size = np.sqrt(variance), np.abs(one.phasor_m)
-        style = {"fmt": "o", "ms": 4, "color": colour, "lw": 1}
+        style = {"fmt": marker, "ms": 4, "color": colour, "lw": 1}
         amplitude.errorbar(one.frequency_hz, size * 1e9, 2e9 * sigma, label=one.label, **style)
         amplitude.plot(one.frequency_hz, np.abs(modelled) * 1e9, color=colour, lw=1)
         # the model is unwrapped over frequency, and what was measured lies within half a turn of it
@@ -33,7 +34,15 @@ def moduli_figure(result: ModuliResult) -> Figure:
         phase.plot(one.frequency_hz, np.degrees(turned), color=colour, lw=1)
     amplitude.set(xlabel="frequency (Hz)", ylabel="amplitude (nm)", yscale="log")
     phase.set(xlabel="frequency (Hz)", ylabel="phase (deg)")
-    amplitude.legend(title="beside the push", fontsize="small", title_fontsize="small")
+    places = amplitude.get_legend_handles_labels()
+    figure.legend(
+        *places,
+        title="beside the push",
+        loc="outside right center",
+        fontsize="small",
+        title_fontsize="small",
+        frameon=False,
+    )
     for axes in (amplitude, phase):
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)

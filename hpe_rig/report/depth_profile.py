@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.result import GateResult, Headline, Picture, legend, mark, panel, picture
+from hpe_rig.result import GateResult, Headline, Picture, legend_above, mark, panel, picture
 
 FloatArray = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ def _curves(
     axes.set(xlabel="depth (mm)", ylabel=f"{what} ({unit})")
     if what == "amplitude":
         axes.set_ylim(0, None)
-    legend(axes, "best")
+    legend_above(axes, MOST_CURVES)
     alt = f"{what.title()} in {len(gates)} gates from {depth_mm[0]:.4g} to {depth_mm[-1]:.4g} mm: {'; '.join(said)}."
     return picture(figure, f"depth-{what}", f"{what.title()} over depth, bars of 2 u", alt)
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import io
 from dataclasses import dataclass
 
+from matplotlib import rc_context
+
 from hpe_rig.acquire import Run, fit_moduli
-from hpe_rig.result import Picture, inline
+from hpe_rig.result import STYLE, Picture, inline
 from hpe_rig.scene import SettingsError
 from hpe_rig.store import StoreError
 
@@ -28,7 +30,8 @@ def moduli_part(run: Run, estimator: str | None = None) -> ModuliPart | None:
     except (StoreError, SettingsError) as error:
         return ModuliPart(str(error), None)
     text = io.StringIO()
-    result.figure().savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    with rc_context(STYLE):
+        result.figure().savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     title = "Measured and fitted vibrations"
     alt = f"Amplitude and phase over frequency at {len(result.vibrations)} places and depths. {result.headline}."
     return ModuliPart(str(result), Picture("moduli", title, alt, inline(text.getvalue(), "moduli", title, alt)))

@@ -81,9 +81,9 @@ def legend(axes: Axes, place: Any) -> None:
     axes.legend(loc=place, frameon=False, fontsize=8)
 
 
-def legend_above(axes: Axes) -> None:
-    """Put a legend in one line above the panel, where it covers nothing."""
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, fontsize=8)
+def legend_above(axes: Axes, columns: int = 2) -> None:
+    """Put a legend of one line of so many entries above the panel, where it covers nothing."""
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, fontsize=8)
 
 
 def thin(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -104,7 +104,7 @@ def panel(left: float = 0.15) -> tuple[Figure, Axes]:
         figure.set_facecolor("none")
         axes.set_facecolor("none")
         # Fixed margins: fitting them to every text takes as long as all the drawing.
-        figure.subplots_adjust(left=left, right=0.97, bottom=0.155, top=0.9)
+        figure.subplots_adjust(left=left, right=0.96, bottom=0.155, top=0.9)
         return figure, axes
 
 
