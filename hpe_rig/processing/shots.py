@@ -24,7 +24,7 @@ from hpe_rig.processing.quantisation import rounding_m
 from hpe_rig.processing.residual_line import Line, residual_line
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.processing.unresolved import with_unresolved
-from hpe_rig.result import MOST_PULSES, Averaging, Estimate, ShotMotion, ShotResult
+from hpe_rig.result import DETECTED, MOST_PULSES, Averaging, Estimate, ShotMotion, ShotResult
 from hpe_rig.scene import Processing, Scene
 from hpe_rig.store import GatedRecords, ShotRecords, StoredRun
 
@@ -37,8 +37,6 @@ UNLIKELY = 0.01
 """Probability, over the shots of a run, below which a motion is of no medium of the ensemble."""
 NO_RECORDS = "no record of it was acquired"
 DAMAGED = "fail their checksums and count as missing: the file is damaged; hpe-rig verify lists them"
-DETECTED = 3.0
-"""Amplitude over its uncertainty below which a harmonic may be noise: it exceeds that by chance in 1 % of cases."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from .json_schema import dataclass_schema as dataclass_schema, result_schema as 
 from .motion import MOST_PULSES as MOST_PULSES, ShotMotion as ShotMotion
 from .motion_map import BadPixel as BadPixel, MotionMap as MotionMap
 from .phase import (
+    DETECTED as DETECTED,
     PHASE_VARIANCE_LIMIT as PHASE_VARIANCE_LIMIT,
     phase_variance_at_rad2 as phase_variance_at_rad2,
     phase_variance_rad2 as phase_variance_rad2,

@@ -27,7 +27,7 @@ PRIOR_ODDS = 0.1
 RAYLEIGH_SQUARE = 2.2957
 """Square of the amplitude below which 68.27 % of noise alone lies, -2 ln(0.3173), over the variance of a quadrature."""
 DETECTED = 3.0
-"""Amplitude over the standard deviation of a quadrature from which on it counts as found: noise exceeds it in 1.1 %."""
+"""Amplitude over the standard deviation of its noise from which on it counts as found: noise exceeds it in 1.1 %."""
 STRONG = 20.0
 """Amplitude over the root of both quadratures' variances from which on the phase's error is across the phasor alone."""
 LEAST_ACROSS = 1e-7

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from hpe_rig.prediction.beam_averaging import medium_motion
-from hpe_rig.processing import Motion, harmonic_columns, least_squares, shear_motion
+from hpe_rig.processing import Motion, PushForce, harmonic_columns, least_squares, shear_motion
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, displacement, medium_ensemble
 from hpe_rig.processing.prior import (
     FREEDOM,
@@ -442,11 +442,9 @@ def test_a_slow_creep_counts_where_the_steps_of_a_sum_do_not_see_it() -> None:
 def test_beside_the_push_what_is_faster_than_8_khz_aliases_onto_no_harmonic(lateral_m: float) -> None:
     """Stiff and viscous: a thousandth of the motion is faster. Its own field, 1000 harmonics, 1 nm of noise a pulse."""
     beams = replace(BEAMS, lateral_m=lateral_m)
-    across, along = FORCE_M[0] ** 2 + TRACKING_M[0] ** 2 / 2, FORCE_M[2] ** 2 + DEPTH_M**2
-    modulus = voigt(12e3, 5.7)
-    field = shear_motion(
-        modulus, RATE_HZ * HARMONIC, 1000.0, (FORCE_M[0], FORCE_M[2]), across, along, np.array([lateral_m])
-    )
+    force, modulus = PushForce((FORCE_M[0],), FORCE_M[2]), voigt(12e3, 5.7)
+    seen = TRACKING_M[0] ** 2 / 2, DEPTH_M**2
+    field = shear_motion(modulus, RATE_HZ * HARMONIC, 1000.0, force, *seen, np.array([lateral_m]))
     duty = RATE_HZ * LENGTH_S * HARMONIC
     wave = 1j * np.sinc(duty) * np.exp(-1j * np.pi * duty) * field.value[:, 0]
     wave *= RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2)
