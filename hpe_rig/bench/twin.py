@@ -370,7 +370,7 @@ def check_declared(scene: Scene) -> list[Mistake]:
     """Return the mistakes of ``[simulation]`` together with what the scene declares of beams and sound speed."""
     if not declares_twin(scene):
         return []
-    return check_simulation({"simulation": twin_tables(scene)}) or _unreadable_scans(scene)
+    return check_simulation({"simulation": twin_tables(scene)}) or [*_unreadable_scans(scene), *_force_too_large(scene)]
 
 
 def _unreadable_scans(scene: Scene) -> list[Mistake]:
@@ -389,6 +389,21 @@ def _unreadable_scans(scene: Scene) -> list[Mistake]:
                 Mistake(f"simulation.beams.{name}", str(error), "a scan as docs/theory/transducer.md describes")
             )
     return found
+
+
+def _force_too_large(scene: Scene) -> Iterator[Mistake]:
+    """Yield that no drive makes the specimen's force, where its push propagates nonlinearly."""
+    settings = twin_settings(scene)
+    if settings.propagation is None or settings.specimen is None:
+        return
+    from sim_backend.transducer import push_of
+
+    push, force_density_n_per_m3 = push_of(settings), settings.specimen.force_density_n_per_m3
+    try:
+        if push is not None and force_density_n_per_m3 > 0:
+            push.surface_for(force_density_n_per_m3)
+    except ValueError as error:
+        yield Mistake("simulation.specimen.force_density_n_per_m3", str(error), "a smaller one, or less nonlinearity")
 
 
 def simulation_schema() -> dict[str, Any]:
