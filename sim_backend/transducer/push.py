@@ -79,8 +79,8 @@ class Push:
         wanted, most = math.log(force_density_n_per_m3), float(self._log_force(np.array(high)))
         if not float(self._log_force(np.array(low))) < wanted < most:
             raise ValueError(
-                f"no drive makes a force density of {force_density_n_per_m3:.3g} N/m^3 with this nonlinear propagation, "
-                f"which ends at {math.exp(most):.3g} N/m^3"
+                f"no drive makes a force density of {force_density_n_per_m3:.3g} N/m^3 with this nonlinear "
+                f"propagation, which ends at {math.exp(most):.3g} N/m^3"
             )
         return math.exp(brentq(lambda x: float(self._log_force(np.array(x))) - wanted, low, high, xtol=1e-12))
 
