@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
@@ -46,7 +47,7 @@ class SimulatedClock:
         self.now_ps = max(self.now_ps, time_ps)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Bursts:
     """Sine bursts that reached the transducer; every array has shape (burst,)."""
 
@@ -55,6 +56,11 @@ class Bursts:
     carrier_hz: NDArray[np.float64]
     cycles: NDArray[np.float64]
     amplitude_vpp: NDArray[np.float64]
+
+    @functools.cached_property
+    def longest_ps(self) -> int:
+        """Duration of the longest burst; there is one."""
+        return int((self.end_ps - self.onset_ps).max())
 
 
 BURST_FIELDS = ("onset_ps", "end_ps", "carrier_hz", "cycles", "amplitude_vpp")
@@ -120,6 +126,8 @@ def joined_steps(parts: Iterable[Steps]) -> Steps:
     parts = [part for part in parts if part.time_ps.size]
     if not parts:
         return no_steps()
+    if len(parts) == 1 and bool(np.all(parts[0].time_ps[1:] >= parts[0].time_ps[:-1])):
+        return parts[0]
     time_ps = np.concatenate([part.time_ps for part in parts])
     before_v, after_v = (np.concatenate([getattr(part, name) for part in parts]) for name in ("before_v", "after_v"))
     order = np.argsort(time_ps, kind="stable")
@@ -139,8 +147,7 @@ def near(bursts: Bursts, capture: Capture) -> Bursts:
     """Return the bursts that a record of ``capture`` could hear, and some more; both by time."""
     if not capture.first_sample_ps.size or not bursts.onset_ps.size:
         return bursts
-    longest_ps = int((bursts.end_ps - bursts.onset_ps).max())
-    begin_ps = capture.first_sample_ps[0] - longest_ps - HEARD_PS
+    begin_ps = capture.first_sample_ps[0] - bursts.longest_ps - HEARD_PS
     end_ps = capture.first_sample_ps[-1] + capture.samples * capture.sample_period_ps + HEARD_PS
     some = slice(*bursts.onset_ps.searchsorted([begin_ps, end_ps]).tolist())
     return Bursts(*(getattr(bursts, name)[some] for name in BURST_FIELDS))

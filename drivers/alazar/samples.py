@@ -84,8 +84,11 @@ def timestamp_counts(headers: NDArray[np.uint32]) -> NDArray[np.int64]:
 
 def codes(words: Words, model: BoardModel = ATS460_BOARD) -> NDArray[np.int16]:
     """Return zero-centred codes, within the model's ``code_limits``, from left-justified words of any shape."""
-    code = (words >> (8 * model.sample_bytes - model.code_bits)).astype(np.int32) - (1 << (model.code_bits - 1))
-    return np.maximum(code, model.code_limits[0]).astype(np.int16)
+    code = (words >> (8 * model.sample_bytes - model.code_bits)).astype(np.uint16, copy=False)
+    # Modulo 2^16, which two's complement undoes.
+    code -= np.uint16(1 << (model.code_bits - 1))
+    centred = code.view(np.int16)
+    return np.maximum(centred, model.code_limits[0], out=centred)
 
 
 def any_at_full_scale(values: NDArray[np.int16], model: BoardModel = ATS460_BOARD) -> bool:

@@ -522,11 +522,12 @@ def _codes(
         codes[~recorded] = MISSING
         return codes, damaged
     codes = np.full((recorded.size, samples.stop - samples.start), MISSING)
+    sums = _sums(trust, name, echo.shape, size) if trust.vouched and recorded.any() else None
     for number in range(whole.start // size, -(-whole.stop // size)):
         first, last = max(number * size, whole.start), min((number + 1) * size, whole.stop)
         here = slice(first - whole.start, last - whole.start)
         if recorded[here].any():
-            of_chunk = _chunk(trust, echo, name, shot, number)
+            of_chunk = _chunk(trust, echo, name, shot, number, sums)
             if of_chunk is None:
                 damaged[here] |= recorded[here]
             else:
@@ -535,11 +536,16 @@ def _codes(
     return codes, damaged
 
 
-def _chunk(trust: Trusted, echo: h5py.Dataset, name: str, shot: int, number: int) -> NDArray[np.int16] | None:
-    """Return the codes of chunk ``number`` of a shot, (pulse, sample), None where it is damaged."""
+def _chunk(
+    trust: Trusted, echo: h5py.Dataset, name: str, shot: int, number: int, sums: h5py.Dataset | None
+) -> NDArray[np.int16] | None:
+    """Return the codes of chunk ``number`` of a shot, (pulse, sample), None where it is damaged.
+
+    ``sums`` (shot, chunk) is None in a file without checksums.
+    """
     rows, plain = echo.chunks[1], echo.id.get_create_plist().get_nfilters() == 0
     first = number * rows
-    if not trust.vouched:
+    if sums is None:
         where = echo.id.get_chunk_info_by_coord((shot, first, 0))
         if where.byte_offset is None or where.byte_offset + where.size > trust.size:
             return None
@@ -549,7 +555,7 @@ def _chunk(trust: Trusted, echo: h5py.Dataset, name: str, shot: int, number: int
         except (OSError, RuntimeError, ValueError):
             # It lies where the file has nothing, or nowhere.
             return None
-        if digest(name, (shot, number), stored) != int(_sums(trust, name, echo.shape, rows)[shot, number]):
+        if digest(name, (shot, number), stored) != int(sums[shot, number]):
             return None
         if plain:
             return np.frombuffer(stored, "<i2").reshape(echo.chunks[1:])

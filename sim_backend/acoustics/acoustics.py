@@ -59,6 +59,7 @@ _NOISE_STREAM = 1
 _ECHO_TOLERANCE = 1e-8
 # Pulses that start up to some ns apart move the ends of their support: below this only the exact sum of each helps.
 _FIELD_ECHO_TOLERANCE = 2e-7
+_RECORDS_AT_ONCE = 64
 
 MADE_MEANWHILE = 1 << 18
 """Samples of noise, from about 2 ms on, that are drawn while the echoes are computed."""
@@ -279,12 +280,15 @@ class Acoustics:
             shift_s=(age_ps - age_ps[0]) / PS_PER_S,
             colour=colour,
         )
-        block *= strength_v[burst, None]
         volts = begun()
         if np.array_equal(record, np.arange(len(volts))):
-            # One echo a record: no copy of the samples on the way.
-            volts[:, span] += block
-        elif len(np.unique(record)) == len(record):
+            # One echo a record: no copy of the samples on the way, and some records at a time stay in the cache.
+            for first in range(0, len(volts), _RECORDS_AT_ONCE):
+                some = slice(first, first + _RECORDS_AT_ONCE)
+                volts[some, span] += block[some] * strength_v[burst[some], None]
+            return
+        block *= strength_v[burst, None]
+        if len(np.unique(record)) == len(record):
             volts[record, span] += block
         else:
             np.add.at(volts[:, span], record, block)

@@ -162,8 +162,7 @@ def words(volts: NDArray[np.float64], channel: Input, settings: BoardSettings) -
     # In pieces that stay in the processor's cache from the first step to the last.
     for first in range(0, flat.size, _SAMPLES_AT_ONCE):
         some = slice(first, first + _SAMPLES_AT_ONCE)
-        level = flat_v[some] * _at_input(channel)
-        level /= channel.range_v
+        level = flat_v[some] / (channel.range_v / _at_input(channel))
         level *= half_scale
         level += half_scale
         np.rint(level, out=level)

@@ -190,9 +190,8 @@ def _series_by_blocks(
         order = np.argsort(delays.rest_s, kind="stable")
         delays, weight = delays.of(order), weight[order]
     reach_s = float(np.abs(delays.amplitude_s).max(axis=0) @ np.abs(delays.shape).max(axis=1))
-    stretches = blocks(sample_time_s, pulse)
-    out = []
-    for block in stretches:
+    out: Floats = np.empty((1, delays.echo_count, len(sample_time_s)))
+    for block in blocks(sample_time_s, pulse):
         origin_s = local_origin_s(sample_time_s[block], pulse)
         time_s = sample_time_s[block]
         begin, end = np.searchsorted(
@@ -204,8 +203,9 @@ def _series_by_blocks(
         colour = None if delays.colour is None else delays.colour[:, near]
         rest_s, amplitude_s = delays.rest_s[near] - origin_s, delays.amplitude_s[None]
         scene = ScattererRows(row, rest_s, weight[near], delays.shape[:, near], amplitude_s, colour)
-        out.append(series(scene, pulse, time_s - origin_s, tolerance)[0])
-    return out[0] if len(out) == 1 else np.concatenate(out, axis=1)
+        series(scene, pulse, time_s - origin_s, tolerance, out[:, :, block])
+    echo: Floats = out[0]
+    return echo
 
 
 def echoes(

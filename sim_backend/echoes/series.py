@@ -66,9 +66,12 @@ def largest_angle(pulse: Pulse, shape: Floats, amplitude_s: Floats) -> float:
     return 2 * math.pi * max(abs(hz) for hz in pulse.frequency_hz) * reach_s
 
 
-def series(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Floats:
+def series(
+    scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance: float, made: Floats | None = None
+) -> Floats:
     """Return the echoes, float64 (row, echo, sample), to ``tolerance`` of their rms; samples within one pulse length.
 
+    Written to ``made`` where there is one, of the same shape.
     Raises ValueError where the motion turns the pulse by more than `MOST_ANGLE_RAD`.
     """
     tables = series_tables(scene, pulse, sample_time_s, tolerance)
@@ -77,7 +80,8 @@ def series(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance:
     # U_a(t), then every echo as a short combination of them, then the samples that a support's end crosses.
     sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
     rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
-    out: Floats = np.matmul(_coefficients(scene.amplitude_s * tables.scale, tables.recurrence), sums)
+    coefficients = _coefficients(scene.amplitude_s * tables.scale, tables.recurrence)
+    out: Floats = np.matmul(coefficients, sums, out=made)
     budget = CROSSING_SHARE * tolerance * rms * math.sqrt(len(sample_time_s))
     _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
     return out
@@ -340,13 +344,15 @@ def _add_pairs(
     else:
         moved_s = np.matmul(scene.amplitude_s[row], scene.shape[:, who].T[:, :, None])[:, :, 0]
     # (pair, echo): time since the end passed the sample; the Taylor series there by Horner's rule.
-    x = past_s[:, None] - moved_s
-    value = np.repeat(taylor[:, -1:], x.shape[1], axis=1)
-    for coefficient in taylor.T[-2::-1]:
-        value *= x
+    x = np.subtract(past_s[:, None], moved_s, out=moved_s)
+    value = np.zeros_like(x)
+    for coefficient in taylor.T[:0:-1]:
         value += coefficient[:, None]
+        value *= x
+    value += taylor[:, :1]
     # +1 where the motion lets the scatterer in, -1 where it takes it out, 0 where nothing changes.
-    value *= ((x >= 0) * 1.0 - was_past[:, None]) * scene.weight[who, None]
+    weight = scene.weight[who]
+    value *= np.where(x >= 0, np.where(was_past, 0.0, weight)[:, None], np.where(was_past, -weight, 0.0)[:, None])
     # Pairs of one row and sample are summed before they are added: fancy indexing adds each place only once.
     place = row * out.shape[2] + sample
     order = np.argsort(place, kind="stable")
