@@ -88,6 +88,19 @@ def test_the_twin_moves_and_echoes_when_the_plan_says(files: tuple[Path, Path], 
     assert abs(fit.values["shear_modulus_pa"] - 7250) < 3 * fit.uncertainty["shear_modulus_pa"]
     again = hpe.open_run(tmp_path / "run.h5")
     assert again.scene.beams == run.scene.beams
+    # In another gate the motion of the same shot, at about its phase: within a third of the force's width of 3.6 mm.
+    [focus, *_] = shot.estimates
+    beside = again.with_profile(0.5e-3).estimate().profile
+    assert len({each.depth_m for each in beside}) > 1
+    for each in beside:
+        assert abs(each.depth_m - TRACKING_M) < 1.2e-3
+        assert each.shot.estimates[0].phase_rad == pytest.approx(focus.phase_rad, abs=0.1)
+    # Sound from a push 10 mm farther away arrives 6.5 us later, and phases count from there.
+    swept = again.sweep({"beams.push_focus_depth_m": [PUSH_M, PUSH_M + 10e-3]})
+    first, farther = (each.estimates[0] for each in swept.shots)
+    turned_rad = 2 * np.pi * first.frequency_hz * 10e-3 / SOUND_SPEED_M_PER_S
+    # Of 6.5 us; the pulses that echoes of such a push would disturb are left out besides, which turns by another 1 us.
+    assert farther.phase_rad - first.phase_rad == pytest.approx(turned_rad, rel=0.25)
 
 
 def test_the_echo_of_the_push_comes_the_way_of_both_transducers() -> None:
