@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from hpe_rig.acquire.run_file import Run
 from hpe_rig.plan import Plan, check_plan, make_plan, refuse_conflicts
 from hpe_rig.result import Result
-from hpe_rig.scene import Mistake, ScenePoint, SettingsError, with_default_specimen
+from hpe_rig.scene import Mistake, Scene, ScenePoint, SettingsError, with_default_specimen
 from hpe_rig.store import StoreError
 
 PROCESSED = ("acquisition.gate_depth_m", "acquisition.gate_length_m")
 PROCESSED_SECTIONS = ("processing", "beams")
 """Keys, and sections of keys, that only say what is made of records."""
+PROFILE = "processing.gate_profile_step_m"
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,13 +76,22 @@ def _points(run: Run, axes: Mapping[str, Sequence[float]], together: bool) -> It
     asked = run.scene.with_(taken).points
     _refuse_acquired(asked[0], run.path.name)
     for point in asked:
-        scene = run.scene.with_(point.values)
+        scene = _one_estimate(run.scene.with_(point.values), point.values)
         if run.bench.simulated:
             scene = with_default_specimen(scene)
         plan = _regated(run, make_plan(scene, run.bench))
         findings = tuple(check_plan(scene, run.bench, plan))
         refuse_conflicts(findings)
         yield _Point(point.values, replace(run, scene=scene, plan=plan, findings=findings))
+
+
+def _one_estimate(scene: Scene, values: Mapping[str, float]) -> Scene:
+    """Return the scene without gates over depth, and without a list of windows where ``values`` have the window."""
+    processing = scene.processing.model_copy(update={"gate_profile_step_m": None, "gates": ()})
+    sweep = scene.sweep
+    if "processing.window_length_s" in values:
+        sweep = sweep.model_copy(update={"window_length_s": ()})
+    return scene.model_copy(update={"processing": processing, "sweep": sweep})
 
 
 def _refuse_acquired(point: ScenePoint, source: str) -> None:
@@ -91,6 +101,9 @@ def _refuse_acquired(point: ScenePoint, source: str) -> None:
         for name in point.values
         if name not in PROCESSED and name.partition(".")[0] not in PROCESSED_SECTIONS
     ]
+    if PROFILE in point.values:
+        what = "no depth profile is made at the points of a sweep"
+        mistakes.append(Mistake(f"sweep.{PROFILE}", what, "values of acquisition.gate_depth_m"))
     if mistakes:
         raise SettingsError(source, mistakes)
 

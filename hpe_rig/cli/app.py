@@ -228,12 +228,25 @@ def process(
     """Estimate again from a stored run. The result is printed and written beside the run file."""
     from hpe_rig.acquire import open_run, parse_axes, process as process_run
 
+    _refuse_unswept(bool(sweep), together, gate_profile_step)
     if sweep:
-        run = open_run(run_file).with_profile(_step_m(gate_profile_step))
-        result = run.sweep(parse_axes(sweep), together=together, estimator=estimator)
+        result = open_run(run_file).sweep(parse_axes(sweep), together=together, estimator=estimator)
     else:
         result = process_run(run_file, estimator, Stages(), _step_m(gate_profile_step))
     show(result, json, csv, wide)
+
+
+def _refuse_unswept(swept: bool, together: bool, gate_profile_step: str | None) -> None:
+    from hpe_rig.scene import Mistake, SettingsError
+
+    mistakes = []
+    if together and not swept:
+        mistakes.append(Mistake("--together", "no --sweep is given whose values could go together", "--sweep KEY=V,V"))
+    if swept and gate_profile_step is not None:
+        what = "no depth profile is made at the points of a sweep"
+        mistakes.append(Mistake("--gate-profile-step", what, "--sweep gate_depth_m=V,V, or no --sweep"))
+    if mistakes:
+        raise SettingsError("command line", mistakes)
 
 
 def _step_m(text: str | None) -> float | None:

@@ -64,7 +64,7 @@ def write_design(request: Request, tell: Callable[[str], None], announce: Callab
         from hpe_rig.design.page import write_page
 
         announce("drawing the goal over each number")
-        tell(f"{write_page(found, comparison, words)}: open it in any browser")
+        tell(f"{write_page(found, comparison, request.scene, words)}: open it in any browser")
     if request.output is None:
         return
     new = edited_text(text, found.best.values)

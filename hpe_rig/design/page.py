@@ -31,14 +31,14 @@ SHOWN: dict[Goal, tuple[str, str, float, str]] = {
 """What each goal minimises: its row before and after; in the figures its name, factor from the cost, and unit."""
 
 
-def write_page(found: DesignResult, comparison: Comparison, command: str) -> Path:
+def write_page(found: DesignResult, comparison: Comparison, name: str, command: str) -> Path:
     """Write SCENE-design.html into this folder and return its path; raise ``SettingsError`` where that is impossible.
 
-    ``command`` is what made it.
+    ``name`` is the scene's, or its file; ``command`` is what made the page.
     """
     scene = found.best.scene
     assert scene is not None  # noqa: S101
-    path = Path(f"{command.split()[2].rpartition('/')[2].removesuffix('.toml')}-design.html")
+    path = Path(f"{Path(name).name.removesuffix('.toml')}-design.html")
     parts = (_before_and_after(comparison), Part("over-part", "Over each number", _WORDS, tuple(_pictures(found))))
     page = render(f"A better scene: {scene.title}", _lead(found, comparison), parts, {"made by": command, **versions()})
     write_whole(path, page)

@@ -47,6 +47,8 @@ USED_KEYS = (*(f"{section}.{key}" for section, keys in USED.items() for key in k
 
 SET_BY_STUDY = ("simulation.seed", "acquisition.repeats")
 """Keys that whole measurements set for every realisation, beside [sweep]."""
+IN_TURN = {"tracking.pulse_rate_hz": "pulse_rate_hz", "processing.window_length_s": "window_length_s"}
+"""Keys in whose place a scene's [sweep] takes several values in turn, and the key there."""
 _MEASURES = "which measures all of the scene"
 
 Tables = dict[str, Any]
@@ -203,6 +205,11 @@ def _measured_case(grid: _Grid, reading: Reading, place: tuple[int, ...], stream
 def _whole_scene(grid: _Grid, place: tuple[int, ...], corrected: bool = False) -> Scene:
     """Return the scene at a place of the axes, one shot of it; raise with every mistake."""
     tables = _tables_at(grid, place)
+    # what the study says counts, and not what the scene takes in turn in its place
+    said = {*grid.definition.set, *(key for columns in grid.columns for key in columns)}
+    turns = {name for key, name in IN_TURN.items() if key in said}
+    if turns and isinstance(sweep := tables.get("sweep"), dict):
+        tables["sweep"] = {name: values for name, values in sweep.items() if name not in turns}
     mistakes = mistakes_of(Scene, tables) + check_simulation(tables)
     if not mistakes:
         scene = Scene.model_validate(tables)

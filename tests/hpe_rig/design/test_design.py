@@ -91,7 +91,7 @@ def test_the_page_says_before_and_after_and_draws_the_goal_over_each_number(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     comparison = compared(most_pulses)
-    path = write_page(most_pulses, comparison, "hpe-rig design scenes/mine.toml --over pulse_count")
+    path = write_page(most_pulses, comparison, "my scenes/mine.toml", "hpe-rig design mine.toml")
     page = path.read_text(encoding="utf-8")
     assert path.name == "mine-design.html"
     before, after = next(row[1:] for row in comparison.outcome if row[0] == "jitter over amplitude")

@@ -211,6 +211,25 @@ def test_an_imported_run_is_swept_over_what_is_made_of_its_records(scene: Path) 
     assert together.shots[1].estimates[0].amplitude_m != result.shots[2].estimates[0].amplitude_m
 
 
+def test_a_swept_window_takes_the_place_of_those_that_the_scene_lists(scene: Path) -> None:
+    scene.write_text(f"{SCENE}[sweep]\nwindow_length_s = [5e-3, 10e-3]\n")
+    run = hpe.import_records(RF[0], scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
+    assert [shot.window_length_s for shot in run.estimate().shots] == [5e-3, 10e-3]
+    found = run.sweep({"window_length_s": [7.5e-3, 10e-3]}).shots
+    assert [(shot.window_length_s, shot.pulses_used) for shot in found] == [(7.5e-3, 30), (10e-3, 40)]
+    assert len(run.sweep({"background_order": [0, 1]}).shots) == 4
+
+
+def test_options_of_a_sweep_that_would_say_nothing_are_refused(scene: Path) -> None:
+    run = hpe.import_records(RF[0], scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
+    alone = CliRunner().invoke(app, ["process", str(run.path), "--together"])
+    profile = ["--sweep", "background_order=0,1", "--gate-profile-step", "1mm"]
+    both = CliRunner().invoke(app, ["process", str(run.path), *profile])
+    assert "no --sweep is given" in alone.output
+    assert "no depth profile" in both.output
+    assert alone.exit_code == both.exit_code == 2
+
+
 @pytest.mark.parametrize(
     ("axes", "said"),
     [
@@ -218,6 +237,7 @@ def test_an_imported_run_is_swept_over_what_is_made_of_its_records(scene: Path) 
         ({"pulse_rate_hz": [1e3], "carrier_hz": [1e6]}, r"(?s)2 mistakes.*pulse_rate_hz.*carrier_hz.*hpe-rig run"),
         ({"gate_depth_m": [1.2e-3, 20e-3]}, "a gate leaves the records, which go from 0 to 2.464 mm"),
         ({"background_order": [-3]}, "background_order"),
+        ({"gate_profile_step_m": [1e-3]}, "no depth profile is made"),
         ({"gate_length_m": []}, "gate_length_m"),
     ],
 )

@@ -80,6 +80,22 @@ def test_seeds_are_common_along_an_axis_where_asked_and_no_two_draws_share_one()
     assert seeds(scatterers=7) == [full, quarter]
 
 
+@pytest.mark.parametrize(
+    ("scene", "key", "values"),
+    [
+        ("muscle-pulse-rate", "tracking.pulse_rate_hz", [3000.0, 4000.0]),
+        ("muscle-window", "processing.window_length_s", [0.1, 0.2]),
+    ],
+)
+def test_an_axis_counts_where_the_scene_takes_the_same_setting_in_turn(
+    scene: str, key: str, values: list[float]
+) -> None:
+    cases = cases_of(scene=scene, set={}, axes=[{"name": "own", "keys": {key: values}}], common=[])
+    section, name = key.split(".")
+    assert [getattr(getattr(case.scene, section), name) for case in cases] == values
+    assert len({case.key for case in cases}) == 2
+
+
 @pytest.mark.slow
 def test_whole_measurements_and_the_gate_alone_find_the_same_bias() -> None:
     tables = {
