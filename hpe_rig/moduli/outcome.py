@@ -226,5 +226,8 @@ def _with_u(fit: Moduli, name: str, sign: str) -> str:
     """Return a parameter with its uncertainty and unit, as many decimals as two digits of the uncertainty have."""
     factor, unit = _unit(name)
     value, u = fit.values[name] * factor, fit.uncertainty[name] * factor
-    decimals = max(0, 1 - math.floor(math.log10(u))) if 0 < u < math.inf else 4
-    return f"{value:.{decimals}f} {sign} {u:.2g} {unit}".rstrip()
+    if not 0 < u < math.inf:
+        return f"{value:.4f} {sign} {u:.2g} {unit}".rstrip()
+    rounded = float(f"{u:.1e}")
+    decimals = max(0, 1 - math.floor(math.log10(rounded)))
+    return f"{value:.{decimals}f} {sign} {rounded:.{decimals}f} {unit}".rstrip()

@@ -274,7 +274,9 @@ def _figure(found: Comparison) -> Figure:
         panels[0, column].set_ylabel(f"{label}, bars: 2 u")
         panels[1, column].set_ylabel("difference / u")
         panels[1, column].set_xlabel("frequency / Hz")
-    panels[0, 0].legend()
+    if np.unique(frequency_hz).size == 1:
+        panels[0, 0].set(xticks=frequency_hz[:1], xlim=(frequency_hz[0] - 5, frequency_hz[0] + 5))
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
     figure.suptitle(f"{found.names[0]} and {found.names[1]}, estimator {' and '.join(dict.fromkeys(found.estimators))}")
     for panel in panels.flat:
         panel.grid(alpha=0.3)

@@ -119,11 +119,11 @@ def sweep_pictures(sweep: Sweep, most: int = 2) -> tuple[Picture, ...]:
     pictures = []
     for frequency_hz in frequencies:
         curves = [curve for curve in sweep.curves if curve.frequency_hz == frequency_hz]
-        pictures += [_sweep_amplitude(sweep.label, curves), _sweep_phase(sweep.label, curves)]
+        pictures += [_sweep_amplitude(sweep, curves), _sweep_phase(sweep, curves)]
     return tuple(pictures)
 
 
-def _sweep_amplitude(label: str, curves: Sequence[SweepCurve]) -> Picture:
+def _sweep_amplitude(sweep: Sweep, curves: Sequence[SweepCurve]) -> Picture:
     figure, axes = panel()
     parts = []
     for place, curve in enumerate(curves):
@@ -133,20 +133,20 @@ def _sweep_amplitude(label: str, curves: Sequence[SweepCurve]) -> Picture:
             curve.x, curve.amplitude_m * 1e9, spread, fmt=marker, ms=4, capsize=2, color=colour,
             label=curve.group or "mean, sd",
         )  # fmt: skip
-        if curve.line is not None and not label.startswith("repeat"):
+        if curve.line is not None and sweep.label != "repeat":
             ends = np.array([curve.x.min(), curve.x.max()])
             axes.plot(ends, (curve.line.intercept + curve.line.slope * ends) * 1e9, color=colour, lw=0.9)
             parts.append(
                 f"{curve.group or 'line'}: slope {curve.line.slope * 1e9:.4g} nm, R2 {curve.line.r_squared:.4f}"
             )
-    axes.set(xlabel=label, ylabel="amplitude (nm)", ylim=(0, None))
+    axes.set(xlabel=sweep.label, ylabel="amplitude (nm)", ylim=(0, None))
     legend(axes, "best")
     f = curves[0].frequency_hz
-    alt = f"Amplitude at {f:g} Hz over {label}, mean and standard deviation of the repeats. {'; '.join(parts)}."
-    return picture(figure, f"sweep-amplitude-{f:g}", f"Amplitude at {f:g} Hz over {label}", alt)
+    alt = f"Amplitude at {f:g} Hz over {sweep.name}, mean and standard deviation of the repeats. {'; '.join(parts)}."
+    return picture(figure, f"sweep-amplitude-{f:g}", f"Amplitude at {f:g} Hz over {sweep.name}", alt)
 
 
-def _sweep_phase(label: str, curves: Sequence[SweepCurve]) -> Picture:
+def _sweep_phase(sweep: Sweep, curves: Sequence[SweepCurve]) -> Picture:
     figure, axes = panel()
     for place, curve in enumerate(curves):
         marker, colour = mark(place)
@@ -155,12 +155,12 @@ def _sweep_phase(label: str, curves: Sequence[SweepCurve]) -> Picture:
             curve.x, np.degrees(_continuous(curve)), spread, fmt=marker, ms=4, capsize=2, color=colour,
             label=curve.group or "mean, sd",
         )  # fmt: skip
-    axes.set(xlabel=label, ylabel="phase (degrees)")
+    axes.set(xlabel=sweep.label, ylabel="phase (degrees)")
     legend(axes, "best")
     f = curves[0].frequency_hz
     low, high = (np.degrees([edge(_continuous(curve)) for curve in curves]) for edge in (np.min, np.max))
-    alt = f"Phase at {f:g} Hz over {label}: between {low.min():.2f} and {high.max():.2f} degrees."
-    return picture(figure, f"sweep-phase-{f:g}", f"Phase at {f:g} Hz over {label}", alt)
+    alt = f"Phase at {f:g} Hz over {sweep.name}: between {low.min():.2f} and {high.max():.2f} degrees."
+    return picture(figure, f"sweep-phase-{f:g}", f"Phase at {f:g} Hz over {sweep.name}", alt)
 
 
 def _continuous(curve: SweepCurve) -> FloatArray:

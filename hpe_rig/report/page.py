@@ -335,7 +335,10 @@ def _svg(picture: Picture) -> Markup:
 
 
 def _nm(length_m: float | None, digits: int = 4) -> str:
-    return "–" if length_m is None or not math.isfinite(length_m) else f"{length_m * 1e9:.{digits}g}"
+    if length_m is None or not math.isfinite(length_m):
+        return "–"
+    text = f"{length_m * 1e9:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text else text
 
 
 def _deg(angle_rad: float | None, form: str = ".2f") -> str:

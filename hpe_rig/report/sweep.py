@@ -52,6 +52,11 @@ class Sweep:
     label: str
     curves: tuple[SweepCurve, ...]
 
+    @property
+    def name(self) -> str:
+        """What was varied, without its unit."""
+        return self.label.partition(" (")[0]
+
 
 def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
     """Return the curves of ``shots``; None for a single shot."""

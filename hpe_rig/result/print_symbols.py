@@ -11,9 +11,11 @@ UNITS = (
     (re.compile(r"(?:(?<=\d )|(?<=\())um\b"), "µm"),
     (re.compile(r"(?<=\d) deg\b"), "°"),
     (re.compile(r"\+-"), "±"),
+    (re.compile(r"(?<=/cm)2\b"), "²"),
+    (re.compile(r"(?<=/m)3\b"), "³"),
 )
 GREEK = {"sigma": "σ", "chi": "χ"}
-SUBSCRIPT = re.compile(r"(?<![\w./\\-])([A-Za-z]|sigma|chi)_([A-Za-z0-9]{1,3})(?![\w(/\\-]|\.\w)")
+SUBSCRIPT = re.compile(r"(?<![\w./\\-])([A-Za-z]|sigma|chi)_([A-Za-z0-9]{1,4})(?![\w(/\\-]|\.\w)")
 
 
 def symbols(text: object) -> Markup:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from sim_backend.settings.installed_media import OWN_MEDIA, known_medium, refuse_parameters
-from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, filled
+from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, filled, with_depth_as_stated
 from sim_backend.settings.quantities import (
     AmplitudeM,
     AttenuationDbPerCmMHz,
@@ -470,6 +470,11 @@ class SimulationSettings(Section):
     """The receive chain element by element; absent: an ideal one."""
     instruments: Instruments = Instruments()
     """What the simulated instruments are."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _preset_depth_gives_way(cls, given: Any) -> Any:
+        return with_depth_as_stated(given)
 
     @property
     def _in_specimen(self) -> bool:
