@@ -154,7 +154,7 @@ def _give_again(number: int) -> None:
         # also out of a call that waits
         signal.pthread_kill(main, number)
     else:
-        _thread.interrupt_main(number)
+        _thread.interrupt_main(signal.Signals(number))
 
 
 _interrupts: Final = _Interrupts()

@@ -38,13 +38,17 @@ def test_a_hang_up_that_is_ignored_on_purpose_stays_ignored() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-class Struck:
-    """Struck by Ctrl-C while it is destroyed, or looked up after what it stands for has gone."""
-
-    gone = False
+class Destroyed:
+    """Struck by Ctrl-C while it is destroyed."""
 
     def __del__(self) -> None:
         signal.raise_signal(signal.SIGINT)
+
+
+class Key:
+    """Struck by Ctrl-C when it is looked up after what it stands for has gone."""
+
+    gone = False
 
     def __hash__(self) -> int:
         if self.gone:
@@ -53,11 +57,11 @@ class Struck:
 
 
 def in_a_destructor() -> None:
-    Struck()
+    Destroyed()
 
 
 def in_a_weak_references_callback() -> None:
-    key, value, known = Struck(), threading.Event(), weakref.WeakValueDictionary[Struck, threading.Event]()
+    key, value, known = Key(), threading.Event(), weakref.WeakValueDictionary[Key, threading.Event]()
     known[key] = value
     key.gone = True
     del value
