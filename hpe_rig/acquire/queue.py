@@ -72,7 +72,7 @@ class QueueRun:
     planned_s: float = 0.0
     """How long it takes by its plan."""
     took_s: float = 0.0
-    """How long it took, where it is done, its result included."""
+    """How long it took, its result included; 0 where it is not done, or was done in more than one go."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,9 +164,10 @@ def run_queue(
             try:
                 _look_for_stop(folder)
                 runs[index] = _set(folder, runs, index, state="running", why="")
-                start_s = time.monotonic()
+                begun, start_s = (folder / run.run_file).exists(), time.monotonic()
                 results[index] = _measure(folder, runs, index, setups[index], watching)
-                runs[index] = _set(folder, runs, index, state="done", took_s=time.monotonic() - start_s)
+                took_s = 0.0 if begun else time.monotonic() - start_s
+                runs[index] = _set(folder, runs, index, state="done", took_s=took_s)
             except Failure as error:
                 runs[index] = _set(folder, runs, index, state="failed", why=_said(error))
                 watching.tell(f"run {index + 1} failed: {_said(error)}")

@@ -111,10 +111,14 @@ def _refuse_acquired(point: ScenePoint, source: str) -> None:
 _REMEDY = f"numbers of [{'], ['.join(PROCESSED_SECTIONS)}], {' or '.join(PROCESSED)}; hpe-rig run measures a [sweep]"
 
 
+_OF_SCENE = ("gate_offset_s", "push_later_s")
+"""What of a shot's instants gates and beams say, and no instrument."""
+
+
 def _regated(run: Run, asked: Plan) -> Plan:
     """Return the run's plan with the gates of the ``asked`` one; raise where they are not in the records."""
     shots = tuple(
-        replace(shot, timeline=replace(shot.timeline, gate_offset_s=other.timeline.gate_offset_s))
+        replace(shot, timeline=replace(shot.timeline, **{name: getattr(other.timeline, name) for name in _OF_SCENE}))
         for shot, other in zip(run.plan.shots, asked.shots, strict=True)
     )
     outside = [s for s in shots if s.gate.start < 0 or s.gate.stop > s.capture.record_samples]

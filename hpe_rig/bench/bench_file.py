@@ -392,7 +392,8 @@ def with_transducers(scene: Scene, bench: BenchFile) -> Scene:
     """
     beams = scene.beams
     if bench.transducers is None:
-        if beams is None or beams.push_focus_depth_m is None:
+        if beams is None or beams.push_focus_depth_m is None or bench.recording is not None:
+            # of an imported recording the scene alone says with how many it was taken
             return scene
         what = "the bench has one transducer that pushes and tracks"
         remedy = "no beams.push_focus_depth_m, or a bench file with [transducers]"

@@ -6,10 +6,12 @@ within ``REPEAT_S`` are held back: they ask for what is under way already.
 
 from __future__ import annotations
 
+import _thread
 import signal
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -17,6 +19,8 @@ from typing import Any, Final, final
 
 REPEAT_S: Final = 1.0
 """How long after an interrupt the next one is taken for a repetition; later it unwinds anew, should one get lost."""
+AGAIN_S: Final = 0.01
+"""How long after a signal that nothing could be raised for it is given again."""
 CONSOLE_PATIENCE_S: Final = 4.5
 """How long a closing Windows console is kept waiting; the system itself ends the process after five seconds."""
 CONSOLE_GOES: Final = frozenset({2, 5, 6})
@@ -93,6 +97,10 @@ class _Interrupts:
         repeated = time.monotonic() - self._raised_s < REPEAT_S
         if repeated or (self._blocks and not self._blocks[-1]):
             self._held.append(number)
+        elif _swallows(frame):
+            again = threading.Timer(AGAIN_S, _give_again, (number,))
+            again.daemon = True
+            again.start()
         else:
             self._raise(number)
 
@@ -130,10 +138,28 @@ class _Interrupts:
         self._quiet.set()
 
 
+def _swallows(frame: FrameType | None) -> bool:
+    """Return whether Python only prints what is raised in ``frame``: a destructor or a weak reference's callback."""
+    while frame is not None:
+        if frame.f_code.co_name == "__del__" or frame.f_code.co_filename == weakref.__file__:
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _give_again(number: int) -> None:
+    """Give the main thread signal ``number``, from another one."""
+    main = threading.main_thread().ident
+    if sys.platform != "win32" and main is not None:
+        # also out of a call that waits
+        signal.pthread_kill(main, number)
+    else:
+        _thread.interrupt_main(signal.Signals(number))
+
+
 _interrupts: Final = _Interrupts()
 
 if sys.platform == "win32":
-    import _thread
     import ctypes
 
     @ctypes.WINFUNCTYPE(ctypes.c_int, ctypes.c_uint)

@@ -108,6 +108,10 @@ class TwinDeclaration:
         """
         receiver = self.settings.receiver
         strength = amplitude_vpp / receiver.reference_pulse_vpp * cycles / REFERENCE_CYCLES
+        if not self.settings.transmitter.linear:
+            from sim_backend.acoustics import transmitted_share
+
+            strength *= float(transmitted_share(np.array([amplitude_vpp]), self.settings)[0])
         lost_db = self.settings.loss_to_focus_db(carrier_hz)
         lost_db -= self.settings.loss_to_focus_db(receiver.reference_carrier_hz)
         widths = min(off_focus_m, self.echo_reach_m) / self.settings.beams.tracking_width_m[2]
@@ -207,6 +211,11 @@ class TwinDeclaration:
     def focus_depth_m(self) -> float:
         """Distance from the transducer that tracks to the common focus, in the middle of the scatterers."""
         return self.settings.beams.tracked_from_m
+
+    @property
+    def push_focus_depth_m(self) -> float:
+        """Distance from the transducer that pushes to the common focus."""
+        return self.settings.beams.focus_depth_m
 
     @property
     def echo_reach_m(self) -> float:
@@ -344,7 +353,7 @@ def twin_push(scene: Scene) -> Push | None:
         return None
     from sim_backend.transducer import push_of
 
-    return push_of(twin.settings)
+    return push_of(twin.settings, scene.excitation.carrier_hz)
 
 
 def twin_water_output(scene: Scene, surface_pa: float) -> WaterOutput | None:
@@ -354,7 +363,7 @@ def twin_water_output(scene: Scene, surface_pa: float) -> WaterOutput | None:
         return None
     from sim_backend.transducer import water_output
 
-    return water_output(twin.settings, surface_pa)
+    return water_output(twin.settings, surface_pa, scene.excitation.carrier_hz)
 
 
 def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
@@ -370,7 +379,7 @@ def check_declared(scene: Scene) -> list[Mistake]:
     """Return the mistakes of ``[simulation]`` together with what the scene declares of beams and sound speed."""
     if not declares_twin(scene):
         return []
-    return check_simulation({"simulation": twin_tables(scene)}) or _unreadable_scans(scene)
+    return check_simulation({"simulation": twin_tables(scene)}) or [*_unreadable_scans(scene), *_force_too_large(scene)]
 
 
 def _unreadable_scans(scene: Scene) -> list[Mistake]:
@@ -389,6 +398,21 @@ def _unreadable_scans(scene: Scene) -> list[Mistake]:
                 Mistake(f"simulation.beams.{name}", str(error), "a scan as docs/theory/transducer.md describes")
             )
     return found
+
+
+def _force_too_large(scene: Scene) -> Iterator[Mistake]:
+    """Yield that no drive makes the specimen's force, where its push propagates nonlinearly."""
+    settings = twin_settings(scene)
+    if settings.propagation is None or settings.specimen is None:
+        return
+    from sim_backend.transducer import push_of
+
+    push, force_density_n_per_m3 = push_of(settings), settings.specimen.force_density_n_per_m3
+    try:
+        if push is not None and force_density_n_per_m3 > 0:
+            push.surface_for(force_density_n_per_m3)
+    except ValueError as error:
+        yield Mistake("simulation.specimen.force_density_n_per_m3", str(error), "a smaller one, or less nonlinearity")
 
 
 def simulation_schema() -> dict[str, Any]:

@@ -22,6 +22,7 @@ from hpe_rig.study import (
     cluster,
     error_figures,
     processes,
+    refused_words,
     run_study,
     spans,
     untrusted_network,
@@ -51,6 +52,8 @@ def study_command(
         results = run_study(name, output, open_pool, ahead, replaced, watch, announce)
     for result in results:
         show(f"{result.name}: {result.definition.title}\n{physics(result)}\n")
+        if words := refused_words(result.rows):
+            show(f"{words}\n")
     show(table(results, output))
     if report:
         from hpe_rig.study import write_study_report

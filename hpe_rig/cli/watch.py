@@ -131,6 +131,9 @@ def _asking(
         if yes:
             announce(where)
             return
+        if pressed is not None:
+            # What was pressed before, during a shot, is no answer.
+            pressed()
         page = ", or Go on at the live page," if paged else ""
         announce(f"{where}; all outputs are off. Enter{page} when it stands there")
         if pressed is None:

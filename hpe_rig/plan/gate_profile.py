@@ -51,7 +51,11 @@ def with_gate(scene: Scene, gate: DepthGate) -> Scene:
         "processing": scene.processing.model_copy(update={"gates": (), "gate_profile_step_m": None}),
     }
     if scene.beams is not None:
-        parts["beams"] = scene.beams.model_copy(update={"focus_depth_m": None})
+        foci: dict[str, float | None] = {"focus_depth_m": None}
+        if scene.beams.push_focus_depth_m is not None:
+            # Of two transducers that push and track the one stays as much farther away as it is.
+            foci = {"focus_depth_m": gate.depth_m, "push_focus_depth_m": gate.depth_m + scene.beams.push_farther_m}
+        parts["beams"] = scene.beams.model_copy(update=foci)
     return scene.model_copy(update=parts)
 
 

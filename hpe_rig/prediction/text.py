@@ -67,7 +67,7 @@ def _linear_text(scene: Scene, intensity_w_per_m2: float) -> Iterator[str]:
         return
     beams, speed = twin.settings.beams, twin.sound_speed_m_per_s
     shape = beams.transducer.diameter_m, beams.excitation_width_m[0], speed
-    distortion = focal_distortion(intensity_w_per_m2, excitation.carrier_hz, twin.focus_depth_m, *shape)
+    distortion = focal_distortion(intensity_w_per_m2, excitation.carrier_hz, twin.push_focus_depth_m, *shape)
     if distortion > STEEP:
         yield (
             f"push: taken to propagate linearly, though its distortion at the focus is {distortion:.2g} (IEC 61949); "
@@ -96,7 +96,7 @@ def _push_text(scene: Scene) -> Iterator[str]:
     )
     water = twin_water_output(scene, surface_pa)
     if water is not None:
-        focus_m, drive_vpp = twin.focus_depth_m, specimen.reference_drive_vpp
+        focus_m, drive_vpp = twin.push_focus_depth_m, specimen.reference_drive_vpp
         own = drive_vpp, scene.excitation.carrier_hz, water.negative_pa, water.sppa_w_per_m2
         keys = "amplitude_vpp", "carrier_hz", "rarefaction_pa", "sppa_w_per_m2"
         drive = DriveCalibration(**dict(zip(keys, own, strict=True)))

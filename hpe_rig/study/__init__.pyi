@@ -17,6 +17,7 @@ from .series import (
     curves as curves,
     error_figures as error_figures,
     maps as maps,
+    refused_words as refused_words,
     spans as spans,
     view as view,
     with_error as with_error,

@@ -250,7 +250,7 @@ def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[s
         stream=stream,
         train=train,
         twin=twin,
-        gate_offset_s=2 * (scene.acquisition.gate_depth_m - twin.beams.focus_depth_m) / twin.sound_speed_m_per_s,
+        gate_offset_s=2 * (scene.acquisition.gate_depth_m - twin.beams.tracked_from_m) / twin.sound_speed_m_per_s,
         estimators=estimators,
         scatterers=scatterers,
         noise=noise,

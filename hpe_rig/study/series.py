@@ -149,6 +149,14 @@ def error_figures(row: Mapping[str, Any]) -> list[tuple[float, float]]:
     ]
 
 
+def refused_words(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return how many estimates were refused, and what that leaves out of bias and jitter; "" where none was."""
+    refused = sum(row["refused"] for row in rows)
+    if not refused:
+        return ""
+    return f"{refused} estimates were refused: they are left out, with all others of the same scatterers and case."
+
+
 def spans(rows: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return the least and the largest of each of `error_figures` over ``rows``; a dash where none is known."""
     found = []

@@ -1,2 +1,2 @@
-from .acoustics import Acoustics as Acoustics
+from .acoustics import Acoustics as Acoustics, transmitted_share as transmitted_share
 from .reception import with_reception as with_reception

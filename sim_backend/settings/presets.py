@@ -60,3 +60,29 @@ def filled(given: Any, presets: Mapping[str, Mapping[str, Any]]) -> Any:
     if not isinstance(given, Mapping):
         return given
     return {**presets.get(str(given.get("preset")), {}), **given}
+
+
+def with_depth_as_stated(given: Any) -> Any:
+    """Return the twin's settings with ``specimen.depth_m`` of a preset only where they do not say otherwise themselves.
+
+    Another depth of ``propagation`` counts, and an attenuation of ``scatterers`` stands in place of the specimen's; a
+    way to the focus that is shorter lies all in the specimen. Whatever has another form is returned unchanged.
+    """
+    sections = given if isinstance(given, Mapping) else {}
+    specimen, scatterers, propagation, beams = (
+        section if isinstance(section := sections.get(name), Mapping) else {}
+        for name in ("specimen", "scatterers", "propagation", "beams")
+    )
+    depth_m = PRESETS.get(str(specimen.get("preset")), {}).get("depth_m")
+    if depth_m is None or "depth_m" in specimen:
+        return given
+    way_m = beams.get("tracking_focus_depth_m", beams.get("focus_depth_m"))
+    if scatterers.get("attenuation_db_per_cm_mhz"):
+        depth_m = None
+    elif "specimen_depth_m" in propagation:
+        depth_m = propagation["specimen_depth_m"]
+    elif isinstance(way_m, float) and 0 < way_m < depth_m:
+        depth_m = way_m
+    else:
+        return given
+    return {**given, "specimen": {**specimen, "depth_m": depth_m}}

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from sim_backend.settings.installed_media import OWN_MEDIA, known_medium, refuse_parameters
-from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, filled
+from sim_backend.settings.presets import CHAIN_PRESETS, PRESETS, Preset, filled, with_depth_as_stated
 from sim_backend.settings.quantities import (
     AmplitudeM,
     AttenuationDbPerCmMHz,
@@ -181,8 +181,8 @@ class Propagation(Section):
     """Exponent of frequency in the specimen's attenuation (assumed)."""
     water_nonlinearity: Annotated[float, Field(gt=0, le=20, strict=True)] = 3.6
     """beta of water (assumed: B/A 5.2)."""
-    water_density_kg_per_m3: DensityKgPerM3 = 995.0
-    """Density of the water (assumed: 30 degrees C)."""
+    water_density_kg_per_m3: Annotated[float, Field(ge=500, le=2000, strict=True)] = 995.0
+    """Density of the water, or of another coupling liquid (assumed: 30 degrees C)."""
     water_attenuation_db_per_cm_mhz2: Annotated[float, Field(gt=0, le=1, strict=True)] = 0.0018
     """Attenuation of the water at 1 MHz, which grows as frequency squared (assumed: 30 degrees C)."""
     harmonics: Annotated[int, Field(ge=4, le=128, strict=True)] = 24
@@ -470,6 +470,11 @@ class SimulationSettings(Section):
     """The receive chain element by element; absent: an ideal one."""
     instruments: Instruments = Instruments()
     """What the simulated instruments are."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _preset_depth_gives_way(cls, given: Any) -> Any:
+        return with_depth_as_stated(given)
 
     @property
     def _in_specimen(self) -> bool:

@@ -69,11 +69,19 @@ class Push:
         return np.asarray(np.exp(log_force) / force_density_n_per_m3)
 
     def surface_for(self, force_density_n_per_m3: float) -> float:
-        """Return the surface pressure that makes this force."""
+        """Return the surface pressure that makes this force; raise ``ValueError`` where none does.
+
+        Shocks lose what more drive adds: beyond the table the force may stop growing.
+        """
         from scipy.optimize import brentq
 
         low, high = math.log(self.surface_pa[0]) - 20, math.log(self.surface_pa[-1]) + 5
-        wanted = math.log(force_density_n_per_m3)
+        wanted, most = math.log(force_density_n_per_m3), float(self._log_force(np.array(high)))
+        if not float(self._log_force(np.array(low))) < wanted < most:
+            raise ValueError(
+                f"no drive makes a force density of {force_density_n_per_m3:.3g} N/m^3 with this nonlinear "
+                f"propagation, which ends at {math.exp(most):.3g} N/m^3"
+            )
         return math.exp(brentq(lambda x: float(self._log_force(np.array(x))) - wanted, low, high, xtol=1e-12))
 
     def exponent(self, force_density_n_per_m3: float) -> float:

@@ -9,9 +9,13 @@ import pytest
 
 import hpe_rig as hpe
 from hpe_rig.acquire import prepare
-from hpe_rig.bench import parse_bench, read_bench
+from hpe_rig.bench import parse_bench, read_bench, twin_of, with_transducers
+from hpe_rig.bench.bench_file import ForeignRecording
 from hpe_rig.plan import disturbed_pulses
 from hpe_rig.scene import SettingsError, shipped_scenes
+from sim_backend.acoustics import Acoustics
+from sim_backend.settings import SimulationSettings
+from sim_backend.wiring import Bursts, Capture
 
 PUSH_M, TRACKING_M, SOUND_SPEED_M_PER_S = 70e-3, 40e-3, 1540.0
 LATER_S = (PUSH_M - TRACKING_M) / SOUND_SPEED_M_PER_S
@@ -84,6 +88,61 @@ def test_the_twin_moves_and_echoes_when_the_plan_says(files: tuple[Path, Path], 
     assert abs(fit.values["shear_modulus_pa"] - 7250) < 3 * fit.uncertainty["shear_modulus_pa"]
     again = hpe.open_run(tmp_path / "run.h5")
     assert again.scene.beams == run.scene.beams
+    # In another gate the motion of the same shot, at about its phase: within a third of the force's width of 3.6 mm.
+    [focus, *_] = shot.estimates
+    beside = again.with_profile(0.5e-3).estimate().profile
+    assert len({each.depth_m for each in beside}) > 1
+    for each in beside:
+        assert abs(each.depth_m - TRACKING_M) < 1.2e-3
+        assert each.shot.estimates[0].phase_rad == pytest.approx(focus.phase_rad, abs=0.1)
+    # Sound from a push 10 mm farther away arrives 6.5 us later, and phases count from there.
+    swept = again.sweep({"beams.push_focus_depth_m": [PUSH_M, PUSH_M + 10e-3]})
+    first, farther = (each.estimates[0] for each in swept.shots)
+    turned_rad = 2 * np.pi * first.frequency_hz * 10e-3 / SOUND_SPEED_M_PER_S
+    # Of 6.5 us; the pulses that echoes of such a push would disturb are left out besides, which turns by another 1 us.
+    assert farther.phase_rad - first.phase_rad == pytest.approx(turned_rad, rel=0.25)
+
+
+def test_the_echo_of_the_push_comes_the_way_of_both_transducers() -> None:
+    """A point behind the focus, sound from one transducer and back to another; nothing of the plan's own takes part."""
+    behind_m, onset_ps, length_ps, period_ps = 1e-3, 5_000_000, 10_000_000, 10_000
+    point = {"kind": "point", "position_m": [0.0, 0.0, behind_m]}
+    told = {
+        "beams": {"focus_depth_m": PUSH_M, "tracking_focus_depth_m": TRACKING_M},
+        "scatterers": {"per_cell": 0.0, "reflectors": [point]},
+        "receiver": {"snr_db": None},
+    }
+    acoustics = Acoustics(SimulationSettings.model_validate(told))
+    capture = Capture(0, 0, np.array([30_000_000]), period_ps, 8000)
+    time_s = 1e-12 * (30_000_000 + period_ps * np.arange(8000))
+    none = Bursts(*(np.zeros(0, np.int64),) * 2, *(np.zeros(0),) * 3)
+    first, last = np.array([onset_ps]), np.array([onset_ps + length_ps])
+    tonebursts = Bursts(first, last, np.array([3e6]), np.array([30.0]), np.array([1.0]))
+    pulses = Bursts(first, first + 333_333, np.array([9e6]), np.array([3.0]), np.array([1.0]))
+    of_push, of_pulse = (acoustics.record_volts(*each, capture)[0] for each in ((tonebursts, none), (none, pulses)))
+    heard_s = time_s[np.abs(of_push) > 0.05 * np.abs(of_push).max()]
+    begin_s = 5e-6 + (PUSH_M + TRACKING_M + 2 * behind_m) / SOUND_SPEED_M_PER_S
+    # To the part of a carrier's period that a sine needs to rise, and a sample.
+    assert heard_s[0] == pytest.approx(begin_s, abs=30e-9)
+    assert heard_s[-1] == pytest.approx(begin_s + 10e-6, abs=30e-9)
+    middle_s = time_s @ of_pulse**2 / (of_pulse @ of_pulse)
+    assert middle_s == pytest.approx(5e-6 + 2 * (TRACKING_M + behind_m) / SOUND_SPEED_M_PER_S, abs=10e-9)
+
+
+def test_what_a_push_puts_out_counts_from_the_transducer_that_pushes(files: tuple[Path, Path]) -> None:
+    twin = twin_of(prepare(*files).scene.scene)
+    assert twin is not None
+    assert (twin.push_focus_depth_m, twin.focus_depth_m) == (PUSH_M, TRACKING_M)
+
+
+def test_a_recording_that_was_taken_with_two_says_so_in_its_scene_alone(files: tuple[Path, Path]) -> None:
+    bench = read_bench().bench
+    scene = prepare(*files).scene.scene
+    recording = ForeignRecording(source="rf.npy", sha256="0" * 64, format="npy", first_sample_s=0.0)
+    imported = bench.model_copy(update={"recording": recording})
+    assert with_transducers(scene, imported) is scene
+    with pytest.raises(SettingsError, match="one transducer that pushes and tracks"):
+        with_transducers(scene, bench)
 
 
 @pytest.mark.parametrize(

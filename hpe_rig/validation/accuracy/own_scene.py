@@ -102,12 +102,9 @@ def write_own_scene(
     if mistakes := file_mistakes(output, figure):
         raise SettingsError("command line", mistakes)
     setup = prepare(source, bench)
-    mistakes = file_mistakes(output, figure)
     if not setup.bench.bench.simulated:
         what = "errors are known where the truth is: on a simulated bench"
-        mistakes.append(Mistake("--bench", what, "none, or another"))
-    if mistakes:
-        raise SettingsError("command line", mistakes)
+        raise SettingsError("command line", [Mistake("--bench", what, "none, or another")])
     scene = one_shot(setup.scene.scene)
     most = seeds or (QUICK_SEEDS if quick else SEEDS)
     rows = scene_rows(scene, bench, ways(scene), most, QUICK_S if quick else math.inf, tell)

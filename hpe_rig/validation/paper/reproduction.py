@@ -123,8 +123,8 @@ CLAIMS: tuple[Claim, ...] = (
           both="at 0 dB noise alone makes an amplitude, the smaller the more cycles"),
     Claim("Fig. 6", "phase bias not affected significantly by N_c", "fig-6", flat("phase_bias", 1.0)),
     Claim("Fig. 7", "displacement bias decreases as N_p increases", "fig-7", trend("amplitude_bias", falls=True),
-          both="the gain sinc(f_v/f_prf) of a difference of pulses, 0.94 at N_p = 5, is taken off; at 0 dB noise is "
-          "left"),
+          both="at 0 dB noise makes it; at 20 and 40 dB the gain sinc(f_v/f_prf) of a difference of pulses, 0.94 at "
+          "N_p = 5, does where it is left in"),
     Claim("Fig. 7", "displacement jitter decreases as N_p increases", "fig-7", trend("amplitude_jitter", falls=True)),
     Claim("Fig. 7", "phase jitter decreases as N_p increases", "fig-7", trend("phase_jitter", falls=True)),
     Claim("Fig. 7", "minimal effects of N_p on the phase bias", "fig-7", flat("phase_bias", 1.0)),

@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
+import weakref
+from collections.abc import Callable
 
 import pytest
 
@@ -33,6 +36,47 @@ def test_a_hang_up_that_is_ignored_on_purpose_stays_ignored() -> None:
             signal.raise_signal(signal.SIGHUP)
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+class Destroyed:
+    """Struck by Ctrl-C while it is destroyed."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+
+class Key:
+    """Struck by Ctrl-C when it is looked up after what it stands for has gone."""
+
+    gone = False
+
+    def __hash__(self) -> int:
+        if self.gone:
+            signal.raise_signal(signal.SIGINT)
+        return 1
+
+
+def in_a_destructor() -> None:
+    Destroyed()
+
+
+def in_a_weak_references_callback() -> None:
+    key, value, known = Key(), threading.Event(), weakref.WeakValueDictionary[Key, threading.Event]()
+    known[key] = value
+    key.gone = True
+    del value
+
+
+@posix
+@pytest.mark.parametrize("where", [in_a_destructor, in_a_weak_references_callback])
+def test_a_signal_where_python_drops_what_is_raised_comes_through_right_after(where: Callable[[], None]) -> None:
+    def measure() -> None:
+        with interruptible():
+            where()
+            time.sleep(5)
+
+    with pytest.raises(KeyboardInterrupt):
+        measure()
 
 
 @posix

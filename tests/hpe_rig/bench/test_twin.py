@@ -7,6 +7,7 @@ import pytest
 
 from hpe_rig.bench.twin import check_declared, twin_of
 from hpe_rig.scene.scene import Scene, parse_scene, shipped_scenes
+from sim_backend.settings import SimulationSettings
 
 SCENES = shipped_scenes()
 
@@ -66,3 +67,41 @@ def test_an_invalid_twin_is_told_by_the_check_and_declares_nothing(wrong: dict[s
     invalid = scene("table-1").model_copy(update={"simulation": wrong})
     assert twin_of(invalid) is None
     assert [mistake.path for mistake in check_declared(invalid)] == [f"simulation.{next(iter(wrong))}"]
+
+
+@pytest.mark.parametrize(
+    ("stated", "depth_m"),
+    [
+        ({}, 12.5e-3),
+        ({"scatterers": {"attenuation_db_per_cm_mhz": 0.5}}, None),
+        ({"scatterers": {"attenuation_db_per_cm_mhz": 0.0}}, 12.5e-3),
+        ({"propagation": {"specimen_depth_m": 20e-3}}, 20e-3),
+        ({"beams": {"focus_depth_m": 10e-3}}, 10e-3),
+        ({"beams": {"focus_depth_m": 70e-3, "tracking_focus_depth_m": 11e-3}}, 11e-3),
+    ],
+)
+def test_the_depth_of_a_preset_gives_way_to_what_a_scene_says(
+    stated: dict[str, dict[str, float]], depth_m: float | None
+) -> None:
+    """Run files from before presets had a depth open as well."""
+    found = SimulationSettings.model_validate({"specimen": {"preset": "gelatin_8"}, **stated}).specimen
+    assert found is not None
+    assert found.depth_m == depth_m
+
+
+def test_a_depth_that_a_scene_itself_says_is_not_overruled() -> None:
+    given = {"specimen": {"preset": "gelatin_8", "depth_m": 15e-3}, "propagation": {"specimen_depth_m": 20e-3}}
+    with pytest.raises(ValueError, match="at one depth"):
+        SimulationSettings.model_validate(given)
+
+
+def test_the_echo_level_falls_as_the_twins_echo_does_where_diodes_take_their_threshold() -> None:
+    threshold = ("[simulation]\n", "[simulation.transmitter]\ndiode_threshold_v = 4.0\n\n[simulation]\n")
+    linear, diodes = twin_of(scene("table-1")), twin_of(scene("table-1", threshold))
+    assert linear is not None
+    assert diodes is not None
+    reference_vpp = linear.settings.receiver.reference_pulse_vpp
+    assert diodes.echo_v(reference_vpp, 3.0, 9e6) == pytest.approx(linear.echo_v(reference_vpp, 3.0, 9e6))
+    # 37 dB behind a tenth of a volt peak to peak stand 3.5 V: nothing passes.
+    assert diodes.echo_v(0.1, 3.0, 9e6) == 0.0
+    assert linear.echo_v(0.1, 3.0, 9e6) > 0.0

@@ -10,6 +10,7 @@ import math
 import re
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -24,10 +25,10 @@ from hpe_rig.study.curve_figures import BAND, curve_alt, curve_figure
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.map_figures import map_figure
 from hpe_rig.study.page import MOST_INSIDE, MOST_ROWS, Part, cell, render, table
-from hpe_rig.study.report import write_study_report
+from hpe_rig.study.report import study_part, write_study_report
 from hpe_rig.study.results import StudyResult, write_whole
 from hpe_rig.study.run import run_study
-from hpe_rig.study.series import is_map, shown, views
+from hpe_rig.study.series import is_map, refused_words, shown, views
 from hpe_rig.validation.paper.reproduction import reproduction_part
 
 TINY = """
@@ -147,6 +148,14 @@ def test_the_page_begins_with_what_was_found_and_ends_with_how_long_it_took(page
     assert heads == ["reproduction-part", "found-part", "fig-5-part", "run-time-part", "made"]
     first = page[page.index('class="headline"') :].partition("</p>")[0]
     assert "Statements of the paper" in first
+
+
+def test_what_refused_estimates_leave_out_is_said(tiny: StudyResult, tmp_path: Path) -> None:
+    assert refused_words(tiny.rows) == ""
+    words = refused_words([{**row, "refused": 3} for row in tiny.rows[:2]])
+    assert words == "6 estimates were refused: they are left out, with all others of the same scatterers and case."
+    holed = replace(tiny, rows=[{**row, "refused": 3} for row in views(tiny)[0].rows])
+    assert refused_words(holed.rows) in study_part(holed, tmp_path).words
 
 
 def test_the_four_panels_have_units_and_bands_of_two_errors(tiny: StudyResult) -> None:

@@ -129,6 +129,6 @@ def test_the_centre_frequency_falls_with_the_depth_of_the_specimen():
         return float(strength @ np.array(pulse.frequency_hz) / strength.sum())
 
     for depth_m in (12.5e-3, 30e-3):
-        nepers = in_gelatin(depth_m).loss_to_focus_db
-        slope = (nepers(9.001e6) - nepers(8.999e6)) / 2e3 * np.log(10) / 20
+        loss_db = in_gelatin(depth_m).loss_to_focus_db
+        slope = (loss_db(9.001e6) - loss_db(8.999e6)) / 2e3 * np.log(10) / 20
         assert centre_hz(None) - centre_hz(depth_m) == pytest.approx(slope * sigma_hz**2, rel=0.02)

@@ -117,6 +117,15 @@ def test_the_force_over_drive_is_the_tables_and_linear_below_it() -> None:
     np.testing.assert_allclose(share, [0, 1e-3 * 1e-2, 0.125, 1.0, 8000.0], rtol=1e-6)
 
 
+def test_a_force_that_no_drive_makes_is_refused_with_the_largest() -> None:
+    surface_pa = np.geomspace(1e4, 1e6, 7)
+    # Shocks take all that more pressure adds beyond 1e5 Pa.
+    saturated = Push(surface_pa, 1e-2 * np.minimum(surface_pa, 1e5) ** 2, *[surface_pa] * 5)
+    assert saturated.surface_for(1e6) == pytest.approx(1e4, rel=1e-9)
+    with pytest.raises(ValueError, match=r"no drive makes a force density of 1e\+09 N/m\^3 .* ends at 1e\+08 N/m"):
+        saturated.surface_for(1e9)
+
+
 def test_a_scene_that_asks_for_nothing_gets_the_square() -> None:
     assert force_share(SimulationSettings(specimen=Specimen())) is None
     assert force_share(SimulationSettings(beams=Beams(), propagation=Propagation())) is None
