@@ -21,6 +21,7 @@ from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.design.variables import variables
 from hpe_rig.prediction.bounds import harmonic_bound
+from hpe_rig.result import symbols
 from hpe_rig.scene.scene import scene_text
 from hpe_rig.scene.validation import SettingsError
 
@@ -98,7 +99,7 @@ def test_the_page_says_before_and_after_and_draws_the_goal_over_each_number(
     assert f"Jitter over amplitude: {after} instead of {before}." in page
     assert page.count("<figure") == len(most_pulses.problem.space)
     for name, _, now in (*comparison.varied, *comparison.outcome):
-        assert name in page
+        assert symbols(name) in page
         assert f">{now}<" in page or "_" in now or " deg" in now
     assert "<script" not in page
 
