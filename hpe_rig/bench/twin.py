@@ -407,10 +407,10 @@ def _force_too_large(scene: Scene) -> Iterator[Mistake]:
         return
     from sim_backend.transducer import push_of
 
-    push, force_density_n_per_m3 = push_of(settings), settings.specimen.force_density_n_per_m3
+    push = push_of(settings)
     try:
-        if push is not None and force_density_n_per_m3 > 0:
-            push.surface_for(force_density_n_per_m3)
+        if push is not None:
+            push.surface_for(settings.specimen.force_density_n_per_m3)
     except ValueError as error:
         yield Mistake("simulation.specimen.force_density_n_per_m3", str(error), "a smaller one, or less nonlinearity")
 

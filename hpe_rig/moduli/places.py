@@ -15,11 +15,10 @@ from hpe_rig.moduli.vibration_model import ComplexArray, FloatArray, Push, Vibra
 from hpe_rig.plan import DepthGate, Plan, Shot, apart, depth_gates, places_of, shots_with_gate, with_gate
 from hpe_rig.prediction import beam_widths, depth_in_gate, force_of, tracked_spread
 from hpe_rig.processing import HarmonicFit, residual_m, shot_fit
+from hpe_rig.result import DETECTED
 from hpe_rig.scene import Mistake, Scene, SettingsError
 from hpe_rig.store import StoredRun
 
-DETECTED = 3.0
-"""Amplitude over its uncertainty from which a harmonic counts: below, its phase says nothing."""
 GAIN_UNCERTAINTY = 0.005
 """Relative, of one place against another: echo strength does not enter, what the gate's depth does is as small."""
 PHASE_UNCERTAINTY_RAD = 0.002
