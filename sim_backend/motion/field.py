@@ -143,7 +143,9 @@ def focus_field(
     # From values at the grid's Chebyshev points to coefficients, along both axes.
     grid = right[:modes].reshape(modes, across, along)
     series = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(along), optimize=True)
-    response = StepResponse(memory_s(specimen, Panels(courses)), Panels(courses))
+    # What is left of a response below the tolerance is the quadrature's: a pulse is over by then.
+    memory = memory_s(specimen, Panels(courses), 0.1 * tolerance)
+    response = StepResponse(memory, Panels(courses))
     return FocusField(lateral_reach_m, axial_reach_m, response, series, lateral_inner_m, uneven)
 
 
