@@ -38,6 +38,7 @@ SMOOTH = 30**60
 """Divisible by every number of samples without a prime factor above 5."""
 MOST_HELD_BYTES = 1 << 25
 """Spectra beyond this lie in a temporary file, of which some pulses at a time are in memory."""
+_WRITTEN_AT_ONCE = 1 << 20
 LEAST_OUTSIDE = 1e-5
 """Share of a direction's energy in the margins above which it is taken off."""
 
@@ -194,16 +195,16 @@ def spectra(shape: tuple[int, ...], precision: np.dtype[Any]) -> ComplexArray:
     size = int(np.prod(shape)) * precision.itemsize
     if size <= MOST_HELD_BYTES:
         return np.empty(shape, precision)
-    file = tempfile.TemporaryFile()
     try:
-        # written now: a disk that is full is met here and not in the middle of a computation, which it would end
-        for first in range(0, size, mmap.ALLOCATIONGRANULARITY):
-            file.write(bytes(min(size - first, mmap.ALLOCATIONGRANULARITY)))
-        file.flush()
+        with tempfile.TemporaryFile() as file:
+            # written now: a disk that is full is met here and not in the middle of a computation, which it would end
+            for first in range(0, size, _WRITTEN_AT_ONCE):
+                file.write(bytes(min(size - first, _WRITTEN_AT_ONCE)))
+            file.flush()
+            # what is mapped stays when the file is closed
+            return np.memmap(file, precision, "r+", shape=shape)
     except OSError:
-        file.close()
         return np.empty(shape, precision)
-    return np.memmap(file, precision, "r+", shape=shape)
 
 
 def let_go(spectrum: ComplexArray) -> None:

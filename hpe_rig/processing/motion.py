@@ -56,7 +56,10 @@ def coherent_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, Floa
     # the first pass aligns with single-echo noise, the second with the noise of the mean echo
     found = against_others(spectrum, band, steps, steps.delay_s, steps.energy)
     phase = steps.phase + np.angle(found.product)
-    found = against_others(spectrum, band, steps, -phase / (2 * np.pi * found.mean_hz[..., None]))
+    delay_s = -phase / (2 * np.pi * found.mean_hz[..., None])
+    # of a long train the first pass' arrays make room for the second's
+    del found
+    found = against_others(spectrum, band, steps, delay_s)
     phase += np.angle(found.product)
     return phase, found.variance, found.mean_hz
 

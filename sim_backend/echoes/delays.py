@@ -78,7 +78,7 @@ def distinct_echoes(amplitude_s: Floats, shape: Floats, pulse: Pulse, tolerance:
     """
     highest_rad_per_s = 2 * np.pi * max(abs(hz) for hz in pulse.frequency_hz)
     turn_per_s = highest_rad_per_s * np.abs(shape).max(axis=1, initial=0.0) * len(shape)
-    step = np.rint(amplitude_s * (turn_per_s / (ALIKE_SHARE * max(tolerance, np.finfo(np.float64).tiny))))
+    step = np.rint(amplitude_s * (turn_per_s / (ALIKE_SHARE * tolerance))) if tolerance else amplitude_s
     order = np.lexsort(step.T)
     new = np.ones(len(order), dtype=np.bool_)
     new[1:] = (step[order[1:]] != step[order[:-1]]).any(axis=1)
