@@ -159,8 +159,9 @@ def _faded(samples: int, before: int, behind: int) -> FloatArray:
 def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, Band]:
     """Return the spectrum (..., valid pulse, bin) around the gate, NaN for trains without an echo, and its band.
 
-    Bins come first in memory, in the precision of the volts; see `spectra` for those of long trains. Raises ``ValueError`` for too few valid pulses, a gate too
-    short to hold two frequencies of the band, and where no train has an echo in it.
+    Bins come first in memory, in the precision of the volts; see `spectra` for those of long trains. Raises
+    ``ValueError`` for too few valid pulses, a gate too short to hold two frequencies of the band, and where no train
+    has an echo in it.
     """
     require_pulses(echoes, least_pulses)
     band = band_of(echoes)

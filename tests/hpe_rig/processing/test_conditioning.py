@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +95,7 @@ def test_spectra_of_a_long_train_lie_in_a_file_and_give_the_same_motion(
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a file on which there is never room")
 def test_a_full_temporary_disk_costs_memory_and_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(band, "MOST_HELD_BYTES", 0)
-    monkeypatch.setattr(band.tempfile, "TemporaryFile", lambda: Path("/dev/full").open("r+b", buffering=0))
+    monkeypatch.setattr(tempfile, "TemporaryFile", partial(Path("/dev/full").open, "r+b", buffering=0))
     made = band.spectra((3, 5), np.dtype(np.complex64))
-    assert type(made) is np.ndarray and made.shape == (3, 5)
+    assert type(made) is np.ndarray
+    assert made.shape == (3, 5)

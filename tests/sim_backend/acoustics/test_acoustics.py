@@ -319,7 +319,8 @@ def test_echoes_count_as_one_only_where_the_tolerance_cannot_tell():
     # 1e-3 of the tolerance apart in turn are alike, 1 of it are not, in either freedom
     turn = np.array([[0.0, 0.0], [1e-11, 0.0], [1e-8, 0.0], [0.0, 1e-8], [0.0, 0.0]])
     one, kind = distinct_echoes(turn / highest, shape, pulse, 1e-8)
-    assert kind[0] == kind[1] == kind[4] and len(set(kind.tolist())) == len(one) == 3
+    assert kind[0] == kind[1] == kind[4]
+    assert len(set(kind.tolist())) == len(one) == 3
     assert kind[one].tolist() == [0, 1, 2]
     # at tolerance 0 only equal ones
     assert len(distinct_echoes(turn / highest, shape, pulse, 0.0)[0]) == 4
