@@ -105,7 +105,7 @@ def pages() -> dict[str, str]:
 def write_pages(folder: Path) -> None:
     """Write the generated pages into ``folder``; a page that has not changed is left alone, and not built again."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in {**pages(), "messages.md": messages_page()}.items():
+    for name, text in {**pages(), **messages_pages()}.items():
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
@@ -280,11 +280,11 @@ def _sentence(text: str) -> str:
     return first.partition(". ")[0].removesuffix(".") + "."
 
 
-def messages_page() -> str:
-    """Return the page of the error messages, each provoked in an empty folder."""
+def messages_pages() -> dict[str, str]:
+    """Return the pages of the error messages, each provoked in an empty folder, and of what was answered before."""
     import sys
 
     sys.path.insert(0, os.fspath(Path(__file__).parents[1] / "scripts"))
-    from messages import markdown
+    from messages import beside, markdown
 
-    return markdown()
+    return {"messages.md": markdown(), "messages-before.md": beside()}
