@@ -147,8 +147,8 @@ def _water(
     return WaterOutput(*(float(each) for each in peaks))
 
 
-# Seconds for a table of some hundred bytes: kept for every value of a sweep. By what it depends on alone, so that one of
-# the medium's moduli, or of a sphere, computes none anew.
+# Seconds for a table of some hundred bytes: kept for every value of a sweep. By what it depends on alone, so that a
+# sweep of the medium's moduli computes none anew.
 @lru_cache(maxsize=512)
 def _push(
     layers: tuple[Layer, ...],
