@@ -42,8 +42,8 @@ LEAST_MEMBERS = 15.0
 BROAD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
 UNTOLD = 1e-3
-"""Error of the model at any instant of a burst's period, relative to the rms motion: the ensemble's own, that of speckle
-and receiver. Pulses that come at the same instant share it."""
+"""Error of the model at any instant of a burst's period, relative to the rms motion: the ensemble's own, and that of
+speckle and receiver. Pulses that come at the same instant share it."""
 UNEXPLAINED = 4.0
 """Mean square of a residual, over that of the steps' noise, from which on more than this noise is in it."""
 UNSEEN = 1e-10
