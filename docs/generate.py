@@ -14,6 +14,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from snippets import counts_page
+
 EXAMPLES = {
     "sweep.axes": '{"tracking.delay_s" = [0.0, 1e-4]}',
     "acquisition.shot_period_s": "1.5",
@@ -99,7 +101,13 @@ ROOMS += ("store", "study", "validation")
 def pages() -> dict[str, str]:
     """Return the generated pages, Markdown by file name."""
     settings = {f"{of}.md": settings_page(of) for of in PURPOSE}
-    return {**settings, "commands.md": commands_page(), "api.md": api_page(), "rooms.md": rooms_page()}
+    found = {
+        "commands.md": commands_page(),
+        "api.md": api_page(),
+        "rooms.md": rooms_page(),
+        "snippets.md": counts_page(),
+    }
+    return {**settings, **found}
 
 
 def write_pages(folder: Path) -> None:
