@@ -24,7 +24,6 @@ from typing import Any
 
 MADE = {
     "bovine-muscle.html": ("run bovine-muscle --report --overwrite",),
-    "muscle-force.html": ("run muscle-force --report --overwrite",),
     "gelatin-moduli.html": ("run gelatin-moduli --yes --report --overwrite",),
     "moduli.svg": ("moduli gelatin-moduli.h5 --figure moduli.svg",),
     "compare.svg": ("run gelatin-8 --overwrite", "compare bovine-muscle.h5 gelatin-8.h5 --figure compare.svg"),
@@ -51,6 +50,9 @@ gate_depth_m = 8e-3
 gate_length_m = 1e-3
 [processing]
 frequencies_hz = [200.0]
+"""
+ALONE = """<!DOCTYPE html><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<style>:root { color-scheme: light dark } body { margin: 0 } svg { max-width: 100%; height: auto }</style>
 """
 WIDTHS_PX = (390, 800, 1200)
 SCHEMES = ("light", "dark")
@@ -202,7 +204,7 @@ def browser() -> Iterator[Any]:
 def looked_at(chromium: Any, name: str, folder: Path, key: str = "") -> Iterator[str]:
     """Yield a line a width and scheme of one page: what is wrong with it; write its screenshot."""
     live = name.startswith("http")
-    address, key = (name, key or "live") if live else (Path(name).resolve().as_uri(), Path(name).stem)
+    address, key = (name, key or "live") if live else (_as_page(Path(name), folder).as_uri(), Path(name).stem)
     for width_px in WIDTHS_PX:
         for scheme in SCHEMES:
             page = chromium.new_page(viewport={"width": width_px, "height": 900}, color_scheme=scheme)
@@ -213,6 +215,16 @@ def looked_at(chromium: Any, name: str, folder: Path, key: str = "") -> Iterator
             page.screenshot(path=folder / f"{key}-{width_px}-{scheme}.png", full_page=True)
             page.close()
             yield f"{key}, {width_px} px, {scheme}: {'; '.join(faults[:MOST]) or 'nothing wrong'}"
+
+
+def _as_page(file: Path, folder: Path) -> Path:
+    """Return ``file`` where it is a page; of a figure a page that holds it alone, as wide as there is room."""
+    if file.suffix != ".svg":
+        return file.resolve()
+    drawn = file.read_text(encoding="utf-8")
+    page = folder / f"{file.name}.html"
+    page.write_text(f"{ALONE}{drawn[drawn.index('<svg') :]}", encoding="utf-8")
+    return page
 
 
 def faults_of(page: Any, width_px: int) -> list[str]:
