@@ -142,7 +142,7 @@ def peak_steps(parts: FloatArray, fast: bool | None = None) -> Steps:
 def noisy_peak_steps(
     clean: FloatArray, which: NDArray[np.intp], level: FloatArray, noise: FloatArray, fast: bool | None = None
 ) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return phase and bin (draw, noise, pulse - 1) of the peaks of ``clean[draw, which[pulse]] + level[draw] * noise``.
+    """Return phase and bin (draw, noise, pulse - 1) of the peaks of clean[draw, which[pulse]] + level[draw] * noise.
 
     ``clean`` (draw, echo, 2 * bin), ``which`` (pulse,), ``level`` (draw,), ``noise`` (draw, noise, pulse, 2 * bin), in
     the form of `peak_steps`; ``fast`` as there. The sum is as large as the noise: compiled, it is never made.
