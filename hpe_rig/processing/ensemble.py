@@ -179,10 +179,10 @@ def _beside(
     ):
         own = replace(beams, force_width_m=(across_m, across_m, along_m))
         seen = seen_beside(modulus_pa[member], density_kg_per_m3, node_hz, own, places_m)
-        found[:, :, member] = np.moveaxis(seen, -1, 0)
+        found[:, :, member] = np.moveaxis(np.stack(seen), -1, 0)
     found.flags.writeable = False
     voigt = np.arange(MEMBERS_BESIDE) % FAMILIES == 0 if known is None else np.ones(MEMBERS_BESIDE, bool)
-    return tuple(Ensemble(node_hz, *there, voigt, alone) for there in found)
+    return tuple(Ensemble(node_hz, there[0], there[1], there[2], voigt, alone) for there in found)
 
 
 def _nodes_beside(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, int]:
