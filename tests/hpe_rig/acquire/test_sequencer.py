@@ -97,7 +97,7 @@ def test_every_instrument_of_the_plan_is_programmed_and_no_output_is_on(setup: S
 
 
 def test_the_log_has_every_step_and_not_every_block_of_records(setup: Setup, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level("INFO")
+    caplog.set_level("INFO", "hpe_rig")
     with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
         for _ in acquire(replace(setup.plan, shots=setup.plan.shots[:1]), bench):
             pass
