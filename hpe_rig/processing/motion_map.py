@@ -284,8 +284,9 @@ class _Pixels:
 
 def _choice(fast: bool, name: str) -> Callable[..., Any]:
     """Return the compiled form of a pass or NumPy's."""
+    plain: dict[str, Callable[..., Any]] = {"followed": _followed, "distance": _distance, "estimates": _estimates}
     if not fast:
-        return {"followed": _followed, "distance": _distance, "estimates": _estimates}[name]
+        return plain[name]
     from hpe_rig.processing import motion_map_numba
 
     return cast("Callable[..., Any]", getattr(motion_map_numba, name))
