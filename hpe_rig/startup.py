@@ -1,11 +1,10 @@
-"""Ctrl-C while the program loads: it ends plainly. Nothing is open yet that would have to be switched off."""
+"""Ctrl-C while the program loads: it ends plainly. Nothing is open yet that would have to be switched off.
 
-from __future__ import annotations
+At the top stands only what Python has loaded by then: Ctrl-C during an import is Python's, and ends in a traceback.
+"""
 
 import os
-import signal
 import sys
-from types import FrameType
 
 INTERRUPTED = 130
 
@@ -20,10 +19,16 @@ def is_program() -> bool:
 
 def end_plainly() -> None:
     """From now on let Ctrl-C end the process at once, until a command itself guards what it opens."""
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, _end_at_once)
+    try:
+        # Loads enum and more, some milliseconds in which Ctrl-C is still Python's.
+        import signal
+
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+            signal.signal(signal.SIGINT, _end_at_once)
+    except KeyboardInterrupt:
+        _end_at_once()
 
 
-def _end_at_once(number: int, frame: FrameType | None) -> None:
+def _end_at_once(number: int = 0, frame: object = None) -> None:
     os.write(sys.__stderr__.fileno() if sys.__stderr__ else 2, b"hpe-rig: interrupted\n")
     os._exit(INTERRUPTED)

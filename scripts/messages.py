@@ -1,17 +1,24 @@
 """Error messages that users meet first, each provoked in an empty folder: printed as a page in Markdown.
 
-Usage: python scripts/messages.py [> messages.md]. With PYTHONPATH on another version's folder, that one's messages.
+python scripts/messages.py                    this version's, as the reference shows them
+python scripts/messages.py --beside           beside those of the earlier version that docs/reference holds
+python scripts/messages.py --of FOLDER        those of the version in FOLDER, in JSON, each by a process of its own
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+import json
 import os
 import re
+import shlex
+import subprocess
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 SCENE = """title = "Try"
@@ -25,6 +32,20 @@ disturbed = "skip"
 [acquisition]
 gate_depth_m = 70e-3
 """
+BEFORE = Path(__file__).parents[1] / "docs" / "reference" / "messages-before.json"
+"""What `--of` printed of the version before messages were reviewed."""
+PATIENCE_S = 60.0
+"""How long a process may take to answer; a mistake is answered in two seconds."""
+MOST_LINES = 14
+"""Lines of an answer that a page shows."""
+BESIDE = """# Error messages, before and after
+
+What is answered to the {mistakes} mistakes of [error messages](messages.md): *before* by version b37b133 of 22 November
+2026, 05:46 (`python scripts/messages.py --of FOLDER`, its packages in FOLDER), *after* by this one while the page was
+written. {changed} answers changed. Before, {refused} of the mistakes were refused with exit code 2; now {now} are.
+"""
+Answer = tuple[int | None, str]
+"""Exit code, ``None`` where no answer came, and what was said."""
 
 
 @dataclass(frozen=True)
@@ -119,28 +140,83 @@ def cases() -> dict[str, list[Case]]:
     }
 
 
-def provoked() -> Iterator[tuple[str, Case, int, str]]:
-    """Yield subject, mistake, exit code and message of every case, each in a folder of its own."""
+def provoked(answer: Callable[[str], Answer] | None = None) -> Iterator[tuple[str, Case, int | None, str]]:
+    """Yield subject, mistake, exit code and message of every case, each in a folder of its own.
+
+    ``answer`` runs what is typed: by default this version, in this process.
+    """
     for subject, mistakes in cases().items():
         for case in mistakes:
             with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
                 for name, content in case.files.items():
                     Path(name).write_bytes(content.encode() if isinstance(content, str) else content)
-                yield subject, case, *_said(case.typed)
+                code, said = (answer or _said)(case.typed)
+                # Where a temporary folder stands says nothing.
+                yield subject, case, code, re.sub(re.escape(os.fspath(Path.cwd())) + r"[/\\]?", "", said).strip()
 
 
-def _said(typed: str) -> tuple[int, str]:
-    import shlex
+@cache
+def answered() -> tuple[tuple[str, Case, int | None, str], ...]:
+    """Return what `provoked` yields of this version, found once for both pages."""
+    return tuple(provoked())
 
+
+def _said(typed: str) -> Answer:
     from typer.testing import CliRunner
 
     from hpe_rig.cli import commands
 
     with contextlib.redirect_stderr(io.StringIO()):
         done = CliRunner().invoke(commands, shlex.split(typed)[1:], prog_name="hpe-rig", env={"COLUMNS": "110"})
-    # Where a temporary folder stands says nothing.
-    said = done.stderr or done.stdout
-    return done.exit_code, re.sub(re.escape(os.fspath(Path.cwd())) + r"[/\\]?", "", said).strip()
+    return done.exit_code, done.stderr or done.stdout
+
+
+def said_by(folder: Path, typed: str) -> Answer:
+    """Return what the version whose packages are in ``folder`` answers, run as a process."""
+    environment = {**os.environ, "PYTHONPATH": os.fspath(folder), "COLUMNS": "110", "PYTHONIOENCODING": "utf-8"}
+    command = [sys.executable, "-m", "hpe_rig", *shlex.split(typed)[1:]]
+    try:
+        done = subprocess.run(
+            command, env=environment, capture_output=True, stdin=subprocess.DEVNULL, timeout=PATIENCE_S
+        )
+    except subprocess.TimeoutExpired:
+        return None, f"(no answer within {PATIENCE_S:g} s)"
+    said = (done.stderr or done.stdout).decode().replace("python -m hpe_rig", "hpe-rig")
+    return done.returncode, re.sub(r"[^\s(]*[/\\](hpe-rig-)\w+\.txt", r"\1....txt", said)
+
+
+def as_json(folder: Path) -> str:
+    """Return the answers of the version in ``folder``, exit code and message by cause."""
+    found = provoked(lambda typed: said_by(folder, typed))
+    return json.dumps({case.cause: [code, said] for _, case, code, said in found}, indent=1, ensure_ascii=False)
+
+
+def beside() -> str:
+    """Return the page of what was answered before beside what is answered now."""
+    before: dict[str, Answer] = {
+        cause: (code, said) for cause, (code, said) in json.loads(BEFORE.read_text("utf-8")).items()
+    }
+    found = answered()
+    changed = [case for _, case, code, said in found if before[case.cause] != (code, said)]
+    refused = sum(code == 2 for code, _ in before.values())
+    now = sum(code == 2 for _, _, code, _ in found)
+    lines = [BESIDE.format(mistakes=len(found), changed=len(changed), refused=refused, now=now)]
+    for _, case, code, said in found:
+        was = before[case.cause]
+        lines += [f"## {case.cause[:1].upper()}{case.cause[1:]}", "", f"`{case.typed}`", ""]
+        lines += [] if was == (code, said) else [f"Before ({_ended(was[0])}):", "", *_shown(was[1]), ""]
+        lines += [f"{'As before' if was == (code, said) else 'After'} ({_ended(code)}):", "", *_shown(said), ""]
+    return "\n".join(lines)
+
+
+def _ended(code: int | None) -> str:
+    return "waits" if code is None else f"exit code {code}"
+
+
+def _shown(said: str) -> list[str]:
+    lines = said.splitlines()
+    more = [f"({len(lines) - MOST_LINES} lines more)"] if len(lines) > MOST_LINES else []
+    return ["```text", *lines[:MOST_LINES], *more, "```"]
 
 
 def markdown() -> str:
@@ -154,7 +230,7 @@ def markdown() -> str:
     lines += ["opened, switched on or written before all of them are mended. Symptoms of a *bench* stand under "]
     lines += ["[troubleshooting](../../troubleshooting.md).", ""]
     last = ""
-    for subject, case, code, said in provoked():
+    for subject, case, code, said in answered():
         lines += [] if subject == last else [f"## {subject}", ""]
         last = subject
         lines += [f"**{case.cause[:1].upper()}{case.cause[1:]}** (exit code {code})", "", "```text"]
@@ -163,4 +239,12 @@ def markdown() -> str:
 
 
 if __name__ == "__main__":
-    print(markdown())
+    match sys.argv[1:]:
+        case []:
+            print(markdown())
+        case ["--beside"]:
+            print(beside())
+        case ["--of", version]:
+            print(as_json(Path(version).resolve()))
+        case _:
+            sys.exit(__doc__)

@@ -403,11 +403,11 @@ def _unreadable_scans(scene: Scene) -> list[Mistake]:
 def _force_too_large(scene: Scene) -> Iterator[Mistake]:
     """Yield that no drive makes the specimen's force, where its push propagates nonlinearly."""
     settings = twin_settings(scene)
-    if settings.propagation is None or settings.specimen is None:
+    if settings.propagation is None or settings.specimen is None or scene.excitation is None:
         return
     from sim_backend.transducer import push_of
 
-    push = push_of(settings)
+    push = push_of(settings, scene.excitation.carrier_hz)
     try:
         if push is not None:
             push.surface_for(settings.specimen.force_density_n_per_m3)

@@ -14,7 +14,10 @@ from __future__ import annotations
 
 import functools
 import itertools
+import mmap
+import tempfile
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +36,9 @@ TAPER_PERIODS = 1.45
 """Carrier periods at an end of the record that are faded at least, where no margin is left: into the gate."""
 SMOOTH = 30**60
 """Divisible by every number of samples without a prime factor above 5."""
+MOST_HELD_BYTES = 1 << 25
+"""Spectra beyond this lie in a temporary file, of which some pulses at a time are in memory."""
+_WRITTEN_AT_ONCE = 1 << 20
 LEAST_OUTSIDE = 1e-5
 """Share of a direction's energy in the margins above which it is taken off."""
 
@@ -153,26 +159,60 @@ def _faded(samples: int, before: int, behind: int) -> FloatArray:
 def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, Band]:
     """Return the spectrum (..., valid pulse, bin) around the gate, NaN for trains without an echo, and its band.
 
-    Bins come first in memory, in the precision of the volts. Raises ``ValueError`` for too few valid pulses, a gate too
-    short to hold two frequencies of the band, and where no train has an echo in it.
+    Bins come first in memory, in the precision of the volts; see `spectra` for those of long trains. Raises
+    ``ValueError`` for too few valid pulses, a gate too short to hold two frequencies of the band, and where no train
+    has an echo in it.
     """
     require_pulses(echoes, least_pulses)
     band = band_of(echoes)
     first = echoes.gate.start - band.margin[0]
     samples, count = band.analysis.shape
     precision = np.result_type(echoes.volts.dtype, np.complex64)
-    spectrum = np.empty((*echoes.volts.shape[:-2], count, echoes.valid.size), precision)
+    spectrum = spectra((*echoes.volts.shape[:-2], count, int(echoes.valid.sum())), precision)
     bins = round(echoes.sample_rate_hz / (band.frequency_hz[1] - band.frequency_hz[0]))
     by_fft = transforms(samples, count, bins)
+    done = 0
     with np.errstate(invalid="ignore"):
         for pulses, volts in echoes.blocks(slice(first, first + samples)):
+            valid = echoes.valid[pulses]
+            here = spectrum[..., done : done + int(valid.sum())]
+            # a few bins of what is not valid cost less than a copy of all samples that are; they may hold anything
+            made = here if valid.all() else np.empty((*here.shape[:-1], valid.size), precision)
             if by_fft:
-                _transform(volts, band, bins, spectrum[..., pulses])
+                _transform(volts, band, bins, made)
             else:
-                _project(volts, band.analysis, spectrum[..., pulses])
-    spectrum = _valid(echoes, np.swapaxes(spectrum, -1, -2))
+                _project(volts, band.analysis, made)
+            if made is not here:
+                np.compress(valid, made, axis=-1, out=here)
+            done += here.shape[-1]
+            let_go(spectrum)
+    spectrum = np.swapaxes(spectrum, -1, -2)
     spectrum[~has_echo(spectrum, echoes)] = np.nan
     return spectrum, band
+
+
+def spectra(shape: tuple[int, ...], precision: np.dtype[Any]) -> ComplexArray:
+    """Return an array for spectra: in memory or, of more than `MOST_HELD_BYTES`, in a temporary file if it has room."""
+    size = int(np.prod(shape)) * precision.itemsize
+    if size <= MOST_HELD_BYTES:
+        return np.empty(shape, precision)
+    try:
+        with tempfile.TemporaryFile() as file:
+            # written now: a disk that is full is met here and not in the middle of a computation, which it would end
+            for first in range(0, size, _WRITTEN_AT_ONCE):
+                file.write(bytes(min(size - first, _WRITTEN_AT_ONCE)))
+            file.flush()
+            # what is mapped stays when the file is closed
+            return np.memmap(file, precision, "r+", shape=shape)
+    except OSError:
+        return np.empty(shape, precision)
+
+
+def let_go(spectrum: ComplexArray) -> None:
+    """Give back the memory of a spectrum that lies in a file, where the system can: its values stay there."""
+    mapped = getattr(spectrum, "_mmap", None)
+    if mapped is not None and hasattr(mmap, "MADV_DONTNEED"):
+        mapped.madvise(mmap.MADV_DONTNEED)
 
 
 def _transform(volts: Volts, band: Band, bins: int, spectrum: ComplexArray) -> None:
@@ -233,9 +273,12 @@ def has_echo(spectrum: ComplexArray, echoes: EchoGate) -> BoolArray:
 
     Raises ``ValueError`` where none does.
     """
-    # real and imaginary parts in a row
-    parts = np.ascontiguousarray(np.swapaxes(spectrum, -1, -2)).view(spectrum.real.dtype)
-    in_band = np.einsum("...ij,...ij->...", parts, parts)
+    in_band = np.zeros(spectrum.shape[:-2])
+    for index in range(spectrum.shape[-1]):
+        # real and imaginary parts in a row
+        parts = np.ascontiguousarray(spectrum[..., index]).view(spectrum.real.dtype)
+        in_band += np.einsum("...i,...i->...", parts, parts)
+        let_go(spectrum)
     total = echoes.energy[..., echoes.valid].sum(axis=-1)
     least = LEAST_IN_FLOAT32 if echoes.volts.dtype == np.float32 else LEAST_IN_BAND
     found = np.asarray(in_band > least * total)

@@ -109,7 +109,7 @@ def _model(
     frequency_hz = np.array(frequencies_hz)
     _require_frequencies(time_s, frequency_hz)
     every_pulse = np.hstack([harmonic_columns(time_s, frequency_hz), background_columns(time_s, background_order)])
-    matrix: FloatArray = every_pulse[valid]
+    matrix: FloatArray = every_pulse if valid.all() else every_pulse[valid]
     found, states = matrix.shape
     if found <= states:
         raise ValueError(
@@ -125,7 +125,7 @@ def _model(
         every_pulse = np.hstack([every_pulse, others])
         kept = states + _resolvable(every_pulse[valid], states, largest_condition)
         every_pulse = every_pulse[:, :kept]
-        matrix = every_pulse[valid]
+        matrix = every_pulse if valid.all() else every_pulse[valid]
     root = triangular_root(matrix, max(condition, largest_condition if also_hz else 1.0))
     for array in (matrix, every_pulse, root):
         array.flags.writeable = False

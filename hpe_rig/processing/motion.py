@@ -18,6 +18,7 @@ from hpe_rig.processing.band import (
     band_spectrum,
     energy_of,
     inner,
+    let_go,
     real_product,
     turned,
 )
@@ -53,10 +54,14 @@ def coherent_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, Floa
     """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...)."""
     steps = pulse_steps(spectrum, band)
     # the first pass aligns with single-echo noise, the second with the noise of the mean echo
-    first = against_others(spectrum, band, steps, steps.delay_s, steps.energy)
-    phase = steps.phase + np.angle(first.product)
-    second = against_others(spectrum, band, steps, -phase / (2 * np.pi * first.mean_hz[..., None]))
-    return phase + np.angle(second.product), second.variance, second.mean_hz
+    found = against_others(spectrum, band, steps, steps.delay_s, steps.energy)
+    phase = steps.phase + np.angle(found.product)
+    delay_s = -phase / (2 * np.pi * found.mean_hz[..., None])
+    # of a long train the first pass' arrays make room for the second's
+    del found
+    found = against_others(spectrum, band, steps, delay_s)
+    phase += np.angle(found.product)
+    return phase, found.variance, found.mean_hz
 
 
 def kasai(echoes: EchoGate, *, divide_by: DivideBy = "carrier") -> Motion:
@@ -147,8 +152,9 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
     # of bins and of columns in the margins: sums, and sums weighted by frequency
     weights = np.stack([np.ones(band.frequency_hz.size), band.frequency_hz])
     columns = np.vstack([band.root.T, band.root.T * band.frequency_hz])
-    cross = np.empty((*trains, 2, pulses - 1), dtype=np.complex128)
-    power, whole = np.empty((*trains, 2, pulses)), np.empty((*trains, pulses))
+    cross, moment = (np.empty((*trains, pulses - 1), dtype=np.complex128) for _ in range(2))
+    power, whole = (np.empty((*trains, pulses)) for _ in range(2))
+    power_moment = np.zeros(trains)
     by_bin = np.swapaxes(spectrum, -1, -2)
     # a few pulses at a time, and the one before: what is made of them stays in the cache
     for first in range(0, pulses, STEPS_AT_ONCE):
@@ -158,22 +164,27 @@ def pulse_steps(spectrum: ComplexArray, band: Band) -> PulseSteps:
         product = real_product(weights, np.conj(echo[..., :-1]) * echo[..., 1:])
         product[..., 0, :] -= _neighbours(outside, outside)
         product[..., 1, :] -= (_neighbours(outside, weighted) + _neighbours(weighted, outside)) / 2
-        cross[..., max(first - 1, 0) : here.stop - 1] = product
+        both = slice(max(first - 1, 0), here.stop - 1)
+        cross[..., both], moment[..., both] = product[..., 0, :], product[..., 1, :]
         new = slice(min(first, 1), None)
         squares = weights @ np.square(echo.view(np.float64))
         energy = (squares[..., ::2] + squares[..., 1::2])[..., new]
         whole[..., here] = energy[..., 0, :]
         energy[..., 0, :] -= _overlap(outside, outside)[..., new]
         energy[..., 1, :] -= _overlap(outside, weighted)[..., new]
-        power[..., here] = energy
-    product, moment = cross[..., 0, :], cross[..., 1, :]
-    product[~alike(np.abs(product), power[..., 0, :], band.independent)] = np.nan
-    step = np.angle(product)
-    phase = np.concatenate([np.zeros((*step.shape[:-1], 1)), np.cumsum(step, axis=-1)], axis=-1)
+        power[..., here] = energy[..., 0, :]
+        power_moment += energy[..., 1, :].sum(axis=-1)
+        if here.stop % ALIGNED_AT_ONCE == 0:
+            let_go(spectrum)
+    size = np.abs(cross)
+    cross[~alike(size, power, band.independent)] = np.nan
     # what neighbours have in common is in phase once their step is undone
-    common = (np.exp(-1j * step) * moment).real.sum(axis=-1)
-    mean_hz = mean_frequency(common, np.abs(product).sum(axis=-1), band)
-    return PulseSteps(product, phase, mean_hz, power[..., 0, :], power[..., 1, :].sum(axis=-1), whole)
+    common = np.einsum("...i,...i->...", np.conj(cross) / np.where(size > 0, size, 1.0), moment).real
+    del moment
+    mean_hz = mean_frequency(common, np.abs(cross).sum(axis=-1), band)
+    phase = np.zeros((*trains, pulses))
+    np.cumsum(np.angle(cross), axis=-1, out=phase[..., 1:])
+    return PulseSteps(cross, phase, mean_hz, power, power_moment, whole)
 
 
 def alike(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArray:
@@ -241,30 +252,30 @@ def against_others(
     def aligned(block: int) -> ComplexArray:
         """Return some of the pulses; a long train is aligned twice and never as a whole."""
         pulses = blocks[block]
+        let_go(spectrum)
         return turned(spectrum[..., pulses, :], delay_s[..., pulses], band.frequency_hz)
 
     total = np.sum([aligned(block).sum(axis=-2) for block in range(len(blocks))], axis=0)
     gated = band.gated(total)
     total_energy = inner(gated, total)
-    # a pulse's own noise in its reference would pull its phase to zero: the reference is the total less the pulse
-    parts, margins = [], []
-    for block in range(len(blocks)):
-        parts.append((aligned(block) @ np.conj(gated)[..., None])[..., 0])
-        margins.append(energy_of(band.outside(aligned(block))) if energy is None else 0.0)
-    with_total = np.concatenate(parts, axis=-1)
-    if energy is None:
-        energy = steps.whole - np.concatenate(margins, axis=-1)
-    product = with_total - energy
-    tiny = np.finfo(np.float64).tiny
-    reference = np.maximum(total_energy[..., None] - 2 * with_total.real + energy, tiny)
-    misfit = np.maximum(energy - np.abs(product) ** 2 / reference, 0.0)
+    others, tiny = spectrum.shape[-2] - 1, np.finfo(np.float64).tiny
     # of the noise in the gate, what lies along the echo turns its phase, the rest is misfit
     along = band.noise_along(gated, total_energy)[..., None]
-    others = spectrum.shape[-2] - 1
-    variance = misfit * along / (band.noise_energy - along) / (2 * reference) * others**2
+    own_energy = np.zeros(spectrum.shape[:-2])
+    product, variance = np.empty(spectrum.shape[:-1], np.complex128), np.empty(spectrum.shape[:-1])
+    # block by block also what is made of each pulse: of a long train two arrays are held, not ten
+    for block, here in enumerate(blocks):
+        with_total = (aligned(block) @ np.conj(gated)[..., None])[..., 0]
+        own = steps.whole[..., here] - energy_of(band.outside(aligned(block))) if energy is None else energy[..., here]
+        # a pulse's own noise in its reference would pull its phase to zero: the reference is the total less the pulse
+        product[..., here] = with_others = with_total - own
+        reference = np.maximum(total_energy[..., None] - 2 * with_total.real + own, tiny)
+        misfit = np.maximum(own - np.abs(with_others) ** 2 / reference, 0.0)
+        variance[..., here] = misfit * along / (band.noise_energy - along) / (2 * reference) * others**2
+        own_energy += own.sum(axis=-1)
     # the moment of single echoes changes in second order only as they move about their middle
     moment = inner(gated, total * band.frequency_hz) - steps.moment
-    mean_hz = mean_frequency(moment, total_energy - energy.sum(axis=-1), band)
+    mean_hz = mean_frequency(moment, total_energy - own_energy, band)
     return Compared(gated, product, variance, mean_hz)
 
 

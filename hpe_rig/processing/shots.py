@@ -173,6 +173,7 @@ def _estimate_shot(
     found = gate_statistics(records)
     full_scale = found.at_full_scale(records.code_limits)
     echoes = shot_echoes(scene, shot, records, chosen, found)
+    del found
     recorded = records.valid[chosen.window]
     damaged = np.zeros_like(recorded) if records.damaged is None else records.damaged[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))

@@ -63,5 +63,6 @@ from .svg import (
     panel as panel,
     picture as picture,
     thin as thin,
+    write_figure as write_figure,
 )
 from .tables import csv_text as csv_text, mappings as mappings, rich_table as rich_table, text_table as text_table

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import threading
@@ -32,12 +33,11 @@ def write_result(path: Path, result: Result) -> None:
     """
     try:
         # In memory first: an error of the disk must not meet the library, see journal.py.
-        with h5py.File("result", "w", driver="core", backing_store=False, libver=LIBVER) as file:
+        memory = io.BytesIO()
+        with h5py.File(memory, "w", libver=LIBVER) as file:
             _write(file, result)
             seal(file)
-            file.flush()
-            image = file.id.get_file_image()
-        in_time(partial(_replace, path, image), lambda _: None)
+        in_time(partial(_replace, path, memory.getbuffer()), lambda _: None)
     except (OSError, RuntimeError) as error:
         raise StoreError(
             f"{path} cannot be written ({reason(error)}). The run file is as it was. "
@@ -45,7 +45,7 @@ def write_result(path: Path, result: Result) -> None:
         ) from error
 
 
-def _replace(path: Path, image: bytes, given_up: threading.Event) -> None:
+def _replace(path: Path, image: memoryview, given_up: threading.Event) -> None:
     """Bring ``image`` to ``path``, unless nobody waits for it any more."""
     _refuse_foreign(path)
     with atomic_file(path) as draft:

@@ -22,6 +22,7 @@ from sim_backend.echoes import (
     attenuated_to_focus,
     coloured,
     depth_delay_s,
+    distinct_echoes,
     draw_field,
     echo_pulse,
     echoes,
@@ -267,17 +268,23 @@ class Acoustics:
         age_ps = capture.first_sample_ps[record] - onset_ps[burst]
         span = sample_span(early_ps - int(age_ps.max()), late_ps - int(age_ps.min()), capture)
         sample_ps = int(age_ps[0]) + np.arange(span.start, span.stop) * capture.sample_period_ps
+        tolerance = self._settings.scatterers.echo_tolerance or (
+            _ECHO_TOLERANCE if self._medium is None else _FIELD_ECHO_TOLERANCE
+        )
+        # Each echo is made once, however often the motion repeats itself.
+        speed_m_per_s, shift_s = self._settings.sound_speed_m_per_s, (age_ps - age_ps[0]) / PS_PER_S
+        amplitude_s = np.concatenate([motion_m[burst] * (2 / speed_m_per_s), shift_s[:, None]], axis=1)
+        one, kind = distinct_echoes(amplitude_s, np.pad(shapes, ((0, 1), (0, 0)), constant_values=1), shape, tolerance)
         block = echoes(
             delay_s,
             weight,
             shapes,
-            motion_m[burst],
+            motion_m[burst[one]],
             shape,
             _after_arrival_s(sample_ps, arrival_s),
-            self._settings.sound_speed_m_per_s,
-            self._settings.scatterers.echo_tolerance
-            or (_ECHO_TOLERANCE if self._medium is None else _FIELD_ECHO_TOLERANCE),
-            shift_s=(age_ps - age_ps[0]) / PS_PER_S,
+            speed_m_per_s,
+            tolerance,
+            shift_s=shift_s[one],
             colour=colour,
         )
         volts = begun()
@@ -285,9 +292,9 @@ class Acoustics:
             # One echo a record: no copy of the samples on the way, and some records at a time stay in the cache.
             for first in range(0, len(volts), _RECORDS_AT_ONCE):
                 some = slice(first, first + _RECORDS_AT_ONCE)
-                volts[some, span] += block[some] * strength_v[burst[some], None]
+                volts[some, span] += block[kind[some]] * strength_v[burst[some], None]
             return
-        block *= strength_v[burst, None]
+        block = block[kind] * strength_v[burst, None]
         if len(np.unique(record)) == len(record):
             volts[record, span] += block
         else:

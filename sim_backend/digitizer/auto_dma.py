@@ -124,27 +124,28 @@ class BufferQueue:
         """Write the ``volts`` (record, sample) of `next_records` into the buffer at the head and let go of it."""
         data = packed(self.transfer, arming, taken, volts, self.next_records, reset_ps)
         # As DMA would: straight into the program's memory, which posting has checked to be large enough.
-        ctypes.memmove(self.posted.popleft(), data, len(data))
+        ctypes.memmove(self.posted.popleft(), data.ctypes.data, data.nbytes)
         self.delivered += 1
 
 
 def packed(
     transfer: Transfer, arming: Arming, taken: Taken, volts: NDArray[np.float64], records: slice, reset_ps: int
-) -> bytes:
-    """Return the bytes of consecutive ``records``, whose ``volts`` are (record, sample).
+) -> NDArray[np.uint8]:
+    """Return the bytes, in order, of consecutive ``records``, whose ``volts`` are (record, sample).
 
     R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
     """
-    # One block a channel, uint8 (record, byte); the axis along which they are stacked makes the order.
-    blocks = []
-    for channel in transfer.channels:
-        settings = arming.settings.inputs[channel]
+    header = codes.HEADER_BYTES if transfer.headers else 0
+    record_bytes = header + transfer.bytes_per_sample * transfer.record_samples
+    count, channels = len(volts), len(transfer.channels)
+    data = np.empty((channels, count, record_bytes) if transfer.npt else (count, channels, record_bytes), np.uint8)
+    for place, channel in enumerate(transfer.channels):
+        own = data[place] if transfer.npt else data[:, place]
         at_input = volts if channel == 0 else np.zeros_like(volts)
-        data = words(at_input, settings, arming.settings).view(np.uint8)
-        if transfer.headers:
-            data = np.concatenate([headers(arming, taken, channel, records, reset_ps), data], axis=1)
-        blocks.append(data)
-    return np.stack(blocks, axis=0 if transfer.npt else 1).tobytes()
+        own[:, header:] = words(at_input, arming.settings.inputs[channel], arming.settings).view(np.uint8)
+        if header:
+            own[:, :header] = headers(arming, taken, channel, records, reset_ps)
+    return data
 
 
 def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps: int) -> NDArray[np.uint8]:

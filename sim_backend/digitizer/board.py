@@ -159,14 +159,15 @@ def words(volts: NDArray[np.float64], channel: Input, settings: BoardSettings) -
     out = np.empty(volts.shape, f"<u{board.bytes_per_sample}")
     half_scale, highest = (2**board.bits - 1) / 2, 2**board.bits - 1
     flat_v, flat = volts.reshape(-1), out.reshape(-1)
+    levels_per_v = half_scale / (channel.range_v / _at_input(channel))
     # In pieces that stay in the processor's cache from the first step to the last.
     for first in range(0, flat.size, _SAMPLES_AT_ONCE):
         some = slice(first, first + _SAMPLES_AT_ONCE)
-        level = flat_v[some] / (channel.range_v / _at_input(channel))
-        level *= half_scale
+        level = flat_v[some] * levels_per_v
         level += half_scale
         np.rint(level, out=level)
-        np.clip(level, 0, highest, out=level)
+        np.maximum(level, 0, out=level)
+        np.minimum(level, highest, out=level)
         flat[some] = level
     if settings.signed:
         # Two's complement of as many bits as the board has.

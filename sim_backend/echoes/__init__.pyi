@@ -1,6 +1,6 @@
 from .choice import Method as Method, choices as choices
 from .colouring import Colouring as Colouring, coloured as coloured
-from .delays import EchoDelays as EchoDelays
+from .delays import EchoDelays as EchoDelays, distinct_echoes as distinct_echoes
 from .engine import echoes as echoes, synthesise as synthesise
 from .exact_sums import direct_sum as direct_sum, running_sum as running_sum
 from .many_draws import (

@@ -13,6 +13,9 @@ from sim_backend.echoes.pulse import Pulse
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+ALIKE_SHARE = 0.01
+"""Of the tolerance, for echoes that are taken for the same one."""
+
 
 @dataclass(frozen=True, slots=True)
 class EchoDelays:
@@ -64,6 +67,24 @@ class EchoDelays:
         if (np.abs(middle_s) <= 0.05 * (high - low)).all():
             return self
         return EchoDelays(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s, self.colour)
+
+
+def distinct_echoes(amplitude_s: Floats, shape: Floats, pulse: Pulse, tolerance: float) -> tuple[Indices, Indices]:
+    """Return one echo of each kind, (kind,), and the kind of each echo, (echo,).
+
+    ``amplitude_s`` (echo, shape) and ``shape`` (shape, scatterer) as in `EchoDelays`. Echoes of a kind differ by less
+    than `ALIKE_SHARE` of ``tolerance``: no scatterer's delay turns the pulse's highest frequency any further. A
+    periodic motion that is tracked at a whole number of pulses a period has that many kinds, however long it lasts.
+    """
+    highest_rad_per_s = 2 * np.pi * max(abs(hz) for hz in pulse.frequency_hz)
+    turn_per_s = highest_rad_per_s * np.abs(shape).max(axis=1, initial=0.0) * len(shape)
+    step = np.rint(amplitude_s * (turn_per_s / (ALIKE_SHARE * tolerance))) if tolerance else amplitude_s
+    order = np.lexsort(step.T)
+    new = np.ones(len(order), dtype=np.bool_)
+    new[1:] = (step[order[1:]] != step[order[:-1]]).any(axis=1)
+    kind = np.empty(len(order), dtype=np.int64)
+    kind[order] = np.cumsum(new) - 1
+    return order[new], kind
 
 
 def refuse_unusable(delays: EchoDelays, weight: Floats, sample_time_s: Floats, tolerance: float) -> None:

@@ -11,7 +11,6 @@ or a sum of such, whose spectrum is the sum of theirs. docs/theory/medium.md, se
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from sim_backend.motion.force import force_share, radiation_force
+from sim_backend.motion.force import Share, force_share, radiation_force
 from sim_backend.motion.inverse_laplace import FIELD_CONTOUR, Contour, Panels, panels_of
 from sim_backend.motion.specimen import (
     StepResponse,
@@ -198,7 +197,7 @@ class MediumMotion:
     specimen: Specimen
     transmitter: Transmitter
     travel_s: float
-    share: Callable[[Floats], Floats] | None = None
+    share: Share | None = None
 
     def amplitudes_m(self, tonebursts: Bursts, time_ps: Picoseconds) -> Floats:
         """Return every mode's amplitude at ``time_ps`` (time,) under ``tonebursts``: (time, mode)."""
@@ -211,7 +210,7 @@ class MediumMotion:
         # one response in place of as many as there are modes: the table is summed over them first
         response = self.field.response
         there = StepResponse(response.memory_s, Panels(response.panels.coefficient @ shape.T))
-        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter)
+        force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter, self.share)
         return transients(there, force, time_ps)[:, 0]
 
 

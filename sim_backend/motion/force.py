@@ -19,6 +19,8 @@ from sim_backend.settings import SimulationSettings, Specimen, Transmitter
 from sim_backend.wiring import Bursts, Picoseconds, to_ps
 
 Floats = NDArray[np.float64]
+Share = Callable[[Floats, Floats], Floats]
+"""Force over the reference's, of pressure over the reference's and the carrier in Hz, all (pulse,)."""
 
 _PHASES, _PHASES_OF_DIODES = 64, 4096
 
@@ -46,11 +48,11 @@ def radiation_force(
     specimen: Specimen,
     travel_time_s: float,
     transmitter: Transmitter | None = None,
-    share: Callable[[Floats], Floats] | None = None,
+    share: Share | None = None,
 ) -> ForcePulses:
     """Return the force pulse of every toneburst: on while it passes the focus, proportional to its pressure squared.
 
-    Where propagation is nonlinear, ``share`` takes the pressure to the force instead, both relative to the reference's.
+    Where propagation is nonlinear, ``share`` takes the pressure to the force instead, see `force_share`.
 
     ``travel_time_s`` is z_F/c. The force of a burst is its mean over the carrier, so a burst cut short by the
     generator gives a shorter pulse of the same height. Without ``transmitter`` the amplifier is linear. Eq. (17).
@@ -61,20 +63,31 @@ def radiation_force(
     return ForcePulses(
         tonebursts.onset_ps + travel_ps,
         tonebursts.end_ps + travel_ps,
-        specimen.force_density_n_per_m3 * (np.square(pressure) if share is None else share(pressure)),
+        specimen.force_density_n_per_m3
+        * (np.square(pressure) if share is None else share(pressure, tonebursts.carrier_hz)),
     )
 
 
-def force_share(settings: SimulationSettings) -> Callable[[Floats], Floats] | None:
-    """Return what takes the pressure to the force, both relative to the reference's; None where it is a square."""
+def force_share(settings: SimulationSettings) -> Share | None:
+    """Return what takes the pressure to the force, both relative to the reference's; None where it is a square.
+
+    The push is computed when the first toneburst of a carrier comes, and kept for it.
+    """
     specimen = settings.specimen
     if settings.propagation is None or specimen is None:
         return None
-    from sim_backend.transducer import push_of
 
-    push = push_of(settings)
-    force = specimen.force_density_n_per_m3
-    return None if push is None else lambda pressure: push.share(pressure, force)
+    def share(pressure: Floats, carrier_hz: Floats) -> Floats:
+        from sim_backend.transducer import push_of
+
+        found = np.zeros_like(pressure)
+        for each_hz in np.unique(carrier_hz):
+            push, own = push_of(settings, float(each_hz)), carrier_hz == each_hz
+            if push is not None:
+                found[own] = push.share(pressure[own], specimen.force_density_n_per_m3)
+        return found
+
+    return share
 
 
 def relative_pressure(drive_vpp: Floats, specimen: Specimen, transmitter: Transmitter | None = None) -> Floats:

@@ -43,7 +43,7 @@ class Accuracy:
 
     harmonics: int = 32
     """Harmonics carried at most."""
-    step: float = 0.03
+    step: float = 0.06
     """Step over the distance from the focus."""
     least_step_m: float = 0.2e-3
     """Smallest step, around the focus."""

@@ -107,8 +107,9 @@ def push_of(settings: SimulationSettings, carrier_hz: float = 3.0e6) -> Push | N
     if specimen is None or propagation is None:
         return None
     beams = settings.beams
-    geometry = beams.transducer, beams.focus_depth_m, beams.excitation_width_m
-    return _push(specimen, propagation, settings.sound_speed_m_per_s, *geometry, carrier_hz)
+    layers = path(specimen, propagation, settings.sound_speed_m_per_s, beams.focus_depth_m)
+    own = beams.transducer, beams.excitation_width_m, carrier_hz
+    return _push(tuple(layers), propagation.harmonics, specimen.force_density_n_per_m3, *own)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +134,7 @@ def water_output(settings: SimulationSettings, surface_pa: float, carrier_hz: fl
     return _water(settings.beams.transducer, settings.propagation, settings.sound_speed_m_per_s, surface_pa, carrier_hz)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=512)
 def _water(
     transducer: Transducer, propagation: Propagation, speed_m_per_s: float, surface_pa: float, carrier_hz: float
 ) -> WaterOutput:
@@ -146,35 +147,34 @@ def _water(
     return WaterOutput(*(float(each) for each in peaks))
 
 
-@lru_cache(maxsize=8)
+# Seconds for a table of some hundred bytes: kept for every value of a sweep. By what it depends on alone, so that a
+# sweep of the medium's moduli computes none anew.
+@lru_cache(maxsize=512)
 def _push(
-    specimen: Specimen,
-    propagation: Propagation,
-    speed_m_per_s: float,
+    layers: tuple[Layer, ...],
+    harmonics: int,
+    force_density_n_per_m3: float,
     transducer: Transducer,
-    focus_m: float,
     width_m: Triple,
     carrier_hz: float,
 ) -> Push:
-    layers = path(specimen, propagation, speed_m_per_s, focus_m)
-    accuracy = Accuracy(propagation.harmonics)
+    start_m, speed_m_per_s = layers[0].thickness_m, layers[-1].sound_speed_m_per_s
+
+    def force(beam: Beam) -> float:
+        return equivalent_force(beam, transducer.focal_length_m, width_m, start_m)
+
     linear_pa = 1e4
-    linear = nonlinear_beam(transducer, layers, carrier_hz, linear_pa, Accuracy(harmonics=4))
-    start_m = layers[0].thickness_m
-    top_pa = linear_pa * math.sqrt(
-        specimen.force_density_n_per_m3 / equivalent_force(linear, transducer.focal_length_m, width_m, start_m)
-    )
-    surface_pa = top_pa * np.array(LEVELS)
-    beams = [nonlinear_beam(transducer, layers, carrier_hz, float(each), accuracy) for each in surface_pa]
-    columns = []
-    for beam in beams:
+    linear = force(nonlinear_beam(transducer, layers, carrier_hz, linear_pa, Accuracy(harmonics=4)))
+    surface_pa = linear_pa * math.sqrt(force_density_n_per_m3 / linear) * np.array(LEVELS)
+    rows = []
+    for each_pa in surface_pa:
+        beam = nonlinear_beam(transducer, layers, carrier_hz, float(each_pa), Accuracy(harmonics))
         inside = beam.depth_m > start_m
         positive_pa, negative_pa = beam.extremes_pa()
         heat = beam.heat_w_per_m3[inside].max()
-        force = equivalent_force(beam, transducer.focal_length_m, width_m, start_m)
         peaks = positive_pa[inside].max(), negative_pa[inside].max(), beam.intensity_w_per_m2()[inside].max()
-        columns.append((force, heat / speed_m_per_s, *peaks, heat))
-    return Push(surface_pa, *np.array(columns).T)
+        rows.append((force(beam), heat / speed_m_per_s, *peaks, heat))
+    return Push(surface_pa, *np.array(rows).T)
 
 
 def path(specimen: Specimen, propagation: Propagation, speed_m_per_s: float, focus_m: float) -> list[Layer]:

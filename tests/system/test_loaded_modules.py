@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+import hpe_rig
+
 # What a room offers is imported on first use, which `-X importtime` does not see.
 NOTING_MODULES = """
 import atexit, pathlib, runpy, sys
@@ -86,3 +88,29 @@ def test_nothing_loads_extras_that_nobody_asked_for(folder: Path, command: tuple
     assert loaded >= CORE | {"scipy"}
     assert not loaded & NEVER
     assert bool(loaded & DRAWING) == (command[0] == "report")
+
+
+STARTUP = Path(hpe_rig.__file__).with_name("startup.py")
+
+
+def begun_with(program: str) -> subprocess.CompletedProcess[str]:
+    """Return what a fresh process says that runs ``startup.py`` alone, and then ``program``."""
+    code = f"import sys\nloaded = set(sys.modules)\nexec(open({str(STARTUP)!r}, encoding='utf-8').read())\n{program}"
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+def test_what_ends_the_program_plainly_imports_nothing_that_python_has_not() -> None:
+    assert begun_with("print(set(sys.modules) - loaded)").stdout.strip() == "set()"
+
+
+def test_an_interrupt_while_the_guard_itself_loads_is_said_plainly() -> None:
+    done = begun_with(
+        "class Strike:\n"
+        "    def find_spec(self, *_):\n"
+        "        raise KeyboardInterrupt\n"
+        "sys.modules.pop('signal', None)\n"
+        "sys.meta_path.insert(0, Strike())\n"
+        "end_plainly()\n"
+        "print('went on')"
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "hpe-rig: interrupted\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -44,7 +45,7 @@ def messages() -> ModuleType:
 
 
 def test_the_forty_mistakes_that_users_make_first_are_answered(messages: ModuleType) -> None:
-    found = list(messages.provoked())
+    found = messages.answered()
     assert len(found) >= 40
     for _, case, code, said in found:
         assert code == 2, f"{case.typed}: exit code {code}\n{said}"
@@ -56,3 +57,20 @@ def test_the_forty_mistakes_that_users_make_first_are_answered(messages: ModuleT
         assert expected in said, f"{case.typed} ({case.cause}): {said}"
     assert set(CAUSES) <= {case.cause for _, case, _, _ in found}
     assert set(ANSWERS) <= {case.typed for _, case, _, _ in found}
+
+
+def test_the_page_of_before_and_after_has_every_mistake_once_with_both_answers(messages: ModuleType) -> None:
+    causes = [case.cause for _, case, _, _ in messages.answered()]
+    assert list(json.loads(messages.BEFORE.read_text("utf-8"))) == causes
+    page = messages.beside()
+    assert page.count("\n## ") == len(causes)
+    before, after, same = (page.count(f"\n{word} (") for word in ("Before", "After", "As before"))
+    assert before == after > 20
+    assert after + same == len(causes)
+
+
+def test_another_version_is_asked_by_a_process_of_its_own(messages: ModuleType) -> None:
+    code, said = messages.said_by(ROOT, "hpe-rig chekc bovine-muscle")
+    assert code == 2
+    assert said.startswith("Usage: hpe-rig")
+    assert "Did you mean 'check'?" in said

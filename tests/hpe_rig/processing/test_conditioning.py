@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -66,3 +68,34 @@ def test_volts_made_in_blocks_give_the_motion_of_those_held(tmp_path: Path, monk
     np.testing.assert_allclose(in_blocks.displacement_m, expected.displacement_m, rtol=0, atol=5e-12)
     np.testing.assert_allclose(in_blocks.variance_m2, expected.variance_m2, rtol=1e-3)
     assert band.band_spectrum(found, 2)[0].dtype == np.complex64
+
+
+def test_spectra_of_a_long_train_lie_in_a_file_and_give_the_same_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = {"tracking.pulse_count": 400, "processing.window_start_s": 2e-3}
+    run = measure(load_scene("table-1").with_(lost), path=tmp_path / "run.h5")
+    shot = run.plan.shots[0]
+    records = run.stored.records.in_blocks(0, shot.gate, margin_needed(run.scene, shot), most_held=0)
+    found = shot_echoes(run.scene, shot, records, select(run.scene, shot))
+    # some pulses that do not count, in every block of volts
+    found = found.without(np.arange(found.valid.size) % 7 == 3)
+    expected = coherent(found)
+    for module in (conditioning, echoes):
+        monkeypatch.setattr(module, "BLOCK_SAMPLES", 50 * records.shape[1])
+    monkeypatch.setattr(motion, "ALIGNED_AT_ONCE", 64)
+    monkeypatch.setattr(band, "MOST_HELD_BYTES", 0)
+    assert isinstance(band.band_spectrum(found, 2)[0], np.memmap)
+    in_file = coherent(found)
+    np.testing.assert_allclose(in_file.displacement_m, expected.displacement_m, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(in_file.variance_m2, expected.variance_m2, rtol=1e-9)
+    assert float(in_file.largest_step) == pytest.approx(float(expected.largest_step), rel=1e-12)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a file on which there is never room")
+def test_a_full_temporary_disk_costs_memory_and_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(band, "MOST_HELD_BYTES", 0)
+    monkeypatch.setattr(tempfile, "TemporaryFile", partial(Path("/dev/full").open, "r+b", buffering=0))
+    made = band.spectra((3, 5), np.dtype(np.complex64))
+    assert type(made) is np.ndarray
+    assert made.shape == (3, 5)

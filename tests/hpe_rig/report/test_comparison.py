@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import jsonschema
@@ -15,6 +16,7 @@ import hpe_rig as hpe
 from hpe_rig.cli.app import app
 from hpe_rig.report import compare_runs
 from hpe_rig.report.comparison import _probability
+from hpe_rig.result.svg import ON_DARK
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +92,12 @@ def test_the_command_prints_both_and_writes_json_and_figure(runs: tuple[Path, Pa
     assert done.exit_code == 0
     assert "differs" in done.stdout
     assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
+    assert CliRunner().invoke(app, ["compare", first, third, "--figure", str(tmp_path / "c.svg")]).exit_code == 0
+    drawn = (tmp_path / "c.svg").read_text(encoding="utf-8")
+    assert "prefers-color-scheme: dark" in drawn
+    # Nothing keeps a light screen's colour on a dark one.
+    _, _, shapes = drawn.partition("</style>")
+    assert set(re.findall(r"(?:fill|stroke): (#\w+)", shapes)) - set(ON_DARK) == set()
     printed = json.loads(CliRunner().invoke(app, ["compare", first, third, "--json"]).stdout)
     (row,) = printed["results"]
     assert row["verdict"] == "differs"

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sim_backend.acoustics.acoustics import Acoustics, transmitted_share
+from sim_backend.echoes.delays import distinct_echoes
 from sim_backend.echoes.engine import echoes
 from sim_backend.echoes.pulse import echo_pulse, hann_pulse, rectangular_burst, waveform
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
@@ -295,3 +296,31 @@ def test_a_tracking_pulse_below_the_diodes_threshold_makes_no_echo_and_a_strong_
     peak_v = 0.5 * 10 ** (37 / 20)
     assert strength[2] == pytest.approx((2 * peak_v - 16 / np.pi) / (peak_v - 16 / np.pi), rel=2e-3)
     assert transmitted_share(vpp, SimulationSettings()) == pytest.approx([1.0, 1.0, 1.0])
+
+
+def test_echoes_of_a_periodic_motion_are_made_once_each_and_are_those_of_every_pulse():
+    # 200 Hz seen at 4 kHz: twenty places, each several times; the last pulse comes late, the one before is weaker
+    settings = SimulationSettings(seed=2, motion=MOTION)
+    onset_ps = np.arange(90) * 250_000_000
+    onset_ps[-1] += 3_000
+    strength = np.ones(90)
+    strength[-2] = 0.5
+    pulses, first_ps = bursts(onset_ps, amplitude_vpp=strength), np.arange(90) * 250_000_000 + 90_000_000
+    acoustics = Acoustics(settings)
+    together = acoustics.record_volts(NO_BURSTS, pulses, capture(first_ps))
+    alone = np.concatenate([acoustics.record_volts(NO_BURSTS, pulses, capture(first_ps[[k]])) for k in range(90)])
+    # both to the twin's tolerance of 1e-8 of an echo
+    np.testing.assert_allclose(together, alone, rtol=0, atol=3e-8 * np.abs(alone).max())
+
+
+def test_echoes_count_as_one_only_where_the_tolerance_cannot_tell():
+    pulse, shape = hann_pulse(9.0e6, 0.065), np.array([[0.2, -1.0], [1.0, 1.0]])
+    highest = 2 * np.pi * max(pulse.frequency_hz)
+    # 1e-3 of the tolerance apart in turn are alike, 1 of it are not, in either freedom
+    turn = np.array([[0.0, 0.0], [1e-11, 0.0], [1e-8, 0.0], [0.0, 1e-8], [0.0, 0.0]])
+    one, kind = distinct_echoes(turn / highest, shape, pulse, 1e-8)
+    assert kind[0] == kind[1] == kind[4]
+    assert len(set(kind.tolist())) == len(one) == 3
+    assert kind[one].tolist() == [0, 1, 2]
+    # at tolerance 0 only equal ones
+    assert len(distinct_echoes(turn / highest, shape, pulse, 0.0)[0]) == 4

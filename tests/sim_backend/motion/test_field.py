@@ -1,5 +1,7 @@
 """The field around the focus: against quadrature, the axis' closed form, and the tracked displacement of a column."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -204,3 +206,13 @@ def test_a_single_reflector_on_a_tracking_axis_beside_the_push_moves_by_the_fiel
     there = exact.shapes(np.array([1.0e-3]), np.zeros(1))[0]
     expected = transients(exact.response, pulse, time_ps) @ there
     assert np.abs(ours - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+def test_what_is_pushed_otherwise_than_by_the_square_moves_so_beside_the_axis():
+    motion = medium_motion(SimulationSettings(specimen=Specimen()), np.array([[1.0e-3, 0.0, 0.0]]), 0.0, 1.0e-3)
+    twice = replace(motion, share=lambda pressure, carrier_hz: 2 * np.square(pressure))
+    begin_ps, time_ps = np.array([0], np.int64), np.arange(1, 20) * 10**9
+    burst = Bursts(begin_ps, begin_ps + 100_000_000, np.full(1, 3e6), np.full(1, 300.0), np.ones(1))
+    plain_m = motion.displacement_m(burst, time_ps, 1.0e-3)
+    assert plain_m.max() > 0
+    np.testing.assert_allclose(twice.displacement_m(burst, time_ps, 1.0e-3), 2 * plain_m, rtol=1e-12)

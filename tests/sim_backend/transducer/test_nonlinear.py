@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,12 +12,14 @@ from sim_backend.motion import force_share
 from sim_backend.settings import Beams, Propagation, SimulationSettings, Specimen, Transducer
 from sim_backend.transducer import (
     Accuracy,
+    Beam,
     Layer,
     Push,
     advance,
     bowl_pressure,
     nonlinear_beam,
     path,
+    push_of,
     water_output,
     wave_number,
 )
@@ -131,6 +134,37 @@ def test_a_scene_that_asks_for_nothing_gets_the_square() -> None:
     assert force_share(SimulationSettings(beams=Beams(), propagation=Propagation())) is None
 
 
+COARSE = {"beams": Beams(excitation_width_m=(0.34e-3, 0.34e-3, 3.6e-3)), "propagation": Propagation(harmonics=8)}
+
+
+def test_the_force_of_a_carrier_is_the_push_of_that_carrier_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    marched = list[float]()
+
+    def counted(*given: Any) -> Beam:
+        marched.append(given[2])
+        return nonlinear_beam(*given[:4], Accuracy(harmonics=8, step=0.2, least_step_m=2e-3))
+
+    monkeypatch.setattr("sim_backend.transducer.push.nonlinear_beam", counted)
+    specimen = Specimen(force_density_n_per_m3=2.345e6)
+    settings = SimulationSettings(specimen=specimen, **COARSE)
+    share = force_share(settings)
+    assert share is not None
+    assert not marched, "a scene without tonebursts computes no push"
+    carrier_hz, pressure = np.array([0.5e6, 0.4e6, 0.5e6]), np.array([0.5, 0.7, 1.0])
+    found = share(pressure, carrier_hz)
+    assert set(marched) == {0.4e6, 0.5e6}
+    for each, hz, force in zip(pressure, carrier_hz, found, strict=True):
+        push = push_of(settings, float(hz))
+        assert push is not None
+        assert force == push.share(np.array(each), 2.345e6)
+    assert found[0] != share(pressure[:1], np.array([0.4e6]))[0]
+    # nothing of the medium's motion, nor another draw, marches again
+    before = len(marched)
+    other = specimen.model_copy(update={"shear_modulus_pa": 7e3})
+    assert push_of(settings.model_copy(update={"specimen": other}), 0.4e6) is push_of(settings, 0.4e6)
+    assert len(marched) == before
+
+
 @pytest.mark.slow
 def test_muscle_is_pushed_by_more_than_the_square_where_shocks_form() -> None:
     """Errors by scripts/nonlinear_push.py: force 1 % at 24 harmonics."""
@@ -139,7 +173,7 @@ def test_muscle_is_pushed_by_more_than_the_square_where_shocks_form() -> None:
     settings = SimulationSettings(specimen=specimen, beams=beams, propagation=Propagation())
     share = force_share(settings)
     assert share is not None
-    at = share(np.sqrt(np.array([0.01, 0.25, 0.49, 1.0])))
+    at = share(np.sqrt(np.array([0.01, 0.25, 0.49, 1.0])), np.full(4, 3e6))
     assert at[-1] == pytest.approx(1.0)
     assert (at / [0.01, 0.25, 0.49, 1.0]).tolist() == pytest.approx([0.57, 0.63, 0.76, 1.0], abs=0.02)
 
