@@ -1,6 +1,6 @@
 """Cold start: processor time and modules of commands, each run in fresh processes.
 
-Usage: python scripts/cold_start.py [--repeats 7] [--against TREE]
+Usage: python scripts/cold_start.py [--repeats 7] [--against TREE] [--only moduli]
 
 Median and least of several runs, in turn, so that a busy machine slows all alike. ``--against`` runs the package of
 another tree, such as that of an earlier version, beside it: the last column is the ratio of the medians.
@@ -25,6 +25,8 @@ COMMANDS = (
     "run bovine-muscle --output muscle.h5 --overwrite",
     "process muscle.h5",
     "report muscle.h5",
+    "run gelatin-moduli --yes --output moduli.h5 --overwrite",
+    "moduli moduli.h5",
     "list",
 )
 ROOT = Path(__file__).parents[1]
@@ -40,13 +42,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--against", type=Path, help="another tree with the package")
+    parser.add_argument("--only", default="", help="commands that hold this word")
     asked = parser.parse_args()
     trees = [ROOT, *([asked.against.resolve()] if asked.against else [])]
     with tempfile.TemporaryDirectory() as folder:
         runs = [_runner(tree, Path(folder)) for tree in trees]
         print("| command | median, s | least, s | modules |" + (" before, s | ratio |" if asked.against else ""))
         print("|---" * (6 if asked.against else 4) + "|")
-        for command in COMMANDS:
+        for command in (each for each in COMMANDS if asked.only in each):
             print(_row(command, runs, asked.repeats), flush=True)
 
 
