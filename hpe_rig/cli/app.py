@@ -624,15 +624,19 @@ def new(
 @guarded
 def schema(
     of: Annotated[
-        str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation, queue, result, list, verify.")
+        str,
+        typer.Argument(
+            metavar="FILE", help="One of scene, bench, simulation, queue, result, list, verify, moduli, compare."
+        ),
     ] = "scene",
 ) -> None:
     """Print the JSON schema of a settings file, for use in editors, or of what --json prints."""
     import json
 
     from hpe_rig.acquire import json_schema
+    from hpe_rig.report import comparison_schema
 
-    typer.echo(json.dumps(json_schema(of), indent=2))
+    typer.echo(json.dumps(json_schema(of, {"compare": comparison_schema}), indent=2))
 
 
 @app.command("bench")
