@@ -20,8 +20,8 @@ PROFILE = "processing.gate_profile_step_m"
 
 
 @dataclass(frozen=True, slots=True)
-class _Point:
-    """The run as if its scene had asked for the ``values`` of one point."""
+class StoredPoint:
+    """A run as if its scene had asked for the ``values`` of one point."""
 
     values: Mapping[str, float]
     run: Run
@@ -36,8 +36,17 @@ def estimate_over(
     the processing and every value that cannot be, ``PlanError`` where a point's window or gate is not in the records,
     and ``StoreError`` where no point carries an estimate.
     """
-    points = list(_points(run, axes, together))
-    found, lost = list[tuple[_Point, Result]](), list[str]()
+    return estimate_points(points_over(run, axes, together), estimator)
+
+
+def points_over(run: Run, axes: Mapping[str, Sequence[float]], together: bool = False) -> tuple[StoredPoint, ...]:
+    """Return ``run`` at every point of ``axes``, all checked; raises as ``estimate_over``."""
+    return tuple(_points(run, axes, together))
+
+
+def estimate_points(points: Sequence[StoredPoint], estimator: str | None = None) -> Result:
+    """Return the estimates at all ``points`` as one result; raise ``StoreError`` where none carries an estimate."""
+    found, lost = list[tuple[StoredPoint, Result]](), list[str]()
     for point in points:
         try:
             found.append((point, point.run.estimate(estimator)))
@@ -60,7 +69,7 @@ def estimate_over(
     )
 
 
-def _where(said: Sequence[tuple[What, _Point]], points: int) -> Iterator[tuple[What, str]]:
+def _where(said: Sequence[tuple[What, StoredPoint]], points: int) -> Iterator[tuple[What, str]]:
     """Yield each of what was ``said`` once, and the points that say it, in words; none where all do."""
     by = dict[What, list[str]]()
     for what, point in said:
@@ -88,7 +97,7 @@ def parse_axes(texts: Sequence[str]) -> dict[str, list[float]]:
     return found
 
 
-def _points(run: Run, axes: Mapping[str, Sequence[float]], together: bool) -> Iterator[_Point]:
+def _points(run: Run, axes: Mapping[str, Sequence[float]], together: bool) -> Iterator[StoredPoint]:
     taken = {"sweep.axes": dict(axes), "sweep.combine": "zip" if together else "product"}
     # windows that the run's scene takes in turn stand for another axis than the window's: see `_one_estimate`
     sweep = type(run.scene.sweep)(**run.scene.sweep.model_dump(exclude={"window_length_s"}, exclude_unset=True))
@@ -101,7 +110,7 @@ def _points(run: Run, axes: Mapping[str, Sequence[float]], together: bool) -> It
         plan = _regated(run, make_plan(scene, run.bench))
         findings = tuple(check_plan(scene, run.bench, plan))
         refuse_conflicts(findings)
-        yield _Point(point.values, replace(run, scene=scene, plan=plan, findings=findings))
+        yield StoredPoint(point.values, replace(run, scene=scene, plan=plan, findings=findings))
 
 
 def _one_estimate(scene: Scene, values: Mapping[str, float]) -> Scene:

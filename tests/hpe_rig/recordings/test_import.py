@@ -22,6 +22,7 @@ import hpe_rig as hpe
 from hpe_rig.acquire import import_recording, prepare_rest
 from hpe_rig.cli.app import app
 from hpe_rig.recordings import chosen_lines, matlab
+from hpe_rig.result import shown_shot
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import StoreError, verify
 
@@ -302,6 +303,32 @@ def test_a_full_disk_of_temporary_files_is_no_damaged_file(scene: Path, monkeypa
     monkeypatch.undo()
     run = hpe.import_records(path, scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
     assert len(run.estimate().shots) == 1
+
+
+def test_the_report_of_a_stored_runs_sweep_follows_its_axes(scene: Path) -> None:
+    path, page = scene.parent / "run.h5", scene.parent / "swept.html"
+    hpe.import_records(RF[0], scene, path, axes="pulse,sample", **RATES)
+    options = ["--sweep", "gate_length_m=0.6e-3,0.8e-3,1e-3", "--sweep", "background_order=0,1", "--output", str(page)]
+    done = CliRunner().invoke(app, ["report", str(path), *options])
+    assert done.exit_code == 0, done.output
+    html = page.read_text(encoding="utf-8")
+    assert "<h2>Over acquisition.gate_length_m</h2>" in html
+    for words in ("background_order = 0", "background_order = 1", 'id="sweep-amplitude-200', 'id="sweep-phase-200'):
+        assert words in html, words
+    # All six points stand in the table; what is drawn of one shot is with its own gate.
+    assert (
+        html.count('<th scope="col">acquisition.gate_length_m</th><th scope="col">processing.background_order</th>')
+        == 1
+    )
+    shown = shown_shot(hpe.open_run(path).sweep({"gate_length_m": [0.6e-3, 0.8e-3, 1e-3], "background_order": [0, 1]}))
+    length_mm = shown.swept["acquisition.gate_length_m"] * 1e3
+    assert f"{length_mm:g} mm at 1.2 mm depth" in html
+    assert f"acquisition.gate_length_m = {length_mm * 1e-3:g}." in html
+    assert list(path.parent.glob("run.*.h5")) == []
+    wrong = CliRunner().invoke(app, ["report", str(path), "--together", "--sweep", "pulse_rate_hz=1e3,2e3"])
+    assert (wrong.exit_code, "the records are there" in " ".join(wrong.output.split())) == (2, True)
+    alone = CliRunner().invoke(app, ["report", str(path), "--together"])
+    assert (alone.exit_code, "no --sweep is given" in alone.output) == (2, True)
 
 
 def test_lines_become_places_or_their_mean(scene: Path) -> None:
