@@ -148,6 +148,9 @@ def test_a_recording_becomes_a_dataset_and_a_figure(tmp_path: Path) -> None:
     assert dataset.sizes == {"line": 3, "depth": 200, "frequency": 1}
     assert float(dataset.amplitude_m.sel(frequency=200.0).median()) == pytest.approx(AMPLITUDE_M, rel=0.05)
     assert dataset.amplitude_m.attrs["units"] == "m"
+    # the middle of each gate, there and back
+    gate_m = SPEED / 2 * 16 / RATE_HZ
+    np.testing.assert_allclose(dataset.depth, (np.arange(200) + 0.5) * gate_m, rtol=1e-12)
     assert "SHA-256" in dataset.attrs["source"]
     assert "600 of 600 pixels estimated" in str(found)
     found.figure().savefig(tmp_path / "map.png")
