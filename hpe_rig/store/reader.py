@@ -47,6 +47,8 @@ LOOKS: Final = 3
 LOOK_PAUSE_S: Final = 0.02
 MOST_HELD_SAMPLES: Final = 1 << 25
 """Samples up to which the records of a shot are read at once; those of a longer one stay in the file."""
+MOST_AT_ONCE: Final = 1 << 22
+"""Samples of a shot that are compared with their checksums at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +180,7 @@ class StoredRecords(Sequence[ShotRecords]):
     def damaged(
         self, shot: int, pulses: int = 4096, look: Callable[[NDArray[np.int16]], None] | None = None
     ) -> NDArray[np.bool_]:
-        """Return which records of ``shot`` are damaged at any input, (pulse,), in memory for ``pulses`` records.
+        """Return which records of ``shot`` are damaged at any input, (pulse,), in memory for at most ``pulses`` records.
 
         ``look`` is given the codes of all echoes (pulse, sample), some pulses after the other.
         """
@@ -187,7 +189,8 @@ class StoredRecords(Sequence[ShotRecords]):
             found = arrival.damaged.copy()
             for name in ("echo", *(["monitor"] if trust.has("records/monitor") else [])):
                 echo = _echo(trust, self.shape, name)
-                step = max(1, pulses // echo.chunks[1]) * echo.chunks[1]
+                at_once = min(pulses, MOST_AT_ONCE // self.shape[2])
+                step = max(1, at_once // echo.chunks[1]) * echo.chunks[1]
                 for first in range(0, self.shape[1], step):
                     rows = slice(first, first + step)
                     codes, damaged = _codes(trust, echo, f"records/{name}", shot, arrival, whole, rows)
