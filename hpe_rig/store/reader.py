@@ -180,7 +180,7 @@ class StoredRecords(Sequence[ShotRecords]):
     def damaged(
         self, shot: int, pulses: int = 4096, look: Callable[[NDArray[np.int16]], None] | None = None
     ) -> NDArray[np.bool_]:
-        """Return which records of ``shot`` are damaged at any input, (pulse,), in memory for at most ``pulses`` records.
+        """Return which records of ``shot`` are damaged at any input, (pulse,), holding at most ``pulses`` of them.
 
         ``look`` is given the codes of all echoes (pulse, sample), some pulses after the other.
         """
