@@ -3,13 +3,19 @@
 Noise of 0.7 nm a quadrature and speckle of 2 % on motion of 800 nm, seeded; no starting values are given.
 
     python scripts/moduli_fit_time.py
+    python scripts/moduli_fit_time.py --commands     # instead, of `run gelatin-moduli` and `moduli` in processes of their own
 """
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -32,7 +38,10 @@ MEDIA = {
 
 
 def main() -> None:
-    """Print the table: a row a medium, a column a law."""
+    """Print the table: a row a medium, a column a law; or the commands."""
+    if sys.argv[1:] == ["--commands"]:
+        commands()
+        return
     fit_medium(vibrations("voigt"), PUSH)
     print("| data of | " + " | ".join(MEDIA) + " | all, and which is likeliest |")
     print("|---" * (len(MEDIA) + 2) + "|")
@@ -41,6 +50,21 @@ def main() -> None:
         times = [f"{seconds(partial(fit_medium, places, PUSH, law)):.2f}" for law in MEDIA]
         together = seconds(partial(compare_media, places, PUSH, list(MEDIA)))
         print(f"| {name} | " + " | ".join([*times, f"{together:.2f}"]) + " |", flush=True)
+
+
+def commands() -> None:
+    """Print the processor time of both commands, the median of three, with the bytecode of a run before."""
+    with tempfile.TemporaryDirectory() as folder:
+        kept = {"PYTHONPYCACHEPREFIX": str(Path(folder) / "bytecode"), "PYTHONDONTWRITEBYTECODE": ""}
+        environment = os.environ | kept | {"PYTHONPATH": str(Path(__file__).parents[1]), "OMP_NUM_THREADS": "1"}
+        for command in ("run gelatin-moduli --yes --output m.h5 --overwrite", "moduli m.h5"):
+            found = []
+            for _ in range(4):
+                begin = sum(os.times()[2:4])
+                asked = [sys.executable, "-m", "hpe_rig", *command.split()]
+                subprocess.run(asked, cwd=folder, env=environment, check=True, capture_output=True)
+                found.append(sum(os.times()[2:4]) - begin)
+            print(f"{command}: {sorted(found[1:])[1]:.2f} s", flush=True)
 
 
 def seconds(work: Callable[[], object]) -> float:
