@@ -3,7 +3,7 @@
 Noise of 0.7 nm a quadrature and speckle of 2 % on motion of 800 nm, seeded; no starting values are given.
 
     python scripts/moduli_fit_time.py
-    python scripts/moduli_fit_time.py --commands     # instead, of `run gelatin-moduli` and `moduli` in processes of their own
+    python scripts/moduli_fit_time.py --commands     # of `run gelatin-moduli` and `moduli` instead
 """
 
 from __future__ import annotations
