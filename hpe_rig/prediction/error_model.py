@@ -8,8 +8,10 @@ part of it: echoes are aligned before the gate cuts them, as far as the record r
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +35,10 @@ PHASE_LIMIT = np.pi / np.sqrt(3)
 MOST_SCATTERERS = 5000
 """Most that are drawn. With tens in every resolution cell the sums are as good as normal: the excess of their fourth
 moment goes as one over the scatterers in a cell."""
+BLOCK_DRAWS = 64
+"""Draws summed at a time: what they need stays in the processor's cache, which halves their time."""
+MOST_KEPT = 1e6
+"""Scatterers up to which draws are kept for the next motion: 48 MB."""
 LATERAL = 3.5
 """Half width of the drawn box in sigmas of the tracking beam: scatterers beyond echo 2e-3 of the peak."""
 
@@ -126,9 +132,8 @@ def tracked_over_peak(conditions: Conditions, estimator: str, speckle: Speckle) 
     spec = spec_of(estimator)
     if not spec.reads_peak:
         return _whole_gate(conditions, speckle, spec.by_carrier)[0]
-    window, bins = hann(INSTANTS), PADDING * INSTANTS
-    inside = _band_bins(conditions, bins)
-    resting, moved = (np.fft.fft(each * window, bins)[:, inside] for each in (speckle.resting, speckle.moved))
+    to_band = _to_band(conditions, PADDING * INSTANTS) * hann(INSTANTS)[:, None]
+    resting, moved = speckle.resting @ to_band, speckle.moved @ to_band
     peak = np.argmax(np.abs(resting), axis=-1)[:, None]
     return np.asarray(_taken(moved / resting, peak).real)
 
@@ -156,10 +161,33 @@ def draw_speckle(
 
     ``moved`` as in ``draw_scattering``.
     """
-    deep_m = conditions.gate_length_m + conditions.pulse_length_m
-    cells = int(np.clip(4 * np.ceil(deep_m / conditions.pulse_length_m), 48, 192))
-    scattering = draw_scattering(conditions, generator, draws, deep_m, cells, moved)
+    scattering = draw_scattering(conditions, generator, draws, *_cells(conditions), moved)
     return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
+
+
+@functools.lru_cache(maxsize=4)
+def seeded_speckle(conditions: Conditions, draws: int, moved: Moved | None = None) -> Speckle:
+    """Return ``draw_speckle`` of one and the same seed: a prediction is a function of the scene alone.
+
+    Echoes alike have the same scatterers, whatever moves them: those are kept, unless they are too many.
+    """
+    echoes = replace(conditions, excitation_width_m=(0.0, 0.0, 0.0), pulses=1, frequency_hz=0.0, amplitude_m=0.0)
+    echoes = replace(echoes, snr=np.inf, trigger_jitter_s=0.0, fit_gain=1.0)
+    few = draws * _scatterers_expected(conditions, _cells(conditions)[0]) < MOST_KEPT
+    scatterers = (_seeded_scatterers if few else _seeded_scatterers.__wrapped__)(echoes, draws)
+    scattering = scatterers.displaced(conditions.excitation_width_m, moved)
+    return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
+
+
+@functools.lru_cache(maxsize=2)
+def _seeded_scatterers(echoes: Conditions, draws: int) -> Scatterers:
+    return draw_scatterers(echoes, np.random.default_rng(0), draws, *_cells(echoes))
+
+
+def _cells(conditions: Conditions) -> tuple[float, int]:
+    """Return how deep a gate's scatterers lie, m, and in how many cells of depth they are summed."""
+    deep_m = conditions.gate_length_m + conditions.pulse_length_m
+    return deep_m, int(np.clip(4 * np.ceil(deep_m / conditions.pulse_length_m), 48, 192))
 
 
 def draw_scattering(
@@ -170,34 +198,79 @@ def draw_scattering(
     cells: int,
     moved: Moved | None = None,
 ) -> Scattering:
+    """Return ``draw_scatterers`` displaced as ``moved`` says, without it by the Gaussian of eq. (12)."""
+    drawn = draw_scatterers(conditions, generator, draws, deep_m, cells)
+    return drawn.displaced(conditions.excitation_width_m, moved)
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Scatterers of some draws: place (3, scatterer), m, real and imaginary echo, and cell, counted over the draws."""
+
+    place_m: FloatArray
+    parts: tuple[FloatArray, FloatArray]
+    cell: NDArray[np.int64]
+    shape: tuple[int, int]
+
+    def summed(self, weight: FloatArray | float = 1.0) -> ComplexArray:
+        """Return the echoes times ``weight`` (scatterer,) summed into the cells, (draw, cell)."""
+        # real and imaginary parts one by one: sums are of real numbers, and complex exponentials cost thrice as much
+        real, imaginary = (np.bincount(self.cell, part * weight, math.prod(self.shape)) for part in self.parts)
+        return np.asarray((real + 1j * imaginary).reshape(self.shape))
+
+
+@dataclass(frozen=True, slots=True)
+class Scatterers:
+    """Draws of scatterers in blocks, with their echoes at rest (draw, cell) in cells at ``depth_m``."""
+
+    blocks: tuple[_Block, ...]
+    echo: ComplexArray
+    depth_m: FloatArray
+
+    def displaced(self, width_m: Triple, moved: Moved | None = None) -> Scattering:
+        """Return them displaced as ``moved`` says, without it by a Gaussian of the sigmas ``width_m``."""
+        moved = moved or functools.partial(_gaussian, width_m)
+        weighted = [block.summed(moved(block.place_m)) for block in self.blocks]
+        return Scattering(self.echo, np.concatenate(weighted), self.depth_m)
+
+
+def draw_scatterers(
+    conditions: Conditions, generator: np.random.Generator, draws: int, deep_m: float, cells: int
+) -> Scatterers:
     """Return ``draws`` draws of the conditions's scatterers in ``cells`` cells within ``deep_m`` around the focus.
 
-    They are displaced as ``moved`` says of places (3, scatterer), without it by the Gaussian of eq. (12). Beams and
-    density alone count: the same draws serve any gate and pulse that stay within. Of more scatterers a draw than
-    ``MOST_SCATTERERS`` so many are drawn: what draws say does not depend on how strong the echo is.
+    The tracking beam and density alone count: the same draws serve any gate and pulse that stay within. Of more
+    scatterers a draw than ``MOST_SCATTERERS`` so many are drawn: what draws say does not depend on how strong the echo
+    is.
     """
-    lateral_m = [2 * LATERAL * width for width in conditions.tracking_width_m[:2]]
-    expected = float(conditions.scatterers_per_m3 * np.prod(lateral_m) * deep_m)
-    count = generator.poisson(min(expected, MOST_SCATTERERS), draws)
-    owner = np.repeat(np.arange(draws), count)
-    place = (generator.random((3, owner.size)) - 0.5) * np.array([*lateral_m, deep_m])[:, None]
-    squared, phase = np.square(place), 2 * np.pi * generator.random(owner.size)
-    echo = _gaussian(squared, conditions.tracking_width_m)
-    # real and imaginary parts one by one: the sums are of real numbers, and complex exponentials cost thrice as much
-    parts = echo * np.cos(phase), echo * np.sin(phase)
-    flat = owner * cells + np.minimum(((place[2] / deep_m + 0.5) * cells).astype(np.int64), cells - 1)
-
-    def summed(weight: FloatArray | float) -> ComplexArray:
-        real, imaginary = (np.bincount(flat, part * weight, draws * cells) for part in parts)
-        return np.asarray((real + 1j * imaginary).reshape(draws, cells))
-
-    weight = _gaussian(squared, conditions.excitation_width_m) if moved is None else moved(place)
-    return Scattering(summed(1.0), summed(weight), ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m)
+    count = generator.poisson(_scatterers_expected(conditions, deep_m), draws)
+    end = np.cumsum(count)
+    place, phase = generator.random((3, end[-1])), generator.random(end[-1])
+    size_m, blocks = _box_m(conditions, deep_m)[:, None], []
+    for first in range(0, draws, BLOCK_DRAWS):
+        inside = slice(end[first] - count[first], end[first : first + BLOCK_DRAWS][-1])
+        own = count[first : first + BLOCK_DRAWS]
+        at_m, angle = (place[:, inside] - 0.5) * size_m, 2 * np.pi * phase[inside]
+        echo = _gaussian(conditions.tracking_width_m, at_m)
+        cell = np.minimum(((at_m[2] / deep_m + 0.5) * cells).astype(np.int64), cells - 1)
+        cell += cells * np.repeat(np.arange(own.size), own)
+        blocks.append(_Block(at_m, (echo * np.cos(angle), echo * np.sin(angle)), cell, (own.size, cells)))
+    depth_m = ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m
+    return Scatterers(tuple(blocks), np.concatenate([block.summed() for block in blocks]), depth_m)
 
 
-def _gaussian(squared_m2: FloatArray, width_m: Triple) -> FloatArray:
-    """Return a Gaussian of the sigmas ``width_m`` at places whose coordinates are given squared, (3, scatterer)."""
-    return np.asarray(np.exp((-0.5 / np.square(width_m)) @ squared_m2))
+def _box_m(conditions: Conditions, deep_m: float) -> FloatArray:
+    """Return the sides of the drawn box, m."""
+    return np.array([*(2 * LATERAL * width for width in conditions.tracking_width_m[:2]), deep_m])
+
+
+def _scatterers_expected(conditions: Conditions, deep_m: float) -> float:
+    return min(float(conditions.scatterers_per_m3 * np.prod(_box_m(conditions, deep_m))), MOST_SCATTERERS)
+
+
+def _gaussian(width_m: Triple, place_m: FloatArray) -> FloatArray:
+    """Return a Gaussian of the sigmas ``width_m`` at ``place_m`` (3, scatterer) from its middle."""
+    return np.asarray(np.exp((-0.5 / np.square(width_m)) @ np.square(place_m)))
 
 
 def _whole_gate(conditions: Conditions, speckle: Speckle, by_carrier: bool) -> tuple[FloatArray, float]:
@@ -209,10 +282,10 @@ def _whole_gate(conditions: Conditions, speckle: Speckle, by_carrier: bool) -> t
     seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
     carrier = 2 * np.pi * conditions.carrier_hz
     slope = np.gradient(speckle.moved, seconds, axis=-1) + 1j * carrier * speckle.moved
-    inside = _band_bins(conditions, INSTANTS)
-    resting, turning = (np.fft.fft(each, axis=-1)[:, inside] for each in (speckle.resting, slope))
+    to_band = _to_band(conditions, INSTANTS)
+    resting, turning = speckle.resting @ to_band, slope @ to_band
     energy = np.abs(resting) ** 2
-    angular = carrier + 2 * np.pi * np.fft.fftfreq(INSTANTS, seconds)[inside]
+    angular = carrier + 2 * np.pi * _band_hz(conditions, INSTANTS)
     divisor = carrier * energy.sum(axis=-1) if by_carrier else energy @ angular
     share = energy.sum() / (INSTANTS * np.sum(np.abs(speckle.resting) ** 2))
     return np.asarray(np.sum(np.conj(resting) * turning, axis=-1).imag / divisor), float(share)
@@ -301,17 +374,18 @@ def _peak_statistics(
     at f_1 alone, of phases against the clean echo, have no noise of their own: their Var q + 2 Cov(q_1, q_2) is what
     chance makes of the draws at hand, and is taken off.
     """
-    window = hann(INSTANTS)
-    bins = PADDING * INSTANTS
+    to_band = _to_band(conditions, PADDING * INSTANTS) * hann(INSTANTS)[:, None]
     power = np.mean(np.abs(speckle.resting) ** 2, axis=-1, keepdims=True)[:, None]
     # noise of the real signal's band, seen through the gate: its share in INSTANTS samples of the envelope
     scale = np.sqrt(power * INSTANTS / (conditions.gate_samples * conditions.snr))
     shape = (len(speckle.resting), 3, INSTANTS)
-    noise = scale * (generator.standard_normal(shape) + 1j * generator.standard_normal(shape))
-    inside = _band_bins(conditions, bins)
-    clean, moved = (np.fft.fft(each * window, bins)[:, inside] for each in (speckle.resting, speckle.moved))
-    noisy = clean[:, None] + np.fft.fft(noise * window, bins)[..., inside]
-    level = np.abs(noisy) ** 2
+    noise = np.empty(shape, dtype=np.complex128)
+    noise.real, noise.imag = generator.standard_normal(shape), generator.standard_normal(shape)
+    clean, moved = speckle.resting @ to_band, speckle.moved @ to_band
+    noisy = (noise.reshape(-1, INSTANTS) @ to_band).reshape(*shape[:2], -1)
+    noisy *= scale
+    noisy += clean[:, None]
+    level = noisy.real**2 + noisy.imag**2
     first, second = (np.argmax(level[:, k] * level[:, k + 1], axis=-1)[:, None] for k in (0, 1))
     steps = [_phase_step(noisy[:, k], noisy[:, k + 1], peak) for k, peak in ((0, first), (1, second))]
     ratios = [_taken(moved / clean, peak).real for peak in (first, second)]
@@ -329,10 +403,20 @@ def _own_variance(first: FloatArray, second: FloatArray) -> float:
     return float(np.mean((first**2 + second**2) / 2 + 2 * first * second))
 
 
-def _band_bins(conditions: Conditions, bins: int) -> FloatArray:
-    """Return which bins of the envelope's spectrum lie in the searched band."""
+def _band_hz(conditions: Conditions, bins: int) -> FloatArray:
+    """Return the frequencies (bin,) of the envelope's spectrum of ``bins`` that lie in the searched band."""
     seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
-    return np.asarray(np.abs(np.fft.fftfreq(bins, seconds)) <= conditions.carrier_hz * BAND_OF_CARRIER / 2)
+    every = np.fft.fftfreq(bins, seconds)
+    return np.asarray(every[np.abs(every) <= conditions.carrier_hz * BAND_OF_CARRIER / 2])
+
+
+def _to_band(conditions: Conditions, bins: int) -> ComplexArray:
+    """Return the matrix (instant, bin) from envelopes to their spectrum of ``bins``, zeros appended, in the band.
+
+    The band is a sixth of the bins: the product costs a third of the Fourier transform of them all.
+    """
+    seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
+    return np.asarray(np.exp(-2j * np.pi * seconds * np.outer(np.arange(INSTANTS), _band_hz(conditions, bins))))
 
 
 def _taken(values: ComplexArray, place: NDArray[np.int64]) -> ComplexArray:
