@@ -42,6 +42,7 @@ from .text import (
     averaging_text as averaging_text,
     calibration_text as calibration_text,
     detection_text as detection_text,
+    extrapolation_text as extrapolation_text,
     prediction_text as prediction_text,
 )
 from .theory import (
