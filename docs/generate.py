@@ -14,6 +14,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from snippets import counts_page
+
 EXAMPLES = {
     "sweep.axes": '{"tracking.delay_s" = [0.0, 1e-4]}',
     "acquisition.shot_period_s": "1.5",
@@ -80,26 +82,25 @@ PURPOSE = {
     "never exceed. `hpe-rig new my-bench --like bench --full` writes one with every key below in a comment.",
     "simulation": "What the twin simulates: the section `[simulation]` of a scene. A real bench never reads it.",
 }
-ROOMS = (
-    "acquire",
-    "bench",
-    "design",
-    "live",
-    "moduli",
-    "plan",
-    "prediction",
-    "processing",
-    "report",
-    "result",
-    "scene",
+ROOT = Path(__file__).parents[1]
+ROOMS = tuple(
+    ".".join(stub.parent.relative_to(ROOT).parts)
+    for package in ("hpe_rig", "drivers", "sim_backend")
+    for stub in sorted((ROOT / package).glob("*/__init__.pyi"))
 )
-ROOMS += ("store", "study", "validation")
+"""Folders that offer names to others."""
 
 
 def pages() -> dict[str, str]:
     """Return the generated pages, Markdown by file name."""
     settings = {f"{of}.md": settings_page(of) for of in PURPOSE}
-    return {**settings, "commands.md": commands_page(), "api.md": api_page(), "rooms.md": rooms_page()}
+    found = {
+        "commands.md": commands_page(),
+        "api.md": api_page(),
+        "rooms.md": rooms_page(),
+        "snippets.md": counts_page(),
+    }
+    return {**settings, **found}
 
 
 def write_pages(folder: Path) -> None:
@@ -254,11 +255,11 @@ def _example(docstring: str) -> list[str]:
 
 def rooms_page() -> str:
     """Return the page of the rooms: what each offers to the others, with the first sentence of its docstring."""
-    lines = ["# Inside the rooms", "", "What each folder of `hpe_rig` offers to those above it. Scripts need "]
+    lines = ["# Inside the rooms", "", "What each folder offers to the others. Scripts need "]
     lines += ["[the public API](api.md) alone; these names may change from one release to the next.", ""]
     for room in ROOMS:
-        module = importlib.import_module(f"hpe_rig.{room}")
-        lines += [f"## hpe_rig.{room}", "", _sentence(module.__doc__ or ""), "", "| name | what it is |", "|---|---|"]
+        module = importlib.import_module(room)
+        lines += [f"## {room}", "", _sentence(module.__doc__ or ""), "", "| name | what it is |", "|---|---|"]
         lines += [f"| `{name}` | {about} |" for name, about in offered_names(module)]
         lines.append("")
     return "\n".join(lines)

@@ -22,9 +22,10 @@ from drivers.interfaces import InstrumentError
 from hpe_rig.acquire.places import Mover
 from hpe_rig.acquire.provenance import provenance_now
 from hpe_rig.acquire.resumption import Rest, prepare_rest, resume
-from hpe_rig.acquire.run import Setup, prepare_text, record_run, source_text
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import open_run, process
 from hpe_rig.acquire.sequencer import Observer
+from hpe_rig.acquire.setup import Setup, prepare_text, source_text
 from hpe_rig.acquire.stop_request import StopRequested, clear_stop, stop_requested
 from hpe_rig.bench import BenchFile, hold, resources, uninterrupted
 from hpe_rig.plan import PlanError

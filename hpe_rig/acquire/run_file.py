@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.acquire.run import planned
+from hpe_rig.acquire.checked_scene import plan_html
+from hpe_rig.acquire.setup import planned
 from hpe_rig.bench import BenchFile, parse_bench, with_transducers
 from hpe_rig.plan import (
     CheckResult,
     Plan,
-    Shot,
     depth_gates,
     gates_over_depth,
     omissions,
@@ -237,18 +237,6 @@ def _at_imported_times(plan: Plan, stored: StoredRun) -> Plan:
         return plan
     shots = (replace(shot, timeline=replace(shot.timeline, pulse_onset_s=onset_s)) for shot in plan.shots)
     return replace(plan, shots=tuple(shots))
-
-
-def plan_html(title: str, state: str, shot: Shot, findings: Iterable[CheckResult]) -> str:
-    """Return a plan as a notebook shows it: ``title``, ``state``, the timing of ``shot``, what did not pass."""
-    from hpe_rig.plan import timing
-    from hpe_rig.result import image, symbols
-
-    listed = list(findings)
-    noticed = [each for each in listed if each.level != "passed"]
-    lines = [f"<p><b>{symbols(title)}</b><br>{symbols(state)}</p>", "".join(image(each) for each in timing(shot))]
-    lines.append(f"<p>{len(listed) - len(noticed)} of {len(listed)} checks of the plan passed.</p>")
-    return "\n".join([*lines, *(f"<p><b>{each.level.upper()}</b> {symbols(each)}</p>" for each in noticed)])
 
 
 def process(

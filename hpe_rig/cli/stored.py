@@ -123,8 +123,10 @@ def write_map(found: MotionMap, output: Path | None, figure: Path | None) -> Non
 
 
 def _save(drawn: Figure, path: Path, what: str) -> None:
+    from hpe_rig.result import write_figure
+
     try:
-        drawn.savefig(path, dpi=150)
+        write_figure(drawn, path)
     except (OSError, ValueError) as error:
         raise StoreError(
             f"{path} cannot be written ({error}). Try: a name that ends in .svg, .png or .pdf, in a folder that exists."

@@ -94,6 +94,7 @@ from .shots import (
 from .spectral_peak import (
     cross_spectrum as cross_spectrum,
     fourier_columns as fourier_columns,
+    noisy_peak_steps as noisy_peak_steps,
     orthonormal_rows as orthonormal_rows,
     peak_steps as peak_steps,
 )

@@ -104,7 +104,6 @@ class Ensemble:
         return found
 
 
-@functools.lru_cache(maxsize=32)
 def medium_ensemble(
     beams: BeamWidths,
     lowest_hz: float,
@@ -117,9 +116,22 @@ def medium_ensemble(
 
     The parameters fill their ranges evenly by a low-discrepancy sequence: no chance, hence no seed.
     """
+    # What is remembered goes by place: however a caller words its arguments, an ensemble is made once.
     if beams.lateral_m:
-        # its own memory: however a caller words its arguments, an ensemble of waves beside the push is made once
         return _beside(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
+    return _on_axis(beams, lowest_hz, highest_hz, known, density_kg_per_m3, members)
+
+
+@functools.lru_cache(maxsize=32)
+def _on_axis(
+    beams: BeamWidths,
+    lowest_hz: float,
+    highest_hz: float,
+    known: KnownMedium | None,
+    density_kg_per_m3: float,
+    members: int,
+) -> Ensemble:
+    """Return the ensemble where the tracking beam lies on the force's axis."""
     from scipy.special import ndtri
 
     count = max(8, round(NODES_PER_E_FOLD * np.log(highest_hz / lowest_hz)))

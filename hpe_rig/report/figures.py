@@ -133,7 +133,7 @@ def _sweep_amplitude(sweep: Sweep, curves: Sequence[SweepCurve]) -> Picture:
             curve.x, curve.amplitude_m * 1e9, spread, fmt=marker, ms=4, capsize=2, color=colour,
             label=curve.group or "mean, sd",
         )  # fmt: skip
-        if curve.line is not None and sweep.label != "repeat":
+        if curve.line is not None:
             ends = np.array([curve.x.min(), curve.x.max()])
             axes.plot(ends, (curve.line.intercept + curve.line.slope * ends) * 1e9, color=colour, lw=0.9)
             parts.append(

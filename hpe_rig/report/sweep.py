@@ -1,4 +1,4 @@
-"""Curves of many shots: what was varied, means over repeats, and a straight line through them."""
+"""Curves of many shots: what was varied, means over repeats, and over the force a straight line through them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,10 @@ from numpy.typing import NDArray
 from hpe_rig.result import Headline, ShotResult
 
 FloatArray = NDArray[np.float64]
+
+FORCE = "force F / F_0"
+PROPORTIONAL = (FORCE, "excitation.force_fraction")
+"""Axes that a straight line is fitted over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +35,8 @@ class SweepCurve:
     """One frequency's headline amplitude and phase over what was varied, repeats averaged.
 
     ``x``, means and standard deviations over repeats (point,), deviations NaN where a point has one repeat only;
-    ``line`` goes through every shot, None where fewer than two values of x were measured.
+    ``line`` goes through every shot: over the force, whose motion it is in proportion to; None over anything else, and
+    where fewer than two values of x were measured.
     """
 
     frequency_hz: float
@@ -57,6 +62,11 @@ class Sweep:
         """What was varied, without its unit."""
         return self.label.partition(" (")[0]
 
+    @property
+    def is_linear(self) -> bool:
+        """Whether the motion is in proportion to what was varied."""
+        return self.label in PROPORTIONAL
+
 
 def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
     """Return the curves of ``shots``; None for a single shot."""
@@ -74,7 +84,7 @@ def make_sweep(shots: Sequence[ShotResult]) -> Sweep | None:
             return _sweep(label, shots, [place_m * 1e3 for place_m in places_m], [_setting(s, shots) for s in shots])
     if len({shot.force_fraction for shot in shots}) > 1:
         forces = [shot.force_fraction for shot in shots]
-        return _sweep("force F / F_0", shots, forces, [_setting(shot, shots) for shot in shots])
+        return _sweep(FORCE, shots, forces, [_setting(shot, shots) for shot in shots])
     lengths = [_length(shot) for shot in shots]
     if len({shot.pulse_rate_hz for shot in shots}) > 1:
         return _sweep("pulse rate f_prf (Hz)", shots, [shot.pulse_rate_hz for shot in shots], lengths)
@@ -158,11 +168,12 @@ def _sweep(label: str, shots: Sequence[ShotResult], x: Sequence[float | None], g
             if group == name and estimate.frequency_hz == frequency_hz
         ]
         if own:
-            curves.append(_curve(frequency_hz, name, [headline for headline, _ in own], np.array([x for _, x in own])))
+            headlines, along = [headline for headline, _ in own], np.array([x for _, x in own])
+            curves.append(_curve(frequency_hz, name, headlines, along, label in PROPORTIONAL))
     return Sweep(label, tuple(curves))
 
 
-def _curve(frequency_hz: float, group: str, found: Sequence[Headline], x: FloatArray) -> SweepCurve:
+def _curve(frequency_hz: float, group: str, found: Sequence[Headline], x: FloatArray, linear: bool) -> SweepCurve:
     amplitude = np.array([headline.amplitude_m for headline in found])
     phase = np.array([headline.phase_rad for headline in found])
     values = np.unique(x)
@@ -178,7 +189,7 @@ def _curve(frequency_hz: float, group: str, found: Sequence[Headline], x: FloatA
         phase_rad=np.array([mean for mean, _ in phases]),
         phase_sd_rad=np.array([sd for _, sd in phases]),
         repeats=max(int(here.sum()) for here in each),
-        line=fit_line(x, amplitude),
+        line=fit_line(x, amplitude) if linear else None,
     )
 
 

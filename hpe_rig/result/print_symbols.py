@@ -11,11 +11,13 @@ UNITS = (
     (re.compile(r"(?:(?<=\d )|(?<=\())um\b"), "µm"),
     (re.compile(r"(?<=\d) deg\b"), "°"),
     (re.compile(r"\+-"), "±"),
+    (re.compile(r"\b2 pi\b"), "2π"),
     (re.compile(r"(?<=/cm)2\b"), "²"),
     (re.compile(r"(?<=/m)3\b"), "³"),
 )
 GREEK = {"sigma": "σ", "chi": "χ"}
-SUBSCRIPT = re.compile(r"(?<![\w./\\-])([A-Za-z]|sigma|chi)_([A-Za-z0-9]{1,4})(?![\w(/\\-]|\.\w)")
+# Not within a path, but in a quotient such as 1/T_b.
+SUBSCRIPT = re.compile(r"(?:(?<![\w./\\-])|(?<=[\s(]\d/))([A-Za-z]|sigma|chi)_([A-Za-z0-9]{1,4})(?![\w(/\\-]|\.\w)")
 
 
 def symbols(text: object) -> Markup:

@@ -8,6 +8,7 @@ import re
 from dataclasses import dataclass
 from html import escape
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,8 @@ VARIABLES = {
     "#b0b0b0": "grid",
 }
 """Colours that a page may set otherwise, such as on a dark screen, by the name of the variable."""
+ON_DARK = {**VARIABLES, "#ffffff": "paper", "#e6e6e6": "line", "#d9d9d9": "line"}
+"""Colours of a figure that is a file of its own, by the variable that has them on a dark screen."""
 PAPER = re.compile(r'(id="[^"]*patch_\d+">\s*<path [^>]*?fill: )#ffffff')
 """What stands before the white of a figure's background, of a panel's and of a legend's."""
 
@@ -114,6 +117,34 @@ def picture(figure: Figure, key: str, title: str, alt: str) -> Picture:
     with rc_context(STYLE):
         figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None}, dpi=110)
     return Picture(key, title, alt, inline(text.getvalue(), key, title, alt))
+
+
+def write_figure(figure: Figure, path: Path, dpi: float = 150.0) -> None:
+    """Write ``figure`` as the ending of ``path`` says; an SVG file is dark on a dark screen, as the pages are.
+
+    Raises OSError where nothing can be written and ValueError for an ending that Matplotlib does not know.
+    """
+    if path.suffix.lower() != ".svg":
+        figure.savefig(path, dpi=dpi)
+        return
+    text = io.StringIO()
+    figure.savefig(text, format="svg", metadata={"Date": None})
+    path.write_text(text.getvalue().replace("<defs>", f"<style>{_dark_rules()}</style>\n <defs>", 1), encoding="utf-8")
+
+
+def _dark_rules() -> str:
+    """Return what a dark screen changes. The drawing keeps its colours: programs that know no variables read it too."""
+    _, _, dark = page_style().partition("(prefers-color-scheme: dark)")
+    colours = dict(re.findall(r"--(\w+): (#\w+)", dark))
+    rules = [
+        f'[style*="{kind}: {light}"] {{ {kind}: {colours[name]} !important }}'
+        for light, name in ON_DARK.items()
+        for kind in ("fill", "stroke")
+    ]
+    # What states no colour is black: texts above all.
+    return "\n".join(
+        ["@media screen and (prefers-color-scheme: dark) {", f"svg {{ fill: {colours['ink']} }}", *rules, "}"]
+    )
 
 
 def image(shown: Picture, width_em: float = 28.0) -> str:

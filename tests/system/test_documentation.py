@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import inspect
 import re
 import shlex
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
@@ -19,10 +17,7 @@ from typer.testing import CliRunner
 import hpe_rig
 from hpe_rig.cli.app import app
 
-ROOT = Path(__file__).parents[2]
-DOCS = ROOT / "docs"
-WRITTEN = [path for path in sorted(DOCS.rglob("*.md")) if "generated" not in path.parts]
-PAGES = {path.relative_to(ROOT).as_posix(): path for path in [ROOT / "README.md", *WRITTEN]}
+DOCS = Path(__file__).parents[2] / "docs"
 FAST = (
     "README.md",
     "docs/how-to/bench-file.md",
@@ -30,8 +25,6 @@ FAST = (
     "docs/tutorials/own-data.md",
 )
 """Pages whose blocks run by default; the others take minutes together."""
-NOT_RUN = (r"pip install .*", r"pytest.*", r"python -m sphinx .*", r"python scripts/mutation\.py .*")
-"""Commands of a page that change the environment or run everything: `.ci/run` runs the first three."""
 FIRST = {
     "docs/run-file.md": "hpe-rig run bovine-muscle",
     "docs/bench-safety.md": "hpe-rig new my-bench --like bench",
@@ -39,31 +32,17 @@ FIRST = {
 """Commands that a page supposes to have been run."""
 
 
-@dataclass(frozen=True)
-class Block:
-    """A fenced block: language, text, and the line that it begins on."""
-
-    language: str
-    text: str
-    line: int
-
-
-def blocks(page: Path) -> Iterator[Block]:
-    """Yield the fenced blocks of a page; a block in a list is indented."""
-    text = page.read_text(encoding="utf-8")
-    for found in re.finditer(r"^( *)```(\S*)\n(.*?)^\1```$", text, flags=re.MULTILINE | re.DOTALL):
-        indent, language, inner = found.groups()
-        lines = [line.removeprefix(indent) for line in inner.splitlines()]
-        yield Block(language, "\n".join(lines) + "\n", text[: found.start()].count("\n") + 1)
+def program(name: str) -> ModuleType:
+    """Return a program of the documentation, which is no part of a package."""
+    sys.path.insert(0, str(DOCS))
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.remove(str(DOCS))
 
 
-def commands(block: Block) -> Iterator[tuple[str, int]]:
-    """Yield the commands of a block of a console with the exit code that each ends with; a comment may name it."""
-    for line in block.text.splitlines():
-        shown, _, comment = line.removeprefix("$ ").partition("  #")
-        if shown.strip():
-            code = re.search(r"exit (\d+)", comment)
-            yield shown.strip(), int(code[1]) if code else 0
+SNIPPETS = program("snippets")
+PAGES: dict[str, Path] = SNIPPETS.PAGES
 
 
 def invoke(command: str, code: int) -> None:
@@ -76,8 +55,8 @@ def invoke(command: str, code: int) -> None:
 
 def pages_with_blocks() -> list[object]:
     """Return the pages that show something to run, those that are not `FAST` marked as slow."""
-    shown = {"console", "python"}
-    names = [name for name, page in PAGES.items() if shown & {block.language for block in blocks(page)}]
+    counted = {name: SNIPPETS.shown(page) for name, page in PAGES.items()}
+    names = [name for name, found in counted.items() if found.commands or found.python]
     return [pytest.param(name, id=name, marks=() if name in FAST else pytest.mark.slow) for name in names]
 
 
@@ -85,38 +64,65 @@ def pages_with_blocks() -> list[object]:
 def test_what_a_page_shows_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
+    ran = {"commands": 0, "python": 0, "files": 0}
     if name in FIRST:
         invoke(FIRST[name], 0)
-    for block in blocks(PAGES[name]):
-        if block.language == "console":
-            for command, code in commands(block):
-                if not any(re.fullmatch(pattern, command) for pattern in NOT_RUN):
-                    invoke(command, code)
-        elif block.language == "python" and not block.text.startswith("# my_stage.py"):
+    for block in SNIPPETS.blocks(PAGES[name]):
+        for command, code in SNIPPETS.commands(block):
+            invoke(command, code)
+            ran["commands"] += 1
+        if block.runs:
             # Compiled with its line, so that a failure says where it stands on the page.
             exec(compile("\n" * block.line + block.text, PAGES[name], "exec"), names)
-        elif block.language == "toml" and (named := re.match(r"# ([\w-]+\.toml)\n", block.text)):
-            (tmp_path / named[1]).write_text(block.text, encoding="utf-8")
+            ran["python"] += 1
+        if block.file_name:
+            (tmp_path / block.file_name).write_text(block.text, encoding="utf-8")
+            ran["files"] += 1
+    # What the site's page of counts says of it.
+    counted = SNIPPETS.shown(PAGES[name])
+    assert ran == {kind: getattr(counted, kind) for kind in ran}
+
+
+def test_the_site_says_how_much_of_it_is_run_and_that_no_link_is_broken() -> None:
+    page = SNIPPETS.counts_page()
+    found = re.search(r"(\d+) pages show (\d+) commands, (\d+) blocks of Python and (\d+) settings files", page)
+    assert found
+    assert int(found[1]) == len(PAGES)
+    assert int(found[2]) > 50
+    assert int(found[3]) > 12
+    assert re.search(r"and (\d+) links, of which 0 are broken", page)
+    assert page.count("\n| `") > 30
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_link_leads_somewhere(name: str) -> None:
+    assert [link for link in SNIPPETS.links(PAGES[name]) if SNIPPETS.is_broken(PAGES[name], link)] == []
+
+
+ELSEWHERE = {
+    "README.md": "test_readme.py",
+    "docs/how-to/cluster.md": "a cluster is needed; hpe_rig/study/test_run.py has a scheduler of its own",
+    "docs/how-to/import.md": "test_import_of_simulations.py, which needs the simulators",
+}
+"""Pages with a command in a block that is not run here, and what runs it."""
 
 
 def test_no_command_is_shown_where_nothing_runs_it() -> None:
     """An indented or unnamed block with a command is one that nobody tries."""
+    untried = set()
     for name, page in PAGES.items():
         text = page.read_text(encoding="utf-8")
         outside = re.sub(r"^( *)```.*?^\1```$", "", text, flags=re.MULTILINE | re.DOTALL)
         assert not re.findall(r"^    (?:\$ )?hpe-rig .*", outside, flags=re.MULTILINE), name
+        named = [block for block in SNIPPETS.blocks(page) if block.language != "console"]
+        untried |= {name for block in named if re.search(r"^(\$ |.*&& )?hpe-rig ", block.text, flags=re.MULTILINE)}
+    assert untried == set(ELSEWHERE)
 
 
 @pytest.fixture(scope="module")
 def generate() -> ModuleType:
-    """Return the program that writes the generated pages, which is no part of a package."""
-    spec = importlib.util.spec_from_file_location("generate", DOCS / "generate.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["generate"] = module
-    spec.loader.exec_module(module)
-    return module
+    """Return the program that writes the generated pages."""
+    return program("generate")
 
 
 @pytest.fixture(scope="module")
@@ -156,10 +162,11 @@ def test_every_public_name_is_documented(generated: dict[str, str], generate: Mo
     bare = [
         f"{room}.{name}"
         for room in generate.ROOMS
-        for name, about in generate.offered_names(importlib.import_module(f"hpe_rig.{room}"))
+        for name, about in generate.offered_names(importlib.import_module(room))
         if about in ("", ".")
     ]
     assert bare == []
+    assert {"hpe_rig.recordings", "hpe_rig.extensions", "drivers.alazar", "sim_backend.echoes"} <= set(generate.ROOMS)
 
 
 def test_every_page_is_in_the_contents() -> None:
@@ -167,7 +174,7 @@ def test_every_page_is_in_the_contents() -> None:
     listed = {"docs/index.md"}
     for page in PAGES.values():
         if page.is_relative_to(DOCS):
-            for block in blocks(page):
+            for block in SNIPPETS.blocks(page):
                 if block.language == "{toctree}":
                     listed |= set(_entries(page, block.text))
     missing = [name for name in PAGES if name.startswith("docs/") and name not in listed]
@@ -178,6 +185,6 @@ def _entries(page: Path, toctree: str) -> Iterator[str]:
     for line in toctree.splitlines():
         entry = re.sub(r".*<(.*)>", r"\1", line.strip())
         if entry == "*":
-            yield from (path.relative_to(ROOT).as_posix() for path in page.parent.glob("*.md"))
+            yield from (path.relative_to(DOCS.parent).as_posix() for path in page.parent.glob("*.md"))
         elif entry and not entry.startswith(":"):
-            yield (page.parent / f"{entry}.md").resolve().relative_to(ROOT).as_posix()
+            yield (page.parent / f"{entry}.md").resolve().relative_to(DOCS.parent).as_posix()

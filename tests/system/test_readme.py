@@ -135,22 +135,6 @@ def test_the_python_lines_run(folder: Path, capsys: pytest.CaptureFixture[str]) 
     assert len(printed) == 3 + 10
 
 
-def anchors(page: Path) -> set[str]:
-    """Return the anchors of a page's headings."""
-    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    return {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings}
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_a_link_leads_somewhere(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
-        place, _, anchor = target.partition("#")
-        assert "://" not in place, f"{page.name}: {target}"
-        linked = (page.parent / place).resolve() if place else page
-        assert linked.exists(), f"{page.name} links to {target}"
-        assert not anchor or anchor in anchors(linked), f"{page.name} links to {target}"
-
-
 def named_paths(page: Path) -> set[str]:
     """Return the files and folders of this repository that a page names in code font."""
     found = re.findall(r"`((?:hpe_rig|drivers|sim_backend|scripts|tests|docs)/[\w./-]*)`", page.read_text("utf-8"))

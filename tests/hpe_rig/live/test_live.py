@@ -21,9 +21,10 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from hpe_rig.acquire.pause import pause_path, wait_at_place
-from hpe_rig.acquire.run import prepare, prepare_text, record_run
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress, Step, unobserved
+from hpe_rig.acquire.setup import prepare, prepare_text
 from hpe_rig.acquire.stop_request import StopRequested, clear_stop, request_stop, stop_path, stoppable
 from hpe_rig.cli.app import app
 from hpe_rig.cli.watch import PageOptions, watched

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
+import jsonschema
 import pytest
 from scipy.stats import chi2
 from typer.testing import CliRunner
@@ -14,6 +16,7 @@ import hpe_rig as hpe
 from hpe_rig.cli.app import app
 from hpe_rig.report import compare_runs
 from hpe_rig.report.comparison import _probability
+from hpe_rig.result.svg import ON_DARK
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +92,23 @@ def test_the_command_prints_both_and_writes_json_and_figure(runs: tuple[Path, Pa
     assert done.exit_code == 0
     assert "differs" in done.stdout
     assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
-    (row,) = json.loads(CliRunner().invoke(app, ["compare", first, third, "--json"]).stdout)["results"]
+    assert CliRunner().invoke(app, ["compare", first, third, "--figure", str(tmp_path / "c.svg")]).exit_code == 0
+    drawn = (tmp_path / "c.svg").read_text(encoding="utf-8")
+    assert "prefers-color-scheme: dark" in drawn
+    # Nothing keeps a light screen's colour on a dark one.
+    _, _, shapes = drawn.partition("</style>")
+    assert set(re.findall(r"(?:fill|stroke): (#\w+)", shapes)) - set(ON_DARK) == set()
+    printed = json.loads(CliRunner().invoke(app, ["compare", first, third, "--json"]).stdout)
+    (row,) = printed["results"]
     assert row["verdict"] == "differs"
     assert math.isfinite(row["amplitude_change"])
+    schema = json.loads(CliRunner().invoke(app, ["schema", "compare"]).stdout)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    validator.validate(printed)
+    assert {each["where"] for each in printed["settings"]} >= {"scene"}
+    del row["p_all"]
+    row["amplitude_m"] = [1.0]
+    printed["another"] = 1
+    assert len(list(validator.iter_errors(printed))) == 3
     assert CliRunner().invoke(app, ["compare", first, "nowhere.h5"]).exit_code == 2

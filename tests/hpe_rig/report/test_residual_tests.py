@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -120,6 +121,17 @@ def test_a_line_equals_numpys_polynomial_fit_with_its_covariance() -> None:
 
 def test_one_value_of_x_has_no_line() -> None:
     assert fit_line(np.ones(3), np.arange(3.0)) is None
+
+
+def test_a_line_is_fitted_over_the_force_and_not_over_places() -> None:
+    forces = make_sweep([_shot(index, 0.0, force=force) for index, force in enumerate((0.5, 1.0))])
+    places = make_sweep([replace(_shot(index, 0.0), lateral_offset_m=index * 1e-3) for index in range(2)])
+    assert forces is not None
+    assert places is not None
+    assert forces.is_linear
+    assert forces.curves[0].line is not None
+    assert not places.is_linear
+    assert places.curves[0].line is None
 
 
 def test_phases_on_both_sides_of_half_a_turn_have_their_mean_there() -> None:
