@@ -29,7 +29,13 @@ from .queue import (
     run_queue as run_queue,
     time_left_s as time_left_s,
 )
-from .reprocessing import estimate_over as estimate_over, parse_axes as parse_axes
+from .reprocessing import (
+    StoredPoint as StoredPoint,
+    estimate_over as estimate_over,
+    estimate_points as estimate_points,
+    parse_axes as parse_axes,
+    points_over as points_over,
+)
 from .resumption import prepare_rest as prepare_rest, resume as resume
 from .run import record_run as record_run
 from .run_file import (

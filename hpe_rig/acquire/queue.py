@@ -131,9 +131,11 @@ def read_queue(folder: Path) -> tuple[QueueRun, ...]:
     """Return the queue in ``folder``; raise ``StoreError`` where there is none."""
     path = folder / QUEUE_FILE
     try:
-        return TypeAdapter(tuple[QueueRun, ...]).validate_json(path.read_bytes(), strict=False)
+        if queue := TypeAdapter(tuple[QueueRun, ...]).validate_json(path.read_bytes(), strict=False):
+            return queue
+        raise ValueError
     except (OSError, ValidationError, ValueError) as error:
-        why = reason(error) if isinstance(error, OSError) else "it is no queue's"
+        why = reason(error) if isinstance(error, OSError) else "it lists no runs of a queue"
         raise StoreError(f"{path} cannot be read ({why}). Try: the folder that hpe-rig queue made.") from None
 
 

@@ -20,6 +20,7 @@ from hpe_rig.plan import (
     Plan,
     depth_gates,
     gates_over_depth,
+    offsets_beside_m,
     omissions,
     places_of,
     reference_gate,
@@ -281,10 +282,11 @@ def _shots(run: Run, estimator: Estimator) -> Estimates:
     from hpe_rig.prediction import beam_widths, predicted_averaging
     from hpe_rig.processing import NO_RECORDS, Estimates, estimate_run
 
-    shots, without = list[ShotResult](), dict[int, str]()
+    shots, without, places_m = list[ShotResult](), dict[int, str](), offsets_beside_m(run.plan)
     for scene, plan in places_of(run.scene, run.plan):
         try:
-            averaging, beams = predicted_averaging(scene, estimator), beam_widths(scene, estimator)
+            averaging = predicted_averaging(scene, estimator, places_m)
+            beams = beam_widths(scene, estimator, places_m)
         except ValueError as error:
             raise _no_estimate(run, str(error)) from error
         here = estimate_run(scene, plan, run.stored, estimator, averaging, beams)
@@ -306,11 +308,16 @@ def _shots(run: Run, estimator: Estimator) -> Estimates:
 
 def _profile(run: Run, estimator: Estimator) -> tuple[tuple[GateResult, ...], tuple[str, ...]]:
     """Return every shot at every gate over depth, and in words what has no result."""
-    places = [_depth_profile(scene, plan, run.stored, estimator) for scene, plan in places_of(run.scene, run.plan)]
+    places_m = offsets_beside_m(run.plan)
+    places = [
+        _depth_profile(scene, plan, run.stored, estimator, places_m) for scene, plan in places_of(run.scene, run.plan)
+    ]
     return tuple(each for found, _ in places for each in found), tuple(text for _, lost in places for text in lost)
 
 
-def _depth_profile(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) -> tuple[list[GateResult], list[str]]:
+def _depth_profile(
+    scene: Scene, plan: Plan, stored: StoredRun, estimator: str, places_m: tuple[float, ...]
+) -> tuple[list[GateResult], list[str]]:
     """Return what every gate over depth says of the shots of a place, and in words what has no result.
 
     The averaging over the beam is that of the focal plane, at the gate's own depth. Raises ``ValueError`` where no
@@ -328,7 +335,8 @@ def _depth_profile(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) 
     for gate in gates:
         there = with_gate(scene, gate)
         shots = shots_with_gate(plan, gate, scene.acquisition.sound_speed_m_per_s)
-        averaging, beams = predicted_averaging(there, estimator), beam_widths(there, estimator)
+        averaging = predicted_averaging(there, estimator, places_m)
+        beams = beam_widths(there, estimator, places_m)
         estimates = estimate_run(there, shots, untold, estimator, averaging, beams)
         motion = {shot.index: burst_period_motion(there, shot, stored) for shot in shots.shots}
         for shot in estimates.shots:

@@ -52,6 +52,16 @@ ProfileStep = Annotated[
 Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]. Default: the scene's.")]
 Live = Annotated[bool, typer.Option("--live", help="Serve a live page with a stop button (needs the extra 'live').")]
 Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to RUN.log beside the run file.")]
+StoredSweep = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="KEY=V,V",
+        help="Estimate at every value of a number of [processing], [beams] or the gate. No result file is written.",
+    ),
+]
+Together = Annotated[
+    bool, typer.Option("--together", help="Several --sweep: their first values, then their second ones.")
+]
 Yes = Annotated[bool, typer.Option("--yes", help="Between places, go on without asking whether the transducer moved.")]
 Open = Annotated[bool, typer.Option("--open", help="Open the live page in the browser.")]
 Close = Annotated[
@@ -227,16 +237,8 @@ def process(
     run_file: RunFile,
     estimator: Estimator = None,
     gate_profile_step: ProfileStep = None,
-    sweep: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=V,V",
-            help="Estimate at every value of a number of [processing], [beams] or the gate. Printed only.",
-        ),
-    ] = None,
-    together: Annotated[
-        bool, typer.Option("--together", help="Several --sweep: their first values, then their second ones.")
-    ] = False,
+    sweep: StoredSweep = None,
+    together: Together = False,
     json: Json = False,
     csv: Csv = False,
     wide: Wide = False,
@@ -355,12 +357,20 @@ def report(
         int | None, typer.Option(help="Shot to draw, counted from 1. Default: the one with the largest motion.")
     ] = None,
     gate_profile_step: ProfileStep = None,
+    sweep: StoredSweep = None,
+    together: Together = False,
 ) -> None:
     """Write the report of a run. One HTML file with results, figures, residual tests, predictions and provenance."""
-    from hpe_rig.report import write_report
+    from hpe_rig.report import StoredAxes, write_report
 
-    step_m = _step_m(gate_profile_step)
-    typer.echo(f"{write_report(run_file, estimator, output, shot, step_m)}: open it in any browser")
+    _refuse_unswept(bool(sweep), together, gate_profile_step)
+    axes = None
+    if sweep:
+        from hpe_rig.acquire import parse_axes
+
+        axes = StoredAxes(parse_axes(sweep), together)
+    written = write_report(run_file, estimator, output, shot, _step_m(gate_profile_step), axes)
+    typer.echo(f"{written}: open it in any browser")
 
 
 @app.command()

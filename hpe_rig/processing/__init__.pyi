@@ -71,6 +71,7 @@ from .prior import (
 )
 from .push_force import PushForce as PushForce, aperture_force as aperture_force
 from .shear_field import (
+    QUICK_ERROR as QUICK_ERROR,
     ShearMotion as ShearMotion,
     focal_motion as focal_motion,
     shear_motion as shear_motion,

@@ -4,7 +4,7 @@ from .comparison import (
     compare_runs as compare_runs,
     comparison_schema as comparison_schema,
 )
-from .page import write_report as write_report
+from .page import StoredAxes as StoredAxes, write_report as write_report
 from .sweep import Line as Line, fit_line as fit_line
 from .views import (
     EchoView as EchoView,

@@ -142,7 +142,7 @@ class Specimen(Section):
 
 
 class Transmitter(Section):
-    """Hybrid junction, power amplifier and matching transformer between generators and transducer."""
+    """Hybrid junction, power amplifier and matching transformer between generators and the transducer that pushes."""
 
     gain_db: RatioDb = 40.0
     """Gain of the power amplifier (paper: 40 dB)."""

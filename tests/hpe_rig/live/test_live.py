@@ -338,6 +338,11 @@ def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_pa
     assert not stop_path(run_file).exists()
 
 
+def test_a_place_that_cannot_be_asked_for_is_told_with_its_reason(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"at 2 mm cannot be written beside .*No such file.*hpe-rig resume"):
+        wait_at_place(tmp_path / "absent" / "run.h5", "one", 2e-3, lambda: False)
+
+
 @contextmanager
 def waiting_for_places(tmp_path: Path, ended: list[str]) -> Iterator[LivePage]:
     """Yield the page of a run over two places that waits for the transducer at each; ``ended`` says how it ended."""

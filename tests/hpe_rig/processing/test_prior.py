@@ -468,6 +468,18 @@ def test_beside_the_push_what_is_faster_than_8_khz_aliases_onto_no_harmonic(late
     assert np.abs(found.fit.state.mean(axis=0) - wanted(wave)).max() < 0.1e-9
 
 
+def test_ensembles_of_all_places_at_once_are_those_of_one_at_a_time() -> None:
+    places_m = (1e-9, 1e-3, 6e-3)
+    beams = [replace(BEAMS, lateral_m=lateral_m) for lateral_m in places_m]
+    alone = [medium_ensemble(each, 100.0, 2000.0) for each in beams]
+    together = [medium_ensemble(replace(each, together_m=places_m), 100.0, 2000.0) for each in beams]
+    # both good to 1e-5 of the largest displacement, which is that of the focus
+    allowed = 2e-5 * np.abs(alone[0].peak)
+    for one, other in zip(alone, together, strict=True):
+        assert (np.abs(one.tracked - other.tracked) < allowed).all()
+        assert (np.abs(one.peak - other.peak) < allowed).all()
+
+
 def test_beside_the_push_the_ensemble_is_interpolated_to_1e_3_of_the_motion() -> None:
     beams, harmonic = replace(BEAMS, lateral_m=2.25e-3), np.arange(81, 401)
     ensemble = medium_ensemble(beams, RATE_HZ, 4e4)
