@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import jv
 
-from hpe_rig.prediction.theory import focal_distortion
+from hpe_rig.prediction import focal_distortion
 from sim_backend.settings import Beams, Propagation, SimulationSettings, Specimen, Transducer
 from sim_backend.transducer import (
     Accuracy,

@@ -48,6 +48,7 @@ from .text import (
 from .theory import (
     beam_averaging_factor as beam_averaging_factor,
     echo_power as echo_power,
+    focal_distortion as focal_distortion,
     force_spectrum as force_spectrum,
     scatterer_density as scatterer_density,
 )
