@@ -4,9 +4,10 @@ The same I and Q for all: the peers give one velocity a pixel, the map amplitude
 uncertainties, at one frequency or at ten. Another row has samples in place of I and Q, 16 a pixel. Peers that are not
 installed are left out. The least of many times, taken in turn; beside it the processor's, of all threads together;
 then the medians of their ratios to the faster peer's in the same round. Where other programs use the machine as well,
-the clock says more of these; the map has as many threads as there are cores, PyMUST has one.
+the clock says more of these; the map has as many threads as there are cores, PyMUST has one. Numba is loaded before,
+where it is installed, as in a session that maps frame after frame; ``--plain`` leaves it out.
 
-    python scripts/map_peers.py [--rounds 15]
+    python scripts/map_peers.py [--rounds 15] [--plain]
 """
 
 from __future__ import annotations
@@ -75,7 +76,11 @@ def _ratio(times_s: dict[str, list[float]], name: str) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--rounds", type=int, default=15)
-    rounds = parser.parse_args().rounds
+    parser.add_argument("--plain", action="store_true")
+    asked = parser.parse_args()
+    rounds = asked.rounds
+    if find_spec("numba") is not None and not asked.plain:
+        importlib.import_module("numba")
     echo, time_s = speckle(), np.arange(PULSES) / PULSE_RATE_HZ
     pixels = MapSettings(RATE_HZ, CARRIER_HZ, 1, SPEED, demodulation_hz=CARRIER_HZ)
     gates = MapSettings(4 * RATE_HZ, CARRIER_HZ, 16, SPEED)
@@ -88,6 +93,8 @@ def main() -> None:
     }
     clock: dict[str, list[float]] = {name: [] for name in ways}
     busy: dict[str, list[float]] = {name: [] for name in ways}
+    for way in ways.values():
+        way()  # compiles what is compiled
     for _ in range(rounds):
         for name, way in ways.items():
             start, begun = time.perf_counter(), time.process_time()

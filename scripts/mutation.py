@@ -47,7 +47,8 @@ ROOMS = {
     ),
     "sequencer": (
         ["hpe_rig/acquire/sequencer.py"],
-        [f"tests/system/test_{name}.py" for name in ("safety", "watched_settings", "boards", "capture_modes")],
+        ["tests/hpe_rig/acquire"]
+        + [f"tests/system/test_{name}.py" for name in ("safety", "watched_settings", "boards", "capture_modes")],
     ),
     "store": (
         ["hpe_rig/store"],

@@ -1,7 +1,9 @@
 """Acquisition: a scene becomes a run file, and a run file a result.
 
-    api.py            measure, check, estimate, open_bench: what ``hpe_rig`` offers to scripts
-    run.py            scene and bench file -> plan -> a run file with every shot's records
+    api.py            measure, estimate, open_bench: what ``hpe_rig`` offers to scripts
+    setup.py          scene and bench file -> plan and what its checks found
+    checked_scene.py  what can be said of a measurement before it is made
+    run.py            plan -> a run file with every shot's records
     places.py         who moves the tracking transducer between shots
     sequencer.py      configure -> verify -> arm -> enable -> fire -> collect -> off, shot by shot
     recording.py      what the sequencer yields, into a run file that appears with its first record

@@ -1,12 +1,11 @@
 from .api import (
-    CheckedScene as CheckedScene,
-    check as check,
     estimate as estimate,
     fit_moduli as fit_moduli,
     measure as measure,
     open_bench as open_bench,
     sweep as sweep,
 )
+from .checked_scene import CheckedScene as CheckedScene, check as check
 from .importing import Imported as Imported, import_recording as import_recording, import_records as import_records
 from .log import log_path as log_path, logged as logged
 from .mapping import map_motion as map_motion, map_recording as map_recording
@@ -30,16 +29,15 @@ from .queue import (
     run_queue as run_queue,
     time_left_s as time_left_s,
 )
-from .reprocessing import estimate_over as estimate_over, parse_axes as parse_axes
-from .resumption import prepare_rest as prepare_rest, resume as resume
-from .run import (
-    Setup as Setup,
-    planned as planned,
-    prepare as prepare,
-    prepare_text as prepare_text,
-    record_run as record_run,
-    source_text as source_text,
+from .reprocessing import (
+    StoredPoint as StoredPoint,
+    estimate_over as estimate_over,
+    estimate_points as estimate_points,
+    parse_axes as parse_axes,
+    points_over as points_over,
 )
+from .resumption import prepare_rest as prepare_rest, resume as resume
+from .run import record_run as record_run
 from .run_file import (
     Run as Run,
     chosen_estimator as chosen_estimator,
@@ -59,6 +57,13 @@ from .settings_files import (
     full_text as full_text,
     json_schema as json_schema,
     settings_tables as settings_tables,
+)
+from .setup import (
+    Setup as Setup,
+    planned as planned,
+    prepare as prepare,
+    prepare_text as prepare_text,
+    source_text as source_text,
 )
 from .stop_request import (
     StopRequested as StopRequested,

@@ -5,29 +5,23 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hpe_rig.acquire.provenance import provenance_now
-from hpe_rig.acquire.run import Setup, prepare, record_run, source_text
-from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings, open_run, plan_html
-from hpe_rig.bench import Bench, BenchFile, open_bench as open_instruments, twin_of
-from hpe_rig.extensions import ESTIMATORS, MEDIA, origin
-from hpe_rig.plan import CheckResult
+from hpe_rig.acquire.run import record_run
+from hpe_rig.acquire.run_file import Run, chosen_estimator, incomplete_warnings, open_run
+from hpe_rig.acquire.setup import BenchSource, as_path, bench_path, prepare, source_text
+from hpe_rig.bench import Bench, open_bench as open_instruments
 from hpe_rig.result import Result, ShotResult, Stages
-from hpe_rig.scene import BUILT_IN_ESTIMATORS, Estimator, Mistake, Scene, SceneSource, SettingsError, parse_scene
+from hpe_rig.scene import Estimator, Mistake, Scene, SceneSource, SettingsError, parse_scene
 from hpe_rig.store import StoreError, WriteOptions, versions
 
 if TYPE_CHECKING:
     from hpe_rig.moduli import ModuliResult
     from hpe_rig.processing import Estimates
-
-BenchSource = str | os.PathLike[str] | None
-"""What is taken as a bench: the path of its TOML file; None: the simulated bench."""
 
 
 def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLike[str] | None = None) -> Run:
@@ -41,7 +35,7 @@ def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLi
     >>> run.displacement_m(0).shape
     >>> print(run.estimate("coherent").to_frame())
     """
-    setup, run_file = prepare(scene, _bench_path(bench)), _path(path, "a run file is taken as its path")
+    setup, run_file = prepare(scene, bench_path(bench)), as_path(path, "a run file is taken as its path")
     options = WriteOptions(provenance=provenance_now(setup.bench.bench))
     return open_run(record_run(setup, run_file, options=options))
 
@@ -70,108 +64,6 @@ def sweep(
     return measure(_scene(scene).with_(taken), bench, path)
 
 
-WIDEST = 114
-"""Columns of the drawing of a plan where nobody wants fewer."""
-
-
-@dataclass(frozen=True, slots=True)
-class CheckedScene:
-    """What is known of a measurement before it is made; ``str`` of it is what ``hpe-rig check`` prints."""
-
-    setup: Setup
-    foreseen: tuple[str, ...]
-    """What can be said of the result beforehand, line by line."""
-
-    @property
-    def text(self) -> str:
-        """Everything but the checks that passed, for a terminal of ordinary width."""
-        return self.in_words()
-
-    def in_words(self, columns: int | None = None, verbose: bool = False) -> str:
-        """Return what is known as text with a drawing of at most ``columns``; ``verbose``: with every passed check."""
-        from hpe_rig.plan import plan_text
-
-        title, plan = self.setup.scene.scene.title, self.setup.plan
-        shown = plan_text(title, plan, self.findings, min(columns or WIDEST, WIDEST), verbose)
-        return "\n".join([shown, "", *self.foreseen])
-
-    @property
-    def findings(self) -> tuple[CheckResult, ...]:
-        """What each check found, passed ones included."""
-        return self.setup.findings
-
-    @property
-    def refused(self) -> bool:
-        """Whether a conflict forbids the measurement."""
-        return any(finding.level == "refused" for finding in self.findings)
-
-    def __str__(self) -> str:
-        return self.text
-
-    def _repr_html_(self) -> str:
-        """Return HTML for a notebook: the timeline as a figure, what fails or warns, what is foreseen."""
-        from html import escape
-
-        setup = self.setup
-        count = len(setup.plan.shots)
-        state = f"{count} shot{'' if count == 1 else 's'}; {'refused' if self.refused else 'may be measured'}"
-        shown = plan_html(setup.scene.scene.title, state, setup.plan.shots[0], self.findings)
-        # Columns among these lines stand under one another only as they are.
-        foreseen = escape("\n".join(self.foreseen))
-        return f"{shown}\n<pre>{foreseen}</pre>"
-
-
-def check(scene: SceneSource, bench: BenchSource = None, target: str | None = None) -> CheckedScene:
-    """Return the plan of ``scene`` in words with every conflict, expected bias and jitter; opens nothing.
-
-    ``target``: a wanted uncertainty such as "20nm", to say what reaches it. Raises ``SettingsError`` as ``measure``.
-
-    >>> checked = check("bovine-muscle")
-    >>> checked.refused
-    False
-    >>> print(checked)
-    """
-    from hpe_rig.scene import length_m
-
-    setup = prepare(scene, _bench_path(bench), refuse=False)
-    target_m = None if target is None else length_m(target, "--target")
-    return CheckedScene(setup, tuple(_foreseen(setup, target_m)))
-
-
-def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
-    """Yield what can be said of the result beforehand: detection, aliasing, calibration, averaging, jitter."""
-    from hpe_rig import prediction
-
-    first, shot = setup.scene.scene.points[0], setup.plan.shots[0]
-    scene, bench = first.scene, setup.bench.bench.with_(first.bench)
-    yield from _of_others(scene, bench)
-    if not scene.wanted_frequencies_hz:
-        yield "prediction: left out, no vibration frequency is wanted"
-        return
-    if any(finding.check == "fit size" for finding in setup.findings):
-        yield "prediction: left out, the fit is larger than memory"
-        return
-    yield from prediction.detection_text(scene, bench.simulated, shot)
-    yield from prediction.aliasing_text(scene, shot, bench.simulated)
-    yield from prediction.calibration_text(scene, bench)
-    yield from prediction.averaging_text(scene)
-    yield from prediction.prediction_text(scene, shot, target_m, bench.simulated)
-    if len(scene.places) > 1:
-        from hpe_rig.moduli import moduli_text
-
-        yield from moduli_text(scene, setup.plan, bench.simulated)
-
-
-def _of_others(scene: Scene, bench: BenchFile) -> Iterator[str]:
-    """Yield which estimator and medium other packages bring to the measurement, with these and their versions."""
-    twin, estimator = twin_of(scene) if bench.simulated else None, scene.processing.estimator
-    brought = [] if estimator in BUILT_IN_ESTIMATORS else [origin(ESTIMATORS, estimator)]
-    if twin is not None and twin.foreign_medium is not None:
-        brought.append(origin(MEDIA, twin.foreign_medium))
-    if brought:
-        yield f"of other packages: {', '.join(brought)}"
-
-
 @contextmanager
 def open_bench(scene: SceneSource, bench: BenchSource = None) -> Iterator[Bench]:
     """Yield the instruments that ``scene`` needs, by role; off and verified off on every way out.
@@ -181,7 +73,7 @@ def open_bench(scene: SceneSource, bench: BenchSource = None) -> Iterator[Bench]
     >>> with open_bench("bovine-muscle", "my-bench.toml") as bench:
     ...     print(bench.master.identify())
     """
-    setup = prepare(scene, _bench_path(bench))
+    setup = prepare(scene, bench_path(bench))
     with open_instruments(setup.scene.scene, setup.bench.bench, setup.plan.roles) as opened:
         yield opened
 
@@ -351,14 +243,3 @@ def _listed(values: Any) -> Any:
 def _scene(source: SceneSource) -> Scene:
     """Return the scene that is meant, also that of a run file."""
     return source if isinstance(source, Scene) else parse_scene(*source_text(source)).scene
-
-
-def _bench_path(bench: BenchSource) -> Path | None:
-    return _path(bench, "a bench is taken as the path of its TOML file")
-
-
-def _path(path: str | os.PathLike[str] | None, taken: str) -> Path | None:
-    """Return ``path`` as one; raise ``TypeError`` with ``taken``, which says what is taken, for what is none."""
-    if path is not None and not isinstance(path, str | os.PathLike):
-        raise TypeError(f"{taken} or None, not as {type(path).__name__}")
-    return None if path is None else Path(path)

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.acquire.run import planned
 from hpe_rig.acquire.run_file import Run, open_run
+from hpe_rig.acquire.setup import planned
 from hpe_rig.bench import BenchText, parse_bench
 from hpe_rig.plan import Plan, refuse_conflicts
 from hpe_rig.recordings import Known, Recording, read_recording, read_settings

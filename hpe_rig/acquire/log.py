@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from hpe_rig.acquire.run import Setup
 from hpe_rig.acquire.sequencer import Observer, Progress, Step
+from hpe_rig.acquire.setup import Setup
 from hpe_rig.store import StoreError, reason, versions
 
 

@@ -30,8 +30,9 @@ def map_motion(
     A file or an array of anybody's echoes, described as for ``import_records``; all lines where none are chosen. Gates
     of the scene's ``acquisition.gate_length_m`` follow each other from the first sample on; of I and Q, whose samples
     are pixels already, a gate shorter than one sample is one sample. Frequencies are the scene's. ``progress`` is told
-    how many lines are done, of how many. A pixel without echo or with noise alone is marked and NaN. Raises
-    ``SettingsError`` with every mistake of recording, sidecar or scene.
+    how many lines are done, of how many. A pixel without echo or with noise alone is marked and NaN. Where Numba has
+    been imported the passes over pixels are compiled, and results differ by rounding. Raises ``SettingsError`` with
+    every mistake of recording, sidecar or scene.
 
     >>> found = map_motion("rf.npz", "my-scene.toml", axes="line,pulse,sample", line_pitch_m=0.3e-3)
     >>> found.to_xarray().amplitude_m.sel(frequency=200.0)

@@ -74,10 +74,15 @@ def wait_at_place(
 ) -> None:
     """Return when the tracking transducer stands at ``lateral_m``: as ``goes_on`` says, or somebody ends the pause.
 
-    Raises ``StopRequested`` where somebody stops the run instead, and ``OSError`` where nothing can be written beside
-    it.
+    Raises ``StopRequested`` where somebody stops the run instead, and ``StoreError`` where nothing can be written
+    beside it.
     """
-    _ask(run_file, f"{run_id}\n{lateral_m!r}")
+    try:
+        _ask(run_file, f"{run_id}\n{lateral_m!r}")
+    except OSError as error:
+        what = f"that the run waits for the transducer at {lateral_m * 1e3:g} mm cannot be written beside {run_file}"
+        remedy = "free space and the right to write there, then hpe-rig resume; --yes asks nobody"
+        raise StoreError(f"{what} ({reason(error)}). Try: {remedy}.") from None
     try:
         while pause_requested(run_file, run_id) and not goes_on():
             if stop_requested(run_file, run_id):

@@ -22,9 +22,10 @@ from drivers.interfaces import InstrumentError
 from hpe_rig.acquire.places import Mover
 from hpe_rig.acquire.provenance import provenance_now
 from hpe_rig.acquire.resumption import Rest, prepare_rest, resume
-from hpe_rig.acquire.run import Setup, prepare_text, record_run, source_text
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import open_run, process
 from hpe_rig.acquire.sequencer import Observer
+from hpe_rig.acquire.setup import Setup, prepare_text, source_text
 from hpe_rig.acquire.stop_request import StopRequested, clear_stop, stop_requested
 from hpe_rig.bench import BenchFile, hold, resources, uninterrupted
 from hpe_rig.plan import PlanError
@@ -130,9 +131,11 @@ def read_queue(folder: Path) -> tuple[QueueRun, ...]:
     """Return the queue in ``folder``; raise ``StoreError`` where there is none."""
     path = folder / QUEUE_FILE
     try:
-        return TypeAdapter(tuple[QueueRun, ...]).validate_json(path.read_bytes(), strict=False)
+        if queue := TypeAdapter(tuple[QueueRun, ...]).validate_json(path.read_bytes(), strict=False):
+            return queue
+        raise ValueError
     except (OSError, ValidationError, ValueError) as error:
-        why = reason(error) if isinstance(error, OSError) else "it is no queue's"
+        why = reason(error) if isinstance(error, OSError) else "it lists no runs of a queue"
         raise StoreError(f"{path} cannot be read ({why}). Try: the folder that hpe-rig queue made.") from None
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from hpe_rig.acquire.run_file import Run
 from hpe_rig.plan import Plan, check_plan, make_plan, refuse_conflicts
@@ -14,12 +15,13 @@ from hpe_rig.store import StoreError
 PROCESSED = ("acquisition.gate_depth_m", "acquisition.gate_length_m")
 PROCESSED_SECTIONS = ("processing", "beams")
 """Keys, and sections of keys, that only say what is made of records."""
+What = TypeVar("What")
 PROFILE = "processing.gate_profile_step_m"
 
 
 @dataclass(frozen=True, slots=True)
-class _Point:
-    """The run as if its scene had asked for the ``values`` of one point."""
+class StoredPoint:
+    """A run as if its scene had asked for the ``values`` of one point."""
 
     values: Mapping[str, float]
     run: Run
@@ -34,8 +36,17 @@ def estimate_over(
     the processing and every value that cannot be, ``PlanError`` where a point's window or gate is not in the records,
     and ``StoreError`` where no point carries an estimate.
     """
-    points = list(_points(run, axes, together))
-    found, lost = list[tuple[_Point, Result]](), list[str]()
+    return estimate_points(points_over(run, axes, together), estimator)
+
+
+def points_over(run: Run, axes: Mapping[str, Sequence[float]], together: bool = False) -> tuple[StoredPoint, ...]:
+    """Return ``run`` at every point of ``axes``, all checked; raises as ``estimate_over``."""
+    return tuple(_points(run, axes, together))
+
+
+def estimate_points(points: Sequence[StoredPoint], estimator: str | None = None) -> Result:
+    """Return the estimates at all ``points`` as one result; raise ``StoreError`` where none carries an estimate."""
+    found, lost = list[tuple[StoredPoint, Result]](), list[str]()
     for point in points:
         try:
             found.append((point, point.run.estimate(estimator)))
@@ -47,9 +58,24 @@ def estimate_over(
         raise StoreError("; ".join(lost))
     first = found[0][1]
     shots = (replace(shot, swept={**shot.swept, **point.values}) for point, result in found for shot in result.shots)
-    said = dict.fromkeys(text for _, result in found for text in result.warnings)
-    without = dict.fromkeys(pair for _, result in found for pair in result.shots_without_result)
-    return replace(first, shots=tuple(shots), warnings=(*said, *lost), shots_without_result=tuple(without), profile=())
+    said = [(text, point) for point, result in found for text in result.warnings]
+    without = [(pair, point) for point, result in found for pair in result.shots_without_result]
+    return replace(
+        first,
+        shots=tuple(shots),
+        warnings=(*(f"{where}{text}" for text, where in _where(said, len(found))), *lost),
+        shots_without_result=tuple((at, f"{where}{why}") for (at, why), where in _where(without, len(found))),
+        profile=(),
+    )
+
+
+def _where(said: Sequence[tuple[What, StoredPoint]], points: int) -> Iterator[tuple[What, str]]:
+    """Yield each of what was ``said`` once, and the points that say it, in words; none where all do."""
+    by = dict[What, list[str]]()
+    for what, point in said:
+        by.setdefault(what, []).append(_words(point.values))
+    for what, places in by.items():
+        yield what, "" if len(places) == points else f"at {'; '.join(places)}: "
 
 
 def parse_axes(texts: Sequence[str]) -> dict[str, list[float]]:
@@ -71,9 +97,11 @@ def parse_axes(texts: Sequence[str]) -> dict[str, list[float]]:
     return found
 
 
-def _points(run: Run, axes: Mapping[str, Sequence[float]], together: bool) -> Iterator[_Point]:
+def _points(run: Run, axes: Mapping[str, Sequence[float]], together: bool) -> Iterator[StoredPoint]:
     taken = {"sweep.axes": dict(axes), "sweep.combine": "zip" if together else "product"}
-    asked = run.scene.with_(taken).points
+    # windows that the run's scene takes in turn stand for another axis than the window's: see `_one_estimate`
+    sweep = type(run.scene.sweep)(**run.scene.sweep.model_dump(exclude={"window_length_s"}, exclude_unset=True))
+    asked = run.scene.model_copy(update={"sweep": sweep}).with_(taken).points
     _refuse_acquired(asked[0], run.path.name)
     for point in asked:
         scene = _one_estimate(run.scene.with_(point.values), point.values)
@@ -82,7 +110,7 @@ def _points(run: Run, axes: Mapping[str, Sequence[float]], together: bool) -> It
         plan = _regated(run, make_plan(scene, run.bench))
         findings = tuple(check_plan(scene, run.bench, plan))
         refuse_conflicts(findings)
-        yield _Point(point.values, replace(run, scene=scene, plan=plan, findings=findings))
+        yield StoredPoint(point.values, replace(run, scene=scene, plan=plan, findings=findings))
 
 
 def _one_estimate(scene: Scene, values: Mapping[str, float]) -> Scene:

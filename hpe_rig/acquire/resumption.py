@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hpe_rig.acquire.places import Mover
-from hpe_rig.acquire.run import Setup, prepare_text, record_run, source_text
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import Run, open_run
 from hpe_rig.acquire.sequencer import Observer, unobserved
+from hpe_rig.acquire.setup import Setup, prepare_text, source_text
 from hpe_rig.result import Stages
 from hpe_rig.scene import SceneSource
 from hpe_rig.store import Predecessor, StoredRun, StoreError, WriteOptions, free_path, is_taken

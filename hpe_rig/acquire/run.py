@@ -1,9 +1,8 @@
-"""Scene -> run file: the measurement as planned, acquired and recorded."""
+"""Setup -> run file: the measurement as planned, acquired and recorded."""
 
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
@@ -13,116 +12,12 @@ from pathlib import Path
 from hpe_rig.acquire.places import Mover, mover_of, require_mover
 from hpe_rig.acquire.recording import Recording
 from hpe_rig.acquire.sequencer import Observer, Progress, ShotDone, Step, acquire, unobserved
-from hpe_rig.bench import (
-    BenchFile,
-    BenchText,
-    check_declared,
-    check_simulation,
-    interruptible,
-    open_bench,
-    read_bench,
-    twin_tables,
-    uninterrupted,
-    with_transducers,
-)
-from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
+from hpe_rig.acquire.setup import Setup
+from hpe_rig.bench import BenchFile, interruptible, open_bench, twin_tables, uninterrupted
+from hpe_rig.plan import Plan, refuse_conflicts
 from hpe_rig.result import Stages
-from hpe_rig.scene import (
-    Mistake,
-    Scene,
-    SceneSource,
-    SceneText,
-    SettingsError,
-    parse_scene,
-    scene_text,
-    with_default_specimen,
-)
-from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path, read_run, refuse_to_replace
-
-RUN_FILE = ".h5"
-"""Ending by which a run file is told from a scene where either is taken."""
-
-
-@dataclass(frozen=True, slots=True)
-class Setup:
-    """A measurement ready to run: scene and bench file with their texts, the plan and what its checks found."""
-
-    scene: SceneText
-    bench: BenchText
-    plan: Plan
-    findings: tuple[CheckResult, ...]
-
-
-def prepare(
-    scene: SceneSource, bench_path: Path | None = None, stages: Stages | None = None, refuse: bool = True
-) -> Setup:
-    """Return the planned measurement of ``scene`` on the bench file ``bench_path``, None: the simulated bench.
-
-    ``scene``: also the path of a run file, whose scene is measured again, by the rules that hold for scenes now.
-    Raises ``SettingsError`` with every mistake, ``PlanError`` with every conflict unless ``refuse`` is off, and
-    ``TypeError`` for what is no scene.
-    """
-    return prepare_text(*source_text(scene), bench_path, stages, refuse)
-
-
-def source_text(scene: SceneSource) -> tuple[str, str]:
-    """Return name and text of a scene, or of that which the run file ``scene`` was measured with."""
-    if isinstance(scene, str | os.PathLike) and Path(scene).suffix == RUN_FILE:
-        stored = read_run(Path(scene))
-        return stored.scene_name, stored.scene_toml
-    return scene_text(scene)
-
-
-def prepare_text(
-    name: str,
-    text: str,
-    bench_path: Path | None = None,
-    stages: Stages | None = None,
-    refuse: bool = True,
-    stored: bool = False,
-) -> Setup:
-    """Return the planned measurement of a scene's text, ``stored`` where a run file holds it; raises as ``prepare``."""
-    with (stages or Stages())("plan"):
-        bench = read_bench(bench_path)
-        if bench.bench.recording is not None:
-            what = "this bench stands for an imported recording, no instrument of it is known"
-            raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file of your own")])
-        check = check_simulation if bench.bench.simulated else None
-        scene = parse_scene(name, text, check, stored)
-        scene = replace(scene, scene=with_transducers(scene.scene, bench.bench))
-        if bench.bench.simulated:
-            # Filled in here and in open_run alone: everything behind a plan meets a described specimen.
-            scene = replace(scene, scene=with_default_specimen(scene.scene))
-        if check and (mistakes := _twin_mistakes(scene.scene)):
-            raise SettingsError(f"scene {name}", mistakes)
-        plan, found = planned(scene.scene, bench.bench)
-        if refuse:
-            refuse_conflicts(found)
-    return Setup(scene, bench, plan, found)
-
-
-def _twin_mistakes(scene: Scene) -> list[Mistake]:
-    """Return what the twin finds wrong at any point of a sweep, each mistake once.
-
-    What the scene declares of beams and sound speed may contradict its [simulation].
-    """
-    found: list[Mistake] = []
-    for point in scene.points:
-        if scene.sweep.axes:
-            found += check_simulation({"simulation": point.scene.simulation or {}})
-        found += check_declared(point.scene) if not found else []
-    return list(dict.fromkeys(found))
-
-
-def planned(scene: Scene, bench: BenchFile) -> tuple[Plan, tuple[CheckResult, ...]]:
-    """Return the plan and what its checks found; raise ``SettingsError`` where numbers go out of all bounds."""
-    try:
-        plan = make_plan(scene, bench)
-        return plan, tuple(check_plan(scene, bench, plan))
-    except (ArithmeticError, ValueError, MemoryError) as error:
-        why = "more memory than is available" if isinstance(error, MemoryError) else error
-        what = f"its numbers lead to no plan ({why})"
-        raise SettingsError("the scene", [Mistake("", what, "values as they occur on a bench")]) from error
+from hpe_rig.scene import Scene
+from hpe_rig.store import RunWriter, StoredRun, WriteOptions, free_path, refuse_to_replace
 
 
 def record_run(

@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.acquire.run import planned
+from hpe_rig.acquire.checked_scene import plan_html
+from hpe_rig.acquire.setup import planned
 from hpe_rig.bench import BenchFile, parse_bench, with_transducers
 from hpe_rig.plan import (
     CheckResult,
     Plan,
-    Shot,
     depth_gates,
     gates_over_depth,
+    offsets_beside_m,
     omissions,
     places_of,
     reference_gate,
@@ -239,18 +240,6 @@ def _at_imported_times(plan: Plan, stored: StoredRun) -> Plan:
     return replace(plan, shots=tuple(shots))
 
 
-def plan_html(title: str, state: str, shot: Shot, findings: Iterable[CheckResult]) -> str:
-    """Return a plan as a notebook shows it: ``title``, ``state``, the timing of ``shot``, what did not pass."""
-    from hpe_rig.plan import timing
-    from hpe_rig.result import image, symbols
-
-    listed = list(findings)
-    noticed = [each for each in listed if each.level != "passed"]
-    lines = [f"<p><b>{symbols(title)}</b><br>{symbols(state)}</p>", "".join(image(each) for each in timing(shot))]
-    lines.append(f"<p>{len(listed) - len(noticed)} of {len(listed)} checks of the plan passed.</p>")
-    return "\n".join([*lines, *(f"<p><b>{each.level.upper()}</b> {symbols(each)}</p>" for each in noticed)])
-
-
 def process(
     path: Path, estimator: str | None = None, stages: Stages | None = None, profile_step_m: float | None = None
 ) -> Result:
@@ -293,10 +282,11 @@ def _shots(run: Run, estimator: Estimator) -> Estimates:
     from hpe_rig.prediction import beam_widths, predicted_averaging
     from hpe_rig.processing import NO_RECORDS, Estimates, estimate_run
 
-    shots, without = list[ShotResult](), dict[int, str]()
+    shots, without, places_m = list[ShotResult](), dict[int, str](), offsets_beside_m(run.plan)
     for scene, plan in places_of(run.scene, run.plan):
         try:
-            averaging, beams = predicted_averaging(scene, estimator), beam_widths(scene, estimator)
+            averaging = predicted_averaging(scene, estimator, places_m)
+            beams = beam_widths(scene, estimator, places_m)
         except ValueError as error:
             raise _no_estimate(run, str(error)) from error
         here = estimate_run(scene, plan, run.stored, estimator, averaging, beams)
@@ -318,11 +308,16 @@ def _shots(run: Run, estimator: Estimator) -> Estimates:
 
 def _profile(run: Run, estimator: Estimator) -> tuple[tuple[GateResult, ...], tuple[str, ...]]:
     """Return every shot at every gate over depth, and in words what has no result."""
-    places = [_depth_profile(scene, plan, run.stored, estimator) for scene, plan in places_of(run.scene, run.plan)]
+    places_m = offsets_beside_m(run.plan)
+    places = [
+        _depth_profile(scene, plan, run.stored, estimator, places_m) for scene, plan in places_of(run.scene, run.plan)
+    ]
     return tuple(each for found, _ in places for each in found), tuple(text for _, lost in places for text in lost)
 
 
-def _depth_profile(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) -> tuple[list[GateResult], list[str]]:
+def _depth_profile(
+    scene: Scene, plan: Plan, stored: StoredRun, estimator: str, places_m: tuple[float, ...]
+) -> tuple[list[GateResult], list[str]]:
     """Return what every gate over depth says of the shots of a place, and in words what has no result.
 
     The averaging over the beam is that of the focal plane, at the gate's own depth. Raises ``ValueError`` where no
@@ -340,7 +335,8 @@ def _depth_profile(scene: Scene, plan: Plan, stored: StoredRun, estimator: str) 
     for gate in gates:
         there = with_gate(scene, gate)
         shots = shots_with_gate(plan, gate, scene.acquisition.sound_speed_m_per_s)
-        averaging, beams = predicted_averaging(there, estimator), beam_widths(there, estimator)
+        averaging = predicted_averaging(there, estimator, places_m)
+        beams = beam_widths(there, estimator, places_m)
         estimates = estimate_run(there, shots, untold, estimator, averaging, beams)
         motion = {shot.index: burst_period_motion(there, shot, stored) for shot in shots.shots}
         for shot in estimates.shots:

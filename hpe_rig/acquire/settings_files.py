@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -23,9 +23,13 @@ from hpe_rig.scene import (
 SIMULATION = "What the twin simulates; read by the simulated bench alone. Without it the default muscle is measured."
 
 
-def json_schema(of: str) -> dict[str, Any]:
-    """Return the JSON schema of a scene, a bench file, the twin's settings, a queue's list or what --json prints."""
+def json_schema(of: str, others: Mapping[str, Callable[[], dict[str, Any]]] | None = None) -> dict[str, Any]:
+    """Return the JSON schema of a scene, a bench file, the twin's settings, a queue's list or what --json prints.
+
+    ``others`` are known besides. Raises ``SettingsError`` for one that is not known.
+    """
     from hpe_rig.acquire.queue import QueueList
+    from hpe_rig.moduli import moduli_schema
     from hpe_rig.store import listing_schema, verification_schema
 
     schemas: dict[str, Callable[[], dict[str, Any]]] = {
@@ -36,6 +40,8 @@ def json_schema(of: str) -> dict[str, Any]:
         "result": result_schema,
         "list": listing_schema,
         "verify": verification_schema,
+        "moduli": moduli_schema,
+        **(others or {}),
     }
     if of not in schemas:
         raise SettingsError(f"schema {of}", [Mistake("", "there is no such schema", f"one of {', '.join(schemas)}")])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from copy import copy
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -51,6 +52,16 @@ ProfileStep = Annotated[
 Estimator = Annotated[str | None, typer.Option(help="Motion estimator, as in [processing]. Default: the scene's.")]
 Live = Annotated[bool, typer.Option("--live", help="Serve a live page with a stop button (needs the extra 'live').")]
 Verbose = Annotated[bool, typer.Option("--verbose", help="Log every step to RUN.log beside the run file.")]
+StoredSweep = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="KEY=V,V",
+        help="Estimate at every value of a number of [processing], [beams] or the gate. No result file is written.",
+    ),
+]
+Together = Annotated[
+    bool, typer.Option("--together", help="Several --sweep: their first values, then their second ones.")
+]
 Yes = Annotated[bool, typer.Option("--yes", help="Between places, go on without asking whether the transducer moved.")]
 Open = Annotated[bool, typer.Option("--open", help="Open the live page in the browser.")]
 Close = Annotated[
@@ -87,7 +98,7 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     refuse_undecodable(sys.argv)
     try:
-        app()
+        _asked_for(sys.argv[1:])()
     except KeyboardInterrupt:
         # It came before the command began, and so before anything was opened.
         announce("hpe-rig: interrupted")
@@ -95,6 +106,21 @@ def main() -> None:
     finally:
         # All is said and every output is off: nothing may turn the exit code into another one.
         ignore_interrupts()
+
+
+def _asked_for(words: list[str]) -> typer.Typer:
+    """Return the command line with the command that is asked for alone; whole where none is, as for its help.
+
+    Typer would make the parameters of all the others too, which takes longer than many a command's own imports.
+    """
+    asked = next((word for word in words if not word.startswith("-")), None)
+    every = [*app.registered_commands, *studies.registered_commands]
+    found = [each for each in every if asked == (each.name or getattr(each.callback, "__name__", None))]
+    if asked is None or not found:
+        return app
+    alone = copy(app)
+    alone.registered_commands, alone.registered_groups = found, []
+    return alone
 
 
 @app.callback()
@@ -211,16 +237,8 @@ def process(
     run_file: RunFile,
     estimator: Estimator = None,
     gate_profile_step: ProfileStep = None,
-    sweep: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=V,V",
-            help="Estimate at every value of a number of [processing], [beams] or the gate. Printed only.",
-        ),
-    ] = None,
-    together: Annotated[
-        bool, typer.Option("--together", help="Several --sweep: their first values, then their second ones.")
-    ] = False,
+    sweep: StoredSweep = None,
+    together: Together = False,
     json: Json = False,
     csv: Csv = False,
     wide: Wide = False,
@@ -339,12 +357,20 @@ def report(
         int | None, typer.Option(help="Shot to draw, counted from 1. Default: the one with the largest motion.")
     ] = None,
     gate_profile_step: ProfileStep = None,
+    sweep: StoredSweep = None,
+    together: Together = False,
 ) -> None:
     """Write the report of a run. One HTML file with results, figures, residual tests, predictions and provenance."""
-    from hpe_rig.report import write_report
+    from hpe_rig.report import StoredAxes, write_report
 
-    step_m = _step_m(gate_profile_step)
-    typer.echo(f"{write_report(run_file, estimator, output, shot, step_m)}: open it in any browser")
+    _refuse_unswept(bool(sweep), together, gate_profile_step)
+    axes = None
+    if sweep:
+        from hpe_rig.acquire import parse_axes
+
+        axes = StoredAxes(parse_axes(sweep), together)
+    written = write_report(run_file, estimator, output, shot, _step_m(gate_profile_step), axes)
+    typer.echo(f"{written}: open it in any browser")
 
 
 @app.command()
@@ -608,15 +634,19 @@ def new(
 @guarded
 def schema(
     of: Annotated[
-        str, typer.Argument(metavar="FILE", help="One of scene, bench, simulation, queue, result, list, verify.")
+        str,
+        typer.Argument(
+            metavar="FILE", help="One of scene, bench, simulation, queue, result, list, verify, moduli, compare."
+        ),
     ] = "scene",
 ) -> None:
     """Print the JSON schema of a settings file, for use in editors, or of what --json prints."""
     import json
 
     from hpe_rig.acquire import json_schema
+    from hpe_rig.report import comparison_schema
 
-    typer.echo(json.dumps(json_schema(of), indent=2))
+    typer.echo(json.dumps(json_schema(of, {"compare": comparison_schema}), indent=2))
 
 
 @app.command("bench")

@@ -13,7 +13,12 @@ from .media import (
     law_names as law_names,
     law_of as law_of,
 )
-from .outcome import ModuliResult as ModuliResult, moduli_of as moduli_of, plane_wave_of as plane_wave_of
+from .outcome import (
+    ModuliResult as ModuliResult,
+    moduli_of as moduli_of,
+    moduli_schema as moduli_schema,
+    plane_wave_of as plane_wave_of,
+)
 from .places import (
     APERTURE_SHAPE as APERTURE_SHAPE,
     Source as Source,

@@ -137,8 +137,8 @@ def _minima(problem: Problem) -> list[tuple[FloatArray, float]]:
 
     Every start is followed roughly; what is no second minimum then needs no digits.
     """
-    count = problem.free - 1
-    rough = sorted((_solved(problem, start, ROUGH) for start in _starts(problem)), key=lambda each: each[1])
+    count, quick = problem.free - 1, problem.quickened()
+    rough = sorted((_solved(quick, start, ROUGH) for start in _starts(quick)), key=lambda each: each[1])
     best, cost = _solved(problem, rough[0][0], FINE)
     others = (
         unknown

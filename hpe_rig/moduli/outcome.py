@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hpe_rig.moduli.inversion import Moduli, compare_media
+from hpe_rig.moduli.inversion import Contribution, Moduli, compare_media
 from hpe_rig.moduli.media import MediumLaw, law_of
 from hpe_rig.moduli.places import WIDTH_UNCERTAINTY, Source, push_of, vibrations_of
 from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
 from hpe_rig.moduli.vibration_model import Vibration
+from hpe_rig.result import dataclass_schema, json_values, object_schema, titled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -105,7 +106,8 @@ class ModuliResult:
             None if wave is None else {"shear_modulus_pa": wave.elasticity_pa, "viscosity_pa_s": wave.viscosity_pa_s}
         )
         known = {"title": self.title, "simulated": self.simulated, "omitted": self.omitted}
-        return {**known, "fits": fits, "places": places, "plane_wave": plane}
+        plain: dict[str, Any] = json_values({**known, "fits": fits, "places": places, "plane_wave": plane})
+        return plain
 
     @property
     def headline(self) -> str:
@@ -119,6 +121,41 @@ class ModuliResult:
         from hpe_rig.moduli.figure import moduli_figure
 
         return moduli_figure(self)
+
+
+def moduli_schema() -> dict[str, Any]:
+    """Return the JSON schema of what ``hpe-rig moduli --json`` prints."""
+    second = object_schema("Another minimum.", {"values": dict[str, float], "chi_square": float})
+    parts = {"type": "array", "items": dataclass_schema(Contribution)}
+    fit = {
+        "law": str,
+        "values": dict[str, float],
+        "uncertainty": dict[str, float],
+        "chi_square": float,
+        "freedom": int,
+        "significance": float,
+        "probability": float,
+        "excluded": bool,
+        "covariance": tuple[tuple[float, ...], ...],
+        "adjusted": dict[str, float],
+        "second": {"anyOf": [{"type": "null"}, second]},
+        "at_limit": tuple[str, ...],
+        "beyond_tested": tuple[str, ...],
+        "by_place": parts,
+        "by_frequency": parts,
+    }
+    curves = ("frequency_hz", "amplitude_m", "phase_rad", "modelled_amplitude_m", "modelled_phase_rad")
+    place = {"label": str, "lateral_m": float, "axial_m": float, **dict.fromkeys(curves, tuple[float, ...])}
+    wave = object_schema("Voigt moduli of a plane wave.", {"shear_modulus_pa": float, "viscosity_pa_s": float})
+    whole = {
+        "title": str,
+        "simulated": bool,
+        "omitted": tuple[str, ...],
+        "fits": {"type": "array", "items": object_schema(Moduli.__doc__ or "", fit)},
+        "places": {"type": "array", "items": object_schema("What was measured and fitted at one place.", place)},
+        "plane_wave": {"anyOf": [{"type": "null"}, wave]},
+    }
+    return titled("Moduli of hpe-rig", object_schema(ModuliResult.__doc__ or "", whole))
 
 
 def beyond_tested(fit: Moduli) -> tuple[str, ...]:

@@ -12,7 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.moduli.vibration_model import ComplexArray, FloatArray, Push, Vibration
-from hpe_rig.plan import DepthGate, Plan, Shot, apart, depth_gates, places_of, shots_with_gate, with_gate
+from hpe_rig.plan import (
+    DepthGate,
+    Plan,
+    Shot,
+    apart,
+    depth_gates,
+    offsets_beside_m,
+    places_of,
+    shots_with_gate,
+    with_gate,
+)
 from hpe_rig.prediction import beam_widths, depth_in_gate, force_of, tracked_spread
 from hpe_rig.processing import HarmonicFit, residual_m, shot_fit
 from hpe_rig.result import DETECTED
@@ -76,12 +86,13 @@ def vibrations_of(sources: Sequence[Source], estimator: str | None = None) -> tu
     """
     found, omitted = list[Vibration](), list[str]()
     for source in sources:
+        places_m = offsets_beside_m(source.plan)
         for scene, plan in places_of(source.scene, source.plan):
             place, own = f"{source.name}, {scene.tracking.lateral_offset_m:g}", list[Vibration]()
             for there, shots, axial_m in depths_of(scene, plan, omitted):
                 label = _label(there, axial_m, source, len(sources))
                 chosen = estimator or scene.processing.estimator
-                fits = list(_fits(there, shots, source.stored, chosen, label, omitted))
+                fits = list(_fits(there, shots, source.stored, chosen, places_m, label, omitted))
                 if not fits:
                     omitted.append(f"{label}: no shot there can be estimated")
                     continue
@@ -149,10 +160,16 @@ def _shared(scene: Scene, plan: Plan, stored: StoredRun) -> float:
 
 
 def _fits(
-    scene: Scene, plan: Plan, stored: StoredRun, estimator: str, label: str, omitted: list[str]
+    scene: Scene,
+    plan: Plan,
+    stored: StoredRun,
+    estimator: str,
+    places_m: tuple[float, ...],
+    label: str,
+    omitted: list[str],
 ) -> Iterator[HarmonicFit]:
     """Yield the fit of every shot that can serve: whole, trusted, of the strongest force and the first burst length."""
-    beams = beam_widths(scene, estimator)
+    beams = beam_widths(scene, estimator, places_m)
     for shot in plan.shots:
         why = _unfit(shot, stored, plan)
         if not why:

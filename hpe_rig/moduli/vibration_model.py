@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.moduli.media import Law
-from hpe_rig.processing import PushForce, shear_motion
+from hpe_rig.processing import QUICK_ERROR, PushForce, shear_motion
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -30,6 +30,8 @@ TRAVELS, TRAVEL_UNCERTAINTY = 0.5, 0.5
 is long against the shear wave's way goes with it, one that acts everywhere at once does not."""
 FARTHEST_M = 20e-3
 """Distance from the axis to which the field has been compared with independent ones."""
+HIDDEN = 0.1
+"""Of a datum's standard deviation, what no search for a minimum needs to resolve."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +112,8 @@ class Problem:
     """Kind, place (-1: all), uncertainty."""
     unit_m: float
     """Typical amplitude, at which the logarithm of the amplitude is 0."""
+    quick: bool = False
+    """Whether the field is good to ``QUICK_ERROR`` alone: to look for minima by, not to find them."""
 
     @staticmethod
     def of(vibrations: Sequence[Vibration], push: Push, law: Law) -> Problem:
@@ -142,6 +146,12 @@ class Problem:
         whitening = tuple(np.linalg.inv(np.linalg.cholesky(_covariance(one, push))) for one in vibrations)
         unit_m = float(np.sqrt(np.mean(np.concatenate([np.abs(one.phasor_m) ** 2 for one in vibrations]))))
         return Problem(tuple(vibrations), push, law, whitening, tuple(one for one in known if one[2] > 0), unit_m)
+
+    def quickened(self) -> Problem:
+        """Return the problem by the quick field, as long as the noise hides what that is off; else itself."""
+        peak_m = max(float(np.abs(one.phasor_m).max()) for one in self.vibrations)
+        least_m = min(float(np.sqrt(np.diag(one.covariance_m2).min())) for one in self.vibrations)
+        return replace(self, quick=QUICK_ERROR * peak_m < HIDDEN * least_m)
 
     @cached_property
     def data_count(self) -> int:
@@ -246,6 +256,7 @@ class Problem:
             ones[0].tracking_m2[1],
             lateral,
             ones[0].axial_m,
+            self.quick,
         )
         onset = np.exp(-1j * omega * known.get(("onset", -1), 0.0))
         # the force's peak is free: what counts is how the field's amplitude hangs on frequency and place

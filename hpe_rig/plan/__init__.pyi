@@ -31,6 +31,7 @@ from .shots import (
     Plan as Plan,
     Shot as Shot,
     make_plan as make_plan,
+    offsets_beside_m as offsets_beside_m,
     places_of as places_of,
     reference_gate as reference_gate,
     scene_of as scene_of,

@@ -190,6 +190,11 @@ def places_of(scene: Scene, plan: Plan) -> Iterator[tuple[Scene, Plan]]:
             yield place, replace(plan, shots=tuple(shots))
 
 
+def offsets_beside_m(plan: Plan) -> tuple[float, ...]:
+    """Return the distances from the axis, in ascending order, at which the plan tracks beside it."""
+    return tuple(sorted({abs(shot.lateral_offset_m) for shot in plan.shots} - {0.0}))
+
+
 def scene_of(scene: Scene, shot: Shot) -> Scene:
     """Return ``scene`` as it is at the point of its sweep that ``shot`` is of."""
     return scene.points[shot.point].scene

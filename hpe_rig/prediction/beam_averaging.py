@@ -52,14 +52,16 @@ SCALES = (0.05, 1e3)
 """Between which a Gaussian's widths are scaled; the upper end tracks the peak to 1e-7."""
 
 
-def predicted_averaging(scene: Scene, estimator: str) -> tuple[Averaging | None, ...]:
+def predicted_averaging(
+    scene: Scene, estimator: str, together_m: tuple[float, ...] = ()
+) -> tuple[Averaging | None, ...]:
     """Return the averaging over the tracking beam at every wanted frequency; None without beams.
 
     The motion's shape is the field of the declared medium. Where none is, it is that of the ensemble of media, with the
     spread of the ensemble as uncertainty; without tonebursts that of eq. (12). ``check``, report, design and the budget
-    of a result all have it from here.
+    of a result all have it from here. ``together_m``: as of ``BeamWidths``.
     """
-    frequency_hz, beams = np.array(scene.wanted_frequencies_hz), beam_widths(scene, estimator)
+    frequency_hz, beams = np.array(scene.wanted_frequencies_hz), beam_widths(scene, estimator, together_m)
     resting = resting_conditions(scene)
     if scene.beams is None or beams is None or resting is None:
         return (None,) * frequency_hz.size
@@ -188,7 +190,8 @@ def _seen_through(
     """
     known = medium_of(scene, frequency_hz, simulated=False)
     if known is not None and beams.lateral_m:
-        tracked, peak, change = seen_beside(*known, frequency_hz, beams)
+        place_m = np.array([beams.lateral_m])
+        tracked, peak, change = (each[:, 0] for each in seen_beside(*known, frequency_hz, beams, place_m))
         return tracked / peak, np.zeros_like(tracked), change / tracked
     if known is not None:
         (tracked, peak), (wider, _) = (
@@ -218,14 +221,17 @@ def _ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ense
     return medium_ensemble(beams, min(lowest_hz, float(frequency_hz.min())), max(highest_hz, float(frequency_hz.max())))
 
 
-def beam_widths(scene: Scene, estimator: str) -> BeamWidths | None:
-    """Return the widths of the force and of what is tracked, for the ensemble of media; None without beams."""
+def beam_widths(scene: Scene, estimator: str, together_m: tuple[float, ...] = ()) -> BeamWidths | None:
+    """Return the widths of the force and of what is tracked, for the ensemble of media; None without beams.
+
+    ``together_m``: as of ``BeamWidths``.
+    """
     if scene.beams is None:
         return None
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
     gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
     depth_m = depth_spread(widths[1], *gate, spec_of(estimator).gate_window)
-    return BeamWidths(*widths, depth_m, lateral_m=abs(scene.tracking.lateral_offset_m))
+    return BeamWidths(*widths, depth_m, lateral_m=abs(scene.tracking.lateral_offset_m), together_m=together_m)
 
 
 def _by_its_force(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> list[float]:

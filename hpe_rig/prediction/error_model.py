@@ -33,6 +33,8 @@ PHASE_LIMIT = np.pi / np.sqrt(3)
 MOST_SCATTERERS = 5000
 """Most that are drawn. With tens in every resolution cell the sums are as good as normal: the excess of their fourth
 moment goes as one over the scatterers in a cell."""
+BLOCK_DRAWS = 64
+"""Draws summed at a time: what they need stays in the processor's cache, which halves their time."""
 LATERAL = 3.5
 """Half width of the drawn box in sigmas of the tracking beam: scatterers beyond echo 2e-3 of the peak."""
 
@@ -126,9 +128,8 @@ def tracked_over_peak(conditions: Conditions, estimator: str, speckle: Speckle) 
     spec = spec_of(estimator)
     if not spec.reads_peak:
         return _whole_gate(conditions, speckle, spec.by_carrier)[0]
-    window, bins = hann(INSTANTS), PADDING * INSTANTS
-    inside = _band_bins(conditions, bins)
-    resting, moved = (np.fft.fft(each * window, bins)[:, inside] for each in (speckle.resting, speckle.moved))
+    to_band = _to_band(conditions, PADDING * INSTANTS) * hann(INSTANTS)[:, None]
+    resting, moved = speckle.resting @ to_band, speckle.moved @ to_band
     peak = np.argmax(np.abs(resting), axis=-1)[:, None]
     return np.asarray(_taken(moved / resting, peak).real)
 
@@ -176,23 +177,27 @@ def draw_scattering(
     density alone count: the same draws serve any gate and pulse that stay within. Of more scatterers a draw than
     ``MOST_SCATTERERS`` so many are drawn: what draws say does not depend on how strong the echo is.
     """
-    lateral_m = [2 * LATERAL * width for width in conditions.tracking_width_m[:2]]
-    expected = float(conditions.scatterers_per_m3 * np.prod(lateral_m) * deep_m)
+    size_m = np.array([*(2 * LATERAL * width for width in conditions.tracking_width_m[:2]), deep_m])
+    expected = float(conditions.scatterers_per_m3 * np.prod(size_m))
     count = generator.poisson(min(expected, MOST_SCATTERERS), draws)
-    owner = np.repeat(np.arange(draws), count)
-    place = (generator.random((3, owner.size)) - 0.5) * np.array([*lateral_m, deep_m])[:, None]
-    squared, phase = np.square(place), 2 * np.pi * generator.random(owner.size)
-    echo = _gaussian(squared, conditions.tracking_width_m)
-    # real and imaginary parts one by one: the sums are of real numbers, and complex exponentials cost thrice as much
-    parts = echo * np.cos(phase), echo * np.sin(phase)
-    flat = owner * cells + np.minimum(((place[2] / deep_m + 0.5) * cells).astype(np.int64), cells - 1)
-
-    def summed(weight: FloatArray | float) -> ComplexArray:
-        real, imaginary = (np.bincount(flat, part * weight, draws * cells) for part in parts)
-        return np.asarray((real + 1j * imaginary).reshape(draws, cells))
-
-    weight = _gaussian(squared, conditions.excitation_width_m) if moved is None else moved(place)
-    return Scattering(summed(1.0), summed(weight), ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m)
+    end = np.cumsum(count)
+    place, phase = generator.random((3, end[-1])), generator.random(end[-1])
+    sums = np.empty((4, draws, cells))
+    for first in range(0, draws, BLOCK_DRAWS):
+        block = slice(first, first + BLOCK_DRAWS)
+        inside = slice(end[first] - count[first], end[block][-1])
+        at_m = (place[:, inside] - 0.5) * size_m[:, None]
+        squared, angle = np.square(at_m), 2 * np.pi * phase[inside]
+        weight = _gaussian(squared, conditions.excitation_width_m) if moved is None else moved(at_m)
+        echo = _gaussian(squared, conditions.tracking_width_m)
+        cell = np.minimum(((at_m[2] / deep_m + 0.5) * cells).astype(np.int64), cells - 1)
+        cell += cells * np.repeat(np.arange(count[block].size), count[block])
+        # real and imaginary parts one by one: sums are of real numbers, and complex exponentials cost thrice as much
+        parts = [echo * np.cos(angle), echo * np.sin(angle)]
+        parts += [part * weight for part in parts]
+        sums[:, block] = [np.bincount(cell, each, count[block].size * cells).reshape(-1, cells) for each in parts]
+    depth_m = ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m
+    return Scattering(sums[0] + 1j * sums[1], sums[2] + 1j * sums[3], depth_m)
 
 
 def _gaussian(squared_m2: FloatArray, width_m: Triple) -> FloatArray:
@@ -209,10 +214,10 @@ def _whole_gate(conditions: Conditions, speckle: Speckle, by_carrier: bool) -> t
     seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
     carrier = 2 * np.pi * conditions.carrier_hz
     slope = np.gradient(speckle.moved, seconds, axis=-1) + 1j * carrier * speckle.moved
-    inside = _band_bins(conditions, INSTANTS)
-    resting, turning = (np.fft.fft(each, axis=-1)[:, inside] for each in (speckle.resting, slope))
+    to_band = _to_band(conditions, INSTANTS)
+    resting, turning = speckle.resting @ to_band, slope @ to_band
     energy = np.abs(resting) ** 2
-    angular = carrier + 2 * np.pi * np.fft.fftfreq(INSTANTS, seconds)[inside]
+    angular = carrier + 2 * np.pi * _band_hz(conditions, INSTANTS)
     divisor = carrier * energy.sum(axis=-1) if by_carrier else energy @ angular
     share = energy.sum() / (INSTANTS * np.sum(np.abs(speckle.resting) ** 2))
     return np.asarray(np.sum(np.conj(resting) * turning, axis=-1).imag / divisor), float(share)
@@ -301,17 +306,18 @@ def _peak_statistics(
     at f_1 alone, of phases against the clean echo, have no noise of their own: their Var q + 2 Cov(q_1, q_2) is what
     chance makes of the draws at hand, and is taken off.
     """
-    window = hann(INSTANTS)
-    bins = PADDING * INSTANTS
+    to_band = _to_band(conditions, PADDING * INSTANTS) * hann(INSTANTS)[:, None]
     power = np.mean(np.abs(speckle.resting) ** 2, axis=-1, keepdims=True)[:, None]
     # noise of the real signal's band, seen through the gate: its share in INSTANTS samples of the envelope
     scale = np.sqrt(power * INSTANTS / (conditions.gate_samples * conditions.snr))
     shape = (len(speckle.resting), 3, INSTANTS)
-    noise = scale * (generator.standard_normal(shape) + 1j * generator.standard_normal(shape))
-    inside = _band_bins(conditions, bins)
-    clean, moved = (np.fft.fft(each * window, bins)[:, inside] for each in (speckle.resting, speckle.moved))
-    noisy = clean[:, None] + np.fft.fft(noise * window, bins)[..., inside]
-    level = np.abs(noisy) ** 2
+    noise = np.empty(shape, dtype=np.complex128)
+    noise.real, noise.imag = generator.standard_normal(shape), generator.standard_normal(shape)
+    clean, moved = speckle.resting @ to_band, speckle.moved @ to_band
+    noisy = (noise.reshape(-1, INSTANTS) @ to_band).reshape(*shape[:2], -1)
+    noisy *= scale
+    noisy += clean[:, None]
+    level = noisy.real**2 + noisy.imag**2
     first, second = (np.argmax(level[:, k] * level[:, k + 1], axis=-1)[:, None] for k in (0, 1))
     steps = [_phase_step(noisy[:, k], noisy[:, k + 1], peak) for k, peak in ((0, first), (1, second))]
     ratios = [_taken(moved / clean, peak).real for peak in (first, second)]
@@ -329,10 +335,20 @@ def _own_variance(first: FloatArray, second: FloatArray) -> float:
     return float(np.mean((first**2 + second**2) / 2 + 2 * first * second))
 
 
-def _band_bins(conditions: Conditions, bins: int) -> FloatArray:
-    """Return which bins of the envelope's spectrum lie in the searched band."""
+def _band_hz(conditions: Conditions, bins: int) -> FloatArray:
+    """Return the frequencies (bin,) of the envelope's spectrum of ``bins`` that lie in the searched band."""
     seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
-    return np.asarray(np.abs(np.fft.fftfreq(bins, seconds)) <= conditions.carrier_hz * BAND_OF_CARRIER / 2)
+    every = np.fft.fftfreq(bins, seconds)
+    return np.asarray(every[np.abs(every) <= conditions.carrier_hz * BAND_OF_CARRIER / 2])
+
+
+def _to_band(conditions: Conditions, bins: int) -> ComplexArray:
+    """Return the matrix (instant, bin) from envelopes to their spectrum of ``bins``, zeros appended, in the band.
+
+    The band is a sixth of the bins: the product costs a third of the Fourier transform of them all.
+    """
+    seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
+    return np.asarray(np.exp(-2j * np.pi * seconds * np.outer(np.arange(INSTANTS), _band_hz(conditions, bins))))
 
 
 def _taken(values: ComplexArray, place: NDArray[np.int64]) -> ComplexArray:

@@ -21,6 +21,7 @@
     how it moves beside the push                                            shear_field.py
     f(r, z) of a Gaussian beam, or of an aperture                           push_force.py
     many lines and depths at once, a pixel each                             motion_map.py
+                       compiled, where Numba is loaded                      motion_map_numba.py
     what harmonics it does not resolve leave in a fit without prior         unresolved.py
     what distinguishes them, one row each                                   estimators.py
     what codes coarser than the noise leave                                 quantisation.py

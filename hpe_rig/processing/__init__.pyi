@@ -71,6 +71,7 @@ from .prior import (
 )
 from .push_force import PushForce as PushForce, aperture_force as aperture_force
 from .shear_field import (
+    QUICK_ERROR as QUICK_ERROR,
     ShearMotion as ShearMotion,
     focal_motion as focal_motion,
     shear_motion as shear_motion,
@@ -94,6 +95,7 @@ from .shots import (
 from .spectral_peak import (
     cross_spectrum as cross_spectrum,
     fourier_columns as fourier_columns,
+    noisy_peak_steps as noisy_peak_steps,
     orthonormal_rows as orthonormal_rows,
     peak_steps as peak_steps,
 )

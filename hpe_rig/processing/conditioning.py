@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.processing.echoes import BLOCK_SAMPLES, BoolArray, EchoGate, FloatArray
-from hpe_rig.store import GatedRecords
+
+if TYPE_CHECKING:
+    from hpe_rig.store import GatedRecords
 
 FOREIGN_LIMIT = 8.0
 """Robust standard deviations beyond which a pulse's logarithmic energy is foreign; and at least a factor of two."""

@@ -132,6 +132,18 @@ class EchoGate:
             pulses = slice(first, min(first + step, self.valid.size))
             yield pulses, self.volts.block(pulses)[..., samples]
 
+    def of_trains(self, at_once: int) -> Iterator[EchoGate]:
+        """Yield some of the trains at a time, their volts (train, pulse, sample); a single train as it is."""
+        if not isinstance(self.volts, np.ndarray) or self.volts.ndim == 2:
+            yield self
+            return
+        volts, energy = self.volts.reshape(-1, *self.volts.shape[-2:]), self.energy.reshape(-1, self.valid.size)
+        for first in range(0, len(volts), at_once):
+            some = copy(self)
+            object.__setattr__(some, "volts", volts[first : first + at_once])
+            object.__setattr__(some, "energy", energy[first : first + at_once])
+            yield some
+
     def without(self, pulses: BoolArray) -> EchoGate:
         """Return the same gate, its ``pulses`` (pulse,) no longer valid."""
         fewer = copy(self)

@@ -54,7 +54,8 @@ class BeamWidths:
 
     ``axial_spread_m``: standard deviation of depth in the gate, weighted by echo energy. ``width_spread``: standard
     deviation of the logarithm of the force's widths, which no one has measured in the medium. ``lateral_m``: where the
-    tracking beam lies beside the force.
+    tracking beam lies beside the force. ``together_m``: all such places of a run, this one among them, whose ensembles
+    are computed at once, in the time of the farthest; empty for this one alone.
     """
 
     force_width_m: Triple
@@ -62,6 +63,7 @@ class BeamWidths:
     axial_spread_m: float
     width_spread: float = 0.3
     lateral_m: float = 0.0
+    together_m: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +106,6 @@ class Ensemble:
         return found
 
 
-@functools.lru_cache(maxsize=32)
 def medium_ensemble(
     beams: BeamWidths,
     lowest_hz: float,
@@ -117,9 +118,24 @@ def medium_ensemble(
 
     The parameters fill their ranges evenly by a low-discrepancy sequence: no chance, hence no seed.
     """
+    # What is remembered goes by place: however a caller words its arguments, an ensemble is made once.
     if beams.lateral_m:
-        # its own memory: however a caller words its arguments, an ensemble of waves beside the push is made once
-        return _beside(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
+        places_m = beams.together_m or (beams.lateral_m,)
+        alike = replace(beams, lateral_m=0.0, together_m=places_m)
+        return _beside(alike, lowest_hz, highest_hz, known, density_kg_per_m3)[places_m.index(beams.lateral_m)]
+    return _on_axis(replace(beams, together_m=()), lowest_hz, highest_hz, known, density_kg_per_m3, members)
+
+
+@functools.lru_cache(maxsize=32)
+def _on_axis(
+    beams: BeamWidths,
+    lowest_hz: float,
+    highest_hz: float,
+    known: KnownMedium | None,
+    density_kg_per_m3: float,
+    members: int,
+) -> Ensemble:
+    """Return the ensemble where the tracking beam lies on the force's axis."""
     from scipy.special import ndtri
 
     count = max(8, round(NODES_PER_E_FOLD * np.log(highest_hz / lowest_hz)))
@@ -148,24 +164,25 @@ def medium_ensemble(
 @functools.lru_cache(maxsize=8)
 def _beside(
     beams: BeamWidths, lowest_hz: float, highest_hz: float, known: KnownMedium | None, density_kg_per_m3: float
-) -> Ensemble:
-    """Return the ensemble where the tracking beam lies beside the force, by ``focal_motion``."""
+) -> tuple[Ensemble, ...]:
+    """Return the ensembles at every place (``together_m``) beside the force, by ``focal_motion``."""
     from scipy.special import ndtri
 
     node_hz, alone = _nodes_beside(lowest_hz, highest_hz)
-    spread = _even_sequence(MEMBERS_BESIDE, 5)
+    spread, places_m = _even_sequence(MEMBERS_BESIDE, 5), np.array(beams.together_m)
     s = np.asarray(2j * np.pi * node_hz, np.complex128)
     modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
     wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
-    found = np.empty((3, MEMBERS_BESIDE, node_hz.size), np.complex128)
+    found = np.empty((places_m.size, 3, MEMBERS_BESIDE, node_hz.size), np.complex128)
     for member, (across_m, along_m) in enumerate(
         zip(beams.force_width_m[0] * wide, beams.force_width_m[2] * deep, strict=True)
     ):
         own = replace(beams, force_width_m=(across_m, across_m, along_m))
-        found[:, member] = seen_beside(modulus_pa[member], density_kg_per_m3, node_hz, own)
+        seen = seen_beside(modulus_pa[member], density_kg_per_m3, node_hz, own, places_m)
+        found[:, :, member] = np.moveaxis(np.stack(seen), -1, 0)
     found.flags.writeable = False
     voigt = np.arange(MEMBERS_BESIDE) % FAMILIES == 0 if known is None else np.ones(MEMBERS_BESIDE, bool)
-    return Ensemble(node_hz, found[0], found[1], found[2], voigt, alone)
+    return tuple(Ensemble(node_hz, there[0], there[1], there[2], voigt, alone) for there in found)
 
 
 def _nodes_beside(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, int]:
@@ -178,23 +195,26 @@ def _nodes_beside(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, int]
 
 
 def seen_beside(
-    modulus_pa: ComplexArray, density_kg_per_m3: float, frequency_hz: FloatArray, beams: BeamWidths
+    modulus_pa: ComplexArray,
+    density_kg_per_m3: float,
+    frequency_hz: FloatArray,
+    beams: BeamWidths,
+    lateral_m: FloatArray,
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return tracked and peak displacement and steepness (frequency,), per body force, beside the push.
+    """Return tracked and peak displacement and steepness (frequency, place), per body force, beside the push.
 
-    Speckle moves the middle of what is tracked as well as its area, each by the same share of its radius: the steepness
-    is the root sum of squares of both, real part along the tracked phasor, imaginary part across.
+    At ``lateral_m`` (place,). Speckle moves the middle of what is tracked as well as its area, each by the same share
+    of its radius: the steepness is the root sum of squares of both, real part along the tracked phasor, imaginary
+    across.
     """
     from hpe_rig.processing.shear_field import focal_motion
 
-    (x, _, z), seen, place = beams.force_width_m, beams.tracking_width_m[0] ** 2 / 2, np.array([beams.lateral_m])
+    (x, _, z), seen = beams.force_width_m, beams.tracking_width_m[0] ** 2 / 2
     medium = modulus_pa, frequency_hz, density_kg_per_m3, (x, z)
-    tracked, by_area, by_place = (
-        each[:, 0] for each in focal_motion(*medium, x**2 + seen, z**2 + beams.axial_spread_m**2, place)
-    )
+    tracked, by_area, by_place = focal_motion(*medium, x**2 + seen, z**2 + beams.axial_spread_m**2, lateral_m)
     wider, aside = seen * by_area / tracked, np.sqrt(seen) * by_place / tracked
     steep = np.hypot(wider.real, aside.real) + 1j * np.hypot(wider.imag, aside.imag)
-    return tracked, focal_motion(*medium, x**2, z**2, place)[0][:, 0], tracked * steep
+    return tracked, focal_motion(*medium, x**2, z**2, lateral_m)[0], tracked * steep
 
 
 def displacement(

@@ -24,6 +24,9 @@ STEPS = 12
 ENOUGH = 1e-12
 """Metres of change in the displacements, relative to a wavelength, below which steps end."""
 
+TRAINS_AT_ONCE = 128
+"""Trains that are aligned together: their spectra are gone over a dozen times, and stay in the cache meanwhile."""
+
 ALIKE_BY_CHANCE = 1e-3
 """Share of trains of noise alone that pass for echoes."""
 
@@ -53,8 +56,7 @@ def joint(
     matrix = np.delete(model.matrix, constant, axis=1) if background_order >= 0 else model.matrix
     matrix = matrix - matrix.mean(axis=0)
     root = triangular_root(matrix, model.condition if not len(also_hz) else largest_condition)
-    spectrum, band = band_spectrum(echoes, 2)
-    reduced, residual = _most_likely(spectrum, band, echoes, matrix, root @ (matrix @ root).T)
+    reduced, residual = _most_likely_of_all(echoes, matrix, root @ (matrix @ root).T)
     if prior is not None:
         displacement_m = scatter(reduced @ matrix.T + residual, echoes.valid)
         # Every pulse has the same weight: its variance scales nothing.
@@ -73,10 +75,28 @@ def joint(
     )
 
 
-def _most_likely(
-    spectrum: ComplexArray, band: Band, echoes: EchoGate, matrix: FloatArray, solver: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the states (..., state) and the residual displacement (..., pulse) at the largest likelihood."""
+def _most_likely_of_all(echoes: EchoGate, matrix: FloatArray, solver: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the states (..., state) and the residual displacement (..., valid pulse) at the largest likelihood."""
+    pulses, states = matrix.shape
+    found, nothing = list[tuple[FloatArray, FloatArray]](), list[ValueError]()
+    for some in echoes.of_trains(TRAINS_AT_ONCE):
+        try:
+            found.append(_most_likely(some, matrix, solver))
+        except ValueError as error:
+            # only where no train has an echo is there no result
+            nothing.append(error)
+            trains = some.volts.shape[:-2]
+            found.append((np.full((*trains, states), np.nan), np.full((*trains, pulses), np.nan)))
+    if len(nothing) == len(found):
+        raise nothing[0]
+    state, residual = (np.concatenate(parts) if len(parts) > 1 else parts[0] for parts in zip(*found, strict=True))
+    trains = echoes.volts.shape[:-2]
+    return state.reshape(*trains, states), residual.reshape(*trains, pulses)
+
+
+def _most_likely(echoes: EchoGate, matrix: FloatArray, solver: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the same of trains that are aligned together."""
+    spectrum, band = band_spectrum(echoes, 2)
     seconds = 2 / echoes.sound_speed_m_per_s
 
     def still(state: FloatArray) -> ComplexArray:
@@ -90,15 +110,21 @@ def _most_likely(
     state = np.where(likelier[..., None], moved, 0.0)
     if not likelier.all():
         aligned = still(state)
+    # what moves turns, and its energy stays but for what the margins take
+    energy = None if band.root.size else energy_of(spectrum)
+    enough_m, before_m = ENOUGH * echoes.sound_speed_m_per_s / echoes.carrier_hz, np.inf
     for _ in range(STEPS):
         # One Gauss-Newton step: see what little each echo still moves, fit that, and undo it as well.
-        rest = _residual(aligned, band, seconds)
+        rest = _residual(aligned, band, seconds, energy)
         change = rest @ solver.T
         state = state + change
-        if np.nanmax(np.abs(change)) < ENOUGH * echoes.sound_speed_m_per_s / echoes.carrier_hz:
+        change_m = float(np.nanmax(np.abs(change)))
+        # steps shrink by about the same factor each: the next one need not be made to know its size
+        if change_m < enough_m or change_m**2 < enough_m * before_m < np.inf:
             break
+        before_m = change_m
         aligned = still(state)
-    common = _has_common_part(aligned, band, matrix.shape[1])[..., None]
+    common = _has_common_part(aligned, band, matrix.shape[1], energy)[..., None]
     return np.where(common, state, np.nan), np.where(common, rest - change @ matrix.T, np.nan)
 
 
@@ -122,7 +148,7 @@ def _gate_energy(aligned: ComplexArray, band: Band) -> FloatArray:
     return energy_of(aligned) - energy_of(band.outside(aligned))
 
 
-def _has_common_part(aligned: ComplexArray, band: Band, states: int) -> BoolArray:
+def _has_common_part(aligned: ComplexArray, band: Band, states: int, energy: FloatArray | None = None) -> BoolArray:
     """Return which trains (...) have more in common, once aligned, than noise that is aligned as well as can be.
 
     Raises ``ValueError`` where none has.
@@ -132,10 +158,11 @@ def _has_common_part(aligned: ComplexArray, band: Band, states: int) -> BoolArra
     # Every echo at unit energy, so that one spike does not count for a train. Noise alone sums to the number of pulses
     # times a gamma variable of as many degrees as there are independent numbers; the states chosen for the largest sum
     # add theirs.
-    energy = np.maximum(_gate_energy(aligned, band), np.finfo(np.float64).tiny)
+    energy = np.maximum(_gate_energy(aligned, band) if energy is None else energy, np.finfo(np.float64).tiny)
     chance = gammaincinv(band.independent + states, 1 - ALIKE_BY_CHANCE) / band.independent
     with np.errstate(invalid="ignore"):
-        found = _likelihood(aligned / np.sqrt(energy)[..., None], band) > aligned.shape[-2] * chance
+        total = ((1 / np.sqrt(energy))[..., None, :] @ aligned)[..., 0, :]
+        found = inner(band.gated(total), total) > aligned.shape[-2] * chance
     if not found.any():
         raise ValueError(
             f"echoes of all {found.size} trains have nothing in common that noise alone would not have: noise without "
@@ -144,8 +171,11 @@ def _has_common_part(aligned: ComplexArray, band: Band, states: int) -> BoolArra
     return np.asarray(found)
 
 
-def _residual(aligned: ComplexArray, band: Band, seconds: float) -> FloatArray:
-    """Return the displacement (..., pulse) by which each echo still departs from their mean."""
+def _residual(aligned: ComplexArray, band: Band, seconds: float, energy: FloatArray | None = None) -> FloatArray:
+    """Return the displacement (..., pulse) by which each echo still departs from their mean.
+
+    ``energy`` (..., pulse), that in the gate, is found where not given.
+    """
     # To first order an echo off by u is mean(f) (1 - j per_hz f u): u follows from the projection on that slope.
     per_hz, pulses = 2 * np.pi * seconds, aligned.shape[-2]
     mean = aligned.mean(axis=-2)
@@ -156,7 +186,8 @@ def _residual(aligned: ComplexArray, band: Band, seconds: float) -> FloatArray:
     slope = -((aligned @ np.conj(along)[..., :, None])[..., 0]).imag
     power = inner(along, turning)
     # noise of the mean adds to its power, not to the slope
-    noise = (_gate_energy(aligned, band).mean(axis=-1) - inner(gated, mean)) / (pulses - 1)
+    energy = _gate_energy(aligned, band) if energy is None else energy
+    noise = (energy.mean(axis=-1) - inner(gated, mean)) / (pulses - 1)
     of_noise = _noise_moment(band, 1 if band.fades_gate else 2)
     power = np.maximum(power - noise * of_noise, power / 10) * per_hz
     return np.asarray(slope / np.maximum(power, np.finfo(np.float64).tiny)[..., None])

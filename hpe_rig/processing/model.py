@@ -202,7 +202,7 @@ def _require_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
         raise ValueError("no vibration frequency given: name at least one")
     if not np.all(np.isfinite(frequency_hz) & (frequency_hz > 0)):
         raise ValueError(f"frequencies {frequency_hz.tolist()} Hz: each must be finite and above zero")
-    if np.unique(frequency_hz).size != frequency_hz.size:
+    if len(set(frequency_hz.tolist())) != frequency_hz.size:
         raise ValueError(f"frequencies {frequency_hz.tolist()} Hz name one twice: give each once")
     if time_s.size < 2:
         raise ValueError(f"{time_s.size} pulse: no motion can be seen; try more tracking pulses")

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from hpe_rig.processing.band import BAND
 from hpe_rig.processing.echoes import FloatArray
 from hpe_rig.processing.model import LinearModel, linear_model
+from hpe_rig.processing.spectral_peak import compiled
 from hpe_rig.result import BadPixel, MotionMap
 
 RESULTS: Final = (
@@ -42,6 +44,8 @@ Singles = NDArray[np.float32]
 
 BATCH_BYTES: Final = 6_400_000
 """Baseband samples that a thread works on at a time: a step on them takes longer than to wait for the interpreter."""
+COMPILED_WORTH: Final = 150_000_000
+"""Samples from which on the compiled passes save more than Numba takes to load; before, where it is loaded."""
 ALONE: Final = 200_000
 """Products of two numbers in a matrix product; from 262 144 on OpenBLAS wakes threads of its own for it."""
 NOISY_RAD: Final = 0.5
@@ -95,7 +99,8 @@ def map_pixels(
         factor, mixed_hz = 1, settings.demodulation_hz or settings.carrier_hz
     else:
         factor, mixed_hz = _decimation(settings), settings.carrier_hz
-    pixels = _Pixels(settings, model, time_s, np.asarray(frequencies_hz, float), factor, mixed_hz)
+    fast = compiled() and (samples.size > COMPILED_WORTH or "numba" in sys.modules)
+    pixels = _Pixels(settings, model, time_s, np.asarray(frequencies_hz, float), factor, mixed_hz, fast)
     shapes = [(len(frequencies_hz),)] * 4 + [()] * 4
     found = [np.empty((lines, gates, *shape), np.float32) for shape in shapes]
     bad = np.zeros((lines, gates), np.uint8)
@@ -163,6 +168,7 @@ class _Pixels:
     frequency_hz: FloatArray
     factor: int
     mixed_hz: float
+    fast: bool
 
     def estimate(self, samples: NDArray[Any], gates: int) -> tuple[list[Singles], NDArray[np.uint8]]:
         """Return the results of some lines (line, pulse, sample), each (line, gate, ...), and which are bad."""
@@ -176,8 +182,8 @@ class _Pixels:
         baseband = self._baseband(samples, gates * length)
         # pulses last: everything along them is then in one piece
         z = np.ascontiguousarray(baseband.transpose(0, 2, 1)).reshape(samples.shape[0], gates, length, -1)
-        phase, power = _phases(z)
-        return self._fitted(phase, power, np.float32(self.mixed_hz) + self._frequency(z), broken)
+        phase, power = _phases(z, self.fast)
+        return self._fitted(phase, power, np.float32(self.mixed_hz) + self._frequency(z, power), broken)
 
     def _baseband(self, samples: NDArray[Any], count: int) -> ComplexSingles:
         """Return the baseband (line, pulse, sample) of the first gates, ``count`` samples of it."""
@@ -205,8 +211,8 @@ class _Pixels:
             shifted[..., -middle:] = part[..., :middle]
         return np.asarray(ifft(shifted, axis=-1, overwrite_x=True)[..., :count], np.complex64)
 
-    def _frequency(self, z: ComplexSingles) -> Singles:
-        """Return where the energy of each gate lies (line, gate), Hz from the mixer.
+    def _frequency(self, z: ComplexSingles, power: Singles) -> Singles:
+        """Return where the energy of each gate lies (line, gate), Hz from the mixer; ``power`` as of `_phases`.
 
         As the echo's phase changes when it is late by little: Im sum conj(z) z' / sum |z|^2 over the gate and every
         ``STRIDE``-th pulse, the derivative along the whole line.
@@ -222,7 +228,7 @@ class _Pixels:
         shape = (lines, -1, gates, length)
         echo, along = some.reshape(shape), along.reshape(shape)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(_inner(echo, along) / _inner(echo, echo))
+            return np.asarray(_inner(echo, along) / (power * np.float32(echo.shape[1] * length)))
 
     def _fitted(
         self,
@@ -232,12 +238,10 @@ class _Pixels:
         broken: NDArray[np.bool_] | None,
     ) -> tuple[list[Singles], NDArray[np.uint8]]:
         shape, (pulses, states) = phase.shape[:-1], self.model.matrix.shape
-        matrix = self.model.matrix.astype(np.float32)
+        matrix = np.ascontiguousarray(self.model.matrix.T.astype(np.float32))
         flat = phase.reshape(-1, pulses)
         state = _product(flat, (self.model.root @ (self.model.root.T @ self.model.matrix.T)).T.astype(np.float32))
-        residual = _product(state, np.ascontiguousarray(matrix.T))
-        residual -= flat
-        variance = np.einsum("ij,ij->i", residual, residual) / np.float32(pulses - states)
+        variance = _choice(self.fast, "distance")(_product(state, matrix), flat) / np.float32(pulses - states)
         with np.errstate(invalid="ignore", divide="ignore"):
             metres = np.float32(-self.settings.sound_speed_m_per_s / (4 * np.pi)) / frequency_hz.reshape(-1)
             # of the echo's frequency, which every STRIDE-th pulse tells
@@ -266,24 +270,59 @@ class _Pixels:
         count = self.frequency_hz.size
         covariance = (self.model.root @ self.model.root.T).astype(np.float32)
         at = 2 * np.arange(count)
-        own, crossed = covariance[at, at], covariance[at, at + 1]
-        mean, half = (own + covariance[at + 1, at + 1]) / 2, (own - covariance[at + 1, at + 1]) / 2
-        scaled = state[:, : 2 * count] * metres[:, None]
-        in_phase, quadrature = scaled[:, ::2], scaled[:, 1::2]
-        squared = in_phase**2 + quadrature**2
-        amplitude, phase = np.sqrt(squared), np.arctan2(quadrature, in_phase)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            # the covariance along the phasor and across it, which are the mean plus and minus what its angle makes
-            turned = (half * (in_phase**2 - quadrature**2) + 2 * crossed * in_phase * quadrature) / squared
-            amplitude_u = np.sqrt(noise_m2[:, None] * (mean + turned) + relative[:, None] * squared)
-            phase_u = np.sqrt(noise_m2[:, None] * (mean - turned) / squared)
-        np.minimum(phase_u, UNKNOWN_PHASE_RAD, out=phase_u)
+        own, other, crossed = covariance[at, at], covariance[at + 1, at + 1], covariance[at, at + 1]
+        shares = np.stack([(own + other) / 2, (own - other) / 2, crossed])
+        found = tuple(np.empty((len(state), count), np.float32) for _ in range(4))
+        _choice(self.fast, "estimates")(state, noise_m2, metres, relative, shares, found)
         # the line of the background runs from -1 to 1 over the train
         per_second = np.float32(2 / (self.time_s[-1] - self.time_s[0]))
         velocity = state[:, 2 * count + 1] * metres * per_second
         own_v = covariance[2 * count + 1, 2 * count + 1] * per_second**2
         velocity_u = np.sqrt(noise_m2 * own_v + relative * velocity**2)
-        return [amplitude, amplitude_u, phase, phase_u, velocity, velocity_u]
+        return [*found, velocity, velocity_u]
+
+
+def _choice(fast: bool, name: str) -> Callable[..., Any]:
+    """Return the compiled form of a pass or NumPy's."""
+    plain: dict[str, Callable[..., Any]] = {"followed": _followed, "distance": _distance, "estimates": _estimates}
+    if not fast:
+        return plain[name]
+    from hpe_rig.processing import motion_map_numba
+
+    return cast("Callable[..., Any]", getattr(motion_map_numba, name))
+
+
+def _distance(fitted: Singles, phase: Singles) -> Singles:
+    """Return the sum of squares (pixel,) of ``fitted``, which is overwritten, less ``phase`` (pixel, pulse)."""
+    fitted -= phase
+    return np.asarray(np.einsum("ij,ij->i", fitted, fitted))
+
+
+def _estimates(
+    state: Singles,
+    noise_m2: Singles,
+    metres: Singles,
+    relative: Singles,
+    covariance: Singles,
+    found: tuple[Singles, Singles, Singles, Singles],
+) -> None:
+    """Write amplitude and phase (pixel, frequency), each followed by its u, of ``state`` (pixel, state) in rad.
+
+    ``covariance`` (3, frequency): mean of in-phase and quadrature, half their difference, what crosses them.
+    """
+    amplitude, amplitude_u, phase, phase_u = found
+    mean, half, crossed = covariance
+    scaled = state[:, : 2 * mean.size] * metres[:, None]
+    in_phase, quadrature = scaled[:, ::2], scaled[:, 1::2]
+    squared = in_phase**2 + quadrature**2
+    np.sqrt(squared, out=amplitude)
+    np.arctan2(quadrature, in_phase, out=phase)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # the covariance along the phasor and across it, which are the mean plus and minus what its angle makes
+        turned = (half * (in_phase**2 - quadrature**2) + 2 * crossed * in_phase * quadrature) / squared
+        np.sqrt(noise_m2[:, None] * (mean + turned) + relative[:, None] * squared, out=amplitude_u)
+        np.sqrt(noise_m2[:, None] * (mean - turned) / squared, out=phase_u)
+    np.minimum(phase_u, UNKNOWN_PHASE_RAD, out=phase_u)
 
 
 def _inner(one: ComplexSingles, other: ComplexSingles) -> Singles:
@@ -314,13 +353,13 @@ def _is_finite(samples: NDArray[Any]) -> bool:
         return bool(np.isfinite(np.vdot(flat, flat)))
 
 
-def _phases(z: ComplexSingles) -> tuple[Singles, Singles]:
+def _phases(z: ComplexSingles, fast: bool = False) -> tuple[Singles, Singles]:
     """Return the phase of every pulse (line, gate, pulse), followed from pulse to pulse, and the power (line, gate)."""
     some = z[..., ::STRIDE]
     parts = np.ascontiguousarray(some).view(np.float32)
     power = np.einsum("lgsp,lgsp->lg", parts, parts) / np.float32(some.shape[2] * some.shape[3])
     if z.shape[2] == 1:
-        return _followed(z[:, :, 0]), power
+        return _choice(fast, "followed")(z[:, :, 0]), power
     product = np.zeros((*z.shape[:2], z.shape[-1] - 1), np.complex64)
     for at in range(z.shape[2]):
         product += z[:, :, at, :-1].conj() * z[:, :, at, 1:]
@@ -338,15 +377,12 @@ def _phases(z: ComplexSingles) -> tuple[Singles, Singles]:
 
 def _followed(z: ComplexSingles) -> Singles:
     """Return the phase of ``z`` (..., pulse) against the first pulse, without its jumps by whole turns."""
-    first = z[..., :1]
-    size = np.abs(first)
-    # turned so that the first is real; where there is none everything is taken as it is
-    turned = z * np.where(size > 0, first.conj() / np.where(size > 0, size, 1), 1).astype(np.complex64)
-    angle = np.arctan2(np.ascontiguousarray(turned.imag), np.ascontiguousarray(turned.real))
+    angle = np.arctan2(np.ascontiguousarray(z.imag), np.ascontiguousarray(z.real))
+    angle -= angle[..., :1].copy()
     # no single one is farther where all of them together are not
     far = np.einsum("...p,...p->...", angle, angle) >= NEAR_RAD**2
     if far.any():
-        # farther than a quarter turn from the first: from pulse to pulse
+        # farther than a quarter turn from the first, or about to change sign there: from pulse to pulse
         moving = angle[far]
         jumps = np.rint(np.diff(moving, axis=-1) * np.float32(1 / (2 * np.pi)))
         moving[:, 1:] -= np.cumsum(jumps, axis=-1) * np.float32(2 * np.pi)

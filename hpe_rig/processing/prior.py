@@ -42,7 +42,8 @@ LEAST_MEMBERS = 15.0
 BROAD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
 UNTOLD = 1e-3
-"""Noise that the test takes a pulse to have at least, relative to the rms motion: less is the ensemble's own error."""
+"""Error of the model at any instant of a burst's period, relative to the rms motion: the ensemble's own, and that of
+speckle and receiver. Pulses that come at the same instant share it."""
 UNEXPLAINED = 4.0
 """Mean square of a residual, over that of the steps' noise, from which on more than this noise is in it."""
 UNSEEN = 1e-10
@@ -97,6 +98,11 @@ class MediumPrior:
         motion, wanted = turns @ self.spectrum, turns[:, list(places)]
         return np.hstack([motion.imag, motion.real])[again], _real_pairs(1j * np.conj(wanted))[again]
 
+    def instants(self, time_s: FloatArray) -> int:
+        """Return at how many instants of a burst's period the pulses come."""
+        angle = np.angle(np.exp(2j * np.pi * self.burst_rate_hz * time_s))
+        return np.unique(np.rint(angle / SAME_RAD)).size
+
     def places(self, frequency_hz: FloatArray) -> tuple[int, ...]:
         """Return which harmonics ``frequency_hz`` are, from 0; raise ``ValueError`` where one is none."""
         number = np.rint(frequency_hz / self.burst_rate_hz)
@@ -114,13 +120,15 @@ class MediumPrior:
 class Evidence:
     """Scale, noise and test of the data against the prior, each (...), and how likely the members are.
 
-    ``scale_m``: rms displacement of the ensemble; ``variance_m2`` of a pulse's noise; ``significance``: probability
+    ``scale_m``: rms displacement of the ensemble; ``variance_m2`` of a pulse's noise; ``total_m2``: the same with what
+    the model leaves untold, as if it differed from pulse to pulse; ``significance``: probability
     that a medium of the ensemble gives data as unlikely as these. ``likelihood`` (..., member), of sum 1;
     ``square_m2`` (..., member), mean square of each member's own scale.
     """
 
     scale_m: FloatArray
     variance_m2: FloatArray
+    total_m2: FloatArray
     significance: FloatArray
     likelihood: FloatArray
     square_m2: FloatArray
@@ -149,7 +157,7 @@ class Seen:
     (member, seen), in ``left``, and ``wanted_members`` (member, 2 * wanted): every member's motion; ``free`` and
     ``wanted_free`` the same of misfit and of the wanted harmonics' own freedom. For the filter ``factor`` (pulse,
     rank), A F with its background, ``wanted`` (2 * wanted, rank), F of the wanted states, and ``background`` (pulse,
-    order + 1), orthonormal.
+    order + 1), orthonormal. ``alike``: how many pulses come at the same instant of a burst's period, on average.
     """
 
     left: FloatArray
@@ -162,6 +170,7 @@ class Seen:
     factor: FloatArray
     wanted: FloatArray
     background: FloatArray
+    alike: float
 
 
 @functools.lru_cache(maxsize=8)
@@ -227,10 +236,11 @@ def medium_fit(
     along = data @ seen.left
     evidence = _evidence(seen, data, along)
     start = (WEIGHT * evidence.scale_m[..., None]) ** 2
-    gain = start * seen.value / (evidence.variance_m2[..., None] + start * seen.value**2)
+    gain = start * seen.value / (evidence.total_m2[..., None] + start * seen.value**2)
     weights = seen.rows * gain[..., None, :]
     taken = gain * seen.value
-    noise = evidence.variance_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
+    white = weights @ np.swapaxes(weights, -1, -2)
+    noise = evidence.total_m2[..., None, None] * white
     if motion.walk is not None:
         residual, walk = data - (taken * along) @ seen.left.T, np.asarray(motion.walk)
         columns = np.hstack([seen.background, seen.left])
@@ -240,7 +250,8 @@ def medium_fit(
         # Steps do not see what drifts slowly, a creep say; where a residual is far larger than they explain, it counts.
         explained = pulse * (1 + walk * len(seen.left) / 6)
         drifts = evidence.variance_m2 > UNEXPLAINED * explained
-        noise = of_steps + np.where(drifts[..., None, None], noise, 0.0)
+        untold = (evidence.total_m2 - evidence.variance_m2)[..., None, None] * white
+        noise = of_steps + np.where(drifts[..., None, None], noise, untold)
     aliasing, missed = _aliasing(seen, weights, evidence)
     state = (gain * along) @ seen.rows.T
     variance, used = evidence.variance_m2, len(seen.left)
@@ -274,7 +285,7 @@ def medium_kalman(
     """
     whole = medium_fit(motion, frequencies_hz, prior, background_order=background_order)
     seen = seen_by(prior, motion.time_s, motion.valid, whole.fit.frequency_hz, background_order)
-    scale, noise = whole.evidence.scale_m.reshape(-1), np.sqrt(whole.evidence.variance_m2.reshape(-1))
+    scale, noise = whole.evidence.scale_m.reshape(-1), np.sqrt(whole.evidence.total_m2.reshape(-1))
     data = motion.displacement_m[..., motion.valid]
     states, innovations = [], []
     for each, s, sigma in zip(data.reshape(-1, data.shape[-1]), scale.tolist(), noise.tolist(), strict=True):
@@ -359,6 +370,7 @@ def _seen(prior: MediumPrior, time_s: bytes, valid: bytes, places: tuple[int, ..
         factor,
         wanted,
         background,
+        used.sum() / prior.instants(times[used]),
     )
 
 
@@ -366,14 +378,17 @@ def _evidence(seen: Seen, data: FloatArray, along: FloatArray) -> Evidence:
     """Return the scale of the largest evidence, the noise and the test.
 
     With ratio = s / sigma the noise that maximises the evidence is a closed form, so one dimension is scanned:
-    -2 log evidence = n log sigma^2 + sum_i log p_i, n sigma^2 = sum_i z_i^2 / p_i + rest, p_i = 1 + ratio^2 L_i^2.
+    -2 log evidence = n log sigma^2 + sum_i log p_i, n sigma^2 = sum_i z_i^2 / p_i + rest,
+    p_i = 1 + ratio^2 (L_i^2 + untold^2): pulses see the same instants again and again, and the same error there.
     """
     from scipy.special import fdtrc
 
     count = data.shape[-1] - seen.background.shape[1]
     rest = np.einsum("...i,...i->...", data, data) - np.einsum("...i,...i->...", along, along)
     tried = SCAN - np.log(seen.value[0])
-    power = 1 + np.exp(2 * tried)[:, None] * seen.value**2
+    untold = seen.alike * UNTOLD**2
+    seen_power = seen.value**2 + untold
+    power = 1 + np.exp(2 * tried)[:, None] * seen_power
     tiny = np.finfo(np.float64).tiny
     variance = np.maximum(along**2 @ (1 / power).T + rest[..., None].clip(min=0), tiny) / count
     evidence = -(count * np.log(variance) + np.log(power).sum(axis=1)) / 2
@@ -383,13 +398,14 @@ def _evidence(seen: Seen, data: FloatArray, along: FloatArray) -> Evidence:
     at_best = np.take_along_axis(variance, np.argmax(evidence, axis=-1)[..., None], axis=-1)[..., 0]
     ratio = np.minimum(np.exp(best), np.maximum(most / np.sqrt(at_best), np.exp(tried[0])))[..., None]
     # Noise from the residual, over the degrees of freedom that it keeps: right for a medium off the ensemble as well.
-    kept = 1 / (1 + (ratio * seen.value) ** 2)
+    kept = 1 / (1 + ratio**2 * seen_power)
     freedom = count - np.sum(1 - kept, axis=-1)
     noise = np.maximum(np.sum((along * kept) ** 2, axis=-1) + rest.clip(min=0), tiny) / freedom
     scale = ratio[..., 0] * np.sqrt(noise)
-    statistic = np.sum(along**2 * kept, axis=-1) / np.maximum(noise, (UNTOLD * scale) ** 2) / seen.value.size
+    statistic = np.sum(along**2 * kept, axis=-1) / noise / seen.value.size
     significance = fdtrc(seen.value.size, freedom, statistic)
-    return Evidence(scale, noise, significance, *_likelihood(seen, along, noise))
+    total = noise + untold * scale**2
+    return Evidence(scale, noise, total, significance, *_likelihood(seen, along, total))
 
 
 def _likelihood(seen: Seen, along: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:

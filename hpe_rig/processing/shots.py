@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,9 @@ from hpe_rig.processing.stationarity import Drift, drift_between_halves
 from hpe_rig.processing.unresolved import with_unresolved
 from hpe_rig.result import DETECTED, MOST_PULSES, Averaging, Estimate, ShotMotion, ShotResult
 from hpe_rig.scene import Processing, Scene
-from hpe_rig.store import GatedRecords, ShotRecords, StoredRun
+
+if TYPE_CHECKING:
+    from hpe_rig.store import GatedRecords, StoredRun
 
 MOST_MODELLED = 20_000
 """Pulses of a shot up to which the model is laid through its displacement pulse by pulse: it takes a column a state."""
@@ -312,6 +315,9 @@ def shot_echoes(
 
     What the records hold in the gate is ``found`` where it is not given.
     """
+    # here: a forecast, which shares the model of a shot, opens no file
+    from hpe_rig.store import ShotRecords
+
     found = found or gate_statistics(records)
     window = chosen.window
     valid = records.valid[window] & chosen.used

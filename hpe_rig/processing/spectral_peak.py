@@ -139,6 +139,25 @@ def peak_steps(parts: FloatArray, fast: bool | None = None) -> Steps:
     return Steps(np.angle(np.conj(before) * after), peak, product, power.sum(axis=-1))
 
 
+def noisy_peak_steps(
+    clean: FloatArray, which: NDArray[np.intp], level: FloatArray, noise: FloatArray, fast: bool | None = None
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return phase and bin (draw, noise, pulse - 1) of the peaks of clean[draw, which[pulse]] + level[draw] * noise.
+
+    ``clean`` (draw, echo, 2 * bin), ``which`` (pulse,), ``level`` (draw,), ``noise`` (draw, noise, pulse, 2 * bin), in
+    the form of `peak_steps`; ``fast`` as there. The sum is as large as the noise: compiled, it is never made.
+    """
+    if not (compiled() if fast is None else fast):
+        found = peak_steps(clean[:, None, which] + level[:, None, None, None] * noise, fast=False)
+        return found.step, found.peak
+    from hpe_rig.processing.spectral_peak_numba import noisy_peak_steps as loop
+
+    shape = (*noise.shape[:2], noise.shape[2] - 1)
+    step, peak = np.empty(shape), np.empty(shape, dtype=np.intp)
+    loop(np.ascontiguousarray(clean), which, level, np.ascontiguousarray(noise), step, peak)
+    return step, peak
+
+
 def _empty(shape: tuple[int, ...]) -> Steps:
     between = (*shape[:-1], shape[-1] - 1)
     return Steps(np.empty(between), np.empty(between, np.intp), np.empty(between, np.complex128), np.empty(shape))

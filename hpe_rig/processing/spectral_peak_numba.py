@@ -68,3 +68,26 @@ def peak_steps(parts: Floats, step: Floats, peak: Integers, product: Complexes, 
             step[train, k - 1] = np.arctan2(a * d - b * c, a * c + b * d)
             peak[train, k - 1] = i
             product[train, k - 1] = _product(before, after)
+
+
+@_compiled
+def noisy_peak_steps(
+    clean: Floats, which: Integers, level: Floats, noise: Floats, step: Floats, peak: Integers
+) -> None:
+    """Write what `spectral_peak.noisy_peak_steps` returns; no noisy spectrum is there but those of two pulses."""
+    columns = clean.shape[2]
+    bins = columns // 2
+    parts, power = np.empty((2, columns)), np.empty((2, bins))
+    for draw in range(noise.shape[0]):
+        for each in range(noise.shape[1]):
+            for k in range(noise.shape[2]):
+                echo, added, here = clean[draw, which[k]], noise[draw, each, k], parts[k % 2]
+                for i in range(columns):
+                    here[i] = echo[i] + level[draw] * added[i]
+                _energies(here, power[k % 2])
+                if k > 0:
+                    before = parts[1 - k % 2]
+                    i = _largest(power[1 - k % 2], power[k % 2])
+                    a, b, c, d = before[i], before[bins + i], here[i], here[bins + i]
+                    step[draw, each, k - 1] = np.arctan2(a * d - b * c, a * c + b * d)
+                    peak[draw, each, k - 1] = i

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.recordings.contents import Contents
-from hpe_rig.recordings.matlab import PREFIX, matlab_to_npz
+from hpe_rig.recordings.matlab import PREFIX, TEMPORARY_REMEDY, matlab_to_npz
 from hpe_rig.recordings.settings import RecordingSettings
 
 MOST_STATED = 1_000_000
@@ -77,8 +77,13 @@ class Matlab:
 
         if h5py.is_hdf5(path):
             return Hdf5(reverse=True).read(path, settings)
-        with tempfile.TemporaryDirectory() as folder:
-            converted = Path(folder) / "variables.npz"
+        try:
+            folder = tempfile.TemporaryDirectory()
+        except OSError as error:
+            why = error.strerror or error
+            raise ValueError(f"no temporary file can be made for its numbers ({why}): {TEMPORARY_REMEDY}") from error
+        with folder:
+            converted = Path(folder.name) / "variables.npz"
             matlab_to_npz(path, converted)
             with np.load(converted) as loaded:
                 return contents({name.removeprefix(PREFIX): loaded[name] for name in loaded.files})

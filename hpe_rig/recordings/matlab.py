@@ -10,19 +10,27 @@ import subprocess
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 PATIENCE_S = 60.0
 """How long the reader may take, and a second more for every megabyte."""
+NOT_WRITTEN, TOO_LARGE = 3, 4
+"""Exit codes of the reader where not the file is at fault."""
+KILLED = -9
+"""What a process returns that POSIX's SIGKILL ended."""
+TEMPORARY_REMEDY = "free space there, or another folder in the environment variable TMPDIR"
 PREFIX = "of "
 """Before every name in the NPZ file, whose writer has names of its own."""
 
 
 def matlab_to_npz(path: Path, npz: Path) -> None:
-    """Write the numbers of ``path``, also those in its structures, to ``npz``; raise ``ValueError`` if damaged."""
+    """Write the numbers of ``path``, also those in its structures, to ``npz``.
+
+    Raises ``ValueError`` where the file is damaged, and where memory or the disk of ``npz`` are too small for it.
+    """
     command = [sys.executable, "-P", __file__, str(path), str(npz)]
     patience_s = PATIENCE_S + path.stat().st_size / 1e6
     try:
@@ -32,9 +40,17 @@ def matlab_to_npz(path: Path, npz: Path) -> None:
         raise ValueError(
             f"it is a damaged MATLAB file (no end of it within {patience_s:.0f} s): save it anew"
         ) from None
+    why = (done.stderr.strip().splitlines() or ["no reason given"])[-1][:160]
+    if done.returncode == NOT_WRITTEN:
+        raise ValueError(
+            f"its numbers cannot be written to temporary files in {npz.parent.parent} ({why}): {TEMPORARY_REMEDY}"
+        )
+    if done.returncode == TOO_LARGE:
+        raise ValueError(f"its numbers do not fit in memory ({why}): part of them, or more memory")
     if done.returncode == 1:
-        why = (done.stderr.strip().splitlines() or ["no reason given"])[-1][:160]
         raise ValueError(f"it is no whole MATLAB file of version 5 or 7.3 ({why}): save it anew")
+    if done.returncode == KILLED:
+        raise ValueError("the system ended its reader, as it does where memory runs out: part of it, or more memory")
     if done.returncode:
         raise ValueError("it is a damaged MATLAB file (SciPy's reader crashed on it): save it anew")
 
@@ -46,7 +62,15 @@ def _convert(path: str, npz: str) -> None:
     values = {name: value for name, value in found.items() if not name.startswith("__")}
     # Text and cells hold no samples.
     arrays = {f"{PREFIX}{name}": value for name, value in _fields(values) if value.dtype.kind in "iufc"}
-    np.savez(npz, **arrays)  # type: ignore[arg-type]
+    try:
+        np.savez(npz, **arrays)  # type: ignore[arg-type]
+    except OSError as error:
+        _leave(NOT_WRITTEN, error.strerror or str(error))
+
+
+def _leave(code: int, why: str) -> NoReturn:
+    sys.stderr.write(f"{why}\n")
+    sys.exit(code)
 
 
 def _fields(values: Mapping[str, Any]) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -62,6 +86,8 @@ def _fields(values: Mapping[str, Any]) -> Iterator[tuple[str, NDArray[Any]]]:
 if __name__ == "__main__":
     try:
         _convert(*sys.argv[1:])
+    except MemoryError as error:
+        _leave(TOO_LARGE, str(error) or "MemoryError")
     except Exception as error:
         # Whatever damaged bytes lead to.
         sys.exit(str(error).partition("\n")[0] or type(error).__name__)

@@ -1,5 +1,10 @@
-from .comparison import Comparison as Comparison, ResultDifference as ResultDifference, compare_runs as compare_runs
-from .page import write_report as write_report
+from .comparison import (
+    Comparison as Comparison,
+    ResultDifference as ResultDifference,
+    compare_runs as compare_runs,
+    comparison_schema as comparison_schema,
+)
+from .page import StoredAxes as StoredAxes, write_report as write_report
 from .sweep import Line as Line, fit_line as fit_line
 from .views import (
     EchoView as EchoView,

@@ -12,7 +12,19 @@ import numpy as np
 
 from hpe_rig.acquire import Run, open_run
 from hpe_rig.bench import settings_differences
-from hpe_rig.result import PALETTE, RECTIFIED, Component, Headline, RepeatMean, Result, ShotResult
+from hpe_rig.result import (
+    PALETTE,
+    RECTIFIED,
+    Component,
+    Headline,
+    RepeatMean,
+    Result,
+    ShotResult,
+    dataclass_schema,
+    json_values,
+    titled,
+    type_schema,
+)
 from hpe_rig.scene import parse_toml
 from hpe_rig.store import read_snapshots
 
@@ -22,6 +34,8 @@ if TYPE_CHECKING:
 OWN_TO_A_SHOT = ("noise", "trigger jitter", RECTIFIED)
 """Sources of uncertainty that are drawn anew in every shot; others may be the same in both runs, or not."""
 UNLIKELY = 0.01
+
+DERIVED = {"amplitude_change": float, "phase_change_rad": float, "verdict": str}
 
 Setting = tuple[Any, ...]
 
@@ -93,14 +107,19 @@ class Comparison:
         """Return everything as JSON has it."""
         tables = asdict(self)
         for row, found in zip(tables["results"], self.results, strict=True):
-            derived = ("amplitude_change", "phase_change_rad", "verdict")
-            row |= {name: getattr(found, name) for name in derived}
-        plain: dict[str, Any] = _finite(tables)
+            row |= {name: getattr(found, name) for name in DERIVED}
+        plain: dict[str, Any] = json_values(tables)
         return plain
 
     def figure(self) -> Figure:
         """Return amplitudes and phases of both runs over frequency with bars of 2 u, and their differences in u."""
         return _figure(self)
+
+
+def comparison_schema() -> dict[str, Any]:
+    """Return the JSON schema of what ``hpe-rig compare --json`` prints."""
+    row = dataclass_schema(ResultDifference, **{name: type_schema(kind) for name, kind in DERIVED.items()})
+    return titled("Comparison of hpe-rig", dataclass_schema(Comparison, results={"type": "array", "items": row}))
 
 
 def compare_runs(first: Path, second: Path, estimator: str | None = None) -> Comparison:
@@ -233,14 +252,6 @@ def _flat(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
             yield from _flat(inner, f"{path}[{number}]")
     else:
         yield path, value if isinstance(value, str | int | float | bool | list) else str(value)
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _finite(inner) for name, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(inner) for inner in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _figure(found: Comparison) -> Figure:

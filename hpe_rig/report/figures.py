@@ -7,6 +7,7 @@ the Okabe-Ito set, safe for colour-blind readers, and never the only thing that 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,11 @@ from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.report.views import EchoView, MotionView, grey_limit_v
 from hpe_rig.result import BLUE, GREY, ORANGE, SKY, Picture, legend, legend_above, mark, panel, picture, thin
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ROOM_ABOVE = 1.05
+"""Top of an amplitude's axis over the largest, so that its mark is whole."""
 FloatArray = NDArray[np.float64]
 
 
@@ -139,11 +145,18 @@ def _sweep_amplitude(sweep: Sweep, curves: Sequence[SweepCurve]) -> Picture:
             parts.append(
                 f"{curve.group or 'line'}: slope {curve.line.slope * 1e9:.4g} nm, R2 {curve.line.r_squared:.4f}"
             )
-    axes.set(xlabel=sweep.label, ylabel="amplitude (nm)", ylim=(0, None))
+    axes.set(xlabel=sweep.label, ylabel="amplitude (nm)", ylim=(0, ROOM_ABOVE * axes.get_ylim()[1]))
+    _scale(axes)
     legend(axes, "best")
     f = curves[0].frequency_hz
     alt = f"Amplitude at {f:g} Hz over {sweep.name}, mean and standard deviation of the repeats. {'; '.join(parts)}."
     return picture(figure, f"sweep-amplitude-{f:g}", f"Amplitude at {f:g} Hz over {sweep.name}", alt)
+
+
+def _scale(axes: Axes) -> None:
+    """Write what was varied with a power of ten in common where its values are as small as gates in metres are."""
+    axes.ticklabel_format(axis="x", style="sci", scilimits=(-2, 5))
+    axes.locator_params(axis="x", nbins=7)
 
 
 def _sweep_phase(sweep: Sweep, curves: Sequence[SweepCurve]) -> Picture:
@@ -156,6 +169,7 @@ def _sweep_phase(sweep: Sweep, curves: Sequence[SweepCurve]) -> Picture:
             label=curve.group or "mean, sd",
         )  # fmt: skip
     axes.set(xlabel=sweep.label, ylabel="phase (degrees)")
+    _scale(axes)
     legend(axes, "best")
     f = curves[0].frequency_hz
     low, high = (np.degrees([edge(_continuous(curve)) for curve in curves]) for edge in (np.min, np.max))

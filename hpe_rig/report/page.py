@@ -6,7 +6,7 @@ Its numbers are estimated again from the stored records, never read from a table
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -15,7 +15,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from hpe_rig.acquire import Run, open_run
+from hpe_rig.acquire import Run, estimate_points, open_run, points_over
 from hpe_rig.bench import twin_of
 from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, named, origin
 from hpe_rig.plan import scene_of, timing
@@ -60,6 +60,14 @@ PAGE_START = b"<!DOCTYPE html>"
 
 
 @dataclass(frozen=True, slots=True)
+class StoredAxes:
+    """Axes of a sweep over what is made of stored records; ``together``: their values go in step."""
+
+    values: Mapping[str, Sequence[float]]
+    together: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class ErrorStage:
     """What one stage adds to the error of the strongest harmonic, in words."""
 
@@ -74,20 +82,21 @@ def write_report(
     output: Path | None = None,
     shot: int | None = None,
     profile_step_m: float | None = None,
+    axes: StoredAxes | None = None,
 ) -> Path:
     """Write the report of the run in ``path`` and return its own path, by default beside the run with ``.html``.
 
     ``shot`` counts from 1 and says which one is drawn; absent: of the complete ones that which moves most;
-    ``profile_step_m``: also gates so far apart over depth. Raises
-    ``StoreError`` for a file that cannot be read or written, or would be lost, and ``SettingsError`` for what the file
-    says or the caller asks.
+    ``profile_step_m``: also gates so far apart over depth; ``axes``: results and curves of the same records at every
+    value of what is made of them, as ``Run.sweep``. Raises ``StoreError`` for a file that cannot be read or written, or
+    would be lost, and ``SettingsError`` for what the file says or the caller asks.
     """
     if not path.name:
         raise StoreError(f"{path} is a folder. Try: the path of a run file.")
     target = output or path.with_suffix(".html")
     _refuse_other(target)
     refuse_unwritable(target)
-    page = render(path, estimator, shot, profile_step_m)
+    page = render(path, estimator, shot, profile_step_m, axes)
     try:
         target.write_text(page, encoding="utf-8")
     except OSError as error:
@@ -110,21 +119,33 @@ def _refuse_other(target: Path) -> None:
 
 
 def render(
-    path: Path, estimator: str | None = None, shot: int | None = None, profile_step_m: float | None = None
+    path: Path,
+    estimator: str | None = None,
+    shot: int | None = None,
+    profile_step_m: float | None = None,
+    axes: StoredAxes | None = None,
 ) -> str:
     """Return the report of the run in ``path`` as HTML text; raises as ``write_report``."""
     stages = Stages()
     with stages("read"):
         run = open_run(path).with_profile(profile_step_m)
-    result = run.estimate(estimator, stages)
-    with stages("write result"):
-        run.save(result)
-    shown = _shown(result, shot)
+    whole = run
+    if axes is None:
+        result = run.estimate(estimator, stages)
+        with stages("write result"):
+            run.save(result)
+        shown = _shown(result, shot)
+    else:
+        points = points_over(run, axes.values, axes.together)
+        result = estimate_points(points, estimator)
+        shown = _shown(result, shot)
+        # what is drawn of one shot is drawn with the settings of its point
+        run = next(point.run for point in points if point.values.items() <= shown.swept.items())
     with stages("draw"):
         pictures, checks, motion = _look(run, shown, repeats_of(result, shown))
         sweep = make_sweep(result.shots)
         swept = figures.sweep_pictures(sweep) if sweep else ()
-        fitted = moduli_part(run, estimator)
+        fitted = moduli_part(whole, estimator)
         deep = profile_pictures([gate for gate in result.profile if _alike(gate.shot, shown)])
     return _page(
         result=result,

@@ -7,11 +7,18 @@ from .estimates import (
     Headline as Headline,
     Result as Result,
     ShotResult as ShotResult,
+    json_values as json_values,
     shot_warnings as shot_warnings,
 )
 from .figure import PALETTE as PALETTE
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
-from .json_schema import dataclass_schema as dataclass_schema, result_schema as result_schema, titled as titled
+from .json_schema import (
+    dataclass_schema as dataclass_schema,
+    object_schema as object_schema,
+    result_schema as result_schema,
+    titled as titled,
+    type_schema as type_schema,
+)
 from .motion import MOST_PULSES as MOST_PULSES, ShotMotion as ShotMotion
 from .motion_map import BadPixel as BadPixel, MotionMap as MotionMap
 from .phase import (

@@ -315,7 +315,7 @@ class Result:
             del table["motion"]
             for estimate, row in zip(shot.estimates, table["estimates"], strict=True):
                 row.update({name: getattr(estimate, name) for name in DERIVED})
-        plain: dict[str, Any] = _finite(tables)
+        plain: dict[str, Any] = json_values(tables)
         return plain
 
     def __str__(self) -> str:
@@ -377,9 +377,10 @@ def _words(by_shot: dict[int, str], shots: int) -> str:
     return f"shot {numbers}: {example}{text}"
 
 
-def _finite(value: Any) -> Any:
+def json_values(value: Any) -> Any:
+    """Return nested tables and lists with null for numbers that JSON does not have, such as an infinite ratio."""
     if isinstance(value, Mapping):
-        return {key: _finite(inner) for key, inner in value.items()}
+        return {key: json_values(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(inner) for inner in value]
+        return [json_values(inner) for inner in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

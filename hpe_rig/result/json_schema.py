@@ -19,7 +19,10 @@ NUMBER = {"type": ["number", "null"]}
 def result_schema() -> dict[str, Any]:
     """Return the JSON schema (draft 2020-12) of a result; keys that it does not name do not occur."""
     schema = _object(Result)
-    derived = {"means": {"type": "array", "items": _object(RepeatMean)}, "left_out": _of(tuple[tuple[str, str], ...])}
+    derived = {
+        "means": {"type": "array", "items": _object(RepeatMean)},
+        "left_out": type_schema(tuple[tuple[str, str], ...]),
+    }
     schema["properties"] |= derived
     absent = {"means", "simulated_specimen", "imported", "profile"}
     schema["required"] = [name for name in schema["properties"] if name not in absent]
@@ -42,20 +45,26 @@ def dataclass_schema(kind: type, **changed: dict[str, Any]) -> dict[str, Any]:
 def _object(kind: type) -> dict[str, Any]:
     hints = get_type_hints(kind)
     left_out = {"motion"} if kind is ShotResult else set[str]()
-    properties = {each.name: _of(hints[each.name]) for each in fields(kind) if each.name not in left_out}
+    properties = {each.name: type_schema(hints[each.name]) for each in fields(kind) if each.name not in left_out}
     if kind is Estimate:
         properties |= dict.fromkeys(DERIVED, NUMBER)
-    about = " ".join((kind.__doc__ or "").partition("\n\n    >>>")[0].split())
+    return object_schema((kind.__doc__ or "").partition("\n\n    >>>")[0], properties)
+
+
+def object_schema(about: str, properties: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the schema of an object that has all ``properties``, each a schema or a type, and no others."""
+    properties = {name: each if isinstance(each, dict) else type_schema(each) for name, each in properties.items()}
     return {
         "type": "object",
-        "description": about,
+        "description": " ".join(about.split()),
         "properties": properties,
         "required": list(properties),
         "additionalProperties": False,
     }
 
 
-def _of(hint: Any) -> dict[str, Any]:
+def type_schema(hint: Any) -> dict[str, Any]:
+    """Return the schema of a value of the type ``hint``, as its annotation has it."""
     plain = {str: "string", bool: "boolean", int: "integer", Path: "string"}
     origin, inner = get_origin(hint), get_args(hint)
     if hint is float:
@@ -71,11 +80,16 @@ def _of(hint: Any) -> dict[str, Any]:
     if origin is Literal:
         return {"enum": list(inner)}
     if origin is tuple and Ellipsis in inner:
-        return {"type": "array", "items": _of(inner[0])}
+        return {"type": "array", "items": type_schema(inner[0])}
     if origin is tuple:
-        return {"type": "array", "prefixItems": [_of(each) for each in inner], "items": False, "minItems": len(inner)}
+        return {
+            "type": "array",
+            "prefixItems": [type_schema(each) for each in inner],
+            "items": False,
+            "minItems": len(inner),
+        }
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        return {"type": "object", "additionalProperties": _of(inner[1])}
+        return {"type": "object", "additionalProperties": type_schema(inner[1])}
     if origin in (Union, types.UnionType):
-        return {"anyOf": [{"type": "null"} if each is type(None) else _of(each) for each in inner]}
+        return {"anyOf": [{"type": "null"} if each is type(None) else type_schema(each) for each in inner]}
     raise TypeError(f"{hint} has no place in a JSON schema")

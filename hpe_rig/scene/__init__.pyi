@@ -16,7 +16,7 @@ from .keys import (
 )
 from .notation import engineering as engineering
 from .notes import Note as Note
-from .points import BENCH as BENCH, ScenePoint as ScenePoint
+from .points import BENCH as BENCH, IN_TURN as IN_TURN, ScenePoint as ScenePoint
 from .quantities import (
     AmplitudeM as AmplitudeM,
     Count as Count,

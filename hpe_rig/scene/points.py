@@ -14,6 +14,13 @@ from hpe_rig.scene.scene import Scene, Sweep, plain_tables
 from hpe_rig.scene.validation import STORED, KeyPath, Mistake, SettingsError, mistakes_of
 
 MOST_POINTS = 1000
+IN_TURN: Mapping[str, str] = {
+    "tracking.pulse_rate_hz": "pulse_rate_hz",
+    "processing.window_length_s": "window_length_s",
+    "tracking.lateral_offset_m": "lateral_offset_m",
+    "tracking.axial_offset_m": "axial_offset_m",
+}
+"""Keys in whose place [sweep] takes values in turn, and the key of [sweep] that has these."""
 BENCH = "bench."
 """Beginning of the name of a key that stands in the bench file."""
 
@@ -95,6 +102,11 @@ def _full_names(scene: Scene) -> dict[str, bool]:
             mistakes.append(Mistake(f"sweep.{name}", resolved.what, resolved.remedy))
         elif (full := str(resolved)) in found:
             mistakes.append(Mistake(f"sweep.{name}", f"{full} is swept by another axis already", "one axis for it"))
+        elif listed := getattr(scene.sweep, IN_TURN.get(full, ""), ()):
+            what = f"sweep.{IN_TURN[full]} = {list(listed)} is taken in place of {full}, whatever the axis says"
+            mistakes.append(
+                Mistake(f"sweep.{name}", what, f"one of the two: without sweep.{IN_TURN[full]}, or the axis")
+            )
         else:
             found[full] = isinstance(resolved, Key) and resolved.whole
     if mistakes:

@@ -120,7 +120,7 @@ Title = Annotated[str, AfterValidator(_one_line)]
 class Section(BaseModel):
     """A frozen table of settings that refuses keys it does not know."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Excitation(Section):

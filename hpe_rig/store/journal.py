@@ -5,11 +5,12 @@ may crash. Here it never meets one: all that it writes is kept until ``commit``,
 in which the file is whole at every moment, checks that this is still the file that was begun, and raises what fails.
 
 The file is written by a thread of its own, so that a disk or a share that no longer answers cannot keep a run from
-switching its outputs off.
+switching its outputs off. A commit may go on while the next one is prepared: one at a time, in their order.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import threading
@@ -39,8 +40,8 @@ Made = TypeVar("Made")
 class Journal:
     """The run file ``path`` as a file-like object for HDF5; ``locked`` is False where its disk knows no locks.
 
-    The library must not be in the middle of a call while ``commit`` runs. After a commit failed nothing that it writes
-    reaches the file any more; the file is then as it was after the last one that went well, but for ``amend``.
+    The library must not be in the middle of a call while ``commit`` is asked for. After a commit failed nothing that it
+    writes reaches the file any more; the file is then as it was after the last one that went well, but for ``amend``.
     """
 
     def __init__(self, path: Path) -> None:
@@ -60,6 +61,9 @@ class Journal:
         self._size = self._end = self._identity.st_size
         self._place = 0
         self._pending: list[Write] = []
+        # What the last commit brings to the file, which may not be there yet, and its end until that was waited for.
+        self._under_way: tuple[Write, ...] = ()
+        self._done: Future[None] | None = None
         self._failure: Exception | None = None
         self._stuck = self._interrupted = False
         self._tasks: SimpleQueue[tuple[Callable[[], None], Future[None]] | None] = SimpleQueue()
@@ -85,7 +89,7 @@ class Journal:
         while found < len(buffer) and (count := self._view.readinto(buffer[found:])):
             found += count
         buffer[found:] = bytes(len(buffer) - found)
-        for offset, data in self._pending:
+        for offset, data in (*self._under_way, *self._pending):
             first, last = max(offset, self._place), min(offset + len(data), self._place + len(buffer))
             if first < last:
                 buffer[first - self._place : last - self._place] = data[first - offset : last - offset]
@@ -119,16 +123,21 @@ class Journal:
         taken, self._pending = tuple(self._pending), []
         return taken
 
-    def commit(self, sync: bool = False) -> None:
-        """Bring all that was written to the file, with ``sync`` to the disk itself.
+    def commit(self, sync: bool = False, wait: bool = True) -> None:
+        """Bring all that was written to the file, with ``sync`` to the disk itself; without ``wait`` begin to.
 
         Raises ``OSError``, of this commit or of an earlier one whose end nobody waited for, and ``StoreError`` where
         the file is no longer the one that was begun.
         """
-        batch = self.take_pending()
+        # First, so that an interrupt while it waits takes nothing of what the next commit has to bring.
+        self._settle()
+        batch, end = self.take_pending(), self._end
         if self._failure is not None:
             raise self._failure
-        self._do(lambda: self._apply(batch, self._end, sync))
+        self._under_way = batch
+        self._begin(lambda: self._apply(batch, end, sync))
+        if wait:
+            self._settle()
 
     def amend(self, writes: tuple[Write, ...]) -> None:
         """Overwrite bytes in place and sync, also after a failure; raise ``OSError`` where that fails too."""
@@ -147,11 +156,23 @@ class Journal:
 
     def _do(self, task: Callable[[], None]) -> None:
         """Have the thread do ``task``; interrupted while it waits, it is done all the same."""
+        with contextlib.suppress(OSError, StoreError):
+            # What a commit before failed with is kept, and raised by the next.
+            self._settle()
+        self._begin(task)
+        self._settle()
+
+    def _begin(self, task: Callable[[], None]) -> None:
         if self._stuck:
             raise OSError(errno.ETIMEDOUT, "the disk does not answer")
-        done: Future[None] = Future()
-        self._tasks.put((task, done))
-        patience_s = LAST_STEP_S if self._interrupted else LONGEST_STEP_S
+        self._done = Future()
+        self._tasks.put((task, self._done))
+
+    def _settle(self) -> None:
+        """Wait for the task that was begun last, and raise what it failed with."""
+        if self._done is None:
+            return
+        done, patience_s = self._done, LAST_STEP_S if self._interrupted else LONGEST_STEP_S
         try:
             done.result(patience_s)
         except TimeoutError as error:
@@ -163,6 +184,9 @@ class Journal:
         except BaseException:
             self._interrupted = not done.done()
             raise
+        finally:
+            if self._stuck or done.done():
+                self._done = None
 
     def _apply(self, batch: tuple[Write, ...], end: int, sync: bool) -> None:
         try:

@@ -147,7 +147,8 @@ class RunWriter:
         if not block.codes.size:
             return
         self._refuse_other_volts(block)
-        with self._committing(always=False):
+        # The disk takes these records while the next ones arrive; they are waited for before the shot is complete.
+        with self._committing(always=False, wait=False):
             rows = self._rows_of(shot)
             index, rows.latest = place(block, rows.latest, shot)
             kept = index >= 0
@@ -316,17 +317,17 @@ class RunWriter:
             )
 
     @contextlib.contextmanager
-    def _committing(self, always: bool = True, sync: bool = False) -> Iterator[None]:
+    def _committing(self, always: bool = True, sync: bool = False, wait: bool = True) -> Iterator[None]:
         """Bring to the file what the block writes; unless ``always`` only where it wrote anything."""
         with self._writing():
             yield
         if always or self._journal.pending:
-            self._commit(sync)
+            self._commit(sync, wait)
 
-    def _commit(self, sync: bool = False) -> None:
+    def _commit(self, sync: bool = False, wait: bool = True) -> None:
         # Signals are let through here: a disk that does not answer must not keep the outputs on.
         try:
-            self._journal.commit(sync)
+            self._journal.commit(sync, wait)
         except OSError as error:
             self._broken = True
             raise self._cannot_be_written(error) from error

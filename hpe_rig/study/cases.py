@@ -8,13 +8,15 @@ import json
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hpe_rig.bench import check_declared, check_simulation, twin_of, twin_settings
+from hpe_rig.bench import check_declared, check_simulation, read_bench, twin_of, twin_settings
 from hpe_rig.plan import PlanError
 from hpe_rig.processing import Estimator, Options, spec_of
 from hpe_rig.scene import (
+    IN_TURN,
     Mistake,
     Scene,
     SettingsError,
@@ -47,8 +49,6 @@ USED_KEYS = (*(f"{section}.{key}" for section, keys in USED.items() for key in k
 
 SET_BY_STUDY = ("simulation.seed", "acquisition.repeats")
 """Keys that whole measurements set for every realisation, beside [sweep]."""
-IN_TURN = {"tracking.pulse_rate_hz": "pulse_rate_hz", "processing.window_length_s": "window_length_s"}
-"""Keys in whose place a scene's [sweep] takes several values in turn, and the key there."""
 _MEASURES = "which measures all of the scene"
 
 Tables = dict[str, Any]
@@ -191,7 +191,9 @@ def _measured_case(grid: _Grid, reading: Reading, place: tuple[int, ...], stream
     own = plain_tables(scene)
     stream = _stream(grid, reading, place, own, streams, lambda at: plain_tables(_whole_scene(grid, at)))
     sizes = definition.scatterers, definition.noise, definition.standard_error_m
-    key = _hash([ENGINE, "bench", own, list(estimators), sizes, stream, definition.corrected])
+    # All of the program has a part in its numbers, and so has the bench on which it is measured.
+    program = version("hpe-rig"), read_bench().text
+    key = _hash([ENGINE, "bench", program, own, list(estimators), sizes, stream, definition.corrected])
     case = MeasuredCase(key, stream, scene, estimators, *sizes, definition.corrected)
     try:
         first_setup(case)

@@ -34,7 +34,18 @@ Finite = Annotated[float, Field(ge=-1e100, le=1e100)]
 
 MOST_POINTS = 1_000_000
 """Far more cases than anyone waits for; each is a file."""
-COLUMNS = ("reading", "estimator", "frequency_hz", "refused", "draws", "noise", "seconds", "peak_memory_bytes", "case")
+COLUMNS = (
+    "reading",
+    "estimator",
+    "frequency_hz",
+    "refused",
+    "warned",
+    "draws",
+    "noise",
+    "seconds",
+    "peak_memory_bytes",
+    "case",
+)
 """Columns of every result, beside those of amplitude and phase: no axis has their names."""
 
 

@@ -22,6 +22,7 @@ from importlib.metadata import version
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.processing import Estimator
 from hpe_rig.study.cases import Case
 from hpe_rig.study.kernels import Form, form_of, spectral_kernels, states
 from hpe_rig.study.results import CaseRecord
@@ -157,13 +158,16 @@ def _in_forms(
 ) -> dict[Form, Floats]:
     """Return unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes.
 
-    Drawn by ``peak`` for the paper's chain and by ``others`` for all that see the tapered gate.
+    Drawn by ``peak`` for the paper's chain and by ``others`` for all that see the tapered gate, where there are any.
     """
     wanted = {form_of(name) for one in active for name in one.case.estimators}
     seen = spectral_kernels(active[0].case.train)
-    of_peak = peak.standard_normal((*shape, len(seen.basis["peak"])))
-    of_others = others.standard_normal((*shape, len(seen.basis["plain"])))
-    return {form: (of_peak if form == "peak" else of_others) @ seen.of_numbers[form] for form in wanted}
+    out: dict[Form, Floats] = {}
+    for rng, forms in ((peak, wanted & {"peak"}), (others, wanted - {"peak"})):
+        if forms:
+            numbers = rng.standard_normal((*shape, len(seen.basis[min(forms)])))
+            out |= {form: numbers @ seen.of_numbers[form] for form in forms}
+    return out
 
 
 def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[Form, Floats], since: float) -> float:
@@ -175,12 +179,16 @@ def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dic
     clean = {form: volts @ columns for form, columns in spectral_kernels(train).of_volts.items() if form in noise}
     clean["volts"] = volts
     since = _charge(made.cases, since)
+    # Readings that differ in what is made of an estimate alone, "literal" and "as_printed", share the estimates.
+    found: dict[tuple[float | None, Estimator], Floats] = {}
     for one in made.cases:
         snr_db = one.case.twin.receiver.snr_db
         level = np.zeros_like(power) if snr_db is None else np.sqrt(power / 10 ** (snr_db / 10))
         for name in one.case.estimators:
-            form = form_of(name)
-            one.states[name][place] = states(train, name, clean[form], made.which, level, noise[form])
+            if (snr_db, name) not in found:
+                form = form_of(name)
+                found[snr_db, name] = states(train, name, clean[form], made.which, level, noise[form])
+            one.states[name][place] = found[snr_db, name]
         since = _charge([one], since)
     return since
 

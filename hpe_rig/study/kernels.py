@@ -33,8 +33,8 @@ from hpe_rig.processing import (
     fourier_columns,
     hann,
     motion_of,
+    noisy_peak_steps,
     orthonormal_rows,
-    peak_steps,
     spec_of,
 )
 
@@ -168,8 +168,8 @@ def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
 def _peaks_states(
     train: Train, estimator: Estimator, clean: Floats, which: Places, level: Floats, noise: Floats
 ) -> Floats:
-    steps = peak_steps(clean[:, None, which] + level[:, None, None, None] * noise)
-    step_m = steps.step * _metres(train) / spectral_kernels(train).grid_hz["peak"][steps.peak]
+    step, peak = noisy_peak_steps(clean, which, level, noise)
+    step_m = step * _metres(train) / spectral_kernels(train).grid_hz["peak"][peak]
     return np.asarray(step_m @ step_functional(train, estimator))
 
 

@@ -36,8 +36,8 @@ def measure_case(case: MeasuredCase) -> CaseRecord:
     """Return the record of a case, every draw measured in a run file of its own that is then removed."""
     since = time.process_time()
     frequencies = len(case.scene.wanted_frequencies_hz)
-    # (draw, noise, frequency, amplitude and phase: found, true)
-    found = {name: np.full((case.scatterers, case.noise, frequencies, 4), np.nan) for name in case.estimators}
+    # (draw, noise, frequency, amplitude and phase: found, true, and whether the shot is warned of)
+    found = {name: np.full((case.scatterers, case.noise, frequencies, 5), np.nan) for name in case.estimators}
     draws = 0
     while draws < case.scatterers and not settled(draws, case.standard_error_m, partial(_rows, case, found, draws)):
         for draw in range(draws, min(draws + BETWEEN_LOOKS, case.scatterers)):
@@ -55,7 +55,7 @@ def measure_case(case: MeasuredCase) -> CaseRecord:
 
 
 def _measure(case: MeasuredCase, draw: int, found: Mapping[Estimator, Floats]) -> None:
-    """Write what every estimator makes of a draw to ``found`` (noise, frequency, 4), NaN where it refuses."""
+    """Write what every estimator makes of a draw to ``found`` (noise, frequency, 5), NaN where it refuses."""
     with tempfile.TemporaryDirectory() as folder:
         run = open_run(record_run(prepare(case.seeded(draw)), Path(folder) / "run.h5"))
         for name, values in found.items():
@@ -69,7 +69,7 @@ def _measure(case: MeasuredCase, draw: int, found: Mapping[Estimator, Floats]) -
 
 def _fill(values: Floats, result: Result, corrected: bool) -> None:
     for shot in result.shots:
-        values[shot.shot] = [_numbers(each, corrected) for each in shot.estimates]
+        values[shot.shot] = [(*_numbers(each, corrected), bool(shot.warnings)) for each in shot.estimates]
 
 
 def _numbers(each: Estimate, corrected: bool) -> tuple[float | None, ...]:
@@ -83,12 +83,13 @@ def _rows(case: MeasuredCase, found: Mapping[Estimator, Floats], draws: int) -> 
     rows = []
     for name, every in found.items():
         for index, hz in enumerate(case.scene.wanted_frequencies_hz):
-            amplitude_m, phase_rad, true_m, true_rad = np.moveaxis(every[:draws, :, index], -1, 0)
+            amplitude_m, phase_rad, true_m, true_rad, warned = np.moveaxis(every[:draws, :, index], -1, 0)
             row: CaseRecord = {"estimator": name, "frequency_hz": hz, "amplitude_true_m": _first(true_m)}
             row |= errors(amplitude_m - true_m).named("amplitude", "m")
             row["phase_true_rad"] = _first(true_rad)
             row |= phase_errors(phase_rad - true_rad, 0.0).named("phase", "rad")
             row["refused"] = int(np.isnan(amplitude_m).sum())
+            row["warned"] = int(np.nansum(warned))
             rows.append(row)
     return rows
 

@@ -18,7 +18,17 @@ from hpe_rig.study.curve_figures import NM, curve_alt, curve_figure
 from hpe_rig.study.map_figures import map_alt, map_figure
 from hpe_rig.study.page import Part, render, table
 from hpe_rig.study.results import SUMMARY, StudyResult, write_whole
-from hpe_rig.study.series import View, error_figures, is_map, refused_words, shown, spans, views, with_error
+from hpe_rig.study.series import (
+    View,
+    error_figures,
+    is_map,
+    refused_words,
+    shown,
+    spans,
+    views,
+    warned_words,
+    with_error,
+)
 
 PNG_DPI = 150
 FIGURES = ("amplitude bias (%)", "amplitude jitter (%)", "phase bias (°)", "phase jitter (°)")
@@ -172,7 +182,7 @@ def _precision(result: StudyResult) -> tuple[str, ...]:
         f"{result.realisations} realisations, {result.rows[0]['draws']} scatterer draws a case with "
         f"{result.rows[0]['noise']} of noise each; {known}"
     ]
-    return tuple(filter(None, (*words, refused_words(result.rows))))
+    return tuple(filter(None, (*words, refused_words(result.rows), warned_words(result.rows))))
 
 
 def _median(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:

@@ -157,6 +157,20 @@ def refused_words(rows: Iterable[Mapping[str, Any]]) -> str:
     return f"{refused} estimates were refused: they are left out, with all others of the same scatterers and case."
 
 
+def warned_words(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return how many estimates are of shots that the result warns of, and where; "" where none is."""
+    counts = [(row.get("warned", 0), row) for row in rows]
+    warned, (most, worst) = sum(count for count, _ in counts), max(counts, key=lambda each: each[0], default=(0, {}))
+    if not warned:
+        return ""
+    of = sum(row["draws"] * row["noise"] for row in rows)
+    share = f"{most} of {worst['draws'] * worst['noise']} at {worst['frequency_hz']:g} Hz with {worst['estimator']}"
+    return (
+        f"{warned} of {of} estimates are of shots with warnings, at most {share} in one case: they count, and a run of "
+        "that case says which warnings."
+    )
+
+
 def spans(rows: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return the least and the largest of each of `error_figures` over ``rows``; a dash where none is known."""
     found = []

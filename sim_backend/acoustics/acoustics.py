@@ -363,9 +363,10 @@ def _begun(make: Begun, values: int) -> Begun:
 def transmitted_share(amplitude_vpp: Floats, settings: SimulationSettings) -> Floats:
     """Return what hybrid, amplifier and diodes leave of tracking pulses (burst,), over that of the reference pulse.
 
-    The carrier alone: its harmonics lie outside the receive band.
+    The carrier alone: its harmonics lie outside the receive band. They are the push's: to a tracking transducer of its
+    own pulses go another way, which is linear.
     """
-    if settings.transmitter.linear:
+    if settings.transmitter.linear or settings.beams.tracking_focus_depth_m is not None:
         return np.ones_like(amplitude_vpp)
     from sim_backend.motion import harmonic_v
 

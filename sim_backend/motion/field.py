@@ -50,9 +50,8 @@ _NODES_WHERE_WAVES_ARE_SHORT = 36
 _SHORT_OCTAVES = 5
 # exp(-32) = 1e-14: a share of the spectrum below that puts nothing into any point.
 _NEGLIGIBLE_EXPONENT = 32.0
-# Most octaves see so short a way that J0 is a short power series, at a tenth of the price.
-_SHORT_ARGUMENT = 0.5
-_SERIES_TERMS = 7
+# Of the table of J0 along the ray.
+_CELL, _CELL_NODES = 0.5, 10
 # Chebyshev degrees of the shapes; laterally more where the field reaches over many widths of the force.
 _LATERAL_DEGREES = 16
 _LATERAL_DEGREES_A_WIDTH = 3.8
@@ -143,7 +142,9 @@ def focus_field(
     # From values at the grid's Chebyshev points to coefficients, along both axes.
     grid = right[:modes].reshape(modes, across, along)
     series = np.einsum("la,mab,cb->mlc", _to_series(across), grid, _to_series(along), optimize=True)
-    response = StepResponse(memory_s(specimen, Panels(courses)), Panels(courses))
+    # What is left of a response below the tolerance is the quadrature's: a pulse is over by then.
+    memory = memory_s(specimen, Panels(courses), 0.1 * tolerance)
+    response = StepResponse(memory, Panels(courses))
     return FocusField(lateral_reach_m, axial_reach_m, response, series, lateral_inner_m, uneven)
 
 
@@ -275,14 +276,15 @@ class _Spectrum:
     def __init__(self, force: GaussianSum, lateral_m: Floats, axial_m: Floats) -> None:
         directions = _Directions(force)
         self.ray = _ray(directions, float(lateral_m.max()), float(np.abs(axial_m).max()))
-        self._k2, self._into = _ray_spectrum(directions, lateral_m, axial_m, self.ray)
+        self._k2, into = _ray_spectrum(directions, lateral_m, axial_m, self.ray)
+        self._k2_into = self._k2[:, None] * into
 
     def transfer(self, specimen: Specimen, s_per_s: Complexes) -> Complexes:
         """Return the displacement at every point, (s, point)."""
         modulus = shear_modulus(specimen, s_per_s)
         pole = specimen.density_kg_per_m3 * s_per_s**2 / modulus
-        kernel = self._k2 / (self._k2 + pole[:, None]) / modulus[:, None]
-        return np.asarray(kernel @ self._into)
+        # k^2 / (k^2 + pole) / modulus at every s and k, of which only the fraction hangs on both
+        return np.asarray((1 / (self._k2 + pole[:, None])) @ self._k2_into / modulus[:, None])
 
 
 class _Directions:
@@ -330,27 +332,26 @@ def _ray_spectrum(
     directions: _Directions, lateral_m: Floats, axial_m: Floats, ray: float
 ) -> tuple[Complexes, Complexes]:
     """Return the squares of the wave numbers, (k,), and their weighted share in every point, (k, point)."""
-    from scipy.special import jv
-
     m, a = directions.m, directions.least
     turn, finer = np.exp(1j * ray), _RAY / ray
     reach_m = lateral_m.max() * np.sqrt(1 - m**2) + (np.abs(axial_m).max() + directions.farthest_m) * m
     highest = float(_highest(a, reach_m, ray).max())
+    bessel = _BesselOnRay(turn, highest * float(lateral_m.max()))
     edges = highest * 2.0 ** np.arange(-_OCTAVES, 1)
     k2, into = [], []
     for octave, (low, high) in enumerate(zip([0.0, *edges[:-1]], edges, strict=True)):
         short = octave > _OCTAVES - _SHORT_OCTAVES
         count = _NODES_WHERE_WAVES_ARE_SHORT if short else _NODES_AN_OCTAVE
         node, weight = np.polynomial.legendre.leggauss(math.ceil(count * finer))
-        k = turn * ((high + low) / 2 + (high - low) / 2 * node)
+        along_ray = (high + low) / 2 + (high - low) / 2 * node
+        k = turn * along_ray
         # Directions in which the force is too long for these wave numbers put nothing into any point.
         fall = a * (low * low * math.cos(2 * ray))
         seen = fall - high * reach_m * math.sin(ray) < _NEGLIGIBLE_EXPONENT
         sine, cosine = np.sqrt(1 - m[seen] ** 2)[:, None], m[seen][:, None]
         even, odd = directions.spectra(k, seen)
         # (k, direction, lateral) and (k, direction, axial): the wave across the axis and along it.
-        waves = k[:, None, None] * sine * lateral_m
-        across = jv(0, waves) if high * lateral_m.max() > _SHORT_ARGUMENT else _bessel_near_0(waves)
+        across = bessel.at(along_ray[:, None, None] * (sine * lateral_m))
         phase = k[:, None, None] * cosine * axial_m
         along = even[:, :, None] * np.cos(phase)
         if odd is not None:
@@ -362,12 +363,29 @@ def _ray_spectrum(
     return np.concatenate(k2), np.concatenate(into)
 
 
-def _bessel_near_0(z: Complexes) -> Complexes:
-    """Return J0(z) for |z| up to ``_SHORT_ARGUMENT`` by its power series, good to 1e-17."""
-    square, value = -(z**2) / 4, np.ones_like(z)
-    for order in range(_SERIES_TERMS, 0, -1):
-        value = 1 + value * square / order**2
-    return value
+class _BesselOnRay:
+    """J0 at distances from 0 along the ray, by a polynomial in each cell of a table: to 4e-15 of exp(|Im z|).
+
+    One cell is half a radian long; jv of complex arguments takes ten times as long as its polynomial.
+    """
+
+    def __init__(self, turn: complex, farthest: float) -> None:
+        # Here, so that what needs no field does not load it.
+        from scipy.special import jv
+
+        node = np.cos((np.arange(_CELL_NODES) + 0.5) * np.pi / _CELL_NODES)
+        middle = (np.arange(int(farthest / _CELL) + 1) + 0.5) * _CELL
+        value = jv(0, turn * (middle + node[:, None] * _CELL / 2))
+        self._polynomial = np.linalg.solve(np.vander(node).astype(np.complex128), value)
+
+    def at(self, distance: Floats) -> Complexes:
+        """Return J0 at ``distance``, any shape, from 0 to ``farthest``."""
+        cell, place = np.divmod(distance / _CELL, 1.0)
+        here, place = cell.astype(np.intp), 2 * place - 1
+        value = self._polynomial[0][here]
+        for row in self._polynomial[1:]:
+            value = value * place + row[here]
+        return np.asarray(value)
 
 
 def _highest(a: Floats, distance_m: Floats, ray: float) -> Floats:

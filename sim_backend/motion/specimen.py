@@ -150,12 +150,15 @@ def tabulate_step_response(specimen: Specimen, width_m: Triple) -> StepResponse:
     return StepResponse(memory_s(specimen, panels), panels)
 
 
-def memory_s(specimen: Specimen, panels: Panels) -> float:
-    """Return the time after which no response of ``panels`` changes; their end for a medium that creeps for ever."""
+def memory_s(specimen: Specimen, panels: Panels, forgotten: float = _FORGOTTEN) -> float:
+    """Return the time after which no response of ``panels`` changes; their end for a medium that creeps for ever.
+
+    By more than ``forgotten``, relative to the largest of them at rest.
+    """
     if creeps_for_ever(specimen):
         return panels.end_s
     value = panels.at(np.append(panels.begins_s, panels.end_s))
-    moving = np.abs(value - value[-1]).max(axis=1) > _FORGOTTEN * np.abs(value[-1]).max()
+    moving = np.abs(value - value[-1]).max(axis=1) > forgotten * np.abs(value[-1]).max()
     return float(panels.begins_s[min(int(np.flatnonzero(moving)[-1]) + 1, len(moving) - 2)])
 
 

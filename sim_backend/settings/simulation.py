@@ -66,7 +66,7 @@ MOST_WIDTHS = 8.0
 class Section(BaseModel):
     """A frozen table of settings that refuses keys it does not know."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Sphere(Section):
@@ -142,7 +142,7 @@ class Specimen(Section):
 
 
 class Transmitter(Section):
-    """Hybrid junction, power amplifier and matching transformer between generators and transducer."""
+    """Hybrid junction, power amplifier and matching transformer between generators and the transducer that pushes."""
 
     gain_db: RatioDb = 40.0
     """Gain of the power amplifier (paper: 40 dB)."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.run import prepare
+from hpe_rig.acquire.setup import prepare
 from hpe_rig.bench.opening import open_bench
 
 pytestmark = pytest.mark.hardware

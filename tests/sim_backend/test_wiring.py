@@ -175,6 +175,9 @@ def test_an_edge_counts_from_the_level_on_and_not_from_the_level():
     # Behind 50 of 50 + 50 ohm half of it is seen: 1 V is at the level of 0.5 V.
     assert crossings(steps, 0.5, rising=True, input_ohm=50.0).tolist() == [1, 4]
     assert crossings(steps, 0.5, rising=False, input_ohm=50.0).tolist() == [2, 3]
+    # What is at the level already and goes on rising passes nothing.
+    further = Steps(np.array([1]), np.array([1.0]), np.array([2.0]))
+    assert crossings(further, 0.5, rising=True, input_ohm=50.0).tolist() == []
 
 
 def sine(**changes):

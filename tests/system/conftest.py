@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import process
+from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.result.estimates import Result
 from hpe_rig.scene.scene import shipped_scenes
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.run import record_run
+from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.bench import inventory as bench_report
 from hpe_rig.bench.bench_file import BenchFile, read_bench
 from hpe_rig.bench.comparison import file_differences, prefixed, settings_differences

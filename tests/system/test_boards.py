@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from drivers.alazar import model_named
-from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import open_run, process
+from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.plan.checks.check_result import PlanError
 

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from hpe_rig.acquire.resumption import prepare_rest
-from hpe_rig.acquire.run import Setup, record_run
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import process
+from hpe_rig.acquire.setup import Setup
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.report.page import render
 from hpe_rig.scene.validation import SettingsError

@@ -23,7 +23,8 @@ import pytest
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import InstrumentError
-from hpe_rig.acquire.run import Setup, record_run
+from hpe_rig.acquire.run import record_run
+from hpe_rig.acquire.setup import Setup
 from hpe_rig.bench import instruments, opening
 from hpe_rig.bench.bench_file import TRANSPORTS, read_bench
 from hpe_rig.bench.instruments import UnsafeBenchError

@@ -19,9 +19,10 @@ from typer.testing import CliRunner
 import hpe_rig as hpe
 from drivers.agilent.generator import Agilent33250A
 from drivers.interfaces import GeneratorTask, PulseTrain
-from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress, ShotBlock, acquire
+from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.cli.app import app

@@ -14,7 +14,12 @@ from typer.testing import CliRunner
 
 from hpe_rig.cli.app import app
 
-pytestmark = pytest.mark.external
+# PyMUST's docstrings hold "\\m", which Python warns of when it compiles them: until 3.11 by another name.
+pytestmark = [
+    pytest.mark.external,
+    pytest.mark.filterwarnings("ignore:invalid escape sequence '.m':SyntaxWarning"),
+    pytest.mark.filterwarnings("ignore:invalid escape sequence '.m':DeprecationWarning"),
+]
 
 PULSES, PULSE_RATE_HZ, SPEED, RATE_HZ, CARRIER_HZ = 40, 4000.0, 1540.0, 20e6, 2.72e6
 ELEMENTS, DEPTH_M = 16, 50e-3

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.run import prepare, record_run
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.sequencer import Progress
+from hpe_rig.acquire.setup import prepare
 from hpe_rig.acquire.stop_request import StopRequested
 from hpe_rig.report.page import write_report
 from hpe_rig.scene.scene import shipped_scenes

@@ -57,9 +57,11 @@ def test_a_run_of_a_prescribed_motion_loads_no_scipy_and_nothing_that_pushes(fol
     assert not [name for name in loaded if name.startswith(("hpe_rig.report.", "hpe_rig.live.", "hpe_rig.moduli."))]
 
 
-def test_a_check_opens_no_twin_and_loads_no_scipy(tmp_path: Path) -> None:
+def test_a_check_opens_no_twin_and_loads_neither_scipy_nor_hdf5(tmp_path: Path) -> None:
     loaded = loaded_by(tmp_path, "check", "table-1")
-    assert packages(loaded) == CORE | {"sim_backend"}
+    # No file of a run is read or written.
+    assert packages(loaded) == CORE - {"h5py"} | {"sim_backend"}
+    assert not [name for name in loaded if name.startswith("hpe_rig.store.")]
     # What the twin's settings may say, and what they say of the motion: no echoes, no instruments.
     rooms = {".".join(name.split(".")[:2]) for name in loaded if name.startswith("sim_backend.")}
     assert rooms == {"sim_backend.motion", "sim_backend.settings", "sim_backend.wiring"}
@@ -85,7 +87,8 @@ def test_nothing_loads_extras_that_nobody_asked_for(folder: Path, command: tuple
     # of the transducer's physics what a Gaussian push is a sum of, and no more
     physics = {name for name in modules if name.startswith("sim_backend.transducer.")}
     assert physics <= {"sim_backend.transducer.intensity"}
-    assert loaded >= CORE | {"scipy"}
+    assert loaded >= CORE - {"h5py"} | {"scipy"}
+    assert ("h5py" in loaded) == (command[0] != "check")
     assert not loaded & NEVER
     assert bool(loaded & DRAWING) == (command[0] == "report")
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
-from hpe_rig.acquire import prepare, record_run
+from hpe_rig.acquire import json_schema, prepare, record_run
 from hpe_rig.acquire.places import require_mover
 from hpe_rig.cli.app import app
+from hpe_rig.moduli import ModuliResult
 from hpe_rig.report.page import _scene_of
 from hpe_rig.scene import SettingsError, load_scene
 
@@ -20,6 +23,17 @@ from hpe_rig.scene import SettingsError, load_scene
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> hpe.Run:
     return hpe.measure("gelatin-moduli", path=tmp_path_factory.mktemp("moduli") / "run.h5")
+
+
+def as_its_schema_says(result: ModuliResult) -> dict[str, Any]:
+    schema = json_schema("moduli")
+    jsonschema.Draft202012Validator.check_schema(schema)
+    printed: dict[str, Any] = json.loads(json.dumps(result.as_dict(), allow_nan=False))
+    validator = jsonschema.Draft202012Validator(schema)
+    validator.validate(printed)
+    wrong = {**printed, "places": [{**printed["places"][0], "lateral_m": "near"}], "another": 1}
+    assert len(list(validator.iter_errors(wrong))) == 2
+    return printed
 
 
 def test_the_moduli_of_the_shipped_scene_are_the_twins(run: hpe.Run) -> None:
@@ -35,7 +49,7 @@ def test_the_moduli_of_the_shipped_scene_are_the_twins(run: hpe.Run) -> None:
     assert result.plane_wave is not None
     assert abs(result.plane_wave.elasticity_pa / 7.25e3 - 1) > 0.1
     assert "Voigt" in str(result)
-    assert json.loads(json.dumps(result.as_dict()))["fits"][0]["law"] == "voigt"
+    assert as_its_schema_says(result)["fits"][0]["law"] == "voigt"
     assert len(result.figure().axes) == 2
 
 
@@ -59,6 +73,7 @@ def test_two_runs_of_a_place_each_do_as_well(run: hpe.Run, tmp_path: Path) -> No
     scene = load_scene("gelatin-moduli")
     parts = [hpe.measure(scene.with_(each), path=tmp_path / f"{i}.h5") for i, each in enumerate((one_place, other))]
     both, alone = hpe.fit_moduli(*parts, laws=["voigt"]), hpe.fit_moduli(parts[0], laws=["voigt"])
+    assert as_its_schema_says(alone)["plane_wave"] is None
     name = "shear_modulus_pa"
     assert abs(both.best.values[name] - 7.25e3) < 3 * both.best.uncertainty[name]
     assert both.best.uncertainty[name] < alone.best.uncertainty[name] / 2

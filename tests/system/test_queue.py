@@ -14,9 +14,11 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.acquire import (
+    QUEUE_FILE,
     Observer,
     Progress,
     QueueRun,
@@ -37,6 +39,7 @@ from hpe_rig.acquire import (
 )
 from hpe_rig.bench import BenchInUseError, hold, read_bench
 from hpe_rig.bench.lock import locked
+from hpe_rig.cli.app import app
 from hpe_rig.cli.watch import _asking
 from hpe_rig.live.queue_source import QueueSource
 from hpe_rig.scene import SettingsError, shipped_scenes
@@ -240,6 +243,18 @@ def test_nothing_starts_where_one_run_is_wrong_and_all_that_is_wrong_is_said(tmp
     assert not (tmp_path / "queue").exists()
     with pytest.raises(StoreError, match="hpe-rig queue made"):
         read_queue(tmp_path)
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '[{"name": 1}]', "[" * 2000, "\0\xff"])
+def test_a_damaged_list_is_said_on_the_page_and_refused_by_the_command(content: str, tmp_path: Path) -> None:
+    (tmp_path / QUEUE_FILE).write_text(content, encoding="latin-1")
+    state = QueueSource(tmp_path).poll()
+    assert state is not None
+    assert (state["status"], "it lists no runs of a queue" in state["why"]) == ("waiting", True)
+    for words in (["queue", "--resume", str(tmp_path)], ["live", str(tmp_path)]):
+        done = CliRunner().invoke(app, words)
+        assert done.exit_code == 2
+        assert "it lists no runs of a queue" in " ".join(done.output.split())
 
 
 def test_a_list_names_scenes_and_benches_from_its_own_folder(tmp_path: Path) -> None:

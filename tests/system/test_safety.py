@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.interfaces import InstrumentError, RecordBlock
-from hpe_rig.acquire.run import Setup
 from hpe_rig.acquire.sequencer import SAFETY_MARGIN_S, Progress, Step, acquire
+from hpe_rig.acquire.setup import Setup
 from hpe_rig.bench.instruments import Bench, UnsafeBenchError, proven_off
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.bench.opening import open_bench

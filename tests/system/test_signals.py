@@ -16,9 +16,10 @@ import pytest
 
 from drivers.agilent.generator import Agilent33250A
 from drivers.interfaces import DeadlineError, InstrumentError
-from hpe_rig.acquire.run import Setup, record_run
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import acquire
+from hpe_rig.acquire.setup import Setup
 from hpe_rig.bench import instruments as open_instruments, opening as bench_module
 from hpe_rig.bench.instruments import UnsafeBenchError, proven_off
 from hpe_rig.bench.opening import open_bench

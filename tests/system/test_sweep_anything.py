@@ -90,6 +90,13 @@ def test_what_cannot_be_swept_is_refused_with_every_reason_before_anything_is_op
         hpe.sweep("table-1", {"pulse_count": [50, 60]})
     with pytest.raises(SettingsError, match=r"(?s)2 mistakes.*bandwidth: .*bandwidth: "):
         hpe.sweep("table-1", {"simulation.scatterers.bandwidth": [0.065, -1.0, 5.0]})
+    listed = hpe.load_scene("table-1").with_(
+        {"sweep.pulse_rate_hz": [4000.0, 2000.0], "sweep.window_length_s": [5e-3], "sweep.lateral_offset_m": [0.0]}
+    )
+    with pytest.raises(
+        SettingsError, match=r"(?s)2 mistakes.*sweep\.pulse_rate_hz = \[4000.*without sweep.*\[0\.005\]"
+    ):
+        hpe.sweep(listed, {"tracking.pulse_rate_hz": [3000.0], "processing.window_length_s": [6e-3, 7e-3]})
     with pytest.raises(PlanError, match="12000 Hz"):
         hpe.sweep("table-1", {"tracking.pulse_rate_hz": [4000.0, 12000.0]}, path=tmp_path / "no.h5")
     with pytest.raises(TypeError, match="mapping"):

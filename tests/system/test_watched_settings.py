@@ -12,9 +12,10 @@ import pytest
 
 from drivers.interfaces import InstrumentError
 from hpe_rig.acquire import sequencer
-from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Observer, Progress, Step
+from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.bench import opening
 from hpe_rig.cli.tables import print_result
 from hpe_rig.report import write_report

@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 
 from drivers.interfaces import InstrumentError
 from drivers.visa import NoVisaError, VisaConnection
-from hpe_rig.acquire.run import prepare, record_run
+from hpe_rig.acquire.run import record_run
+from hpe_rig.acquire.setup import prepare
 from hpe_rig.bench import opening
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.cli.app import app

@@ -333,7 +333,9 @@ def test_a_declared_model_that_does_not_answer_is_refused(scripted) -> None:
         Agilent33250A(scripted(), "burst_train", series="33500B").configure(TRAIN)
 
 
-@pytest.mark.parametrize("reply", ["", "garbage", "33250A", "Agilent Technologies,33250A", "a,33251A,0,1"])
+@pytest.mark.parametrize(
+    "reply", ["", "garbage", "33250A", "Agilent Technologies,33250A", "a,33250A,0", "a,33251A,0,1"]
+)
 def test_a_wrong_identity_is_refused(scripted, reply: str) -> None:
     connection = scripted(replies={"*IDN": reply})
     with pytest.raises(InstrumentError, match="expected model 33250A or"):
@@ -403,3 +405,9 @@ def test_what_another_program_changed_is_found_and_the_next_task_starts_from_the
     connection.messages.clear()
     generator.configure(BURST)
     assert any("*RST" in message for message in connection.messages)
+
+
+@pytest.mark.parametrize(("role_type", "program"), ROLES)
+def test_what_the_wiring_just_bears_is_programmed(scripted, role_type, program) -> None:
+    swing_v = getattr(program, "high_v", None) or program.amplitude_vpp
+    role_type(scripted(), "x", max_vpp=swing_v).configure(program)

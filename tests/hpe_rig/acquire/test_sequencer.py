@@ -94,3 +94,27 @@ def test_every_instrument_of_the_plan_is_programmed_and_no_output_is_on(setup: S
     assert settings["burst_train"]["cycles"] == shot.burst_train.count
     # The reference of the phase is the burst's trigger: nothing may come later.
     assert shot.toneburst.delay_s == 0.0
+
+
+def test_the_log_has_every_step_and_not_every_block_of_records(setup: Setup, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO", "hpe_rig")
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        for _ in acquire(replace(setup.plan, shots=setup.plan.shots[:1]), bench):
+            pass
+    lines = [record.getMessage() for record in caplog.records if record.getMessage().startswith("shot 1: ")]
+    steps = (Step.MOVE, Step.CONFIGURE, Step.VERIFY, Step.ARM, Step.ENABLE, Step.FIRE, Step.COLLECT)
+    assert lines == [f"shot 1: {step.value}" for step in steps]
+
+
+def test_outputs_and_settings_are_read_back_once_after_a_train_that_is_soon_over(
+    setup: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[float] = []
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+        # Long after the world began, as in the last of many shots.
+        bench.clock.sleep(1000.0)
+        recheck = type(bench).recheck
+        monkeypatch.setattr(type(bench), "recheck", lambda self: (looked.append(0.0), recheck(self))[1])
+        for _ in acquire(replace(setup.plan, shots=setup.plan.shots[:1]), bench):
+            pass
+    assert len(looked) == 1

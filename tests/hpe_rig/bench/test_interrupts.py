@@ -172,3 +172,22 @@ def test_a_closing_windows_console_waits_until_the_bench_is_safe() -> None:
     # Ctrl-C and Ctrl-Break are the C library's.
     assert not guard.console_goes(0, lambda: asked.append("again"))
     assert asked == ["interrupt"]
+
+
+@posix
+def test_a_repetition_that_was_held_back_asks_for_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What followed the first within ``REPEAT_S`` is dropped, also once the block that held it back is done."""
+    monkeypatch.setattr(interrupts, "REPEAT_S", 60.0)
+    done = []
+
+    def unwind() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            with uninterrupted():
+                signal.raise_signal(signal.SIGTERM)
+            done.append("safe")
+
+    with interruptible():
+        unwind()
+    assert done == ["safe"]

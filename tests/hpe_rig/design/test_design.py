@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.acquire.run import Setup, prepare, prepare_text
+from hpe_rig.acquire.setup import Setup, prepare, prepare_text
 from hpe_rig.cli.app import app
 from hpe_rig.design.command import Request, compared, write_design
 from hpe_rig.design.model import effective_pulses, predicted

@@ -21,9 +21,10 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from hpe_rig.acquire.pause import pause_path, wait_at_place
-from hpe_rig.acquire.run import prepare, prepare_text, record_run
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.sequencer import Progress, Step, unobserved
+from hpe_rig.acquire.setup import prepare, prepare_text
 from hpe_rig.acquire.stop_request import StopRequested, clear_stop, request_stop, stop_path, stoppable
 from hpe_rig.cli.app import app
 from hpe_rig.cli.watch import PageOptions, watched
@@ -335,6 +336,11 @@ def test_a_request_to_stop_ends_the_run_as_aborted_with_what_was_recorded(tmp_pa
     assert stored.records[0].valid.any()
     clear_stop(run_file)
     assert not stop_path(run_file).exists()
+
+
+def test_a_place_that_cannot_be_asked_for_is_told_with_its_reason(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"at 2 mm cannot be written beside .*No such file.*hpe-rig resume"):
+        wait_at_place(tmp_path / "absent" / "run.h5", "one", 2e-3, lambda: False)
 
 
 @contextmanager

@@ -7,6 +7,7 @@ import pytest
 
 from hpe_rig.bench import read_bench
 from hpe_rig.plan import DepthGate, apart, check_plan, depth_gates, make_plan, shots_with_gate
+from hpe_rig.plan.checks.depth_gates import MOST_GATES
 from hpe_rig.plan.interference import admissible_delays_s
 from hpe_rig.scene import Scene, SettingsError, load_scene
 
@@ -85,3 +86,21 @@ def test_settings_that_contradict_each_other_are_refused() -> None:
         scene_with(processing__gates=[{"depth_m": 70e-3}], processing__gate_profile_step_m=1e-3)
     with pytest.raises(SettingsError, match="follow_gate"):
         scene_with(processing__follow_gate=True, processing__gate_profile_step_m=1e-3)
+
+
+def test_the_longest_profile_has_a_thousand_gates() -> None:
+    scene = scene_with(processing__gate_profile_step_m=10e-6, acquisition__record_samples=2048)
+    count = len(depth_gates(scene, make_plan(scene, BENCH).shots[0]))
+    assert count > MOST_GATES
+    fits_m = 10e-6 * (count - 1) / (MOST_GATES - 1)
+    for step_m, refused in ((fits_m * 1.003, False), (fits_m * 0.997, True)):
+        scene = scene.with_({"processing.gate_profile_step_m": step_m})
+        count = len(depth_gates(scene, make_plan(scene, BENCH).shots[0]))
+        assert (count > MOST_GATES) == refused
+        assert any("gate_profile_step_m" in each for each in refusals(scene)) == refused
+
+
+def test_the_room_for_gates_is_told_as_the_length_of_the_record() -> None:
+    [refused] = refusals(scene_with(processing__gate_profile_step_m=5e-3))
+    # 512 samples of 100 MHz, there and back
+    assert f"in a record of {512 / 100e6 * 1540 / 2 * 1e3:.3g} mm with a gate of 1 mm" in refused

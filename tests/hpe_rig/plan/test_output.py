@@ -10,8 +10,8 @@ import pytest
 from drivers.agilent.models import MODELS as GENERATOR_MODELS
 from drivers.alazar.models import MODELS as BOARD_MODELS
 from drivers.interfaces import InstrumentError
-from hpe_rig.acquire.run import prepare_text
 from hpe_rig.acquire.sequencer import acquire
+from hpe_rig.acquire.setup import prepare_text
 from hpe_rig.bench.bench_file import DigitizerBoard, Generator, read_bench
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.plan.checks.check_result import PlanError

@@ -1,6 +1,7 @@
 """The plan's edges and the interference rule against their plain forms."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -182,3 +183,12 @@ def test_aliasing_harmonics_are_those_of_the_shortest_toneburst() -> None:
 
     assert "up to 1/T_b = 20000 Hz" in text(50e-6)
     assert text(50e-6, 100e-6) == text(100e-6, 50e-6) == text(50e-6)
+
+
+def test_records_take_two_bytes_a_sample_of_every_input() -> None:
+    plan = make_plan(TABLE_1, BENCH)
+    [shot] = plan.shots
+    one = replace(plan, shots=(replace(shot, capture=replace(shot.capture, monitor_range_v=None)),))
+    two = replace(plan, shots=(replace(shot, capture=replace(shot.capture, monitor_range_v=4.0)),))
+    assert one.record_bytes == 2 * 101 * shot.capture.record_samples
+    assert two.record_bytes == 2 * one.record_bytes

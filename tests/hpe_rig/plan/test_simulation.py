@@ -2,7 +2,7 @@
 
 import pytest
 
-from hpe_rig.acquire.run import prepare, prepare_text
+from hpe_rig.acquire.setup import prepare, prepare_text
 from hpe_rig.scene.scene import load_scene, shipped_scenes
 
 TABLE_1 = shipped_scenes()["table-1"]

@@ -55,3 +55,15 @@ def test_intervals_are_drawn_when_they_are_and_as_long_as_they_last(name: str, m
             assert len(found[row]) == len(expected), row
             for bar, wanted in zip(found[row], expected, strict=True):
                 assert bar == pytest.approx(wanted, rel=1e-6, abs=1e-6), row
+
+
+def test_the_words_for_who_cannot_see_the_diagram_hold_the_times() -> None:
+    shot = make_plan(parse_scene("bovine-muscle", shipped_scenes()["bovine-muscle"]).scene, read_bench().bench).shots[0]
+    line = shot.timeline
+    burst_s = line.burst_onset_s[0]
+    first_us = 1e6 * min(pulse_s - burst_s for pulse_s in line.pulse_onset_s if pulse_s >= burst_s)
+    low_us, high_us = (1e6 * edge for edge in line.gate_offset_s)
+    said = timing(shot)[0].alt
+    assert f"a toneburst of {line.burst_length_s * 1e6:g} us" in said
+    assert f"the first tracking pulse follows after {first_us:.4g} us" in said
+    assert f"each gate is open {low_us:.2f} to {high_us:.2f} us after" in said

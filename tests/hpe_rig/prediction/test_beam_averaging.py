@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import prepare_text, record_run
+from hpe_rig.acquire.run import record_run
+from hpe_rig.acquire.setup import prepare_text
 from hpe_rig.prediction.beam_averaging import (
     SHAPE_RELATIVE,
     beam_widths,

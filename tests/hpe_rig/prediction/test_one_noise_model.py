@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.api import check, measure
-from hpe_rig.acquire.run import prepare
+from hpe_rig.acquire import check, measure
+from hpe_rig.acquire.setup import prepare
 from hpe_rig.design.command import _column
 from hpe_rig.design.problem import Constraints, Problem
 from hpe_rig.prediction.detection import detection_floor

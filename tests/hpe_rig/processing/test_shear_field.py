@@ -9,7 +9,7 @@ import pytest
 
 from hpe_rig.processing.ensemble import displacement
 from hpe_rig.processing.push_force import PushForce
-from hpe_rig.processing.shear_field import focal_motion, shear_motion
+from hpe_rig.processing.shear_field import QUICK_ERROR, focal_motion, shear_motion
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import Specimen
 
@@ -49,6 +49,20 @@ def test_the_quick_field_is_the_full_one_to_1e_5_of_the_peak(medium: tuple[float
     quick = value, by_across * WIDE[0] ** 2, by_lateral * WIDE[0]
     for found, expected in zip(quick, (full.value, *slopes), strict=True):
         np.testing.assert_array_less(np.abs(found - expected) / peak, 1.2e-5)
+
+
+@pytest.mark.parametrize("medium", MEDIA)
+def test_the_quick_field_of_a_fit_is_as_good_as_it_says_before_and_behind_the_focus(
+    medium: tuple[float, float],
+) -> None:
+    modulus, force = medium[0] + 2j * np.pi * FREQUENCY_HZ * medium[1], PushForce(WIDE[:1], WIDE[1])
+    peak = np.abs(ours(*medium, WIDE, np.zeros(1), 0.0))
+    for lateral_m in PLACES:
+        full, quick = (
+            shear_motion(modulus, FREQUENCY_HZ, 1000.0, force, 0.0, 0.0, lateral_m, 1.5e-3, quick).value
+            for quick in (False, True)
+        )
+        np.testing.assert_array_less(np.abs(quick - full) / peak, QUICK_ERROR)
 
 
 @pytest.mark.parametrize("medium", MEDIA)

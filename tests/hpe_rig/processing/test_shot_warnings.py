@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hpe_rig.acquire.run import planned
+from hpe_rig.acquire.setup import planned
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.processing import Motion, least_squares
 from hpe_rig.processing.shots import _fit_warnings, _setting_warnings

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from csv import DictReader
 from pathlib import Path
@@ -20,6 +22,7 @@ import hpe_rig as hpe
 from hpe_rig.acquire import import_recording, prepare_rest
 from hpe_rig.cli.app import app
 from hpe_rig.recordings import chosen_lines, matlab
+from hpe_rig.result import shown_shot
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import StoreError, verify
 
@@ -220,6 +223,22 @@ def test_a_swept_window_takes_the_place_of_those_that_the_scene_lists(scene: Pat
     assert len(run.sweep({"background_order": [0, 1]}).shots) == 4
 
 
+def test_a_shot_without_result_at_some_points_of_a_sweep_names_them(scene: Path) -> None:
+    holed = RF.copy()
+    holed[1, 18:] = np.nan
+    settings = RATES | {"axes": "line,pulse,sample", "line_pitch_m": 0.3e-3, "not_finite": "missing"}
+    run = hpe.import_records(holed, scene, scene.parent / "run.h5", lines="all", **settings)
+    result = run.sweep({"window_start_s": [0.0, 5e-3]})
+    assert [(shot.shot, shot.swept["processing.window_start_s"]) for shot in result.shots] == [
+        *((0, 0.0), (1, 0.0), (2, 0.0)),
+        *((0, 5e-3), (2, 5e-3)),
+    ]
+    ((index, why),) = result.shots_without_result
+    assert index == 1
+    assert why.startswith("at processing.window_start_s = 0.005: ")
+    assert any(text.startswith("at processing.window_start_s = 0.005: shot 2 left out") for text in result.warnings)
+
+
 def test_options_of_a_sweep_that_would_say_nothing_are_refused(scene: Path) -> None:
     run = hpe.import_records(RF[0], scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
     alone = CliRunner().invoke(app, ["process", str(run.path), "--together"])
@@ -261,6 +280,55 @@ def test_the_command_sweeps_a_stored_run_and_the_list_says_that_it_was_imported(
     assert "imported, complete" in CliRunner().invoke(app, ["list", str(path.parent)]).stdout
     (row,) = json.loads(CliRunner().invoke(app, ["list", str(path.parent), "--find", "imported", "--json"]).stdout)
     assert row["imported"] == "array"
+
+
+def test_a_full_disk_of_temporary_files_is_no_damaged_file(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    resource = pytest.importorskip("resource", reason="no limits of this kind on Windows")
+    path = scene.parent / "rf.mat"
+    savemat(path, {"rf": RF[0]}, do_compression=True)
+    # The limit below would cut compiled modules short as well, for everybody who shares them.
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # The reader in its own process meets what a full disk does: an OSError at its first larger write.
+    resource.setrlimit(resource.RLIMIT_FSIZE, (RF[0].nbytes // 2, hard))
+    try:
+        with pytest.raises(SettingsError, match=r"cannot be written to temporary files in .*File too large.*TMPDIR"):
+            hpe.import_records(path, scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    monkeypatch.setattr(tempfile, "tempdir", str(scene.parent / "absent"))
+    with pytest.raises(SettingsError, match=r"no temporary file can be made for its numbers \(No such file.*TMPDIR"):
+        hpe.import_records(path, scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
+    monkeypatch.undo()
+    run = hpe.import_records(path, scene, scene.parent / "run.h5", axes="pulse,sample", **RATES)
+    assert len(run.estimate().shots) == 1
+
+
+def test_the_report_of_a_stored_runs_sweep_follows_its_axes(scene: Path) -> None:
+    path, page = scene.parent / "run.h5", scene.parent / "swept.html"
+    hpe.import_records(RF[0], scene, path, axes="pulse,sample", **RATES)
+    options = ["--sweep", "gate_length_m=0.6e-3,0.8e-3,1e-3", "--sweep", "background_order=0,1", "--output", str(page)]
+    done = CliRunner().invoke(app, ["report", str(path), *options])
+    assert done.exit_code == 0, done.output
+    html = page.read_text(encoding="utf-8")
+    assert "<h2>Over acquisition.gate_length_m</h2>" in html
+    for words in ("background_order = 0", "background_order = 1", 'id="sweep-amplitude-200', 'id="sweep-phase-200'):
+        assert words in html, words
+    # All six points stand in the table; what is drawn of one shot is with its own gate.
+    assert (
+        html.count('<th scope="col">acquisition.gate_length_m</th><th scope="col">processing.background_order</th>')
+        == 1
+    )
+    shown = shown_shot(hpe.open_run(path).sweep({"gate_length_m": [0.6e-3, 0.8e-3, 1e-3], "background_order": [0, 1]}))
+    length_mm = shown.swept["acquisition.gate_length_m"] * 1e3
+    assert f"{length_mm:g} mm at 1.2 mm depth" in html
+    assert f"acquisition.gate_length_m = {length_mm * 1e-3:g}." in html
+    assert list(path.parent.glob("run.*.h5")) == []
+    wrong = CliRunner().invoke(app, ["report", str(path), "--together", "--sweep", "pulse_rate_hz=1e3,2e3"])
+    assert (wrong.exit_code, "the records are there" in " ".join(wrong.output.split())) == (2, True)
+    alone = CliRunner().invoke(app, ["report", str(path), "--together"])
+    assert (alone.exit_code, "no --sweep is given" in alone.output) == (2, True)
 
 
 def test_lines_become_places_or_their_mean(scene: Path) -> None:

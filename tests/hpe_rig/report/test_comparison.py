@@ -7,6 +7,7 @@ import math
 import re
 from pathlib import Path
 
+import jsonschema
 import pytest
 from scipy.stats import chi2
 from typer.testing import CliRunner
@@ -97,7 +98,17 @@ def test_the_command_prints_both_and_writes_json_and_figure(runs: tuple[Path, Pa
     # Nothing keeps a light screen's colour on a dark one.
     _, _, shapes = drawn.partition("</style>")
     assert set(re.findall(r"(?:fill|stroke): (#\w+)", shapes)) - set(ON_DARK) == set()
-    (row,) = json.loads(CliRunner().invoke(app, ["compare", first, third, "--json"]).stdout)["results"]
+    printed = json.loads(CliRunner().invoke(app, ["compare", first, third, "--json"]).stdout)
+    (row,) = printed["results"]
     assert row["verdict"] == "differs"
     assert math.isfinite(row["amplitude_change"])
+    schema = json.loads(CliRunner().invoke(app, ["schema", "compare"]).stdout)
+    jsonschema.Draft202012Validator.check_schema(schema)
+    validator = jsonschema.Draft202012Validator(schema)
+    validator.validate(printed)
+    assert {each["where"] for each in printed["settings"]} >= {"scene"}
+    del row["p_all"]
+    row["amplitude_m"] = [1.0]
+    printed["another"] = 1
+    assert len(list(validator.iter_errors(printed))) == 3
     assert CliRunner().invoke(app, ["compare", first, "nowhere.h5"]).exit_code == 2

@@ -12,8 +12,9 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import prepare, record_run
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import process
+from hpe_rig.acquire.setup import prepare
 from hpe_rig.report.figures import sweep_pictures
 from hpe_rig.report.page import render, write_report
 from hpe_rig.report.sweep import Sweep, SweepCurve

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.acquire.run import Setup, prepare
+from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.processing.conditioning import gate_statistics
 from hpe_rig.store.format import StoreError
 from hpe_rig.store.layout import empty_run, volts_of_codes

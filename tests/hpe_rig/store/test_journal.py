@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
+import threading
 from pathlib import Path
 
 import h5py
@@ -122,3 +124,59 @@ def test_a_file_has_one_writer_and_any_number_of_readers(path: Path) -> None:
         Journal(path)
     journal.close()
     assert is_taken(path) is False
+
+
+class Waiting:
+    """A file on a disk that takes nothing until ``answers`` is set, and then fails where it is told to."""
+
+    def __init__(self, file: io.FileIO, error: OSError | None = None) -> None:
+        self._file, self._error, self.answers = file, error, threading.Event()
+        self.fileno, self.seek, self.truncate, self.close = file.fileno, file.seek, file.truncate, file.close
+
+    def write(self, data: memoryview) -> int:
+        assert self.answers.wait(10)
+        if self._error is not None:
+            raise self._error
+        return self._file.write(data) or 0
+
+
+def test_a_commit_goes_on_while_the_next_is_prepared_and_the_library_reads_both(path: Path) -> None:
+    journal, before = Journal(path), path.read_bytes()
+    file, disk = open_on(journal), Waiting(vars(journal)["_file"])
+    vars(journal)["_file"] = disk
+    file["echo"][0] = 7
+    file["rows"][0] = 1.0
+    file.flush()
+    journal.commit(wait=False)
+    file["rows"][1] = 2.0
+    file.flush()
+    assert path.read_bytes() == before
+    # As the library would read it, which keeps most of it in memory: what is under way, and what waits for its turn.
+    content = bytearray(journal.seek(0, 2))
+    journal.seek(0)
+    journal.readinto(memoryview(content))
+    with h5py.File(io.BytesIO(content), "r") as other:
+        assert other["rows"][:2].tolist() == [1.0, 2.0]
+        assert other["echo"][0].tolist() == [7] * 10
+    disk.answers.set()
+    journal.commit()
+    file.close()
+    journal.commit()
+    journal.close()
+    with h5py.File(path, "r") as other:
+        assert other["rows"][:2].tolist() == [1.0, 2.0]
+
+
+def test_what_a_commit_failed_with_that_nobody_waited_for_is_raised_by_the_next(path: Path) -> None:
+    journal = Journal(path)
+    file, disk = open_on(journal), Waiting(vars(journal)["_file"], OSError(errno.ENOSPC, "no room"))
+    vars(journal)["_file"] = disk
+    file["rows"][0] = 1.0
+    file.flush()
+    journal.commit(wait=False)
+    disk.answers.set()
+    for _ in range(2):
+        with pytest.raises(OSError, match="no room"):
+            journal.commit()
+    file.close()
+    journal.close()

@@ -22,9 +22,10 @@ import pytest
 import xarray as xr
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.acquire.api import check
-from hpe_rig.acquire.run import Setup, prepare, record_run
+from hpe_rig.acquire.checked_scene import check
+from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import open_run, process
+from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.cli.app import resume, run
 from hpe_rig.result import headline_sentence, symbols
 from hpe_rig.result.html_repr import result_html

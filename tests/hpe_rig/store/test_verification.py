@@ -22,7 +22,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.live.source import RunSource
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import StoreError, WriteOptions, read_run, read_snapshots, result_path, verify
-from hpe_rig.store.verification import ranges
+from hpe_rig.store.verification import Damage, ranges
 
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "run_files"
 
@@ -221,3 +221,15 @@ def test_ranges_are_first_and_last_of_each_row() -> None:
     assert ranges(np.array([], bool)) == ()
     assert ranges(np.array([False, True, True, False, True])) == ((1, 2), (4, 4))
     assert ranges(np.ones(3, bool)) == ((0, 2),)
+
+
+def test_damage_is_told_by_shots_and_records_as_people_count() -> None:
+    assert str(Damage("is bad")) == "is bad"
+    assert str(Damage("fail", 1, ((0, 0), (4, 6)))) == "shot 2: record 1, 5 to 7 fail"
+
+
+def test_another_programs_hdf5_file_is_no_run_file(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        del file.attrs["format"]
+    with pytest.raises(StoreError, match="a result file or another program's"):
+        read_run(path)

@@ -82,6 +82,17 @@ def test_a_study_stops_at_the_wanted_standard_error_and_not_before() -> None:
     assert any(row["amplitude_bias_se_m"] > 9e-9 for row in before["estimates"])
 
 
+def test_ways_to_fewer_realisations_agree_with_the_plain_one_within_their_errors() -> None:
+    plain = run_batch(cases_of(scatterers=160, common=[])[:1])
+    for way in ({"common": "all"}, {"common": "all", "standard_error_m": 9e-9}):
+        (found,) = run_batch(cases_of(scatterers=160, **way)[:1])
+        for own, other in zip(found["estimates"], plain[0]["estimates"], strict=True):
+            for name in ("amplitude_bias", "amplitude_jitter"):
+                error_m = math.hypot(own[f"{name}_se_m"], other[f"{name}_se_m"])
+                # Two estimators, two figures, two ways: 3.5 standard errors in 1 of 270 such tests.
+                assert abs(own[f"{name}_m"] - other[f"{name}_m"]) < 3.5 * error_m
+
+
 def test_draws_and_noise_of_every_block_have_random_numbers_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     seeds: list[tuple[int, ...]] = []
     seed_sequence = np.random.SeedSequence

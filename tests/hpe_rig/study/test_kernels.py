@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpe_rig.processing import ESTIMATORS, Estimator, Options, estimate, orthonormal_rows, peak_steps
+from hpe_rig.processing import ESTIMATORS, Estimator, Options, estimate, noisy_peak_steps, orthonormal_rows, peak_steps
 from hpe_rig.study.kernels import Train, form_of, spectral_kernels, states
 
 TRAIN = Train(4000.0, 40, 0.0, 9e6, 1540.0, 100e6, 130, (200.0,), Options())
@@ -66,12 +66,17 @@ def test_the_compiled_peak_search_is_that_of_the_paper_s_chain() -> None:
     seen, rng = spectral_kernels(TRAIN), np.random.default_rng(7)
     clean = _echoes(TRAIN, 3) @ seen.of_volts["peak"]
     noise = rng.standard_normal((3, 4, TRAIN.pulses, len(seen.basis["peak"]))) @ seen.of_numbers["peak"]
-    spectra = clean[:, None, rng.integers(0, TRAIN.pulses, TRAIN.pulses)] + 0.3 * noise
+    which, level = rng.integers(0, TRAIN.pulses, TRAIN.pulses), np.array([0.0, 0.3, 3.0])
+    spectra = clean[:, None, which] + level[:, None, None, None] * noise
     fast, plain = peak_steps(spectra, fast=True), peak_steps(spectra, fast=False)
     np.testing.assert_array_equal(fast.peak, plain.peak)
     np.testing.assert_allclose(fast.step, plain.step, rtol=0, atol=1e-13)
     np.testing.assert_allclose(fast.product, plain.product, rtol=0, atol=1e-13 * np.abs(plain.product).max())
     np.testing.assert_allclose(fast.energy, plain.energy, rtol=1e-13)
+    for way in (True, False):
+        step, peak = noisy_peak_steps(clean, which, level, noise, fast=way)
+        np.testing.assert_array_equal(peak, plain.peak)
+        np.testing.assert_allclose(step, plain.step, rtol=0, atol=1e-13)
 
 
 def test_a_refused_realisation_is_no_number_and_the_others_are() -> None:

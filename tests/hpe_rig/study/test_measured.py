@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,15 @@ import numpy as np
 import pytest
 
 from hpe_rig import measure
+from hpe_rig.bench import read_bench
+from hpe_rig.study import cases as study_cases
 from hpe_rig.study.cases import points_of
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.measured import measure_case
 from hpe_rig.study.measured_case import MeasuredCase
 from hpe_rig.study.results import CaseRecord
 from hpe_rig.study.run import compute
+from hpe_rig.study.series import warned_words
 
 FORCES = [[1.0], [0.25]]
 
@@ -68,6 +72,26 @@ def test_a_realisation_is_the_measurement_of_its_seed(tmp_path: Path) -> None:
     assert len(deviations) == 4
     assert row["amplitude_bias_m"] == pytest.approx(np.mean(deviations), rel=1e-12)
     assert row["amplitude_jitter_m"] == pytest.approx(np.std(deviations), rel=1e-12)
+
+
+def test_realisations_that_their_result_warns_of_are_counted() -> None:
+    (case,) = cases_of(axes=[{"name": "force", "keys": {"excitation.force_fraction": [[1e-3]]}, "shown": [1e-3]}])
+    row = estimate(measure_case(case))
+    assert (row["refused"], row["warned"]) == (0, 4)
+    told = warned_words([{**row, "draws": 2, "noise": 2}, {**row, "warned": 0, "draws": 2, "noise": 2}])
+    assert told.startswith("4 of 8 estimates are of shots with warnings, at most 4 of 4 at 200 Hz with coherent")
+    assert warned_words([{**row, "warned": 0}, {"refused": 0}]) == ""
+
+
+def test_a_case_measured_by_another_version_or_on_another_bench_is_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    keys = {cases_of()[0].key, cases_of()[0].key}
+    monkeypatch.setattr(study_cases, "version", lambda _: "another")
+    keys.add(cases_of()[0].key)
+    monkeypatch.undo()
+    own = dataclasses.replace(read_bench(), text=read_bench().text.replace("[limits]", "[limits] # lower"))
+    monkeypatch.setattr(study_cases, "read_bench", lambda: own)
+    keys.add(cases_of()[0].key)
+    assert len(keys) == 3
 
 
 def test_seeds_are_common_along_an_axis_where_asked_and_no_two_draws_share_one() -> None:

@@ -296,6 +296,9 @@ def test_a_tracking_pulse_below_the_diodes_threshold_makes_no_echo_and_a_strong_
     peak_v = 0.5 * 10 ** (37 / 20)
     assert strength[2] == pytest.approx((2 * peak_v - 16 / np.pi) / (peak_v - 16 / np.pi), rel=2e-3)
     assert transmitted_share(vpp, SimulationSettings()) == pytest.approx([1.0, 1.0, 1.0])
+    # a tracking transducer of its own has neither
+    beams = settings.beams.model_copy(update={"tracking_focus_depth_m": 40e-3})
+    assert transmitted_share(vpp, settings.model_copy(update={"beams": beams})) == pytest.approx([1.0, 1.0, 1.0])
 
 
 def test_echoes_of_a_periodic_motion_are_made_once_each_and_are_those_of_every_pulse():

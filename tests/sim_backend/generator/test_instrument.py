@@ -320,3 +320,14 @@ def test_as_many_cycles_as_fit_between_internal_triggers_are_taken_and_no_more(g
     generator.write("BURS:NCYC 500001")
     assert float(ask(generator, "BURS:NCYC?")) == 500_000
     assert errors(generator) == [-221]
+
+
+def test_the_burst_period_leaves_room_for_the_burst_and_200_ns_and_no_more(generator):
+    # 10 cycles of 1 MHz.
+    generator.write("FUNC SIN;:FREQ 1E6;:BURS:NCYC 10;:TRIG:SOUR IMM;:BURS:STAT 1")
+    generator.write("BURS:INT:PER 1.02E-5")
+    assert float(ask(generator, "BURS:INT:PER?")) == pytest.approx(10.2e-6)
+    assert errors(generator) == []
+    generator.write("BURS:INT:PER 1E-5")
+    assert float(ask(generator, "BURS:INT:PER?")) == pytest.approx(10.2e-6)
+    assert errors(generator) == [-222]

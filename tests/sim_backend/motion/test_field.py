@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.special import j0
+from scipy.special import j0, jv
 
 from sim_backend.acoustics.acoustics import Acoustics
 from sim_backend.echoes.pulse import hann_pulse, waveform
 from sim_backend.echoes.scatterers import depth_delay_s, draw_field
-from sim_backend.motion.field import field_transfer, focus_field, medium_motion
+from sim_backend.motion.field import _BesselOnRay, field_transfer, focus_field, medium_motion
 from sim_backend.motion.force import ForcePulses
 from sim_backend.motion.specimen import frequency_response, tabulate_step_response, transient_displacement, transients
 from sim_backend.receiver.front_end import echo_gain_v
@@ -206,6 +206,24 @@ def test_a_single_reflector_on_a_tracking_axis_beside_the_push_moves_by_the_fiel
     there = exact.shapes(np.array([1.0e-3]), np.zeros(1))[0]
     expected = transients(exact.response, pulse, time_ps) @ there
     assert np.abs(ours - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize(("ray", "farthest"), [(0.55, 40.0), (0.15, 250.0)])
+def test_the_tabulated_bessel_function_is_the_libraries(ray, farthest):
+    distance, turn = np.linspace(0.0, farthest, 5001), np.exp(1j * ray)
+    found = _BesselOnRay(turn, farthest).at(distance)
+    # the argument's own rounding shifts a wave by eps times its phase
+    allowed = (4e-15 + 4e-16 * distance) * np.exp(distance * np.sin(ray))
+    assert (np.abs(found - jv(0, turn * distance)) < allowed).all()
+
+
+def test_a_pulse_of_force_is_over_when_its_response_is(gelatin):
+    step = gelatin.response
+    assert step.memory_s < 0.1
+    late_s = np.geomspace(step.memory_s, 1.0, 50)
+    rest = step.panels.at(np.array([1e3]))
+    # to a tenth of the tolerance of 1e-5
+    assert np.abs(step.panels.at(late_s) - rest).max() < 1e-6 * np.abs(rest).max()
 
 
 def test_what_is_pushed_otherwise_than_by_the_square_moves_so_beside_the_axis():

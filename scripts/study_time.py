@@ -1,0 +1,152 @@
+"""Time of `hpe-rig study paper`, what drawing its random numbers alone costs, and the error each way buys in what time.
+
+At the paper's own sizes: 1000 realisations of every point of Fig. 4 to 11, 500 draws of scatterers with two of the
+noise, and 100 of every point of Fig. 12 and 13; read physically by two estimators and literally by one. The first table
+is one run in this process, with a profile: processor time, and of it the random numbers, scatterers and noise. With
+``--workers`` the same run follows in processes, by the clock.
+
+The second table: random numbers of their own at every point, the same ones along an axis (``common``), and a stop at a
+stated standard error (``standard_error_m``), over ``--seeds`` seeds. Error is the standard deviation over the seeds.
+
+    python scripts/study_time.py --workers 2
+"""
+
+from __future__ import annotations
+
+import argparse
+import cProfile
+import pstats
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, Future
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hpe_rig.study import StudyResult, processes, run_study
+
+POINTS = {
+    "scatterers": 500,
+    "noise": 2,
+    "readings": {"physical": ["cross_spectrum", "coherent"], "literal": ["cross_spectrum"]},
+}
+MAPS = {"scatterers": 50, "noise": 2, "readings": {"physical": ["cross_spectrum"], "literal": ["cross_spectrum"]}}
+PAPER = ((range(4, 12), POINTS), (range(12, 14), MAPS))
+DRAWN_BY = ("standard_normal", "draw_thinned")
+SNR_DB = (20.0, 40.0)
+STATED_M = 5e-9
+WAYS: dict[str, Mapping[str, Any]] = {
+    "own random numbers": {"common": []},
+    "common random numbers": {"common": ["SNR"]},
+    f"stop at {STATED_M * 1e9:g} nm": {"common": ["SNR"], "standard_error_m": STATED_M},
+}
+DEFINITION = f"""
+title = "Table I at two levels of noise"
+scene = "table-1"
+scatterers = 400
+readings = {{ physical = ["coherent"] }}
+[set]
+"tracking.pulse_count" = 100
+[[axes]]
+name = "SNR"
+unit = "dB"
+keys = {{ "simulation.receiver.snr_db" = {list(SNR_DB)} }}
+"""
+
+
+class _Here(Executor):
+    """Computes at once, in this process; ``call`` does it."""
+
+    def __init__(self, call: Callable[..., Any]) -> None:
+        self._call = call
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_result(self._call(fn, *args, **kwargs))
+        return future
+
+
+@contextmanager
+def here(call: Callable[..., Any] = lambda fn, *args: fn(*args)) -> Iterator[Executor]:
+    """Open this process as the one worker."""
+    yield _Here(call)
+
+
+def paper(folder: Path, **how: Any) -> list[StudyResult]:
+    """Run the figures of the paper at its sizes."""
+    results = []
+    for figures, sizes in PAPER:
+        collection = folder / f"from-{figures.start}.toml"
+        names = [f"fig-{number}" for number in figures]
+        collection.write_text(f'title = "Fig. {names}"\nstudies = {names}\n', encoding="utf-8")
+        results += run_study(collection, folder / "paper", replaced=sizes, **how)
+    return results
+
+
+def profiled_paper() -> None:
+    """Print processor time and memory of the paper's figures, and what of it draws random numbers."""
+    profile = cProfile.Profile(time.process_time)
+    with tempfile.TemporaryDirectory() as folder:
+        results = paper(Path(folder), open_pool=partial(here, profile.runcall))
+    cases = {key: row for result in results for key, row in result.cases.items()}
+    stats = pstats.Stats(profile)
+    drawn = {name: sum(v[3] for k, v in stats.stats.items() if name in k[2]) for name in DRAWN_BY}  # type: ignore[attr-defined]
+    total = sum(row["seconds"] for row in cases.values())
+    print(f"{len(cases)} cases, {sum(row['draws'] * row['noise'] for row in cases.values())} realisations")
+    noise_s, scatterers_s = (drawn[name] for name in DRAWN_BY)
+    print(f"processor time {total:.1f} s, of which noise drawn {noise_s:.1f} s, scatterers {scatterers_s:.1f} s")
+    print(f"peak memory {max(result.peak_memory_mib for result in results):.0f} MiB")
+
+
+def clocked_paper(workers: int) -> None:
+    """Print how long the same takes in processes."""
+    since = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        results = paper(Path(folder), open_pool=partial(processes, workers))
+    peak = max(result.peak_memory_mib for result in results)
+    print(f"{workers} workers: {time.perf_counter() - since:.1f} s by the clock, {peak:.0f} MiB a worker\n")
+
+
+def ways(seeds: int) -> None:
+    """Print of every way the bias and its change with SNR, their errors, and the processor time of one study."""
+    print(f"{'':24}{'bias at 20 dB':>18}{'change to 40 dB':>20}{'draws':>8}{'time':>10}")
+    with tempfile.TemporaryDirectory() as folder:
+        study = Path(folder) / "own.toml"
+        study.write_text(DEFINITION, encoding="utf-8")
+        for name, way in WAYS.items():
+            rows, seconds = [], []
+            for seed in range(1, seeds + 1):
+                replaced = {**way, "seed": seed}
+                (result,) = run_study(study, Path(folder) / name / f"{seed}", here, replaced=replaced)
+                rows.append(result.rows)
+                seconds.append(result.seconds)
+            bias_nm = [[row["amplitude_bias_m"] * 1e9 for row in each] for each in rows]
+            shown = (spread([low for low, _ in bias_nm]), spread([high - low for low, high in bias_nm]))
+            draws = statistics.mean(row["draws"] for each in rows for row in each)
+            print(f"{name:24}{shown[0]:>18}{shown[1]:>20}{draws:8.0f}{statistics.median(seconds) * 1e3:7.0f} ms")
+
+
+def spread(values_nm: list[float]) -> str:
+    """Return the mean of ``values_nm`` and their standard deviation, that of a single study."""
+    return f"{statistics.mean(values_nm):.2f} +- {statistics.stdev(values_nm):.2f} nm"
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--seeds", type=int, default=24, help="studies of every way")
+    parser.add_argument("--workers", type=int, help="processes, by the clock as well")
+    parser.add_argument("--ways", action="store_true", help="the second table alone")
+    asked = parser.parse_args()
+    if not asked.ways:
+        profiled_paper()
+        if asked.workers:
+            clocked_paper(asked.workers)
+    ways(asked.seeds)
+
+
+if __name__ == "__main__":
+    main()
