@@ -178,7 +178,8 @@ def _variable(found: re.Match[str]) -> str:
 def label_decades(axis: Axis, most: int = 6) -> None:
     """Label a logarithmic axis such that at most so many numbers stand on it, and do not meet.
 
-    1, 2, 5 within two decades (of six numbers), powers of ten beyond; what holds fewer than two of 1, 2, 5 gets round numbers.
+    1, 2, 5 within two decades (of six numbers), powers of ten beyond; what holds fewer than two of 1, 2, 5 gets round
+    numbers.
     """
     low, high = axis.get_view_interval()
     if not low > 0:
