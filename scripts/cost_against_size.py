@@ -31,9 +31,11 @@ AT_ONCE = 1000
 def main() -> None:
     """Print a table for each of the sizes asked for."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("sizes", nargs="*", choices=[*SIZES, []], default=list(SIZES))
+    parser.add_argument("sizes", nargs="*", default=list(SIZES), metavar="SIZE", help=", ".join(SIZES))
     parser.add_argument("--alone", type=int, help=argparse.SUPPRESS)
     asked = parser.parse_args()
+    if unknown := set(asked.sizes) - SIZES.keys():
+        parser.error(f"no such size: {', '.join(unknown)}; there are {', '.join(SIZES)}")
     if asked.alone:
         print(_realisations(asked.alone), flush=True)
         return

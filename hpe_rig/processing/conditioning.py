@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, final
 
@@ -61,15 +62,23 @@ def gate_statistics(records: GatedRecords) -> GateStatistics:
     """Return the statistics of every record of a shot, a block of pulses at a time."""
     pulses, samples = records.shape
     gate, step = slice(records.margin[0], samples - records.margin[1]), max(1, BLOCK_SAMPLES // samples)
-    parts = []
-    for first in range(0, pulses, step):
-        codes = records.block(slice(first, first + step))[:, gate]
-        single = codes.astype(np.float32)
-        # sums of integers below 2^24 are exact in single precision, those of squares are good to 1e-6
-        mean = (single @ np.ones(single.shape[1], np.float32)).astype(np.float64) / single.shape[1]
-        square = np.einsum("ij,ij->i", single, single).astype(np.float64) / single.shape[1]
-        parts.append((codes.min(axis=1), codes.max(axis=1), mean, square))
-    return GateStatistics(*map(np.concatenate, zip(*parts, strict=True)))
+    blocks = (records.block(slice(first, first + step))[:, gate] for first in range(0, pulses, step))
+    return joined_statistics([statistics_of(codes) for codes in blocks])
+
+
+def statistics_of(codes: NDArray[np.int16]) -> GateStatistics:
+    """Return the statistics of records in the gate, (pulse, sample)."""
+    single = codes.astype(np.float32)
+    # sums of integers below 2^24 are exact in single precision, those of squares are good to 1e-6
+    mean = (single @ np.ones(single.shape[1], np.float32)).astype(np.float64) / single.shape[1]
+    square = np.einsum("ij,ij->i", single, single).astype(np.float64) / single.shape[1]
+    return GateStatistics(codes.min(axis=1), codes.max(axis=1), mean, square)
+
+
+def joined_statistics(parts: Sequence[GateStatistics]) -> GateStatistics:
+    """Return the statistics of all pulses from those of some after the other."""
+    names = ("lowest", "highest", "mean", "square")
+    return GateStatistics(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 @final

@@ -20,7 +20,7 @@ Volts = NDArray[np.floating[Any]]
 MARGIN_PERIODS = 6.0
 """Carrier periods before and behind a gate that are read with it, if they are there."""
 
-BLOCK_SAMPLES = 1 << 20
+BLOCK_SAMPLES = 1 << 21
 """Samples of a block of volts that are not all held at once."""
 
 EDGE_PERIODS = 11.7

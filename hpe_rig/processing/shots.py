@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
 from hpe_rig.processing.budget import Known, estimates_of, known_of
-from hpe_rig.processing.conditioning import CodedVolts, GateStatistics, centred_volts, gate_statistics, unlike_pulses
+from hpe_rig.processing.conditioning import (
+    CodedVolts,
+    GateStatistics,
+    centred_volts,
+    gate_statistics,
+    joined_statistics,
+    statistics_of,
+    unlike_pulses,
+)
 from hpe_rig.processing.echoes import EchoGate, Motion, gate_edge_relative, margin_samples, relative_to
 from hpe_rig.processing.ensemble import BeamWidths, KnownMedium
 from hpe_rig.processing.estimators import EstimatorSpec, Harmonic, Options, estimate, fit_motion, spec_of
@@ -88,7 +96,11 @@ def _windows_of_shot(
     """Return the result of each window of one shot; raise ``ValueError`` where one cannot be estimated."""
     # Of a long record only the gate and what its edges need come into memory, unless the gate follows.
     margin = margin_needed(scene, shot)
-    records = stored.records.in_blocks(shot.index, samples_needed(scene, shot), margin=margin)
+    # What a long one holds in the gate is looked at while its checksums are compared.
+    looked = list[GateStatistics]()
+    records = stored.records.in_blocks(
+        shot.index, samples_needed(scene, shot), margin=margin, look=lambda codes: looked.append(statistics_of(codes))
+    )
     if not records.valid.any():
         raise ValueError(
             NO_RECORDS if records.damaged is None or not records.damaged.any() else f"its records {DAMAGED}"
@@ -99,11 +111,12 @@ def _windows_of_shot(
     reference = reference_gate(scene, shot)
     still = None if reference is None else stored.records.in_blocks(shot.index, reference, margin=margin)
     known, complete = known_of(scene, stored.simulated), bool(stored.shot_complete[shot.index])
-    results = []
+    results, found = [], joined_statistics(looked) if looked else gate_statistics(records)
+    looked.clear()
     for window in scene.windows:
         share = unlikely / len(scene.windows)
         results.append(
-            _estimate_shot(window, shot, records, still, true_m, spec, averaging, known, beams, share, complete)
+            _estimate_shot(window, shot, records, found, still, true_m, spec, averaging, known, beams, share, complete)
         )
     return results
 
@@ -160,6 +173,7 @@ def _estimate_shot(
     scene: Scene,
     shot: Shot,
     records: GatedRecords,
+    found: GateStatistics,
     still: GatedRecords | None,
     true_m: NDArray[np.float64] | None,
     spec: EstimatorSpec,
@@ -173,10 +187,8 @@ def _estimate_shot(
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
     if spec.motion is None and scene.processing.follow_gate:
         raise ValueError(f"{spec.name} has no displacements to add those of processing.follow_gate to: take coherent")
-    found = gate_statistics(records)
     full_scale = found.at_full_scale(records.code_limits)
     echoes = shot_echoes(scene, shot, records, chosen, found)
-    del found
     recorded = records.valid[chosen.window]
     damaged = np.zeros_like(recorded) if records.damaged is None else records.damaged[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))

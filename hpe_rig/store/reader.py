@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, overload
@@ -47,6 +47,8 @@ LOOKS: Final = 3
 LOOK_PAUSE_S: Final = 0.02
 MOST_HELD_SAMPLES: Final = 1 << 25
 """Samples up to which the records of a shot are read at once; those of a longer one stay in the file."""
+MOST_AT_ONCE: Final = 1 << 22
+"""Samples of a shot that are compared with their checksums at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,13 +121,24 @@ class StoredRecords(Sequence[ShotRecords]):
         time_s = np.where(arrival.recorded & ~damaged, arrival.trigger_time_s, np.nan)
         return ShotRecords(codes, time_s, stored.volts_per_code, offset, stored.code_limits, stored.margin, damaged)
 
-    def in_blocks(self, shot: int, gate: slice, margin: int = 0, most_held: int = MOST_HELD_SAMPLES) -> GatedRecords:
-        """Return what ``gated`` does; of more samples than ``most_held`` the codes stay in the file until asked for."""
+    def in_blocks(
+        self,
+        shot: int,
+        gate: slice,
+        margin: int = 0,
+        most_held: int = MOST_HELD_SAMPLES,
+        look: Callable[[NDArray[np.int16]], None] | None = None,
+    ) -> GatedRecords:
+        """Return what ``gated`` does; of more samples than ``most_held`` the codes stay in the file until asked for.
+
+        All of these are read once to compare them with their checksums: ``look`` is given those in the gate meanwhile,
+        some pulses after the other.
+        """
         if self.shape[1] * (gate.stop - gate.start + 2 * margin) <= most_held:
             return self.gated(shot, gate, margin=margin)
         with trusted(self.path) as trust:
             stored, _, _ = self._of_shot(trust, shot, gate, "echo", margin)
-        damaged = self.damaged(stored.shot)
+        damaged = self.damaged(stored.shot, look=None if look is None else lambda codes: look(codes[:, gate]))
         return replace(stored, valid=stored.valid & ~damaged, damaged=damaged)
 
     def _of_shot(
@@ -164,17 +177,26 @@ class StoredRecords(Sequence[ShotRecords]):
                     raise UntrustedError(f"shot {shot + 1} has records that fail their checksums")
                 yield first, codes
 
-    def damaged(self, shot: int, pulses: int = 4096) -> NDArray[np.bool_]:
-        """Return which records of ``shot`` are damaged at any input, (pulse,), in memory for ``pulses`` records."""
+    def damaged(
+        self, shot: int, pulses: int = 4096, look: Callable[[NDArray[np.int16]], None] | None = None
+    ) -> NDArray[np.bool_]:
+        """Return which records of ``shot`` are damaged at any input, (pulse,), holding at most ``pulses`` of them.
+
+        ``look`` is given the codes of all echoes (pulse, sample), some pulses after the other.
+        """
         with trusted(self.path) as trust:
             arrival, whole = _arrival(trust, self.shape, shot), slice(0, self.shape[2])
             found = arrival.damaged.copy()
             for name in ("echo", *(["monitor"] if trust.has("records/monitor") else [])):
                 echo = _echo(trust, self.shape, name)
-                step = max(1, pulses // echo.chunks[1]) * echo.chunks[1]
+                at_once = min(pulses, MOST_AT_ONCE // self.shape[2])
+                step = max(1, at_once // echo.chunks[1]) * echo.chunks[1]
                 for first in range(0, self.shape[1], step):
                     rows = slice(first, first + step)
-                    found[rows] |= _codes(trust, echo, f"records/{name}", shot, arrival, whole, rows)[1]
+                    codes, damaged = _codes(trust, echo, f"records/{name}", shot, arrival, whole, rows)
+                    found[rows] |= damaged
+                    if look is not None and name == "echo":
+                        look(codes)
         return found
 
     def recorded(self, shot: int) -> NDArray[np.bool_]:

@@ -51,7 +51,14 @@ def test_volts_made_in_blocks_give_the_motion_of_those_held(tmp_path: Path, monk
     run = measure(load_scene("table-1").with_({"processing.window_start_s": 2e-3}), path=tmp_path / "run.h5")
     shot, records = run.plan.shots[0], run.stored.records
     gate, margin = shot.gate, margin_needed(run.scene, shot)
-    held, left = records.in_blocks(0, gate, margin), records.in_blocks(0, gate, margin, most_held=0)
+    looked: list[np.ndarray] = []
+    held = records.in_blocks(0, gate, margin)
+    left = records.in_blocks(0, gate, margin, most_held=0, look=lambda codes: looked.append(codes.copy()))
+    whole = records.gated(0, gate)
+    np.testing.assert_array_equal(np.concatenate(looked), whole.codes)
+    seen, direct = (conditioning.statistics_of(whole.codes), conditioning.gate_statistics(left))
+    for name in ("lowest", "highest", "mean", "square"):
+        np.testing.assert_allclose(getattr(seen, name), getattr(direct, name), rtol=1e-6)
     assert not hasattr(left, "codes")
     chosen = select(run.scene, shot)
     expected = coherent(shot_echoes(run.scene, shot, held, chosen))

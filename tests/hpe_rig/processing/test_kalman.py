@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
-from hpe_rig.processing import Motion, kalman, least_squares
+from hpe_rig.processing import Motion, kalman, kalman_filter, least_squares
 from hpe_rig.processing.kalman_filter import filter_changing, filter_constant
 from hpe_rig.processing.model import linear_model
 
@@ -121,6 +121,18 @@ def test_ten_million_pulses_leave_the_covariance_symmetric_positive_and_the_stat
     scale = np.sqrt(np.diagonal(fitted.covariance[0]))
     np.testing.assert_allclose((filtered.covariance - fitted.covariance) / np.outer(scale, scale), 0, atol=1e-9)
     assert (np.linalg.eigvalsh(filtered.state_covariance) > 0).all()
+
+
+@pytest.mark.parametrize("pulses", [40, 301])
+def test_a_factor_for_each_pulse_gives_the_innovations_of_blocks(pulses: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    motion = _motion(_wave(pulses) + 2e-6 + 1e-7 * np.random.default_rng(8).standard_normal((3, pulses)))
+    blocks = kalman(motion, [200.0, 330.0], background_order=1)
+    monkeypatch.setattr(kalman_filter, "MANY_PULSES", 1)
+    each = kalman(motion, [200.0, 330.0], background_order=1)
+    assert blocks.innovations is not None
+    assert each.innovations is not None
+    np.testing.assert_allclose(each.state, blocks.state, rtol=1e-9)
+    np.testing.assert_allclose(each.innovations.normalised, blocks.innovations.normalised, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [0, 1, 2])
