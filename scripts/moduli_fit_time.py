@@ -21,7 +21,7 @@ import numpy as np
 
 from hpe_rig.moduli import Push, Vibration, compare_media, fit_medium
 from hpe_rig.processing import PushForce
-from sim_backend.motion.field import field_transfer
+from sim_backend.motion import field_transfer
 from sim_backend.settings import Specimen
 
 FREQUENCY_HZ = np.arange(100.0, 1001.0, 100.0)
