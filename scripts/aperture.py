@@ -1,6 +1,6 @@
 """Beams of the aperture beside Gaussian beams: error against run time, tracked over peak displacement, cost of echoes.
 
-Usage: python scripts/aperture.py [--draws 400] [--moduli]
+Usage: python scripts/aperture.py [--draws 400] [--moduli] [--measured]
 
 Run times are processor time, ratios within one run; milliseconds hold on no other machine.
 """
@@ -8,7 +8,7 @@ Run times are processor time, ratios within one run; milliseconds hold on no oth
 import argparse
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from sim_backend.echoes import coloured, draw_field, drawn_echoes, echo_pulse, e
 from sim_backend.settings import SimulationSettings, Transducer
 from sim_backend.transducer import bowl_pressure, push_intensity, wave_number
 from sim_backend.wiring import Bursts, Capture
+
+if TYPE_CHECKING:
+    from hpe_rig.processing import PushForce
 
 Floats = NDArray[np.float64]
 SPEED = 1540.0
@@ -240,45 +243,83 @@ PLACES_M = {"1 to 6 mm, five": (1e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6e-3), "1 mm": (
 
 def moduli() -> None:
     """Print what a fit of moduli makes of the twin's push, by a Gaussian force and by the aperture's own."""
-    from hpe_rig.moduli import APERTURE_SHAPE, Push, Vibration, fit_medium
     from hpe_rig.processing import PushForce, aperture_force
-    from sim_backend.motion import field_transfer
 
-    frequency_hz = np.arange(100.0, 1001.0, 100.0)
     own = aperture_force(PAPER.diameter_m, PAPER.focal_length_m, 3e6, SPEED)
     pushes = {"Gaussian": PushForce((0.34e-3,), 3.6e-3), "aperture": own}
     print("\n| medium | places | force of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---:|---:|---:|")
     for mu1, mu2 in ((7.25e3, 1.0), (9e3, 2.0)):
         settings = settings_of(APERTURE, specimen={"shear_modulus_pa": mu1, "shear_viscosity_pa_s": mu2})
-        assert settings.specimen is not None
-        for name, places_m in PLACES_M.items():
-            where = np.array([0.0, *places_m])
-            field = field_transfer(settings.specimen, push_intensity(settings), where, np.zeros(1), frequency_hz)
+        for name in PLACES_M:
             for kind, force in pushes.items():
-                push = Push(force, 100.0, 100e-6, shape_relative=APERTURE_SHAPE if force is own else 0.0)
-                motion = field[:, :, 0] * push.spectrum(frequency_hz)[:, None]
-                motion *= PEAK_M / abs(motion[0, 0])
-                known = {"gain_uncertainty": 0.005, "phase_uncertainty_rad": 0.002, "place_uncertainty_m": 20e-6}
-                seen = [
-                    Vibration(f"{at:g}", frequency_hz, each, NOISE_M**2 * np.eye(20), at, **known)
-                    for at, each in zip(places_m, motion.T[1:], strict=True)
-                ]
-                fit = fit_medium(seen, push)
-                off = [
-                    f"{100 * (fit.values[key] / true - 1):+.1f} ± {100 * fit.uncertainty[key] / true:.1f} %"
-                    for key, true in (("shear_modulus_pa", mu1), ("viscosity_pa_s", mu2))
-                ]
-                medium = f"{mu1 * 1e-3:g} kPa, {mu2:g} Pa s"
-                misfit = f"{fit.chi_square:.3g} over {fit.freedom}"
-                print(f"| {medium} | {name} | {kind} | {off[0]} | {off[1]} | {misfit} |", flush=True)
+                print(
+                    f"| {mu1 * 1e-3:g} kPa, {mu2:g} Pa s | {name} | {kind} | {fitted(settings, name, force)} |",
+                    flush=True,
+                )
+
+
+def measured() -> None:
+    """Print what a fit makes of bowls that move unevenly, whose beam a hydrophone would show, by an even bowl's force.
+
+    Of its diameter, or of the one whose beam is as wide as theirs at the focus at half of its pressure.
+    """
+    from hpe_rig.processing import aperture_force
+
+    k = wave_number(3e6, SPEED, 0.5)
+    print("\n| surface moves | places | even bowl of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---:|---:|---:|")
+    for shape in ("uniform", "parabolic", "hann"):
+        bowl = Transducer(apodisation=shape)
+        lateral_m = np.linspace(0, 2e-3, 2001)
+        across = np.abs(bowl_pressure(bowl, k, lateral_m, np.zeros(1))[0])
+        half_m = float(np.interp(-0.5, -across / across[0], lateral_m))
+        # 2 J1(x) / x is a half at x = 2.2151
+        narrower_m = 2 * bowl.focal_length_m * 2.2151 / (k.real * half_m)
+        settings = settings_of(APERTURE, specimen={"shear_modulus_pa": 7.25e3, "shear_viscosity_pa_s": 1.0})
+        beams = settings.beams.model_copy(update={"transducer": bowl})
+        settings = settings.model_copy(update={"beams": beams})
+        for name in PLACES_M:
+            for diameter_m in (bowl.diameter_m, narrower_m):
+                force = aperture_force(diameter_m, bowl.focal_length_m, 3e6, SPEED)
+                found = fitted(settings, name, force)
+                print(f"| {shape} | {name} | {diameter_m * 1e3:.1f} mm | {found} |", flush=True)
+
+
+def fitted(settings: SimulationSettings, places: str, force: "PushForce") -> str:
+    """Return errors of mu1 and mu2 with their u, and chi-square, from noise-free motion at ``places`` with weights."""
+    from hpe_rig.moduli import APERTURE_SHAPE, Push, Vibration, fit_medium
+    from sim_backend.motion import field_transfer
+
+    assert settings.specimen is not None
+    specimen, frequency_hz = settings.specimen, np.arange(100.0, 1001.0, 100.0)
+    places_m = PLACES_M[places]
+    where = np.array([0.0, *places_m])
+    field = field_transfer(specimen, push_intensity(settings), where, np.zeros(1), frequency_hz)
+    push = Push(force, 100.0, 100e-6, shape_relative=APERTURE_SHAPE if force.unsure else 0.0)
+    motion = field[:, :, 0] * push.spectrum(frequency_hz)[:, None]
+    motion *= PEAK_M / abs(motion[0, 0])
+    known = {"gain_uncertainty": 0.005, "phase_uncertainty_rad": 0.002, "place_uncertainty_m": 20e-6}
+    seen = [
+        Vibration(f"{at:g}", frequency_hz, each, NOISE_M**2 * np.eye(20), at, **known)
+        for at, each in zip(places_m, motion.T[1:], strict=True)
+    ]
+    fit = fit_medium(seen, push)
+    truth = (("shear_modulus_pa", specimen.shear_modulus_pa), ("viscosity_pa_s", specimen.shear_viscosity_pa_s))
+    off = [
+        f"{100 * (fit.values[key] / true - 1):+.1f} ± {100 * fit.uncertainty[key] / true:.1f} %" for key, true in truth
+    ]
+    return f"{off[0]} | {off[1]} | {fit.chi_square:.3g} over {fit.freedom}"
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--draws", type=int, default=400)
     parser.add_argument("--moduli", action="store_true", help="the table of fitted moduli alone")
+    parser.add_argument("--measured", action="store_true", help="the table of moduli by beams that are no even bowl's")
     given = parser.parse_args()
     assert j0(0) == 1
+    if given.measured:
+        measured()
+        raise SystemExit
     if not given.moduli:
         radiation()
         push()

@@ -204,7 +204,7 @@ def rows(name: str, trials: Sequence[Trial]) -> list[str]:
         lines.append(f"| {medium} | {len(trials)} | {key} | {' | '.join(cells)} |")
     plane = np.array([each.values["plane"] for each in trials]) / truth - 1
     kept = np.isfinite(plane[:, 0])
-    cells = [f"{100 * plane[kept, i].mean():+.0f} | {100 * plane[kept, i].std(ddof=1):.1f} | | |" for i in range(2)]
+    cells = [f"{100 * plane[kept, i].mean():+.0f} | {100 * plane[kept, i].std(ddof=1):.1f} | | | |" for i in range(2)]
     lines.append(f"| {medium} | {kept.sum()} | plane wave | {' '.join(cells)}")
     moved = np.concatenate([each.lateral for each in trials])
     return [*lines, f"{medium}: places moved by the fit, rms {np.sqrt(np.mean(moved**2)):.2f} of what is stated"]

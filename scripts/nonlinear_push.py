@@ -1,19 +1,22 @@
 """Nonlinear propagation: error against closed forms and against run time, a published beam, and the push over drive.
 
 Tables: plane waves (Fubini, Blackstock); the bowl in its linear limit (Rayleigh integral) and its second harmonic
-(Green's integral over the linear field); a published focused beam; what accuracy costs; force, pressures and exponent
-over drive in the twin's muscle. Seconds are processor time; compare them within one run alone.
+(Green's integral over the linear field); a published curve along the axis and a published focus; what accuracy costs;
+output in water over a linear wave's; force, pressures and exponent over drive in the twin's muscle. Seconds are
+processor time; compare them within one run alone. Usage: python scripts/nonlinear_push.py [TABLE ...]
 """
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.special import jv
 
+from hpe_rig.prediction import focal_distortion
 from sim_backend.settings import Beams, Propagation, SimulationSettings, Specimen, Transducer
 from sim_backend.transducer import (
     Accuracy,
@@ -24,6 +27,7 @@ from sim_backend.transducer import (
     nonlinear_beam,
     path,
     push_of,
+    water_output,
 )
 
 FREQUENCY_HZ, SPEED = 3e6, 1540.0
@@ -34,11 +38,22 @@ BEAMS = Beams(excitation_width_m=(0.34e-3, 0.34e-3, 3.6e-3))
 
 
 def main() -> None:
-    """Print all tables."""
-    for table in (plane_waves(), linear_limit(), second_harmonic(), published(), accuracy(), drive()):
-        for line in table:
-            print(line, flush=True)
-        print()
+    """Print all tables, or those named."""
+    tables = (
+        plane_waves,
+        linear_limit,
+        second_harmonic,
+        published_axis,
+        published_focus,
+        accuracy,
+        water,
+        drive,
+    )
+    for table in tables:
+        if not sys.argv[1:] or table.__name__ in sys.argv[1:]:
+            for line in table():
+                print(line, flush=True)
+            print()
 
 
 def blackstock(sigma: float, count: int) -> np.ndarray:
@@ -107,7 +122,56 @@ def second_harmonic() -> Iterator[str]:
         yield f"  {at_m * 1e3:+.0f} mm: {100 * (found - abs(exact.sum())) / focus:+.2f} % of {focus * 1e-6:.3g} MPa"
 
 
-def published() -> Iterator[str]:
+AXIS = (
+    (10.9, 1.087, 0.954),
+    (12.3, 1.746, 1.418),
+    (13.5, 2.302, 2.317),
+    (14.0, 5.644, 3.402),
+    (14.5, 13.996, 3.809),
+    (14.7, 20.751, 3.820),
+    (15.0, 20.765, 3.733),
+    (15.5, 16.716, 3.395),
+    (16.0, 9.994, 2.867),
+)
+"""Depth in cm, p+ and p- in MPa: the figure on page 21 of the manual of HITU Simulator 2.0 (J. E. Soneson, US Food and
+Drug Administration, 2019), whose curves are vectors of 1000 points."""
+AXIS_LARGEST = 21.15, 3.82
+
+
+def published_axis() -> Iterator[str]:
+    """Yield p+ and p- along the axis of a published beam: HITU Simulator's.
+
+    The case is that of Yuldashev and Khokhlova, Acoust. Phys. 57 (2011), p. 334.
+    """
+    yield "HITU Simulator 2.0, manual, page 21: bowl of 8.2 cm, focus at 15 cm, 1.7 MHz, 40 W, water; p+ and p- in MPa"
+    bowl = Transducer(diameter_m=82e-3, focal_length_m=150e-3)
+    cap_m2 = 2 * np.pi * 0.15 * (0.15 - np.sqrt(0.15**2 - 0.041**2))
+    liquid = Layer(np.inf, 1500.0, 1000.0, 3.5, 0.00217, 2.0)
+    surface_pa = float(np.sqrt(2 * liquid.impedance * 40 / cap_m2))
+    finer = Accuracy(24, 0.02), Accuracy(64, 0.02)
+    beams = [nonlinear_beam(bowl, [liquid], 1.7e6, surface_pa, each) for each in finer]
+    peaks = [beam.extremes_pa() for beam in beams]
+    yield "| z (cm) | p+ published | 24 harmonics | 64 | p- published | 24 harmonics | 64 |"
+    yield "|---:|---:|---:|---:|---:|---:|---:|"
+    for depth_cm, *known in AXIS:
+        found = [
+            [np.interp(depth_cm * 1e-2, beam.depth_m, each) for each in peak]
+            for beam, peak in zip(beams, peaks, strict=True)
+        ]
+        yield f"| {depth_cm:.1f} | {_beside(known, found)} |"
+    # the edge of the bowl is no part of the figure
+    far = [beam.depth_m > 0.1 for beam in beams]
+    found = [[each[own].max() for each in peak] for own, peak in zip(far, peaks, strict=True)]
+    yield f"| largest | {_beside(AXIS_LARGEST, found)} |"
+
+
+def _beside(known_mpa: Sequence[float], found_pa: Sequence[Sequence[float]]) -> str:
+    """Return cells: what is known, then what each beam has, first of p+ and then of p-."""
+    rows = zip(known_mpa, zip(*found_pa, strict=True), strict=True)
+    return " | ".join(f"{known:.2f} | " + " | ".join(f"{each * 1e-6:.2f}" for each in own) for known, own in rows)
+
+
+def published_focus() -> Iterator[str]:
     """Yield the focus of the beam of Canney and others (J. Acoust. Soc. Am. 124, 2008, p. 2406), in water."""
     yield "Canney and others 2008: 2 MHz, aperture and focal length 44 mm, water; p+ to 80, p- to 15 MPa at 24 kW/cm2"
     bowl = Transducer(diameter_m=44e-3, focal_length_m=44e-3)
@@ -126,20 +190,45 @@ def published() -> Iterator[str]:
 def accuracy() -> Iterator[str]:
     """Yield what harmonics and steps do to the force and the peaks in muscle, against the finest."""
     yield "muscle, 0.28 MPa at the surface: difference from the finest, against processor time"
-    yield "| harmonics | step | force | p+ | p- | s |"
-    yield "|---:|---:|---:|---:|---:|---:|"
+    yield "| harmonics | step | least step (mm) | force | p+ | p- | s |"
+    yield "|---:|---:|---:|---:|---:|---:|---:|"
     layers = path(SPECIMEN, Propagation(), SPEED, 70e-3)
     finest: list[float] = []
-    for harmonics, step in ((64, 0.015), (32, 0.03), (24, 0.03), (24, 0.06), (16, 0.03), (12, 0.06)):
+    finer = (64, 0.015, 0.1e-3), (32, 0.03, 0.2e-3), (24, 0.03, 0.2e-3), (24, 0.06, 0.2e-3)
+    for harmonics, step, least_m in (*finer, (24, 0.06, 0.4e-3), (16, 0.06, 0.2e-3), (12, 0.06, 0.4e-3)):
         start = time.process_time()
-        beam = nonlinear_beam(BOWL, layers, FREQUENCY_HZ, 0.28e6, Accuracy(harmonics, step, step / 150))
+        beam = nonlinear_beam(BOWL, layers, FREQUENCY_HZ, 0.28e6, Accuracy(harmonics, step, least_m))
         seconds = time.process_time() - start
         high_pa, low_pa = beam.extremes_pa()
         each = [equivalent_force(beam, 70e-3, BEAMS.excitation_width_m, layers[0].thickness_m)]
         each += [float(high_pa.max()), float(low_pa.max())]
         finest = finest or each
         cells = " | ".join(f"{100 * (one / best - 1):+.1f} %" for one, best in zip(each, finest, strict=True))
-        yield f"| {harmonics} | {step:g} | {cells} | {seconds:.1f} |"
+        yield f"| {harmonics} | {step:g} | {least_m * 1e3:g} | {cells} | {seconds:.1f} |"
+
+
+def water() -> Iterator[str]:
+    """Yield the output in water over a linear wave's, by the distortion of that wave at the focus (IEC 61949)."""
+    yield "output in water over a linear wave's; diameter and focus in mm, carrier in MHz"
+    yield "| bowl | distortion | I_sppa | p- | p+ |"
+    yield "|---|---:|---:|---:|---:|"
+    for diameter_m, focus_m, carrier_hz in ((45e-3, 70e-3, 3e6), (20e-3, 60e-3, 3e6), (45e-3, 50e-3, 2e6)):
+        beams = Beams(transducer=Transducer(diameter_m=diameter_m, focal_length_m=focus_m), focus_depth_m=focus_m)
+        settings = SimulationSettings(specimen=SPECIMEN, beams=beams, propagation=Propagation(specimen_depth_m=5e-3))
+        width_m = 1.03 / 2.3548 * SPEED / carrier_hz * focus_m / diameter_m
+        weak = water_output(settings, 1e3, carrier_hz)
+        for distortion in (0.02, 0.04, 0.07, 0.10, 0.14, 0.20, 0.28, 0.39):
+            one = focal_distortion(weak.sppa_w_per_m2, carrier_hz, focus_m, diameter_m, width_m, SPEED)
+            more = distortion / one
+            here = water_output(settings, 1e3 * more, carrier_hz)
+            over = (
+                here.sppa_w_per_m2 / weak.sppa_w_per_m2 / more**2,
+                here.negative_pa / weak.negative_pa / more,
+                here.positive_pa / weak.positive_pa / more,
+            )
+            cells = " | ".join(f"{100 * (each - 1):+.0f} %" for each in over)
+            bowl = f"{diameter_m * 1e3:g}, {focus_m * 1e3:g}, {carrier_hz * 1e-6:g}"
+            yield f"| {bowl} | {distortion:.2f} | {cells} |"
 
 
 def drive() -> Iterator[str]:

@@ -222,7 +222,7 @@ def _as_page(file: Path, folder: Path) -> Path:
     if file.suffix != ".svg":
         return file.resolve()
     drawn = file.read_text(encoding="utf-8")
-    page = folder / f"{file.name}.html"
+    page = folder.resolve() / f"{file.name}.html"
     page.write_text(f"{ALONE}{drawn[drawn.index('<svg') :]}", encoding="utf-8")
     return page
 

@@ -95,6 +95,7 @@ def _foreseen(setup: Setup, target_m: float | None) -> Iterator[str]:
     yield from prediction.detection_text(scene, bench.simulated, shot)
     yield from prediction.aliasing_text(scene, shot, bench.simulated)
     yield from prediction.calibration_text(scene, bench)
+    yield from prediction.extrapolation_text(scene, bench)
     yield from prediction.averaging_text(scene)
     yield from prediction.prediction_text(scene, shot, target_m, bench.simulated)
     if len(scene.places) > 1:

@@ -244,10 +244,12 @@ def process(
     wide: Wide = False,
 ) -> None:
     """Estimate again from a stored run. The result is printed and written beside the run file."""
-    from hpe_rig.acquire import open_run, parse_axes, process as process_run
+    from hpe_rig.acquire import process as process_run
 
     _refuse_unswept(bool(sweep), together, gate_profile_step)
     if sweep:
+        from hpe_rig.acquire import open_run, parse_axes
+
         result = open_run(run_file).sweep(parse_axes(sweep), together=together, estimator=estimator)
     else:
         result = process_run(run_file, estimator, Stages(), _step_m(gate_profile_step))

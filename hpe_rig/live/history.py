@@ -98,7 +98,7 @@ def setting_of(shot: Shot) -> str:
     if shot.lateral_offset_m:
         parts.insert(0, f"{shot.lateral_offset_m * 1e3:g} mm beside the push")
     if shot.force_fraction is not None:
-        parts.insert(0, f"force {shot.force_fraction:g} F₀")
+        parts.insert(0, f"force {shot.force_fraction:.4g} F₀")
     if shot.burst_train is not None:
         parts.insert(0, f"tonebursts of {shot.timeline.burst_length_s * 1e6:g} µs")
     return ", ".join(parts)

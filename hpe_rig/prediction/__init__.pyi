@@ -42,11 +42,13 @@ from .text import (
     averaging_text as averaging_text,
     calibration_text as calibration_text,
     detection_text as detection_text,
+    extrapolation_text as extrapolation_text,
     prediction_text as prediction_text,
 )
 from .theory import (
     beam_averaging_factor as beam_averaging_factor,
     echo_power as echo_power,
+    focal_distortion as focal_distortion,
     force_spectrum as force_spectrum,
     scatterer_density as scatterer_density,
 )

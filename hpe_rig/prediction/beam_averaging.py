@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
-from hpe_rig.prediction.error_model import Conditions, Moved, Speckle, draw_speckle, tracked_over_peak
+from hpe_rig.prediction.error_model import Conditions, Moved, seeded_speckle, tracked_over_peak
 from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, scatterer_density
 from hpe_rig.processing import (
     BeamWidths,
@@ -116,9 +116,7 @@ def region_spread(resting: Conditions, estimator: str) -> tuple[float, float, fl
     """Return ``tracked_spread`` of ``resting`` echoes."""
 
     def spread(moved: Moved) -> tuple[float, float]:
-        # a fixed seed: a prediction is a function of the scene alone
-        speckle = draw_speckle(resting, np.random.default_rng(0), SPECKLE_DRAWS, moved)
-        found = tracked_over_peak(resting, estimator, speckle)
+        found = tracked_over_peak(resting, estimator, seeded_speckle(resting, SPECKLE_DRAWS, moved))
         return float(found.mean()), float(found.std())
 
     unit_m = resting.tracking_width_m[0]
@@ -165,19 +163,13 @@ def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
     that does not divide by the carrier. Speckle's dark spots give both a heavy tail: they repeat to about
     2 / sqrt(``SPECKLE_DRAWS``).
     """
-    speckle = _drawn_speckle(resting)
+    speckle = seeded_speckle(resting, SPECKLE_DRAWS)
     ratio = tracked_over_peak(resting, estimator, speckle)
     if not spec_of(estimator).by_carrier:
         return float(ratio.std() / ratio.mean()), 0.0
     # Echo and motion are the same for an estimator that divides by the echo's own mean frequency.
     by_echo = tracked_over_peak(resting, BY_ECHO, speckle)
     return float(by_echo.std() / by_echo.mean()), float((ratio / by_echo).std())
-
-
-@functools.lru_cache(maxsize=2)
-def _drawn_speckle(resting: Conditions) -> Speckle:
-    # A fixed seed: a prediction is a function of the scene alone.
-    return draw_speckle(resting, np.random.default_rng(0), SPECKLE_DRAWS)
 
 
 def _seen_through(

@@ -8,8 +8,10 @@ part of it: echoes are aligned before the gate cuts them, as far as the record r
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +37,8 @@ MOST_SCATTERERS = 5000
 moment goes as one over the scatterers in a cell."""
 BLOCK_DRAWS = 64
 """Draws summed at a time: what they need stays in the processor's cache, which halves their time."""
+MOST_KEPT = 1e6
+"""Scatterers up to which draws are kept for the next motion: 48 MB."""
 LATERAL = 3.5
 """Half width of the drawn box in sigmas of the tracking beam: scatterers beyond echo 2e-3 of the peak."""
 
@@ -157,10 +161,33 @@ def draw_speckle(
 
     ``moved`` as in ``draw_scattering``.
     """
-    deep_m = conditions.gate_length_m + conditions.pulse_length_m
-    cells = int(np.clip(4 * np.ceil(deep_m / conditions.pulse_length_m), 48, 192))
-    scattering = draw_scattering(conditions, generator, draws, deep_m, cells, moved)
+    scattering = draw_scattering(conditions, generator, draws, *_cells(conditions), moved)
     return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
+
+
+@functools.lru_cache(maxsize=4)
+def seeded_speckle(conditions: Conditions, draws: int, moved: Moved | None = None) -> Speckle:
+    """Return ``draw_speckle`` of one and the same seed: a prediction is a function of the scene alone.
+
+    Echoes alike have the same scatterers, whatever moves them: those are kept, unless they are too many.
+    """
+    echoes = replace(conditions, excitation_width_m=(0.0, 0.0, 0.0), pulses=1, frequency_hz=0.0, amplitude_m=0.0)
+    echoes = replace(echoes, snr=np.inf, trigger_jitter_s=0.0, fit_gain=1.0)
+    few = draws * _scatterers_expected(conditions, _cells(conditions)[0]) < MOST_KEPT
+    scatterers = (_seeded_scatterers if few else _seeded_scatterers.__wrapped__)(echoes, draws)
+    scattering = scatterers.displaced(conditions.excitation_width_m, moved)
+    return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
+
+
+@functools.lru_cache(maxsize=2)
+def _seeded_scatterers(echoes: Conditions, draws: int) -> Scatterers:
+    return draw_scatterers(echoes, np.random.default_rng(0), draws, *_cells(echoes))
+
+
+def _cells(conditions: Conditions) -> tuple[float, int]:
+    """Return how deep a gate's scatterers lie, m, and in how many cells of depth they are summed."""
+    deep_m = conditions.gate_length_m + conditions.pulse_length_m
+    return deep_m, int(np.clip(4 * np.ceil(deep_m / conditions.pulse_length_m), 48, 192))
 
 
 def draw_scattering(
@@ -171,38 +198,79 @@ def draw_scattering(
     cells: int,
     moved: Moved | None = None,
 ) -> Scattering:
+    """Return ``draw_scatterers`` displaced as ``moved`` says, without it by the Gaussian of eq. (12)."""
+    drawn = draw_scatterers(conditions, generator, draws, deep_m, cells)
+    return drawn.displaced(conditions.excitation_width_m, moved)
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Scatterers of some draws: place (3, scatterer), m, real and imaginary echo, and cell, counted over the draws."""
+
+    place_m: FloatArray
+    parts: tuple[FloatArray, FloatArray]
+    cell: NDArray[np.int64]
+    shape: tuple[int, int]
+
+    def summed(self, weight: FloatArray | float = 1.0) -> ComplexArray:
+        """Return the echoes times ``weight`` (scatterer,) summed into the cells, (draw, cell)."""
+        # real and imaginary parts one by one: sums are of real numbers, and complex exponentials cost thrice as much
+        real, imaginary = (np.bincount(self.cell, part * weight, math.prod(self.shape)) for part in self.parts)
+        return np.asarray((real + 1j * imaginary).reshape(self.shape))
+
+
+@dataclass(frozen=True, slots=True)
+class Scatterers:
+    """Draws of scatterers in blocks, with their echoes at rest (draw, cell) in cells at ``depth_m``."""
+
+    blocks: tuple[_Block, ...]
+    echo: ComplexArray
+    depth_m: FloatArray
+
+    def displaced(self, width_m: Triple, moved: Moved | None = None) -> Scattering:
+        """Return them displaced as ``moved`` says, without it by a Gaussian of the sigmas ``width_m``."""
+        moved = moved or functools.partial(_gaussian, width_m)
+        weighted = [block.summed(moved(block.place_m)) for block in self.blocks]
+        return Scattering(self.echo, np.concatenate(weighted), self.depth_m)
+
+
+def draw_scatterers(
+    conditions: Conditions, generator: np.random.Generator, draws: int, deep_m: float, cells: int
+) -> Scatterers:
     """Return ``draws`` draws of the conditions's scatterers in ``cells`` cells within ``deep_m`` around the focus.
 
-    They are displaced as ``moved`` says of places (3, scatterer), without it by the Gaussian of eq. (12). Beams and
-    density alone count: the same draws serve any gate and pulse that stay within. Of more scatterers a draw than
-    ``MOST_SCATTERERS`` so many are drawn: what draws say does not depend on how strong the echo is.
+    The tracking beam and density alone count: the same draws serve any gate and pulse that stay within. Of more
+    scatterers a draw than ``MOST_SCATTERERS`` so many are drawn: what draws say does not depend on how strong the echo
+    is.
     """
-    size_m = np.array([*(2 * LATERAL * width for width in conditions.tracking_width_m[:2]), deep_m])
-    expected = float(conditions.scatterers_per_m3 * np.prod(size_m))
-    count = generator.poisson(min(expected, MOST_SCATTERERS), draws)
+    count = generator.poisson(_scatterers_expected(conditions, deep_m), draws)
     end = np.cumsum(count)
     place, phase = generator.random((3, end[-1])), generator.random(end[-1])
-    sums = np.empty((4, draws, cells))
+    size_m, blocks = _box_m(conditions, deep_m)[:, None], []
     for first in range(0, draws, BLOCK_DRAWS):
-        block = slice(first, first + BLOCK_DRAWS)
-        inside = slice(end[first] - count[first], end[block][-1])
-        at_m = (place[:, inside] - 0.5) * size_m[:, None]
-        squared, angle = np.square(at_m), 2 * np.pi * phase[inside]
-        weight = _gaussian(squared, conditions.excitation_width_m) if moved is None else moved(at_m)
-        echo = _gaussian(squared, conditions.tracking_width_m)
+        inside = slice(end[first] - count[first], end[first : first + BLOCK_DRAWS][-1])
+        own = count[first : first + BLOCK_DRAWS]
+        at_m, angle = (place[:, inside] - 0.5) * size_m, 2 * np.pi * phase[inside]
+        echo = _gaussian(conditions.tracking_width_m, at_m)
         cell = np.minimum(((at_m[2] / deep_m + 0.5) * cells).astype(np.int64), cells - 1)
-        cell += cells * np.repeat(np.arange(count[block].size), count[block])
-        # real and imaginary parts one by one: sums are of real numbers, and complex exponentials cost thrice as much
-        parts = [echo * np.cos(angle), echo * np.sin(angle)]
-        parts += [part * weight for part in parts]
-        sums[:, block] = [np.bincount(cell, each, count[block].size * cells).reshape(-1, cells) for each in parts]
+        cell += cells * np.repeat(np.arange(own.size), own)
+        blocks.append(_Block(at_m, (echo * np.cos(angle), echo * np.sin(angle)), cell, (own.size, cells)))
     depth_m = ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m
-    return Scattering(sums[0] + 1j * sums[1], sums[2] + 1j * sums[3], depth_m)
+    return Scatterers(tuple(blocks), np.concatenate([block.summed() for block in blocks]), depth_m)
 
 
-def _gaussian(squared_m2: FloatArray, width_m: Triple) -> FloatArray:
-    """Return a Gaussian of the sigmas ``width_m`` at places whose coordinates are given squared, (3, scatterer)."""
-    return np.asarray(np.exp((-0.5 / np.square(width_m)) @ squared_m2))
+def _box_m(conditions: Conditions, deep_m: float) -> FloatArray:
+    """Return the sides of the drawn box, m."""
+    return np.array([*(2 * LATERAL * width for width in conditions.tracking_width_m[:2]), deep_m])
+
+
+def _scatterers_expected(conditions: Conditions, deep_m: float) -> float:
+    return min(float(conditions.scatterers_per_m3 * np.prod(_box_m(conditions, deep_m))), MOST_SCATTERERS)
+
+
+def _gaussian(width_m: Triple, place_m: FloatArray) -> FloatArray:
+    """Return a Gaussian of the sigmas ``width_m`` at ``place_m`` (3, scatterer) from its middle."""
+    return np.asarray(np.exp((-0.5 / np.square(width_m)) @ np.square(place_m)))
 
 
 def _whole_gate(conditions: Conditions, speckle: Speckle, by_carrier: bool) -> tuple[FloatArray, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ from hpe_rig.plan import Shot, select, window_pulse_count
 from hpe_rig.prediction.aliasing import each_fitted_over_true
 from hpe_rig.prediction.amplitude import expected_amplitude_m, expected_snr_db
 from hpe_rig.prediction.beam_averaging import motion_width_m, predicted_averaging, resting_conditions
-from hpe_rig.prediction.error_model import Conditions, Expected, Speckle, draw_speckle, expected
+from hpe_rig.prediction.error_model import Conditions, Expected, expected, seeded_speckle
 from hpe_rig.prediction.linear_fit import noise_gain
 from hpe_rig.processing import ESTIMATORS, spec_of
 from hpe_rig.result import Averaging
@@ -135,13 +134,8 @@ def _expected(conditions: Conditions, estimator: str, draws: int) -> Expected:
     many = PEAK_DRAWS * draws if spec_of(estimator).reads_peak else draws
     # All that speckle does not depend on is left out, so that estimators share their draws.
     echoes = replace(conditions, pulses=1, frequency_hz=0.0, amplitude_m=0.0, snr=np.inf, trigger_jitter_s=0.0)
-    speckle = _drawn_speckle(replace(echoes, fit_gain=1.0), many)
+    speckle = seeded_speckle(replace(echoes, fit_gain=1.0), many)
     return expected(conditions, estimator, speckle, np.random.default_rng(1))
-
-
-@functools.lru_cache(maxsize=2)
-def _drawn_speckle(echoes: Conditions, draws: int) -> Speckle:
-    return draw_speckle(echoes, np.random.default_rng(0), draws)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,17 @@ LISTED = 4
 STEEP = 0.25
 """Distortion at the focus from which nonlinear propagation changes the force in muscle by a tenth and more
 (scripts/nonlinear_push.py); IEC 61949 takes a field for nearly linear up to 0.5."""
+SHOCKED = (
+    (0.0, 0.02, 0.04, 0.07, 0.10, 0.14, 0.20, 0.28, 0.39),
+    (1.0, 1.00, 1.00, 1.01, 1.03, 1.06, 1.15, 1.38, 1.42),
+    (1.0, 0.96, 0.93, 0.88, 0.84, 0.79, 0.73, 0.67, 0.65),
+)
+"""Distortion at the focus of a linear wave in water; I_sppa and p- over that wave's. Of a bowl of 45 mm focused at
+70 mm, at 3 MHz; weaker focusing changes less (scripts/nonlinear_push.py)."""
+EXTRAPOLATED = 0.05
+"""Relative, from which a drive is another than the calibrated one."""
+CHANGED = 0.03
+"""Relative change of an output from which it is worth a line."""
 AGREEING = 2.0
 """Intensities further apart than this factor are not of one transducer: attenuation over the way is known no better."""
 
@@ -129,6 +140,45 @@ def calibration_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
             f"Vpp, the twin's force stands for {found.intensity_w_per_m2 * 1e-4:.3g} W/cm2, {ratio:.3g} times that: "
             "the acoustic output by this calibration is not the output that moves the twin"
         )
+
+
+def extrapolation_text(scene: Scene, bench: BenchFile) -> Iterator[str]:
+    """Yield that the calibrated output is scaled to another drive, and by how much shocks make that wrong."""
+    calibration, excitation = bench.calibration, scene.excitation
+    drive = None if calibration is None else calibration.toneburst
+    if calibration is None or drive is None or excitation is None:
+        return
+    drive_vpp = bench.limits.full_drive_vpp * math.sqrt(max(excitation.force_fraction))
+    share = drive_vpp / drive.amplitude_vpp
+    if abs(share - 1) <= EXTRAPOLATED:
+        return
+    scaled = f"output by calibration: linear in drive, from {drive.amplitude_vpp:.3g} to {drive_vpp:.3g} Vpp"
+    diameter_m = _pushing_diameter_m(scene, bench.simulated)
+    if diameter_m is None:
+        yield f"{scaled}; how far shocks change that is not known without beams.transducer_diameter_m"
+        return
+    speed, focus_m = scene.acquisition.sound_speed_m_per_s, calibration.focus_depth_m
+    # an intensity's full width at half maximum is 1.03 lambda F / D
+    width_m = 1.03 / 2.3548 * speed / drive.carrier_hz * focus_m / diameter_m
+    own = focal_distortion(drive.sppa_w_per_m2, drive.carrier_hz, focus_m, diameter_m, width_m, speed)
+    linear, intensity, rarefaction = (np.array(each) for each in SHOCKED)
+    # what was measured holds its own shocks already
+    at = float(np.interp(own, linear * np.sqrt(intensity), linear))
+    changes = [np.interp(at * share, linear, each) / np.interp(at, linear, each) for each in (intensity, rarefaction)]
+    if max(abs(each - 1) for each in changes) > CHANGED:
+        higher, lower = (100 * (float(each) - 1) for each in changes)
+        yield (
+            f"{scaled}; the distortion at the focus is {at:.2g} and {at * share:.2g} (IEC 61949), where shocks change "
+            f"I_sppa by up to {higher:+.0f} % and p- by up to {lower:+.0f} %. Try: a calibration at the drive in use"
+        )
+
+
+def _pushing_diameter_m(scene: Scene, simulated: bool) -> float | None:
+    """Return the diameter of the aperture that pushes; None where nobody says it."""
+    beams, twin = scene.beams, twin_of(scene) if simulated else None
+    if beams is not None and beams.transducer_diameter_m is not None and beams.push_focus_depth_m is None:
+        return beams.transducer_diameter_m
+    return None if twin is None else twin.settings.beams.transducer.diameter_m
 
 
 def aliasing_text(scene: Scene, shot: Shot, simulated: bool = True) -> Iterator[str]:

@@ -130,7 +130,8 @@ def read_settings(
 ) -> tuple[RecordingSettings, dict[str, str]]:
     """Return the settings of ``recording`` and where each is stated; options count before the sidecar.
 
-    ``sidecar``: its TOML file; absent, ``RECORDING.toml`` or the recording's name with that ending, if there is one.
+    ``sidecar``: its TOML file; absent, ``RECORDING.toml`` or the recording's name with that ending, if there is one
+    and it is no scene.
     Raises ``SettingsError`` with every mistake.
     """
     options = dict(options or {})
@@ -142,6 +143,9 @@ def read_settings(
         except (OSError, UnicodeDecodeError) as error:
             why = getattr(error, "strerror", None) or "it is no UTF-8 text"
             raise SettingsError(f"sidecar {path}", [Mistake("", f"cannot be read ({why})", "its path")]) from None
+    if sidecar is None and {"tracking", "acquisition"} & stated.keys():
+        # The scene, which has the recording's name.
+        path, stated = None, {}
     where = dict.fromkeys(stated, "" if path is None else path.name) | dict.fromkeys(options, "an option")
     merged = stated | options
     for ours, others in (("pulse_time_s", ("pulse_rate_hz", "first_pulse_s")), ("line_position_m", ("line_pitch_m",))):

@@ -19,7 +19,7 @@ from hpe_rig.acquire import Run, estimate_points, open_run, points_over
 from hpe_rig.bench import twin_of
 from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, named, origin
 from hpe_rig.plan import scene_of, timing
-from hpe_rig.prediction import detection_text
+from hpe_rig.prediction import detection_text, extrapolation_text
 from hpe_rig.processing import margin_needed, samples_needed
 from hpe_rig.report import figures, provenance as report_provenance
 from hpe_rig.report.badges import badges
@@ -323,7 +323,8 @@ def _dose(run: Run, shown: ShotResult) -> list[tuple[str, str]]:
     """Return the acoustic output by the bench file's calibration, the detection floor, and what the limits let move."""
     output = [("acoustic output", finding.text) for finding in run.findings if finding.check == "acoustic output"]
     scene, shot = _scene_of(run, shown), run.plan.shots[shown.shot]
-    lines = [text.partition(": ") for text in detection_text(scene, run.stored.simulated, shot)]
+    said = *extrapolation_text(scene, run.bench), *detection_text(scene, run.stored.simulated, shot)
+    lines = [text.partition(": ") for text in said]
     return output + [(name, text) for name, _, text in lines]
 
 

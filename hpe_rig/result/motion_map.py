@@ -105,7 +105,7 @@ class MotionMap:
             (amplitude * 1e9, "amplitude / nm", "viridis", 0.0, top),
             (np.degrees(self.phase_rad[..., frequency]), "phase / deg", "twilight", -180.0, 180.0),
             (u * 1e9, "u of the amplitude / nm", "magma", 0.0, None),
-            (self.velocity_m_per_s * 1e6, "velocity / (um/s)", "RdBu_r", -fast, fast),
+            (self.velocity_m_per_s * 1e6, "velocity / (µm/s)", "RdBu_r", -fast, fast),
         )
         wide = 1e3 if self.lines_are_placed else 1.0
         extent = (*_edges(self.line_m * wide), *_edges(self.depth_m * 1e3)[::-1])

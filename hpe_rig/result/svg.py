@@ -16,7 +16,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from hpe_rig.result.figure import PALETTE
@@ -175,13 +175,23 @@ def _variable(found: re.Match[str]) -> str:
     return found[0] if name is None else f"{found[1]}var(--{name}, {found[2]})"
 
 
-def label_decades(axis: Axis) -> None:
-    """Label a logarithmic axis such that numbers do not meet: 1, 2, 5 within two decades, powers of ten beyond."""
+def label_decades(axis: Axis, most: int = 6) -> None:
+    """Label a logarithmic axis such that at most so many numbers stand on it, and do not meet.
+
+    1, 2, 5 within two decades (of six numbers), powers of ten beyond; what holds fewer than two of 1, 2, 5 gets round
+    numbers.
+    """
     low, high = axis.get_view_interval()
     if not low > 0:
         return  # nothing is drawn on it
-    within = high < 100 * low
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if within else (1.0,), numticks=12 if within else 6))
+    # Three numbers a decade.
+    within = high < 10 ** (most / 3) * low
+    if high < 5 * low:
+        axis.set_major_locator(MaxNLocator(max(2, most - 3)))
+    else:
+        axis.set_major_locator(
+            LogLocator(subs=(1.0, 2.0, 5.0) if within else (1.0,), numticks=2 * most if within else most)
+        )
     if within:
         axis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

@@ -35,8 +35,8 @@ FIGURES = ("amplitude bias (%)", "amplitude jitter (%)", "phase bias (°)", "pha
 LEAD = (
     "Bias and jitter of eq. (14) and (15): mean and standard deviation of the error of amplitude and phase. Bands: two "
     "Monte Carlo standard errors to each side. Physical: every scatterer echoes from its own depth; literal: eq. (11) "
-    "as printed, all echoes start at once, scatterers fill the gate; as_printed: the same, and the amplitude keeps the "
-    "gain of a difference of pulses; one_draw: physical, one draw of scatterers for all realisations of noise.",
+    "as printed, all echoes start at once, scatterers fill the gate; as printed: the same, and the amplitude keeps the "
+    "gain of a difference of pulses; one draw: physical, one draw of scatterers for all realisations of noise.",
 )
 
 
@@ -69,13 +69,15 @@ def _headline(results: Sequence[StudyResult]) -> str:
 def found_part(results: Sequence[StudyResult]) -> Part:
     """Return bias and jitter of every study, reading and estimator, least to largest over the cases."""
     rows: list[dict[str, Any]] = [
-        {"study": result.definition.title, "reading": one.reading, "estimator": spec_of(one.estimator).label}
+        {"study": result.definition.title, "reading": spelt(one.reading), "estimator": spec_of(one.estimator).label}
         | ({"frequency (Hz)": one.frequency_hz} if len({other.frequency_hz for other in views(result)}) > 1 else {})
         | dict(zip(FIGURES, spans(one.rows), strict=True))
         for result in results
         for one in views(result)
     ]
     columns = dict.fromkeys(name for row in rows for name in row)
+    if len(results) == 1:
+        del columns["study"]
     rows = [{name: row.get(name) for name in columns} for row in rows]
     caption = "Least to largest over the cases of a study, in % of the true amplitude and in degrees."
     return Part("found-part", "What was found", (), (), (table("found", caption, rows, False),))
@@ -98,7 +100,11 @@ def _shown(result: StudyResult) -> list[dict[str, Any]]:
     axes = result.definition.axes
     return [
         {axis.name: shown(row[axis.name], axis.unit) for axis in axes}
-        | {"reading": row["reading"], "estimator": spec_of(row["estimator"]).label, "f (Hz)": row["frequency_hz"]}
+        | {
+            "reading": spelt(row["reading"]),
+            "estimator": spec_of(row["estimator"]).label,
+            "f (Hz)": row["frequency_hz"],
+        }
         | {name: with_error(*found) for name, found in zip(FIGURES, error_figures(row), strict=True)}
         for row in result.rows
     ]
@@ -142,7 +148,7 @@ def run_times(result: StudyResult) -> list[dict[str, Any]]:
         count = one.values("draws") * one.values("noise")
         seconds = one.values("seconds") / count
         mean_nm, jitter_nm = (one.values(f"amplitude_{name}_se_m") * np.sqrt(count) * NM for name in ("bias", "jitter"))
-        row: dict[str, Any] = {"study": result.name, "reading": one.reading, "estimator": one.estimator}
+        row: dict[str, Any] = {"study": result.name, "reading": spelt(one.reading), "estimator": one.estimator}
         for wanted in (100, 1000):
             row[f"s.e. of mean from {wanted} (nm)"] = _median(mean_nm) / math.sqrt(wanted)
             row[f"s.e. of jitter from {wanted} (nm)"] = _median(jitter_nm) / math.sqrt(wanted)
@@ -198,14 +204,19 @@ def _run_time_figure(results: Sequence[StudyResult]) -> Figure:
                 ms=4, alpha=0.6, rasterized=True, color=colour, label=name,
             )  # fmt: skip
         for reading, axes in panels.items():
-            axes.set(xlabel="processor time of a case (s)", title=reading)
-            label_decades(axes.xaxis)
+            axes.set(xlabel="processor time (s)", title=spelt(reading))
+            label_decades(axes.xaxis, most=4)
             label_decades(axes.yaxis)
         panels[readings[0]].set_ylabel("standard error of the mean displacement (nm)")
         figure.legend(
             *panels[readings[0]].get_legend_handles_labels(), loc="outside upper center", ncols=6, frameon=False
         )
         return figure
+
+
+def spelt(reading: str) -> str:
+    """Return the name of a reading as it stands in a sentence."""
+    return reading.replace("_", " ")
 
 
 def _first_of_each(result: StudyResult) -> list[View]:

@@ -49,7 +49,9 @@ def errors(deviation: Floats) -> Errors:
     total = _root_of_mean(((kept - bias) ** 2).mean(axis=1))
     bias_se = _error_of_mean(mean)
     if repeats == 1:
-        return Errors(bias, bias_se, *total, *[math.nan] * 4)
+        # Two deviations from their own mean are equal, which says nothing of how far their size is known.
+        jitter_se = total[1] if draws > 2 else math.nan
+        return Errors(bias, bias_se, total[0], jitter_se, *[math.nan] * 4)
     # Divided by repeats, as eq. (15); the correction makes noise unbiased and leaves the sum what it is.
     within = kept.var(axis=1)
     noise = _root_of_mean(within * (repeats / (repeats - 1)))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING
 
 from sim_backend.generator.apply import apply_forms
@@ -247,7 +248,8 @@ def tree_of(model: Model) -> Mapping[str, Entry]:
     return {**COMMON, **apply_forms(model.functions), **settings_of(model), **SYSTEM, **own, **lan}
 
 
-TABLES: Mapping[str, HeaderTable[Entry]] = {
-    model.name: HeaderTable(tree_of(model), model.channels) for model in MODELS.values()
-}
-"""The trees by the name that the model gives of itself."""
+@cache
+def table_of(name: str) -> HeaderTable[Entry]:
+    """Return the tree of a model by the name that it gives of itself."""
+    model = next(each for each in MODELS.values() if each.name == name)
+    return HeaderTable(tree_of(model), model.channels)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from sim_backend.generator.arbitrary import WaveformMemory
-from sim_backend.generator.command_tree import REMOTE, TABLES, Action, Entry
+from sim_backend.generator.command_tree import REMOTE, Action, Entry, table_of
 from sim_backend.generator.emission import is_endless, respond, shapes_output
 from sim_backend.generator.headers import Command
 from sim_backend.generator.kinds import SettingCommand
@@ -36,7 +36,7 @@ class Generator33250A:
         self._clock = clock
         self._latency_ps = to_ps(latency_s)
         self._replies: list[str] = []
-        self._table = TABLES[model.name]
+        self._table = table_of(model.name)
         self.registers: Registers = power_on(model)
         # Of the channels beyond the first no output is wired on any bench: they keep settings and put out nothing.
         self._others = (self.registers,) * (model.channels - 1)

@@ -33,6 +33,10 @@ def loaded_by(folder: Path, *arguments: str) -> set[str]:
     return set((folder / "modules").read_text(encoding="utf-8").split())
 
 
+UNASKED = {"numpy.f2py.f2py2e", "numpy.testing._private", "unittest"}
+"""What SciPy would have NumPy load, and nothing uses."""
+
+
 def packages(loaded: set[str]) -> set[str]:
     """Return which packages these modules are of, but for Python's own and those that others bring along."""
     top = {name.partition(".")[0] for name in loaded if not name.startswith("_")}
@@ -62,6 +66,7 @@ def test_a_check_opens_no_twin_and_loads_neither_scipy_nor_hdf5(tmp_path: Path) 
     # No file of a run is read or written.
     assert packages(loaded) == CORE - {"h5py"} | {"sim_backend"}
     assert not [name for name in loaded if name.startswith("hpe_rig.store.")]
+    assert not loaded & {"hpe_rig.acquire.run", "hpe_rig.acquire.run_file", "hpe_rig.bench.opening"}
     # What the twin's settings may say, and what they say of the motion: no echoes, no instruments.
     rooms = {".".join(name.split(".")[:2]) for name in loaded if name.startswith("sim_backend.")}
     assert rooms == {"sim_backend.motion", "sim_backend.settings", "sim_backend.wiring"}
@@ -71,6 +76,9 @@ def test_processing_loads_neither_scipy_nor_the_physics(folder: Path) -> None:
     loaded = loaded_by(folder, "process", "mine.h5", "--json")
     assert packages(loaded) == CORE | {"sim_backend"}
     assert not [name for name in loaded if name.startswith(("sim_backend.echoes", "sim_backend.digitizer"))]
+    # No instrument is opened, no shot acquired, no point of a sweep made.
+    acquiring = {f"hpe_rig.acquire.{name}" for name in ("api", "recording", "reprocessing", "run", "sequencer")}
+    assert not loaded & (acquiring | {"hpe_rig.bench.opening", "hpe_rig.prediction.forecast"})
 
 
 def test_a_list_of_runs_loads_no_twin(folder: Path) -> None:
@@ -90,6 +98,7 @@ def test_nothing_loads_extras_that_nobody_asked_for(folder: Path, command: tuple
     assert loaded >= CORE - {"h5py"} | {"scipy"}
     assert ("h5py" in loaded) == (command[0] != "check")
     assert not loaded & NEVER
+    assert not modules & UNASKED or command[0] == "report", "Matplotlib has them loaded"
     assert bool(loaded & DRAWING) == (command[0] == "report")
 
 

@@ -493,6 +493,9 @@ def test_what_check_accepts_is_measured_and_estimated(tmp_path: Path, cases: int
             # Right, and long.
             continue
         texts = document(tables), document(bench)
+        if cases < MANY and "propagation" in texts[0]:
+            # Right, and seconds of computing each.
+            continue
         try:
             found[measured(tmp_path, *texts)] += 1
         except Exception as error:

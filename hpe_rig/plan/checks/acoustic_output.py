@@ -1,7 +1,8 @@
 """Acoustic output at the focus, estimated from the bench's calibration before anything is switched on.
 
 Derated by 0.3 dB/cm/MHz and compared as the FDA's track 3 does: I_spta against its limit, and the mechanical index or
-I_sppa against theirs. Pressure is taken to be proportional to the generator's amplitude, intensity to its square.
+I_sppa against theirs. Pressure is taken to be proportional to the generator's amplitude, intensity to its square; the
+forecast says by how much shocks make that wrong at another drive than the calibrated one.
 """
 
 from __future__ import annotations

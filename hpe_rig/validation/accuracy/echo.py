@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.result import csv_text, mark
+from hpe_rig.result import csv_text, label_decades, mark
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.validation.accuracy.work_precision import file_mistakes
 
@@ -240,6 +240,8 @@ def write_figure(rows: list[Measurement], path: Path) -> None:
         _draw_cost(rows, panel, along, other)
     for panel in figure.get_axes():
         panel.grid(alpha=0.3)
+        label_decades(panel.xaxis)
+        label_decades(panel.yaxis)
     cores = rows[0].cores if rows else 0
     figure.suptitle(f"Echoes of {_SAMPLES} samples; darker is more echoes; {cores} cores, one used")
     figure.savefig(path)

@@ -167,9 +167,9 @@ def _bought(rows: Sequence[EndToEnd]) -> str:
     """Return what the shipped default buys where others are as right in less time."""
     shipped = max((row for row in rows if row.shipped), key=lambda row: row.realisations)
     each = "; ".join(
-        f"{_changed(row, shipped)} in {100 * row.time_s / shipped.time_s:.0f} % of its time, numerical error "
+        f"{_changed(row, shipped)} in {100 * share:.0f} % of its time, numerical error "
         f"{row.numerical_error:.1g} in place of {shipped.numerical_error:.1g}"
-        for row in beating(rows)
+        for row, share in beating(rows)
     )
     if not each:
         return "Nothing is as right as the shipped default in less time, beyond what times and draws leave open."

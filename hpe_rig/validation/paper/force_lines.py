@@ -86,6 +86,7 @@ def figure_15(seed: int = 1) -> Experiment:
     axes[-1].axhspan(100, 200, color="0.9", label="the paper's floor")
     axes[-1].axhline(floor.detected_m * 1e9, color="0.3", ls="--", label="noise exceeds it once in 20")
     label(axes[-1], "force F / F_0", "displacement (nm)", xscale="log", yscale="log")
+    axes[-1].set_title("the same, the paper's, both axes logarithmic", fontsize=8)
     header = "T_b, chain|slope, nm per F_0 (paper)|offset, nm (paper)|offset over slope (paper)|R^2 (paper)"
     header += "|R^2 of single repeats|their offsets, nm|at F <= 0.04, nm"
     return Experiment(

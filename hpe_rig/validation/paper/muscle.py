@@ -198,12 +198,15 @@ def _figure_17_verdicts(forces: Mapping[float, Repeated], whose: str) -> Iterato
         f"the median of the others, {np.median(spread[:9]):.0f} degrees",
     )
     slope = np.polyfit(np.arange(1, 11), mean_deg[-1], 1)[0]
+    tracking = load_scene("muscle-repeats").tracking
+    first_s = tracking.delay_s + 0.5 / tracking.pulse_rate_hz
     yield Verdict(
         f"mean phase has a positive trend with frequency ({whose})",
         f"{slope:+.1f} degrees a 100 Hz in this program's sign",
         slope > 0,
         f"this is a lag of {-slope / 36:.2f} ms after the push: where time counts from an instant later than that, or "
-        "phase is that of exp(-j w t), it rises by as much; the paper states neither",
+        "phase is that of exp(-j w t), it rises by as much; the paper states neither. Counted from the first velocity, "
+        f"between the first two pulses, {first_s * 1e6:.0f} us after the push, it is {slope + 36e3 * first_s:+.1f}",
     )
     over = np.sqrt(np.mean(sds**2, axis=0)) / pooled_nm
     yield Verdict(

@@ -41,7 +41,7 @@ def rows(results: Mapping[str, StudyResult]) -> list[dict[str, str]]:
             own = {"physical": claim.physical, "one_draw": ONE_DRAW}.get(reading, claim.literal)
             reason = claim.both or own
             if reason and one.verdict not in (AGREES, ABSENT):
-                why.setdefault(reason, []).append(reading)
+                why.setdefault(reason, []).append(reading.replace("_", " "))
         out.append({**row, "why": "; ".join(f"{' and '.join(names)}: {text}" for text, names in why.items())})
     return out
 

@@ -3,6 +3,7 @@
 import pytest
 
 from hpe_rig.acquire.setup import prepare, prepare_text
+from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.scene.scene import load_scene, shipped_scenes
 
 TABLE_1 = shipped_scenes()["table-1"]
@@ -64,6 +65,16 @@ def test_a_focus_that_is_declared_elsewhere_than_the_twins_is_named():
     scene = load_scene("bovine-muscle").with_({"beams.focus_depth_m": 69e-3, "simulation.beams.focus_depth_m": 70e-3})
     (finding,) = [each for each in prepare(scene).findings if each.check == "declared"]
     assert "beams.focus_depth_m = 0.069, the twin simulates 0.07" in finding.text
+
+
+def test_a_push_that_was_scanned_is_no_force_that_a_fit_knows():
+    setup = prepare("bovine-muscle-aperture")
+    keys = {"simulation.beams.field": "measured", "simulation.beams.excitation_scan": "push.h5"}
+    scene = setup.scene.scene.with_(keys | {"simulation.beams.tracking_scan": "tracking.h5"})
+    (finding,) = [each for each in simulation(scene, setup.bench.bench, setup.plan) if each.check == "declared"]
+    assert finding.level == "warning"
+    assert "take an even bowl of 45 mm in its place" in finding.text
+    assert "docs/moduli.md" in finding.remedy
 
 
 def test_another_sound_speed_moves_the_gate_as_well():

@@ -6,7 +6,7 @@ import pytest
 from hpe_rig.acquire.setup import prepare, prepare_text
 from hpe_rig.bench.twin import twin_dose
 from hpe_rig.prediction.detection import FALSE_ALARMS, amplitude_quantile, detection_floor
-from hpe_rig.prediction.text import calibration_text, detection_text
+from hpe_rig.prediction.text import calibration_text, detection_text, extrapolation_text
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 
 SCENES = shipped_scenes()
@@ -114,3 +114,34 @@ def test_a_calibration_that_is_not_of_the_twins_force_is_told_with_both_intensit
     assert list(calibration_text(agreeing, setup.bench.bench)) == []
     real = setup.bench.bench.model_copy(update={"simulated": False})
     assert list(calibration_text(setup.scene.scene, real)) == []
+
+
+def calibrated(bench, amplitude_vpp, sppa_w_per_m2, simulated=False):
+    """Return a bench whose toneburst was calibrated at another drive, to another intensity."""
+    drive = bench.calibration.toneburst.model_copy(
+        update={"amplitude_vpp": amplitude_vpp, "sppa_w_per_m2": sppa_w_per_m2}
+    )
+    calibration = bench.calibration.model_copy(update={"toneburst": drive})
+    return bench.model_copy(update={"calibration": calibration, "simulated": simulated})
+
+
+def test_an_output_scaled_from_another_drive_says_by_how_much_shocks_change_it() -> None:
+    setup = prepare("bovine-muscle")
+    aperture = prepare("bovine-muscle-aperture").scene.scene
+    scene, bench = setup.scene.scene, setup.bench.bench
+    assert list(extrapolation_text(scene, bench)) == [], "at the calibrated drive itself nothing is scaled"
+    (line,) = extrapolation_text(scene, calibrated(bench, 0.1, 5.2e4))
+    assert line.endswith(
+        "from 0.1 to 1 Vpp; how far shocks change that is not known without beams.transducer_diameter_m"
+    )
+    # z p 2 pi f beta / (rho c^3 sqrt(F_a)) of 0.46 MPa, 7 W/cm2, and of ten times as much pressure
+    (up,) = extrapolation_text(aperture, calibrated(bench, 0.1, 7e4))
+    assert "from 0.1 to 1 Vpp; the distortion at the focus is 0.018 and 0.18 (IEC 61949)" in up
+    assert "I_sppa by up to +12 % and p- by up to -22 %" in up
+    # scaled down from full drive it is the other way round
+    weak = aperture.with_({"excitation.force_fraction": [0.01]})
+    (down,) = extrapolation_text(weak, calibrated(bench, 1.0, 7e6 * 1.1245))
+    assert "I_sppa by up to -11 % and p- by up to +29 %" in down
+    # too weak for shocks: nothing worth a line
+    assert list(extrapolation_text(aperture, calibrated(bench, 0.5, 1e3))) == []
+    assert list(extrapolation_text(scene, calibrated(bench, 0.5, 1e3, simulated=True))) == []

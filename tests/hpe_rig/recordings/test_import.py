@@ -517,3 +517,13 @@ def test_all_mistakes_of_a_recording_come_at_once(scene: Path) -> None:
     text = str(refused.value)
     for part in ("sample_rate_hz", "pulse_rate_hz", "carrier_hz", "not finite", "lines: '9'", "samples: 0 to 999"):
         assert part in text
+
+
+def test_a_scene_of_the_recordings_name_is_no_sidecar(tmp_path: Path) -> None:
+    (tmp_path / "rf.toml").write_text(SCENE, encoding="utf-8")
+    np.save(tmp_path / "rf.npy", RF[0])
+    run = hpe.import_records(tmp_path / "rf.npy", tmp_path / "rf.toml", axes="pulse,sample", **RATES)
+    assert run.scene.title == "Echoes of another program"
+    # Asked for by name it is one, with mistakes.
+    with pytest.raises(SettingsError, match="unknown key"):
+        hpe.import_records(tmp_path / "rf.npy", tmp_path / "rf.toml", sidecar=tmp_path / "rf.toml", **RATES)

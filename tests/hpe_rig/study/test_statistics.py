@@ -27,6 +27,13 @@ def test_noise_and_speckle_add_up_to_the_jitter() -> None:
     assert found.noise_jitter**2 + found.speckle_jitter**2 == pytest.approx(found.jitter**2, rel=1e-12)
 
 
+def test_two_draws_say_nothing_of_how_far_their_jitter_is_known() -> None:
+    two, three = (errors(_nested(np.random.default_rng(4), draws, 1)) for draws in (2, 3))
+    assert np.isfinite([two.bias_se, two.jitter]).all()
+    assert np.isnan(two.jitter_se)
+    assert three.jitter_se > 0
+
+
 @pytest.mark.parametrize("repeats", [2, 8])
 def test_the_split_and_the_stated_errors_are_true(repeats: int) -> None:
     rng = np.random.default_rng(3)

@@ -99,8 +99,9 @@ def test_the_report_says_what_the_shipped_default_buys_where_others_are_as_right
     coarse = [replace(row, degrees=6, time_s=0.8 * row.time_s, numerical_error=4e-2) for row in rows[2:]]
     (told,) = (word for word in end_to_end_part(rows[:2] + coarse).words if "As right" in word)
     assert "6 nodes, 6 degrees in 80 % of its time, numerical error 0.04 in place of 1e-09" in told
-    # less right beyond the chance of 4 draws, one part in 2.8
+    # one beyond the chance of 4 draws, one part in 2.8, and one whose time is the same
     assert not end_to_end.beating(rows[:2] + [replace(row, error=1.4 * row.error) for row in coarse])
+    assert not end_to_end.beating(rows[:2] + [replace(row, time_s=1.15 * row.time_s) for row in coarse])
 
 
 def test_mistakes_of_the_command_line_are_told_at_once_before_anything_runs(tmp_path: Path) -> None:
