@@ -1,13 +1,15 @@
 """Beams of the aperture beside Gaussian beams: error against run time, tracked over peak displacement, cost of echoes.
 
-Usage: python scripts/aperture.py [--draws 400] [--moduli] [--measured]
+Usage: python scripts/aperture.py [--draws 400] [--moduli] [--measured] [--records SEED ...]
 
 Run times are processor time, ratios within one run; milliseconds hold on no other machine.
 """
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +24,7 @@ from sim_backend.transducer import bowl_pressure, push_intensity, wave_number
 from sim_backend.wiring import Bursts, Capture
 
 if TYPE_CHECKING:
+    from hpe_rig.moduli import Moduli
     from hpe_rig.processing import PushForce
 
 Floats = NDArray[np.float64]
@@ -302,12 +305,39 @@ def fitted(settings: SimulationSettings, places: str, force: "PushForce") -> str
         Vibration(f"{at:g}", frequency_hz, each, NOISE_M**2 * np.eye(20), at, **known)
         for at, each in zip(places_m, motion.T[1:], strict=True)
     ]
-    fit = fit_medium(seen, push)
-    truth = (("shear_modulus_pa", specimen.shear_modulus_pa), ("viscosity_pa_s", specimen.shear_viscosity_pa_s))
+    return compared(fit_medium(seen, push), specimen.shear_modulus_pa, specimen.shear_viscosity_pa_s)
+
+
+def compared(fit: "Moduli", mu1_pa: float, mu2_pa_s: float) -> str:
+    """Return the errors of a Voigt fit with their u, and chi-square."""
+    truth = (("shear_modulus_pa", mu1_pa), ("viscosity_pa_s", mu2_pa_s))
     off = [
         f"{100 * (fit.values[key] / true - 1):+.1f} ± {100 * fit.uncertainty[key] / true:.1f} %" for key, true in truth
     ]
     return f"{off[0]} | {off[1]} | {fit.chi_square:.3g} over {fit.freedom}"
+
+
+def records(seeds: Sequence[int]) -> None:
+    """Print what fits make of ``gelatin-moduli``, measured on the twin in the aperture's beams, two media a seed."""
+    from hpe_rig import load_scene, measure
+    from hpe_rig.moduli import Source, fit_medium, push_of, vibrations_of
+
+    gaussian = load_scene("gelatin-moduli").with_(
+        {"beams.tracking_width_m": (0.110e-3, 0.110e-3, 1.19e-3), "simulation.beams.field": "aperture"}
+    )
+    scene = gaussian.with_({"beams.transducer_diameter_m": PAPER.diameter_m})
+    pushes = {"aperture": push_of([scene]), "Gaussian": push_of([gaussian])}
+    print("\n| seed | medium | places | force of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---|---:|---:|---:|")
+    for seed in seeds:
+        for mu1, mu2 in ((7.25e3, 1.0), (9e3, 2.0)):
+            medium = {"simulation.specimen.shear_modulus_pa": mu1, "simulation.specimen.shear_viscosity_pa_s": mu2}
+            with TemporaryDirectory() as folder:
+                run = measure(scene.with_(medium | {"simulation.seed": seed}), path=Path(folder) / "run.h5")
+                vibrations, _ = vibrations_of([Source("", run.scene, run.plan, run.stored)])
+            for places, some in (("1 to 6 mm, five", vibrations), ("1 mm", vibrations[:1])):
+                for kind, push in pushes.items():
+                    found = compared(fit_medium(some, push), mu1, mu2)
+                    print(f"| {seed} | {mu1 * 1e-3:g} kPa, {mu2:g} Pa s | {places} | {kind} | {found} |", flush=True)
 
 
 if __name__ == "__main__":
@@ -315,8 +345,12 @@ if __name__ == "__main__":
     parser.add_argument("--draws", type=int, default=400)
     parser.add_argument("--moduli", action="store_true", help="the table of fitted moduli alone")
     parser.add_argument("--measured", action="store_true", help="the table of moduli by beams that are no even bowl's")
+    parser.add_argument("--records", type=int, nargs="+", metavar="SEED", help="the table of moduli from records alone")
     given = parser.parse_args()
     assert j0(0) == 1
+    if given.records:
+        records(given.records)
+        raise SystemExit
     if given.measured:
         measured()
         raise SystemExit

@@ -22,7 +22,7 @@ from hpe_rig.processing.prior import MediumPrior, medium_fit
 
 STEPS = 12
 ENOUGH = 1e-12
-"""Metres of change in the displacements, relative to a wavelength, below which steps end."""
+"""Change in the displacements that the next step would make, relative to a wavelength, below which steps end."""
 
 TRAINS_AT_ONCE = 128
 """Trains that are aligned together: their spectra are gone over a dozen times, and stay in the cache meanwhile."""
@@ -43,7 +43,9 @@ def joint(
     """Return the amplitudes and phases that make all echoes of a train most likely one echo, delayed.
 
     Seeded by ``coherent``, or by no motion where that is likelier (noise stronger than single echoes). The covariance
-    follows from the pulses' residual displacements. A background of order 0 is part of the resting echo. With a
+    follows from the pulses' residual displacements. Steps end where the next one is foreseen to be below ``ENOUGH``: at
+    60 dB the variance is within a relative 6e-8 of what one more step gives, far within what a train tells of it
+    (sqrt(2 / freedom), 14 % with a hundred pulses). A background of order 0 is part of the resting echo. With a
     ``prior`` of media, what each echo moves once all are aligned best is fitted with that instead. Raises
     ``ValueError`` as ``coherent`` and ``least_squares``. Source: maximum likelihood with the resting echo as nuisance
     parameter (variable projection).
