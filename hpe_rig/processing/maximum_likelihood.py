@@ -167,7 +167,7 @@ def _has_common_part(aligned: ComplexArray, band: Band, states: int, energy: Flo
         found = inner(band.gated(total), total) > aligned.shape[-2] * chance
     if not found.any():
         raise ValueError(
-            f"echoes of all {found.size} trains have nothing in common that noise alone would not have: noise without "
+            "the echoes have nothing in common that noise alone would not have: noise without "
             "echo, or too few pulses; check gate, tracking pulser and input range"
         )
     return np.asarray(found)

@@ -50,6 +50,9 @@ UNSEEN = 1e-10
 """Singular value over the largest up to which pulses see nothing of a direction."""
 SAME_RAD = 1e-12
 """Phase of the burst rate up to which pulses come at the same instant: a thousandth of a picosecond at 100 Hz."""
+SAME_PART = 1e-7
+"""Of a burst's period, a nanosecond at 100 Hz, up to which pulses count as of one instant: far beyond what times are
+rounded to in hours."""
 SCAN = np.arange(0.0, 9.0, 0.1) * np.log(10)
 """Logarithms of the scales tried, over the one at which the strongest direction stands as high as a pulse's noise."""
 
@@ -100,8 +103,9 @@ class MediumPrior:
 
     def instants(self, time_s: FloatArray) -> int:
         """Return at how many instants of a burst's period the pulses come."""
-        angle = np.angle(np.exp(2j * np.pi * self.burst_rate_hz * time_s))
-        return np.unique(np.rint(angle / SAME_RAD)).size
+        part = np.sort(self.burst_rate_hz * time_s % 1.0)
+        # gaps, from the last to the first as well: any grid of steps would part pulses that its edges lie among
+        return max(1, int(np.count_nonzero(np.diff(part, append=part[0] + 1) > SAME_PART)))
 
     def places(self, frequency_hz: FloatArray) -> tuple[int, ...]:
         """Return which harmonics ``frequency_hz`` are, from 0; raise ``ValueError`` where one is none."""

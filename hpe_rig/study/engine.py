@@ -179,17 +179,18 @@ def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dic
     clean = {form: volts @ columns for form, columns in spectral_kernels(train).of_volts.items() if form in noise}
     clean["volts"] = volts
     since = _charge(made.cases, since)
-    # Readings that differ in what is made of an estimate alone, "literal" and "as_printed", share the estimates.
-    found: dict[tuple[float | None, Estimator], Floats] = {}
+    # Readings that differ in what is made of an estimate alone, "literal" and "as_printed", share estimates and time.
+    sharing: dict[tuple[float | None, Estimator], list[_Running]] = {}
     for one in made.cases:
-        snr_db = one.case.twin.receiver.snr_db
-        level = np.zeros_like(power) if snr_db is None else np.sqrt(power / 10 ** (snr_db / 10))
         for name in one.case.estimators:
-            if (snr_db, name) not in found:
-                form = form_of(name)
-                found[snr_db, name] = states(train, name, clean[form], made.which, level, noise[form])
-            one.states[name][place] = found[snr_db, name]
-        since = _charge([one], since)
+            sharing.setdefault((one.case.twin.receiver.snr_db, name), []).append(one)
+    for (snr_db, name), alike in sharing.items():
+        level = np.zeros_like(power) if snr_db is None else np.sqrt(power / 10 ** (snr_db / 10))
+        form = form_of(name)
+        found = states(train, name, clean[form], made.which, level, noise[form])
+        for one in alike:
+            one.states[name][place] = found
+        since = _charge(alike, since)
     return since
 
 

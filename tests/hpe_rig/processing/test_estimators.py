@@ -22,6 +22,7 @@ from hpe_rig.processing import (
     follow,
     kasai,
     least_squares,
+    maximum_likelihood,
     motion_of,
     relative_to,
     unlike_pulses,
@@ -58,6 +59,22 @@ def test_joint_follows_a_motion_of_many_wavelengths(table_one: TableOne) -> None
     # the pulse leaves the 1 mm gate by 10 %: what is cut off costs 1e-3
     fit = estimate(table_one.gate(table_one.rigid(_sine(table_one, 100e-6))), [200.0], "joint")
     assert fit.amplitude_m[0] == pytest.approx(100e-6, rel=1e-3, abs=0)
+
+
+def test_joint_takes_trains_in_parts_and_says_of_none_that_it_is_all(
+    table_one: TableOne, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(maximum_likelihood, "TRAINS_AT_ONCE", 2)
+    trains = _noisy(table_one.rigid(_sine(table_one)), 5, 20.0)
+    noise = np.random.default_rng(7).standard_normal(trains[:3].shape)
+    # the second part has no train with an echo, the last is a single train
+    trains[2:4] = noise[:2]
+    together = estimate(table_one.gate(trains), [200.0], "joint").amplitude_m[:, 0]
+    alone = [estimate(table_one.gate(trains[index]), [200.0], "joint").amplitude_m[0] for index in (0, 1, 4)]
+    assert np.isnan(together[2:4]).all()
+    assert together[[0, 1, 4]] == pytest.approx(alone, rel=1e-9, abs=0)
+    with pytest.raises(ValueError, match="the echoes have nothing in common that noise alone would not have"):
+        estimate(table_one.gate(noise), [200.0], "joint")
 
 
 # kasai divides by the carrier: the mean frequency of a Hann pulse of 20 % is off by (0.2)^2/12 of it at most

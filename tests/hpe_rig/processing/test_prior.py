@@ -438,6 +438,17 @@ def test_a_train_of_the_same_times_is_not_worked_out_again() -> None:
     assert medium_prior(BEAMS, RATE_HZ, LENGTH_S) is medium_prior(BEAMS, RATE_HZ, LENGTH_S)
 
 
+@pytest.mark.parametrize(("rate_hz", "pulse_rate_hz", "instants"), [(100, 5000, 50), (100, 200, 2), (50, 3990, 399)])
+def test_pulses_of_one_instant_are_told_however_long_the_train(
+    rate_hz: float, pulse_rate_hz: float, instants: int
+) -> None:
+    prior = replace(PRIOR, burst_rate_hz=rate_hz)
+    for delay_s in (0.0, 131e-6):
+        # a minute, in whose last periods an angle is known to 1e-11, and the middle of a period, where it turns over
+        time_s = delay_s + np.arange(round(60 * pulse_rate_hz)) / pulse_rate_hz
+        assert prior.instants(time_s) == instants
+
+
 def test_a_slow_creep_counts_where_the_steps_of_a_sum_do_not_see_it() -> None:
     """Loupas's noise comes from changes between pulses, and a creep over the whole train changes little between two."""
     prior = medium_prior(BEAMS, 100.0, 100e-6)

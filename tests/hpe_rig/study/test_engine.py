@@ -12,6 +12,7 @@ import pytest
 
 from hpe_rig.scene import SettingsError
 from hpe_rig.scene.scene import shipped_scenes
+from hpe_rig.study import engine
 from hpe_rig.study.cases import Case, points_of
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.engine import CaseRecord, _echoes, _Running, run_batch
@@ -200,6 +201,23 @@ def test_the_tracked_part_of_the_peak_is_the_published_one(
     if reading == "literal" and ratio_z == 2.18:
         # The scatter of a draw, 0.024: 2000 draws know theirs to 1.6 %, and two digits are given.
         assert row["amplitude_speckle_jitter_m"] / 1e-6 == pytest.approx(0.024, abs=0.0025)
+
+
+def test_readings_that_share_estimates_share_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s, estimated = 0.0, engine.states
+
+    def a_second_each(*args: Any) -> Any:
+        nonlocal now_s
+        now_s += 1.0
+        return estimated(*args)
+
+    monkeypatch.setattr(engine, "states", a_second_each)
+    monkeypatch.setattr(engine.time, "process_time", lambda: now_s)
+    readings = {"literal": ["cross_spectrum", "coherent"], "as_printed": ["cross_spectrum"]}
+    axis = SNR | {"keys": {SNR_KEY: [30.0]}}
+    literal, as_printed = run_batch(cases_of(scatterers=2, axes=[axis], readings=readings))
+    # of the two estimates one is for both
+    assert literal["seconds"] == 3 * as_printed["seconds"] > 0
 
 
 def test_as_printed_keeps_the_gain_of_the_difference_and_one_draw_has_the_noise_of_one_draw_alone() -> None:
