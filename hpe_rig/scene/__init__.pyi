@@ -9,6 +9,7 @@ from .editing import edited_text as edited_text
 from .keys import (
     Key as Key,
     Number as Number,
+    forgotten_units as forgotten_units,
     number_keys as number_keys,
     path_of as path_of,
     resolve as resolve,

@@ -1,4 +1,4 @@
-"""Numbers of a scene by their path: what there is, found by a short name, set to a value."""
+"""Numbers of a scene by their path: what there is, found by a short name, set to a value, likely meant otherwise."""
 
 from __future__ import annotations
 
@@ -8,12 +8,18 @@ import re
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Union, get_args, get_origin
+from functools import cache
+from typing import Annotated, Any, Final, Union, get_args, get_origin
 
-from hpe_rig.scene.scene import Scene, Section
-from hpe_rig.scene.validation import KeyPath, Mistake, SettingsError, dotted
+from hpe_rig.scene.notation import engineering
+from hpe_rig.scene.scene import Scene, Section, plain_tables, shipped_scenes
+from hpe_rig.scene.validation import KeyPath, Mistake, SettingsError, dotted, parse_toml, unit_of
 
 Number = int | float
+FAR: Final = 100.0
+"""Times the most, or under the least, of the shipped scenes from which on a value may lack its unit's prefix."""
+NEAR: Final = 10.0
+"""The same for what it may have meant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,3 +133,51 @@ def _number_types(annotation: Any) -> Iterator[type]:
     elif get_origin(annotation) in (Annotated, Union, types.UnionType):
         for inner in get_args(annotation)[: 1 if get_origin(annotation) is Annotated else None]:
             yield from _number_types(inner)
+
+
+def forgotten_units(scene: Scene) -> list[Mistake]:
+    """Return every number of ``scene`` that is far from the shipped scenes' and near to them with a unit's prefix.
+
+    None is a mistake by itself: they are the likely cause where a scene cannot be measured.
+    """
+    found, keys = [], keys_of(scene, plain_tables(scene))
+    several = {_name(key) for key in keys if str(key).endswith("[1]")}
+    for key in keys:
+        if key.value is not None and (meant := perhaps_meant(str(key), key.value)):
+            low, high = (engineering(value, unit_of(_name(key))) for value in _shipped_values()[_name(key)])
+            usual = low if low == high else f"{low} to {high}"
+            stands = engineering(key.value, unit_of(_name(key)))
+            # One value alone is written without brackets.
+            path = str(key) if _name(key) in several else _name(key)
+            found.append(Mistake(path, f"{stands}, where the shipped scenes have {usual}", f"perhaps {meant}?"))
+    return found
+
+
+def perhaps_meant(key: str, value: Number) -> str:
+    """Return what ``value`` of ``key`` is where a prefix of its unit was forgotten, such as 100e-6; empty if nothing.
+
+    That is 1e3, 1e6 or 1e9 times more or less, within `NEAR` of what the shipped scenes have.
+    """
+    low, high = _shipped_values().get(_name(key), (0.0, 0.0))
+    if value <= 0 or low / FAR <= value <= high * FAR or not high:
+        return ""
+    for power in (-3, -6, -9) if value > high else (3, 6, 9):
+        if low / NEAR <= value * 10.0**power <= high * NEAR:
+            return f"{value:g}e{power}" if "e" not in f"{value:g}" else f"{value * 10.0**power:g}"
+    return ""
+
+
+def _name(key: Key | str) -> str:
+    """Return a key without the places in lists."""
+    return re.sub(r"\[\d+\]", "", str(key))
+
+
+@cache
+def _shipped_values() -> dict[str, tuple[float, float]]:
+    """Return least and most of every number with a unit that shipped scenes have above zero, by its key."""
+    values: dict[str, list[float]] = {}
+    for source, text in shipped_scenes().items():
+        for key in number_keys(parse_toml(text, source)):
+            if key.value is not None and key.value > 0 and unit_of(_name(key)):
+                values.setdefault(_name(key), []).append(float(key.value))
+    return {name: (min(found), max(found)) for name, found in values.items()}

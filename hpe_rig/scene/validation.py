@@ -264,10 +264,9 @@ def _words(entry: dict[str, Any], path: KeyPath, keys: Sequence[str], tables: Ma
     if kind in _BOUNDS:
         key, word = _BOUNDS[kind]
         bound = f"{word} {context[key]:g}{_unit(path)}"
-        return (
-            f"{_shown(value)} is out of bounds, it must be {bound}",
-            f"a value {'of ' if 'at' in word else ''}{bound}",
-        )
+        remedy = f"a value {'of ' if 'at' in word else ''}{bound}"
+        meant = _perhaps_meant(path, value)
+        return f"{_shown(value)} is out of bounds, it must be {bound}", f"{remedy}; {meant}" if meant else remedy
     if kind == "finite_number":
         return f"{_shown(value)} is not finite", "a finite number"
     if kind == "literal_error":
@@ -285,6 +284,15 @@ def _words(entry: dict[str, Any], path: KeyPath, keys: Sequence[str], tables: Ma
     text = str(context.get("error", entry["msg"]))
     what, _, remedy = text.partition(": ")
     return what, remedy or "what hpe-rig schema says of this key"
+
+
+def _perhaps_meant(path: KeyPath, value: Any) -> str:
+    """Return 'perhaps 70e-3?' where a forgotten unit explains that a scene's value is out of bounds; else nothing."""
+    # keys.py describes a scene and so imports this file.
+    from hpe_rig.scene.keys import perhaps_meant
+
+    meant = perhaps_meant(dotted(path), value) if isinstance(value, int | float) else ""
+    return f"perhaps {meant}?" if meant else ""
 
 
 _UNITS = {

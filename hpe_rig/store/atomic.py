@@ -41,6 +41,10 @@ def atomic_file(path: Path, overwrite: bool = True) -> Iterator[Path]:
 def refuse_unwritable(path: Path) -> None:
     """Raise ``StoreError`` where ``path`` cannot be written, before the work whose result it is to hold."""
     if why := unwritable(path):
+        if not path.parent.exists():
+            raise StoreError(
+                f"{path} cannot be written: the folder {path.parent} does not exist. Try: make it, or another --output."
+            )
         raise StoreError(f"{path} cannot be written ({why}). Try: another folder or name.")
 
 

@@ -21,7 +21,8 @@ class CheckResult:
     remedy: str = ""
 
     def __str__(self) -> str:
-        return f"{self.check}: {self.text}" + (f". Try: {self.remedy}." if self.remedy else "")
+        end = "" if self.remedy.endswith("?") else "."
+        return f"{self.check}: {self.text}" + (f". Try: {self.remedy}{end}" if self.remedy else "")
 
 
 class PlanError(Exception):

@@ -18,7 +18,7 @@ from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.plan.checks.timing import depth, periods, record_in_period, tracking_train
 from hpe_rig.plan.checks.tracking import trackable
 from hpe_rig.plan.shots import Plan, Shot
-from hpe_rig.scene import Scene, ScenePoint
+from hpe_rig.scene import Scene, ScenePoint, forgotten_units
 
 Check = Callable[[Scene, BenchFile, Plan], Iterator[CheckResult]]
 
@@ -45,11 +45,18 @@ OF_RECORDS: Final[tuple[Check, ...]] = (*TRACKING, *ESTIMATE)
 def check_plan(scene: Scene, bench: BenchFile, plan: Plan) -> list[CheckResult]:
     """Return what every check found, passed ones included; of a sweep once each.
 
-    Of imported records those alone that ask nothing of instruments.
+    Of imported records those alone that ask nothing of instruments. Where something is refused, values that a
+    forgotten unit explains come first: they are the likely cause of the rest.
     """
     checks = CHECKS if bench.recording is None else OF_RECORDS
     parts = [part for number, point in enumerate(scene.points) for part in _parts(number, point, bench, plan)]
-    return list(dict.fromkeys(result for check in checks for part in parts for result in check(*part)))
+    found = list(dict.fromkeys(result for check in checks for part in parts for result in check(*part)))
+    return [*_forgotten_units(scene), *found] if any(result.level == "refused" for result in found) else found
+
+
+def _forgotten_units(scene: Scene) -> Iterator[CheckResult]:
+    for likely in forgotten_units(scene):
+        yield CheckResult("forgotten unit", "refused", f"{likely.path} = {likely.what}", likely.remedy)
 
 
 def _parts(number: int, point: ScenePoint, bench: BenchFile, plan: Plan) -> Iterator[tuple[Scene, BenchFile, Plan]]:
