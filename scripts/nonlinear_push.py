@@ -49,6 +49,8 @@ def main() -> None:
         water,
         drive,
     )
+    if not {table.__name__ for table in tables}.issuperset(sys.argv[1:]):
+        sys.exit(__doc__)
     for table in tables:
         if not sys.argv[1:] or table.__name__ in sys.argv[1:]:
             for line in table():

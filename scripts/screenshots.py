@@ -112,7 +112,7 @@ CONTRASTS = """() => {
 
 def main() -> None:
     """Look at every page that is named, or at all that the program has, and print what was found."""
-    if len(sys.argv) < 2:
+    if len(sys.argv) < 2 or sys.argv[1].startswith("-"):
         sys.exit(__doc__)
     folder = Path(sys.argv[1]).resolve()
     folder.mkdir(parents=True, exist_ok=True)

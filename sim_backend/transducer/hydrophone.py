@@ -27,9 +27,9 @@ RIM = 0.25
 _SAME = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """A scan as it was made; every array (point,)."""
+    """A scan as it was made; every array (point,). A file's scan is the same object until the file changes."""
 
     place_m: Floats
     """(point, 3) from the focus"""
@@ -38,12 +38,18 @@ class Scan:
     has_phase: bool
 
 
-@lru_cache(maxsize=8)
 def read_scan(path: str) -> Scan:
     """Return the scan in ``path``. Raises ``ValueError`` with all that it lacks, ``OSError`` for an unreadable file."""
-    if not Path(path).is_file():
+    file = Path(path).resolve()
+    if not file.is_file():
         raise ValueError(f"the scan {path} is no file here")
-    columns = _columns(Path(path))
+    found = file.stat()
+    return _read_once(path, file, found.st_mtime_ns, found.st_size)
+
+
+@lru_cache(maxsize=8)
+def _read_once(path: str, file: Path, _modified_ns: int, _size: int) -> Scan:
+    columns = _columns(file)
     mistakes = [f"{name} is missing" for name in COLUMNS if name not in columns]
     sizes = {name: each.size for name, each in columns.items()}
     if len(set(sizes.values())) > 1:

@@ -11,11 +11,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.settings import SimulationSettings, Specimen, Transducer
+
+if TYPE_CHECKING:
+    from sim_backend.transducer.hydrophone import Scan
 
 Floats = NDArray[np.float64]
 
@@ -56,13 +60,18 @@ class GaussianSum:
 
 def push_intensity(settings: SimulationSettings) -> GaussianSum:
     """Return the shape of the push's intensity: that of the aperture at the specimen's resonance, or as measured."""
-    specimen = settings.specimen or Specimen()
+    specimen, scan = settings.specimen or Specimen(), None
+    if settings.beams.field == "measured" and settings.beams.excitation_scan is not None:
+        # here, so that what has no scan loads none of it
+        from sim_backend.transducer.hydrophone import read_scan
+
+        scan = read_scan(settings.beams.excitation_scan)
     return _kept(
         settings.beams.transducer,
         specimen.resonance_hz,
         settings.sound_speed_m_per_s,
         specimen.attenuation_db_per_cm_mhz,
-        settings.beams.excitation_scan if settings.beams.field == "measured" else None,
+        scan,
     )
 
 
@@ -72,10 +81,10 @@ def _kept(
     frequency_hz: float,
     sound_speed_m_per_s: float,
     attenuation_db_per_cm_mhz: float,
-    scan: str | None,
+    scan: Scan | None,
 ) -> GaussianSum:
     # here, so that a Gaussian push, which is the sum of one, loads none of it
-    from sim_backend.transducer.hydrophone import read_scan, round_field
+    from sim_backend.transducer.hydrophone import round_field
     from sim_backend.transducer.radiation import bowl_pressure, wave_number
 
     k = wave_number(frequency_hz, sound_speed_m_per_s, attenuation_db_per_cm_mhz)
@@ -86,7 +95,7 @@ def _kept(
     if scan is None:
         pressure = bowl_pressure(transducer, k, places_m, axial_m)
     else:
-        pressure = round_field(read_scan(scan), k.real, places_m, axial_m)
+        pressure = round_field(scan, k.real, places_m, axial_m)
     intensity = np.square(np.abs(pressure))
     intensity /= intensity[_AXIAL_POINTS // 2, 0]
     wide = transducer.half_aperture * reach_m

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_backend.settings import SimulationSettings, Transducer
-from sim_backend.transducer.hydrophone import read_scan, round_field
+from sim_backend.transducer.hydrophone import Scan, read_scan, round_field
 from sim_backend.transducer.intensity import diffraction_width_m
 from sim_backend.transducer.radiation import bowl_pressure, wave_number
 
@@ -75,7 +75,7 @@ def pulse_echo_beam(
     scan = settings.beams.excitation_scan if of_push else settings.beams.tracking_scan
     return _kept(
         settings.beams.transducer,
-        scan if settings.beams.field == "measured" else None,
+        read_scan(scan) if scan is not None and settings.beams.field == "measured" else None,
         settings.sound_speed_m_per_s,
         settings.echo_attenuation_db_per_cm_mhz,
         frequency_hz,
@@ -94,7 +94,7 @@ def _rounded_up(value: float) -> float:
 @lru_cache(maxsize=8)
 def _kept(
     transducer: Transducer,
-    scan: str | None,
+    scan: Scan | None,
     sound_speed_m_per_s: float,
     attenuation_db_per_cm_mhz: float,
     frequency_hz: tuple[float, ...],
@@ -114,7 +114,7 @@ def _kept(
     for hz in frequency_hz:
         k = wave_number(hz, sound_speed_m_per_s, attenuation_db_per_cm_mhz)
         if scan is not None:
-            table.append(np.square(round_field(read_scan(scan), k.real, across, along)))
+            table.append(np.square(round_field(scan, k.real, across, along)))
             continue
         pressure = bowl_pressure(transducer, k, across, along)
         table.append(np.square(pressure / pressure[steps, 0]) * np.exp(2j * k.real * along)[:, None])

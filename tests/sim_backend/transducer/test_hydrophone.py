@@ -1,5 +1,6 @@
 """Hydrophone scans: what a bowl's field becomes when it is scanned, in every format, and what a scan may lack."""
 
+import os
 from pathlib import Path
 
 import h5py
@@ -76,6 +77,23 @@ def test_a_scan_of_the_push_gives_its_force(tmp_path: Path) -> None:
     )
     place = np.array([0.0, 0.2e-3, 0.5e-3, 0.1e-3, 1.0e-3]), np.array([0.0, 1e-3, -2e-3, 5e-3, -4e-3])
     assert np.abs(measured.at(*place) - own.at(*place)).max() < 5e-3
+
+
+def test_a_scan_that_is_written_anew_is_read_anew(tracking, tmp_path: Path) -> None:
+    path = written(tracking, tmp_path / "scan.h5")
+    measured = {"field": "measured", "excitation_scan": path, "tracking_scan": path}
+    settings = SimulationSettings.model_validate({"beams": measured})
+    place = np.array([0.2e-3]), np.array([0.0])
+
+    def seen() -> tuple[float, float]:
+        beam = pulse_echo_beam(settings, (9.0e6,), 0.3e-3, 0.5e-3)
+        return float(abs(beam.at(*place)[0][0, 0])), float(push_intensity(settings).at(*place)[0])
+
+    assert read_scan(path) is read_scan(path), "a file that stays is read once"
+    before = seen()
+    written(tracking | {"x_m": 0.5 * tracking["x_m"], "y_m": np.full(tracking["x_m"].size, 0.0)}, tmp_path / "scan.h5")
+    os.utime(path, ns=(0, 1))
+    assert all(abs(now - then) > 0.01 for now, then in zip(seen(), before, strict=True))
 
 
 def test_everything_that_a_scan_lacks_is_said_at_once(tracking, tmp_path: Path) -> None:
