@@ -52,7 +52,7 @@ gate_length_m = 1e-3
 frequencies_hz = [200.0]
 """
 ALONE = """<!DOCTYPE html><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<style>:root { color-scheme: light dark } body { margin: 0 } svg { max-width: 100%; height: auto }</style>
+<style>:root { color-scheme: light dark } body { margin: 0 } div { overflow-x: auto }</style>
 """
 WIDTHS_PX = (390, 800, 1200)
 SCHEMES = ("light", "dark")
@@ -218,12 +218,12 @@ def looked_at(chromium: Any, name: str, folder: Path, key: str = "") -> Iterator
 
 
 def _as_page(file: Path, folder: Path) -> Path:
-    """Return ``file`` where it is a page; of a figure a page that holds it alone, as wide as there is room."""
+    """Return ``file`` where it is a page; of a figure a page that holds it alone, in its own size."""
     if file.suffix != ".svg":
         return file.resolve()
     drawn = file.read_text(encoding="utf-8")
     page = folder.resolve() / f"{file.name}.html"
-    page.write_text(f"{ALONE}{drawn[drawn.index('<svg') :]}", encoding="utf-8")
+    page.write_text(f"{ALONE}<div>{drawn[drawn.index('<svg') :]}</div>", encoding="utf-8")
     return page
 
 

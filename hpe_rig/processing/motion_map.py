@@ -48,6 +48,8 @@ COMPILED_WORTH: Final = 150_000_000
 """Samples from which on the compiled passes save more than Numba takes to load; before, where it is loaded."""
 ALONE: Final = 200_000
 """Products of two numbers in a matrix product; from 262 144 on OpenBLAS wakes threads of its own for it."""
+LEAST_POWER: Final = 1e-41
+"""Of a pixel, in the square of what samples are in, known to 1e-4: single precision counts it in steps of 1e-45."""
 NOISY_RAD: Final = 0.5
 """Residual of a pixel's phase, root mean square, from which on it is noise, or moves beyond what steps can follow."""
 NEAR_RAD: Final = math.pi / 2
@@ -250,7 +252,7 @@ class _Pixels:
         found = self._estimates(state, noise_m2, metres, relative)
         bad = np.zeros(flat.shape[0], np.uint8)
         bad[~(variance < NOISY_RAD**2) | ~(metres < 0)] = BadPixel.NOISE
-        bad[~(power.reshape(-1) > 0)] = BadPixel.NO_ECHO
+        bad[~(power.reshape(-1) >= LEAST_POWER)] = BadPixel.NO_ECHO
         if broken is not None:
             bad[broken.reshape(-1)] = BadPixel.NOT_FINITE
         found += [np.sqrt(noise_m2), power.reshape(-1)]

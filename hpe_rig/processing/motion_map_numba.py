@@ -62,10 +62,13 @@ def _follow(parts: Singles, angle: Singles) -> None:
     pulses = angle.shape[1]
     for i in range(len(parts)):
         row, out = parts[i], angle[i]
-        # turned so that the first is real; where there is none everything is taken as it is
+        # turned so that the first is real, and as large as before; where there is none everything is taken as it is
         a, b, far = row[0], row[1], np.float32(0)
         if a == 0 and b == 0:
             a = np.float32(1)
+        else:
+            size = max(abs(a), abs(b))
+            a, b = a / size, b / size
         for k in range(pulses):
             x, y = row[2 * k], row[2 * k + 1]
             out[k] = _angle(y * a - x * b, x * a + y * b)

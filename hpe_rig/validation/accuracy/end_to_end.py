@@ -332,7 +332,11 @@ def _numerical(axes: Axes, rows: Sequence[EndToEnd]) -> None:
         axes.plot(times_s, errors, marker, ms=6, color=colour, label=f"{name} varied")
         for row in own:
             text = f"{row.tolerance:.0e}" if name == "tolerance" else f"{row.nodes}"
-            axes.annotate(text, (row.time_s, row.numerical_error), (6, -3), textcoords="offset points", fontsize=7)
+            # Tolerances to the right of their marks, nodes to the left: the two may lie at one place.
+            place, side = ((6, -3), "left") if name == "tolerance" else ((-6, -3), "right")
+            axes.annotate(
+                text, (row.time_s, row.numerical_error), place, textcoords="offset points", fontsize=7, ha=side
+            )
     _star(axes, [(row.time_s, row.numerical_error) for row in shipped])
     for row in shipped:
         axes.axhline(row.standard_error, color="0.5", lw=0.8, ls="--", label=f"standard error of {most}")

@@ -160,11 +160,14 @@ def draw_panels(
 
     columns = min(PANELS_A_ROW, len(panels))
     lines = math.ceil(len(panels) / columns)
-    figure = Figure(figsize=(3.4 * columns, 3.2 * lines), layout="constrained")
+    marks = {method: mark(place) for place, method in enumerate(dict.fromkeys(itertools.chain(*panels.values())))}
+    # A letter takes less than 0.09 inch, the mark beside a name 0.5, a row of names 0.22.
+    names_a_row = max(1, min(2 * columns, int(3.4 * columns / (0.5 + 0.09 * max(map(len, marks), default=1)))))
+    legend_in = 0.22 * max(0, math.ceil(len(marks) / names_a_row) - 2)
+    figure = Figure(figsize=(3.4 * columns, 3.2 * lines + legend_in), layout="constrained")
     axes = figure.subplots(lines, columns, squeeze=False, sharey=over_bound).ravel()
     for spare in axes[len(panels) :]:
         spare.set_axis_off()
-    marks = {method: mark(place) for place, method in enumerate(dict.fromkeys(itertools.chain(*panels.values())))}
     drawn: dict[str, Artist] = {}
     for one, (title, methods) in zip(axes, panels.items(), strict=False):
         for method, points in methods.items():
@@ -183,6 +186,6 @@ def draw_panels(
     for one in axes[::columns]:
         one.set_ylabel(y_label)
     figure.legend(
-        [drawn[method] for method in marks], list(marks), loc="outside upper center", ncols=2 * columns, frameon=False
+        [drawn[method] for method in marks], list(marks), loc="outside upper center", ncols=names_a_row, frameon=False
     )
     figure.savefig(path)

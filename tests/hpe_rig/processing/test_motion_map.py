@@ -116,16 +116,25 @@ def test_the_compiled_passes_differ_from_numpy_by_rounding_alone(monkeypatch: py
     np.testing.assert_allclose(compiled.velocity_m_per_s, plain.velocity_m_per_s, rtol=1e-4, atol=1e-8)
 
 
+@pytest.mark.parametrize("scale", [1.0, 1e-24, 1e24])
 @pytest.mark.parametrize("compiled", [False, True])
-def test_phases_are_those_of_double_precision(compiled: bool) -> None:
+def test_phases_are_those_of_double_precision(compiled: bool, scale: float) -> None:
     pytest.importorskip("numba")
-    echo = np.ascontiguousarray(frame()[:2].transpose(0, 2, 1))
+    echo = np.ascontiguousarray(frame()[:2].transpose(0, 2, 1)) * np.float32(scale)
     exact = np.unwrap(np.angle(echo.astype(complex)), axis=-1)
     exact -= exact[..., :1]
     found = motion_map._choice(compiled, "followed")(echo)
     sound = np.abs(np.diff(exact, axis=-1)).max(axis=-1) < 3
     # Two roundings of up to 2 turns, 6e-8 of 12.6 each, and those of the product and the arctangent.
     assert np.abs(found - exact)[sound].max() < 3e-6
+
+
+def test_echoes_too_small_for_single_precision_are_no_echoes() -> None:
+    settings = MapSettings(RATE_HZ / 4, CARRIER_HZ, 1, SPEED)
+    found = map_pixels(frame()[:2, :, :100] * np.float32(1e-22), TIME_S, [200.0], settings)
+    # squares of 1e-44, of which there are numbers 1e-45 apart
+    assert (found.bad == BadPixel.NO_ECHO).all()
+    assert np.isnan(found.amplitude_m).all()
 
 
 SCENE = """
