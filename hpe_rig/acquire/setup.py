@@ -14,7 +14,7 @@ from hpe_rig.bench import (
     read_bench,
     with_transducers,
 )
-from hpe_rig.plan import CheckResult, Plan, check_plan, make_plan, refuse_conflicts
+from hpe_rig.plan import CheckResult, Plan, check_plan, likely_causes, make_plan, refuse_conflicts
 from hpe_rig.result import Stages
 from hpe_rig.scene import (
     Mistake,
@@ -89,6 +89,7 @@ def prepare_text(
         if check and (mistakes := _twin_mistakes(scene.scene)):
             raise SettingsError(f"scene {name}", mistakes)
         plan, found = planned(scene.scene, bench.bench)
+        found = (*likely_causes(scene.scene, found), *found)
         if refuse:
             refuse_conflicts(found)
     return Setup(scene, bench, plan, found)

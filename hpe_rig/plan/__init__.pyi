@@ -8,7 +8,7 @@ from .checks.check_result import (
     PlanError as PlanError,
     refuse_conflicts as refuse_conflicts,
 )
-from .checks.checklist import check_plan as check_plan
+from .checks.checklist import check_plan as check_plan, likely_causes as likely_causes
 from .checks.depth_gates import gates_over_depth as gates_over_depth
 from .gate_profile import (
     DepthGate as DepthGate,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -45,18 +45,18 @@ OF_RECORDS: Final[tuple[Check, ...]] = (*TRACKING, *ESTIMATE)
 def check_plan(scene: Scene, bench: BenchFile, plan: Plan) -> list[CheckResult]:
     """Return what every check found, passed ones included; of a sweep once each.
 
-    Of imported records those alone that ask nothing of instruments. Where something is refused, values that a
-    forgotten unit explains come first: they are the likely cause of the rest.
+    Of imported records those alone that ask nothing of instruments.
     """
     checks = CHECKS if bench.recording is None else OF_RECORDS
     parts = [part for number, point in enumerate(scene.points) for part in _parts(number, point, bench, plan)]
-    found = list(dict.fromkeys(result for check in checks for part in parts for result in check(*part)))
-    return [*_forgotten_units(scene), *found] if any(result.level == "refused" for result in found) else found
+    return list(dict.fromkeys(result for check in checks for part in parts for result in check(*part)))
 
 
-def _forgotten_units(scene: Scene) -> Iterator[CheckResult]:
-    for likely in forgotten_units(scene):
-        yield CheckResult("forgotten unit", "refused", f"{likely.path} = {likely.what}", likely.remedy)
+def likely_causes(scene: Scene, found: Sequence[CheckResult]) -> Iterator[CheckResult]:
+    """Yield the values that a forgotten unit explains, where ``found`` refuses something: likely they are the cause."""
+    if any(result.level == "refused" for result in found):
+        for likely in forgotten_units(scene):
+            yield CheckResult("forgotten unit", "refused", f"{likely.path} = {likely.what}", likely.remedy)
 
 
 def _parts(number: int, point: ScenePoint, bench: BenchFile, plan: Plan) -> Iterator[tuple[Scene, BenchFile, Plan]]:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hpe_rig.bench import read_bench
-from hpe_rig.plan import check_plan, make_plan
+from hpe_rig.acquire import check
 from hpe_rig.scene import Scene, SettingsError, forgotten_units, load_scene, shipped_scenes
 
 
@@ -58,13 +57,12 @@ def test_a_value_out_of_bounds_is_refused_with_what_it_may_have_meant() -> None:
 
 
 def test_the_forgotten_unit_comes_before_the_conflicts_that_it_causes_and_never_alone() -> None:
-    bench = read_bench().bench
     for value, first in ((100.0, "forgotten unit"), (10e-3, "duty")):
-        scene = changed("excitation.burst_length_s", value)
-        refused = [one for one in check_plan(scene, bench, make_plan(scene, bench)) if one.level == "refused"]
+        found = check(changed("excitation.burst_length_s", value)).findings
+        refused = [one for one in found if one.level == "refused"]
         assert refused[0].check == first
         assert len(refused) > 1
     # Alone it is no mistake: a scene that can be measured is left as it is.
     scene = changed("processing.expected_snr_db", 0.1)
     assert forgotten_units(scene)
-    assert all(one.check != "forgotten unit" for one in check_plan(scene, bench, make_plan(scene, bench)))
+    assert all(one.check != "forgotten unit" for one in check(scene).findings)
