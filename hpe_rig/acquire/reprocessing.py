@@ -139,7 +139,7 @@ def _refuse_acquired(point: ScenePoint, source: str) -> None:
 _REMEDY = f"numbers of [{'], ['.join(PROCESSED_SECTIONS)}], {' or '.join(PROCESSED)}; hpe-rig run measures a [sweep]"
 
 
-_OF_SCENE = ("gate_offset_s", "push_later_s")
+_OF_SCENE = ("gate_offset_s", "reference_offset_s", "push_later_s")
 """What of a shot's instants gates and beams say, and no instrument."""
 
 

@@ -17,10 +17,10 @@ SETTLING_S = 4.5e-6
 def forbidden_window_s(shot: Shot) -> tuple[float, float]:
     """Return the start and end, relative to a toneburst's onset, between which no tracking pulse may be fired.
 
-    A pulse is disturbed when it is fired into the toneburst, or when its gate meets the toneburst or an echo of it
-    from any depth down to the gate's far end, or what follows it within ``SETTLING_S``.
+    A pulse is disturbed when it is fired into the toneburst, or when its gate or reference gate meets the toneburst or
+    an echo of it from any depth down to the far end of both, or what follows it within ``SETTLING_S``.
     """
-    gate_start_s, gate_end_s = shot.timeline.gate_offset_s
+    gate_start_s, gate_end_s = shot.timeline.heard_offset_s
     quiet_s = shot.timeline.burst_length_s + gate_end_s + shot.timeline.push_later_s - gate_start_s + SETTLING_S
     return -(gate_end_s + shot.timeline.pulse_length_s), quiet_s
 

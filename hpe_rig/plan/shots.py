@@ -29,7 +29,8 @@ class Timeline:
 
     ``burst_onset_s`` (burst,), ``pulse_onset_s`` (pulse,); the gate and the record of pulse k stand
     ``gate_offset_s`` and ``record_offset_s`` (start, end) after ``pulse_onset_s[k]``. ``push_later_s``: how much longer
-    sound takes to the gate from the transducer that pushes than from the one that tracks.
+    sound takes to the gate from the transducer that pushes than from the one that tracks. ``reference_offset_s``: start
+    and end of the reference gate, where there is one.
     """
 
     burst_onset_s: NDArray[np.float64]
@@ -39,6 +40,13 @@ class Timeline:
     gate_offset_s: tuple[float, float]
     record_offset_s: tuple[float, float]
     push_later_s: float = 0.0
+    reference_offset_s: tuple[float, float] | None = None
+
+    @property
+    def heard_offset_s(self) -> tuple[float, float]:
+        """From when to when after a pulse its echoes count: from the start of the first gate to the end of the last."""
+        own, other = self.gate_offset_s, self.reference_offset_s or self.gate_offset_s
+        return min(own[0], other[0]), max(own[1], other[1])
 
     @property
     def sensing_s(self) -> NDArray[np.float64]:
@@ -308,9 +316,16 @@ def _toneburst(scene: Scene, bench: BenchFile, length_s: float | None, force: fl
 
 
 def _gate_offset_s(scene: Scene) -> tuple[float, float]:
-    gate = scene.acquisition
-    half_s = gate.gate_length_m / gate.sound_speed_m_per_s
-    middle_s = 2 * scene.gate_depth_m / gate.sound_speed_m_per_s
+    return _offset_s(scene, scene.gate_depth_m, scene.acquisition.gate_length_m)
+
+
+def _reference_offset_s(scene: Scene) -> tuple[float, float] | None:
+    depth_m, length_m = scene.processing.reference_gate_depth_m, scene.processing.reference_gate_length_m
+    return None if depth_m is None else _offset_s(scene, depth_m, length_m or scene.acquisition.gate_length_m)
+
+
+def _offset_s(scene: Scene, depth_m: float, length_m: float) -> tuple[float, float]:
+    half_s, middle_s = (metres / scene.acquisition.sound_speed_m_per_s for metres in (length_m, 2 * depth_m))
     return middle_s - half_s, middle_s + half_s
 
 
@@ -357,6 +372,7 @@ def _timeline(scene: Scene, bench: BenchFile, burst_length_s: float | None, capt
         pulse_onset_s=onset_s + tracking.delay_s + np.arange(capture.record_count) / tracking.pulse_rate_hz,
         pulse_length_s=tracking.cycles / tracking.carrier_hz,
         gate_offset_s=_gate_offset_s(scene),
+        reference_offset_s=_reference_offset_s(scene),
         record_offset_s=(start_s, start_s + capture.record_samples / capture.sample_rate_hz),
         push_later_s=0.0 if scene.beams is None else scene.beams.push_farther_m / scene.acquisition.sound_speed_m_per_s,
     )

@@ -11,7 +11,7 @@ from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.interference import SETTLING_S, admissible_delays_s, disturbed_pulses, effective_rate_hz
 from hpe_rig.plan.shots import Shot, burst_path_s, make_plan, tracking_path_s
-from hpe_rig.scene.scene import Scene, parse_scene, shipped_scenes
+from hpe_rig.scene.scene import Scene, load_scene, parse_scene, shipped_scenes
 
 BENCH = read_bench().bench
 MUSCLE = parse_scene("bovine-muscle", shipped_scenes()["bovine-muscle-synchronous"]).scene
@@ -192,3 +192,24 @@ def test_records_take_two_bytes_a_sample_of_every_input() -> None:
     two = replace(plan, shots=(replace(shot, capture=replace(shot.capture, monitor_range_v=4.0)),))
     assert one.record_bytes == 2 * 101 * shot.capture.record_samples
     assert two.record_bytes == 2 * one.record_bytes
+
+
+@pytest.mark.parametrize("depth_m", [67e-3, 73e-3])
+def test_a_pulse_whose_reference_gate_a_toneburst_reaches_is_disturbed(depth_m: float) -> None:
+    scene = load_scene("limits-muscle").with_({"processing.reference_gate_depth_m": depth_m})
+    plan = make_plan(scene, BENCH)
+    [shot] = plan.shots
+    line, speed = shot.timeline, scene.acquisition.sound_speed_m_per_s
+    # Interval by interval: from the near end of the nearer gate to the far end of the deeper one, against the toneburst
+    # and its echoes from as deep.
+    depths_m = (70e-3, depth_m)
+    far_s = 2 * (max(depths_m) + 0.5e-3) / speed
+    expected = np.zeros(line.pulse_onset_s.size, np.bool_)
+    for burst_s in line.burst_onset_s:
+        end_s = burst_s + line.burst_length_s + far_s + SETTLING_S
+        from_s = line.pulse_onset_s + 2 * (min(depths_m) - 0.5e-3) / speed
+        until_s = line.pulse_onset_s + far_s + line.pulse_length_s
+        expected |= (from_s < end_s) & (until_s > burst_s)
+    assert disturbed_pulses(shot).tolist() == expected.tolist()
+    alone = replace(shot, timeline=replace(line, reference_offset_s=None))
+    assert disturbed_pulses(alone).sum() < expected.sum()
