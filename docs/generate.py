@@ -55,6 +55,7 @@ EXAMPLES = {
     "processing.gate_profile_step_m": "0.5e-3",
     "processing.gates.depth_m": "70.5e-3",
     "processing.gates.length_m": "0.8e-3",
+    "beams.excitation_scan": '"push.csv"',
     "simulation.beams.excitation_scan": '"push.h5"',
     "simulation.beams.tracking_scan": '"tracking.h5"',
     "processing.harmonic": '"least_squares"',

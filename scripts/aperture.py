@@ -262,29 +262,37 @@ def moduli() -> None:
 
 
 def measured() -> None:
-    """Print what a fit makes of bowls that move unevenly, whose beam a hydrophone would show, by an even bowl's force.
+    """Print what a fit makes of bowls that move unevenly, by the force of an even bowl and by that of a scan of theirs.
 
-    Of its diameter, or of the one whose beam is as wide as theirs at the focus at half of its pressure.
+    The scan is one without phase, every 50 um across and 0.25 mm along, 9 mm and 22 mm to each side.
     """
-    from hpe_rig.processing import aperture_force
+    from hpe_rig.bench import scanned_push
+    from hpe_rig.processing import aperture_force, scanned_force
 
+    even = aperture_force(PAPER.diameter_m, PAPER.focal_length_m, 3e6, SPEED)
     k = wave_number(3e6, SPEED, 0.5)
-    print("\n| surface moves | places | even bowl of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---:|---:|---:|")
+    print("\n| surface moves | places | force of the fit | mu1 | mu2 | chi-square |\n|---|---|---|---:|---:|---:|")
     for shape in ("uniform", "parabolic", "hann"):
         bowl = Transducer(apodisation=shape)
-        lateral_m = np.linspace(0, 2e-3, 2001)
-        across = np.abs(bowl_pressure(bowl, k, lateral_m, np.zeros(1))[0])
-        half_m = float(np.interp(-0.5, -across / across[0], lateral_m))
-        # 2 J1(x) / x is a half at x = 2.2151
-        narrower_m = 2 * bowl.focal_length_m * 2.2151 / (k.real * half_m)
+        with TemporaryDirectory() as folder:
+            path = str(Path(folder) / "push.csv")
+            _scan_push(bowl, k, path)
+            scanned = scanned_force(scanned_push(path, 3e6, SPEED), 3e6)
         settings = settings_of(APERTURE, specimen={"shear_modulus_pa": 7.25e3, "shear_viscosity_pa_s": 1.0})
         beams = settings.beams.model_copy(update={"transducer": bowl})
         settings = settings.model_copy(update={"beams": beams})
         for name in PLACES_M:
-            for diameter_m in (bowl.diameter_m, narrower_m):
-                force = aperture_force(diameter_m, bowl.focal_length_m, 3e6, SPEED)
-                found = fitted(settings, name, force)
-                print(f"| {shape} | {name} | {diameter_m * 1e3:.1f} mm | {found} |", flush=True)
+            for kind, force in (("even bowl", even), ("scanned", scanned)):
+                print(f"| {shape} | {name} | {kind} | {fitted(settings, name, force)} |", flush=True)
+
+
+def _scan_push(bowl: Transducer, wave_number_per_m: complex, path: str) -> None:
+    """Write a scan of the bowl's beam, from the axis outwards."""
+    across_m, along_m = np.linspace(0, 9e-3, 181), np.linspace(-22e-3, 22e-3, 177)
+    pressure = np.abs(bowl_pressure(bowl, wave_number_per_m, across_m, along_m))
+    z, x = np.meshgrid(along_m, across_m, indexing="ij")
+    table = np.stack([x, 0 * x, z, 1e4 * pressure], axis=-1).reshape(-1, 4)
+    np.savetxt(path, table, delimiter=",", header="x_m,y_m,z_m,pressure_pa", comments="")
 
 
 def fitted(settings: SimulationSettings, places: str, force: "PushForce") -> str:

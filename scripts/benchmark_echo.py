@@ -2,7 +2,8 @@
 
 Usage: python scripts/benchmark_echo.py [--rounds 7] [--output table.json]. Peers are optional (`echo_peers.py`);
 who is missing is named.
-Every contender runs once a round and medians over rounds are compared, so that a busy machine slows all alike.
+Processor time of one core. Every contender runs once a round and medians over rounds are compared, so that a busy
+machine slows all alike.
 """
 
 # ruff: noqa: E402
@@ -174,9 +175,9 @@ def scaling() -> list[tuple[str, int, float]]:
 def _times_s(run: Callable[[], object], rounds: int) -> list[float]:
     taken = []
     for _ in range(rounds):
-        begin = time.perf_counter()
+        begin = time.process_time()
         run()
-        taken.append(time.perf_counter() - begin)
+        taken.append(time.process_time() - begin)
     return taken
 
 

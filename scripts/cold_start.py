@@ -1,11 +1,11 @@
 """Cold start: processor time and modules of commands, each run in fresh processes, and of the libraries they need.
 
-Usage: python scripts/cold_start.py [--repeats 7] [--against TREE] [--clock] [--libraries]
+Usage: python scripts/cold_start.py [--repeats 7] [--against TREE ...] [--clock] [--libraries]
 
 Median and least of several runs, in turn, so that a busy machine slows all alike. The floor of a command is a process
 that loads the libraries that it needs as the program does and does nothing: no command can take less. ``--against``
-runs the package of another tree, such as that of an earlier version, beside it: the last column is the ratio of the
-medians. ``--clock`` takes the time by the clock, for an idle machine. ``--libraries``: each library alone.
+runs the package of other trees, such as those of earlier versions, beside it: the last columns are the medians of each
+and the ratio to it. ``--clock`` takes the time by the clock, for an idle machine. ``--libraries``: each library alone.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ LIBRARIES = {
     "typer, help": "import typer.main",
     "h5py": "import h5py",
     "rich": "import rich.console, rich.table",
-    "scipy.special": "import scipy.special",
+    "scipy.special": "import scipy.special; scipy.special.wofz",
     "matplotlib": "from matplotlib.figure import Figure; from matplotlib.backends.backend_svg import FigureCanvasSVG",
     "jinja2": "import jinja2",
     "numba": "import numpy, compiled; compiled.total(numpy.ones(3))",
@@ -72,20 +72,20 @@ def main() -> None:
     """Print one row for each command, or for each library."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--against", type=Path, help="another tree with the package")
+    parser.add_argument("--against", type=Path, nargs="+", default=[], help="other trees with the package")
     parser.add_argument("--clock", action="store_true", help="time by the clock, for an idle machine")
     parser.add_argument("--libraries", action="store_true", help="what each library takes alone")
     asked = parser.parse_args()
-    trees = [ROOT, *([asked.against.resolve()] if asked.against else [])]
+    trees = [ROOT, *(tree.resolve() for tree in asked.against)]
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "compiled.py").write_text(COMPILED, encoding="utf-8")
         runs = [_runner(tree, Path(folder), asked.clock) for tree in trees]
         if asked.libraries:
             _print_libraries(runs[0], asked.repeats)
             return
-        more = (" before, s | ratio |", "|---|---") if asked.against else ("", "")
-        print(f"| command | median, s | least, s | floor, s | modules |{more[0]}")
-        print(f"|---|---|---|---|---{more[1]}|")
+        more = "".join(f" {tree.name}, s | ratio |" for tree in trees[1:])
+        print(f"| command | median, s | least, s | floor, s | modules |{more}")
+        print("|---" * (5 + more.count("|")) + "|")
         for command in COMMANDS:
             print(_row(command, runs, asked.repeats), flush=True)
 
@@ -139,7 +139,7 @@ def _row(command: str, runs: list[Run], repeats: int) -> str:
     medians = [statistics.median(each) for each in used]
     least_s, floor_s, modules = min(used[0]), statistics.median(each for each, _ in bare), found[0][0][1]
     row = f"| `{command}` | {medians[0]:.2f} | {least_s:.2f} | {floor_s:.2f} | {modules} |"
-    return row + (f" {medians[1]:.2f} | {medians[0] / medians[1]:.2f} |" if len(runs) > 1 else "")
+    return row + "".join(f" {other_s:.2f} | {medians[0] / other_s:.2f} |" for other_s in medians[1:])
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ The forms come from the twin's own table, the examples from tests/sim_backend/ge
 test sends each of them to every model that knows the form.
 """
 
+import argparse
 import runpy
 from pathlib import Path
 from typing import Any
@@ -70,5 +71,6 @@ def page() -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     PAGE.write_text(page(), encoding="utf-8")
     print(f"{PAGE.relative_to(ROOT)} written")

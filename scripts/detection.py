@@ -1,9 +1,10 @@
 """The detection floor by simulation: how often echoes at rest exceed it, and what trigger jitter makes of it.
 
-First table: scene `table-1` without its motion, new scatterers and noise in every trial; share of trials whose
-amplitude at 200 Hz exceeds the floor that `hpe-rig check` states, by estimator and SNR. Second table: floor of
-`bovine-muscle` and the simulated amplitudes that one in twenty measurements exceeds while no toneburst pushes, with and
-without 1 ns of trigger jitter, by the prior of media and by least squares.
+First table: scene `table-1` without its motion, new scatterers and noise in every trial; by estimator and SNR, share of
+trials whose amplitude at 200 Hz exceeds the floor that `hpe-rig check` states, and share in which it exceeds three
+times its own uncertainty. Second table: floor of `bovine-muscle` and the simulated amplitudes that one in twenty
+measurements exceeds while no toneburst pushes, with and without 1 ns of trigger jitter, by the prior of media and by
+least squares.
 """
 
 from __future__ import annotations
@@ -32,10 +33,14 @@ from hpe_rig.processing import (
 from sim_backend.echoes import drawn_echoes, hann_pulse
 from sim_backend.settings import SimulationSettings
 
+FloatArray = NDArray[np.float64]
+
 SNR_DB = (0.0, 10.0, 20.0, 40.0)
 SAMPLE_RATE_HZ, CARRIER_HZ, BANDWIDTH = 100e6, 9e6, 0.065
 AT_ONCE = 50
 JITTER_S = (0.0, 1e-9)
+ABOVE_3_U = math.exp(-9 / 2)
+"""Share of measurements without motion whose amplitude is above three times its uncertainty."""
 
 
 def main() -> None:
@@ -52,21 +57,22 @@ def main() -> None:
 
 
 def alarm_table(estimators: Sequence[str], trials: int) -> Iterator[str]:
-    """Yield the share of alarms, a row an estimator, a column an SNR, with its Monte Carlo standard error below."""
+    """Yield the shares above floor and 3 u, a row an estimator, a column an SNR, and their Monte Carlo errors below."""
     yield "| estimator | " + " | ".join(f"{snr_db:g} dB" for snr_db in SNR_DB) + " |"
     yield "|---|" + "---:|" * len(SNR_DB)
     for name in estimators:
         cells = []
         for snr_db in SNR_DB:
-            floor_m, amplitude_m = at_rest(snr_db, name, trials)
-            cells.append(f"{100 * np.mean(amplitude_m > floor_m):.1f} % of {floor_m * 1e9:.3g} nm")
+            floor_m, amplitude_m, u_m = at_rest(snr_db, name, trials)
+            above, significant = (100 * np.mean(amplitude_m > least_m) for least_m in (floor_m, 3 * u_m))
+            cells.append(f"{above:.1f} % of {floor_m * 1e9:.3g} nm, {significant:.2f} %")
         yield f"| {name} | " + " | ".join(cells) + " |"
-    error = math.sqrt(FALSE_ALARMS * (1 - FALSE_ALARMS) / trials)
-    yield f"\n{trials} trials; Monte Carlo standard error of {100 * FALSE_ALARMS:g} %: {100 * error:.2g} %."
+    errors = (f"{100 * math.sqrt(p * (1 - p) / trials):.2g} % of {100 * p:.3g} %" for p in (FALSE_ALARMS, ABOVE_3_U))
+    yield f"\n{trials} trials; Monte Carlo standard errors: {', '.join(errors)}."
 
 
-def at_rest(snr_db: float, estimator: str, trials: int) -> tuple[float, NDArray[np.float64]]:
-    """Return the detection floor and the amplitudes (trial,) of echoes that do not move, NaN where refused; m."""
+def at_rest(snr_db: float, estimator: str, trials: int) -> tuple[float, FloatArray, FloatArray]:
+    """Return the detection floor, and amplitudes and their u (trial,) of echoes at rest, NaN where refused; m."""
     asked = {"processing.expected_snr_db": snr_db, "processing.estimator": estimator}
     setup = prepare(hpe.load_scene("table-1").with_(asked))
     scene, shot = setup.scene.scene, setup.plan.shots[0]
@@ -77,7 +83,7 @@ def at_rest(snr_db: float, estimator: str, trials: int) -> tuple[float, NDArray[
     gate_s = (np.arange(samples) - (samples - 1) / 2) / SAMPLE_RATE_HZ
     settings, pulse = SimulationSettings(), hann_pulse(CARRIER_HZ, BANDWIDTH)
     scatterers, noise = np.random.default_rng([7, 0]), np.random.default_rng([7, 1])
-    everything, found = np.ones(time_s.size, dtype=bool), list[NDArray[np.float64]]()
+    everything, found = np.ones(time_s.size, dtype=bool), list[FloatArray]()
     # At rest all pulses bring the same echo.
     for still in drawn_echoes(settings, np.zeros(1), pulse, gate_s, scatterers, trials, 1e-6):
         for some in np.array_split(still, max(1, len(still) // AT_ONCE)):
@@ -87,8 +93,10 @@ def at_rest(snr_db: float, estimator: str, trials: int) -> tuple[float, NDArray[
             gate = EchoGate(
                 volts, SAMPLE_RATE_HZ, time_s, CARRIER_HZ, speed_m_per_s, everything, margin=(margin, margin)
             )
-            found.append(estimate(gate, [200.0], estimator).amplitude_m[:, 0])
-    return detection_floor(scene, True, shot).detected_m, np.concatenate(found)
+            fit = estimate(gate, [200.0], estimator)
+            found.append(np.stack([fit.amplitude_m[:, 0], np.sqrt(fit.covariance[:, 0, 0, 0])]))
+    amplitude_m, u_m = np.concatenate(found, axis=1)
+    return detection_floor(scene, True, shot).detected_m, amplitude_m, u_m
 
 
 def jitter_table(trials: int) -> Iterator[str]:
@@ -106,7 +114,7 @@ def jitter_table(trials: int) -> Iterator[str]:
             )
 
 
-def muscle_at_rest(jitter_s: float, harmonic: str, trials: int) -> tuple[float, NDArray[np.float64]]:
+def muscle_at_rest(jitter_s: float, harmonic: str, trials: int) -> tuple[float, FloatArray]:
     """Return the floor and the amplitudes (trial, frequency) that noise and jitter alone make, m.
 
     Displacements are drawn as white noise of the variance that the floor takes for a pulse: what is tested is the fit.

@@ -1,5 +1,6 @@
 """Draw how the bench is wired, from the shipped bench file: docs/figures/wiring.svg."""
 
+import argparse
 from pathlib import Path
 
 from matplotlib import rc_context
@@ -26,6 +27,7 @@ PLACES = {
 
 def main() -> None:
     """Draw a box an instrument and an arrow a cable; a cable of the bench file that has no place is an error."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     figure = Figure(figsize=(9.6, 3.1), layout="constrained")
     axes = figure.subplots()
     axes.set_axis_off()

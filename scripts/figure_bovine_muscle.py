@@ -1,5 +1,6 @@
 """Draw the README's figure: bovine muscle on the twin, beside the ground truth."""
 
+import argparse
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,6 +17,7 @@ TRACKED, ESTIMATE, *_ = PALETTE
 
 def main() -> None:
     """Measure the shipped scene and write figures/bovine-muscle.svg."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     with TemporaryDirectory() as folder:
         result = hpe.measure("bovine-muscle", path=Path(folder) / "run.h5").estimate()
     FOLDER.mkdir(exist_ok=True)

@@ -1,13 +1,12 @@
 """Time from `git clone` to the first figure, and the commands that are typed for it, of two versions in turns.
 
-    python scripts/first_figure.py REPOSITORY BEFORE AFTER [ROUNDS]
-
 Each round clones REPOSITORY, checks out the commit, makes a virtual environment, and types what the README of that
 version says. Printed: seconds of every command and round; then the ratio of the sums and the numbers of commands.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
@@ -22,15 +21,17 @@ AFTER = ("hpe-rig run bovine-muscle --report",)
 
 def main() -> None:
     """Time both versions in turns and print what was found."""
-    if len(sys.argv) < 4:
-        sys.exit(__doc__)
-    repository, before, after = sys.argv[1:4]
-    rounds = int(sys.argv[4]) if len(sys.argv) > 4 else 2
-    taken: dict[str, list[float]] = {before: [], after: []}
-    for _ in range(rounds):
-        for commit, words in ((before, BEFORE), (after, AFTER)):
-            taken[commit].append(timed(repository, commit, words))
-    ratio = sum(taken[after]) / sum(taken[before])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("repository", help="what git can clone")
+    parser.add_argument("before", help="commit of the version before")
+    parser.add_argument("after", help="commit of the version after")
+    parser.add_argument("rounds", nargs="?", type=int, default=2)
+    given = parser.parse_args()
+    taken: dict[str, list[float]] = {given.before: [], given.after: []}
+    for _ in range(given.rounds):
+        for commit, words in ((given.before, BEFORE), (given.after, AFTER)):
+            taken[commit].append(timed(given.repository, commit, words))
+    ratio = sum(taken[given.after]) / sum(taken[given.before])
     print(f"after over before: {ratio:.2f}; commands typed: {5 + len(BEFORE)} and {5 + len(AFTER)}")
 
 

@@ -2,6 +2,7 @@
 
 Usage: python scripts/medium_prior.py [FOLDER]     the figure is written to docs/figures unless FOLDER is given
        python scripts/medium_prior.py --constants  what the prior's constants buy, and nothing else
+       python scripts/medium_prior.py --narrow     beams of half the width, a force of half the declared, nothing else
        python scripts/medium_prior.py --little-noise  shipped scenes without jitter in less and less noise, nothing else
 
 Truths are the media's own fields, 1000 harmonics, quadrature apart from the ensemble's. Errors are the largest of ten
@@ -17,7 +18,7 @@ import functools
 import itertools
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -55,6 +56,8 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 BEAMS = BeamWidths((0.34e-3, 0.34e-3, 3.60e-3), (0.078e-3, 0.078e-3, 0.83e-3), 0.3e-3)
+NARROW = BeamWidths((0.17e-3, 0.17e-3, 1.80e-3), (0.155e-3, 0.155e-3, 1.68e-3), 0.3e-3)
+"""Those of eq. (12) and Table I."""
 RATE_HZ, LENGTH_S = 100.0, 100e-6
 HARMONIC = np.arange(1, 1001)
 WANTED_HZ = RATE_HZ * np.arange(1.0, 11.0)
@@ -152,13 +155,13 @@ def summary(fit: HarmonicFit, wave: ComplexArray, sinusoid_m: float) -> tuple[fl
     )
 
 
-def rows() -> Iterator[str]:
+def rows(trains: Sequence[str] = tuple(TRAINS), noises_m: Sequence[float] = NOISE_M) -> Iterator[str]:
     """Yield the table: a row for each train, noise and medium."""
     prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
     yield "| pulses | noise | medium | prior: error | gain | u | NEV | p | plain: error | gain | NEV |"
     yield "|---|---|---|---|---|---|---|---|---|---|---|"
-    for name, at in TRAINS.items():
-        for noise_m in NOISE_M:
+    for name, at in ((name, TRAINS[name]) for name in trains):
+        for noise_m in noises_m:
             sinusoid_m = noise_m * float(np.sqrt(2 / train(*at)[1].sum()))
             for medium, (modulus_pa, wider) in media().items():
                 wave = harmonics(modulus_pa, wider)
@@ -173,8 +176,11 @@ def rows() -> Iterator[str]:
                 )
 
 
-def drawn(family: str, generator: np.random.Generator) -> ComplexArray:
-    """Return A exp(j phase) (harmonic,) of a medium of ``family`` and a force, as the ensemble spreads them."""
+def drawn(family: str, generator: np.random.Generator, wider: tuple[float, float] | None = None) -> ComplexArray:
+    """Return A exp(j phase) (harmonic,) of a medium of ``family`` and a force, as the ensemble spreads them.
+
+    Or of a force so many times as wide and as long as declared.
+    """
 
     def log_even(limits: tuple[float, float]) -> float:
         return float(limits[0] * (limits[1] / limits[0]) ** generator.uniform())
@@ -191,7 +197,7 @@ def drawn(family: str, generator: np.random.Generator) -> ComplexArray:
             found = loss_pa / (1 + loss_pa / modulus_pa)
         case _:
             found = modulus_pa + s * log_even(VISCOSITY_PA_S if family == "Voigt" else LOW_VISCOSITY_PA_S)
-    wide, deep = np.exp(BEAMS.width_spread * generator.standard_normal(2)).tolist()
+    wide, deep = wider or np.exp(BEAMS.width_spread * generator.standard_normal(2)).tolist()
     return harmonics(np.asarray(found), wide, deep)
 
 
@@ -208,6 +214,22 @@ def coverage() -> Iterator[str]:
                     wave = drive * drawn(FAMILIES[index % len(FAMILIES)], generator)
                     ratio.append(_over_u(prior, at, wave, noise_m, index))
                 yield f"| {name} | {noise_m * 1e9:.3g} nm | {drive:g} | {_covered(ratio)} |"
+
+
+def narrow() -> Iterator[str]:
+    """Yield the table for beams of half the width, pulses that stand still, and coverage of a force half as wide."""
+    with mock.patch.object(sys.modules[__name__], "BEAMS", NARROW):
+        yield from rows(["synchronous 4000 Hz"], NOISE_M[1:])
+    yield ""
+    prior = medium_prior(BEAMS, RATE_HZ, LENGTH_S)
+    yield f"| pulses | noise | drive | NEV | within u | within 1.96 u |   half as wide, {DRAWN} media each"
+    yield "|---|---|---|---|---|---|"
+    for name, noise_m, drive in itertools.product(TRAINS, NOISE_M[1:], DRIVES[1:]):
+        generator, ratio = np.random.default_rng(2), []
+        for index in range(DRAWN):
+            wave = drive * drawn(FAMILIES[index % len(FAMILIES)], generator, (0.5, 0.5))
+            ratio.append(_over_u(prior, TRAINS[name], wave, noise_m, index))
+        yield f"| {name} | {noise_m * 1e9:.3g} nm | {drive:g} | {_covered(ratio)} |"
 
 
 def families() -> Iterator[str]:
@@ -407,11 +429,13 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path, default=default, help="where the figure is written")
     parser.add_argument("--constants", action="store_true", help="what the prior's constants buy, nothing else")
     parser.add_argument("--little-noise", action="store_true", help="shipped scenes in little noise, nothing else")
+    parser.add_argument("--narrow", action="store_true", help="beams or force of half the width, nothing else")
     asked = parser.parse_args()
-    if asked.constants or asked.little_noise:
-        for line in constants() if asked.constants else little_noise():
-            print(line, flush=True)
-        return
+    for wanted, table in ((asked.constants, constants), (asked.little_noise, little_noise), (asked.narrow, narrow)):
+        if wanted:
+            for line in table():
+                print(line, flush=True)
+            return
     path = asked.folder
     for table in (rows(), coverage(), families(), muscle_scene(), cost()):
         for line in table:

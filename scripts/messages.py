@@ -1,12 +1,11 @@
 """Error messages that users meet first, each provoked in an empty folder: printed as a page in Markdown.
 
-python scripts/messages.py                    this version's, as the reference shows them
-python scripts/messages.py --beside           beside those of the earlier version that docs/reference holds
-python scripts/messages.py --of FOLDER        those of the version in FOLDER, in JSON, each by a process of its own
+Without an option those of this version, as the reference shows them.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import json
@@ -239,12 +238,11 @@ def markdown() -> str:
 
 
 if __name__ == "__main__":
-    match sys.argv[1:]:
-        case []:
-            print(markdown())
-        case ["--beside"]:
-            print(beside())
-        case ["--of", version]:
-            print(as_json(Path(version).resolve()))
-        case _:
-            sys.exit(__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
+    wanted = parser.add_mutually_exclusive_group()
+    wanted.add_argument("--beside", action="store_true", help="beside those of the earlier version in docs/reference")
+    wanted.add_argument(
+        "--of", type=Path, metavar="FOLDER", help="of the version in FOLDER, in JSON, each by a process of its own"
+    )
+    given = parser.parse_args()
+    print(as_json(given.of.resolve()) if given.of else beside() if given.beside else markdown())

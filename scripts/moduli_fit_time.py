@@ -8,6 +8,7 @@ Noise of 0.7 nm a quadrature and speckle of 2 % on motion of 800 nm, seeded; no 
 
 from __future__ import annotations
 
+import argparse
 import os
 import subprocess
 import sys
@@ -39,7 +40,9 @@ MEDIA = {
 
 def main() -> None:
     """Print the table: a row a medium, a column a law; or the commands."""
-    if sys.argv[1:] == ["--commands"]:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--commands", action="store_true", help="time the commands in place of the fits")
+    if parser.parse_args().commands:
         commands()
         return
     fit_medium(vibrations("voigt"), PUSH)

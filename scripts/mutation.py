@@ -1,11 +1,9 @@
 """Mutation run: small faults put into the code one at a time, and whether the tests notice; POSIX only.
 
-The first call copies the tree and records, under coverage.py, which tests run which lines. Then each mutant gets the
-tests that run its lines, those of its own room and the fastest first, until one fails, with a time limit. A fault in a
-function is put into a fork of a process that has collected every test already: the function's code object is replaced,
-wherever the function is known. Everything else, such as the value of a constant, is imported anew. Messages
-(f-strings, also where they are all that is returned), what goes to the log, annotations, decorators and ``__all__``
-stay as they are.
+The first call copies the tree and records, under coverage.py, which tests run which lines. Then each mutant is put into
+the copy and gets the tests that run its lines, those of its own room and the fastest first, until one fails, with a
+time limit; each in a fork of a process that has the large libraries already. Messages (f-strings, also where they are
+all that is returned), what goes to the log, annotations, decorators and ``__all__`` stay as they are.
 
     python scripts/mutation.py FOLDER --count 400
 
@@ -17,33 +15,42 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
+import functools
 import gc
 import importlib
 import io
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
 import subprocess
 import sys
 import time
-import types
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import SequenceMatcher
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
-from coverage import Coverage
+
+if TYPE_CHECKING:
+    from coverage import Coverage
 
 ROOMS = {
-    "plan": (["hpe_rig/plan"], ["tests/hpe_rig/plan"]),
+    "plan": (
+        ["hpe_rig/plan"],
+        ["tests/hpe_rig/plan"] + [f"tests/system/test_{name}.py" for name in ("found_by_mutation", "sweep")],
+    ),
     "bench": (
         [f"hpe_rig/bench/{name}.py" for name in ("opening", "instruments", "interrupts", "lock")],
-        ["tests/hpe_rig/bench", "tests/system/test_safety.py", "tests/system/test_signals.py"],
+        ["tests/hpe_rig/bench", "tests/hpe_rig/acquire"]
+        + [f"tests/system/test_{name}.py" for name in ("safety", "signals", "queue", "one_run_a_file", "wires")],
     ),
     "sequencer": (
         ["hpe_rig/acquire/sequencer.py"],
@@ -55,6 +62,7 @@ ROOMS = {
         [
             "tests/hpe_rig/store",
             *(f"tests/system/test_{name}.py" for name in ("one_run_a_file", "old_run_files", "distrust", "resume")),
+            "tests/system/test_integrity.py",
         ],
     ),
     "processing": (["hpe_rig/processing"], ["tests/hpe_rig/processing"]),
@@ -86,6 +94,8 @@ PRELOADED = (
     "hypothesis.extra.numpy",
     "matplotlib.figure",
 )
+VERDICTS = ("killed", "timed out", "survived", "not run", "unknown", "explained")
+EXPLAINED = "docs/testing.md"
 LONGEST_S = 4.0
 """Processor time after which the recording gives up a test; it takes no part."""
 UNSEEN_KEYWORDS = {"strict", "frozen", "slots", "dtype", "encoding"}
@@ -161,19 +171,28 @@ class Mutant:
 
     @cached_property
     def text(self) -> str:
-        """The file's text with the fault in it, as many lines as before."""
+        """The file's text with the fault in it."""
         lines = self.source.encode().splitlines(keepends=True)
         first, last = self.node.lineno, self.node.end_lineno or self.node.lineno
         start = sum(map(len, lines[: first - 1])) + self.node.col_offset
         end = sum(map(len, lines[: last - 1])) + (self.node.end_col_offset or 0)
-        filling = "\n" * (last - first)
-        text = f"{self.new}{filling}" if isinstance(self.node, ast.stmt) else f"({self.new}{filling})"
+        text = self.new if isinstance(self.node, ast.stmt) else f"({self.new})"
         return (self.source.encode()[:start] + text.encode() + self.source.encode()[end:]).decode()
 
     @property
     def name(self) -> str:
         old = " ".join((ast.get_source_segment(self.source, self.node) or "").split())
         return f"{self.file}:{self.node.lineno}:{self.node.col_offset}\t{old}\t{self.new}"
+
+    @cached_property
+    def used_at(self) -> list[int]:
+        """The lines that use the name to which the node's statement at the top of the file is bound."""
+        tree = ast.parse(self.source)
+        top = next(item for item in tree.body if item.lineno <= self.node.lineno <= (item.end_lineno or 0))
+        names = {
+            part.id for part in ast.walk(top) if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)
+        } | {getattr(top, "name", "")}
+        return [part.lineno for part in ast.walk(tree) if isinstance(part, ast.Name) and part.id in names]
 
     def lines(self) -> range:
         """The lines of the statement that the node is in, up to the node's end; one of them runs if the node does."""
@@ -183,6 +202,39 @@ class Mutant:
             if isinstance(item, ast.stmt) and item.lineno <= self.node.lineno <= (item.end_lineno or 0)
         ]
         return range(max(item.lineno for item in around), (self.node.end_lineno or 0) + 1)
+
+    @cached_property
+    def change(self) -> tuple[str, str, str]:
+        """Where, and the line as it is and as it would be: what names a fault that was looked at before."""
+        names = [
+            item.name
+            for item in ast.walk(ast.parse(self.source))
+            if isinstance(item, ast.FunctionDef | ast.ClassDef)
+            and item.lineno <= self.node.lineno <= (item.end_lineno or 0)
+        ]
+        old, new = (text.splitlines()[self.node.lineno - 1].strip() for text in (self.source, self.text))
+        return ":".join([self.file, *names[-1:]]), old, new
+
+
+def explained() -> set[tuple[str, str, str]]:
+    """Return the faults that make no difference: the table of ``EXPLAINED``, place, line and mutated line."""
+    text = (Path(__file__).resolve().parents[1] / EXPLAINED).read_text("utf-8")
+    return set(re.findall(r"^\| `(\S+)` \| `(.+?)` \| `(.+?)` \| .+ \|$", text, re.MULTILINE))
+
+
+def drawn_before(folder: Path, tree: Path) -> Iterator[Mutant]:
+    """Yield the mutants of an earlier run whose line is still there, in its order."""
+    there: dict[str, dict[tuple[int, int, str], Mutant]] = {}
+    for _, room, _, _, where, _, new in Results(folder / "results.tsv").rows():
+        file, line, column = where.split(":")
+        if file not in there:
+            before, now = ((root / file).read_text("utf-8") for root in (folder / "tree", tree))
+            blocks = SequenceMatcher(None, before.splitlines(), now.splitlines(), autojunk=False).get_matching_blocks()
+            earlier = {b + n + 1: a + n + 1 for a, b, size in blocks for n in range(size)}
+            every = [Mutant(room, file, *item, now) for item in mutations(now)]
+            there[file] = {(earlier.get(m.node.lineno, 0), m.node.col_offset, m.new): m for m in every}
+        if mutant := there[file].get((int(line), int(column), new)):
+            yield mutant
 
 
 def chosen(tree: Path, rooms: Sequence[str], count: int, seed: int) -> Iterator[Mutant]:
@@ -206,12 +258,18 @@ class Recorder:
         self.seconds: dict[str, float] = defaultdict(float)
         self.failed: set[str] = set()
         self.item = ""
+        self.caches: list[functools._lru_cache_wrapper[object]] = []
 
     def pytest_sessionstart(self) -> None:
         signal.signal(signal.SIGVTALRM, lambda *_: pytest.fail("takes too long for a mutation run"))
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        if self.item.partition("::")[0] != item.nodeid.partition("::")[0]:
+            self.caches = [each for each in gc.get_objects() if isinstance(each, functools._lru_cache_wrapper)]
+        for cache in self.caches:
+            # What another test has worked out is worked out again, and so seen.
+            cache.cache_clear()
         self.now = self.item = item.nodeid
         self.coverage.switch_context(self.now)
         with self.timed():
@@ -322,6 +380,8 @@ def tests_of_rooms(rooms: Iterable[str]) -> list[str]:
 
 def record(tree: Path, folder: Path, rooms: Iterable[str]) -> int:
     """Run the rooms' tests under coverage.py and write what they run and how long it takes; in a fork."""
+    from coverage import Coverage
+
     places = [tree / place for room in ROOMS.values() for place in room[0]]
     coverage = Coverage(None, include=[f"{place}/*" if place.is_dir() else str(place) for place in places])
     coverage.start()
@@ -344,7 +404,6 @@ class Record:
     seconds: Mapping[str, float]
     failed: frozenset[str]
     users: Mapping[str, Sequence[str]]
-    all_of_room: bool
 
     @cached_property
     def fixtures(self) -> Mapping[str, set[str]]:
@@ -360,12 +419,13 @@ class Record:
         contexts = self.lines.get(mutant.file, {})
         names = {name for line in mutant.lines() for name in contexts.get(str(line), ())}
         if not names - {""}:
-            # Run at import: whatever runs the file.
-            names = {name for some in contexts.values() for name in some} if names else set()
+            # Run at import: what runs a line that uses the constant or makes the class, else whatever runs the file.
+            used = [name for line in mutant.used_at for name in contexts.get(str(line), ()) if name]
+            names = set(used or [name for some in contexts.values() for name in some] if names else [])
         tests = {test for name in names for test in self.users.get(name, (name,))} & self.seconds.keys() - self.failed
         tests -= self.users.keys()
         places = tuple(ROOMS[mutant.room][1])
-        if self.all_of_room:
+        if not tests:
             # Some start programs of their own, in which nobody looked.
             tests |= {test for test in self.seconds if test.startswith(places)} - self.failed - self.users.keys()
         ordered = sorted(tests, key=lambda test: (not test.startswith(places), self.seconds[test]))
@@ -378,96 +438,6 @@ class Record:
             made |= fixtures
             taken.append(test)
         return taken
-
-
-def functions_by_file() -> Mapping[str, Sequence[types.FunctionType]]:
-    """Return every function that there is, by the file that it was loaded from."""
-    found: dict[str, list[types.FunctionType]] = defaultdict(list)
-    for item in gc.get_objects():
-        if isinstance(item, types.FunctionType):
-            found[item.__code__.co_filename].append(item)
-    return found
-
-
-def replaced(path: str, text: str, functions: Iterable[types.FunctionType]) -> bool:
-    """Put the code of ``text`` into those ``functions`` that were loaded from ``path``; return whether one changed."""
-    new: dict[tuple[str, int], types.CodeType] = {}
-
-    def gather(code: types.CodeType) -> None:
-        new[code.co_qualname, code.co_firstlineno] = code
-        for inner in code.co_consts:
-            if isinstance(inner, types.CodeType):
-                gather(inner)
-
-    gather(compile(text, path, "exec", dont_inherit=True))
-    changed = False
-    for function in functions:
-        old = function.__code__
-        code = new.get((old.co_qualname, old.co_firstlineno))
-        if code and code != old and code.co_freevars == old.co_freevars:
-            function.__code__ = code
-            changed = True
-    return changed
-
-
-UNREPLACED = 99
-"""Exit code of a fork that found no function to put the fault into."""
-
-
-class Campaign:
-    """Takes the place of pytest's loop over the tests: a fork a mutant."""
-
-    def __init__(
-        self, record: Record, mutants: Sequence[Mutant], budget_s: float, results: Results, killer: Killer
-    ) -> None:
-        self.record, self.mutants, self.budget_s = record, mutants, budget_s
-        self.results, self.killer = results, killer
-        self.functions: Mapping[str, Sequence[types.FunctionType]] = {}
-        self.unplaced = killer.last.with_name("unplaced")
-        self.unplaced.write_text("", "utf-8")
-
-    @property
-    def left(self) -> list[Mutant]:
-        """The mutants that no function had a place for."""
-        names = self.unplaced.read_text("utf-8").splitlines()
-        return [mutant for mutant in self.mutants if mutant.name in names]
-
-    @pytest.hookimpl(tryfirst=True)
-    def pytest_runtestloop(self, session: pytest.Session) -> bool:
-        every = {item.nodeid: item for item in session.items}
-        self.functions = functions_by_file()
-        gc.freeze()
-        for mutant in self.mutants:
-            names = self.record.tests_of(mutant, self.budget_s)
-            some = [every[name] for name in names if name in every]
-            if not some:
-                self.results.add(mutant, "not run", 0, 0.0)
-                continue
-            start_s = time.monotonic()
-            with in_place(self.record.tree, mutant):
-                code = forked(lambda: self.judge(session, mutant, some))  # noqa: B023
-            if code == UNREPLACED:
-                with self.unplaced.open("a", encoding="utf-8") as file:
-                    file.write(f"{mutant.name}\n")
-            else:
-                word = self.killer.word(code, lambda name: forked(lambda: self.judge(session, None, [every[name]])))
-                self.results.add(mutant, word, len(some), time.monotonic() - start_s)
-        return True
-
-    def judge(self, session: pytest.Session, mutant: Mutant | None, some: list[pytest.Item]) -> int:
-        """Run ``some`` tests on the mutant, or on the code as it is, until one fails; in a fork."""
-        gc.unfreeze()
-        if mutant:
-            path = str(self.record.tree / mutant.file)
-            if not replaced(path, mutant.text, self.functions.get(path, ())):
-                return UNREPLACED
-        session.items[:] = some
-        session.config.pluginmanager.unregister(self)
-        session.config.option.maxfail = 1
-        with contextlib.suppress(session.Failed, KeyboardInterrupt):
-            session.config.hook.pytest_runtestloop(session=session)
-            return 0
-        return 1
 
 
 class Killer:
@@ -514,7 +484,7 @@ class Results:
 
     def done(self, certain: bool = False) -> set[str]:
         """Return the names of the mutants that were judged; with ``certain`` of those that were killed."""
-        sure = ("killed", "timed out") if certain else ("killed", "timed out", "survived", "not run", "unknown")
+        sure = ("killed", "timed out") if certain else VERDICTS
         return {"\t".join(row[4:]) for row in self.rows() if row[0] in sure}
 
     def add(self, mutant: Mutant, verdict: str, tests: int, seconds: float) -> None:
@@ -525,23 +495,29 @@ class Results:
 
     def table(self, rooms: Iterable[str]) -> str:
         found = Counter((row[1], row[0]) for row in self.rows())
-        verdicts = ("killed", "timed out", "survived", "not run", "unknown")
-        head = f"{'room':20}" + "".join(f"{verdict:>10}" for verdict in verdicts)
-        rows = [f"{room:20}" + "".join(f"{found[room, verdict]:10}" for verdict in verdicts) for room in rooms]
+        head = f"{'room':20}" + "".join(f"{verdict:>10}" for verdict in VERDICTS)
+        rows = [f"{room:20}" + "".join(f"{found[room, verdict]:10}" for verdict in VERDICTS) for room in rooms]
         return "\n".join([head, *rows])
+
+
+def _absolute(path: str) -> Path:
+    return Path(path).resolve()
 
 
 def main() -> None:
     """Copy and record where that has not been done, then one line a mutant and a table at the end or at Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="where the copy of the tree and the results are kept")
+    parser.add_argument("folder", type=_absolute, help="where the copy of the tree and the results are kept")
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--budget-s", type=float, default=30.0, help="tests of one mutant, by the time they took")
-    parser.add_argument("--again", action="store_true", help="those that were not killed, with all tests of their room")
+    parser.add_argument("--again", action="store_true", help="once more those that were not killed")
+    parser.add_argument(
+        "--of", type=_absolute, help="folder of an earlier run: its faults, as far as their line stands"
+    )
     parser.add_argument("--rooms", nargs="*", choices=list(ROOMS), default=list(ROOMS))
     options = parser.parse_args()
-    folder = options.folder.resolve()
+    folder: Path = options.folder
     tree, results = folder / "tree", Results(folder / "results.tsv")
     if not (folder / "tests.json").exists():
         shutil.rmtree(tree, ignore_errors=True)
@@ -559,28 +535,31 @@ def main() -> None:
         forked(lambda: record(tree, folder, options.rooms))
     tests = json.loads((folder / "tests.json").read_text("utf-8"))
     failed = frozenset(tests["failed"])
-    known = Record(tree, tests["lines"], tests["seconds"], failed, tests["users"], options.again)
-    wanted = list(chosen(tree, options.rooms, options.count, options.seed))
+    known = Record(tree, tests["lines"], tests["seconds"], failed, tests["users"])
+    wanted = list(
+        drawn_before(options.of, tree) if options.of else chosen(tree, options.rooms, options.count, options.seed)
+    )
     with contextlib.suppress(KeyboardInterrupt):
         done = results.done(certain=options.again)
-        left = [mutant for mutant in wanted if mutant.name not in done]
+        known_to_live = explained()
         killer = Killer(folder / "last")
         deadline = Deadline(known.seconds, killer.last)
-        campaign = Campaign(known, left, options.budget_s, results, killer)
-        if left:
-            forked(lambda: run_pytest(tree, tests_of_rooms(options.rooms), [campaign, deadline]))
-        # Constants, defaults and bodies of classes: a fresh import each.
-        for mutant in campaign.left:
-            names = known.tests_of(mutant, options.budget_s)
+
+        def code_of(names: Sequence[str]) -> int:
             files = sorted({name.partition("::")[0] for name in names})
-            start_s = time.monotonic()
+            return forked(lambda: run_pytest(tree, ["-x", *files], [Only(names), deadline]))
+
+        for mutant in wanted:
+            if mutant.name in done:
+                continue
+            if mutant.change in known_to_live:
+                results.add(mutant, "explained", 0, 0.0)
+                continue
+            names, start_s = known.tests_of(mutant, options.budget_s), time.monotonic()
             with in_place(tree, mutant):
-                code = forked(lambda: run_pytest(tree, ["-x", *files], [Only(names), deadline]))  # noqa: B023
-
-            def alone(name: str) -> int:
-                return forked(lambda: run_pytest(tree, [name.partition("::")[0]], [Only([name]), deadline]))
-
-            results.add(mutant, killer.word(code, alone), len(names), time.monotonic() - start_s)
+                code = code_of(names) if names else 0
+            word = killer.word(code, lambda name: code_of([name])) if names else "not run"
+            results.add(mutant, word, len(names), time.monotonic() - start_s)
     print(f"\n{results.table(options.rooms)}")
 
 

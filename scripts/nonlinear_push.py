@@ -2,24 +2,29 @@
 
 Tables: plane waves (Fubini, Blackstock); the bowl in its linear limit (Rayleigh integral) and its second harmonic
 (Green's integral over the linear field); a published curve along the axis and a published focus; what accuracy costs;
-output in water over a linear wave's; force, pressures and exponent over drive in the twin's muscle. Seconds are
-processor time; compare them within one run alone. Usage: python scripts/nonlinear_push.py [TABLE ...]
+output in water over a linear wave's; force, pressures and exponent over drive in the twin's muscle, and what the same
+force field moves at a frequency instead of at rest. Seconds are processor time; compare them within one run alone.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 from scipy.special import jv
 
 from hpe_rig.prediction import focal_distortion
+from hpe_rig.scene import load_scene
 from sim_backend.settings import Beams, Propagation, SimulationSettings, Specimen, Transducer
 from sim_backend.transducer import (
     Accuracy,
+    Beam,
     Layer,
     advance,
     bowl_pressure,
@@ -44,15 +49,21 @@ def main() -> None:
         linear_limit,
         second_harmonic,
         published_axis,
+        published_differences,
         published_focus,
         accuracy,
         water,
         drive,
+        frequencies,
     )
-    if not {table.__name__ for table in tables}.issuperset(sys.argv[1:]):
-        sys.exit(__doc__)
+    named = [table.__name__ for table in tables]
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("table", nargs="*", help=f"one of {', '.join(named)}")
+    given = parser.parse_args().table
+    if wrong := set(given) - set(named):
+        parser.error(f"no table is called {', '.join(sorted(wrong))}: try one of {', '.join(named)}")
     for table in tables:
-        if not sys.argv[1:] or table.__name__ in sys.argv[1:]:
+        if not given or table.__name__ in given:
             for line in table():
                 print(line, flush=True)
             print()
@@ -146,12 +157,8 @@ def published_axis() -> Iterator[str]:
     The case is that of Yuldashev and Khokhlova, Acoust. Phys. 57 (2011), p. 334.
     """
     yield "HITU Simulator 2.0, manual, page 21: bowl of 8.2 cm, focus at 15 cm, 1.7 MHz, 40 W, water; p+ and p- in MPa"
-    bowl = Transducer(diameter_m=82e-3, focal_length_m=150e-3)
-    cap_m2 = 2 * np.pi * 0.15 * (0.15 - np.sqrt(0.15**2 - 0.041**2))
-    liquid = Layer(np.inf, 1500.0, 1000.0, 3.5, 0.00217, 2.0)
-    surface_pa = float(np.sqrt(2 * liquid.impedance * 40 / cap_m2))
     finer = Accuracy(24, 0.02), Accuracy(64, 0.02)
-    beams = [nonlinear_beam(bowl, [liquid], 1.7e6, surface_pa, each) for each in finer]
+    beams = [_published_beam(each) for each in finer]
     peaks = [beam.extremes_pa() for beam in beams]
     yield "| z (cm) | p+ published | 24 harmonics | 64 | p- published | 24 harmonics | 64 |"
     yield "|---:|---:|---:|---:|---:|---:|---:|"
@@ -165,6 +172,66 @@ def published_axis() -> Iterator[str]:
     far = [beam.depth_m > 0.1 for beam in beams]
     found = [[each[own].max() for each in peak] for own, peak in zip(far, peaks, strict=True)]
     yield f"| largest | {_beside(AXIS_LARGEST, found)} |"
+
+
+def _published_beam(accuracy: Accuracy, share: float = 1.0) -> Beam:
+    bowl = Transducer(diameter_m=82e-3, focal_length_m=150e-3)
+    cap_m2 = 2 * np.pi * 0.15 * (0.15 - np.sqrt(0.15**2 - 0.041**2))
+    liquid = Layer(np.inf, 1500.0, 1000.0, 3.5, 0.00217, 2.0)
+    surface_pa = float(np.sqrt(2 * liquid.impedance * 40 / cap_m2))
+    return nonlinear_beam(bowl, [liquid], 1.7e6, share * surface_pa, accuracy)
+
+
+def published_differences() -> Iterator[str]:
+    """Yield what p+ of that beam changes by, of what that program is known to do otherwise; its figure has p+ so."""
+    # The power of its source is the integral of |p|^2 / 2 rho c over a plane, of p ~ 1 / distance from the focus.
+    plane_m2 = np.pi * 0.15**2 * np.log(0.15**2 / (0.15**2 - 0.041**2))
+    share = float(np.sqrt(2 * np.pi * 0.15 * (0.15 - np.sqrt(0.15**2 - 0.041**2)) / plane_m2))
+    cases: tuple[tuple[str, int, float, int], ...] = (
+        ("this program, 64 harmonics", 64, 1.0, 0),
+        ("128 harmonics", 128, 1.0, 0),
+        (f"64 harmonics, {share:.4f} of the pressure at the source", 64, share, 0),
+        ("and a first-order step in time, 1024 samples a period", 64, share, 1024),
+        ("the same, 256 samples", 64, share, 256),
+    )
+    yield "| p+ (MPa) | 13.5 cm | 14 cm | 14.5 cm | 15 cm | largest |"
+    yield "|---|---:|---:|---:|---:|---:|"
+    depths_m = np.array([0.135, 0.14, 0.145, 0.15])
+    for name, harmonics, part, samples in cases:
+        with _first_order(samples) if samples else nullcontext():
+            beam = _published_beam(Accuracy(harmonics, 0.02, 0.1e-3), part)
+        high_pa = beam.extremes_pa()[0]
+        shown = [*np.interp(depths_m, beam.depth_m, high_pa), high_pa[beam.depth_m > 0.1].max()]
+        yield f"| {name} | " + " | ".join(f"{each * 1e-6:.2f}" for each in shown) + " |"
+    yield "| published | 2.30 | 5.64 | 14.00 | 20.77 | 21.15 |"
+
+
+@contextmanager
+def _first_order(samples: int) -> Iterator[None]:
+    """Let beams steepen by upwind differences of first order in time, ``samples`` a period, as that program does."""
+    march = sys.modules[nonlinear_beam.__module__]
+
+    def steepen(
+        pressure_pa: np.ndarray, step_m: float, frequency_hz: float, layer: Layer
+    ) -> tuple[np.ndarray, np.ndarray]:
+        harmonics = pressure_pa.shape[1]
+        spectrum = np.zeros((len(pressure_pa), samples // 2 + 1), dtype=np.complex128)
+        spectrum[:, 1 : harmonics + 1] = pressure_pa * (samples / 2)
+        wave = np.fft.irfft(spectrum, samples, axis=1)
+        rate = layer.nonlinearity / (2 * layer.density_kg_per_m3 * layer.sound_speed_m_per_s**3)
+        share = rate * step_m * frequency_hz * samples
+        steps = int(np.ceil(2 * share * np.abs(wave).max() / 0.9))
+        for _ in range(steps):
+            square = wave**2
+            rise = np.where(wave < 0, square - np.roll(square, 1, axis=1), np.roll(square, -1, axis=1) - square)
+            wave = wave + share / steps * rise
+        return np.fft.rfft(wave, axis=1)[:, 1 : harmonics + 1] * (2 / samples), np.zeros(len(wave))
+
+    march.advance = steepen  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        march.advance = advance  # type: ignore[attr-defined]
 
 
 def _beside(known_mpa: Sequence[float], found_pa: Sequence[Sequence[float]]) -> str:
@@ -255,6 +322,53 @@ def drive() -> Iterator[str]:
             f"| {square:.2f} | {over:.2f} | {exponent:.2f} | {other[0] * 1e-6:.1f} | {other[1] * 1e-6:.1f} | "
             f"{other[2] * 1e-4:.0f} | {other[3] * 1e-6:.2f} |"
         )
+
+
+def frequencies() -> Iterator[str]:
+    """Yield the force over drive by what it moves at a frequency: where shocks form it is nearer to the focus."""
+    layers = path(SPECIMEN, Propagation(), SPEED, 70e-3)
+    squares = np.array([0.01, 0.09, 0.25, 0.36, 0.49, 0.64, 0.81, 1.0])
+    beams = [nonlinear_beam(BOWL, layers, FREQUENCY_HZ, 283e3 * each**0.5, Accuracy(24)) for each in squares]
+    at_hz = 0.0, 100.0, 200.0, 400.0, 1000.0
+    force = {hz: np.array([moving(beam, layers[0].thickness_m, hz) for beam in beams]) for hz in at_hz}
+    yield "muscle, 283 kPa at V^2 = 1: force over the linear one, by what it moves at the focus"
+    yield f"| V^2 | {' | '.join(f'{hz:g} Hz' for hz in at_hz)} |"
+    yield f"|{'---:|' * (len(at_hz) + 1)}"
+    gains = [force[hz] / squares / (force[hz][0] / squares[0]) for hz in at_hz]
+    for square, *row in zip(squares, *gains, strict=True):
+        yield f"| {square:.2f} | " + " | ".join(f"{each:.2f}" for each in row) + " |"
+    steepest = [f"{(np.diff(np.log(each)) / np.diff(np.log(squares))).max():.2f}" for each in force.values()]
+    yield f"| largest exponent | {' | '.join(steepest)} |"
+    shares = np.array(load_scene("muscle-force").excitation.force_fraction)  # type: ignore[union-attr]
+    for count in (9, 11, 13):
+        top = np.sort(shares)[-count:]
+        offsets = []
+        for each in force.values():
+            gain = PchipInterpolator(np.log(squares), np.log(each / squares))
+            slope, offset = np.polyfit(top, top * np.exp(gain(np.log(top))), 1)
+            offsets.append(f"{offset / slope:.2f}")
+        yield f"| offset over slope, highest {count} of Fig. 15 | {' | '.join(offsets)} |"
+
+
+def moving(beam: Beam, start_m: float, frequency_hz: float) -> float:
+    """Return the force density of a Gaussian of the push beam that moves the focus as far at ``frequency_hz``.
+
+    What a point force along z moves at a distance R in an incompressible Voigt medium (Stokes 1851, by correspondence):
+    ``(A + B z^2 / R^2) / (4 pi mu R)``, A and B of ``x = j w R sqrt(rho / mu)``, both 1/2 at rest (Kelvin).
+    """
+    depth_m, lateral_m, volume_m3, force = beam.force_at[:, beam.force_at[0] > start_m]
+    omega, z = 2 * np.pi * frequency_hz, depth_m - BOWL.focal_length_m
+    distance_m = np.hypot(lateral_m, z)
+    near = far = np.full(len(z), 0.5 + 0j)
+    if omega:
+        modulus_pa = SPECIMEN.shear_modulus_pa + 1j * omega * SPECIMEN.shear_viscosity_pa_s
+        x = 1j * omega * np.sqrt(SPECIMEN.density_kg_per_m3 / modulus_pa) * distance_m
+        near = np.exp(-x) * (1 + 1 / x + 1 / x**2) - 1 / x**2
+        far = 3 / x**2 - np.exp(-x) * (1 + 3 / x + 3 / x**2)
+    moved = volume_m3 * (near + far * (z / distance_m) ** 2) / distance_m
+    wide_m, _, along_m = BEAMS.excitation_width_m
+    gaussian = np.exp(-0.5 * ((lateral_m / wide_m) ** 2 + (z / along_m) ** 2))
+    return float(abs((moved * force).sum() / (moved * gaussian).sum()))
 
 
 if __name__ == "__main__":

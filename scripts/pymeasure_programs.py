@@ -6,6 +6,7 @@ Needs PyMeasure, a package of drivers that nobody here wrote. Each property is s
 after *RST and read back, and the error queue is asked.
 """
 
+import argparse
 import logging
 import math
 import re
@@ -16,9 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pyvisa
-from pymeasure.adapters import VISAAdapter
-from pymeasure.instruments.agilent import Agilent33220A, Agilent33500
-from pymeasure.instruments.keysight import Keysight33250A
 
 from sim_backend.generator import MODELS, Generator33250A
 from sim_backend.transports import Emulator
@@ -28,7 +26,6 @@ from sim_backend.world import GeneratorConnection
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "pymeasure.md"
 TRANSPORTS = ("socket", "serial", "hislip", "vxi11", "prologix")
-DRIVERS = {"33250A": Keysight33250A, "33220A": Agilent33220A, "33500B": Agilent33500}
 IN_LOCAL, NOT_SIMULATED = 550, -241
 READ_ONLY = {"complete", "id", "status", "options", "next_error"}
 NOT_OFFERED = {"adapter", "read_termination"}
@@ -150,9 +147,19 @@ class Logged(logging.Handler):
 LOGGED = Logged()
 
 
+def drivers() -> dict[str, type]:
+    """Return PyMeasure's driver of each model."""
+    from pymeasure.instruments.agilent import Agilent33220A, Agilent33500
+    from pymeasure.instruments.keysight import Keysight33250A
+
+    return {"33250A": Keysight33250A, "33220A": Agilent33220A, "33500B": Agilent33500}
+
+
 @contextmanager
 def opened(model: str, transport: str) -> Iterator[Any]:
     """Yield PyMeasure's driver of ``model``, connected to a fresh twin of it over ``transport``."""
+    from pymeasure.adapters import VISAAdapter
+
     clock = SimulatedClock()
     twin = Generator33250A(clock, 0.0, MODELS[model])
     with ExitStack() as stack:
@@ -167,7 +174,7 @@ def opened(model: str, transport: str) -> Iterator[Any]:
         ends = {"write_termination": "\n", **({} if served.interface else {"read_termination": "\n"})}
         adapter = VISAAdapter(served.address, visa_library="@py", timeout=2000, **ends)
         stack.callback(adapter.close)
-        yield DRIVERS[model](adapter)
+        yield drivers()[model](adapter)
 
 
 def errors(instrument: Any) -> list[int]:
@@ -250,11 +257,11 @@ local*: refused with 550, since PyMeasure sends no `SYST:REM` over RS-232, as an
 
 def rows() -> Iterator[tuple[str, str, Outcome]]:
     """Yield driver, transport and outcome of every row of the page."""
-    for model, driver in DRIVERS.items():
+    for model, driver in drivers().items():
         for transport in TRANSPORTS:
             over = f"{transport}, in remote" if transport == "serial" else transport
             yield driver.__name__, over, run(model, transport)
-    yield Keysight33250A.__name__, "serial, never put in remote", run("33250A", "serial", remote=False)
+    yield drivers()["33250A"].__name__, "serial, never put in remote", run("33250A", "serial", remote=False)
 
 
 def page() -> str:
@@ -270,5 +277,6 @@ def page() -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     PAGE.write_text(page(), encoding="utf-8")
     print(f"{PAGE.relative_to(ROOT)} written")

@@ -1,7 +1,5 @@
 """Screenshots of pages and figures at three widths, light and dark, and what a browser can say of them.
 
-    python scripts/screenshots.py FOLDER [PAGE ...]
-
 Without PAGE every page and figure that the program writes is made in FOLDER, those of `MADE` by their commands, and the
 live pages of `SERVED` are served; small studies, some minutes together. PAGE is a file, .html or .svg, or an address.
 Each is opened in headless Chromium, all folded parts open, at 390, 800 and 1200 px. Printed for each: whether
@@ -11,6 +9,7 @@ over lines, and which texts have a contrast below 3:1. FOLDER gets the PNGs.
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import shlex
@@ -112,11 +111,12 @@ CONTRASTS = """() => {
 
 def main() -> None:
     """Look at every page that is named, or at all that the program has, and print what was found."""
-    if len(sys.argv) < 2 or sys.argv[1].startswith("-"):
-        sys.exit(__doc__)
-    folder = Path(sys.argv[1]).resolve()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("page", nargs="*")
+    given = parser.parse_args()
+    folder, named = given.folder.resolve(), given.page
     folder.mkdir(parents=True, exist_ok=True)
-    named = sys.argv[2:]
     with browser() as chromium:
         for page in named or made(folder):
             for line in looked_at(chromium, page, folder):

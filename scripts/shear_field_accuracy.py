@@ -10,6 +10,7 @@ docs/moduli.md and fails above 1e-8 of the peak.
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Sequence
 from itertools import pairwise
@@ -38,6 +39,7 @@ PANEL_RAD = 12.0
 
 def main() -> None:
     """Print the tables; exit with 1 where the field is off by more than ``ALLOWED`` of its peak."""
+    argparse.ArgumentParser(description=__doc__).parse_args()
     mp.mp.dps = 25
     media = [(mu1, mu2, hz) for mu1, mu2 in MEDIA for hz in FREQUENCIES_HZ]
     worst = table(sorted([*media, *SHORT_WAVES]), GAUSSIAN, [(each, 0.0) for each in LATERAL_M])

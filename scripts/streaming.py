@@ -1,11 +1,12 @@
 """Streaming: the writer beside plain h5py, and processing of a run larger than the memory it takes.
 
-Usage: python scripts/streaming.py [--megabytes 1000] [--repeats 3] [--folder FOLDER]
+Usage: python scripts/streaming.py [--megabytes 1000] [--samples 2048] [--repeats 3] [--folder FOLDER]
 
 Records of one echo and noise, in blocks of 1000 as a board hands them over. Plain h5py writes the same chunks into a
 file of the same format and flushes it after each, with and without a checksum of each. The ways take turns; the rate is
-the best of each, by the clock. Then the run is processed in a process of its own, beside one that only reads it: clock,
-processor time and peak memory of each.
+the best of each, by the clock; without ``--repeats`` (0) the writer alone writes, once. Then the run is processed in a
+process of its own, beside one that only reads it, by plain h5py and with its checksums: clock, processor time and peak
+memory of each, beyond what it takes to load the package (nothing).
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from drivers.interfaces import RecordBlock
     from hpe_rig.acquire import Setup
 
-AT_ONCE, SAMPLES = 1000, 2048
+AT_ONCE = 1000
 CODES = 997
 """Blocks are cut at different places out of one array of so many records more than a block."""
 
@@ -32,31 +33,37 @@ def main() -> None:
     """Print rates of writing, then what reading and processing cost."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--megabytes", type=float, default=1000.0)
+    parser.add_argument("--samples", type=int, default=2048, help="of a record")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--folder", type=Path, help="on the disk to be tried")
     parser.add_argument("--alone", nargs=2, help=argparse.SUPPRESS)
     asked = parser.parse_args()
+    if asked.alone and asked.alone[0] == "write":
+        _write(Path(asked.alone[1]).parent, asked.megabytes, asked.samples, asked.repeats)
+        return
     if asked.alone:
         _alone(asked.alone[0], Path(asked.alone[1]))
         return
     with tempfile.TemporaryDirectory(dir=asked.folder) as name:
-        _write(Path(name), asked.megabytes, asked.repeats)
-        print("\n| of that run | clock, s | processor, s | peak, MB |\n|---|---|---|---|", flush=True)
-        for what in ("nothing", "read", "process"):
+        # A process of its own for the writing too: on Linux the peak of a process counts as one of those it starts.
+        for what in ("write", "nothing", "plain read", "read", "process"):
             command = [sys.executable, __file__, "--alone", what, str(Path(name) / "run.h5")]
-            subprocess.run(command, check=True)
+            sizes = ("megabytes", "samples", "repeats")
+            subprocess.run([*command, *(f"--{each}={getattr(asked, each)}" for each in sizes)], check=True)
+            if what == "write":
+                print("\n| of that run | clock, s | processor, s | peak, MB |\n|---|---|---|---|", flush=True)
 
 
-def _write(folder: Path, megabytes: float, repeats: int) -> None:
+def _write(folder: Path, megabytes: float, samples: int, repeats: int) -> None:
     import hpe_rig as hpe
     from hpe_rig.acquire import prepare
 
-    pulses = AT_ONCE * max(1, round(megabytes * 1e6 / (2 * SAMPLES * AT_ONCE)))
-    keys = {"tracking.pulse_count": pulses, "acquisition.record_samples": SAMPLES}
+    pulses = AT_ONCE * max(1, round(megabytes * 1e6 / (2 * samples * AT_ONCE)))
+    keys = {"tracking.pulse_count": pulses, "acquisition.record_samples": samples}
     setup = prepare(hpe.load_scene("table-1").with_(keys), refuse=False)
-    size_mb, taken, used = pulses * SAMPLES * 2 / 1e6, dict[str, list[float]](), dict[str, list[float]]()
-    for _ in range(repeats):
-        for way in ("writer", "plain", "plain with checksums"):
+    size_mb, taken, used = pulses * samples * 2 / 1e6, dict[str, list[float]](), dict[str, list[float]]()
+    for _ in range(max(1, repeats)):
+        for way in ("writer", "plain", "plain with checksums")[: 3 if repeats else 1]:
             path = folder / "run.h5"
             path.unlink(missing_ok=True)
             start_s, used_s = time.perf_counter(), time.process_time()
@@ -71,7 +78,8 @@ def _write(folder: Path, megabytes: float, repeats: int) -> None:
     least = {way: min(each) for way, each in taken.items()}
     print(f"| {size_mb:.0f} MB, best of {repeats} | MB/s | over plain h5py | processor, s |\n|---|---|---|---|")
     for way, best_s in least.items():
-        print(f"| {way} | {size_mb / best_s:.0f} | {least['plain'] / best_s:.2f} | {min(used[way]):.2f} |", flush=True)
+        over = f"{least['plain'] / best_s:.2f}" if repeats else ""
+        print(f"| {way} | {size_mb / best_s:.0f} | {over} | {min(used[way]):.2f} |", flush=True)
 
 
 def _blocks(setup: Setup) -> Iterator[RecordBlock]:
@@ -80,8 +88,9 @@ def _blocks(setup: Setup) -> Iterator[RecordBlock]:
     from drivers.interfaces import RecordBlock
 
     shot = setup.plan.shots[0]
-    turn = 2 * np.pi * setup.scene.scene.tracking.carrier_hz / shot.capture.sample_rate_hz * np.arange(SAMPLES)
-    noise = np.random.default_rng(0).normal(0, 20, (AT_ONCE + CODES, SAMPLES))
+    samples = np.arange(shot.capture.record_samples)
+    turn = 2 * np.pi * setup.scene.scene.tracking.carrier_hz / shot.capture.sample_rate_hz * samples
+    noise = np.random.default_rng(0).normal(0, 20, (AT_ONCE + CODES, samples.size))
     codes = (1000 * np.sin(turn) + noise).astype(np.int16)
     board = setup.bench.bench.digitizer.board_model
     limits = board.code_limits
@@ -140,6 +149,13 @@ def _alone(what: str, path: Path) -> None:
     start_s = time.perf_counter()
     if what == "process":
         process(path)
+    elif what == "plain read":
+        import h5py
+
+        with h5py.File(path) as file:
+            echo = file["records/echo"]
+            for first in range(0, echo.shape[1], echo.chunks[1]):
+                echo[0, first : first + echo.chunks[1]]
     elif what == "read":
         # with its checksums, as processing reads it
         for _ in read_run(path).records.chunks(0, AT_ONCE):

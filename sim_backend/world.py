@@ -197,9 +197,9 @@ class World:
         )
         return displacement_m
 
-    def true_motion_m(self, time_s: NDArray[np.float64], capture_index: int = -1) -> NDArray[np.float64]:
+    def true_motion_m(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the true displacement at the focus at ``time_s`` after the master trigger's edge: (time,)."""
-        captured = self._capture(capture_index)
+        captured = self._capture(-1)
         time_ps = captured.origin_ps + np.round(time_s * PS_PER_S).astype(np.int64)
         return self._acoustics().focus_displacement_m(
             captured.tonebursts, time_ps, captured.origin_ps, index=captured.arming.index

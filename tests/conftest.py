@@ -4,6 +4,7 @@ Many small matrices gain nothing from more threads. Where files or tests are nam
 pytest-xdist is missing, all runs in one process; ``pytest -n 0`` runs the whole suite so.
 """
 
+import gc
 import os
 import sys
 from pathlib import Path
@@ -24,6 +25,9 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
 settings.register_profile("seeded", derandomize=True)
 settings.load_profile("seeded")
 
+# What the tests leave behind is looked through for cycles seldom: objects to look through are many, cycles few.
+gc.set_threshold(50_000)
+
 MOST_WORKERS = 8
 """Each collects the tests for itself, so that more gain little."""
 
@@ -38,6 +42,17 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         option.numprocesses, option.dist = workers, "loadfile"
         # By number of tests the long files, of few tests, would come last, when nobody is left to share with.
         option.loadscopereorder = False
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with whole measurements, whose files are the longest: at the end workers wait for each other on short ones.
+
+    What is collected stays to the end, so no search for garbage need look through it.
+    """
+    items.sort(key=lambda item: "system" not in item.path.parts)
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

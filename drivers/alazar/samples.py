@@ -88,7 +88,9 @@ def codes(words: Words, model: BoardModel = ATS460_BOARD) -> NDArray[np.int16]:
     # Modulo 2^16, which two's complement undoes.
     code -= np.uint16(1 << (model.code_bits - 1))
     centred = code.view(np.int16)
-    return np.maximum(centred, model.code_limits[0], out=centred)
+    if model.code_limits[0] > -(1 << (model.code_bits - 1)):
+        np.maximum(centred, model.code_limits[0], out=centred)
+    return centred
 
 
 def any_at_full_scale(values: NDArray[np.int16], model: BoardModel = ATS460_BOARD) -> bool:

@@ -12,11 +12,13 @@ from types import TracebackType
 from typing import Self, final
 
 from hpe_rig.acquire.sequencer import Event, ShotBlock, ShotDone, ShotReady, ShotUntrusted
-from hpe_rig.bench import Bench, uninterrupted
+from hpe_rig.bench import INTERRUPTS, Bench, uninterrupted
 from hpe_rig.processing import true_harmonics_m
 from hpe_rig.result import Stages
 from hpe_rig.scene import Scene
 from hpe_rig.store import RunWriter, StoredRun
+
+NOTHING_LEFT = "nothing was measured, and no run file is left"
 
 
 @final
@@ -33,7 +35,12 @@ class Recording:
 
     def __enter__(self) -> Self:
         if not self._late:
-            self._begin()
+            try:
+                self._begin()
+            except INTERRUPTS as interrupt:
+                if not self._path.exists():
+                    interrupt.add_note(NOTHING_LEFT)
+                raise
         return self
 
     def __exit__(
@@ -93,7 +100,7 @@ class Recording:
         if self._programmed:
             return f"{self._path} holds no records: none had arrived"
         self._writer.remove()
-        return "nothing was measured, and no run file is left"
+        return NOTHING_LEFT
 
     def _begin(self) -> RunWriter:
         """Return the writer, made now where it was not before."""

@@ -12,7 +12,7 @@ from hpe_rig.acquire.sequencer import Observer, unobserved
 from hpe_rig.acquire.setup import Setup, prepare_text, source_text
 from hpe_rig.result import Stages
 from hpe_rig.scene import SceneSource
-from hpe_rig.store import Predecessor, StoredRun, StoreError, WriteOptions, free_path, is_taken
+from hpe_rig.store import Predecessor, StoredRun, StoreError, WriteOptions, free_path, is_taken, sha256_of_scan
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def _sound_shots(stored: StoredRun) -> int:
 
 
 def _refuse_other(earlier: Run, setup: Setup) -> None:
-    """Raise ``StoreError`` where scene or bench are not those of the run, comments and order apart."""
+    """Raise ``StoreError`` where scene, bench or scan are not those of the run, comments and order apart."""
     if earlier.scene != setup.scene.scene:
         raise StoreError(
             f"{earlier.path} was measured with another scene than {setup.scene.name} is now. "
@@ -82,4 +82,9 @@ def _refuse_other(earlier: Run, setup: Setup) -> None:
         raise StoreError(
             f"{earlier.path} was measured on bench {earlier.stored.bench_name}, which is not what bench "
             f"{setup.bench.name} says now. Try: --bench with the bench file of that run, or measure anew."
+        )
+    if earlier.stored.scan_sha256 not in ("", sha256_of_scan(setup.scene.scene)):
+        raise StoreError(
+            f"{earlier.path} was measured when beams.excitation_scan named another file than it is now, and one run "
+            "has one scan. Try: put that file back, or measure anew."
         )

@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,9 +39,19 @@ from hpe_rig.scene import (
     SettingsError,
     mistakes_of,
     parse_scene,
+    unreadable,
     with_default_specimen,
 )
-from hpe_rig.store import StoredRecords, StoredRun, StoreError, read_run, result_path, versions, write_result
+from hpe_rig.store import (
+    StoredRecords,
+    StoredRun,
+    StoreError,
+    read_run,
+    result_path,
+    sha256_of_scan,
+    versions,
+    write_result,
+)
 
 if TYPE_CHECKING:
     from hpe_rig.processing import EchoGate, Estimates
@@ -169,6 +179,9 @@ class Run:
         if self.scene.processing.follow_gate:
             what = "gates over depth stand still where processing.follow_gate moves"
             raise SettingsError("gate profile", [Mistake("processing.follow_gate", what, "a run without it")])
+        if self.scene.sphere is not None:
+            what = "gates over depth see the medium, which moves unlike the sphere"
+            raise SettingsError("gate profile", [Mistake("sphere", what, "a run of the medium without a sphere")])
         processing = self.scene.processing.model_copy(update=asked | {"gates": ()})
         scene = self.scene.model_copy(update={"processing": processing})
         parts = places_of(scene, self.plan)
@@ -213,7 +226,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     stored = read_run(Path(path))
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench
     scene = parse_scene(stored.scene_name, stored.scene_toml, stored=True).scene
-    scene = with_transducers(scene, bench)
+    scene = with_transducers(_with_scan_beside(scene, stored.path.parent), bench)
     if bench.simulated:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)
@@ -222,6 +235,18 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     if bench.recording is not None:
         plan = _at_imported_times(plan, stored)
     return Run(stored.path, scene, bench, plan, found, stored)
+
+
+def _with_scan_beside(scene: Scene, folder: Path) -> Scene:
+    """Return ``scene`` with the scan of its push taken from ``folder`` where its own path leads to none."""
+    beams = scene.beams
+    if beams is None or beams.excitation_scan is None or Path(beams.excitation_scan).is_file():
+        return scene
+    # a path of Windows may be read elsewhere, and takes either slash
+    beside = folder / PureWindowsPath(beams.excitation_scan).name
+    if not beside.is_file():
+        return scene
+    return scene.model_copy(update={"beams": beams.model_copy(update={"excitation_scan": str(beside)})})
 
 
 def _as_set(plan: Plan, stored: StoredRun) -> Plan:
@@ -356,6 +381,7 @@ def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
     """Yield what a reader of the result must know of the whole run."""
     yield from (str(finding) for finding in run.findings if finding.level != "passed")
     yield from run.stored.damage
+    yield from _scan_warnings(run)
     # The board cannot say which record it was; where some are skipped the gate's own codes decide.
     for shot in run.stored.clipped if run.scene.tracking.disturbed != "skip" else ():
         yield (
@@ -369,6 +395,26 @@ def _warnings(run: Run, estimates: Estimates) -> Iterator[str]:
         complete = run.stored.shot_complete
         yield f"the run is {run.stored.status}: {int(complete.sum())} of {complete.size} shots are complete"
     yield from incomplete_warnings(estimates)
+
+
+def _scan_warnings(run: Run) -> Iterator[str]:
+    """Yield what became of the file that `beams.excitation_scan` named when the run was measured."""
+    if not run.stored.scan_sha256:
+        return
+    try:
+        same = run.stored.scan_sha256 == sha256_of_scan(run.scene)
+    except OSError as error:
+        # Where nothing pushes nobody has asked for it before.
+        yield (
+            f"beams.excitation_scan: the file cannot be read ({unreadable(error)}), so nothing tells whether it is "
+            "still the one that was there when the run was measured; put it where it was, or beside the run file"
+        )
+        return
+    if not same:
+        yield (
+            "beams.excitation_scan: the file is no longer the one that was there when the run was measured; what is "
+            "corrected and fitted goes by what it holds now"
+        )
 
 
 def incomplete_warnings(estimates: Estimates) -> Iterator[str]:

@@ -172,8 +172,7 @@ def _wait_until(start_s: float, shot: Shot, bench: Bench, observer: Observer) ->
     for _ in range(math.floor(wait_s / LONGEST_SLEEP_S)):
         observer(Progress(Step.WAIT, shot))
         bench.clock.sleep(LONGEST_SLEEP_S)
-    if (rest_s := start_s - bench.clock.now_s()) > 0:
-        bench.clock.sleep(rest_s)
+    bench.clock.sleep(max(0.0, start_s - bench.clock.now_s()))
 
 
 def _collect(shot: Shot, bench: Bench, observer: Observer) -> Generator[ShotBlock, None, str]:

@@ -43,6 +43,7 @@ from .twin import (
     check_simulation as check_simulation,
     contradictions as contradictions,
     declares_twin as declares_twin,
+    scanned_push as scanned_push,
     simulation_schema as simulation_schema,
     twin_dose as twin_dose,
     twin_of as twin_of,

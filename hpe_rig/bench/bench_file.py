@@ -35,6 +35,7 @@ from hpe_rig.scene import (
     mistakes_of,
     parse_toml,
     read_remedy,
+    read_settings_text,
     unreadable,
     with_values,
 )
@@ -361,7 +362,7 @@ def read_bench(path: Path | None = None, any_title: bool = False) -> BenchText:
         shipped = resources.files("hpe_rig.bench") / "shipped" / "simulated.toml"
         return parse_bench("simulated", shipped.read_text(encoding="utf-8"))
     try:
-        found = parse_bench(path.stem, path.read_text(encoding="utf-8-sig"))
+        found = parse_bench(path.stem, read_settings_text(path))
     except (OSError, ValueError) as error:
         absent = isinstance(error, FileNotFoundError)
         what = "there is no file of that name" if absent else f"it cannot be read ({unreadable(error)})"

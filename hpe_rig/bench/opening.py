@@ -49,7 +49,7 @@ def open_bench(scene: Scene, bench: BenchFile, roles: Sequence[str], first_shot:
         stack.enter_context(locked(resources(bench)))
         try:
             with interruptible():
-                reached = _reach(twin_tables(scene) if bench.simulated else {}, bench, first_shot, stack)
+                reached = _reach(twin_tables(scene) if bench.simulated else {}, bench, first_shot, stack, lock=True)
                 drivers = _all_identified(reached, roles, bench, known, stack)
                 opened = Bench(bench.simulated, reached.clock, reached.world, **drivers)
                 opened.make_safe()
@@ -160,9 +160,7 @@ class Reach:
         return Agilent33250A(self.connect(role), role, generator.model, most_vpp)
 
 
-def _reach(
-    simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack, lock: bool = True
-) -> Reach:
+def _reach(simulation: Mapping[str, Any], bench: BenchFile, first_shot: int, stack: ExitStack, lock: bool) -> Reach:
     if not bench.simulated:
         from drivers.alazar import load_library
 

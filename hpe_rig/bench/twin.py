@@ -7,23 +7,32 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.scene import Mistake, Scene, mistakes_of, settings_schema
+from hpe_rig.scene import Mistake, Scene, SettingsError, mistakes_of, settings_schema
 
 if TYPE_CHECKING:
     from hpe_rig.bench.bench_file import BenchFile
     from sim_backend.motion import Dose
     from sim_backend.settings import SimulationSettings
-    from sim_backend.transducer import Push, WaterOutput
+    from sim_backend.transducer import Push, Scan, WaterOutput
 
-_OWN_BEAM_KEYS = {"pulse_length_m", "transducer_diameter_m", "attenuation_db_per_cm_mhz"}
+FloatArray = NDArray[np.float64]
+Intensity = Callable[[FloatArray, FloatArray], FloatArray]
+"""Over distances from the axis (lateral,) and from the focus (axial,), in any unit: (axial, lateral)."""
+
+_OWN_BEAM_KEYS = {"pulse_length_m", "transducer_diameter_m", "attenuation_db_per_cm_mhz", "excitation_scan"}
 """What [beams] says to the application alone."""
+MOST_AT_ENDS = 0.25
+"""Pressure on the axis, over the focus', that a scan of the push may end with: what is missing then moves a
+medium by half a percent, of a Gaussian beam."""
 REFERENCE_CYCLES = 3
 """Cycles of the tracking pulse that gives the twin's stated echo."""
 
@@ -275,7 +284,7 @@ def twin_of(scene: Scene) -> TwinDeclaration | None:
 
 
 def contradictions(scene: Scene) -> Iterator[tuple[str, str, str]]:
-    """Yield each key of [beams] and [medium] that the twin contradicts, the scene's value and the twin's.
+    """Yield each key of [beams], [medium] and [sphere] that the twin contradicts, the scene's value and the twin's.
 
     Nothing of what ``twin_of`` has no value for. Depths and sound speeds are compared where the gate is.
     """
@@ -290,12 +299,21 @@ def contradictions(scene: Scene) -> Iterator[tuple[str, str, str]]:
         pairs.append(("beams.focus_depth_m", scene.beams.focus_depth_m or beams.tracked_from_m, beams.tracked_from_m))
         declared_m = scene.beams.push_focus_depth_m or beams.focus_depth_m
         pairs.append(("beams.push_focus_depth_m", declared_m, beams.focus_depth_m))
+        if (scan := scene.beams.excitation_scan) is not None:
+            of_twin = beams.excitation_scan if beams.field == "measured" else None
+            pairs.append(("beams.excitation_scan", scan, of_twin or "none"))
         across_m = 0.0 if beams.field == "gaussian" else beams.transducer.diameter_m
         pairs.append(("beams.transducer_diameter_m", scene.beams.transducer_diameter_m or 0.0, across_m))
     if scene.medium is not None and specimen is not None:
         names = "shear_modulus_pa", "shear_viscosity_pa_s", "density_kg_per_m3"
         pairs.append(("medium", "voigt", specimen.medium))
         pairs += [(f"medium.{name}", getattr(scene.medium, name), getattr(specimen, name)) for name in names]
+    ball = None if specimen is None else specimen.sphere
+    if scene.sphere is not None or ball is not None:
+        declared_m = 0.0 if scene.sphere is None else scene.sphere.radius_m
+        pairs.append(("sphere.radius_m", declared_m, 0.0 if ball is None else ball.radius_m))
+    if scene.sphere is not None and ball is not None:
+        pairs.append(("sphere.density_kg_per_m3", scene.sphere.density_kg_per_m3, ball.density_kg_per_m3))
     for key, declared, simulated in pairs:
         if declared != simulated:
             yield key, _written(declared), _written(simulated)
@@ -377,9 +395,12 @@ def check_simulation(tables: Mapping[str, Any]) -> list[Mistake]:
 
 def check_declared(scene: Scene) -> list[Mistake]:
     """Return the mistakes of ``[simulation]`` together with what the scene declares of beams and sound speed."""
+    declared = scene.beams.excitation_scan if scene.beams is not None else None
+    found = [] if declared is None else _unfit(declared)
     if not declares_twin(scene):
-        return []
-    return check_simulation({"simulation": twin_tables(scene)}) or [*_unreadable_scans(scene), *_force_too_large(scene)]
+        return found
+    simulated = check_simulation({"simulation": twin_tables(scene)})
+    return found + (simulated or [*_unreadable_scans(scene), *_force_too_large(scene)])
 
 
 def _unreadable_scans(scene: Scene) -> list[Mistake]:
@@ -387,17 +408,69 @@ def _unreadable_scans(scene: Scene) -> list[Mistake]:
     beams = twin_settings(scene).beams
     if beams.field != "measured":
         return []
+    names = ("excitation_scan", "tracking_scan")
+    return [each for name in names for each in _unreadable(f"simulation.beams.{name}", getattr(beams, name))]
+
+
+def _unreadable(key: str, path: str) -> list[Mistake]:
     from sim_backend.transducer import read_scan
 
-    found = []
-    for name in ("excitation_scan", "tracking_scan"):
-        try:
-            read_scan(getattr(beams, name))
-        except (OSError, ValueError) as error:
-            found.append(
-                Mistake(f"simulation.beams.{name}", str(error), "a scan as docs/theory/transducer.md describes")
-            )
-    return found
+    try:
+        read_scan(path)
+    except (OSError, ValueError) as error:
+        lost = not Path(path).is_file()
+        remedy = "the file there, or beside the run file" if lost else "a scan as docs/theory/transducer.md describes"
+        return [Mistake(key, str(error), remedy)]
+    return []
+
+
+def _unfit(path: str) -> list[Mistake]:
+    """Return what keeps the scan in ``path`` from being the force of a push."""
+    from sim_backend.transducer import read_scan
+
+    if mistakes := _unreadable("beams.excitation_scan", path):
+        return mistakes
+    return [
+        Mistake(
+            "beams.excitation_scan",
+            f"the scan {path} ends at z_m = {end_m:g}, where the pressure on the axis is still {value:.0%} of the "
+            "focus': the push goes on, its force would not",
+            f"a scan to where the pressure falls below {MOST_AT_ENDS:.0%}",
+        )
+        for end_m, value in _at_ends(read_scan(path))
+        if value > MOST_AT_ENDS
+    ]
+
+
+@lru_cache(maxsize=8)
+def _at_ends(scan: Scan) -> tuple[tuple[float, float], ...]:
+    """Return where a scan begins and ends along the axis, and its pressure on the axis there over the focus'."""
+    from sim_backend.transducer import round_field
+
+    along_m = scan.place_m[:, 2]
+    ends_m = np.array([along_m.min(), along_m.max()])
+    # the size of a mean around the axis is the same whatever the wave number
+    size = np.abs(round_field(scan, 0.0, np.zeros(1), ends_m)[:, 0])
+    return tuple(zip(ends_m.tolist(), size.tolist(), strict=True))
+
+
+def scanned_push(path: str, frequency_hz: float, sound_speed_m_per_s: float) -> Intensity:
+    """Return the intensity of the beam that a hydrophone scanned; the same function as long as the file stays the same.
+
+    Raises ``SettingsError`` where the file cannot be read or the scan cuts the push.
+    """
+    if mistakes := _unfit(path):
+        raise SettingsError("the scene", mistakes)
+    from sim_backend.transducer import read_scan
+
+    return _intensity_of(read_scan(path), 2 * math.pi * frequency_hz / sound_speed_m_per_s)
+
+
+@lru_cache(maxsize=8)
+def _intensity_of(scan: Scan, wave_number_per_m: float) -> Intensity:
+    from sim_backend.transducer import round_field
+
+    return lambda lateral_m, axial_m: np.abs(round_field(scan, wave_number_per_m, lateral_m, axial_m)) ** 2
 
 
 def _force_too_large(scene: Scene) -> Iterator[Mistake]:

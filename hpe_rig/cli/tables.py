@@ -362,7 +362,7 @@ def _legend(result: Result) -> str:
     if not any(item.headline.corrected for shot in result.shots for item in shot.estimates):
         return "u: by the fit; SNR: amplitude over u; no [beams] says how much of the peak displacement is tracked"
     return (
-        "peak: corrected for the averaging over the beams, u combined from all sources\n"
+        "peak: corrected for what beams average and for what is told of aliasing, u combined from all sources\n"
         "tracked: as it is, u by the fit (noise, and aliasing where it knows it); SNR: tracked amplitude over that u"
     )
 

@@ -60,9 +60,14 @@ def push_of(scenes: Sequence[Scene], width_uncertainty: float = WIDTH_UNCERTAINT
         if excitation is None:
             what = "nothing pushes, so nothing tells of the medium"
             mistakes.append(Mistake("excitation", what, "a run with tonebursts"))
-        if beams is None:
+        if scene.sphere is not None:
+            what = "a rigid sphere moves, and moduli are fitted to the medium's own motion"
+            mistakes.append(Mistake("sphere", what, "a run of the medium without a sphere"))
+        elif beams is None:
             mistakes.append(Mistake("beams", "the widths of force and tracking beam are not known", "[beams]"))
-        elif beams.transducer_diameter_m is None and not np.isclose(*beams.excitation_width_m[:2]):
+        elif not (beams.transducer_diameter_m or beams.excitation_scan) and not np.isclose(
+            *beams.excitation_width_m[:2]
+        ):
             what = f"a force of {beams.excitation_width_m[0]:g} m by {beams.excitation_width_m[1]:g} m is not round"
             mistakes.append(Mistake("beams.excitation_width_m", what, "equal widths across"))
         if excitation is not None and beams is not None:

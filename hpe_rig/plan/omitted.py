@@ -23,13 +23,13 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
     if scene.excitation is None:
         out.append(Omission("generators burst_train and toneburst", "the scene has no [excitation]"))
     if scene.excitation is not None and (why := _without_prior(scene)):
-        out.append(
-            Omission(
-                "prior of media", f"{why}: only the pulses tell the tonebursts' other harmonics from the wanted ones"
-            )
-        )
+        untold = "only the pulses tell the tonebursts' other harmonics from the wanted ones"
+        if scene.without_prior is None:
+            untold += " in what is tracked; the peak is corrected for what the prior tells"
+        out.append(Omission("prior of media", f"{why}: {untold}"))
     if scene.beams is None:
-        out.append(Omission("predicted beam averaging", "the scene has no [beams]"))
+        why = "the scene has no [beams]" if scene.sphere is None else "the [sphere] moves as a whole"
+        out.append(Omission("predicted beam averaging", why))
     if bench.simulated:
         return [*out, *_omitted_of_twin(twin_of(scene))]
     if bench.recording is not None:

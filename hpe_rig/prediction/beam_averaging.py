@@ -6,15 +6,16 @@ the Gaussian of eq. (12), and what is tracked lags.
 
 from __future__ import annotations
 
+import cmath
 import functools
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.bench import twin_of
-from hpe_rig.prediction.error_model import Conditions, Moved, seeded_speckle, tracked_over_peak
-from hpe_rig.prediction.theory import beam_averaging_factor, gate_energy, scatterer_density
+from hpe_rig.bench import scanned_push, twin_of
+from hpe_rig.prediction.error_model import Conditions, Moved, SingleArray, seeded_speckle, tracked_over_peak
+from hpe_rig.prediction.theory import beam_averaging_factor, carrier_spread, gate_energy, scatterer_density
 from hpe_rig.processing import (
     BeamWidths,
     Ensemble,
@@ -22,12 +23,14 @@ from hpe_rig.processing import (
     Window,
     aperture_force,
     displacement,
+    fourth_moment,
     harmonic_range_hz,
     medium_ensemble,
+    scanned_force,
     seen_beside,
     spec_of,
 )
-from hpe_rig.result import Averaging
+from hpe_rig.result import NORMAL, Averaging
 from hpe_rig.scene import Scene
 
 FloatArray = NDArray[np.float64]
@@ -55,7 +58,7 @@ SCALES = (0.05, 1e3)
 def predicted_averaging(
     scene: Scene, estimator: str, together_m: tuple[float, ...] = ()
 ) -> tuple[Averaging | None, ...]:
-    """Return the averaging over the tracking beam at every wanted frequency; None without beams.
+    """Return the averaging over the tracking beam at every wanted frequency; None without beams and sphere.
 
     The motion's shape is the field of the declared medium. Where none is, it is that of the ensemble of media, with the
     spread of the ensemble as uncertainty; without tonebursts that of eq. (12). ``check``, report, design and the budget
@@ -63,24 +66,31 @@ def predicted_averaging(
     """
     frequency_hz, beams = np.array(scene.wanted_frequencies_hz), beam_widths(scene, estimator, together_m)
     resting = resting_conditions(scene)
+    if scene.sphere is not None:
+        # it moves as a whole: all of its motion is tracked
+        return (Averaging(1.0, 0.0, 0.0),) * frequency_hz.size
     if scene.beams is None or beams is None or resting is None:
         return (None,) * frequency_hz.size
     widths, window = (beams.force_width_m, beams.tracking_width_m), spec_of(estimator).gate_window
     lengths = resting.gate_length_m, resting.pulse_length_m
     gaussian = beam_averaging_factor(*widths, *lengths, gate_window=window, scatterers_per_m3=resting.scatterers_per_m3)
-    spread, carrier = speckle_spread(resting, estimator)
+    spread, carrier, tails = speckle_spread(resting, estimator)
     if scene.excitation is None:
-        alike = Averaging(gaussian, 0.0, spread, carrier_relative=carrier)
+        alike = Averaging(gaussian, 0.0, spread, carrier_relative=carrier, speckle_kurtosis=(tails, NORMAL))
         return tuple(_as_sensed(scene, alike) for _ in frequency_hz)
     many = gaussian_averaging(*widths, beams.axial_spread_m)
     # To first order in how far the motion changes over the beam, its loss is in proportion to the Gaussian's.
     loss_scale, area_spread = (1 - gaussian) / (1 - many), spread / -_gaussian_steepness(beams)
-    ratio, deviation, steepness = _seen_through(scene, beams, frequency_hz)
+    ratio, deviation, steepness, (steep_tails, ratio_tails) = _seen_through(scene, beams, frequency_hz)
     factor = 1 - loss_scale * (1 - np.abs(ratio))
     speckle, uncertain = area_spread * steepness, (factor * deviation.real, deviation.imag)
     columns = np.stack([factor, np.angle(ratio), speckle.real, *uncertain, speckle.imag], axis=-1).tolist()
-    rest = {"carrier_relative": carrier, "area_spread": area_spread, "loss_scale": loss_scale}
-    found = [_as_sensed(scene, replace(Averaging(*each), **rest)) for each in columns]
+    rest = {"carrier_relative": carrier, "area_spread": area_spread, "loss_scale": loss_scale, "area_kurtosis": tails}
+    kurtoses = zip((tails * steep_tails).tolist(), ratio_tails.tolist(), strict=True)
+    found = [
+        _as_sensed(scene, replace(Averaging(*each), **rest, speckle_kurtosis=tuple(own), lost_kurtosis=tuple(lost)))
+        for each, (own, lost) in zip(columns, kurtoses, strict=True)
+    ]
     return tuple(
         _scaled(each, share) for each, share in zip(found, _by_its_force(scene, beams, frequency_hz), strict=True)
     )
@@ -125,8 +135,8 @@ def region_spread(resting: Conditions, estimator: str) -> tuple[float, float, fl
     return area / mean, across, along
 
 
-def _along_axis(axis: int, unit_m: float, place: FloatArray) -> FloatArray:
-    return np.asarray(place[axis] / unit_m)
+def _along_axis(axis: int, unit_m: float, place: SingleArray) -> SingleArray:
+    return np.asarray(place[axis] / np.float32(unit_m))
 
 
 def resting_conditions(scene: Scene) -> Conditions | None:
@@ -156,42 +166,45 @@ def resting_conditions(scene: Scene) -> Conditions | None:
 
 
 @functools.lru_cache(maxsize=16)
-def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
+def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float, float]:
     """Return relative standard deviations over speckle of the tracked displacement, and of the carrier it is taken for.
 
-    Of a Gaussian motion as wide as ``resting`` says, over scatterers drawn at random; the second is 0 for an estimator
-    that does not divide by the carrier. Speckle's dark spots give both a heavy tail: they repeat to about
-    2 / sqrt(``SPECKLE_DRAWS``).
+    And the kurtosis of the first. Of a Gaussian motion as wide as ``resting`` says, over scatterers drawn at random:
+    speckle's dark spots give a heavy tail, and it repeats to about 2 / sqrt(``SPECKLE_DRAWS``). The second, in closed
+    form, is 0 for an estimator that does not divide by the carrier.
     """
-    speckle = seeded_speckle(resting, SPECKLE_DRAWS)
-    ratio = tracked_over_peak(resting, estimator, speckle)
-    if not spec_of(estimator).by_carrier:
-        return float(ratio.std() / ratio.mean()), 0.0
-    # Echo and motion are the same for an estimator that divides by the echo's own mean frequency.
-    by_echo = tracked_over_peak(resting, BY_ECHO, speckle)
-    return float(by_echo.std() / by_echo.mean()), float((ratio / by_echo).std())
+    spec = spec_of(estimator)
+    # An estimator that divides by the carrier sees the same echo and motion as one by the echo's own mean frequency.
+    name, speckle = BY_ECHO if spec.by_carrier else estimator, seeded_speckle(resting, SPECKLE_DRAWS)
+    ratio = tracked_over_peak(resting, name, speckle)
+    lengths = resting.tracking_width_m[2], resting.gate_length_m, resting.pulse_length_m
+    carrier = carrier_spread(*lengths, 1 / resting.metres_per_radian, spec.gate_window) if spec.by_carrier else 0.0
+    kurtosis = float(np.mean((ratio - ratio.mean()) ** 4) / ratio.var() ** 2)
+    return float(ratio.std() / ratio.mean()), carrier, kurtosis
 
 
 def _seen_through(
     scene: Scene, beams: BeamWidths, frequency_hz: FloatArray
-) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, tuple[FloatArray, FloatArray]]:
     """Return tracked over peak motion (frequency,), its uncertainty, and how steeply it falls with the beam's area.
 
-    Complex: relative amplitude and phase. Of the declared medium, else of the whole ensemble: the mean of the ratio's
-    logarithm, its standard deviation, and the root mean square of the steepness.
+    Complex: relative amplitude and phase. And ``fourth_moment`` of steepness and ratio, each (frequency, 2). Of the
+    declared medium, else of the whole ensemble: the mean of the ratio's logarithm, its standard deviation, and the
+    root mean square of the steepness.
     """
     known = medium_of(scene, frequency_hz, simulated=False)
+    one_medium = np.ones((frequency_hz.size, 2)), np.full((frequency_hz.size, 2), NORMAL)
     if known is not None and beams.lateral_m:
         place_m = np.array([beams.lateral_m])
         tracked, peak, change = (each[:, 0] for each in seen_beside(*known, frequency_hz, beams, place_m))
-        return tracked / peak, np.zeros_like(tracked), change / tracked
+        return tracked / peak, np.zeros_like(tracked), change / tracked, one_medium
     if known is not None:
         (tracked, peak), (wider, _) = (
             medium_motion(*known, frequency_hz, beams.force_width_m, width_m, beams.axial_spread_m)
             for width_m in (beams.tracking_width_m, _wider(beams.tracking_width_m))
         )
         steep = np.log(wider / tracked) / np.log1p(AREA_STEP)
-        return tracked / peak, np.zeros_like(tracked), np.abs(steep.real) + 1j * np.abs(steep.imag)
+        return tracked / peak, np.zeros_like(tracked), np.abs(steep.real) + 1j * np.abs(steep.imag), one_medium
     ensemble = _ensemble(scene, beams, frequency_hz)
     to_wanted = ensemble.interpolation(frequency_hz).T
     tracked, peak, change = (each @ to_wanted for each in (ensemble.tracked, ensemble.peak, ensemble.steepness))
@@ -201,7 +214,10 @@ def _seen_through(
         return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
     deviation = ratio.real.std(axis=0) + 1j * ratio.imag.std(axis=0)
-    return np.exp(ratio.mean(axis=0)), deviation, rms(steep.real) + 1j * rms(steep.imag)
+    pairs = (np.stack([each.real, each.imag], axis=-1) for each in (steep, ratio - ratio.mean(axis=0)))
+    alike = np.full(len(ratio), 1 / len(ratio))
+    of_steep, of_ratio = (fourth_moment(alike, pair) for pair in pairs)
+    return np.exp(ratio.mean(axis=0)), deviation, rms(steep.real) + 1j * rms(steep.imag), (of_steep, of_ratio)
 
 
 def _ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ensemble:
@@ -223,18 +239,20 @@ def beam_widths(scene: Scene, estimator: str, together_m: tuple[float, ...] = ()
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
     gate = scene.acquisition.gate_length_m, pulse_length_m(scene)
     depth_m = depth_spread(widths[1], *gate, spec_of(estimator).gate_window)
-    return BeamWidths(*widths, depth_m, lateral_m=abs(scene.tracking.lateral_offset_m), together_m=together_m)
+    lateral_m, force = abs(scene.tracking.lateral_offset_m), force_of(scene)
+    shape = None if lateral_m or len(force.centre_m) == 1 else force
+    return BeamWidths(*widths, depth_m, lateral_m=lateral_m, together_m=together_m, force=shape)
 
 
-def _by_its_force(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> list[float]:
+def _by_its_force(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> list[complex]:
     """Return tracked over peak motion under the force of the declared aperture over that under the Gaussian.
 
-    In the declared medium, else in a typical one: it is 1.005 at 100 Hz and less above, at the paper's aperture, and
-    hangs little on the medium.
+    In the declared medium, else in a typical one: at the paper's aperture it is 1.005 at 100 Hz and less above, 0.1
+    degrees later at all of them, and hangs little on the medium.
     """
     force = force_of(scene)
     if len(force.centre_m) == 1:
-        return [1.0] * frequency_hz.size
+        return [1.0 + 0j] * frequency_hz.size
     typical_pa = np.asarray(TYPICAL[0] + 2j * np.pi * frequency_hz * TYPICAL[1])
     modulus_pa, density = medium_of(scene, frequency_hz, simulated=False) or (typical_pa, 1000.0)
     medium = tuple(modulus_pa.tolist()), tuple(frequency_hz.tolist()), density
@@ -250,25 +268,38 @@ def _tracked_share(
     density: float,
     force: PushForce,
     beams: BeamWidths,
-) -> tuple[float, ...]:
-    """Return tracked over peak motion under a force, (frequency,)."""
+) -> tuple[complex, ...]:
+    """Return tracked over peak motion under a force, complex (frequency,)."""
     # here: it needs SciPy, and most scenes declare no aperture
     from hpe_rig.processing import shear_motion
 
     medium = np.array(modulus_pa), np.array(frequency_hz), density, force
     seen, place = (beams.tracking_width_m[0] ** 2 / 2, beams.axial_spread_m**2), np.array([beams.lateral_m])
     tracked, peak = (shear_motion(*medium, *area, place).value[:, 0] for area in (seen, (0.0, 0.0)))
-    return tuple(np.abs(tracked / peak).tolist())
+    return tuple((tracked / peak).tolist())
 
 
-def _scaled(averaging: Averaging, share: float) -> Averaging:
-    return replace(averaging, factor=averaging.factor * share, offset_factor=averaging.offset_factor * share)
+def _scaled(averaging: Averaging, share: complex) -> Averaging:
+    size, turn = abs(share), cmath.phase(share)
+    return replace(
+        averaging,
+        factor=averaging.factor * size,
+        phase_rad=averaging.phase_rad + turn,
+        offset_factor=averaging.offset_factor * size,
+        offset_phase_rad=averaging.offset_phase_rad + turn,
+    )
 
 
 def force_of(scene: Scene) -> PushForce:
-    """Return the shape of the push's force: that of the declared aperture, else a Gaussian; the scene has [beams]."""
+    """Return the shape of the push's force: as scanned, that of the declared aperture, else a Gaussian.
+
+    The scene has [beams]. Raises ``SettingsError`` where the scan cannot be read.
+    """
     beams, carrier = scene.beams, scene.excitation
     assert beams is not None  # noqa: S101 (as its callers know)
+    if beams.excitation_scan is not None and carrier is not None:
+        seen = scanned_push(beams.excitation_scan, carrier.carrier_hz, scene.acquisition.sound_speed_m_per_s)
+        return scanned_force(seen, carrier.carrier_hz, beams.attenuation_db_per_cm_mhz)
     # with two transducers the aperture is the one that tracks
     if beams.transducer_diameter_m is None or carrier is None or beams.push_focus_depth_m is not None:
         return PushForce(beams.excitation_width_m[:1], beams.excitation_width_m[2])

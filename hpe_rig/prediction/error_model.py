@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +20,12 @@ from numpy.typing import NDArray
 from hpe_rig.processing import EstimatorSpec, hann, spec_of
 
 FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+SingleArray = NDArray[np.float32]
+ComplexArray = NDArray[np.complexfloating[Any, Any]]
+"""Single precision takes half the time: what draws say is as good as their number, to a part in a hundred."""
 Triple = tuple[float, float, float]
 
-Moved = Callable[[FloatArray], FloatArray]
+Moved = Callable[[SingleArray], SingleArray]
 """Displacement (scatterer,) of scatterers at (3, scatterer), m from the focus, over one of its own."""
 
 INSTANTS = 64
@@ -31,14 +34,16 @@ BAND_OF_CARRIER = 1.0
 PADDING = 4
 FAR_FROM_NOISE = 5e3
 """Square of amplitude over noise, halved, from which on the mean of a Rice distribution is a series."""
+NEGLIGIBLE = 1e-6
+"""Of the largest singular value."""
 PHASE_LIMIT = np.pi / np.sqrt(3)
 MOST_SCATTERERS = 5000
 """Most that are drawn. With tens in every resolution cell the sums are as good as normal: the excess of their fourth
 moment goes as one over the scatterers in a cell."""
-BLOCK_DRAWS = 64
+BLOCK_DRAWS = 50
 """Draws summed at a time: what they need stays in the processor's cache, which halves their time."""
 MOST_KEPT = 1e6
-"""Scatterers up to which draws are kept for the next motion: 48 MB."""
+"""Scatterers up to which draws are kept for the next motion: 28 MB."""
 LATERAL = 3.5
 """Half width of the drawn box in sigmas of the tracking beam: scatterers beyond echo 2e-3 of the peak."""
 
@@ -132,8 +137,8 @@ def tracked_over_peak(conditions: Conditions, estimator: str, speckle: Speckle) 
     spec = spec_of(estimator)
     if not spec.reads_peak:
         return _whole_gate(conditions, speckle, spec.by_carrier)[0]
-    to_band = _to_band(conditions, PADDING * INSTANTS) * hann(INSTANTS)[:, None]
-    resting, moved = speckle.resting @ to_band, speckle.moved @ to_band
+    to_band = _to_band(conditions, PADDING * INSTANTS, hann(INSTANTS))
+    resting, moved = _times(speckle.resting, to_band), _times(speckle.moved, to_band)
     peak = np.argmax(np.abs(resting), axis=-1)[:, None]
     return np.asarray(_taken(moved / resting, peak).real)
 
@@ -147,11 +152,16 @@ class Scattering:
     depth_m: FloatArray
 
     def speckle(self, gate_length_m: float, pulse_length_m: float) -> Speckle:
-        """Return the envelopes in a gate around the focus that a Hann pulse makes of these scatterers."""
+        """Return the envelopes in a gate around the focus that a Hann pulse makes of these scatterers.
+
+        Draws without an echo in the gate, as sparse scatterers have, tell nothing and are left out.
+        """
         instant = ((np.arange(INSTANTS) + 0.5) / INSTANTS - 0.5) * gate_length_m
         distance = (instant - self.depth_m[:, None]) / pulse_length_m
         blur = np.where(np.abs(distance) < 0.5, np.cos(np.pi * distance) ** 2, 0.0)
-        return Speckle(self.echo @ blur, self.moved @ blur)
+        resting, moved = _times(self.echo, blur), _times(self.moved, blur)
+        seen = np.any(resting != 0, axis=-1)
+        return Speckle(resting[seen], moved[seen]) if seen.any() and not seen.all() else Speckle(resting, moved)
 
 
 def draw_speckle(
@@ -167,21 +177,23 @@ def draw_speckle(
 
 @functools.lru_cache(maxsize=4)
 def seeded_speckle(conditions: Conditions, draws: int, moved: Moved | None = None) -> Speckle:
-    """Return ``draw_speckle`` of one and the same seed: a prediction is a function of the scene alone.
+    """Return speckle as ``draw_speckle`` of seeds of its own: a prediction is a function of the scene alone.
 
-    Echoes alike have the same scatterers, whatever moves them: those are kept, unless they are too many.
+    Echoes alike have the same scatterers, whatever moves them, and of more draws the first are the same: those are
+    kept, unless they are too many.
     """
     echoes = replace(conditions, excitation_width_m=(0.0, 0.0, 0.0), pulses=1, frequency_hz=0.0, amplitude_m=0.0)
     echoes = replace(echoes, snr=np.inf, trigger_jitter_s=0.0, fit_gain=1.0)
     few = draws * _scatterers_expected(conditions, _cells(conditions)[0]) < MOST_KEPT
-    scatterers = (_seeded_scatterers if few else _seeded_scatterers.__wrapped__)(echoes, draws)
-    scattering = scatterers.displaced(conditions.excitation_width_m, moved)
+    block = _seeded_block if few else _seeded_block.__wrapped__
+    blocks = (block(echoes, number, size) for number, size in enumerate(_block_sizes(draws)))
+    scattering = _displaced(blocks, conditions, _cells(conditions)[0], moved)
     return scattering.speckle(conditions.gate_length_m, conditions.pulse_length_m)
 
 
-@functools.lru_cache(maxsize=2)
-def _seeded_scatterers(echoes: Conditions, draws: int) -> Scatterers:
-    return draw_scatterers(echoes, np.random.default_rng(0), draws, *_cells(echoes))
+@functools.lru_cache(maxsize=100)
+def _seeded_block(echoes: Conditions, number: int, draws: int) -> _Block:
+    return _draw_block(echoes, np.random.default_rng([0, number]), draws, *_cells(echoes))
 
 
 def _cells(conditions: Conditions) -> tuple[float, int]:
@@ -198,97 +210,96 @@ def draw_scattering(
     cells: int,
     moved: Moved | None = None,
 ) -> Scattering:
-    """Return ``draw_scatterers`` displaced as ``moved`` says, without it by the Gaussian of eq. (12)."""
-    drawn = draw_scatterers(conditions, generator, draws, deep_m, cells)
-    return drawn.displaced(conditions.excitation_width_m, moved)
+    """Return ``draws`` draws of the conditions's scatterers in ``cells`` cells within ``deep_m`` around the focus.
+
+    They are displaced as ``moved`` says, without it by the Gaussian of eq. (12). What they echo hangs on the tracking
+    beam and density alone: the same draws serve any gate and pulse that stay within. Of more scatterers a draw than
+    ``MOST_SCATTERERS`` so many are drawn: what draws say does not depend on how strong the echo is.
+    """
+    blocks = (_draw_block(conditions, generator, size, deep_m, cells) for size in _block_sizes(draws))
+    return _displaced(blocks, conditions, deep_m, moved)
 
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Scatterers of some draws: place (3, scatterer), m, real and imaginary echo, and cell, counted over the draws."""
+    """Scatterers of some draws: place (3, scatterer), m, real and imaginary echo, and cell, counted over the draws.
 
-    place_m: FloatArray
-    parts: tuple[FloatArray, FloatArray]
-    cell: NDArray[np.int64]
-    shape: tuple[int, int]
-
-    def summed(self, weight: FloatArray | float = 1.0) -> ComplexArray:
-        """Return the echoes times ``weight`` (scatterer,) summed into the cells, (draw, cell)."""
-        # real and imaginary parts one by one: sums are of real numbers, and complex exponentials cost thrice as much
-        real, imaginary = (np.bincount(self.cell, part * weight, math.prod(self.shape)) for part in self.parts)
-        return np.asarray((real + 1j * imaginary).reshape(self.shape))
-
-
-@dataclass(frozen=True, slots=True)
-class Scatterers:
-    """Draws of scatterers in blocks, with their echoes at rest (draw, cell) in cells at ``depth_m``."""
-
-    blocks: tuple[_Block, ...]
-    echo: ComplexArray
-    depth_m: FloatArray
-
-    def displaced(self, width_m: Triple, moved: Moved | None = None) -> Scattering:
-        """Return them displaced as ``moved`` says, without it by a Gaussian of the sigmas ``width_m``."""
-        moved = moved or functools.partial(_gaussian, width_m)
-        weighted = [block.summed(moved(block.place_m)) for block in self.blocks]
-        return Scattering(self.echo, np.concatenate(weighted), self.depth_m)
-
-
-def draw_scatterers(
-    conditions: Conditions, generator: np.random.Generator, draws: int, deep_m: float, cells: int
-) -> Scatterers:
-    """Return ``draws`` draws of the conditions's scatterers in ``cells`` cells within ``deep_m`` around the focus.
-
-    The tracking beam and density alone count: the same draws serve any gate and pulse that stay within. Of more
-    scatterers a draw than ``MOST_SCATTERERS`` so many are drawn: what draws say does not depend on how strong the echo
-    is.
+    ``echo``: summed into the cells, (draw, cell).
     """
+
+    place_m: SingleArray
+    parts: tuple[SingleArray, SingleArray]
+    cell: NDArray[np.int64]
+    echo: ComplexArray
+
+    def displaced(self, moved: Moved) -> ComplexArray:
+        """Return the echoes times the displacement summed into the cells, (draw, cell)."""
+        weight = moved(self.place_m)
+        return _summed(self.cell, (self.parts[0] * weight, self.parts[1] * weight), self.echo.shape)
+
+
+def _summed(cell: NDArray[np.int64], parts: Iterable[SingleArray], shape: tuple[int, ...]) -> ComplexArray:
+    # real and imaginary parts one by one: sums are of real numbers, and complex exponentials cost thrice as much
+    real, imaginary = (np.bincount(cell, part, math.prod(shape)) for part in parts)
+    return (real + 1j * imaginary).reshape(shape).astype(np.complex64)
+
+
+def _block_sizes(draws: int) -> list[int]:
+    return [min(BLOCK_DRAWS, draws - first) for first in range(0, draws, BLOCK_DRAWS)]
+
+
+def _displaced(blocks: Iterable[_Block], conditions: Conditions, deep_m: float, moved: Moved | None) -> Scattering:
+    """Return scatterers displaced as ``moved`` says, without it by the Gaussian of ``conditions``."""
+    moved = moved or functools.partial(_gaussian, conditions.excitation_width_m)
+    echo, weighted = zip(*((block.echo, block.displaced(moved)) for block in blocks), strict=True)
+    cells = echo[0].shape[1]
+    return Scattering(np.concatenate(echo), np.concatenate(weighted), ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m)
+
+
+def _draw_block(
+    conditions: Conditions, generator: np.random.Generator, draws: int, deep_m: float, cells: int
+) -> _Block:
     count = generator.poisson(_scatterers_expected(conditions, deep_m), draws)
-    end = np.cumsum(count)
-    place, phase = generator.random((3, end[-1])), generator.random(end[-1])
-    size_m, blocks = _box_m(conditions, deep_m)[:, None], []
-    for first in range(0, draws, BLOCK_DRAWS):
-        inside = slice(end[first] - count[first], end[first : first + BLOCK_DRAWS][-1])
-        own = count[first : first + BLOCK_DRAWS]
-        at_m, angle = (place[:, inside] - 0.5) * size_m, 2 * np.pi * phase[inside]
-        echo = _gaussian(conditions.tracking_width_m, at_m)
-        cell = np.minimum(((at_m[2] / deep_m + 0.5) * cells).astype(np.int64), cells - 1)
-        cell += cells * np.repeat(np.arange(own.size), own)
-        blocks.append(_Block(at_m, (echo * np.cos(angle), echo * np.sin(angle)), cell, (own.size, cells)))
-    depth_m = ((np.arange(cells) + 0.5) / cells - 0.5) * deep_m
-    return Scatterers(tuple(blocks), np.concatenate([block.summed() for block in blocks]), depth_m)
+    place, phase = (generator.random((rows, count.sum()), dtype=np.float32) for rows in (3, 1))
+    at_m, angle = (place - np.float32(0.5)) * _box_m(conditions, deep_m)[:, None], np.float32(2 * np.pi) * phase[0]
+    echo = _gaussian(conditions.tracking_width_m, at_m)
+    cell = np.minimum((place[2] * np.float32(cells)).astype(np.int64), cells - 1)
+    cell += cells * np.repeat(np.arange(draws), count)
+    parts = echo * np.cos(angle), echo * np.sin(angle)
+    return _Block(at_m, parts, cell, _summed(cell, parts, (draws, cells)))
 
 
-def _box_m(conditions: Conditions, deep_m: float) -> FloatArray:
+def _box_m(conditions: Conditions, deep_m: float) -> SingleArray:
     """Return the sides of the drawn box, m."""
-    return np.array([*(2 * LATERAL * width for width in conditions.tracking_width_m[:2]), deep_m])
+    return np.array([*(2 * LATERAL * width for width in conditions.tracking_width_m[:2]), deep_m], dtype=np.float32)
 
 
 def _scatterers_expected(conditions: Conditions, deep_m: float) -> float:
-    return min(float(conditions.scatterers_per_m3 * np.prod(_box_m(conditions, deep_m))), MOST_SCATTERERS)
+    return min(conditions.scatterers_per_m3 * float(np.prod(_box_m(conditions, deep_m))), MOST_SCATTERERS)
 
 
-def _gaussian(width_m: Triple, place_m: FloatArray) -> FloatArray:
+def _gaussian(width_m: Triple, place_m: SingleArray) -> SingleArray:
     """Return a Gaussian of the sigmas ``width_m`` at ``place_m`` (3, scatterer) from its middle."""
-    return np.asarray(np.exp((-0.5 / np.square(width_m)) @ np.square(place_m)))
+    return np.asarray(np.exp((-0.5 / np.square(width_m)).astype(np.float32) @ np.square(place_m)))
 
 
 def _whole_gate(conditions: Conditions, speckle: Speckle, by_carrier: bool) -> tuple[FloatArray, float]:
     """Return tracked over peak displacement (draw,) of the phase of the whole gate, and the energy's share in the band.
 
-    A moved echo a(t - 2u/c) exp(j w (t - 2u/c)) turns by its derivative against the echo at rest; that over the band's
-    mean frequency, or ``by_carrier`` over the carrier, is what is tracked.
+    A moved echo a(t - 2u/c) exp(j w (t - 2u/c)) turns by its derivative against the echo at rest; that over the mean
+    frequency in the gate, or ``by_carrier`` over the carrier, is what is tracked. Derivatives are those of echoes that
+    go on beyond the gate: what its ends cut is no step.
     """
-    seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
     carrier = 2 * np.pi * conditions.carrier_hz
-    slope = np.gradient(speckle.moved, seconds, axis=-1) + 1j * carrier * speckle.moved
-    to_band = _to_band(conditions, INSTANTS)
-    resting, turning = speckle.resting @ to_band, slope @ to_band
-    energy = np.abs(resting) ** 2
-    angular = carrier + 2 * np.pi * _band_hz(conditions, INSTANTS)
-    divisor = carrier * energy.sum(axis=-1) if by_carrier else energy @ angular
-    share = energy.sum() / (INSTANTS * np.sum(np.abs(speckle.resting) ** 2))
-    return np.asarray(np.sum(np.conj(resting) * turning, axis=-1).imag / divisor), float(share)
+
+    def turning(envelope: ComplexArray) -> FloatArray:
+        slope = np.gradient(envelope, _instant_s(conditions), axis=-1) + 1j * carrier * envelope
+        return np.asarray(np.sum(np.conj(speckle.resting) * slope, axis=-1).imag)
+
+    energy = np.sum(np.abs(speckle.resting) ** 2, axis=-1)
+    ratio = turning(speckle.moved) / (carrier * energy if by_carrier else turning(speckle.resting))
+    in_band = np.sum(np.abs(_times(speckle.resting, _to_band(conditions, INSTANTS))) ** 2)
+    return np.asarray(ratio), float(in_band / (INSTANTS * energy.sum()))
 
 
 def _walk(conditions: Conditions, pulse: float) -> float:
@@ -330,12 +341,13 @@ def _fitted_deviation(conditions: Conditions, pulse: float, walk: float) -> floa
 
 def _with_noise(conditions: Conditions, estimator: str, ratio: FloatArray, deviation: float) -> Expected:
     """Return what noise makes of amplitudes ``ratio`` (draw,): a Rice distribution about each."""
-    amplitude = np.abs(ratio) * conditions.amplitude_m
+    # in double precision: the spread is a small difference
+    amplitude = np.abs(ratio, dtype=np.float64) * conditions.amplitude_m
     mean = _rice_mean(amplitude, deviation)
     spread = np.maximum(amplitude**2 + 2 * deviation**2 - mean**2, 0.0)
     phase = np.minimum(deviation / np.maximum(amplitude, np.finfo(np.float64).tiny), PHASE_LIMIT)
     # the mean of 1/amplitude^2 hangs on the few darkest draws: leave a hundredth out
-    phase = np.minimum(phase, np.quantile(phase, 0.99))
+    phase = np.minimum(phase, np.sort(phase)[int(0.99 * (phase.size - 1))])
     return Expected(
         estimator,
         float(mean.mean() - conditions.amplitude_m),
@@ -374,17 +386,13 @@ def _peak_statistics(
     at f_1 alone, of phases against the clean echo, have no noise of their own: their Var q + 2 Cov(q_1, q_2) is what
     chance makes of the draws at hand, and is taken off.
     """
-    to_band = _to_band(conditions, PADDING * INSTANTS) * hann(INSTANTS)[:, None]
+    to_band = _to_band(conditions, PADDING * INSTANTS, hann(INSTANTS))
     power = np.mean(np.abs(speckle.resting) ** 2, axis=-1, keepdims=True)[:, None]
     # noise of the real signal's band, seen through the gate: its share in INSTANTS samples of the envelope
     scale = np.sqrt(power * INSTANTS / (conditions.gate_samples * conditions.snr))
-    shape = (len(speckle.resting), 3, INSTANTS)
-    noise = np.empty(shape, dtype=np.complex128)
-    noise.real, noise.imag = generator.standard_normal(shape), generator.standard_normal(shape)
-    clean, moved = speckle.resting @ to_band, speckle.moved @ to_band
-    noisy = (noise.reshape(-1, INSTANTS) @ to_band).reshape(*shape[:2], -1)
-    noisy *= scale
-    noisy += clean[:, None]
+    clean, moved = _times(speckle.resting, to_band), _times(speckle.moved, to_band)
+    shape = (len(clean), 3, clean.shape[1])
+    noisy = _noise_in_band(to_band, math.prod(shape[:2]), generator).reshape(shape) * scale + clean[:, None]
     level = noisy.real**2 + noisy.imag**2
     first, second = (np.argmax(level[:, k] * level[:, k + 1], axis=-1)[:, None] for k in (0, 1))
     steps = [_phase_step(noisy[:, k], noisy[:, k + 1], peak) for k, peak in ((0, first), (1, second))]
@@ -403,20 +411,40 @@ def _own_variance(first: FloatArray, second: FloatArray) -> float:
     return float(np.mean((first**2 + second**2) / 2 + 2 * first * second))
 
 
+def _noise_in_band(to_band: ComplexArray, count: int, generator: np.random.Generator) -> ComplexArray:
+    """Return ``count`` draws of white noise, each of its parts of variance 1, after ``to_band``.
+
+    Neighbouring bins are nearly alike: some sixteen numbers make them all.
+    """
+    _, size, direction = np.linalg.svd(to_band, full_matrices=False)
+    kept = size > NEGLIGIBLE * size[0]
+    parts = generator.standard_normal((count, np.count_nonzero(kept), 2), dtype=np.float32)
+    return np.asarray(parts.view(np.complex64)[..., 0] @ (size[kept, None] * direction[kept]), dtype=np.complex64)
+
+
+def _instant_s(conditions: Conditions) -> float:
+    return 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
+
+
 def _band_hz(conditions: Conditions, bins: int) -> FloatArray:
     """Return the frequencies (bin,) of the envelope's spectrum of ``bins`` that lie in the searched band."""
-    seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
-    every = np.fft.fftfreq(bins, seconds)
+    every = np.fft.fftfreq(bins, _instant_s(conditions))
     return np.asarray(every[np.abs(every) <= conditions.carrier_hz * BAND_OF_CARRIER / 2])
 
 
-def _to_band(conditions: Conditions, bins: int) -> ComplexArray:
+def _to_band(conditions: Conditions, bins: int, window: FloatArray | float = 1.0) -> ComplexArray:
     """Return the matrix (instant, bin) from envelopes to their spectrum of ``bins``, zeros appended, in the band.
 
-    The band is a sixth of the bins: the product costs a third of the Fourier transform of them all.
+    ``window`` (instant,) weights the envelopes. The band is a sixth of the bins: the product costs a third of the
+    Fourier transform of them all.
     """
-    seconds = 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s / INSTANTS
-    return np.asarray(np.exp(-2j * np.pi * seconds * np.outer(np.arange(INSTANTS), _band_hz(conditions, bins))))
+    turn = 2 * np.pi * _instant_s(conditions) * np.outer(_band_hz(conditions, bins), np.arange(INSTANTS))
+    return np.asarray((window * np.exp(-1j * turn)).T)
+
+
+def _times(drawn: ComplexArray, matrix: ComplexArray | FloatArray) -> ComplexArray:
+    """Return ``drawn`` times ``matrix``, as precise as what is drawn."""
+    return np.asarray(drawn @ matrix.astype(drawn.dtype))
 
 
 def _taken(values: ComplexArray, place: NDArray[np.int64]) -> ComplexArray:

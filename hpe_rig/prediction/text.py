@@ -222,7 +222,9 @@ def prediction_text(scene: Scene, shot: Shot, target_m: float | None = None, sim
     """Yield the lines that ``hpe-rig check`` prints: the table, the best estimator, what reaches ``target_m``."""
     prediction = forecast_of(scene, shot, simulated=simulated)
     if prediction is None:
-        yield "prediction: left out, it needs [beams], a frequency and processing.expected_snr_db"
+        whole = "of speckle in the beams, and a [sphere] moves as a whole"
+        needs = "it needs [beams], a frequency and processing.expected_snr_db"
+        yield f"prediction: left out, it is {whole}" if scene.sphere is not None else f"prediction: left out, {needs}"
         return
     conditions = prediction.conditions
     jitter = f"{conditions.trigger_jitter_s * 1e9:g} ns trigger jitter, " if conditions.trigger_jitter_s else ""

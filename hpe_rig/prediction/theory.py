@@ -5,6 +5,8 @@ Derivations and what supports them: docs/theory/prediction.md.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -84,6 +86,34 @@ def gate_energy(
     return depth, np.sum(echo**2, axis=0)
 
 
+def carrier_spread(
+    tracking_depth_m: float,
+    gate_length_m: float,
+    pulse_length_m: float,
+    wave_number_per_m: float,
+    gate_window: Window = "none",
+) -> float:
+    """Return the standard deviation of the echo's mean frequency in a gate about the carrier, relative to it.
+
+    Of fully developed speckle g, complex normal: the mean is k + g^H B g / g^H A g, A the energy of the gate's echoes
+    and B its derivative in depth, k = ``wave_number_per_m`` (4 pi f / c). Its variance is
+    int_0^inf t tr(B M B M) / det(1 + t A) dt with M = (1 + t A)^-1, by exp(-t g^H A g) under the mean.
+    """
+    depth = _midpoints(gate_length_m + pulse_length_m, INSTANTS)
+    echo, slope = (
+        _gate_echoes(depth, (1.0, 1.0, tracking_depth_m), gate_length_m, pulse_length_m, gate_window, envelope)
+        for envelope in (_pulse, _pulse_slope)
+    )
+    share, turn = np.linalg.eigh(echo.T @ echo)
+    derivative = np.square(turn.T @ (echo.T @ slope - slope.T @ echo) @ turn / 2) / share[-1] ** 2
+    # the logarithm of t, from where nothing is damped to where all is
+    step = 0.125
+    t = np.exp(np.arange(-12.0, 40.0, step))[:, None]
+    damped = 1 / (1 + t * share.clip(min=0) / share[-1])
+    each = np.prod(damped, axis=1) * np.einsum("ti,ij,tj->t", damped, derivative, damped)
+    return float(np.sqrt(np.sum(each * t[:, 0] ** 2) * step) / wave_number_per_m)
+
+
 def focal_distortion(
     intensity_w_per_m2: float,
     carrier_hz: float,
@@ -126,15 +156,26 @@ def _pulse(offset_m: FloatArray, pulse_length_m: float) -> FloatArray:
     return np.where(inside, np.cos(np.pi * offset_m / pulse_length_m) ** 2, 0.0)
 
 
+def _pulse_slope(offset_m: FloatArray, pulse_length_m: float) -> FloatArray:
+    """Return the derivative of ``_pulse``."""
+    inside = np.abs(offset_m) < pulse_length_m / 2
+    return np.where(inside, -np.pi / pulse_length_m * np.sin(2 * np.pi * offset_m / pulse_length_m), 0.0)
+
+
 def _axial_motion(depth: FloatArray, excitation_width_m: Triple) -> FloatArray:
     return np.asarray(np.exp(-(depth**2) / (2 * excitation_width_m[2] ** 2)))
 
 
 def _gate_echoes(
-    depth: FloatArray, tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, window: Window
+    depth: FloatArray,
+    tracking_width_m: Triple,
+    gate_length_m: float,
+    pulse_length_m: float,
+    window: Window,
+    pulse: Callable[[FloatArray, float], FloatArray] = _pulse,
 ) -> FloatArray:
     """Return the envelope (instant, depth) in the windowed gate of a scatterer on the axis at each depth."""
-    envelope = _pulse(_midpoints(gate_length_m, INSTANTS)[:, None] - depth, pulse_length_m)
+    envelope = pulse(_midpoints(gate_length_m, INSTANTS)[:, None] - depth, pulse_length_m)
     weight = hann(INSTANTS) if window == "hann" else np.ones(INSTANTS)
     return np.asarray(weight[:, None] * envelope * np.exp(-(depth**2) / (2 * tracking_width_m[2] ** 2)))
 

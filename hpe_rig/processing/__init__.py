@@ -6,6 +6,7 @@
     D(t) = sum_i A_i sin(2 pi f_i t + phi_i) + background(t)       eq. (1)  model.py
 
     coherent           u_k = -c arg<mean of others, r_k> / (4 pi f_mean)    motion.py
+                       of many trains compiled, where Numba is              motion_numba.py
     kasai, loupas      u_k = sum of -c arg<r_n, r_n+1> / (4 pi f)           motion.py
     cross_correlation  u_k = c/2 argmax_tau <mean of others(t - tau), r_k>  correlation.py
                        all harmonics at once, with a prior of media         prior.py, of ensemble.py

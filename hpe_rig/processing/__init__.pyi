@@ -24,6 +24,7 @@ from .ensemble import (
     BeamWidths as BeamWidths,
     Ensemble as Ensemble,
     KnownMedium as KnownMedium,
+    RigidSphere as RigidSphere,
     displacement as displacement,
     medium_ensemble as medium_ensemble,
     seen_beside as seen_beside,
@@ -63,13 +64,14 @@ from .prior import (
     Evidence as Evidence,
     MediumFit as MediumFit,
     MediumPrior as MediumPrior,
+    fourth_moment as fourth_moment,
     harmonic_range_hz as harmonic_range_hz,
     medium_fit as medium_fit,
     medium_kalman as medium_kalman,
     medium_prior as medium_prior,
     seen_by as seen_by,
 )
-from .push_force import PushForce as PushForce, aperture_force as aperture_force
+from .push_force import PushForce as PushForce, aperture_force as aperture_force, scanned_force as scanned_force
 from .shear_field import (
     QUICK_ERROR as QUICK_ERROR,
     ShearMotion as ShearMotion,

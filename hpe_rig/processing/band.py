@@ -13,6 +13,7 @@ columns, none where the record ends with the gate. Derivation: docs/theory/estim
 from __future__ import annotations
 
 import functools
+import importlib.util
 import itertools
 import mmap
 import tempfile
@@ -187,7 +188,7 @@ def band_spectrum(echoes: EchoGate, least_pulses: int) -> tuple[ComplexArray, Ba
             done += here.shape[-1]
             let_go(spectrum)
     spectrum = np.swapaxes(spectrum, -1, -2)
-    spectrum[~has_echo(spectrum, echoes)] = np.nan
+    spectrum[~has_echo(_whole_energy(spectrum), echoes)] = np.nan
     return spectrum, band
 
 
@@ -245,22 +246,6 @@ def _project(volts: Volts, columns: ComplexArray, spectrum: ComplexArray) -> Non
     by_pulse.real, by_pulse.imag = both[..., :count], both[..., count:]
 
 
-def gate_has_echo(echoes: EchoGate) -> BoolArray:
-    """Return which trains (...) have an echo in the gate alone; raise ``ValueError`` where none has."""
-    volts = echoes.gate_volts
-    # without a window: its side lobes let a constant into the band, which must not pass for an echo
-    with np.errstate(invalid="ignore"):
-        plain = spectrum_at(volts, echoes.sample_rate_hz, band_grid(echoes, volts.shape[-1]))
-    return has_echo(_valid(echoes, plain) / np.sqrt(volts.shape[-1]), echoes)
-
-
-def _valid(echoes: EchoGate, spectrum: ComplexArray) -> ComplexArray:
-    # a few bins of what is not valid cost less than a copy of all samples that are; they may hold anything
-    if echoes.valid.all():
-        return spectrum
-    return np.swapaxes(np.compress(echoes.valid, np.swapaxes(spectrum, -1, -2), axis=-1), -1, -2)
-
-
 def require_pulses(echoes: EchoGate, least: int) -> None:
     """Raise ``ValueError`` for fewer than ``least`` valid pulses."""
     found = int(echoes.valid.sum())
@@ -268,17 +253,22 @@ def require_pulses(echoes: EchoGate, least: int) -> None:
         raise ValueError(f"{found} valid pulses, {least} needed: records are missing; try more tracking pulses")
 
 
-def has_echo(spectrum: ComplexArray, echoes: EchoGate) -> BoolArray:
-    """Return which trains (...) hold more in the band (..., valid pulse, bin) than the rounding of their volts.
-
-    Raises ``ValueError`` where none does.
-    """
-    in_band = np.zeros(spectrum.shape[:-2])
+def _whole_energy(spectrum: ComplexArray) -> FloatArray:
+    """Return the energy (...) of spectra (..., pulse, bin), gone through bin by bin."""
+    total = np.zeros(spectrum.shape[:-2])
     for index in range(spectrum.shape[-1]):
         # real and imaginary parts in a row
         parts = np.ascontiguousarray(spectrum[..., index]).view(spectrum.real.dtype)
-        in_band += np.einsum("...i,...i->...", parts, parts)
+        total += np.einsum("...i,...i->...", parts, parts)
         let_go(spectrum)
+    return total
+
+
+def has_echo(in_band: FloatArray, echoes: EchoGate) -> BoolArray:
+    """Return which trains (...) hold more energy ``in_band`` (...) than the rounding of their volts has.
+
+    Raises ``ValueError`` where none does.
+    """
     total = echoes.energy[..., echoes.valid].sum(axis=-1)
     least = LEAST_IN_FLOAT32 if echoes.volts.dtype == np.float32 else LEAST_IN_BAND
     found = np.asarray(in_band > least * total)
@@ -325,27 +315,6 @@ def transforms(samples: int, count: int, bins: int) -> bool:
     return bool(samples * count > FFT_WORTH * bins * np.log2(bins))
 
 
-def spectrum_at(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray) -> ComplexArray:
-    """Return the Fourier transform (..., bin) of ``volts`` (..., sample) at the wanted, evenly spaced frequencies only.
-
-    In the precision of ``volts``: of float32, 1e-7 of the largest bin.
-    """
-    samples, count = volts.shape[-1], frequency_hz.size
-    spacing = sample_rate_hz / (frequency_hz[1] - frequency_hz[0])
-    bins, first = round(spacing), round(frequency_hz[0] * spacing / sample_rate_hz)
-    if transforms(samples, count, bins):
-        from scipy.fft import rfft
-
-        spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), dtype=np.complex128)
-        by_pulse = np.swapaxes(spectrum, -1, -2)
-        by_pulse[...] = rfft(volts, bins, axis=-1)[..., first : first + count]
-        return by_pulse
-    angle = 2 * np.pi * np.outer(np.arange(samples) / sample_rate_hz, frequency_hz)
-    spectrum = np.empty((*volts.shape[:-2], count, volts.shape[-2]), np.complex128)
-    _project(volts, np.cos(angle) - 1j * np.sin(angle), spectrum)
-    return np.swapaxes(spectrum, -1, -2)
-
-
 def turned(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray) -> ComplexArray:
     """Return spectra (..., pulse, bin) of evenly spaced bins with every pulse advanced by ``delay_s`` (..., pulse).
 
@@ -357,6 +326,15 @@ def turned(spectrum: ComplexArray, delay_s: FloatArray, frequency_hz: FloatArray
     step = np.exp(2j * np.pi * step_hz * delay_s)
     out = np.swapaxes(np.empty((*delay_s.shape[:-1], frequency_hz.size, delay_s.shape[-1]), factor.dtype), -1, -2)
     for index in range(frequency_hz.size):
-        np.multiply(spectrum[..., index], factor, out=out[..., index])
+        # one type at a time: a product of two costs a third more
+        here = out[..., index]
+        here[...] = spectrum[..., index]
+        here *= factor
         factor *= step
     return out
+
+
+@functools.cache
+def compiled() -> bool:
+    """Return whether Numba is installed; without it results differ by rounding."""
+    return importlib.util.find_spec("numba") is not None

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
 from hpe_rig.processing.harmonic import HarmonicFit
-from hpe_rig.result import PHASE_VARIANCE_LIMIT, RECTIFIED, Averaging, Component, Estimate
+from hpe_rig.result import NORMAL, PHASE_VARIANCE_LIMIT, RECTIFIED, Averaging, Component, Estimate, phase_kurtosis
 from hpe_rig.scene import Scene
 
 TINY_M = 1e-30
@@ -79,11 +79,14 @@ def estimates_of(
 def _estimate(
     fit: HarmonicFit, index: int, known: Known, averaging: Averaging | None, true_m: NDArray[np.float64] | None
 ) -> Estimate:
+    # What aliasing is on the mean is taken off the headline alone.
+    best = fit if averaging is None or fit.unaliased is None else fit.unaliased
+    tracked_m, best_m = float(fit.amplitude_m[index]), float(best.amplitude_m[index])
     is_known = true_m is not None and bool(np.isfinite(true_m[index]).all())
     in_phase_m, quadrature_m = true_m[index] if true_m is not None and is_known else (0.0, 0.0)
     return Estimate(
         frequency_hz=float(fit.frequency_hz[index]),
-        amplitude_m=float(fit.amplitude_m[index]),
+        amplitude_m=tracked_m,
         amplitude_uncertainty_m=math.sqrt(fit.covariance[index, 0, 0]),
         phase_rad=float(fit.phase_rad[index]),
         phase_uncertainty_rad=math.sqrt(fit.covariance[index, 1, 1]),
@@ -92,7 +95,9 @@ def _estimate(
         true_amplitude_m=math.hypot(in_phase_m, quadrature_m) if is_known else None,
         true_phase_rad=math.atan2(quadrature_m, in_phase_m) if is_known else None,
         averaging_phase_rad=None if averaging is None else averaging.phase_rad,
-        components=components(fit, index, known, averaging or TRACKED),
+        components=components(best, index, known, averaging or TRACKED),
+        aliasing_factor=tracked_m / best_m if tracked_m and best_m else 1.0,
+        aliasing_phase_rad=math.remainder(float(fit.phase_rad[index] - best.phase_rad[index]), 2 * math.pi),
     )
 
 
@@ -111,25 +116,30 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     shared = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * unit**2
     aliasing, lost = _with_shared(aliasing, lost**2, shared)
 
-    def fitted(source: str, variance: NDArray[np.float64]) -> Component:
+    def fitted(
+        source: str, variance: NDArray[np.float64], kurtosis: tuple[float, float] = (NORMAL, NORMAL)
+    ) -> Component:
         u_m, u_rad = np.sqrt(variance).tolist()
-        return Component(source, u_m / averaging.factor, u_rad)
+        return Component(source, u_m / averaging.factor, u_rad, *kurtosis)
 
-    def relative(source: str, amplitude: float, phase_rad: float = 0.0) -> Component:
-        return Component(source, amplitude * peak_m, phase_rad)
+    def relative(
+        source: str, amplitude: float, phase_rad: float = 0.0, kurtosis: tuple[float, float] = (NORMAL, NORMAL)
+    ) -> Component:
+        return Component(source, amplitude * peak_m, phase_rad, *kurtosis)
 
+    unknown = phase_kurtosis(float(random[1]))
     rounding = np.array(known.rounding_m[index] if known.rounding_m else (0.0, 0.0)) / (1.0, max(amplitude_m, TINY_M))
     off_carrier = averaging.carrier_relative or known.carrier_relative
     carrier = (relative("carrier", off_carrier),) if off_carrier else ()
     shape = (relative("beam shape", averaging.shape_relative),) if averaging.shape_relative else ()
     return (
-        fitted("noise", random * (1 - share)),
-        fitted("trigger jitter", random * share),
+        fitted("noise", random * (1 - share), (NORMAL, unknown)),
+        fitted("trigger jitter", random * share, (NORMAL, unknown)),
         Component(RECTIFIED, math.sqrt(fit.rectified_m2[index]) / averaging.factor, 0.0),
         fitted("quantisation", np.minimum(rounding**2, (np.inf, PHASE_VARIANCE_LIMIT))),
         fitted("aliasing", aliasing),
-        relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad),
-        fitted("beam averaging", lost),
+        relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad, averaging.speckle_kurtosis),
+        fitted("beam averaging", lost, averaging.lost_kurtosis),
         relative("gate edge", known.gate_edge),
         relative("sound speed", known.sound_speed_uncertainty),
         relative("gate off focus", averaging.offset_relative),

@@ -124,9 +124,16 @@ def unlike_pulses(echoes: EchoGate) -> BoolArray:
     must be sound.
     """
     level = np.log(np.maximum(echoes.energy[..., echoes.valid], np.finfo(np.float64).tiny))
-    middle = np.median(level, axis=-1, keepdims=True)
-    spread = np.median(np.abs(level - middle), axis=-1, keepdims=True) / 0.6745
+    middle = _median(level)
+    spread = _median(np.abs(level - middle)) / 0.6745
     foreign = np.abs(level - middle) > np.maximum(FOREIGN_LIMIT * spread, np.log(2))
     flagged = np.zeros(echoes.valid.shape, dtype=bool)
     flagged[echoes.valid] = foreign.any(axis=tuple(range(foreign.ndim - 1)))
     return flagged
+
+
+def _median(values: FloatArray) -> FloatArray:
+    """Return the median along the last axis, of length 1 then; np.median would load NumPy's masked arrays."""
+    lower, upper = (values.shape[-1] - 1) // 2, values.shape[-1] // 2
+    parted = np.partition(values, [lower, upper], axis=-1)
+    return np.asarray(parted[..., lower : upper + 1].mean(axis=-1, keepdims=True))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
 Volts = NDArray[np.floating[Any]]
 
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray
+from hpe_rig.processing.push_force import PushForce
 
 Triple = tuple[float, float, float]
 
@@ -34,6 +35,14 @@ DIRECTIONS = 12
 """Quadrature nodes over wave directions: the displacement is good to 3e-4 of itself, in the paper's beams."""
 NODES_PER_E_FOLD = 6.0
 """Frequencies a factor e at which media are evaluated: what lies between is interpolated to 1e-4 of the largest."""
+SPHERE_NODES_PER_E_FOLD = 12.0
+"""The same of a sphere, which resonates: to 2e-4 of a member's rms motion in the worst of them, 5e-7 in the median."""
+
+SHAPE_NODES, LOSS_NODES = 40, 5
+"""Wave numbers and loss angles at which a force that is no Gaussian is compared with one: to 5e-4 of the motion (rms),
+to 3e-3 in nearly elastic media."""
+LARGEST_WAVE = 12.0
+"""Wave number times the force's width from which on both move the focus alike, but for a factor."""
 
 AREA_STEP = 0.05
 """Relative step in the tracking beam's area over which a derivative is taken."""
@@ -55,7 +64,8 @@ class BeamWidths:
     ``axial_spread_m``: standard deviation of depth in the gate, weighted by echo energy. ``width_spread``: standard
     deviation of the logarithm of the force's widths, which no one has measured in the medium. ``lateral_m``: where the
     tracking beam lies beside the force. ``together_m``: all such places of a run, this one among them, whose ensembles
-    are computed at once, in the time of the farthest; empty for this one alone.
+    are computed at once, in the time of the farthest; empty for this one alone. ``force``: its shape, where it is not
+    that Gaussian; on its axis alone.
     """
 
     force_width_m: Triple
@@ -64,6 +74,7 @@ class BeamWidths:
     width_spread: float = 0.3
     lateral_m: float = 0.0
     together_m: tuple[float, ...] = ()
+    force: PushForce | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +85,24 @@ class KnownMedium:
     shear_viscosity_pa_s: float
     modulus_spread: float = 0.3
     viscosity_spread: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class RigidSphere:
+    """Rigid sphere in the medium, which the tonebursts push and whose front echoes: it moves as a whole."""
+
+    radius_m: float
+    density_kg_per_m3: float
+
+    def response(self, modulus_pa: ComplexArray, density_kg_per_m3: float, s_per_s: ComplexArray) -> ComplexArray:
+        """Return displacement over force, m/N, of moduli (..., frequency) of the medium at ``s_per_s`` (frequency,).
+
+        Oestreicher's impedance in an incompressible medium: docs/theory/medium.md, section 8.
+        """
+        wave = self.radius_m * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)
+        mass_kg = 4 / 3 * np.pi * self.radius_m**3 * self.density_kg_per_m3
+        drag = 6 * np.pi * self.radius_m * modulus_pa * (1 + wave + wave**2 / 9)
+        return np.asarray(1 / (drag + mass_kg * s_per_s**2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +136,7 @@ class Ensemble:
 
 
 def medium_ensemble(
-    beams: BeamWidths,
+    pushed: BeamWidths | RigidSphere,
     lowest_hz: float,
     highest_hz: float,
     known: KnownMedium | None = None,
@@ -116,14 +145,32 @@ def medium_ensemble(
 ) -> Ensemble:
     """Return the ensemble between two frequencies; of the ``known`` medium alone where there is one.
 
+    ``pushed``: the medium itself, in beams of these widths, or a sphere in it, of which all of the motion is tracked.
     The parameters fill their ranges evenly by a low-discrepancy sequence: no chance, hence no seed.
     """
     # What is remembered goes by place: however a caller words its arguments, an ensemble is made once.
-    if beams.lateral_m:
-        places_m = beams.together_m or (beams.lateral_m,)
-        alike = replace(beams, lateral_m=0.0, together_m=places_m)
-        return _beside(alike, lowest_hz, highest_hz, known, density_kg_per_m3)[places_m.index(beams.lateral_m)]
-    return _on_axis(replace(beams, together_m=()), lowest_hz, highest_hz, known, density_kg_per_m3, members)
+    if isinstance(pushed, RigidSphere):
+        return _of_sphere(pushed, lowest_hz, highest_hz, known, density_kg_per_m3, members)
+    if pushed.lateral_m:
+        places_m = pushed.together_m or (pushed.lateral_m,)
+        alike = replace(pushed, lateral_m=0.0, together_m=places_m)
+        return _beside(alike, lowest_hz, highest_hz, known, density_kg_per_m3)[places_m.index(pushed.lateral_m)]
+    return _on_axis(replace(pushed, together_m=()), lowest_hz, highest_hz, known, density_kg_per_m3, members)
+
+
+def _of_sphere(
+    sphere: RigidSphere,
+    lowest_hz: float,
+    highest_hz: float,
+    known: KnownMedium | None,
+    density_kg_per_m3: float,
+    members: int,
+) -> Ensemble:
+    node_hz = _nodes(lowest_hz, highest_hz, _node_count(lowest_hz, highest_hz, SPHERE_NODES_PER_E_FOLD))
+    s, spread = np.asarray(2j * np.pi * node_hz, np.complex128), _even_sequence(members, 5)
+    modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
+    moved = sphere.response(modulus_pa, density_kg_per_m3, s)
+    return Ensemble(node_hz, moved, moved, np.zeros_like(moved), _voigt(members, known))
 
 
 @functools.lru_cache(maxsize=32)
@@ -138,8 +185,7 @@ def _on_axis(
     """Return the ensemble where the tracking beam lies on the force's axis."""
     from scipy.special import ndtri
 
-    count = max(8, round(NODES_PER_E_FOLD * np.log(highest_hz / lowest_hz)))
-    node_hz = _nodes(lowest_hz, highest_hz, count)
+    node_hz = _nodes(lowest_hz, highest_hz, _node_count(lowest_hz, highest_hz, NODES_PER_E_FOLD))
     spread = _even_sequence(members, 5)
     s = np.asarray(2j * np.pi * node_hz, np.complex128)
     modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
@@ -149,16 +195,56 @@ def _on_axis(
     # Speckle weights by energy, a Gaussian of variance T^2/2 across: a force as much broader, of the same density.
     area, depth = beams.tracking_width_m[0] ** 2 / 2, axial + beams.axial_spread_m**2
     tracked, wider = (displacement(shear_k2, lateral + each, depth) for each in (area, (1 + AREA_STEP) * area))
+    # what the force moves over what a Gaussian of its widths moves; the share that is tracked stays the Gaussian's
+    per_force = 1 / modulus_pa if beams.force is None else _of_shape(beams, shear_k2, wide) / modulus_pa
     found = Ensemble(
         node_hz,
-        tracked / modulus_pa,
-        displacement(shear_k2, lateral, axial) / modulus_pa,
-        (wider - tracked) / np.log1p(AREA_STEP) / modulus_pa,
-        np.arange(members) % FAMILIES == 0 if known is None else np.ones(members, bool),
+        tracked * per_force,
+        displacement(shear_k2, lateral, axial) * per_force,
+        (wider - tracked) / np.log1p(AREA_STEP) * per_force,
+        _voigt(members, known),
     )
     for array in (found.node_hz, found.tracked, found.peak, found.steepness, found.voigt):
         array.flags.writeable = False
     return found
+
+
+def _of_shape(beams: BeamWidths, shear_k2: ComplexArray, wide: FloatArray) -> ComplexArray:
+    """Return the motion under ``beams.force`` over that under the Gaussian, (member, node).
+
+    Both times the modulus hang on the squared wave number alone: on its size, which counts in widths of the force, and
+    on its angle, the medium's loss. ``wide`` (member,) times as wide as declared, a force of the same shape meets waves
+    that are as much longer.
+    """
+    wave, angle = np.sqrt(np.abs(shear_k2)), np.clip(-np.angle(shear_k2), 0.0, np.pi / 2)
+    lowest, highest = float(wave.min()), min(float(wave.max()), LARGEST_WAVE / beams.force_width_m[0])
+    node, loss = _nodes(lowest, highest, SHAPE_NODES), np.pi / 4 * (1 - np.cos(np.linspace(0, np.pi, LOSS_NODES)))
+    moved = _shape(replace(beams, together_m=()), tuple(node.tolist()), tuple(loss.tolist()))
+    vander = np.polynomial.chebyshev.chebvander
+    by_wave = np.linalg.solve(vander(_position(node, lowest, highest), SHAPE_NODES - 1), moved)
+    both = np.linalg.solve(vander(4 * loss / np.pi - 1, LOSS_NODES - 1), by_wave.T).T
+    place = _position(np.clip(wave * wide[:, None], lowest, highest), lowest, highest)
+    across, along = vander(place, SHAPE_NODES - 1) @ both, vander(4 * angle / np.pi - 1, LOSS_NODES - 1)
+    return np.asarray(np.sum(across * along, axis=-1))
+
+
+@functools.lru_cache(maxsize=8)
+def _shape(beams: BeamWidths, wave_per_m: tuple[float, ...], loss_rad: tuple[float, ...]) -> ComplexArray:
+    """Return the same at wave numbers of these sizes and moduli of these angles, (wave, loss)."""
+    from hpe_rig.processing.shear_field import shear_motion
+
+    (x, _, z), tracked = beams.force_width_m, (beams.tracking_width_m[0] ** 2 / 2, beams.axial_spread_m**2)
+    wave, loss = np.meshgrid(wave_per_m, loss_rad, indexing="ij")
+    # any density and frequency that give these wave numbers
+    omega, density = 2 * np.pi, 1000.0
+    modulus_pa = np.asarray(density * (omega / wave) ** 2 * np.exp(1j * loss), np.complex128).ravel()
+    once_hz = np.ones(modulus_pa.size)
+    own, gaussian = (
+        shear_motion(modulus_pa, once_hz, density, force, *tracked, np.zeros(1), quick=True).value[:, 0]
+        for force in (beams.force, PushForce((x,), z))
+        if force is not None
+    )
+    return np.asarray((own / gaussian).reshape(wave.shape))
 
 
 @functools.lru_cache(maxsize=8)
@@ -181,8 +267,17 @@ def _beside(
         seen = seen_beside(modulus_pa[member], density_kg_per_m3, node_hz, own, places_m)
         found[:, :, member] = np.moveaxis(np.stack(seen), -1, 0)
     found.flags.writeable = False
-    voigt = np.arange(MEMBERS_BESIDE) % FAMILIES == 0 if known is None else np.ones(MEMBERS_BESIDE, bool)
+    voigt = _voigt(MEMBERS_BESIDE, known)
     return tuple(Ensemble(node_hz, there[0], there[1], there[2], voigt, alone) for there in found)
+
+
+def _voigt(members: int, known: KnownMedium | None) -> BoolArray:
+    """Return which members (member,) are Voigt media."""
+    return np.arange(members) % FAMILIES == 0 if known is None else np.ones(members, bool)
+
+
+def _node_count(lowest_hz: float, highest_hz: float, per_e_fold: float) -> int:
+    return max(8, round(float(per_e_fold * np.log(highest_hz / lowest_hz))))
 
 
 def _nodes_beside(lowest_hz: float, highest_hz: float) -> tuple[FloatArray, int]:

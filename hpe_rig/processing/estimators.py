@@ -92,10 +92,7 @@ def fit_displacement(
 
 
 def fit_velocity(motion: Motion, frequencies_hz: Frequencies, also_hz: Frequencies, options: Options) -> HarmonicFit:
-    """Return amplitude and phase by the paper's chain over velocities, which takes of ``options`` the background alone.
-
-    That is no noise of its uncertainty; the estimate is the same whatever it is.
-    """
+    """Return amplitude and phase by the paper's chain over velocities; of ``options`` it takes the background alone."""
     order = options.background_order
     return velocity_to_harmonics(
         velocity_between_pulses(motion), frequencies_hz, also_hz=also_hz, background_order=order
@@ -109,7 +106,8 @@ class EstimatorSpec:
     How it computes:
     ``motion``: echoes to displacement per pulse; None where there is none between echoes and result, then
     ``fit_echoes`` does it all. ``fit_motion``: displacement to amplitude and phase. ``band_phase``: phase and its mean
-    frequency from spectra in the band, where the estimator has that form: a faster way for many realisations.
+    frequency from spectra in the band, where the estimator has that form, and whether in a compiled loop: a faster way
+    for many realisations.
 
     What its noise is made of:
     ``gate_window`` and ``slow_time_window``: tapers over the samples of the gate and over the pulses. ``reads_peak``:
@@ -125,7 +123,7 @@ class EstimatorSpec:
     motion: Callable[[EchoGate], Motion] | None = None
     fit_echoes: FitEchoes | None = None
     fit_motion: FitMotion = fit_displacement
-    band_phase: Callable[[ComplexArray, Band], tuple[FloatArray, FloatArray, FloatArray]] | None = None
+    band_phase: Callable[[ComplexArray, Band, bool], tuple[FloatArray, FloatArray, FloatArray]] | None = None
     gate_window: Window = "none"
     slow_time_window: Window = "none"
     reads_peak: bool = False

@@ -44,7 +44,8 @@ class MediumPosterior:
     ``peak_covariance`` (..., frequency, 2, 2) of its relative amplitude and its phase. ``steepness`` (..., frequency,
     2): root mean square of the changes of tracked amplitude, relative, and phase with the logarithm of the beam's area.
     ``shared``, the same shape: covariance of the error of ``peak_over_tracked`` with that of aliasing, relative
-    amplitude and phase: both hang on which medium it is.
+    amplitude and phase: both hang on which medium it is. ``steepness_kurtosis`` and ``peak_kurtosis``, the same shape:
+    mean fourth power over mean square squared, of the steepness and of the deviations of ``peak_over_tracked``.
     """
 
     significance: FloatArray
@@ -52,6 +53,8 @@ class MediumPosterior:
     peak_covariance: FloatArray
     steepness: FloatArray
     shared: FloatArray
+    steepness_kurtosis: FloatArray
+    peak_kurtosis: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +69,7 @@ class HarmonicFit:
     ``condition``: of the model, 1 when every state is seen on its own; ``innovations`` where a filter was asked for
     them. Where there is a prior of media ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` that
     harmonics which the fit does not tell apart and shrinkage leave, and ``medium`` what is known of the medium
-    afterwards.
+    afterwards. ``unaliased``, where a fit without the prior is beside it: without the aliasing that the prior tells.
     """
 
     frequency_hz: FloatArray
@@ -83,6 +86,7 @@ class HarmonicFit:
     innovations: Innovations | None = None
     aliasing: FloatArray | None = None
     medium: MediumPosterior | None = None
+    unaliased: HarmonicFit | None = None
 
 
 def least_squares(
@@ -185,6 +189,14 @@ def fit_from_state(
         innovations,
         None if aliasing_m2 is None else np.asarray(unresolved * weights),
     )
+
+
+def moved_by(fit: HarmonicFit, missed_m: FloatArray) -> HarmonicFit:
+    """Return ``fit`` with ``missed_m`` (..., 2 * frequency) added to its states, their covariance the same."""
+    state = fit.state.copy()
+    state[..., : 2 * fit.frequency_hz.size] += missed_m
+    rest = np.square(fit.residual_rms_m), fit.pulses, fit.condition, fit.innovations
+    return fit_from_state(fit.frequency_hz, state, fit.state_covariance, *rest)
 
 
 def with_aliasing(

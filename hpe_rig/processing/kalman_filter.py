@@ -22,7 +22,7 @@ PRIOR = 1e10
 """Prior variance over measurement variance: nothing known."""
 BLOCK = 16
 """Pulses, or states if these are more, whose innovations are found from their joint covariance."""
-CHUNK = 1 << 16
+CHUNK = 1 << 13
 """Pulses that are in work at once."""
 FEW_STATES, MANY_PULSES = 8, 4096
 """States up to which, and pulses from which on, a factor a pulse, all of them at once, costs less than blocks."""
@@ -203,11 +203,11 @@ def _pulse_innovations(
     variance, forecast = np.ones(len(matrix)), np.zeros_like(values)
     for i in range(states):
         for j in range(i + 1):
-            element = _sum_before(columns[i] * columns[j], information[i, j])
+            element = _sum_before(columns[i], columns[j], information[i, j])
             for k in range(j):
                 element -= root[i, k] * root[j, k]
             root[i, j] = np.sqrt(element) if i == j else element / root[j, j]
-        own, seen = columns[i].copy(), _sum_before(columns[i][:, None] * values, moment[i])
+        own, seen = columns[i].copy(), _sum_before(columns[i][:, None], values, moment[i])
         for j in range(i):
             own -= root[i, j] * spread[j]
             seen -= root[i, j][:, None] * known[j]
@@ -220,12 +220,12 @@ def _pulse_innovations(
     return np.asarray((values - forecast) / np.sqrt(variance)[:, None])
 
 
-def _sum_before(terms: FloatArray, start: FloatArray | float) -> FloatArray:
-    """Return ``start`` and the sum of all ``terms`` (pulse, ...) before each; overwrites them."""
-    terms[1:] = np.cumsum(terms[:-1], axis=0)
-    terms[0] = 0.0
-    terms += start
-    return terms
+def _sum_before(one: FloatArray, other: FloatArray, start: FloatArray | float) -> FloatArray:
+    """Return ``start`` and the sum of all products of ``one`` and ``other`` (pulse, ...) before each pulse."""
+    total = np.empty(other.shape)
+    total[0] = start
+    np.multiply(one[:-1], other[:-1], out=total[1:])
+    return np.asarray(np.cumsum(total, axis=0, out=total))
 
 
 def _process_roots(motion: Motion, states: int, harmonic: int, order: int) -> tuple[FloatArray, FloatArray]:

@@ -55,7 +55,10 @@ def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray
     start = Fraction(float(time_s[0]))
     before = np.array([float(Fraction(float(f)) * start % 1) for f in frequency_hz])
     angle = 2 * np.pi * (np.outer(time_s - time_s[0], frequency_hz) + before)
-    return np.stack([np.sin(angle), np.cos(angle)], axis=-1).reshape(time_s.size, -1)
+    columns = np.empty((time_s.size, 2 * len(before)))
+    np.sin(angle, out=columns[:, ::2])
+    np.cos(angle, out=columns[:, 1::2])
+    return columns
 
 
 def background_columns(time_s: FloatArray, order: int) -> FloatArray:
@@ -140,13 +143,13 @@ def triangular_root(matrix: FloatArray, condition: float) -> FloatArray:
 
 
 def _condition(matrix: FloatArray) -> float:
-    length = np.sqrt(np.einsum("ij,ij->j", matrix, matrix)).clip(min=np.finfo(np.float64).tiny)
-    scaled = matrix / length
+    products = matrix.T @ matrix
+    length = np.sqrt(np.diagonal(products)).clip(min=np.finfo(np.float64).tiny)
     # products of columns have the condition's square: good up to 1e4, beyond it QR has the digits
-    smallest, *_, largest = np.linalg.eigvalsh(scaled.T @ scaled).tolist()
+    smallest, *_, largest = np.linalg.eigvalsh(products / np.outer(length, length)).tolist()
     if smallest > largest / SURE_CONDITION**2:
         return float(np.sqrt(largest / smallest))
-    values = np.linalg.svd(np.linalg.qr(scaled, mode="r"), compute_uv=False)
+    values = np.linalg.svd(np.linalg.qr(matrix / length, mode="r"), compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0 else np.inf
 
 
@@ -174,7 +177,7 @@ def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatA
     Half the pulse rate has only one. Frequencies above it are there when the pulses see them in another place than
     every lower one: those of a burst rate that is no divisor of the pulse rate.
     """
-    rate_hz = 1 / float(np.median(np.diff(time_s)))
+    rate_hz = pulse_rate_hz(time_s)
     apart_hz = 0.9 / float(time_s[-1] - time_s[0])
     seen_hz, new_hz = aliased_hz(frequency_hz, rate_hz), []
     for frequency, aliased in zip(np.sort(also_hz), aliased_hz(np.sort(also_hz), rate_hz), strict=True):
@@ -192,6 +195,14 @@ def _other_columns(time_s: FloatArray, frequency_hz: FloatArray, also_hz: FloatA
     return columns
 
 
+def pulse_rate_hz(time_s: FloatArray) -> float:
+    """Return the rate of pulses at ``time_s``, two at least: over the median interval, which gaps leave as it is."""
+    # np.median loads NumPy's masked arrays, for a sixtieth of the time of a check
+    interval_s = np.diff(time_s)
+    middle = interval_s.size // 2
+    return 1 / float(np.partition(interval_s, middle)[middle])
+
+
 def aliased_hz(frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
     """Return where pulses at ``rate_hz`` see a frequency, from 0 to half the rate."""
     return np.asarray(np.abs(frequency_hz - rate_hz * np.round(frequency_hz / rate_hz)))
@@ -206,7 +217,7 @@ def _require_frequencies(time_s: FloatArray, frequency_hz: FloatArray) -> None:
         raise ValueError(f"frequencies {frequency_hz.tolist()} Hz name one twice: give each once")
     if time_s.size < 2:
         raise ValueError(f"{time_s.size} pulse: no motion can be seen; try more tracking pulses")
-    rate_hz = 1 / float(np.median(np.diff(time_s)))
+    rate_hz = pulse_rate_hz(time_s)
     if frequency_hz.max() >= rate_hz / 2 * (1 - 1e-9):
         why = (
             "only one of its two quadratures can be seen" if np.isclose(frequency_hz.max(), rate_hz / 2) else "aliased"

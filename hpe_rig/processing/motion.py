@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+import sys
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,6 +17,7 @@ import numpy as np
 from hpe_rig.processing.band import (
     Band,
     band_spectrum,
+    compiled,
     energy_of,
     inner,
     let_go,
@@ -32,6 +34,8 @@ NOISE_DEVIATIONS = 3.1
 """Normal deviations that a train of noise exceeds once in a thousand."""
 LEAST_INDEPENDENT = 3.0
 
+LOOP_WORTH = 10_000
+"""Echoes of several trains from which on the compiled loop is taken, if Numba is loaded already."""
 ALIGNED_AT_ONCE = 1 << 14
 """Pulses that are aligned together: a longer train never lies aligned in memory as a whole."""
 
@@ -50,8 +54,22 @@ def coherent(echoes: EchoGate) -> Motion:
     return motion_of_phase(echoes, phase, variance, mean_hz[..., None])
 
 
-def coherent_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...)."""
+def coherent_phase(
+    spectrum: ComplexArray, band: Band, fast: bool | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return phase and its variance (..., pulse) against all other echoes, and the mean frequency (...).
+
+    ``fast``: in a compiled loop where there is one; by default for many trains, once Numba is loaded. Both differ by
+    rounding. Raises ``ValueError`` where no train has an echo.
+    """
+    trains, pulses = math.prod(spectrum.shape[:-2]), spectrum.shape[-2]
+    if fast is None:
+        fast = trains > 1 and trains * pulses >= LOOP_WORTH and "numba" in sys.modules
+    if fast and compiled() and pulses <= ALIGNED_AT_ONCE:
+        made = _compiled_phase(spectrum, band)
+        if np.isfinite(made[2]).any():
+            return made
+        # what is missing, the other way says
     steps = pulse_steps(spectrum, band)
     # the first pass aligns with single-echo noise, the second with the noise of the mean echo
     found = against_others(spectrum, band, steps, steps.delay_s, steps.energy)
@@ -62,6 +80,19 @@ def coherent_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, Floa
     found = against_others(spectrum, band, steps, delay_s)
     phase += np.angle(found.product)
     return phase, found.variance, found.mean_hz
+
+
+def _compiled_phase(spectrum: ComplexArray, band: Band) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what `coherent_phase` does, NaN where there is no echo."""
+    from hpe_rig.processing.motion_numba import coherent_phase as loop
+
+    pulses, bins = spectrum.shape[-2:]
+    every = np.ascontiguousarray(spectrum, dtype=np.complex128).reshape(-1, pulses, bins)
+    phase, variance, mean_hz = np.empty((len(every), pulses)), np.empty((len(every), pulses)), np.empty(len(every))
+    least = least_alike(pulses - 1, band.independent)
+    loop(every, band.root, band.noise, band.noise_energy, band.frequency_hz, least, phase, variance, mean_hz)
+    shape = spectrum.shape[:-1]
+    return phase.reshape(shape), variance.reshape(shape), mean_hz.reshape(shape[:-1])
 
 
 def kasai(echoes: EchoGate, *, divide_by: DivideBy = "carrier") -> Motion:
@@ -197,11 +228,7 @@ def alike(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArra
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         rho = cross / np.sqrt(energy[..., :-1] * energy[..., 1:])
-    # a gate of hardly more than one independent number cannot tell: there all is taken that is not clearly noise
-    many = max(independent, LEAST_INDEPENDENT)
-    mean = math.exp(math.lgamma(1.5) + math.lgamma(many) - math.lgamma(many + 0.5))
-    deviation = math.sqrt(max(1 / many - mean**2, 0.0) / rho.shape[-1])
-    found = np.asarray(rho.mean(axis=-1) > mean + NOISE_DEVIATIONS * deviation)
+    found = np.asarray(rho.mean(axis=-1) > least_alike(rho.shape[-1], independent))
     if not found.any():
         whose = "the echoes" if found.size == 1 else f"echoes of all {found.size} trains"
         raise ValueError(
@@ -209,6 +236,14 @@ def alike(cross: FloatArray, energy: FloatArray, independent: float) -> BoolArra
             "gate or carrier; check gate, tracking pulser and input range"
         )
     return found
+
+
+def least_alike(pairs: int, independent: float) -> float:
+    """Return the mean correlation of so many ``pairs`` of echoes that noise alone exceeds once in a thousand trains."""
+    # a gate of hardly more than one independent number cannot tell: there all is taken that is not clearly noise
+    many = max(independent, LEAST_INDEPENDENT)
+    mean = math.exp(math.lgamma(1.5) + math.lgamma(many) - math.lgamma(many + 0.5))
+    return mean + NOISE_DEVIATIONS * math.sqrt(max(1 / many - mean**2, 0.0) / pairs)
 
 
 def _neighbours(before: ComplexArray, after: ComplexArray) -> ComplexArray:

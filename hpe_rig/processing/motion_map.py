@@ -22,10 +22,9 @@ from typing import Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.processing.band import BAND
+from hpe_rig.processing.band import BAND, compiled
 from hpe_rig.processing.echoes import FloatArray
 from hpe_rig.processing.model import LinearModel, linear_model
-from hpe_rig.processing.spectral_peak import compiled
 from hpe_rig.result import BadPixel, MotionMap
 
 RESULTS: Final = (

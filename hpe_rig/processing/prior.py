@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
-from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, medium_ensemble
+from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, IntArray, Motion
+from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, RigidSphere, medium_ensemble
 from hpe_rig.processing.harmonic import HarmonicFit, MediumPosterior, fit_from_state, step_covariance, steps_freedom
 from hpe_rig.processing.kalman_filter import filter_constant, innovation_test
 from hpe_rig.processing.model import background_columns, harmonic_columns
@@ -49,10 +49,10 @@ UNEXPLAINED = 4.0
 UNSEEN = 1e-10
 """Singular value over the largest up to which pulses see nothing of a direction."""
 SAME_RAD = 1e-12
-"""Phase of the burst rate up to which pulses come at the same instant: a thousandth of a picosecond at 100 Hz."""
-SAME_PART = 1e-7
-"""Of a burst's period, a nanosecond at 100 Hz, up to which pulses count as of one instant: far beyond what times are
-rounded to in hours."""
+"""Phase of the burst rate up to which pulses are computed once: a thousandth of a picosecond at 100 Hz."""
+ALIKE_S = 1 / (40 * HIGHEST_HZ)
+"""How far apart in a burst's period pulses share what the model leaves untold, 0.6 us: a fortieth of the fastest
+harmonic's period, far beyond the jitter of triggers and what times are rounded to in hours."""
 SCAN = np.arange(0.0, 9.0, 0.1) * np.log(10)
 """Logarithms of the scales tried, over the one at which the strongest direction stands as high as a pulse's noise."""
 
@@ -94,18 +94,30 @@ class MediumPrior:
         The same as ``harmonic_columns``, by powers of one exponential a pulse, once for all pulses that come at the
         same instant of a burst's period.
         """
-        sin, cos = harmonic_columns(time_s, np.array([self.burst_rate_hz])).T
-        turn = cos + 1j * sin
-        _, first, again = np.unique(np.rint(np.angle(turn) / SAME_RAD), return_index=True, return_inverse=True)
-        turns = _powers(turn[first], len(self.spectrum))
+        first, again = self.distinct(time_s)
+        turns = _powers(self._turn(time_s[first]), len(self.spectrum))
         motion, wanted = turns @ self.spectrum, turns[:, list(places)]
         return np.hstack([motion.imag, motion.real])[again], _real_pairs(1j * np.conj(wanted))[again]
 
-    def instants(self, time_s: FloatArray) -> int:
-        """Return at how many instants of a burst's period the pulses come."""
-        part = np.sort(self.burst_rate_hz * time_s % 1.0)
-        # gaps, from the last to the first as well: any grid of steps would part pulses that its edges lie among
-        return max(1, int(np.count_nonzero(np.diff(part, append=part[0] + 1) > SAME_PART)))
+    def distinct(self, time_s: FloatArray) -> tuple[IntArray, IntArray]:
+        """Return pulses (instant,) of which each comes at another instant, and (pulse,) which of these each repeats."""
+        angle_rad = np.angle(self._turn(time_s))
+        _, first, again = np.unique(np.rint(angle_rad / SAME_RAD), return_index=True, return_inverse=True)
+        return first, again
+
+    def _turn(self, time_s: FloatArray) -> ComplexArray:
+        sin, cos = harmonic_columns(time_s, np.array([self.burst_rate_hz])).T
+        return np.asarray(cos + 1j * sin)
+
+    def instants(self, time_s: FloatArray) -> float:
+        """Return at how many instants of a burst's period, ``ALIKE_S`` and more apart, the pulses come.
+
+        Every pulse counts as its share of those that come when it does, jitter or none.
+        """
+        part, near = np.sort(self.burst_rate_hz * time_s % 1.0), self.burst_rate_hz * ALIKE_S
+        round_it = np.concatenate([part - 1, part, part + 1])
+        near_it = np.searchsorted(round_it, part + near, "right") - np.searchsorted(round_it, part - near, "left")
+        return float(np.sum(1 / near_it))
 
     def places(self, frequency_hz: FloatArray) -> tuple[int, ...]:
         """Return which harmonics ``frequency_hz`` are, from 0; raise ``ValueError`` where one is none."""
@@ -157,21 +169,25 @@ class MediumFit:
 class Seen:
     """What the valid pulses see of a prior, the background taken off: A F = left diag(value) right'.
 
-    ``left`` (pulse, seen) and ``value`` (seen,); ``rows`` (2 * wanted, seen), F right of the wanted states. ``members``
-    (member, seen), in ``left``, and ``wanted_members`` (member, 2 * wanted): every member's motion; ``free`` and
-    ``wanted_free`` the same of misfit and of the wanted harmonics' own freedom. For the filter ``factor`` (pulse,
-    rank), A F with its background, ``wanted`` (2 * wanted, rank), F of the wanted states, and ``background`` (pulse,
-    order + 1), orthonormal. ``alike``: how many pulses come at the same instant of a burst's period, on average.
+    ``left`` (pulse, seen), ``value`` (seen,) ``right`` (seen, rank): right'; ``rows`` (2 * wanted, seen), F right of
+    the wanted states. ``members`` (member, seen), in ``left``, and ``wanted_members`` (member, 2 * wanted): every
+    member's motion; ``free`` and ``wanted_free`` the same of misfit and of the wanted harmonics' own freedom. For the
+    filter ``factor`` (instant, rank), A F with its background, ``again`` (pulse,) which of its rows each pulse has,
+    ``wanted`` (2 * wanted, rank), F of the wanted states, and ``background`` (pulse, order + 1), orthonormal.
+    ``alike``: how many pulses come at the same instant of a burst's period, on average, times the share of what they
+    share there that no residual shows.
     """
 
     left: FloatArray
     value: FloatArray
+    right: FloatArray
     rows: FloatArray
     members: FloatArray
     wanted_members: FloatArray
     free: FloatArray
     wanted_free: FloatArray
     factor: FloatArray
+    again: IntArray
     wanted: FloatArray
     background: FloatArray
     alike: float
@@ -179,7 +195,7 @@ class Seen:
 
 @functools.lru_cache(maxsize=8)
 def medium_prior(
-    beams: BeamWidths,
+    pushed: BeamWidths | RigidSphere,
     burst_rate_hz: float,
     burst_length_s: float,
     known: KnownMedium | None = None,
@@ -192,7 +208,7 @@ def medium_prior(
     """
     lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
     harmonic = np.arange(1.0, round(highest_hz / burst_rate_hz) + 1)
-    ensemble = medium_ensemble(beams, lowest_hz, highest_hz, known, density_kg_per_m3)
+    ensemble = medium_ensemble(pushed, lowest_hz, highest_hz, known, density_kg_per_m3)
     duty = burst_rate_hz * burst_length_s
     # A sin(w t + phase) has A exp(j phase) = j times the amplitude of exp(jwt), which is twice the coefficient
     force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
@@ -235,12 +251,10 @@ def medium_fit(
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     seen = seen_by(prior, motion.time_s, motion.valid, frequency_hz, background_order)
-    data = motion.displacement_m[..., motion.valid]
-    data = data - (data @ seen.background) @ seen.background.T
+    data = _without_background(motion, seen)
     along = data @ seen.left
     evidence = _evidence(seen, data, along)
-    start = (WEIGHT * evidence.scale_m[..., None]) ** 2
-    gain = start * seen.value / (evidence.total_m2[..., None] + start * seen.value**2)
+    gain = _gain(seen, evidence)
     weights = seen.rows * gain[..., None, :]
     taken = gain * seen.value
     white = weights @ np.swapaxes(weights, -1, -2)
@@ -271,9 +285,44 @@ def fit_residual(
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     found = medium_fit(motion, frequency_hz, prior, background_order=background_order)
     seen = seen_by(prior, motion.time_s, motion.valid, frequency_hz, background_order)
-    data = motion.displacement_m[..., motion.valid]
-    data = data - (data @ seen.background) @ seen.background.T
+    data = _without_background(motion, seen)
     return np.asarray(data - (found.taken * (data @ seen.left)) @ seen.left.T)
+
+
+def likely_states(
+    motion: Motion, found: MediumFit, prior: MediumPrior, directions: FloatArray, background_order: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return any states (..., state) of the motion that ``found`` is the fit of, linear in the prior's directions.
+
+    ``directions`` (state, direction) takes the directions to the states. And the covariance (..., state, state) of
+    their error, of noise and of what media are likely, and by how much they miss each member's, of scale 1, (...,
+    member, state).
+    """
+    seen, evidence = (
+        seen_by(prior, motion.time_s, motion.valid, found.fit.frequency_hz, background_order),
+        found.evidence,
+    )
+    # what each wanted harmonic has for itself is no direction
+    rows = directions @ prior.root @ seen.right[:, : len(prior.root)].T
+    free = np.zeros((len(seen.free), len(directions)))
+    free[: prior.misfit.size] = prior.misfit[:, None] * directions.T
+    gain = _gain(seen, evidence)
+    weights = rows * gain[..., None, :]
+    noise = evidence.total_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
+    of_these = replace(seen, wanted_members=prior.members @ directions.T, wanted_free=free)
+    left, missed = _aliasing(of_these, weights, evidence)
+    return (gain * (_without_background(motion, seen) @ seen.left)) @ rows.T, noise + left, missed
+
+
+def _without_background(motion: Motion, seen: Seen) -> FloatArray:
+    data = motion.displacement_m[..., motion.valid]
+    return np.asarray(data - (data @ seen.background) @ seen.background.T)
+
+
+def _gain(seen: Seen, evidence: Evidence) -> FloatArray:
+    """Return the weights (..., seen) that take the data along ``seen.left`` to the prior's factor."""
+    start = (WEIGHT * evidence.scale_m[..., None]) ** 2
+    return np.asarray(start * seen.value / (evidence.total_m2[..., None] + start * seen.value**2))
 
 
 def medium_kalman(
@@ -294,7 +343,7 @@ def medium_kalman(
     states, innovations = [], []
     for each, s, sigma in zip(data.reshape(-1, data.shape[-1]), scale.tolist(), noise.tolist(), strict=True):
         start = WEIGHT * s / sigma
-        matrix = np.hstack([start * seen.factor, BROAD * seen.background])
+        matrix = np.hstack([start * seen.factor[seen.again], BROAD * seen.background])
         found = filter_constant(matrix, each / sigma, 1.0, innovations=True)
         states.append(WEIGHT * s * seen.wanted @ found.state[: seen.wanted.shape[1]])
         innovations.append(found.innovations * sigma)
@@ -324,7 +373,19 @@ def medium_posterior(prior: MediumPrior, evidence: Evidence, fit: HarmonicFit, m
         np.einsum("...m,...mfi,...mfj->...fij", likelihood, off, off),
         np.sqrt(np.einsum("...m,mfi->...fi", likelihood, steepness**2)),
         np.einsum("...m,...mfi,...mfi->...fi", likelihood * np.sqrt(evidence.square_m2), short, off),
+        fourth_moment(likelihood, steepness),
+        fourth_moment(likelihood, off),
     )
+
+
+def fourth_moment(share: FloatArray, values: FloatArray) -> FloatArray:
+    """Return mean fourth power over mean square squared of ``values`` (..., member, frequency, 2); 1 where they are 0.
+
+    ``share`` (..., member), of sum 1. About a mean of zero that is the kurtosis; an independent factor's multiplies it.
+    """
+    square = np.einsum("...m,...mfi->...fi", share, values**2)
+    fourth = np.einsum("...m,...mfi->...fi", share, values**4)
+    return np.asarray(np.where(square > 0, fourth / np.where(square > 0, square, 1.0) ** 2, 1.0))
 
 
 def _parts(values: ComplexArray) -> FloatArray:
@@ -347,35 +408,49 @@ def seen_by(
 @functools.lru_cache(maxsize=4)
 def _seen(prior: MediumPrior, time_s: bytes, valid: bytes, places: tuple[int, ...], order: int) -> Seen:
     times, used = np.frombuffer(time_s), np.frombuffer(valid, dtype=bool)
-    directions, columns = prior.columns(times, places)
-    directions, columns = directions[used], columns[used]
     background = np.linalg.qr(background_columns(times, order)[used])[0]
+    # Pulses that come again at an instant of the period see the same again, unless the background has moved on.
+    every = np.arange(np.count_nonzero(used))
+    first, again = (every, every) if order else prior.distinct(times[used])
+    count = np.bincount(again)[:, None]
+    directions, columns = prior.columns(times[used][first], places)
     basis = prior.states(places)
     # each wanted harmonic's own freedom, the same in both its states
     power = np.sum((basis @ prior.root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
     own = np.diag(FREEDOM * np.sqrt(np.repeat(power, 2)))
     own_seen = columns @ own
     factor, wanted = np.hstack([directions @ prior.root, own_seen]), np.hstack([basis @ prior.root, own])
-    moving = factor - background @ (background.T @ factor)
+    moving = factor - background[first] @ ((count * background[first]).T @ factor)
     # a triangle has the same singular values, and left vectors follow: much less work than those of all pulses
-    _, value, right = np.linalg.svd(np.linalg.qr(moving, mode="r"))
+    _, value, right = np.linalg.svd(np.linalg.qr(np.sqrt(count) * moving, mode="r"))
     kept = value > UNSEEN * value[0]
     value, right = value[kept], right[: kept.size][kept]
     left = moving @ (right.T / value)
-    seen = directions.T @ left
+    seen = directions.T @ (count * left)
     return Seen(
-        left,
+        left[again],
         value,
+        right,
         wanted @ right.T,
         prior.members @ seen,
         prior.members @ basis.T,
-        np.vstack([prior.misfit[:, None] * seen, own_seen.T @ left]),
+        np.vstack([prior.misfit[:, None] * seen, own_seen.T @ (count * left)]),
         np.vstack([prior.misfit[:, None] * basis.T, own]),
         factor,
+        again,
         wanted,
         background,
-        used.sum() / prior.instants(times[used]),
+        _unshown(int(used.sum()), prior.instants(times[used]), value.size),
     )
+
+
+def _unshown(pulses: int, instants: float, seen: int) -> float:
+    """Return how many times the variance of what all pulses of an instant share is missing from that of the residual.
+
+    Their mean errs by it in full, as by m = pulses / instants times as much in every pulse. Of that the residual has
+    what is left of the instants once the ``seen`` directions are fitted, spread over all its degrees of freedom.
+    """
+    return pulses / instants * (pulses - instants) / (pulses - min(seen, instants))
 
 
 def _evidence(seen: Seen, data: FloatArray, along: FloatArray) -> Evidence:

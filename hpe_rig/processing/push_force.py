@@ -10,7 +10,7 @@ aperture".
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+Intensity = Callable[[FloatArray, FloatArray], FloatArray]
+"""Over distances from the axis (lateral,) and from the focus (axial,), in any unit: (axial, lateral)."""
 
 NEPER_PER_DB = math.log(10) / 20
 TISSUE_DB_PER_CM_MHZ = 0.5
@@ -35,10 +37,14 @@ LOSS_UNCERTAINTY = 0.5, 0.1
 """Relative, of the attenuation, where it is not declared and where it is."""
 FADING = 0.5
 """Over the same, across which the force fades out there."""
+FARTHEST = REACH + REACH_UNCERTAINTY + FADING
+"""Over the same, to which the intensity is looked at."""
 SIGMAS_A_LENGTH = 7.1 / 2.3548
 """Sigma along the axis of a focused bowl's intensity, over wavelength times the f-number squared."""
 REGION, POINTS = 3.5, 100
 """Distance from the axis to which the intensity is matched, over the largest width, and how many places it takes."""
+LONGEST_M = 0.1
+"""Half of the longest focus that a scan may have."""
 RANK = 1e-6
 """Singular values over the largest below which shapes across, or along, are taken for the same."""
 
@@ -90,8 +96,6 @@ def aperture_force(
 
     The attenuation is that of soft tissue where it is None. Raises ``ValueError`` for a bowl wider than its sphere.
     """
-    from scipy.special import ndtr
-
     if diameter_m >= 2 * focal_length_m:
         raise ValueError(f"a bowl {diameter_m:g} m across cannot focus at {focal_length_m:g} m")
     declared = attenuation_db_per_cm_mhz is not None
@@ -99,32 +103,78 @@ def aperture_force(
     loss_np_per_m = 100 * NEPER_PER_DB * loss_db * frequency_hz * 1e-6
     wave_number = 2 * math.pi * frequency_hz / sound_speed_m_per_s - 1j * loss_np_per_m
     spot_m, f_number = sound_speed_m_per_s / frequency_hz * focal_length_m / diameter_m, focal_length_m / diameter_m
-    farthest = REACH + REACH_UNCERTAINTY + FADING
     # at most half of the way to the bowl
-    sigma_m = min(SIGMAS_A_LENGTH * spot_m * f_number, focal_length_m / 2 / farthest)
-    reach_m = farthest * sigma_m
+    sigma_m = min(SIGMAS_A_LENGTH * spot_m * f_number, focal_length_m / 2 / FARTHEST)
+
+    def intensity(lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
+        return np.abs(bowl_pressure(diameter_m, focal_length_m, wave_number, lateral_m, axial_m)) ** 2
+
+    return _force_of(intensity, spot_m, f_number, sigma_m, LOSS_UNCERTAINTY[declared] * loss_np_per_m)
+
+
+@lru_cache(maxsize=16)
+def scanned_force(
+    intensity: Intensity, frequency_hz: float, attenuation_db_per_cm_mhz: float | None = None
+) -> PushForce:
+    """Return the force of a beam whose round ``intensity`` was scanned, in any unit, over places off axis and focus.
+
+    The attenuation goes on from the focus both ways; where it is None the scan is taken for what it is in the
+    specimen, to half of soft tissue's. Raises ``ValueError`` where the intensity does not fall to a half around the
+    focus.
+    """
+    declared = attenuation_db_per_cm_mhz is not None
+    np_per_m = 100 * NEPER_PER_DB * frequency_hz * 1e-6
+    loss_np_per_m = np_per_m * (attenuation_db_per_cm_mhz or 0.0)
+    focus, away_m = np.zeros(1), np.concatenate([np.zeros(1), np.geomspace(1e-5, LONGEST_M, 2000)])
+    across_m = _half_way_m(away_m, intensity(away_m, focus)[0])
+    before_m, behind_m = (_half_way_m(away_m, intensity(focus, side * away_m)[:, 0]) for side in (-1, 1))
+    # of the even bowl whose beam is as wide and as long at half of the intensity: FWHM 1.03 lambda F / D across
+    spot_m, sigma_m = 2 * across_m / 1.03, (before_m + behind_m) / 2.3548
+    f_number = sigma_m / (SIGMAS_A_LENGTH * spot_m)
+
+    def attenuated(lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
+        return np.asarray(intensity(lateral_m, axial_m) * np.exp(-2 * loss_np_per_m * axial_m)[:, None])
+
+    unsure = LOSS_UNCERTAINTY[1] * loss_np_per_m if declared else LOSS_UNCERTAINTY[0] * TISSUE_DB_PER_CM_MHZ * np_per_m
+    return _force_of(attenuated, spot_m, f_number, sigma_m, unsure)
+
+
+def _half_way_m(away_m: FloatArray, value: FloatArray) -> float:
+    """Return where ``value`` has fallen to half of its first."""
+    below = np.flatnonzero(value < value[0] / 2)
+    if not below.size:
+        raise ValueError(f"the intensity does not fall to half of the focus' within {LONGEST_M * 1e3:g} mm of it")
+    return float(away_m[below[0]])
+
+
+def _force_of(
+    intensity: Intensity, spot_m: float, f_number: float, sigma_m: float, loss_uncertainty_np_per_m: float
+) -> PushForce:
+    """Return the force of a focused beam, ``spot_m`` (lambda F / D) wide and ``sigma_m`` long."""
+    from scipy.special import ndtr
+
+    reach_m = FARTHEST * sigma_m
     rim_m = max(reach_m / (2 * f_number), 3 * spot_m)
     across_m = np.geomspace(NARROWEST * spot_m, WIDEST * rim_m, WIDTHS)
     # closer to one another towards the axis, where the beam is narrow
     lateral_m = REGION * WIDEST * rim_m * ((np.arange(POINTS) + 0.5) / POINTS) ** 2
-    axial_m = np.linspace(-reach_m, reach_m, 2 * math.ceil(5 * farthest) + 1)
+    axial_m = np.linspace(-reach_m, reach_m, 2 * math.ceil(5 * FARTHEST) + 1)
     # nothing worth the time beyond the geometric beam and its edge
     lit_m = lateral_m[lateral_m < 1.3 * rim_m]
-    places_m = np.concatenate([np.zeros(1), lit_m])
-    seen = np.abs(bowl_pressure(diameter_m, focal_length_m, wave_number, places_m, axial_m)) ** 2
-    intensity = np.zeros((axial_m.size, lateral_m.size))
-    intensity[:, : lit_m.size] = seen[:, 1:] / seen[axial_m.size // 2, 0]
+    seen = intensity(np.concatenate([np.zeros(1), lit_m]), axial_m)
+    value = np.zeros((axial_m.size, lateral_m.size))
+    value[:, : lit_m.size] = seen[:, 1:] / seen[axial_m.size // 2, 0]
     step_m = STATION_STEP * sigma_m
     count = math.ceil(reach_m / step_m)
     centre_m = np.asarray(step_m * np.arange(-count, count + 1), np.float64)
-    share = _shares(intensity, lateral_m, axial_m, across_m, centre_m)
+    share = _shares(value, lateral_m, axial_m, across_m, centre_m)
 
     def ended(reach: float) -> FloatArray:
         return np.asarray(ndtr((reach - np.abs(centre_m) / sigma_m) / FADING)[:, None] * share)
 
     longer = (ended(REACH + REACH_UNCERTAINTY) - ended(REACH - REACH_UNCERTAINTY)) / 2
     # exp(-2 alpha z) over the focus' value, to first order in what alpha is off by
-    lossier = -2 * LOSS_UNCERTAINTY[declared] * loss_np_per_m * centre_m[:, None] * ended(REACH)
+    lossier = -2 * loss_uncertainty_np_per_m * centre_m[:, None] * ended(REACH)
     unsure = ("reach", _rows(longer)), ("loss", _rows(lossier))
     return PushForce(tuple(across_m.tolist()), step_m, tuple(centre_m.tolist()), _rows(ended(REACH)), unsure)
 

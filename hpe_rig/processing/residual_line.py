@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.processing.echoes import FloatArray, Motion
-from hpe_rig.processing.model import aliased_hz, linear_model
+from hpe_rig.processing.model import aliased_hz, linear_model, pulse_rate_hz
 from hpe_rig.processing.prior import MediumPrior, fit_residual
 
 LEAST_BINS = 12
@@ -42,7 +42,7 @@ def residual_line(
     zero. What folds onto a fitted frequency is no residual, and no spectrum shows it. Raises ``ValueError`` as the fit.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
-    rate_hz = 1 / float(np.median(np.diff(motion.time_s)))
+    rate_hz = pulse_rate_hz(motion.time_s)
     if prior is None:
         model = linear_model(
             motion.time_s, motion.valid, frequency_hz, background_order=background_order, also_hz=also_hz

@@ -22,7 +22,7 @@ from hpe_rig.processing.conditioning import (
     unlike_pulses,
 )
 from hpe_rig.processing.echoes import EchoGate, Motion, gate_edge_relative, margin_samples, relative_to
-from hpe_rig.processing.ensemble import BeamWidths, KnownMedium
+from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, RigidSphere
 from hpe_rig.processing.estimators import EstimatorSpec, Harmonic, Options, estimate, fit_motion, spec_of
 from hpe_rig.processing.gate_tracking import added, follow
 from hpe_rig.processing.harmonic import HarmonicFit
@@ -161,12 +161,14 @@ def shot_prior(scene: Scene, shot: Shot, estimator: str, beams: BeamWidths | Non
 def shot_media(scene: Scene, shot: Shot, beams: BeamWidths | None) -> MediumPrior | None:
     """Return what media make of the shot's tonebursts, whatever the fit takes of it; None where there is no prior."""
     length_s, excitation, medium = shot.timeline.burst_length_s, scene.excitation, scene.medium
-    if beams is None or excitation is None or not length_s or scene.without_prior is not None:
+    sphere = None if scene.sphere is None else RigidSphere(scene.sphere.radius_m, scene.sphere.density_kg_per_m3)
+    pushed = sphere or beams
+    if pushed is None or excitation is None or not length_s or scene.without_prior is not None:
         return None
     if medium is None:
-        return medium_prior(beams, excitation.burst_rate_hz, length_s)
+        return medium_prior(pushed, excitation.burst_rate_hz, length_s)
     known = KnownMedium(medium.shear_modulus_pa, medium.shear_viscosity_pa_s)
-    return medium_prior(beams, excitation.burst_rate_hz, length_s, known, medium.density_kg_per_m3)
+    return medium_prior(pushed, excitation.burst_rate_hz, length_s, known, medium.density_kg_per_m3)
 
 
 def _estimate_shot(
@@ -406,14 +408,21 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
     return replace(
         predicted,
         factor=factor,
-        phase_rad=float(np.angle(ratio)),
+        phase_rad=float(np.angle(ratio)) + predicted.offset_phase_rad,
         speckle_relative=speckle,
         speckle_phase_rad=turned,
         factor_uncertainty=factor * relative,
         phase_uncertainty_rad=phase_rad,
         shared_relative=float(fit.medium.shared[index, 0]),
         shared_phase_rad2=float(fit.medium.shared[index, 1]),
+        speckle_kurtosis=_pair(predicted.area_kurtosis * fit.medium.steepness_kurtosis[index]),
+        lost_kurtosis=_pair(fit.medium.peak_kurtosis[index]),
     )
+
+
+def _pair(values: NDArray[np.float64]) -> tuple[float, float]:
+    amplitude, phase = values.tolist()
+    return amplitude, phase
 
 
 def _steady(scene: Scene, shot: Shot, echoes: EchoGate, motion: Motion | None) -> Motion | None:

@@ -1,29 +1,31 @@
 """Cross-spectrum of consecutive echoes, read at its peak: paper eqs. (5) and (6).
 
-    samples of the gate --columns--> spectrum on a padded grid --peak_steps--> phase and frequency of every peak
+    samples of the gate --numbers--> sixty numbers --columns--> spectrum on a padded grid --peak_steps--> its phase
 
-The windowed spectra of a gate of 130 samples on 184 bins are spanned by fifty-odd numbers, so a train takes the way
-over these (``orthonormal_rows``): half the products. A few pulses at a time, so that nothing of the padded grid leaves
-the cache; in one compiled loop where Numba is installed and the echoes are many.
+The windowed spectra of a gate of 130 samples on 184 bins are spanned by some sixty numbers, so a train takes the way
+over these (``orthonormal_rows``). With phases about the gate's middle half of them make the real parts alone, the
+samples' even half, and the others the imaginary parts: a quarter of the products. A few pulses at a time, so that
+nothing of the padded grid leaves the cache; in one compiled loop where Numba is installed and the echoes are many.
 """
 
 from __future__ import annotations
 
 import functools
-import importlib.util
+import itertools
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.processing.band import band_grid, gate_has_echo, require_pulses, spectrum_at, transforms
+from hpe_rig.processing.band import band_grid, compiled, has_echo, require_pulses, transforms
 from hpe_rig.processing.conditioning import hann
-from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion
+from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, Volts
 from hpe_rig.processing.motion import DivideBy, alike, motion_of_steps, noise_of_steps
 
-AT_ONCE = 128
+AT_ONCE = 256
 """Pulses whose padded spectra are there together."""
 COMPILED_WORTH = 20_000
 """Echoes from which on the compiled loop saves more than it takes to load."""
@@ -63,9 +65,7 @@ def cross_spectrum(
     bins = samples if padding == 1 else 1 << (padding * samples - 1).bit_length()
     frequency_hz = band_grid(echoes, bins)
     window = hann(samples) if gate_window == "hann" else np.ones(samples)
-    found = gate_has_echo(echoes)
     steps = _steps(echoes, frequency_hz, window, bins)
-    steps.product[~found] = np.nan
     peak_hz = frequency_hz[steps.peak]
     divisor_hz = peak_hz if divide_by == "centre" else np.full_like(peak_hz, echoes.carrier_hz)
     # the padded bins hold no more than the unpadded ones, and the Hann window leaves two thirds of those
@@ -78,30 +78,28 @@ def cross_spectrum(
 
 
 def _steps(echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray, bins: int) -> Steps:
-    """Return the steps of every train's valid pulses."""
+    """Return the steps of every train's valid pulses, NaN where a train has no echo; `ValueError` where none has."""
     volts, valid = echoes.gate_volts, echoes.valid
-    trains, pulses, samples = volts.shape[:-2], int(valid.sum()), volts.shape[-1]
-    by_fft = transforms(samples, frequency_hz.size, bins)
-    ways = () if by_fft else _ways(samples, echoes.sample_rate_hz, tuple(frequency_hz.tolist()), tuple(window.tolist()))
-    every = _empty((*trains, pulses))
+    shape = (*volts.shape[:-2], int(valid.sum()))
+    trains = volts.reshape(-1, *volts.shape[-2:])
+    transform = _transform(echoes, frequency_hz, window, bins)
+    every, in_band = _empty((len(trains), shape[-1])), np.zeros(len(trains))
     fast = compiled() and (volts[..., 0].size > COMPILED_WORTH or "numba" in sys.modules)
-    for train in np.ndindex(trains):
-        echo = volts[train] if valid.all() else volts[train][valid]
-        for first in range(0, pulses - 1, AT_ONCE):
-            some = echo[first : first + AT_ONCE + 1]
-            if by_fft:
-                spectrum = spectrum_at(some * window.astype(volts.dtype), echoes.sample_rate_hz, frequency_hz)
-                parts = np.hstack([spectrum.real, spectrum.imag])
-            else:
-                parts = np.asarray(some, np.float64)
-                for way in ways:
-                    parts = parts @ way
-            made = peak_steps(parts, fast)
-            until = slice(first, first + len(parts) - 1)
-            every.step[train][until], every.peak[train][until] = made.step, made.peak
-            every.product[train][until] = made.product
-            every.energy[train][first : first + len(parts)] = made.energy
-    return every
+    together = max(1, AT_ONCE // shape[-1])
+    for train, first in itertools.product(range(0, len(trains), together), range(0, shape[-1] - 1, AT_ONCE)):
+        some = slice(train, train + together)
+        echo = trains[some] if valid.all() else trains[some][:, valid]
+        parts, energy = transform(echo[:, first : first + AT_ONCE + 1])
+        # the last pulse of a block is the first of the next
+        in_band[some] += energy[:, min(first, 1) :].sum(axis=1)
+        made = peak_steps(parts, fast)
+        until, own = slice(first, first + parts.shape[1] - 1), slice(first, first + parts.shape[1])
+        every.step[some, until], every.peak[some, until] = made.step, made.peak
+        every.product[some, until], every.energy[some, own] = made.product, made.energy
+    in_band, product = in_band.reshape(shape[:-1]), every.product.reshape(*shape[:-1], -1)
+    product[~has_echo(in_band / window.size, echoes)] = np.nan
+    between = product.shape
+    return Steps(every.step.reshape(between), every.peak.reshape(between), product, every.energy.reshape(shape))
 
 
 def peak_steps(parts: FloatArray, fast: bool | None = None) -> Steps:
@@ -163,14 +161,75 @@ def _empty(shape: tuple[int, ...]) -> Steps:
     return Steps(np.empty(between), np.empty(between, np.intp), np.empty(between, np.complex128), np.empty(shape))
 
 
+def _transform(
+    echoes: EchoGate, frequency_hz: FloatArray, window: FloatArray, bins: int
+) -> Callable[[Volts], tuple[FloatArray, FloatArray]]:
+    """Return what takes volts (train, pulse, sample) to their windowed spectra and to their energy in the band.
+
+    Spectra as `peak_steps` takes them; the energy (train, pulse) is that without a window, whose side lobes let a
+    constant into the band, which must not pass for an echo.
+    """
+    samples, rate_hz = window.size, echoes.sample_rate_hz
+    plain_hz = band_grid(echoes, samples)
+    if transforms(samples, frequency_hz.size, bins):
+
+        def by_fft(volts: Volts) -> tuple[FloatArray, FloatArray]:
+            parts = _band_fft(volts * window.astype(volts.dtype), rate_hz, frequency_hz, bins)
+            return parts, _energy(_band_fft(volts, rate_hz, plain_hz, samples))
+
+        return by_fft
+    given = (tuple(each.tolist()) for each in (frequency_hz, window, plain_hz))
+    numbers, columns = _ways(samples, rate_hz, *given)
+    even, odd = (each.shape[0] for each in columns)
+
+    def by_numbers(volts: Volts) -> tuple[FloatArray, FloatArray]:
+        found = volts.astype(np.float64, copy=False) @ numbers
+        parts = np.empty((*found.shape[:-1], 2 * frequency_hz.size))
+        np.matmul(found[..., :even], columns[0], out=parts[..., : frequency_hz.size])
+        np.matmul(found[..., even : even + odd], columns[1], out=parts[..., frequency_hz.size :])
+        return parts, _energy(found[..., even + odd :])
+
+    return by_numbers
+
+
+def _energy(parts: FloatArray) -> FloatArray:
+    """Return the energy (...) of ``parts`` (..., part)."""
+    return np.asarray(np.einsum("...i,...i->...", parts, parts))
+
+
+def _band_fft(volts: Volts, sample_rate_hz: float, frequency_hz: FloatArray, bins: int) -> FloatArray:
+    """Return some bins (..., 2 * bin) of a ``bins``-point FFT, one after another: real parts, then imaginary ones."""
+    from scipy.fft import rfft
+
+    first = round(frequency_hz[0] * bins / sample_rate_hz)
+    spectrum = rfft(volts, bins)[..., first : first + frequency_hz.size]
+    return np.concatenate([spectrum.real, spectrum.imag], axis=-1, dtype=np.float64)
+
+
 @functools.lru_cache(maxsize=8)
 def _ways(
-    samples: int, sample_rate_hz: float, frequency_hz: tuple[float, ...], window: tuple[float, ...]
-) -> tuple[FloatArray, FloatArray]:
-    """Return the matrices that take samples to spectra (2 * bin), real parts, then imaginary parts, one by one."""
-    columns = fourier_columns(samples, sample_rate_hz, np.array(frequency_hz)) * np.array(window)[:, None]
-    rows = orthonormal_rows(columns)
-    return np.ascontiguousarray(rows.T), rows @ columns
+    samples: int,
+    sample_rate_hz: float,
+    frequency_hz: tuple[float, ...],
+    window: tuple[float, ...],
+    plain_hz: tuple[float, ...],
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    """Return the matrix (sample, number) from samples, and those (number, bin) to real and to imaginary parts.
+
+    The numbers are those of the even half, those of the odd half, and the spectrum at ``plain_hz`` without a window.
+    Phases are those about the middle, which cross-spectra do not see.
+    """
+    columns = _about_middle(samples, sample_rate_hz, np.array(frequency_hz)) * np.array(window)[:, None]
+    even, odd = (orthonormal_rows(each) for each in columns)
+    numbers = np.vstack([even, odd, *np.swapaxes(_about_middle(samples, sample_rate_hz, np.array(plain_hz)), 1, 2)])
+    return np.ascontiguousarray(numbers.T), (even @ columns[0], odd @ columns[1])
+
+
+def _about_middle(samples: int, sample_rate_hz: float, frequency_hz: FloatArray) -> FloatArray:
+    """Return the Fourier transform, phases counted from the gate's middle, (2, sample, bin): real, then imaginary."""
+    time_s = (np.arange(samples) - (samples - 1) / 2) / sample_rate_hz
+    turn = 2 * np.pi * np.outer(time_s, frequency_hz)
+    return np.stack([np.cos(turn), -np.sin(turn)])
 
 
 def fourier_columns(samples: int, sample_rate_hz: float, frequency_hz: FloatArray) -> FloatArray:
@@ -193,9 +252,3 @@ def orthonormal_rows(columns: FloatArray) -> FloatArray:
     kept = np.abs(pivot) > NEGLIGIBLE * np.abs(pivot[0])
     # A decomposition leaves the sign of each row open: that of its pivot settles it.
     return np.ascontiguousarray((orthonormal[:, kept] * np.sign(pivot[kept])).T)
-
-
-@functools.cache
-def compiled() -> bool:
-    """Return whether Numba is installed; without it results differ by rounding."""
-    return importlib.util.find_spec("numba") is not None

@@ -1,21 +1,24 @@
 """Unresolved harmonics: what the tonebursts' other harmonics leave in a fit that has no prior of media.
 
 Such a fit knows nothing of the harmonics that alias onto the wanted ones, but how strong they may be is known: its
-error on every motion x_m of the ensemble is (x_m - W A x_m), W the fit's weights, and the mean of its square, each
-member as large and as likely as the data have it, is the covariance of the fit's error without noise. The weights need
-not be known: the fit itself is given the members' motions.
+error on a motion x is M x = x - W A x, W the fit's weights, which need not be known: the fit itself is given the
+motions. The mean of its square over the ensemble, each member as large and as likely as the data have it, is the
+covariance of the fit's error without noise. The data say more: what the prior makes of them, x', tells an error M x' of
+which the fit can be corrected, and M (x - x') is what then remains (Guide to the expression of uncertainty in
+measurement, 3.2.3 and 3.2.4).
 """
 
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, FloatArray, Motion
 from hpe_rig.processing.estimators import Options, fit_motion
-from hpe_rig.processing.harmonic import HarmonicFit, with_aliasing
-from hpe_rig.processing.prior import MediumPrior, medium_fit, medium_posterior
+from hpe_rig.processing.harmonic import HarmonicFit, moved_by, with_aliasing
+from hpe_rig.processing.prior import MediumPrior, likely_states, medium_fit, medium_posterior
 
 
 def with_unresolved(
@@ -23,15 +26,23 @@ def with_unresolved(
 ) -> HarmonicFit:
     """Return ``fit`` with the covariance of what other harmonics leave, and with what ``motion`` says of the medium.
 
-    ``motion``, of one train, tells how likely the members of ``prior`` are; ``estimator``, ``also_hz`` and ``options``
-    are those of the fit. Raises ``ValueError`` as ``medium_fit``.
+    As it is, and ``unaliased`` by what the prior makes of ``motion``, which is of one train and tells how likely the
+    members of ``prior`` are. ``estimator``, ``also_hz`` and ``options`` are those of the fit. Raises ``ValueError`` as
+    ``medium_fit``.
     """
-    seen = medium_fit(motion, fit.frequency_hz, prior, background_order=options.background_order)
+    order = options.background_order
+    seen = medium_fit(motion, fit.frequency_hz, prior, background_order=order)
     when = motion.time_s.tobytes(), motion.valid.tobytes()
-    missed, free = _missed(prior, *when, tuple(fit.frequency_hz.tolist()), tuple(also_hz.tolist()), estimator, options)
-    share = seen.evidence.likelihood * seen.evidence.square_m2
-    covariance = (missed.T * share) @ missed + seen.evidence.scale_m**2 * (free.T @ free)
-    return with_aliasing(fit, covariance, seen.fit, medium_posterior(prior, seen.evidence, seen.fit, missed))
+    missed = _missed(prior, *when, tuple(fit.frequency_hz.tolist()), tuple(also_hz.tolist()), estimator, options)
+    evidence, by_member, free = seen.evidence, prior.members @ missed.T, prior.misfit[:, None] * missed.T
+    square = (
+        by_member.T * (evidence.likelihood * evidence.square_m2)
+    ) @ by_member + evidence.scale_m**2 * free.T @ free
+    mean_m, rest, left = likely_states(motion, seen, prior, missed, order)
+    unaliased = moved_by(fit, mean_m)
+    medium = medium_posterior(prior, evidence, unaliased, left)
+    unaliased = with_aliasing(unaliased, rest, seen.fit, medium)
+    return replace(with_aliasing(fit, square, seen.fit, medium), unaliased=unaliased)
 
 
 @functools.lru_cache(maxsize=8)
@@ -43,15 +54,12 @@ def _missed(
     also_hz: tuple[float, ...],
     estimator: str,
     options: Options,
-) -> tuple[FloatArray, FloatArray]:
-    """Return by how much the fit misses the wanted states (member, state), and (direction, state) of misfit ones."""
+) -> FloatArray:
+    """Return by how much the fit misses the wanted states of every direction of the prior, (state, direction)."""
     times, used = np.frombuffer(time_s), np.frombuffer(valid, dtype=bool)
     places = prior.places(np.array(wanted_hz))
     directions, basis = prior.columns(times, places)[0], prior.states(places)
-    each = np.vstack([prior.members, np.diag(prior.misfit)])
-    found = _states(times, used, each @ directions.T, wanted_hz, also_hz, estimator, options)
-    missed = each @ basis.T - found
-    return missed[: len(prior.members)], missed[len(prior.members) :]
+    return np.asarray(basis - _states(times, used, directions.T, wanted_hz, also_hz, estimator, options).T)
 
 
 def _states(

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hpe_rig.processing.conditioning import hann
-from hpe_rig.processing.echoes import FloatArray, Velocity
+from hpe_rig.processing.echoes import BoolArray, FloatArray, Velocity
 from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.processing.kalman_filter import PRIOR, filter_constant
 from hpe_rig.processing.model import LARGEST_CONDITION, LinearModel, harmonic_columns, linear_model
@@ -63,22 +63,24 @@ def velocity_to_harmonics(
 
     The gain sinc(f / f_prf) of the difference, its half-interval delay and the 90 degrees between velocity and
     displacement are removed. ``also_hz`` are there and not wanted: no residual, and outside the band-pass. The
-    covariance carries the noise that ``velocity_noise`` finds through every step taken; a background of the
-    displacement, a polynomial of ``background_order``, is none of it, and the band-pass takes it off. Raises
-    ``ValueError`` for unevenly spaced pulses and as ``least_squares`` does. Source: paper Sec. II.A and III.B.2.
+    covariance carries the noise that ``velocity_noise`` finds through every step taken. The band-pass takes off a
+    background, but for what its two ends differ by; from a ``background_order`` of the displacement of 2 on, its
+    polynomial is fitted and taken off before. Raises ``ValueError`` for unevenly spaced pulses and as ``least_squares``
+    does. Source: paper Sec. II.A and III.B.2.
     """
     frequency_hz = np.asarray(frequencies_hz, dtype=np.float64)
     interval_s = _even_interval_s(velocity)
+    # The velocity of a polynomial is one of an order less.
+    order = max(background_order - 1, 0)
     times = velocity.time_s, velocity.valid, frequency_hz
-    model = linear_model(*times, largest_condition, also_hz=also_hz)
+    model = linear_model(*times, largest_condition, background_order=order, also_hz=also_hz)
     every_hz = np.concatenate([frequency_hz, np.asarray(also_hz, dtype=np.float64)])
-    filled = _filled(velocity, model)
-    each = [_one_frequency(velocity, filled, f, _half_width_hz(every_hz, f), model, steps) for f in frequency_hz]
+    fitted = _fitted_columns(model, velocity.valid, slice(2 * frequency_hz.size, model.wanted.stop if order else 0))
+    filled = _filled(velocity, model, fitted)
+    each = [
+        _one_frequency(velocity, filled, f, _half_width_hz(every_hz, f), model, fitted, steps) for f in frequency_hz
+    ]
     states, functionals = zip(*each, strict=True)
-    if background_order > 1:
-        # Only the residual's model: the velocity of a polynomial is one of an order less.
-        order = background_order - 1
-        model = linear_model(*times, largest_condition, background_order=order, also_hz=also_hz)
     pulse_variance, interval_variance = velocity_noise(velocity, model, every_hz, interval_s)
     over_intervals = np.concatenate(functionals)
     over_pulses = per_pulse(over_intervals, interval_s)
@@ -101,7 +103,13 @@ def _even_interval_s(velocity: Velocity) -> float:
 
 
 def _one_frequency(
-    velocity: Velocity, filled: FloatArray, f: float, half_width_hz: float, model: LinearModel, steps: Steps
+    velocity: Velocity,
+    filled: FloatArray,
+    f: float,
+    half_width_hz: float,
+    model: LinearModel,
+    fitted: FloatArray,
+    steps: Steps,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the state (..., 2) of one frequency and the rows (2, interval) that give it from the velocities."""
     valid, interval_s = velocity.valid, _even_interval_s(velocity)
@@ -123,7 +131,7 @@ def _one_frequency(
     rows[:, valid] = correction @ solver * window[valid]
     # the band-pass is its own transpose, so it carries the rows back to the velocities before it
     back = passed(rows)
-    back[:, valid] += back[:, ~valid] @ model.every_pulse[~valid] @ model.root @ model.root.T @ model.matrix.T
+    back[:, valid] += back @ fitted @ model.root @ model.root.T @ model.matrix.T
     back[:, ~valid] = 0.0
     return state, back
 
@@ -139,17 +147,25 @@ def _velocity_turn(f: float, interval_s: float) -> FloatArray:
     return np.array([[0.0, 1.0], [-1.0, 0.0]]) / np.sinc(f * interval_s)
 
 
-def _filled(velocity: Velocity, model: LinearModel) -> FloatArray:
-    """Return the velocities (..., interval), missing ones predicted from a fit to all the others.
+def _fitted_columns(model: LinearModel, valid: BoolArray, background: slice) -> FloatArray:
+    """Return what of ``model`` is added to the velocities before the band-pass (interval, state).
+
+    Where one is missing all but the ``background``, less the background elsewhere.
+    """
+    columns = np.where(valid[:, None], 0.0, model.every_pulse)
+    columns[:, background] = np.where(valid[:, None], -model.every_pulse[:, background], 0.0)
+    return columns
+
+
+def _filled(velocity: Velocity, model: LinearModel, fitted: FloatArray) -> FloatArray:
+    """Return the velocities (..., interval) less their background, missing ones predicted from a fit to all the others.
 
     The band-pass needs a value everywhere; one that follows the motion does not disturb its neighbours.
     """
-    valid = velocity.valid
-    if valid.all():
+    if not fitted.any():
         return velocity.velocity_m_per_s
-    filled: FloatArray = velocity.velocity_m_per_s.copy()
-    filled[..., ~valid] = model.solve(filled[..., valid])[0] @ model.every_pulse[~valid].T
-    return filled
+    known = np.where(velocity.valid, velocity.velocity_m_per_s, 0.0)
+    return known + model.solve(velocity.velocity_m_per_s[..., velocity.valid])[0] @ fitted.T
 
 
 def velocity_noise(

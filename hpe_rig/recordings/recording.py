@@ -26,7 +26,6 @@ from hpe_rig.scene import Mistake, SettingsError
 
 SHOWN = 4
 """Records that a message lists by their place."""
-CHUNK_BYTES = 1 << 22
 DEFAULT_AXES: Mapping[int, tuple[Axis, ...]] = {
     2: ("pulse", "sample"),
     3: ("line", "pulse", "sample"),
@@ -107,11 +106,8 @@ def _opened(source: Path | NDArray[Any], settings: RecordingSettings, name: str)
 
 
 def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while block := file.read(CHUNK_BYTES):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 class _Reading:

@@ -19,10 +19,13 @@ from hpe_rig.scene import (
     VoltageV,
     mistakes_of,
     parse_toml,
+    read_settings_text,
 )
 
 Axis = Literal["line", "shot", "pulse", "sample", "iq"]
 AXES: tuple[Axis, ...] = ("line", "shot", "pulse", "sample", "iq")
+MOST_SIDECAR_BYTES = 50_000_000
+"""Length of a sidecar, which may list the times of a million pulses and is not stored."""
 Positive = Annotated[int, Field(ge=1, le=2**40, strict=True)]
 
 
@@ -139,7 +142,8 @@ def read_settings(
     stated: dict[str, Any] = {}
     if path is not None:
         try:
-            stated = parse_toml(path.read_text(encoding="utf-8-sig"), f"sidecar {path.name}")
+            text = read_settings_text(path, MOST_SIDECAR_BYTES)
+            stated = parse_toml(text, f"sidecar {path.name}", MOST_SIDECAR_BYTES)
         except (OSError, UnicodeDecodeError) as error:
             why = getattr(error, "strerror", None) or "it is no UTF-8 text"
             raise SettingsError(f"sidecar {path}", [Mistake("", f"cannot be read ({why})", "its path")]) from None

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -201,6 +202,9 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage
             f"{(lead.averaging_factor - 1) * 100:+z.1f} %, {math.degrees(lead.averaging_phase_rad or 0):+z.2f} degrees"
         )
         rows.append(ErrorStage("beam averaging", bias, "predicted, tracked against peak displacement; corrected"))
+    if lead.averaging_factor is not None and (lead.aliasing_factor, lead.aliasing_phase_rad) != (1.0, 0.0):
+        bias = f"{(lead.aliasing_factor - 1) * 100:+z.1f} %, {math.degrees(lead.aliasing_phase_rad):+z.2f} degrees"
+        rows.append(ErrorStage("aliasing on the mean", bias, "told by the prior of media; corrected"))
     for each in lead.components:
         if each.source not in IN_THE_RESIDUAL and (each.amplitude_m or each.phase_rad):
             size = f"{each.amplitude_m * 1e9:.3g} nm, {math.degrees(each.phase_rad):.2g} degrees"
@@ -208,6 +212,8 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage
     whole = lead.headline
     total = f"{whole.amplitude_uncertainty_m * 1e9:.3g} nm, {math.degrees(whole.phase_uncertainty_rad):.2g} degrees"
     rows.append(ErrorStage("combined", total, "standard uncertainty of the corrected values, all sources in squares"))
+    within = f"{whole.interval_95_m * 1e9:.3g} nm, {math.degrees(whole.interval_95_rad):.2g} degrees"
+    rows.append(ErrorStage("interval of 95 %", within, "to either side, by u and kurtosis of all sources"))
     if lead.corrected_amplitude_error is not None and lead.corrected_phase_error_rad is not None:
         error_deg = math.degrees(lead.corrected_phase_error_rad)
         error = f"{lead.corrected_amplitude_error * 100:+z.1f} %, {error_deg:+z.2f} degrees"
@@ -334,14 +340,20 @@ def _bars(result: Result) -> list[tuple[str, float, float]]:
     return [(name, seconds, seconds / longest) for name, seconds in result.run_time_s.items()]
 
 
-def _page(*, result: Result, sweep: Sweep | None, **context: Any) -> str:
+@cache
+def _template() -> jinja2.Template:
+    """Return the page's template, compiled once a process: that takes a tenth of the time of a page."""
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     environment.filters.update(nm=_nm, deg=_deg, percent=_percent, svg=_svg, symbols=symbols)
     template = (resources.files("hpe_rig.report") / "report.html").read_text(encoding="utf-8")
+    return environment.from_string(template)
+
+
+def _page(*, result: Result, sweep: Sweep | None, **context: Any) -> str:
     warnings = (*result.warnings, *shot_warnings(result.shots))
     shown = badges(result, warnings, context["findings"], context["checks"])
     style = Markup(page_style())  # noqa: S704, a file of this program
-    return environment.from_string(template).render(
+    return _template().render(
         style=style,
         result=result,
         sweep=sweep,

@@ -12,6 +12,12 @@ from .estimates import (
 )
 from .figure import PALETTE as PALETTE
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
+from .interval import (
+    COVERED as COVERED,
+    NORMAL as NORMAL,
+    coverage_factor as coverage_factor,
+    phase_kurtosis as phase_kurtosis,
+)
 from .json_schema import (
     dataclass_schema as dataclass_schema,
     object_schema as object_schema,

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from hpe_rig.result.interval import NORMAL, combined_kurtosis, half_widths, phase_half_widths
 from hpe_rig.result.motion import ShotMotion
 from hpe_rig.result.provenance import UNKNOWN, Provenance
 from hpe_rig.scene import Estimator
@@ -25,6 +26,10 @@ DERIVED = (
     "corrected_uncertainty_m",
     "corrected_phase_rad",
     "corrected_phase_uncertainty_rad",
+    "interval_68_m",
+    "interval_95_m",
+    "interval_68_rad",
+    "interval_95_rad",
     "corrected_amplitude_error",
     "corrected_phase_error_rad",
     "predicted_amplitude_m",
@@ -46,10 +51,11 @@ class Averaging:
     from what is not known of the gate's distance to the focus; ``carrier_relative`` is the spread of the echo's mean
     frequency about the carrier, for an estimator that divides by that. The others are standard deviations.
 
-    ``offset_factor`` is what of ``factor`` a gate off the focus and oblique waves make, ``shape_relative`` what beams
-    that are no Gaussians leave uncertain. For other media: speckle changes the logarithm
-    of the tracking beam's area by ``area_spread``, and few speckles and scatterers make what is lost ``loss_scale``
-    times that of many.
+    ``offset_factor`` and ``offset_phase_rad`` are what of ``factor`` and phase a gate off the focus, oblique waves and
+    a force that is no Gaussian make, ``shape_relative`` what beams that are no Gaussians leave uncertain. For other
+    media: speckle changes the logarithm of the tracking beam's area by ``area_spread``, and few speckles and scatterers
+    make what is lost ``loss_scale`` times that of many. ``area_kurtosis`` is that of speckle's change of area,
+    ``speckle_kurtosis`` and ``lost_kurtosis`` those of what speckle and the unknown medium make of amplitude and phase.
     """
 
     factor: float
@@ -60,12 +66,16 @@ class Averaging:
     speckle_phase_rad: float = 0.0
     offset_relative: float = 0.0
     offset_factor: float = 1.0
+    offset_phase_rad: float = 0.0
     shape_relative: float = 0.0
     carrier_relative: float = 0.0
     area_spread: float = 0.0
     loss_scale: float = 1.0
     shared_relative: float = 0.0
     shared_phase_rad2: float = 0.0
+    area_kurtosis: float = NORMAL
+    speckle_kurtosis: tuple[float, float] = (NORMAL, NORMAL)
+    lost_kurtosis: tuple[float, float] = (NORMAL, NORMAL)
 
 
 RECTIFIED = "rectified noise"
@@ -74,18 +84,25 @@ RECTIFIED = "rectified noise"
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """One source of uncertainty: the standard uncertainties of amplitude and phase that it alone would leave."""
+    """One source of uncertainty: the standard uncertainties of amplitude and phase that it alone would leave.
+
+    And the kurtoses of these errors, 3 where they are normal.
+    """
 
     source: str
     amplitude_m: float
     phase_rad: float
+    amplitude_kurtosis: float = NORMAL
+    phase_kurtosis: float = NORMAL
 
 
 @dataclass(frozen=True, slots=True)
 class Headline:
     """Amplitude and phase that a result leads with, and their combined standard uncertainties.
 
-    Those of the peak displacement where ``corrected``, else, where no beams are known, the tracked ones.
+    Those of the peak displacement where ``corrected``, else, where no beams are known, the tracked ones. The kurtoses
+    are those of their errors. ``interval_95_m``: how far to either side the interval reaches that holds the truth with
+    95 %; the others alike.
     """
 
     amplitude_m: float
@@ -93,6 +110,24 @@ class Headline:
     phase_rad: float
     phase_uncertainty_rad: float
     corrected: bool
+    amplitude_kurtosis: float = NORMAL
+    phase_kurtosis: float = NORMAL
+
+    @property
+    def interval_68_m(self) -> float:
+        return half_widths(self.amplitude_uncertainty_m, self.amplitude_kurtosis)[0]
+
+    @property
+    def interval_95_m(self) -> float:
+        return half_widths(self.amplitude_uncertainty_m, self.amplitude_kurtosis)[1]
+
+    @property
+    def interval_68_rad(self) -> float:
+        return phase_half_widths(self.phase_uncertainty_rad, self.phase_kurtosis)[0]
+
+    @property
+    def interval_95_rad(self) -> float:
+        return phase_half_widths(self.phase_uncertainty_rad, self.phase_kurtosis)[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +136,11 @@ class Estimate:
 
     ``amplitude_uncertainty_m`` and ``phase_uncertainty_rad`` are the standard uncertainties of the tracked values that
     the fit states: of noise, and of aliasing where the fit knows it. ``averaging_factor`` and ``averaging_phase_rad``
-    are the predicted ratio and lag of tracked to peak displacement, None where no beams are given. ``components`` are
-    the independent sources of uncertainty of the headline, of which there is noise alone where none are listed.
-    ``true_amplitude_m`` and ``true_phase_rad`` are the ground truth, the peak displacement at the focus, known on the
-    twin alone.
+    are the predicted ratio and lag of tracked to peak displacement, None where no beams are given. ``aliasing_factor``
+    and ``aliasing_phase_rad`` are what unresolved harmonics make of the tracked values, as far as the motion tells; the
+    headline is without. ``components`` are the independent sources of uncertainty of the headline, of which there is
+    noise alone where none are listed. ``true_amplitude_m`` and ``true_phase_rad`` are the ground truth, the peak
+    displacement at the focus, known on the twin alone.
     """
 
     frequency_hz: float
@@ -118,18 +154,27 @@ class Estimate:
     true_phase_rad: float | None = None
     averaging_phase_rad: float | None = None
     components: tuple[Component, ...] = ()
+    aliasing_factor: float = 1.0
+    aliasing_phase_rad: float = 0.0
 
     @property
     def headline(self) -> Headline:
         """The corrected amplitude and phase where beams are known, else the tracked ones; u of all components."""
         amplitude_m, phase_rad = self.corrected_amplitude_m, self.corrected_phase_rad
         corrected = amplitude_m is not None and phase_rad is not None
+        budget = self.budget
+        u_m, u_rad = (
+            math.hypot(*(each.amplitude_m for each in budget)),
+            math.hypot(*(each.phase_rad for each in budget)),
+        )
         return Headline(
             amplitude_m=amplitude_m if amplitude_m is not None else self.amplitude_m,
-            amplitude_uncertainty_m=math.hypot(*(each.amplitude_m for each in self.budget)),
+            amplitude_uncertainty_m=u_m,
             phase_rad=phase_rad if phase_rad is not None else self.phase_rad,
-            phase_uncertainty_rad=math.hypot(*(each.phase_rad for each in self.budget)),
+            phase_uncertainty_rad=u_rad,
             corrected=corrected,
+            amplitude_kurtosis=combined_kurtosis(u_m, ((each.amplitude_m, each.amplitude_kurtosis) for each in budget)),
+            phase_kurtosis=combined_kurtosis(u_rad, ((each.phase_rad, each.phase_kurtosis) for each in budget)),
         )
 
     @property
@@ -155,8 +200,8 @@ class Estimate:
 
     @property
     def corrected_amplitude_m(self) -> float | None:
-        """The peak displacement that would be tracked as ``amplitude_m``, by the predicted averaging."""
-        return None if not self.averaging_factor else self.amplitude_m / self.averaging_factor
+        """The peak displacement that would be tracked as ``amplitude_m``, by the predicted averaging and aliasing."""
+        return None if not self.averaging_factor else self.amplitude_m / self.averaging_factor / self.aliasing_factor
 
     @property
     def corrected_uncertainty_m(self) -> float | None:
@@ -165,15 +210,36 @@ class Estimate:
 
     @property
     def corrected_phase_rad(self) -> float | None:
-        """The phase of the peak displacement, by the predicted lag of what is tracked; in [-pi, pi]."""
+        """The phase of the peak displacement, by the predicted lag of what is tracked and aliasing; in [-pi, pi]."""
         if not self.averaging_factor:
             return None
-        return math.remainder(self.phase_rad - (self.averaging_phase_rad or 0.0), 2 * math.pi)
+        turned_rad = (self.averaging_phase_rad or 0.0) + self.aliasing_phase_rad
+        return math.remainder(self.phase_rad - turned_rad, 2 * math.pi)
 
     @property
     def corrected_phase_uncertainty_rad(self) -> float | None:
         """Combined standard uncertainty of ``corrected_phase_rad``, from all components."""
         return self.headline.phase_uncertainty_rad if self.averaging_factor else None
+
+    @property
+    def interval_68_m(self) -> float:
+        """Half width of the interval about the headline's amplitude that holds the truth with 68 %."""
+        return self.headline.interval_68_m
+
+    @property
+    def interval_95_m(self) -> float:
+        """The same with 95 %."""
+        return self.headline.interval_95_m
+
+    @property
+    def interval_68_rad(self) -> float:
+        """Half width of the interval about the headline's phase that holds the truth with 68 %."""
+        return self.headline.interval_68_rad
+
+    @property
+    def interval_95_rad(self) -> float:
+        """The same with 95 %."""
+        return self.headline.interval_95_rad
 
     @property
     def corrected_amplitude_error(self) -> float | None:

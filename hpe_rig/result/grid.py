@@ -25,10 +25,16 @@ UNITS: Final = {
     "true_amplitude_m": "m",
     "true_phase_rad": "rad",
     "averaging_phase_rad": "rad",
+    "aliasing_factor": "1",
+    "aliasing_phase_rad": "rad",
     "corrected_amplitude_m": "m",
     "corrected_uncertainty_m": "m",
     "corrected_phase_rad": "rad",
     "corrected_phase_uncertainty_rad": "rad",
+    "interval_68_m": "m",
+    "interval_95_m": "m",
+    "interval_68_rad": "rad",
+    "interval_95_rad": "rad",
 }
 """Quantities of an estimate, each (shot, frequency), with their units."""
 MOTION_UNITS: Final = {

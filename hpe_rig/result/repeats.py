@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from statistics import fmean
 
 from hpe_rig.result.estimates import RECTIFIED, Estimate, Headline, ShotResult
+from hpe_rig.result.interval import NORMAL, combined_kurtosis, half_widths, phase_half_widths, phase_kurtosis
 from hpe_rig.result.phase import phase_variance_rad2, rectified_variance_m2
 
 INDEPENDENT = ("noise", "trigger jitter")
@@ -31,7 +32,9 @@ class RepeatMean:
     displacement where beams are known), with combined standard uncertainties. ``amplitude_sd_m`` and ``phase_sd_rad``
     are the standard deviations found between the repeats; ``chi_square`` compares them, both together, with what the
     independent components state, over ``degrees_of_freedom``; as large a one comes by chance with ``probability``.
-    Where that is below 1 %, ``agrees`` is False and the uncertainties are enlarged to the scatter found.
+    Where that is below 1 %, ``agrees`` is False and the uncertainties are enlarged to the scatter found. The kurtoses
+    are those of the errors; ``interval_95_m`` says how far to either side of the mean the truth lies with 95 %, the
+    others alike.
     """
 
     shots: tuple[int, ...]
@@ -55,6 +58,12 @@ class RepeatMean:
     true_phase_rad: float | None = None
     lateral_offset_m: float = 0.0
     axial_offset_m: float = 0.0
+    amplitude_kurtosis: float = NORMAL
+    phase_kurtosis: float = NORMAL
+    interval_68_m: float = math.nan
+    interval_95_m: float = math.nan
+    interval_68_rad: float = math.nan
+    interval_95_rad: float = math.nan
     swept: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -96,14 +105,16 @@ def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
     agrees = probability >= DISAGREE
     common = [_parts(item, independent=False) for item in estimates]
     stated = _of_the_mean(each, independent, abs(mean))
-    u_m, u_rad = (
-        math.hypot(
-            # Scatter beyond what is stated has a cause that nobody listed: then what was found counts.
-            max(stated[axis], 0.0 if agrees else _spread(deviations) / math.sqrt(count)),
-            sum(part[axis] for part in common) / count,
-        )
+    own_m, own_rad = (
+        # Scatter beyond what is stated has a cause that nobody listed: then what was found counts.
+        max(stated[axis], 0.0 if agrees else _spread(deviations) / math.sqrt(count))
         for axis, deviations in enumerate((along_m, turned_rad))
     )
+    u_m, u_rad = (
+        math.hypot(own, sum(part[axis] for part in common) / count) for axis, own in enumerate((own_m, own_rad))
+    )
+    kurtosis_m, kurtosis_rad = _kurtoses(estimates, u_m, u_rad, own_rad)
+    (narrow_m, wide_m), (narrow_rad, wide_rad) = half_widths(u_m, kurtosis_m), phase_half_widths(u_rad, kurtosis_rad)
     known = all(item.true_amplitude_m is not None for item in estimates)
     truth = sum(cmath.rect(i.true_amplitude_m or 0.0, i.true_phase_rad or 0.0) for i in estimates) / count
     first = shots[0]
@@ -122,6 +133,12 @@ def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
         amplitude_uncertainty_m=u_m,
         phase_rad=cmath.phase(mean),
         phase_uncertainty_rad=u_rad,
+        amplitude_kurtosis=kurtosis_m,
+        phase_kurtosis=kurtosis_rad,
+        interval_68_m=narrow_m,
+        interval_95_m=wide_m,
+        interval_68_rad=narrow_rad,
+        interval_95_rad=wide_rad,
         amplitude_sd_m=_spread(along_m),
         phase_sd_rad=_spread(turned_rad),
         chi_square=chi_square,
@@ -158,6 +175,20 @@ def _parts(estimate: Estimate, independent: bool) -> tuple[float, float]:
     listed = [each for each in estimate.budget if each.source != RECTIFIED]
     parts = [each for each in listed if (each.source in INDEPENDENT) is independent]
     return math.hypot(*(each.amplitude_m for each in parts)), math.hypot(*(each.phase_rad for each in parts))
+
+
+def _kurtoses(estimates: Sequence[Estimate], u_m: float, u_rad: float, own_rad: float) -> tuple[float, float]:
+    """Return the kurtoses of the mean's errors of amplitude and phase.
+
+    What is not normal is common to all repeats, but for the phase of a mean that may be noise, ``own_rad`` of its u.
+    """
+    budgets = [[each for each in item.budget if each.source not in INDEPENDENT] for item in estimates]
+    along = [combined_kurtosis(u_m, ((each.amplitude_m, each.amplitude_kurtosis) for each in own)) for own in budgets]
+    noise = own_rad, phase_kurtosis(own_rad**2)
+    turned = [
+        combined_kurtosis(u_rad, [noise, *((each.phase_rad, each.phase_kurtosis) for each in own)]) for own in budgets
+    ]
+    return fmean(along), fmean(turned)
 
 
 def _squared_ratio(deviation: float, stated: float) -> float:

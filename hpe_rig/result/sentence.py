@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from hpe_rig.result.estimates import Estimate, Headline, Result, ShotResult
 from hpe_rig.result.repeats import RepeatMean
 
-COVERAGE = 1.96
-"""Standard uncertainties to either side of the interval that holds 95 % of a normal distribution."""
 UNITS = ((1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"), (1e-12, "pm"))
 
 
@@ -34,7 +32,7 @@ def headline_sentence(result: Result) -> str:
     what = "corrected" if values[0].corrected else "as tracked"
     if len(values) == 1:
         (value,) = values
-        low, high = interval_m(value.amplitude_m, value.amplitude_uncertainty_m)
+        low, high = interval_m(value)
         scale, _ = scale_of(value.amplitude_m)
         between = f"95 %: {plain(low / scale, value.amplitude_uncertainty_m / scale)} to "
         between += f"{plain(high / scale, value.amplitude_uncertainty_m / scale)}"
@@ -60,9 +58,9 @@ def estimate_at(shot: ShotResult, frequency_hz: float) -> Estimate:
     return min(shot.estimates, key=lambda each: abs(each.frequency_hz - frequency_hz))
 
 
-def interval_m(amplitude_m: float, uncertainty_m: float) -> tuple[float, float]:
+def interval_m(value: Headline) -> tuple[float, float]:
     """Return the interval of 95 % about an amplitude, which is not below zero."""
-    return max(amplitude_m - COVERAGE * uncertainty_m, 0.0), amplitude_m + COVERAGE * uncertainty_m
+    return max(value.amplitude_m - value.interval_95_m, 0.0), value.amplitude_m + value.interval_95_m
 
 
 def amplitude_text(amplitude_m: float, uncertainty_m: float) -> str:
@@ -97,4 +95,4 @@ def _headline(row: RepeatMean | Estimate) -> Headline:
     if isinstance(row, Estimate):
         return row.headline
     amplitude, phase = (row.amplitude_m, row.amplitude_uncertainty_m), (row.phase_rad, row.phase_uncertainty_rad)
-    return Headline(*amplitude, *phase, row.corrected)
+    return Headline(*amplitude, *phase, row.corrected, row.amplitude_kurtosis, row.phase_kurtosis)

@@ -54,9 +54,11 @@ from .scene import (
     with_default_specimen as with_default_specimen,
 )
 from .validation import (
+    MOST_TEXT_BYTES as MOST_TEXT_BYTES,
     KeyPath as KeyPath,
     Mistake as Mistake,
     SettingsError as SettingsError,
+    control_character as control_character,
     dotted as dotted,
     length_m as length_m,
     mistakes_of as mistakes_of,
@@ -64,6 +66,7 @@ from .validation import (
     parse_toml as parse_toml,
     printable as printable,
     read_remedy as read_remedy,
+    read_settings_text as read_settings_text,
     unreadable as unreadable,
     validated as validated,
 )

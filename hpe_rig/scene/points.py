@@ -93,7 +93,7 @@ def _full_names(scene: Scene) -> dict[str, bool]:
 
     Raises ``SettingsError`` with every one that names no number, or a number twice.
     """
-    keys = [key for key in keys_of(scene, plain_tables(scene)) if key.path[0] not in ("sweep", "notes")]
+    keys = _numbers(scene)
     found: dict[str, bool] = {}
     mistakes = []
     for name in scene.sweep.axes:
@@ -102,16 +102,35 @@ def _full_names(scene: Scene) -> dict[str, bool]:
             mistakes.append(Mistake(f"sweep.{name}", resolved.what, resolved.remedy))
         elif (full := str(resolved)) in found:
             mistakes.append(Mistake(f"sweep.{name}", f"{full} is swept by another axis already", "one axis for it"))
-        elif listed := getattr(scene.sweep, IN_TURN.get(full, ""), ()):
-            what = f"sweep.{IN_TURN[full]} = {list(listed)} is taken in place of {full}, whatever the axis says"
-            mistakes.append(
-                Mistake(f"sweep.{name}", what, f"one of the two: without sweep.{IN_TURN[full]}, or the axis")
-            )
+        elif in_turn := _taken_in_turn(scene, name, full):
+            mistakes.append(in_turn)
         else:
             found[full] = isinstance(resolved, Key) and resolved.whole
     if mistakes:
         raise SettingsError("the sweep", mistakes)
     return found
+
+
+def _taken_in_turn(scene: Scene, name: str, full: str) -> Mistake | None:
+    """Return what is wrong with the axis ``name`` over ``full`` where [sweep] has values in its place; else None."""
+    listed = getattr(scene.sweep, IN_TURN.get(full, ""), ())
+    if not listed:
+        return None
+    own = f"sweep.{IN_TURN[full]}"
+    what = f"{own} = {list(listed)} is taken in place of {full}, whatever the axis says"
+    return Mistake(f"sweep.{name}", what, f"one of the two: without {own}, or the axis")
+
+
+def swept_twice(scene: Scene) -> list[Mistake]:
+    """Return the axes over keys in whose place [sweep] has values too."""
+    keys = _numbers(scene)
+    found = ((name, resolve(name, keys)) for name in scene.sweep.axes if not name.startswith(BENCH))
+    twice = (_taken_in_turn(scene, name, str(key)) for name, key in found if isinstance(key, Key))
+    return [mistake for mistake in twice if mistake is not None]
+
+
+def _numbers(scene: Scene) -> list[Key]:
+    return [key for key in keys_of(scene, plain_tables(scene)) if key.path[0] not in ("sweep", "notes")]
 
 
 def _places(sweep: Sweep) -> list[tuple[Number, ...]]:

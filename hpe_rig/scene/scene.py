@@ -205,8 +205,13 @@ class Beams(Section):
     """Diameter of the circular, focused aperture that pushes and tracks: its intensity is the force's shape, and its
     oblique waves sense less of a displacement; absent: a Gaussian force and plane waves. Of two transducers that of
     the one that tracks, the force is Gaussian."""
+    excitation_scan: Annotated[str, Field(min_length=1)] | None = None
+    """Hydrophone's scan of the push, a CSV, HDF5 or MAT file: its intensity is the force's shape, whatever else is
+    declared. Its path is taken from the folder in which a command runs. It is read again whenever a run is processed,
+    from beside the run file where it is no longer there."""
     attenuation_db_per_cm_mhz: Annotated[float, Field(ge=0, le=10, strict=True)] | None = None
-    """Attenuation of the push on its way, of an aperture; absent: 0.5, that of soft tissue."""
+    """Attenuation of the push on its way, of an aperture; absent: 0.5, that of soft tissue. Of a scan: what the
+    specimen adds to it around the focus; absent: none, within half of soft tissue's."""
 
     @model_validator(mode="after")
     def _two_distances_have_one_focus(self) -> Beams:
@@ -234,6 +239,18 @@ class Medium(Section):
     """Shear viscosity mu2."""
     density_kg_per_m3: DensityKgPerM3 = 1000.0
     """Mass density."""
+
+
+class Sphere(Section):
+    """A rigid sphere in the medium, which the tonebursts push and whose front echoes, in place of [beams].
+
+    It moves as a whole, so that nothing is averaged over the beam, and its vibration calibrates the medium's moduli.
+    """
+
+    radius_m: LengthM
+    """Radius of the sphere, as its maker states it."""
+    density_kg_per_m3: Annotated[float, Field(ge=100, le=20_000, strict=True)] = 7650.0
+    """Its own mass density, that of steel unless given."""
 
 
 class Gate(Section):
@@ -385,6 +402,8 @@ class Scene(Section):
     """What is known of the beams."""
     medium: Medium | None = None
     """What is known of the specimen, for beam averaging and the prior of media."""
+    sphere: Sphere | None = None
+    """A rigid sphere that is pushed and tracked instead of the medium."""
     processing: Processing = Processing()
     """How records become amplitude and phase."""
     sweep: Sweep = Sweep()
@@ -434,7 +453,7 @@ class Scene(Section):
             return "the scene has no [excitation]"
         if self.excitation.burst_count == 1:
             return "excitation.burst_count is 1, and one toneburst makes no periodic motion"
-        if self.beams is None:
+        if self.beams is None and self.sphere is None:
             return "the scene has no [beams]"
         number = [hz / self.excitation.burst_rate_hz for hz in self.wanted_frequencies_hz]
         if any(round(n) == 0 or not math.isclose(n, round(n), rel_tol=1e-6) for n in number):
@@ -502,6 +521,19 @@ class Scene(Section):
         if self.processing.harmonic == "medium_prior" and self.without_prior is not None:
             raise ValueError(
                 f'processing.harmonic = "medium_prior" needs more, {self.without_prior}: set harmonic = "least_squares"'
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _sphere_moves_as_a_whole(self, info: ValidationInfo) -> Scene:
+        if info.context != STORED and self.sphere is not None and self.beams is not None:
+            raise ValueError(
+                "[sphere] moves as a whole, and nothing of it is averaged over [beams]: leave one of the two out"
+            )
+        over_depth = self.processing.gates or self.processing.gate_profile_step_m is not None
+        if info.context != STORED and self.sphere is not None and over_depth:
+            raise ValueError(
+                "gates over depth see the medium, which moves unlike its [sphere]: leave one of the two out"
             )
         return self
 
@@ -587,7 +619,14 @@ def parse_scene(
         mistakes += simulation_check(tables)
     if mistakes:
         raise SettingsError(f"scene {name}", mistakes)
-    return SceneText(name, text, Scene.model_validate(tables, context=context))
+    scene = Scene.model_validate(tables, context=context)
+    if scene.sweep.axes:
+        # It describes a scene's keys, and so imports this file.
+        from hpe_rig.scene.points import swept_twice
+
+        if mistakes := swept_twice(scene):
+            raise SettingsError(f"scene {name}", mistakes)
+    return SceneText(name, text, scene)
 
 
 def shipped_scenes() -> dict[str, str]:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import difflib
+import errno
+import io
 import math
 import os
 import re
 import tomllib
+import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,13 +60,36 @@ class SettingsError(Exception):
 
 MOST_LEVELS = 20
 """Tables and lists within one another in a settings file; a scene has five."""
+MOST_TEXT_BYTES = 1_000_000
+"""Length of a settings file, UTF-8: as much as a run file holds of it."""
 
 
-def parse_toml(text: str, source: str) -> dict[str, Any]:
+def read_settings_text(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
+    """Return the text of the settings file ``path``.
+
+    Raises ``OSError`` where it cannot be read or has more than ``most_bytes``, which an endless one has too, and
+    ``UnicodeDecodeError`` where it is no UTF-8.
+    """
+    with path.open("rb") as file:
+        content = file.read(most_bytes + 1)
+    if len(content) > most_bytes:
+        raise OSError(errno.EFBIG, f"it has more than {most_bytes} bytes, which no settings file needs", str(path))
+    return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig").read()
+
+
+def control_character(text: str) -> str:
+    """Return the first character of ``text`` that a terminal would obey, line ends and tabs apart; "" for none."""
+    return next((c for c in text if unicodedata.category(c) == "Cc" and c not in "\n\r\t"), "")
+
+
+def parse_toml(text: str, source: str, most_bytes: int = MOST_TEXT_BYTES) -> dict[str, Any]:
     """Return the tables of ``text``; raise ``SettingsError`` with line and column where it is not TOML.
 
-    Also raised where tables are nested deeper than ``MOST_LEVELS``, or a number has thousands of digits.
+    Also raised where tables are nested deeper than ``MOST_LEVELS``, a number has thousands of digits, or the text holds
+    what no run file does: control characters, more than ``most_bytes``.
     """
+    if mistake := _not_storable(text, most_bytes):
+        raise SettingsError(source, [mistake])
     try:
         tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -80,6 +106,16 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     raise SettingsError(source, [mistake]) from None
 
 
+def _not_storable(text: str, most_bytes: int) -> Mistake | None:
+    if len(text.encode("utf-8", "surrogatepass")) > most_bytes:
+        return Mistake("", f"it has more than {most_bytes} bytes", "a shorter file; comments count too")
+    if found := control_character(text):
+        line = text[: text.index(found)].count("\n") + 1
+        what = f"line {line}: the control character U+{ord(found):04X}, which no run file holds"
+        return Mistake("", what, "remove it")
+    return None
+
+
 def _not_toml(text: str, error: str) -> Mistake:
     """Return what is wrong where ``text`` is no TOML; ``error`` is the parser's own message, which ends with a line."""
     lines = text.splitlines()
@@ -93,6 +129,9 @@ def _not_toml(text: str, error: str) -> Mistake:
         return Mistake("", f"{where}: this table stands a second time", "put its keys under the first one")
     if re.search(r"=\s*-?\d+,\d", line):
         return Mistake("", f"{where}: a comma in a number", "a decimal point")
+    if "\\" in line and '"' in line:
+        what = f"{where}: between double quotes a backslash begins a special character"
+        return Mistake("", what, "single quotes, as in 'C:\\scans\\push.csv', or / in place of each backslash")
     if line.count('"') % 2 or line.count("'") % 2:
         return Mistake("", f"{where}: a quotation mark is missing", "text between two quotation marks")
     what = f"{where}: not valid TOML ({error.partition(' (at ')[0]})"
@@ -125,7 +164,7 @@ def named_text(
         return str(source), shipped[str(source)]
     path = folder / source
     try:
-        return path.stem, path.read_text(encoding="utf-8-sig")
+        return path.stem, read_settings_text(path)
     except FileNotFoundError:
         what = f"there is no shipped {kind} and no file of that name"
         mistake = Mistake("", what, _meant(str(source), shipped, folder))

@@ -12,7 +12,7 @@ from .format import (
     result_path as result_path,
     versions as versions,
 )
-from .layout import Predecessor as Predecessor
+from .layout import Predecessor as Predecessor, sha256_of_scan as sha256_of_scan
 from .listing import (
     RunEntry as RunEntry,
     chosen as chosen,

@@ -1,15 +1,18 @@
 """Checksums of everything in a run file: 64 bits of BLAKE2b beside each dataset, each row and each chunk of echoes.
 
-HDF5 itself vouches for its metadata, attributes among them, but not for the values of datasets. What never changes
-after the start has its checksum in an attribute ``checksum`` of its own. What is written during a run has one for each
-piece that is written at once, in a dataset of the same name below ``/checksum``; zero stands for a piece that was never
-written. ``docs/integrity.md`` describes what is covered and what reading does with what fails.
+HDF5 itself vouches for its metadata, but neither for the values of datasets nor for its heap: units and other texts of
+variable length, and what tells the axes of a dataset. What never changes after the start has its checksum in an
+attribute ``checksum`` of its own, the heap in one of the file, ``heap_checksum``. What is written during a run has one
+for each piece that is written at once, in a dataset of the same name below ``/checksum``; zero stands for a piece that
+was never written. ``docs/integrity.md`` describes what is covered and what reading does with what fails.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from hashlib import blake2b
+from pathlib import Path
 from typing import Any, Final
 
 import h5py
@@ -18,6 +21,9 @@ from numpy.typing import NDArray
 
 GROUP: Final = "checksum"
 ATTRIBUTE: Final = "checksum"
+HEAP: Final = "heap_checksum"
+MOST_HEAP_BYTES: Final = 1 << 24
+"""Length of a part of the heap beyond which none of a run or result file is, those of thousands of texts included."""
 BY_SHOT: Final = (
     "snapshot",
     "untrusted",
@@ -78,6 +84,34 @@ def seal(file: h5py.File, changing: set[str] | None = None) -> None:
         if name not in (changing or ()):
             found = digest(name, (), stored_bytes(dataset[()], dataset.dtype))
             dataset.attrs[ATTRIBUTE] = np.uint64(found)
+
+
+def seal_heap(file: h5py.File) -> None:
+    """Give ``file`` an attribute with place, length and checksum of each part of its heap, uint64 (part, 3)."""
+    file.flush()
+    image: bytes = file.id.get_file_image()
+    # Its signature and version; nothing else that is in a file at its start looks like it.
+    places = [found.start() for found in re.finditer(rb"GCOL\x01\0\0\0", image)]
+    lengths = [int.from_bytes(image[place + 8 : place + 16], "little") for place in places]
+    sums = [
+        digest(HEAP, (place,), image[place : place + length]) for place, length in zip(places, lengths, strict=True)
+    ]
+    if places:
+        file.attrs[HEAP] = np.array([places, lengths, sums], "<u8").T
+
+
+def heap_is_sound(file: h5py.File, path: Path) -> bool:
+    """Return whether the heap of ``file`` at ``path`` is as its checksums say; a file that has none is."""
+    parts = np.asarray(file.attrs.get(HEAP, np.zeros((0, 3), "<u8")))
+    if parts.dtype != np.dtype("<u8") or parts.shape[1:] != (3,):
+        return False
+    with path.open("rb") as stored:
+        for place, length, expected in parts.tolist():
+            # Not by the library, which a damaged heap can send astray.
+            stored.seek(min(place, 1 << 62))
+            if digest(HEAP, (place,), stored.read(min(length, MOST_HEAP_BYTES))) != expected:
+                return False
+    return True
 
 
 def datasets(file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:

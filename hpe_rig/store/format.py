@@ -43,8 +43,8 @@ SNAPSHOT_BYTES: Final = 8192
 """Enough for the settings of one shot as JSON; fixed, since nothing may be created while others read."""
 CHUNK_BYTES: Final = 1_000_000
 """Target size of one chunk of echoes, which is the most that a crash can cost."""
-ROW_CHUNK: Final = 65536
-"""Most pulses in one chunk of a quantity with one value per pulse."""
+ROW_CHUNK: Final = 2048
+"""Most pulses in one chunk of a quantity with one value per pulse, which is written as a whole with each of echoes."""
 TIME_BYTES: Final = 32
 """Enough for a time in seconds with its offset from UTC, ISO 8601."""
 UNTRUSTED_BYTES: Final = 1024
@@ -110,6 +110,8 @@ def reason(error: BaseException) -> str:
 
 
 _PLAIN: Final = {
+    "allocate memory": "it needs more memory than is available",
+    "start new thread": "it needs more memory than is available",
     "truncated file": "it is cut short",
     "signature not found": "it is not an HDF5 file",
     "unable to lock": "another program has it open",

@@ -15,7 +15,7 @@ import errno
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Final, TypeVar, final
@@ -28,6 +28,8 @@ LONGEST_STEP_S: Final = 60.0
 """How long a disk may take for one step of writing; shares that fail over to another server take tens of seconds."""
 LAST_STEP_S: Final = 5.0
 """The same for the steps after one during which the run was interrupted: somebody waits for its end."""
+UNDO_S: Final = 1.0
+"""How long an interrupted program waits for what is still made on the disk, to undo it: outputs may be on meanwhile."""
 SUPERBLOCK_BYTES: Final = 48
 FLAGS_PLACE: Final = 11
 """Byte of the superblock in which the library marks a file as being written."""
@@ -113,6 +115,11 @@ class Journal:
 
     # What the writer asks of it.
 
+    def put(self, offset: int, data: bytes) -> None:
+        """Keep ``data`` for the next commit, to be at ``offset``: of what the library neither reads nor writes."""
+        self.seek(offset)
+        self.write(memoryview(data))
+
     @property
     def pending(self) -> bool:
         """Whether the library wrote anything since the last commit."""
@@ -126,8 +133,8 @@ class Journal:
     def commit(self, sync: bool = False, wait: bool = True) -> None:
         """Bring all that was written to the file, with ``sync`` to the disk itself; without ``wait`` begin to.
 
-        Raises ``OSError``, of this commit or of an earlier one whose end nobody waited for, and ``StoreError`` where
-        the file is no longer the one that was begun.
+        Raises ``OSError`` or ``MemoryError``, of this commit or of an earlier one, and ``StoreError`` where the file is
+        no longer the one that was begun.
         """
         # First, so that an interrupt while it waits takes nothing of what the next commit has to bring.
         self._settle()
@@ -143,6 +150,10 @@ class Journal:
         """Overwrite bytes in place and sync, also after a failure; raise ``OSError`` where that fails too."""
         self._do(lambda: self._overwrite(writes))
 
+    def hurry(self) -> None:
+        """Wait no longer than ``LAST_STEP_S`` for what is under way: the run was interrupted, its end is waited for."""
+        self._interrupted = self._interrupted or (self._done is not None and not self._done.done())
+
     def is_in_place(self) -> bool:
         """Return whether ``path`` still names the file that was begun, closed or not; raise ``OSError`` else."""
         return os.path.samestat(self._identity, self.path.stat())
@@ -156,7 +167,7 @@ class Journal:
 
     def _do(self, task: Callable[[], None]) -> None:
         """Have the thread do ``task``; interrupted while it waits, it is done all the same."""
-        with contextlib.suppress(OSError, StoreError):
+        with contextlib.suppress(Exception):
             # What a commit before failed with is kept, and raised by the next.
             self._settle()
         self._begin(task)
@@ -208,7 +219,8 @@ class Journal:
             self._size = end
             if sync:
                 os.fsync(self._file.fileno())
-        except (OSError, StoreError) as error:
+        except Exception as error:
+            # Whatever it was, too little memory among it: a later batch may only follow one that is there.
             self._failure = error
             raise
 
@@ -223,7 +235,7 @@ class Journal:
         self._file.seek(offset)
         rest = memoryview(data)
         while rest:
-            rest = rest[self._file.write(rest) or 0 :]
+            rest = rest[self._file.write(rest) :]
 
     def _refuse_another_file(self) -> None:
         """Raise ``StoreError`` where the file was moved, removed, replaced or cut since the last commit."""
@@ -262,7 +274,11 @@ def in_time(make: Callable[[threading.Event], Made], undo: Callable[[Made], obje
     except BaseException as error:
         given_up.set()
         stuck = isinstance(error, TimeoutError) and not done.done()
-        done.add_done_callback(undone)
+        # A disk that answers is waited for: the process may end before its thread has undone anything.
+        if stuck or done not in wait([done], UNDO_S).done:
+            done.add_done_callback(undone)
+        else:
+            undone(done)
         if stuck:
             raise OSError(errno.ETIMEDOUT, f"the disk has not answered for {LONGEST_STEP_S:g} s") from error
         raise

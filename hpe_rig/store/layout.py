@@ -7,9 +7,11 @@ not fit, never something that the library would still have to write. ``docs/run-
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import h5py
@@ -19,8 +21,8 @@ from numpy.typing import NDArray
 from hpe_rig.bench import BenchText, twin_settings
 from hpe_rig.plan import Plan
 from hpe_rig.result import Provenance
-from hpe_rig.scene import SceneText
-from hpe_rig.store.checksum import add_checksums
+from hpe_rig.scene import Scene, SceneText, printable
+from hpe_rig.store.checksum import add_checksums, seal_heap
 from hpe_rig.store.format import (
     BITSHUFFLE,
     CHUNK_BYTES,
@@ -69,6 +71,8 @@ def empty_run(
     with h5py.File("empty", "w", driver="core", backing_store=False, libver=LIBVER) as file:
         _write_header(file, scene, bench, plan, predecessor or Predecessor())
         file.attrs.create("run_id", np.bytes_(run_id.encode("ascii")), dtype=f"S{RUN_ID_BYTES}")
+        if (scan_sha256 := sha256_of_scan(scene.scene)) is not None:
+            file.attrs["scan_sha256"] = _fixed(scan_sha256)
         _create_records(file, plan, bench.bench.digitizer.board_model.code_limits, compress)
         times = file.create_group("run_time")
         times["run_time_s"] = np.full(len(STAGES), math.nan)
@@ -83,9 +87,21 @@ def empty_run(
         if provenance is not None:
             _create_provenance(file, provenance)
         add_checksums(file)
+        seal_heap(file)
         file.flush()
         image: bytes = file.id.get_file_image()
     return image
+
+
+def sha256_of_scan(scene: Scene) -> str | None:
+    """Return the SHA-256 of the file that ``beams.excitation_scan`` names, None where the scene names none.
+
+    Results go by the scan, and the run file does not hold it.
+    """
+    if scene.beams is None or scene.beams.excitation_scan is None:
+        return None
+    with Path(scene.beams.excitation_scan).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def volts_of_codes(input_range_v: float, code_limits: tuple[int, int]) -> tuple[float, float]:
@@ -102,11 +118,13 @@ def name_axes(group: h5py.Group, scales: Mapping[str, NDArray[Any]], units: Mapp
     datasets = [item for item in group.values() if isinstance(item, h5py.Dataset) and item.ndim]
     for name, values in scales.items():
         group[name] = values
-        group[name].make_scale(name)
+    axes = [group[name] for name in scales]
+    for name, axis in zip(scales, axes, strict=True):
+        axis.make_scale(name)
     for dataset in datasets:
         dataset.attrs["units"] = units.get(dataset.name.rpartition("/")[2], "1")
-        for axis, name in zip(range(dataset.ndim), scales, strict=False):
-            dataset.dims[axis].attach_scale(group[name])
+        for dimension, axis in zip(dataset.dims, axes, strict=False):
+            dimension.attach_scale(axis)
 
 
 def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Plan, predecessor: Predecessor) -> None:
@@ -122,7 +140,8 @@ def _write_header(file: h5py.File, scene: SceneText, bench: BenchText, plan: Pla
         "predecessor_shots": predecessor.shots,
     }
     for name, value in (attributes | {f"version_{name}": text for name, text in versions().items()}).items():
-        file.attrs[name] = _fixed(value) if isinstance(value, str) else value
+        # Names may come from those of files, which hold any character.
+        file.attrs[name] = _fixed(printable(value)) if isinstance(value, str) else value
     file.attrs.create("status", np.bytes_("running"), dtype=f"S{STATUS_BYTES}")
     file["scene"], file["bench"] = _fixed(scene.text), _fixed(bench.text)
     snapshot = file.create_dataset("snapshot", len(plan.shots), f"S{SNAPSHOT_BYTES}", chunks=(1,))
@@ -180,7 +199,7 @@ def _create_codes(
 def _create_provenance(file: h5py.File, provenance: Provenance) -> None:
     group = file.create_group("provenance")
     for name in ("started", "host", "user", "drivers"):
-        group[name] = _fixed(getattr(provenance, name))
+        group[name] = _fixed(printable(getattr(provenance, name)))
     # Written once the run is over; until then nobody knows.
     group["ended"] = np.zeros((), f"S{TIME_BYTES}")
 

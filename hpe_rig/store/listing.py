@@ -14,8 +14,10 @@ import h5py
 
 from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.scene import SettingsError, parse_toml
+from hpe_rig.store.checksum import ATTRIBUTE
 from hpe_rig.store.format import FORMAT, RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.reader import StoredRun, read_run
+from hpe_rig.store.validation import Trusted, UntrustedError
 
 LARGEST_JSON = 64_000_000
 """Bytes of a result's JSON beyond which a listing does without it."""
@@ -157,6 +159,9 @@ def _date(stored: StoredRun) -> datetime:
 
 def _format(path: Path) -> str | None:
     """Return what kind of file ``path`` says it is, "" where it does not say; None where it cannot be opened."""
+    if not path.is_file():
+        # A named pipe would be waited for.
+        return None
     try:
         with h5py.File(path, "r") as file:
             kind = file.attrs.get("format", "")
@@ -174,12 +179,15 @@ def _lead(run: Path) -> Lead | None:
     try:
         with h5py.File(latest, "r") as file:
             text = file["json"]
+            if ATTRIBUTE in text.attrs and not Trusted(file).is_sound("json", text):
+                raise UntrustedError("it fails its checksum")
             result = json.loads(text.asstr()[()]) if text.dtype.itemsize <= LARGEST_JSON else {}
         return max(_leads(result), key=lambda lead: lead.amplitude_m, default=None)
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
-        raise StoreError(
-            f"{latest} is no readable result file ({reason(error)}). Try: hpe-rig process {run}."
-        ) from None
+    except UntrustedError as error:
+        why = str(error)
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError, ArithmeticError) as error:
+        why = reason(error)
+    raise StoreError(f"{latest} is no readable result file ({why}). Try: hpe-rig process {run}.")
 
 
 def _leads(result: Mapping[str, Any]) -> Iterator[Lead]:

@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import json
 import math
+import tempfile
 import time
+import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final, overload
+from typing import Any, Final, final, overload
 
 import h5py
 import numpy as np
@@ -49,11 +52,16 @@ MOST_HELD_SAMPLES: Final = 1 << 25
 """Samples up to which the records of a shot are read at once; those of a longer one stay in the file."""
 MOST_AT_ONCE: Final = 1 << 22
 """Samples of a shot that are compared with their checksums at a time."""
+MOST_COPIED_BYTES: Final = 1 << 30
+"""Most of a long shot that is kept in a temporary file once it was compared; of more the run file is read again."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoredShot:
-    """Records of one shot that stay in the file, see `GatedRecords`; of each the samples ``around`` its gate."""
+    """Records of one shot that stay in the file, see `GatedRecords`; of each the samples ``around`` its gate.
+
+    ``copy`` holds these samples of every record, where there is room for them.
+    """
 
     path: Path
     name: str
@@ -64,6 +72,7 @@ class StoredShot:
     code_limits: tuple[int, int]
     margin: tuple[int, int]
     damaged: NDArray[np.bool_]
+    copy: CodesCopy | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -72,10 +81,51 @@ class StoredShot:
 
     def block(self, pulses: slice) -> NDArray[np.int16]:
         """Return the codes of some ``pulses``, (pulse, sample); they were compared with their checksums before."""
-        with trusted(self.path) as trust:
-            echo = trust.dataset(f"records/{self.name}", "<i2", (None, self.valid.size, None))
-            codes: NDArray[np.int16] = echo[self.shot, pulses, self.around]
+        codes: NDArray[np.int16]
+        if self.copy is not None and self.copy.whole:
+            codes = self.copy.block(*pulses.indices(self.valid.size)[:2])
+        else:
+            with trusted(self.path) as trust:
+                echo = trust.dataset(f"records/{self.name}", "<i2", (None, self.valid.size, None))
+                codes = echo[self.shot, pulses, self.around]
         codes[~self.valid[pulses]] = MISSING
+        return codes
+
+
+@final
+class CodesCopy:
+    """Codes of records of so many ``samples`` in a temporary file; ``whole`` is False where its disk had no room."""
+
+    def __init__(self, samples: int) -> None:
+        self._samples, self.whole = samples, True
+        try:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115
+        except OSError:
+            self.whole = False
+        else:
+            # And so removed, with the last of those who may read it.
+            weakref.finalize(self, self._file.close)
+
+    def add(self, codes: NDArray[np.int16]) -> None:
+        """Append the next records, (pulse, sample)."""
+        if self.whole:
+            try:
+                self._file.write(np.ascontiguousarray(codes).data)
+                self._file.flush()
+            except OSError:
+                self.whole = False
+                with suppress(OSError):
+                    self._file.close()
+
+    def block(self, first: int, last: int) -> NDArray[np.int16]:
+        """Return the codes of the records from ``first`` to before ``last``, (pulse, sample)."""
+        codes = np.empty((max(0, last - first), self._samples), np.int16)
+        self._file.seek(2 * first * self._samples)
+        if self._file.readinto(codes.data) != codes.nbytes:
+            raise StoreError(
+                "records of a long shot, copied to a temporary file, cannot be read back: another program has cut it. "
+                "Try: again, and leave the folder of temporary files alone meanwhile."
+            )
         return codes
 
 
@@ -125,21 +175,31 @@ class StoredRecords(Sequence[ShotRecords]):
         self,
         shot: int,
         gate: slice,
-        margin: int = 0,
+        margin: int,
         most_held: int = MOST_HELD_SAMPLES,
         look: Callable[[NDArray[np.int16]], None] | None = None,
     ) -> GatedRecords:
         """Return what ``gated`` does; of more samples than ``most_held`` the codes stay in the file until asked for.
 
         All of these are read once to compare them with their checksums: ``look`` is given those in the gate meanwhile,
-        some pulses after the other.
+        some pulses after the other, and those in and around it are kept in a temporary file.
         """
         if self.shape[1] * (gate.stop - gate.start + 2 * margin) <= most_held:
             return self.gated(shot, gate, margin=margin)
         with trusted(self.path) as trust:
             stored, _, _ = self._of_shot(trust, shot, gate, "echo", margin)
-        damaged = self.damaged(stored.shot, look=None if look is None else lambda codes: look(codes[:, gate]))
-        return replace(stored, valid=stored.valid & ~damaged, damaged=damaged)
+        pulses, samples = stored.shape
+        inside = slice(stored.margin[0], samples - stored.margin[1])
+        copy = CodesCopy(samples) if 2 * pulses * samples <= MOST_COPIED_BYTES else None
+
+        def see(codes: NDArray[np.int16]) -> None:
+            if copy is not None:
+                copy.add(codes)
+            if look is not None:
+                look(codes[:, inside])
+
+        damaged = self.damaged(stored.shot, look=see, samples=stored.around)
+        return replace(stored, valid=stored.valid & ~damaged, damaged=damaged, copy=copy)
 
     def _of_shot(
         self, trust: Trusted, shot: int, gate: slice, name: str, margin: int
@@ -178,14 +238,18 @@ class StoredRecords(Sequence[ShotRecords]):
                 yield first, codes
 
     def damaged(
-        self, shot: int, pulses: int = 4096, look: Callable[[NDArray[np.int16]], None] | None = None
+        self,
+        shot: int,
+        pulses: int = 4096,
+        look: Callable[[NDArray[np.int16]], None] | None = None,
+        samples: slice = slice(0, 0),
     ) -> NDArray[np.bool_]:
         """Return which records of ``shot`` are damaged at any input, (pulse,), holding at most ``pulses`` of them.
 
-        ``look`` is given the codes of all echoes (pulse, sample), some pulses after the other.
+        ``look`` is given the codes of some ``samples`` of all echoes (pulse, sample), some pulses after the other.
         """
         with trusted(self.path) as trust:
-            arrival, whole = _arrival(trust, self.shape, shot), slice(0, self.shape[2])
+            arrival = _arrival(trust, self.shape, shot)
             found = arrival.damaged.copy()
             for name in ("echo", *(["monitor"] if trust.has("records/monitor") else [])):
                 echo = _echo(trust, self.shape, name)
@@ -193,7 +257,7 @@ class StoredRecords(Sequence[ShotRecords]):
                 step = max(1, at_once // echo.chunks[1]) * echo.chunks[1]
                 for first in range(0, self.shape[1], step):
                     rows = slice(first, first + step)
-                    codes, damaged = _codes(trust, echo, f"records/{name}", shot, arrival, whole, rows)
+                    codes, damaged = _codes(trust, echo, f"records/{name}", shot, arrival, samples, rows)
                     found[rows] |= damaged
                     if look is not None and name == "echo":
                         look(codes)
@@ -256,7 +320,8 @@ class StoredRun:
     was not measured. ``force_set`` (shot,) is the force over F_0 as the toneburst generator was read back to hold it,
     NaN where nothing pushes, nothing was set or the file does not say. ``damage`` says what of the file but its echoes
     cannot be trusted, and what stands for it; ``vouched`` whether the file has checksums at all. ``provenance`` is
-    empty in files of earlier releases and of scripts that leave it out.
+    empty in files of earlier releases and of scripts that leave it out. ``scan_sha256`` is that of the file that
+    ``beams.excitation_scan`` named, "" where it named none or the file does not say.
     """
 
     path: Path
@@ -273,11 +338,12 @@ class StoredRun:
     predecessor: str
     run_time_s: Mapping[str, float]
     force_set: NDArray[np.float64]
-    untrusted: Mapping[int, str] = field(default_factory=dict)
-    damage: tuple[str, ...] = ()
-    vouched: bool = False
-    run_id: str = ""
-    provenance: Provenance = UNKNOWN
+    untrusted: Mapping[int, str]
+    damage: tuple[str, ...]
+    vouched: bool
+    run_id: str
+    provenance: Provenance
+    scan_sha256: str
 
     def rows(self, shot: int) -> ShotRows:
         """Return everything of ``shot`` but its echoes; blank where the file has nothing that can be trusted."""
@@ -394,6 +460,7 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
         vouched=trust.vouched,
         run_id=trust.attribute("run_id", str) if "run_id" in trust.file.attrs else "",
         provenance=provenance,
+        scan_sha256=trust.attribute("scan_sha256", str) if "scan_sha256" in trust.file.attrs else "",
     )
 
 

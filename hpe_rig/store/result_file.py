@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.result import MOTION_UNITS, UNITS, Result, ShotResult, result_grid
 from hpe_rig.store.atomic import atomic_file
-from hpe_rig.store.checksum import seal
+from hpe_rig.store.checksum import seal, seal_heap
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.journal import in_time
 from hpe_rig.store.layout import LIBVER, name_axes
@@ -37,6 +37,7 @@ def write_result(path: Path, result: Result) -> None:
         with h5py.File(memory, "w", libver=LIBVER) as file:
             _write(file, result)
             seal(file)
+            seal_heap(file)
         in_time(partial(_replace, path, memory.getbuffer()), lambda _: None)
     except (OSError, RuntimeError) as error:
         raise StoreError(
@@ -129,6 +130,8 @@ def _refuse_foreign(path: Path) -> None:
     if not path.exists():
         return
     try:
+        if not path.is_file():
+            raise OSError
         with h5py.File(path, "r") as file:
             # Results of earlier versions have no attribute ``format``, but these two.
             known = file.attrs.get("format") == RESULT_FORMAT or {"run_file", "estimator"} <= set(file.attrs)

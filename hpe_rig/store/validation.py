@@ -20,10 +20,10 @@ import h5py
 import numpy as np
 from h5py import h5f, h5p
 
+from hpe_rig.scene import MOST_TEXT_BYTES, control_character, printable
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, digest, stored_bytes
 from hpe_rig.store.format import BITSHUFFLE, FORMAT, FORMAT_VERSION, StoreError, extra, reason
 
-MOST_TEXT_BYTES: Final = 1_000_000
 MOST_CHUNK_BYTES: Final = 64_000_000
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 SUPERBLOCK: Final = 3
@@ -98,7 +98,7 @@ class Trusted:
             raise UntrustedError(f"{where} is not a single value")
         if kind is str:
             _refuse_no_text(identity, where)
-            return _text(owner.attrs[name], where)
+            return printable(_text(owner.attrs[name], where))
         if identity.dtype.kind not in {int: "iu", bool: "b", float: "f"}[kind]:
             raise UntrustedError(f"{where} is not of type {kind.__name__}")
         value = kind(owner.attrs[name])
@@ -231,7 +231,7 @@ def _text(value: Any, where: str) -> str:
     if len(text) > MOST_TEXT_BYTES:
         raise UntrustedError(f"{where} is a text of {len(text)} characters, more than {MOST_TEXT_BYTES}")
     # A terminal would execute them.
-    if any(not character.isprintable() and character not in "\n\r\t" for character in text):
+    if control_character(text):
         raise UntrustedError(f"{where} holds control characters")
     return text
 

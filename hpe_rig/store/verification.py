@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.result import dataclass_schema, titled
-from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets
+from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets, heap_is_sound
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
 from hpe_rig.store.reader import StoredRun, damage_by_shot, read_run
 from hpe_rig.store.validation import Trusted, UntrustedError, trusted
@@ -75,7 +75,7 @@ def verify(path: Path) -> Verification:
     stored = read_run(path)
     damage = [Damage(text) for text in stored.damage if not text.startswith("shot ")]
     with trusted(path) as trust:
-        damage += _damaged_datasets(trust.file)
+        damage += _damaged_datasets(trust.file, path)
     records = 0
     for shot in range(stored.shot_complete.size):
         records += int(stored.records.recorded(shot).sum())
@@ -87,15 +87,17 @@ def verify(path: Path) -> Verification:
 
 
 def _damaged_records(stored: StoredRun, shot: int) -> Iterator[Damage]:
-    pulses = max(1, ECHOES_AT_ONCE // (2 * stored.records.shape[2]))
+    pulses = ECHOES_AT_ONCE // (2 * stored.records.shape[2])
     if (damaged := stored.records.damaged(shot, pulses)).any():
         yield Damage("fail their checksums or lie where the file has nothing", shot, ranges(damaged))
     if stored.shot_complete[shot] and (unvouched := stored.records.unvouched(shot)).any():
         yield Damage("are marked as there, without a checksum", shot, ranges(unvouched))
 
 
-def _damaged_datasets(file: h5py.File) -> Iterator[Damage]:
-    """Yield which of the datasets that never change fail their checksums."""
+def _damaged_datasets(file: h5py.File, path: Path) -> Iterator[Damage]:
+    """Yield which of the datasets that never change fail their checksums, and whether their units and axes do."""
+    if not heap_is_sound(file, path):
+        yield Damage("units of datasets, or what tells their axes, fail their checksum")
     for name, dataset in datasets(file):
         if ATTRIBUTE in dataset.attrs and not name.startswith(f"{GROUP}/"):
             try:
@@ -107,6 +109,9 @@ def _damaged_datasets(file: h5py.File) -> Iterator[Damage]:
 
 
 def _is_result(path: Path) -> bool:
+    if not path.is_file():
+        # A named pipe would be waited for.
+        return False
     try:
         with h5py.File(path, "r") as file:
             kind = file.attrs.get("format")
@@ -120,7 +125,7 @@ def _verified_result(path: Path) -> Verification:
         with h5py.File(path, "r") as file:
             shots = int(file["results/shot"].shape[0])
             checksums = ATTRIBUTE in file["results/amplitude_m"].attrs
-            damage = tuple(_damaged_datasets(file))
+            damage = tuple(_damaged_datasets(file, path))
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, UntrustedError) as error:
         raise StoreError(
             f"{path} is not a readable result file ({reason(error)}). Try: hpe-rig process, which writes it anew."

@@ -15,8 +15,8 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -43,8 +43,12 @@ from hpe_rig.store.records import MISSING, Placed, place
 
 CHECKPOINT_S = 1.0
 """Longest time between two syncs to the disk itself, checked at the end of each shot."""
+MOST_UNVOUCHED = 8
+"""Chunks that are written before what says that they are there, if as many arrive at once."""
 LOOK_S = 0.25
 """How often a run that writes nothing looks whether its file is still there."""
+LIBRARY_ERRORS = (OSError, RuntimeError, KeyError, MemoryError)
+"""What the HDF5 library raises; after any of these nothing more that it writes can be relied on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +88,13 @@ class RunWriter:
         self._checkpoint_s = self._looked_s = self._started_s = clock()
         self._provenance = options.provenance
         self._broken = False
-        image = empty_run(scene, bench, plan, options.compress, options.predecessor, options.run_id, options.provenance)
-        self._journal = _begun(image, path, options.overwrite, 0 if options.compress else plan.record_bytes)
+        about = options.compress, options.predecessor, options.run_id, options.provenance
+        try:
+            image = empty_run(scene, bench, plan, *about)
+            self._journal = _begun(image, path, options.overwrite, 0 if options.compress else plan.record_bytes)
+        except RuntimeError as error:
+            # Of the library, or of Python, which finds no memory for a thread.
+            raise StoreError(f"{path} cannot be created ({reason(error)}). Try: again, with fewer programs.") from error
         with self._writing():
             self._file = open_on(self._journal)
             self._endings = _endings(self._file, self._journal)
@@ -95,12 +104,13 @@ class RunWriter:
         self._tables = {name: _Table(self._file, name) for name in (*BY_SHOT, *AT_ONCE)}
         # A checksum takes as long as writing what it is of: they go on at the same time.
         self._beside = ThreadPoolExecutor(1, thread_name_prefix="checksum")
-        self._chunk = _Chunk(self._file, "records/echo", self._beside)
-        self._chunks = (
-            self._chunk,
-            *([_Chunk(self._file, "records/monitor", self._beside)] if "records/monitor" in self._file else []),
-        )
-        self._arrivals = _Arrivals(self._file, self._chunk.rows)
+        names = ["records/echo", *(["records/monitor"] if "records/monitor" in self._file else [])]
+        self._chunks = [
+            _Chunk(self._file, name, _ChunkSums(self._file, name, self._journal), self._beside) for name in names
+        ]
+        self._chunk = self._chunks[0]
+        sums = _ChunkSums(self._file, "records/recorded", self._journal)
+        self._arrivals = _Arrivals(self._file, self._chunk.rows, sums)
         self._shot: _ShotRows | None = None
 
     def __enter__(self) -> RunWriter:
@@ -108,6 +118,8 @@ class RunWriter:
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         failed = "failed" if kind is not None and issubclass(kind, Exception) else "aborted"
+        if kind is not None and failed == "aborted":
+            self._journal.hurry()
         try:
             with uninterrupted():
                 self._end("complete" if kind is None else failed)
@@ -156,6 +168,7 @@ class RunWriter:
             inputs = (block.codes, *([] if block.monitor is None else [block.monitor.codes]))
             codes = inputs if kept.all() else tuple(of_input[kept] for of_input in inputs)
             self._put(rows, index[kept], codes, block.trigger_time_s[kept])
+            self._vouch()
 
     def clipped(self, shot: Shot, clipped: bool) -> None:
         """Write whether the input of the digitizer left its range during ``shot``."""
@@ -194,6 +207,7 @@ class RunWriter:
         due = self._clock() - self._checkpoint_s >= CHECKPOINT_S
         with self._committing(sync=due):
             self._write_chunk()
+            self._vouch()
             self._file.flush()
             self._tables["records/shot_complete"].put(shot.index, 1)
         if due:
@@ -211,9 +225,9 @@ class RunWriter:
                     for start, codes in earlier.records.chunks(shot, chunk.rows, chunk.short_name):
                         chunk.write(shot, start, codes)
                         self._file.flush()
+                        chunk.vouch()
                         self._commit()
-                for number in range(self._arrivals.count):
-                    self._arrivals.put(shot, number, taken.recorded, taken.trigger_time_s)
+                self._arrivals.put(shot, range(self._arrivals.count), taken.recorded, taken.trigger_time_s)
                 for name, row in taken.tables.items():
                     self._tables[name].put(shot, row)
                 self._file.flush()
@@ -222,6 +236,7 @@ class RunWriter:
     def _rows_of(self, shot: Shot) -> _ShotRows:
         if self._shot is None or self._shot.index != shot.index:
             self._write_chunk()
+            self._vouch()
             self._shot = _ShotRows(shot)
         return self._shot
 
@@ -248,7 +263,7 @@ class RunWriter:
     def _by_chunk(self, index: NDArray[np.int64]) -> Iterator[tuple[int, slice | NDArray[np.bool_]]]:
         """Yield each chunk that records ``index`` (record,) belong to, and which of them do."""
         rows = self._chunk.rows
-        if index.size and index[-1] - index[0] == index.size - 1 and bool(np.all(np.diff(index) == 1)):
+        if index.size and bool(np.all(np.diff(index) == 1)):
             # One after another, as nearly always: slices copy nothing.
             first, last = int(index[0]), int(index[-1])
             for number in range(first // rows, last // rows + 1):
@@ -258,15 +273,24 @@ class RunWriter:
             yield number, index // rows == number
 
     def _write_chunk(self) -> None:
-        """Write the current chunk, then the marks of its records; do nothing if no record was added since."""
-        if self._chunk.place is None or self._shot is None or not self._chunk.fresh:
+        """Write the current chunk; do nothing if no record was added since."""
+        if not self._chunk.fresh:
             return
-        shot, number = self._chunk.place
         for chunk in self._chunks:
             chunk.flush()
-        # The index of the chunks, before what says that there is something in this one.
+        if len(self._chunk.unvouched) >= MOST_UNVOUCHED:
+            self._vouch()
+
+    def _vouch(self) -> None:
+        """Write what says that the chunks written since the last time are there: checksums and marks of records."""
+        if self._shot is None or not self._chunk.unvouched:
+            return
+        # The index of the chunks, before what says that there is something in them.
         self._file.flush()
-        self._arrivals.put(shot, number, self._shot.recorded, self._shot.trigger_time_s)
+        numbers = tuple(self._chunk.unvouched)
+        for chunk in self._chunks:
+            chunk.vouch()
+        self._arrivals.put(self._shot.index, numbers, self._shot.recorded, self._shot.trigger_time_s)
 
     def _write_end(self) -> None:
         """Write when the run ended: by a clock that nobody sets meanwhile, from when it started."""
@@ -282,12 +306,16 @@ class RunWriter:
             if not self._broken:
                 with self._committing(sync=True):
                     self._write_chunk()
+                    self._vouch()
                     self._write_end()
                     self._file.flush()
         except StoreError as error:
             failure, status = error, "failed"
-        with contextlib.suppress(OSError, RuntimeError, KeyError):
+        try:
             self._file.close()
+        except LIBRARY_ERRORS as error:
+            # Of what it wrote in between nothing reaches the file, which is whole without it.
+            failure, status = failure or self._cannot_be_written(error), "failed"
         try:
             if failure is None and not self._broken:
                 with self._committing(sync=True):
@@ -297,11 +325,11 @@ class RunWriter:
                 # The last look: whatever was done to the file until now is found here.
                 with self._committing():
                     pass
-        except (OSError, StoreError) as error:
+        except (OSError, MemoryError, StoreError) as error:
             failure = failure or self._cannot_be_written(error)
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, MemoryError):
                 self._journal.amend(self._endings["failed"])
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, MemoryError):
             self._journal.close()
         self._beside.shutdown()
         if failure is not None:
@@ -328,7 +356,7 @@ class RunWriter:
         # Signals are let through here: a disk that does not answer must not keep the outputs on.
         try:
             self._journal.commit(sync, wait)
-        except OSError as error:
+        except (OSError, MemoryError) as error:
             self._broken = True
             raise self._cannot_be_written(error) from error
         except StoreError:
@@ -342,7 +370,7 @@ class RunWriter:
         try:
             with uninterrupted():
                 yield
-        except (OSError, RuntimeError, KeyError) as error:
+        except LIBRARY_ERRORS as error:
             self._broken = True
             raise self._cannot_be_written(error) from error
 
@@ -379,33 +407,57 @@ class _Table:
 
 
 @final
+class _ChunkSums:
+    """Checksums of a dataset by shot and chunk, ``count`` chunks a shot.
+
+    They lie in one piece, at a place that never changes: they are written there and not by the library.
+    """
+
+    def __init__(self, file: h5py.File, name: str, journal: Journal) -> None:
+        sums = file[f"{GROUP}/{name}"]
+        self._start, self._journal, self.count = sums.id.get_offset(), journal, int(sums.shape[1])
+
+    def put(self, shot: int, by_chunk: Mapping[int, int]) -> None:
+        """Write the checksums of some chunks of ``shot``, by number."""
+        for number, found in by_chunk.items():
+            self._journal.put(self._start + 8 * (shot * self.count + number), found.to_bytes(8, "little"))
+
+
+@final
 class _Arrivals:
     """Marks and trigger times of the records, written chunk by chunk of the echoes, and their checksums."""
 
-    def __init__(self, file: h5py.File, rows: int) -> None:
+    def __init__(self, file: h5py.File, rows: int, sums: _ChunkSums) -> None:
         self._recorded, self._time_s = file["records/recorded"], file["records/trigger_time_s"]
-        self._sums, self._rows = file[f"{GROUP}/records/recorded"], rows
-        self.count: int = self._sums.shape[1]
+        self._sums, self._rows = sums, rows
+        self.count = sums.count
 
-    def put(self, shot: int, number: int, recorded: NDArray[np.bool_], time_s: NDArray[np.float64]) -> None:
-        """Write those of chunk ``number`` out of the shot's, each (pulse,)."""
-        rows = slice(number * self._rows, (number + 1) * self._rows)
-        marks = np.ascontiguousarray(recorded[rows], self._recorded.dtype)
-        times_s = np.ascontiguousarray(time_s[rows], self._time_s.dtype)
-        _put_row(self._time_s, (shot, rows.start), times_s)
-        _put_row(self._recorded, (shot, rows.start), marks)
-        found = digest("records/recorded", (shot, number), marks.tobytes(), times_s.tobytes())
-        _put_row(self._sums, (shot, number), np.array([found], "<u8"))
+    def put(self, shot: int, numbers: Sequence[int], recorded: NDArray[np.bool_], time_s: NDArray[np.float64]) -> None:
+        """Write those of the chunks ``numbers`` out of the shot's, each (pulse,)."""
+        pieces = [slice(number * self._rows, (number + 1) * self._rows) for number in numbers]
+        times_s = [np.ascontiguousarray(time_s[rows], self._time_s.dtype) for rows in pieces]
+        marks = [np.ascontiguousarray(recorded[rows], self._recorded.dtype) for rows in pieces]
+        found = {
+            number: digest("records/recorded", (shot, number), of_records.tobytes(), of_times.tobytes())
+            for number, of_records, of_times in zip(numbers, marks, times_s, strict=True)
+        }
+        first = [rows.start for rows in pieces]
+        _put_rows(self._time_s, shot, first, times_s)
+        _put_rows(self._recorded, shot, first, marks)
+        self._sums.put(shot, found)
 
 
-def _put_row(dataset: h5py.Dataset, start: tuple[int, int], values: NDArray[Any]) -> None:
-    """Write ``values`` (place,), of the dataset's own type, from ``start`` on along its last axis.
+def _put_rows(dataset: h5py.Dataset, shot: int, first: Sequence[int], pieces: Sequence[NDArray[Any]]) -> None:
+    """Write each of ``pieces`` (place,), of the dataset's own type, from its ``first`` place on, and hand them over.
 
     Through the library's own interface: to find out what an index means takes h5py ten times as long as writing it.
     """
-    there, here = dataset.id.get_space(), h5s.create_simple((values.size,))
-    there.select_hyperslab(start, (1, values.size))
-    dataset.id.write(here, there, values)
+    if all(start + values.size == after for start, values, after in zip(first, pieces, first[1:], strict=False)):
+        first, pieces = first[:1], [np.concatenate(pieces)]
+    there = dataset.id.get_space()
+    for start, values in zip(first, pieces, strict=True):
+        there.select_hyperslab((shot, start), (1, values.size))
+        dataset.id.write(h5s.create_simple((values.size,)), there, values)
     dataset.id.flush()
 
 
@@ -414,36 +466,43 @@ class _Chunk:
     """Chunk of echoes being filled; ``place`` is its (shot, number), None before the first.
 
     ``fresh`` is True while it holds records that the file does not. A chunk stays in memory after it is written, so
-    that a late record only means writing it once more.
+    that a late record only means writing it once more. ``unvouched``: the checksums to come, by number, of the chunks
+    of one shot that were written since ``vouch``; what they are of stays in memory until then.
     """
 
-    def __init__(self, file: h5py.File, name: str, beside: Executor) -> None:
+    def __init__(self, file: h5py.File, name: str, sums: _ChunkSums, beside: Executor) -> None:
         self._name, self.short_name, self._beside = name, name.rpartition("/")[2], beside
         self._echo = echo = file[name]
-        self._sums = file[f"{GROUP}/{name}"]
+        self._sums = sums
         self._plain = echo.id.get_create_plist().get_nfilters() == 0
         self.rows: int = echo.chunks[1]
-        self.codes = np.empty(echo.chunks[1:], "<i2")
+        self._codes = np.empty(echo.chunks[1:], "<i2")
+        self._filled = np.zeros(self.rows, bool)
+        self._spare, self._lent = list[NDArray[np.int16]](), list[NDArray[np.int16]]()
         self.place: tuple[int, int] | None = None
         self.fresh = False
+        self.unvouched: dict[int, Future[int]] = {}
 
     def begin(self, shot: int, number: int) -> None:
         """Start another chunk, all records missing."""
-        self.codes.fill(MISSING)
+        if self.unvouched:
+            self._lent.append(self._codes)
+            self._codes = self._spare.pop() if self._spare else np.empty_like(self._codes)
+        self._filled[:] = False
         self.place = (shot, number)
 
     def put(self, rows: NDArray[np.int64], codes: NDArray[np.int16]) -> None:
         """Put ``codes`` (row, sample) into the rows ``rows``."""
-        if rows[-1] - rows[0] == rows.size - 1 and bool(np.all(np.diff(rows) == 1)):
-            self.codes[rows[0] : rows[-1] + 1] = codes
-        else:
-            self.codes[rows] = codes
+        # As a slice, as nearly always, they take half the time.
+        here = slice(rows[0], rows[-1] + 1) if bool(np.all(np.diff(rows) == 1)) else rows
+        self._codes[here] = codes
+        self._filled[here] = True
         self.fresh = True
 
     def write(self, shot: int, first: int, codes: NDArray[np.int16]) -> None:
         """Write whole ``codes`` (pulse, sample) from pulse ``first`` on, a multiple of the chunk's rows."""
         self.begin(shot, first // self.rows)
-        self.codes[: codes.shape[0]] = codes
+        self.put(np.arange(codes.shape[0]), codes)
         self.flush()
 
     def flush(self) -> None:
@@ -452,19 +511,28 @@ class _Chunk:
             return
         shot, number = self.place
         first = number * self.rows
+        if not self._filled.all():
+            self._codes[~self._filled] = MISSING
         if self._plain:
-            found = self._beside.submit(digest, self._name, self.place, self.codes.data)
+            found = self._beside.submit(digest, self._name, self.place, self._codes.data)
             # Bypasses the library's cache, which would only copy.
-            self._echo.id.write_direct_chunk((shot, first, 0), self.codes)
+            self._echo.id.write_direct_chunk((shot, first, 0), self._codes)
         else:
             rows = min(self.rows, self._echo.shape[1] - first)
-            self._echo[shot, first : first + rows] = self.codes[:rows]
+            self._echo[shot, first : first + rows] = self._codes[:rows]
             self._echo.flush()
             _, stored = self._echo.id.read_direct_chunk((shot, first, 0))
             found = self._beside.submit(digest, self._name, self.place, stored)
-        self._echo.id.flush()
-        _put_row(self._sums, self.place, np.array([found.result()], "<u8"))
+        self.unvouched[number] = found
         self.fresh = False
+
+    def vouch(self) -> None:
+        """Write the checksums of the chunks written since the last time."""
+        if self.place is None:
+            return
+        self._sums.put(self.place[0], {number: found.result() for number, found in self.unvouched.items()})
+        self._spare += self._lent
+        self.unvouched, self._lent = {}, []
 
 
 @final
@@ -513,9 +581,11 @@ def _begun(image: bytes, path: Path, overwrite: bool, record_bytes: int) -> Jour
         return Journal(path)
 
     def undo(journal: Journal) -> None:
-        if not overwrite:
-            path.unlink(missing_ok=True)
+        # First: Windows removes no file that is open.
         journal.close()
+        with contextlib.suppress(OSError):
+            if not overwrite and journal.is_in_place():
+                path.unlink()
 
     try:
         return in_time(make, undo)

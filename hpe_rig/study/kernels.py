@@ -160,7 +160,7 @@ def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
         fit = estimate(train.gate(noisy), train.frequencies_hz, estimator, options=train.options)
         return fit.state[..., : 2 * len(train.frequencies_hz)]
     if spec.band_phase is not None:
-        phase, _, mean_hz = spec.band_phase(_complex(noisy), spectral_kernels(train).band)
+        phase, _, mean_hz = spec.band_phase(_complex(noisy), spectral_kernels(train).band, True)
         return np.asarray((phase * _metres(train) / mean_hz[..., None]) @ functional(train, estimator))
     return np.asarray(motion_of(train.gate(noisy), estimator).displacement_m @ functional(train, estimator))
 

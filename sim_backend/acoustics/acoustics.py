@@ -61,6 +61,10 @@ _ECHO_TOLERANCE = 1e-8
 # Pulses that start up to some ns apart move the ends of their support: below this only the exact sum of each helps.
 _FIELD_ECHO_TOLERANCE = 2e-7
 _RECORDS_AT_ONCE = 64
+_MOST_REPEATED = 256
+"""Echoes that are kept for the next records: a periodic motion that is tracked at so many places of its period."""
+_MOST_PULSES = 8
+"""Kinds of pulse of which echoes are kept: a sweep of carriers or of burst lengths makes new ones in every shot."""
 
 MADE_MEANWHILE = 1 << 18
 """Samples of noise, from about 2 ms on, that are drawn while the echoes are computed."""
@@ -113,6 +117,8 @@ class Acoustics:
         self._noise = RecordStream(settings.seed, _NOISE_STREAM)
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._heard: dict[Pulse, Heard] = {}
+        # By pulse the echoes of the latest records, where they were few: what decided them, and what came of it.
+        self._repeated: dict[Pulse, tuple[tuple[Floats, Floats, Picoseconds], Floats]] = {}
         reference = self._hear(
             echo_pulse(settings, settings.receiver.reference_carrier_hz), self._field.tracking_weight
         )
@@ -166,9 +172,10 @@ class Acoustics:
     def _add_tracking_echoes(self, volts: Begun, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> None:
         strength_v = self._gain_v * pulse_strength(pulses, self._settings.receiver)
         strength_v *= transmitted_share(pulses.amplitude_vpp, self._settings)
-        for carrier_hz in np.unique(pulses.carrier_hz):
+        # not np.unique, here and below: it loads NumPy's masked arrays
+        for carrier_hz in sorted(set(pulses.carrier_hz.tolist())):
             alike = pulses.carrier_hz == carrier_hz
-            shape = echo_pulse(self._settings, float(carrier_hz))
+            shape = echo_pulse(self._settings, carrier_hz)
             passage = self._passage(pulses.onset_ps[alike], capture)
             motion_m = self._motion_sensed_m(tonebursts, passage.time_ps, capture)
             heard = self._hear(shape, self._field.tracking_weight)
@@ -178,10 +185,10 @@ class Acoustics:
         """Add the echoes of the tonebursts; a scatterer's motion during its burst is left out."""
         heard = near(tonebursts, capture)
         strength_v = self._gain_v * toneburst_echo_strength(heard, self._settings.receiver)
-        kinds = np.stack([heard.carrier_hz, (heard.end_ps - heard.onset_ps) / PS_PER_S], axis=1)
-        for kind in np.unique(kinds, axis=0):
-            alike = (kinds == kind).all(axis=1)
-            shape = attenuated_to_focus(self._settings, rectangular_burst(*kind.tolist()))
+        length_s = (heard.end_ps - heard.onset_ps) / PS_PER_S
+        for kind in sorted(set(zip(heard.carrier_hz.tolist(), length_s.tolist(), strict=True))):
+            alike = (heard.carrier_hz == kind[0]) & (length_s == kind[1])
+            shape = attenuated_to_focus(self._settings, rectangular_burst(*kind))
             # from another transducer they come as from this one, at another time
             passage = self._passage(heard.onset_ps[alike] + to_ps(self._push_later_s), capture)
             motion_m = self._motion_sensed_m(tonebursts, passage.time_ps, capture)
@@ -275,30 +282,41 @@ class Acoustics:
         speed_m_per_s, shift_s = self._settings.sound_speed_m_per_s, (age_ps - age_ps[0]) / PS_PER_S
         amplitude_s = np.concatenate([motion_m[burst] * (2 / speed_m_per_s), shift_s[:, None]], axis=1)
         one, kind = distinct_echoes(amplitude_s, np.pad(shapes, ((0, 1), (0, 0)), constant_values=1), shape, tolerance)
-        block = echoes(
-            delay_s,
-            weight,
-            shapes,
-            motion_m[burst[one]],
-            shape,
-            _after_arrival_s(sample_ps, arrival_s),
-            speed_m_per_s,
-            tolerance,
-            shift_s=shift_s[one],
-            colour=colour,
-        )
+        decided_by = motion_m[burst[one]], shift_s[one], sample_ps
+        block = self._made_before(shape, decided_by)
+        if block is None:
+            sample_s = _after_arrival_s(sample_ps, arrival_s)
+            block = echoes(
+                delay_s,
+                weight,
+                shapes,
+                decided_by[0],
+                shape,
+                sample_s,
+                speed_m_per_s,
+                tolerance,
+                shift_s=decided_by[1],
+                colour=colour,
+            )
+            if len(one) <= _MOST_REPEATED:
+                self._repeated[shape] = decided_by, block
+                if len(self._repeated) > _MOST_PULSES:
+                    del self._repeated[next(iter(self._repeated))]
         volts = begun()
         if np.array_equal(record, np.arange(len(volts))):
-            # One echo a record: no copy of the samples on the way, and some records at a time stay in the cache.
-            for first in range(0, len(volts), _RECORDS_AT_ONCE):
-                some = slice(first, first + _RECORDS_AT_ONCE)
-                volts[some, span] += block[kind[some]] * strength_v[burst[some], None]
+            _add_to_records(volts[:, span], block, kind, strength_v[burst])
             return
         block = block[kind] * strength_v[burst, None]
-        if len(np.unique(record)) == len(record):
+        if len(set(record.tolist())) == len(record):
             volts[record, span] += block
         else:
             np.add.at(volts[:, span], record, block)
+
+    def _made_before(self, shape: Pulse, decided_by: tuple[Floats, Floats, Picoseconds]) -> Floats | None:
+        """Return the echoes of ``shape`` that the latest records before had, where the same numbers decide them."""
+        before, block = self._repeated.get(shape, ((), None))
+        same = len(before) == len(decided_by) and all(map(np.array_equal, before, decided_by))
+        return block if same else None
 
     def _add_shifted_echoes(
         self,
@@ -344,6 +362,17 @@ class Acoustics:
             begin, end = max(0, first), min(capture.samples, first + len(echo))
             if begin < end:
                 volts[into, begin:end] += echo[begin - first : end - first]
+
+
+def _add_to_records(volts: Floats, block: Floats, kind: Indices, strength_v: Floats) -> None:
+    """Add to every record (record, sample) its ``kind`` (record,) of echo (kind, sample), by its strength (record,)."""
+    alike = bool((strength_v == strength_v[0]).all())
+    if alike:
+        block = block * strength_v[0]
+    # no copy of all samples on the way: some records at a time stay in the cache
+    for first in range(0, len(volts), _RECORDS_AT_ONCE):
+        some = slice(first, first + _RECORDS_AT_ONCE)
+        volts[some] += block[kind[some]] if alike else block[kind[some]] * strength_v[some, None]
 
 
 def _begun(make: Begun, values: int) -> Begun:

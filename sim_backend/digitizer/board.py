@@ -161,14 +161,16 @@ def words(volts: NDArray[np.float64], channel: Input, settings: BoardSettings) -
     flat_v, flat = volts.reshape(-1), out.reshape(-1)
     levels_per_v = half_scale / (channel.range_v / _at_input(channel))
     # In pieces that stay in the processor's cache from the first step to the last.
+    levels = np.empty(min(flat.size, _SAMPLES_AT_ONCE))
     for first in range(0, flat.size, _SAMPLES_AT_ONCE):
-        some = slice(first, first + _SAMPLES_AT_ONCE)
-        level = flat_v[some] * levels_per_v
+        some = flat_v[first : first + _SAMPLES_AT_ONCE]
+        level = np.multiply(some, levels_per_v, out=levels[: some.size])
         level += half_scale
         np.rint(level, out=level)
-        np.maximum(level, 0, out=level)
-        np.minimum(level, highest, out=level)
-        flat[some] = level
+        # to look costs half of what limiting does
+        if level.min() < 0 or level.max() > highest:
+            np.clip(level, 0, highest, out=level)
+        flat[first : first + _SAMPLES_AT_ONCE] = level
     if settings.signed:
         # Two's complement of as many bits as the board has.
         out -= out.dtype.type(1 << (board.bits - 1))

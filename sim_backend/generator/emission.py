@@ -176,7 +176,7 @@ def _pulses(
     period_ps = PS_PER_S / registers.frequency_hz
     square_s = registers.duty_percent / 100 / registers.frequency_hz
     high_s = registers.width_s if registers.function == "PULS" else square_s
-    counts = np.minimum(cycles, np.ceil(np.maximum(0, stop_ps - onset_ps) / period_ps)).astype(np.int64)
+    counts = np.minimum(cycles, np.ceil((stop_ps - onset_ps) / period_ps)).astype(np.int64)
     if counts.sum() > MOST_STEPS:
         raise ValueError(
             f"the programmed output has {counts.sum()} pulses, more than the twin follows ({MOST_STEPS}); "

@@ -26,6 +26,7 @@ from sim_backend.motion.specimen import (
     creeps_for_ever,
     force_volume,
     frequency_response,
+    legendre,
     memory_s,
     polar_nodes,
     shear_modulus,
@@ -342,7 +343,7 @@ def _ray_spectrum(
     for octave, (low, high) in enumerate(zip([0.0, *edges[:-1]], edges, strict=True)):
         short = octave > _OCTAVES - _SHORT_OCTAVES
         count = _NODES_WHERE_WAVES_ARE_SHORT if short else _NODES_AN_OCTAVE
-        node, weight = np.polynomial.legendre.leggauss(math.ceil(count * finer))
+        node, weight = legendre(math.ceil(count * finer))
         along_ray = (high + low) / 2 + (high - low) / 2 * node
         k = turn * along_ray
         # Directions in which the force is too long for these wave numbers put nothing into any point.

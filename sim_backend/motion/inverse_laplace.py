@@ -110,6 +110,7 @@ def _clenshaw(coefficient: Floats, panel: NDArray[np.int64], x: Floats) -> Float
     """
     one = np.zeros_like(x)
     two = np.zeros_like(x)
+    twice = 2 * x
     for row in coefficient[:0:-1]:
-        one, two = row[panel] + 2 * x * one - two, one
+        one, two = row[panel] + twice * one - two, one
     return np.asarray(coefficient[0][panel] + x * one - two)

@@ -30,6 +30,8 @@ Triple = tuple[float, float, float]
 _DIRECTION_NODES = 64
 # Relative to the static displacement: below this a response has ended.
 _FORGOTTEN = 1e-11
+# Times under several pulses whose responses are looked up together: they stay in the processor's cache.
+_TIMES_AT_ONCE = 1 << 12
 # |z| from which the continued fraction, so many terms deep, is as exact as the difference it replaces (8e-13).
 _FAR, _FAR_TERMS = 6.0, 16
 
@@ -126,6 +128,14 @@ def inertia_factor(z: Complexes) -> Complexes:
     return out
 
 
+@lru_cache
+def legendre(count: int) -> tuple[Floats, Floats]:
+    """Return ``count`` nodes and weights of Gauss's quadrature, which no caller can change: all get the same."""
+    node, weight = np.polynomial.legendre.leggauss(count)
+    node.flags.writeable = weight.flags.writeable = False
+    return node, weight
+
+
 @dataclass(frozen=True, slots=True)
 class StepResponse:
     """Displacement at the focus, m per N/m^3, at a time after a unit force is switched on for good."""
@@ -179,13 +189,18 @@ def transients(response: StepResponse, force: ForcePulses, time_ps: Picoseconds)
     moved = np.zeros((len(time_ps), response.panels.coefficient.shape[2]))
     first = np.searchsorted(ascending_ps, force.onset_ps)
     last = np.searchsorted(ascending_ps, force.end_ps + memory_ps, side="right")
-    # Each pulse is added to the slice of times that lie between its onset and the end of its memory.
-    for index in np.flatnonzero(first < last).tolist():
-        strength = force.force_density_n_per_m3[index]
-        felt = slice(first[index], last[index])
-        up_s = (ascending_ps[felt] - force.onset_ps[index]) / PS_PER_S
-        down_s = (ascending_ps[felt] - force.end_ps[index]) / PS_PER_S
-        moved[felt] += strength * (response.panels.at(up_s) - response.panels.at(down_s))
+    # Each pulse is added to the slice of times that lie between its onset and the end of its memory. The responses to
+    # several pulses, one after another, are looked up together.
+    felt = np.flatnonzero(first < last)
+    total = np.cumsum(last[felt] - first[felt])
+    for some in np.split(felt, np.flatnonzero(np.diff(total // _TIMES_AT_ONCE)) + 1) if felt.size else ():
+        parts, count = [slice(first[index], last[index]) for index in some], last[some] - first[some]
+        edges_ps = np.repeat([force.onset_ps[some], force.end_ps[some]], count, axis=1)
+        age_s = (np.concatenate([ascending_ps[part] for part in parts]) - edges_ps) / PS_PER_S
+        up, down = response.panels.at(age_s)
+        added = np.repeat(force.force_density_n_per_m3[some], count)[:, None] * (up - down)
+        for part, own in zip(parts, np.split(added, np.cumsum(count)[:-1]), strict=True):
+            moved[part] += own
     unsorted = np.empty_like(moved)
     unsorted[order] = moved
     return unsorted
@@ -214,7 +229,7 @@ def polar_nodes(lateral: float, axial: float) -> tuple[Floats, Floats, Floats]:
     divergence-free force, 1 - m^2, with the quadrature's weight. Gauss-Legendre nodes in the variable that makes the
     width a smooth function: asinh for a force longer than wide, asin for a disc (docs/theory/medium.md, section 2).
     """
-    node, weight = np.polynomial.legendre.leggauss(_DIRECTION_NODES)
+    node, weight = legendre(_DIRECTION_NODES)
     node, weight = (node + 1) / 2, weight / 2
     if axial > lateral:
         unit = math.sqrt(lateral / (axial - lateral))

@@ -22,6 +22,12 @@ Complexes = NDArray[np.complex128]
 COLUMNS = ("x_m", "y_m", "z_m", "pressure_pa")
 PHASE = "phase_rad"
 FEWEST_PLANES, FEWEST_RADII = 5, 5
+FORMATS = {
+    ".csv": "a table with commas between columns",
+    ".h5": "an HDF5 file",
+    ".hdf5": "an HDF5 file",
+    ".mat": "a MAT file",
+}
 RIM = 0.25
 """Of the plane's largest pressure, which its outermost points must not exceed: else the scan cuts the beam."""
 _SAME = 1e-6
@@ -39,17 +45,24 @@ class Scan:
 
 
 def read_scan(path: str) -> Scan:
-    """Return the scan in ``path``. Raises ``ValueError`` with all that it lacks, ``OSError`` for an unreadable file."""
+    """Return the scan in ``path``. Raises ``ValueError`` with all that it lacks, or why the file cannot be read."""
     file = Path(path).resolve()
     if not file.is_file():
-        raise ValueError(f"the scan {path} is no file here")
+        raise ValueError(f"the scan {path} is no file here: {file} was looked for")
     found = file.stat()
     return _read_once(path, file, found.st_mtime_ns, found.st_size)
 
 
 @lru_cache(maxsize=8)
 def _read_once(path: str, file: Path, _modified_ns: int, _size: int) -> Scan:
-    columns = _columns(file)
+    if file.suffix.lower() not in FORMATS:
+        raise ValueError(f"the scan {path} ends in {file.suffix!r}: .csv, .h5, .hdf5 or .mat")
+    try:
+        columns = _columns(file)
+    # whatever the readers of three formats make of a file that is none of theirs
+    except Exception as error:
+        why = str(error) or type(error).__name__
+        raise ValueError(f"the scan {path} cannot be read as {FORMATS[file.suffix.lower()]}: {why}") from error
     mistakes = [f"{name} is missing" for name in COLUMNS if name not in columns]
     sizes = {name: each.size for name, each in columns.items()}
     if len(set(sizes.values())) > 1:
@@ -118,6 +131,9 @@ def _gaps(scan: Scan) -> list[str]:
         found.append("its planes do not reach from before the focus, z_m = 0, to behind it")
     radius_m = np.hypot(scan.place_m[:, 0], scan.place_m[:, 1])
     size = np.abs(scan.pressure_pa)
+    focal = depth == planes[np.abs(planes).argmin()]
+    if not size[focal][radius_m[focal] == radius_m[focal].min()].max() > 0:
+        found.append("the pressure at the focus is 0")
     for plane in planes:
         own = depth == plane
         rings = np.unique(np.round(radius_m[own] / _SAME).astype(np.int64))
@@ -135,21 +151,22 @@ def _gaps(scan: Scan) -> list[str]:
 
 def _columns(path: Path) -> dict[str, Floats]:
     """Return the named columns of the file, by its suffix."""
+    if not path.stat().st_size:
+        raise ValueError("it is empty")
     names = (*COLUMNS, PHASE)
     match path.suffix.lower():
         case ".csv":
-            table: Any = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64, ndmin=1)
+            # as spreadsheets write it, with a mark of the encoding before the first name, or without
+            table: Any = np.genfromtxt(path, delimiter=",", names=True, dtype=np.float64, ndmin=1, encoding="utf-8-sig")
             held: dict[str, Any] = {name: table[name] for name in table.dtype.names or ()}
         case ".h5" | ".hdf5":
             held = _hdf5(path)
-        case ".mat":
+        case _:
             import h5py
             from scipy.io import loadmat
 
             # MATLAB's version 7.3 is HDF5.
             held = _hdf5(path) if h5py.is_hdf5(path) else loadmat(path)
-        case other:
-            raise ValueError(f"the scan {path} ends in {other!r}: .csv, .h5, .hdf5 or .mat")
     return {name: np.asarray(held[name], np.float64).ravel() for name in names if name in held}
 
 

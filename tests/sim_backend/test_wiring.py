@@ -11,13 +11,17 @@ from sim_backend.digitizer.board import Arming, BoardSettings, Engine, Latencies
 from sim_backend.generator.emission import respond
 from sim_backend.generator.registers import Registers
 from sim_backend.wiring import (
+    Bursts,
+    Capture,
     Emission,
+    SimulatedClock,
     Steps,
     accepted,
     cables_of,
     crossings,
     driven,
     joined_steps,
+    near,
     no_bursts,
     no_steps,
     propagate,
@@ -249,6 +253,15 @@ def test_gated_bursts_equal_a_plain_loop(edge_ps, width_ps, frequency_hz):
     assert list(zip(bursts.onset_ps.tolist(), bursts.cycles.tolist(), strict=True)) == expected
 
 
+def test_a_gate_that_opens_again_within_the_last_cycle_is_ignored_and_one_at_its_end_is_not() -> None:
+    gated = sine(burst_mode="GAT", frequency_hz=1e6)
+    # 0.4 us open is a cycle of 1 us.
+    for second_ps, expected in ((900_000, [0, 2_000_000]), (1_000_000, [0, 1_000_000, 2_000_000])):
+        gate = ttl([0, second_ps, 2_000_000], width_ps=400_000)
+        bursts = respond([(-1, gated)], [], gate, 0, FAR_PS).bursts
+        assert bursts.onset_ps.tolist() == expected
+
+
 def test_falling_slope_triggers_on_the_falling_edge():
     bursts = respond([(0, sine(trigger_slope="NEG"))], [], ttl([0], width_ps=77_000), 0, FAR_PS).bursts
     assert bursts.onset_ps.tolist() == [77_000]
@@ -259,6 +272,39 @@ def test_internal_trigger_repeats_and_continuous_output_runs_to_the_horizon():
     assert repeated.onset_ps.tolist() == [0, 10**9, 2 * 10**9, 3 * 10**9]
     continuous = respond([(5, sine(burst=False))], [], no_steps(), 0, 10**9).bursts
     assert (continuous.onset_ps.tolist(), continuous.end_ps.tolist()) == ([5], [10**9])
+
+
+def test_pulses_that_would_begin_after_the_output_goes_off_do_not() -> None:
+    # 0.5 us from one to the next; the output goes off at 1.2 us, 0.1 us after the trigger.
+    history = [(0, replace(TRIGGERED, frequency_hz=2e6, cycles=10.0)), (1_200_000, Registers())]
+    emission = respond(history, [], ttl([0, 1_150_000]), LATENCY_PS, FAR_PS)
+    assert rises(emission.steps) == [100_000, 600_000, 1_100_000]
+
+
+def test_a_square_wave_is_high_for_its_duty_cycle_of_each_period() -> None:
+    square = replace(TRIGGERED, function="SQU", frequency_hz=2e6, duty_percent=30.0, cycles=2.0)
+    steps = respond([(0, square)], [], ttl([0]), LATENCY_PS, FAR_PS).steps
+    # 30 % of 0.5 us, twice
+    assert rises(steps) == [100_000, 600_000]
+    assert crossings(steps, 2.0, False, 10e3).tolist() == [250_000, 750_000]
+
+
+def test_a_record_hears_the_bursts_from_10_ms_before_it_to_10_ms_after_it_however_long_it_is() -> None:
+    onset_ps = np.arange(0, 200, 3, dtype=np.int64) * 10**9
+    every = Bursts(onset_ps, onset_ps + 1000, np.ones(67), np.ones(67), np.ones(67))
+    # 50 ms from 60 ms on.
+    heard = near(every, Capture(0, 0, np.array([60 * 10**9]), 10**6, 50_000))
+    assert heard.onset_ps.tolist() == [time for time in onset_ps.tolist() if 50 * 10**9 <= time < 120 * 10**9]
+
+
+@pytest.mark.parametrize("duration_s", [0.0, -1.0])
+def test_a_clock_that_sleeps_for_no_time_stays_where_it_is(duration_s: float) -> None:
+    clock = SimulatedClock()
+    assert clock.now_s() == 0.0
+    clock.sleep(duration_s)
+    assert clock.now_ps == 0
+    clock.sleep(1000.0)
+    assert clock.now_ps == 10**15
 
 
 def test_inverted_pulse_has_its_rising_edge_at_the_end():

@@ -272,6 +272,20 @@ def test_true_displacement_is_that_at_the_pulses_arrival_and_nan_without_a_pulse
     assert truth.size == 40
 
 
+def test_motion_is_told_from_the_masters_edge_on_also_where_it_fires_again():
+    """A second edge in the middle of the trains starts nothing: time counts from the first."""
+    bench = Bench()
+    bench.arm()
+    bench.program()
+    edge_ps = bench.fire()
+    bench.world.clock.sleep(3e-3)
+    bench.fire()
+    assert bench.next_words() is not None
+    assert bench.acoustics.captures[0].origin_ps == edge_ps
+    time_s = np.array([0.0, 1e-3, 2.5e-3])
+    assert bench.world.true_motion_m(time_s) == pytest.approx(time_s, abs=1e-12)
+
+
 def test_captures_keep_their_truth_and_the_history_does_not_grow():
     bench = Bench()
     truths = []

@@ -11,6 +11,7 @@ from itertools import count
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.setup import Setup, prepare
@@ -18,6 +19,7 @@ from hpe_rig.bench import inventory as bench_report
 from hpe_rig.bench.bench_file import BenchFile, read_bench
 from hpe_rig.bench.comparison import file_differences, prefixed, settings_differences
 from hpe_rig.bench.inventory import survey
+from hpe_rig.cli.app import app
 from hpe_rig.cli.bench import bench_state, compare_with
 from hpe_rig.store import StoreError, read_snapshots
 from sim_backend.world import World
@@ -192,23 +194,27 @@ def test_an_address_that_is_none_is_an_error_of_that_role(tmp_path: Path) -> Non
     assert "hpe-rig bench" in first.problems[0]
 
 
-def test_the_command_prints_the_table_and_exits_by_what_it_found(tmp_path: Path) -> None:
+def test_the_command_prints_the_table_and_exits_by_what_it_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def rig(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "hpe_rig", "bench", *arguments]
         return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
 
-    good = rig()
-    assert good.returncode == 0, good.stderr
-    assert "SIMULATED" in good.stdout
-    assert "tracking_pulser" in good.stdout
     real_bench(tmp_path)
     bad = rig("edited.toml")
     assert bad.returncode == 1
     assert bad.stdout.count(" problem") == 6
     assert "Traceback" not in bad.stderr
-    assert rig("--compare", "absent.h5").returncode == 2
-    refused = rig("run.h5")
-    assert refused.returncode == 2
+    # The others in this process, which has everything loaded.
+    monkeypatch.chdir(tmp_path)
+    good = CliRunner().invoke(app, ["bench"])
+    assert good.exit_code == 0, good.stderr
+    assert "SIMULATED" in good.stdout
+    assert "tracking_pulser" in good.stdout
+    assert CliRunner().invoke(app, ["bench", "--compare", "absent.h5"]).exit_code == 2
+    refused = CliRunner().invoke(app, ["bench", "run.h5"])
+    assert refused.exit_code == 2
     assert "records a bench but gives no access" in refused.stderr
 
 

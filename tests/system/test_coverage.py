@@ -115,3 +115,8 @@ def test_intervals_of_every_estimator_hold_the_truth(coverage: ModuleType, scene
 @pytest.mark.slow
 def test_intervals_hold_the_truth_where_harmonics_alias_unseen(coverage: ModuleType) -> None:
     check(coverage, "bovine-muscle-synchronous", ["coherent", "joint"], seeds=40, deviations=3.0)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_of_a_sphere_in_unknown_media(coverage: ModuleType) -> None:
+    check(coverage, "steel-sphere", ["coherent", "cross_spectrum"], seeds=20, deviations=3.0)

@@ -17,13 +17,13 @@ import pytest
 from hpe_rig.acquire.resumption import prepare_rest
 from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.setup import Setup
+from hpe_rig.acquire.setup import prepare_text
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.report.page import render
+from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.scene.validation import SettingsError
 from hpe_rig.store import StoreError, read_run, read_snapshots
 
-Prepare = Callable[..., Setup]
 MESSAGES = (StoreError, SettingsError, PlanError)
 SMALL = (
     ("pulse_count = 101", "pulse_count = 48"),
@@ -35,11 +35,23 @@ MOST_S = 5.0
 MOST_BYTES = 1 << 30
 
 
-@pytest.fixture
-def small(prepared: Prepare, tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def measured_once(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Return a small run file without checksums, as early releases wrote, so that they do not find what is changed."""
-    path = record_run(prepared("table-1", *SMALL), tmp_path / "run.h5")
+    text = shipped_scenes()["table-1"]
+    for old, new in SMALL:
+        assert old in text, old
+        text = text.replace(old, new)
+    path = record_run(prepare_text("table-1", text), tmp_path_factory.mktemp("distrust") / "run.h5")
     _delete(path, "checksum")
+    return path.read_bytes()
+
+
+@pytest.fixture
+def small(measured_once: bytes, tmp_path: Path) -> Path:
+    """Return a copy of the small run file."""
+    path = tmp_path / "run.h5"
+    path.write_bytes(measured_once)
     return path
 
 

@@ -23,7 +23,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.cli.console import guarded, refuse_undecodable
 from hpe_rig.plan import PlanError
 from hpe_rig.scene import SettingsError, parse_toml, path_of, shipped_scenes, with_values
-from hpe_rig.store import StoreError
+from hpe_rig.store import StoreError, read_run
 from hpe_rig.study.definition import read_studies
 
 MESSAGES = (StoreError, SettingsError, PlanError)
@@ -194,6 +194,53 @@ def test_paths_and_numbers_that_cannot_be_are_told_before_the_work(
     assert isinstance(done.exception, SystemExit)
     assert message in done.output
     assert "Try:" in done.output
+
+
+LONG_COMMENT = f"# {'x' * 1_000_000}\n"
+
+
+@pytest.mark.parametrize("place", ["scene", "bench", "study"])
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [(LONG_COMMENT, "more than 1000000 bytes"), ("\n# \x9b2J\n", "line 2: the control character U+009B")],
+)
+def test_a_text_that_no_run_file_holds_is_refused_before_the_run(
+    tmp_path: Path, place: str, text: str, message: str
+) -> None:
+    path = tmp_path / "x.toml"
+    path.write_text(
+        text + {"scene": small_scene(), "bench": read_bench().text, "study": STUDY}[place], encoding="utf-8"
+    )
+    reads: Mapping[str, Callable[[], object]] = {
+        "scene": lambda: prepare(str(path)),
+        "bench": lambda: prepare(TABLE_1, path),
+        "study": lambda: read_studies(path),
+    }
+    with pytest.raises(SettingsError, match=re.escape(message)) as refused:
+        reads[place]()
+    assert "Try:" in str(refused.value)
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="POSIX")
+def test_a_file_without_end_is_no_settings_file() -> None:
+    for read in (prepare, lambda path: read_bench(Path(path)), read_studies):
+        with pytest.raises(SettingsError, match="it has more than 1000000 bytes"):
+            read("/dev/zero")
+
+
+def test_whatever_check_accepts_as_text_or_name_is_read_again(tmp_path: Path) -> None:
+    """Spaces of other widths come with text from the web; none of them is a reason to refuse what was measured."""
+    odd = "a\u00a0b\u200b\u202e\u2009"
+    (scene := tmp_path / f"{odd}.toml").write_text(f"# {odd}\n{small_scene()}", encoding="utf-8")
+    (bench := tmp_path / f"bench {odd}.toml").write_text(f"# {odd}\n{read_bench().text}", encoding="utf-8")
+    run = record_run(prepare(str(scene), bench), tmp_path / f"{odd}.h5")
+    assert process(run).shots
+    stored = read_run(run)
+    assert stored.scene_toml.startswith(f"# {odd}\n")
+    assert stored.bench_toml.startswith(f"# {odd}\n")
+    # What is printed again is escaped: one of them turns a line's direction.
+    assert stored.scene_name.isprintable()
+    assert stored.scene_name.startswith("a\\xa0b")
 
 
 def test_an_argument_that_is_no_text_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

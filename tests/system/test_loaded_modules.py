@@ -33,8 +33,10 @@ def loaded_by(folder: Path, *arguments: str) -> set[str]:
     return set((folder / "modules").read_text(encoding="utf-8").split())
 
 
-UNASKED = {"numpy.f2py.f2py2e", "numpy.testing._private", "unittest"}
-"""What SciPy would have NumPy load, and nothing uses."""
+UNASKED = {"numpy.f2py.f2py2e", "numpy.testing._private", "unittest", "numpy.ma"}
+"""What SciPy would have NumPy load, and nothing uses; NumPy's masked arrays, which some of its functions load."""
+UNDOCUMENTED = {"pydoc", "scipy._lib._docscrape", "scipy.special._basic"}
+"""What rewrites the documentation of SciPy's functions."""
 
 
 def packages(loaded: set[str]) -> set[str]:
@@ -59,6 +61,7 @@ def test_a_run_of_a_prescribed_motion_loads_no_scipy_and_nothing_that_pushes(fol
     assert {name for name in loaded if name.startswith("sim_backend.motion.")} == {"sim_backend.motion.prescribed"}
     assert not loaded & {"sim_backend.receiver.chain", "hpe_rig.acquire.resumption", "hpe_rig.acquire.log"}
     assert not [name for name in loaded if name.startswith(("hpe_rig.report.", "hpe_rig.live.", "hpe_rig.moduli."))]
+    assert not loaded & UNASKED
 
 
 def test_a_check_opens_no_twin_and_loads_neither_scipy_nor_hdf5(tmp_path: Path) -> None:
@@ -66,6 +69,7 @@ def test_a_check_opens_no_twin_and_loads_neither_scipy_nor_hdf5(tmp_path: Path) 
     # No file of a run is read or written.
     assert packages(loaded) == CORE - {"h5py"} | {"sim_backend"}
     assert not [name for name in loaded if name.startswith("hpe_rig.store.")]
+    assert "numpy.ma" not in loaded, "a quantile or a median of NumPy loads it"
     assert not loaded & {"hpe_rig.acquire.run", "hpe_rig.acquire.run_file", "hpe_rig.bench.opening"}
     # What the twin's settings may say, and what they say of the motion: no echoes, no instruments.
     rooms = {".".join(name.split(".")[:2]) for name in loaded if name.startswith("sim_backend.")}
@@ -99,6 +103,8 @@ def test_nothing_loads_extras_that_nobody_asked_for(folder: Path, command: tuple
     assert ("h5py" in loaded) == (command[0] != "check")
     assert not loaded & NEVER
     assert not modules & UNASKED or command[0] == "report", "Matplotlib has them loaded"
+    assert not modules & UNDOCUMENTED
+    assert "mpl_toolkits.mplot3d.axes3d" not in modules
     assert bool(loaded & DRAWING) == (command[0] == "report")
 
 

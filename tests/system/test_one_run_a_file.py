@@ -73,6 +73,7 @@ def test_another_run_into_the_same_file_is_refused_and_the_first_goes_on(setup: 
     assert read_run(path).shot_complete.all()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="a console's signals cannot be sent to one process on Windows")
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_disk_that_hangs_as_the_file_is_made_keeps_no_output_on(
     setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool
@@ -100,6 +101,7 @@ def test_a_disk_that_hangs_as_the_file_is_made_keeps_no_output_on(
     assert before is None or path.read_bytes() == before
 
 
+@pytest.mark.skipif(os.name == "nt", reason="a console's signals cannot be sent to one process on Windows")
 def test_a_disk_that_hangs_under_the_result_is_left_by_ctrl_c_or_after_a_minute_and_an_earlier_result_stays(
     setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

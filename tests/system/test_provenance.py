@@ -131,7 +131,8 @@ def test_runs_are_listed_and_found_by_note_and_date(run: hpe.Run) -> None:
     validator.validate([row])
     assert len(list(validator.iter_errors([row | {"shots": "two", "another": 1}]))) == 2
     assert row["notes"]["temperature_c"] == 21.5
-    assert "1051 +- 69 nm" in CliRunner().invoke(app, ["list", str(folder)]).stdout
+    stated = f"{entry.lead.amplitude_m * 1e9:.0f} +- {entry.lead.amplitude_uncertainty_m * 1e9:.0f} nm"
+    assert stated in CliRunner().invoke(app, ["list", str(folder)]).stdout
     refused = CliRunner().invoke(app, ["list", str(folder), "--since", "yesterday"])
     assert refused.exit_code == 2
     assert "--since" in refused.stderr

@@ -1,6 +1,7 @@
 """The rules of the architecture hold, and the machine that checks them notices when they do not."""
 
 import ast
+import importlib.util
 import re
 import shutil
 import subprocess
@@ -8,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -200,8 +202,14 @@ def door_mistakes(root: Path) -> list[str]:
     return mistakes
 
 
-def test_rooms_are_entered_through_their_faces_alone() -> None:
-    assert door_mistakes(ROOT) == []
+@pytest.fixture(scope="module")
+def mistakes_here() -> list[str]:
+    """Return the imports past a face of the tree as it is."""
+    return door_mistakes(ROOT)
+
+
+def test_rooms_are_entered_through_their_faces_alone(mistakes_here: list[str]) -> None:
+    assert mistakes_here == []
 
 
 def test_faces_offer_what_exists_under_names_of_their_own() -> None:
@@ -221,11 +229,13 @@ def test_faces_offer_what_exists_under_names_of_their_own() -> None:
         ("hpe_rig/cli/app.py", "import_module(f'hpe_rig.report.{name}')", "past the face of hpe_rig.report"),
     ],
 )
-def test_an_import_past_a_face_is_noticed(tree: Path, file: str, statement: str, message: str) -> None:
+def test_an_import_past_a_face_is_noticed(
+    tree: Path, mistakes_here: list[str], file: str, statement: str, message: str
+) -> None:
     path = tree / file
     text = path.read_text(encoding="utf-8")
     path.write_text(f"{text}\n\ndef _violation() -> None:\n    {statement}\n", encoding="utf-8")
-    (mistake,) = set(door_mistakes(tree)) - set(door_mistakes(ROOT))
+    (mistake,) = set(door_mistakes(tree)) - set(mistakes_here)
     assert mistake.startswith(f"{file}:")
     assert message in mistake
 
@@ -289,14 +299,24 @@ def test_a_heavy_import_of_the_package_is_noticed(tree: Path, library: str) -> N
     assert library in modules_after("import hpe_rig", tree)
 
 
-def drawn(root: Path, output: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(root / "scripts" / "draw_architecture.py"), str(output)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=root, check=False)
+def draw(root: Path, output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw the picture of the packages in ``root`` with the script beside them."""
+    script = root / "scripts" / "draw_architecture.py"
+    spec = importlib.util.spec_from_file_location("draw_architecture", script)
+    assert spec is not None
+    assert spec.loader is not None
+    program = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(program)
+    # Of the files that a copy shares with the tree the syntax trees are there.
+    monkeypatch.setattr(program, "ast", SimpleNamespace(**vars(ast) | {"parse": parsed}))
+    monkeypatch.setattr(sys, "argv", [str(script), str(output)])
+    program.main()
 
 
-def test_the_picture_of_the_architecture_shows_the_rooms_that_there_are(tmp_path: Path) -> None:
-    done = drawn(ROOT, tmp_path / "now.svg")
-    assert done.returncode == 0, done.stderr
+def test_the_picture_of_the_architecture_shows_the_rooms_that_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw(ROOT, tmp_path / "now.svg", monkeypatch)
     shown, now = (
         set(re.findall(r"<text[^>]*>([^<]+)</text>", path.read_text(encoding="utf-8")))
         for path in (ROOT / "docs" / "figures" / "architecture.svg", tmp_path / "now.svg")
@@ -313,12 +333,32 @@ def test_the_picture_of_the_architecture_shows_the_rooms_that_there_are(tmp_path
     ],
 )
 def test_the_picture_refuses_an_arrow_upwards_and_a_room_without_a_place(
-    tree: Path, file: str, statement: str, message: str
+    tree: Path, monkeypatch: pytest.MonkeyPatch, file: str, statement: str, message: str
 ) -> None:
     path = tree / file
     path.parent.mkdir(exist_ok=True)
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     path.write_text(f"{text}\n{statement}\n", encoding="utf-8")
-    done = drawn(tree, tree / "wrong.svg")
-    assert done.returncode != 0
-    assert message in done.stderr
+    # Ends the program with this message and a code that is not 0.
+    with pytest.raises(SystemExit, match=re.escape(message)):
+        draw(tree, tree / "wrong.svg", monkeypatch)
+
+
+SCRIPTS = sorted(file for file in (ROOT / "scripts").glob("*.py") if "__main__" in file.read_text(encoding="utf-8"))
+
+
+def test_no_script_reads_its_words_without_argparse() -> None:
+    by_itself = [file.name for file in SCRIPTS if not _asks_argparse(ast.parse(file.read_text(encoding="utf-8")))]
+    assert by_itself == []
+
+
+def _asks_argparse(script: ast.Module) -> bool:
+    return any(isinstance(node, ast.Attribute) and node.attr == "ArgumentParser" for node in ast.walk(script))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda file: file.stem)
+def test_every_script_says_how_it_is_used_and_does_nothing_else(script: Path, tmp_path: Path) -> None:
+    answer = subprocess.run([sys.executable, script, "--help"], capture_output=True, text=True, cwd=tmp_path)
+    assert (answer.returncode, answer.stderr, list(tmp_path.iterdir())) == (0, "", [])
+    assert answer.stdout.startswith(f"usage: {script.name}")

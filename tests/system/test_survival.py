@@ -98,9 +98,22 @@ def assert_resumes_to(path: Path, expected: dict[str, Any], number: int) -> None
     assert found == expected | {name: found[name] for name in ("status", "warnings")}
 
 
-def kill_at_random(setup: Setup, tmp_path: Path, kills: int, seed: int) -> None:
+@pytest.fixture(scope="module")
+def left_alone(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Setup], Path]:
+    """Return a function that measures a scene to its end, once for all tests of it."""
+    folder, done = tmp_path_factory.mktemp("whole"), dict[str, Path]()
+
+    def measured(setup: Setup) -> Path:
+        text = setup.scene.text
+        if text not in done:
+            done[text] = record_run(setup, folder / f"{len(done)}.h5")
+        return done[text]
+
+    return measured
+
+
+def kill_at_random(setup: Setup, whole_path: Path, tmp_path: Path, kills: int, seed: int) -> None:
     """Kill a run at ``kills`` random moments and assert that nothing is lost."""
-    whole_path = record_run(setup, tmp_path / "whole.h5")
     whole, expected = read_run(whole_path), table(whole_path)
     start = time.perf_counter()
     os.waitpid(forked(partial(record_run, setup, tmp_path / "timed.h5")), 0)
@@ -129,9 +142,15 @@ def kill_at_random(setup: Setup, tmp_path: Path, kills: int, seed: int) -> None:
 @pytest.mark.parametrize("kills", [2, pytest.param(200, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("scene", "edits"), [("table-1", ONE_LONG_SHOT), ("bovine-muscle-synchronous", SWEEP)])
 def test_a_run_killed_at_any_moment_opens_keeps_its_records_and_resumes_to_the_same_table(
-    prepared: Prepare, tmp_path: Path, scene: str, edits: tuple[tuple[str, str], ...], kills: int
+    prepared: Prepare,
+    left_alone: Callable[[Setup], Path],
+    tmp_path: Path,
+    scene: str,
+    edits: tuple[tuple[str, str], ...],
+    kills: int,
 ) -> None:
-    kill_at_random(prepared(scene, *edits), tmp_path, kills, seed=1)
+    setup = prepared(scene, *edits)
+    kill_at_random(setup, left_alone(setup), tmp_path, kills, seed=1)
 
 
 @pytest.mark.parametrize("kills", [2, pytest.param(400, marks=pytest.mark.slow)])
@@ -202,10 +221,10 @@ def measure_on_a_full_disk(setup: Setup, path: Path, size: int) -> None:
 
 @pytest.mark.parametrize("sizes", [3, pytest.param(50, marks=pytest.mark.slow)])
 def test_a_disk_full_at_any_size_ends_with_a_message_outputs_off_and_a_file_that_resumes(
-    prepared: Prepare, tmp_path: Path, sizes: int
+    prepared: Prepare, left_alone: Callable[[Setup], Path], tmp_path: Path, sizes: int
 ) -> None:
     setup = prepared("bovine-muscle-synchronous", *SWEEP)
-    whole_path = record_run(setup, tmp_path / "whole.h5")
+    whole_path = left_alone(setup)
     whole, expected = read_run(whole_path), table(whole_path)
     opened, records = 0, 0
     # One in each of equal parts, so that a few sizes, too, meet the header and the records.

@@ -23,7 +23,7 @@ from hpe_rig.bench.bench_file import TRANSPORTS, BenchFile, parse_bench, read_be
 from hpe_rig.bench.emulation import addressed
 from hpe_rig.bench.opening import open_bench, open_each
 from hpe_rig.plan.checks.check_result import PlanError
-from hpe_rig.store import StoredRun, read_run
+from hpe_rig.store import read_run
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
 OVER = [pytest.param(name, marks=needs_pty) if name == "serial" else name for name in TRANSPORTS]
@@ -70,23 +70,21 @@ def test_a_measurement_over_a_serial_line_behind_tcp_gives_the_same_records(
         np.testing.assert_array_equal(one.codes, other.codes)
 
 
-@pytest.fixture(scope="module")
-def direct(tmp_path_factory: pytest.TempPathFactory) -> StoredRun:
-    return read_run(record_run(prepare("bovine-muscle"), tmp_path_factory.mktemp("direct") / "run.h5"))
-
-
 MODELS = {"33500B": "Agilent Technologies,33522B", "33600A": "Keysight Technologies,33622A"}
 
 
+@pytest.mark.parametrize("in_process", ["bovine-muscle"], indirect=True)
 @pytest.mark.parametrize("model", MODELS)
-def test_pulse_trains_from_a_sibling_give_the_same_records(model: str, direct: StoredRun, tmp_path: Path) -> None:
+def test_pulse_trains_from_a_sibling_give_the_same_records(
+    in_process: tuple[str, Path], model: str, tmp_path: Path
+) -> None:
     edits = [
         (f'[generators.{role}]\nmodel = "33250A"', f'[generators.{role}]\nmodel = "{model}"')
         for role in ("master", "burst_train", "tracking_train")
     ]
     bench = bench_over(tmp_path, "socket", *edits)
     other = read_run(record_run(prepare("bovine-muscle", bench), tmp_path / "b.h5"))
-    np.testing.assert_array_equal(other.records[0].codes, direct.records[0].codes)
+    np.testing.assert_array_equal(other.records[0].codes, read_run(in_process[1]).records[0].codes)
 
 
 @pytest.mark.parametrize("model", ["33220A", *MODELS])

@@ -26,14 +26,15 @@ def simulation(scene: Scene, bench: BenchFile, plan: Plan) -> Iterator[CheckResu
     for key, declared, simulated in contradictions(scene):
         text = f"{key} = {declared}, the twin simulates {simulated}: what is predicted and corrected is another bench's"
         yield CheckResult("declared", "warning", text, "equal values, unless the mismatch is what is studied")
-    if twin.settings.beams.field == "measured" and scene.excitation is not None and scene.beams is not None:
-        diameter_m = scene.beams.transducer_diameter_m
+    beams = scene.beams if scene.excitation is not None else None
+    if beams is not None and beams.excitation_scan is None and twin.settings.beams.field == "measured":
+        diameter_m = beams.transducer_diameter_m
         shape = "a Gaussian" if diameter_m is None else f"an even bowl of {diameter_m * 1e3:g} mm"
         text = (
             f"the twin's push is a hydrophone's scan, moduli and predictions take {shape} in its place: of bowls that "
         )
         text += "move unevenly mu1 is then off by up to 4 % and mu2 by 6 % from five places, which is not in u"
-        yield CheckResult("declared", "warning", text, "beams.transducer_diameter_m; docs/moduli.md says what it costs")
+        yield CheckResult("declared", "warning", text, "beams.excitation_scan, the same scan; docs/moduli.md")
     if (bench.digitizer.system_id, bench.digitizer.board_id) != (1, 1):
         text = f"digitizer.system_id = {bench.digitizer.system_id}, board_id = {bench.digitizer.board_id}"
         yield CheckResult("simulated board", "refused", f"{text}: the simulated board is 1 of system 1", "1 for both")

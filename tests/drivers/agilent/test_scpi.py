@@ -174,6 +174,31 @@ def test_a_queued_error_is_an_error_even_if_every_value_reads_back(scripted) -> 
     assert not connection.errors
 
 
+@pytest.mark.parametrize(
+    ("sent", "times", "cause"),
+    [
+        ("FREQ 1E12", 1, "was clipped to it"),
+        ("FREQ 1E12", 30, "more errors came than the queue holds"),
+        ("NON:SENS 1", 1, "does not know a command"),
+        ("*TRG", 1, "the trigger was ignored"),
+    ],
+)
+def test_the_twins_own_errors_are_told_with_their_cause(sent: str, times: int, cause: str) -> None:
+    instrument = Generator33250A(SimulatedClock(), 0.0)
+    session = ScpiSession(instrument, "master")
+    for _ in range(times):
+        instrument.write(sent)
+    with pytest.raises(InstrumentError, match=f"(?i){cause}"):
+        session.program("train", [RATE])
+
+
+def test_a_line_that_instruments_share_is_known_by_its_name(scripted) -> None:
+    connection = scripted()
+    assert ScpiSession(connection, "master").line == ""
+    connection.timeout_s, connection.shared, connection.reopen = 1.0, "GPIB0", lambda: None
+    assert ScpiSession(connection, "master").line == "GPIB0"
+
+
 def test_every_difference_of_a_group_is_in_one_error(scripted) -> None:
     connection = scripted(replies={"FREQ": "+1.0E+00", "BURS:NCYC": "+1.0E+00"})
     with pytest.raises(InstrumentError) as caught:

@@ -103,6 +103,41 @@ def test_trains_at_and_between_the_limits_of_every_model_read_back(model, rate, 
     generator.verify()
 
 
+@pytest.mark.parametrize("model", MODELS, ids=NAMES)
+def test_the_driver_asks_no_more_of_a_model_than_the_twins_instrument_does(model: GeneratorModel) -> None:
+    """Both are written from the manuals, apart from each other; of a series the driver takes the smallest member."""
+    instrument = models_33250a.MODELS[model.name]
+    assert model.cycles == (1, instrument.most_cycles)
+    assert model.delay_s == instrument.delay_limits_s
+    assert model.width_s == instrument.width_limits_s
+    assert model.edge_s == instrument.edge_limits_s[0]
+    assert model.narrowest_s == instrument.narrowest_s
+    assert model.burst_carrier_hz == (1e-6, instrument.finite_burst_ceiling_hz)
+    for limits, function in ((model.sine_hz, "SIN"), (model.pulse_rate_hz, "PULS")):
+        lowest, highest = instrument.frequency_limits_hz[function]
+        assert limits[0] == lowest
+        assert limits[1] == highest if model.name in ("33250A", "33220A") else limits[1] <= highest
+
+
+@pytest.mark.parametrize("model", MODELS, ids=NAMES)
+@pytest.mark.parametrize("value", [9.876543e-3, 0.5, 1.0, 8.7654321, 12.345678, 98765.4321, 7.6543219e6])
+def test_a_number_is_held_as_finely_as_its_decade_and_the_digits_say(model: GeneratorModel, value: float) -> None:
+    decade = math.floor(math.log10(value))
+    digits = 9 if model.name == "33250A" else 15
+    assert model.resolution("FREQ", value) == pytest.approx(max(1e-6, 10.0 ** (decade - digits + 1)))
+    # Levels have four digits, and 0.1 mV at best: 1.234 V, 12.34 V.
+    assert model.resolution("VOLT", value) == pytest.approx(max(1e-4, 10.0 ** (decade - 3)))
+    assert model.resolution("BURS:NCYC", value) == 0.0
+
+
+def test_a_period_is_as_short_as_the_rate_may_be_rounded_up() -> None:
+    """Nine digits of a rate of 12 345.67891 Hz are 12 345.6789, the next is 0.0001 Hz up."""
+    model = model_named("33250A")
+    assert model is not None
+    assert 1 / model.shortest_period_s(12345.67891) == pytest.approx(12345.6790, rel=1e-12)
+    assert 1 / model.shortest_period_s(12345.6789) == pytest.approx(12345.6789, rel=1e-12)
+
+
 LIMITS = [
     ("33220A", Agilent33250A, dataclasses.replace(TRAIN, count=50_001), "count = 50001"),
     ("33220A", Agilent33250A, dataclasses.replace(TRAIN, width_s=10e-9), "width_s = 1e-08"),

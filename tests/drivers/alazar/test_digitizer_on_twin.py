@@ -18,6 +18,7 @@ from drivers.alazar.api import SIGNATURES
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import Capture, DeadlineError, Digitizer, InstrumentError, PulseTrain, TriggerPulse
+from sim_backend.digitizer.boards import IMPEDANCE_50_OHM
 from sim_backend.settings.simulation import Instruments, SimulationSettings
 from sim_backend.world import World
 
@@ -455,6 +456,8 @@ def test_the_snapshot_holds_what_was_programmed_and_what_the_board_reports(rig: 
     programmed = {key: value for key, value in dataclasses.asdict(CAPTURE).items() if value is not None}
     assert programmed.items() <= after.items()
     assert after["trigger_level_code"] == 166
+    assert after["input_impedance_ohm"] == 50.0
+    assert {channel.impedance for channel in rig.world.board.settings.inputs[:2]} == {IMPEDANCE_50_OHM}
     assert after["acquisition_mode"] == ("traditional" if after["dual_port_memory"] else "single_port")
 
 

@@ -21,7 +21,7 @@ from drivers.alazar.samples import (
     volts_per_code,
 )
 from drivers.interfaces import Capture
-from sim_backend.digitizer.boards import HERTZ_BY_ID
+from sim_backend.digitizer.boards import BOARDS, HERTZ_BY_ID, IMPEDANCE_50_OHM, MILLIVOLTS_BY_ID
 
 CAPTURE = Capture(
     sample_rate_hz=100e6,
@@ -44,6 +44,26 @@ def test_every_board_takes_the_common_rates_under_the_vendors_numbers(rate_hz: f
     assert [model.rate_ids[rate_hz] for model in MODELS] == [number] * len(MODELS)
     assert HERTZ_BY_ID[number] == rate_hz
     assert mistakes(dataclasses.replace(CAPTURE, sample_rate_hz=rate_hz, trigger_delay_samples=0)) == []
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
+def test_driver_and_twin_agree_on_every_board_though_neither_knows_the_other(model: BoardModel) -> None:
+    board = BOARDS[model.name]
+    assert (model.kind, model.code_bits, model.sample_bytes) == (board.kind, board.bits, board.bytes_per_sample)
+    assert {number: rate_hz for rate_hz, number in model.rate_ids.items()} == board.rates_hz
+    ranges_v = {MILLIVOLTS_BY_ID[number] / 1000: number for number in board.ranges[IMPEDANCE_50_OHM]}
+    assert model.range_ids == ranges_v
+    sizes = (model.record_minimum, model.record_multiple, model.npt_record_multiple, model.pre_trigger_multiple)
+    assert sizes == (board.shortest_record, board.granule, board.npt_granule, board.pre_trigger_granule)
+    # Coarser than the twin's where what the board takes is not known for certain.
+    assert model.trigger_delay_multiple % board.delay_granule == 0
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.name)
+def test_no_code_of_a_board_is_that_of_a_missing_record(model: BoardModel) -> None:
+    lowest, highest = model.code_limits
+    assert lowest == max(-(2 ** (model.code_bits - 1)), np.iinfo(np.int16).min + 1)
+    assert highest == 2 ** (model.code_bits - 1) - 1
 
 
 REFUSED = [
@@ -107,6 +127,10 @@ def test_a_buffer_takes_a_mebibyte_of_a_long_capture_and_one_record_of_a_prime_c
     assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=10_000)) == 250
     assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=10_000), channels=2) == 125
     assert records_per_buffer(dataclasses.replace(CAPTURE, record_count=997)) == 1
+
+
+def test_a_last_trigger_that_does_not_come_costs_an_eighth_of_the_capture_at_most() -> None:
+    assert records_per_buffer(dataclasses.replace(CAPTURE, record_samples=128, record_count=56)) == 7
 
 
 def test_npt_records_have_their_own_alignment_and_no_pre_trigger() -> None:

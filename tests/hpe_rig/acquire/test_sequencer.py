@@ -60,6 +60,23 @@ def test_shots_fire_a_shot_period_apart_where_the_instruments_are_ready_by_then(
         assert not sum(waits.values())
 
 
+def test_who_may_want_to_end_a_run_is_asked_five_times_a_second_while_it_waits(setup: Setup) -> None:
+    asked_s, fired_s = list[float](), list[float]()
+    with open_bench(setup.scene.scene, setup.bench.bench, setup.plan.roles) as bench:
+
+        def observe(progress: Progress) -> None:
+            if progress.shot.index == 1 and progress.step is Step.WAIT:
+                asked_s.append(bench.clock.now_s())
+            if progress.step is Step.FIRE:
+                fired_s.append(bench.clock.now_s())
+
+        for _ in acquire(replace(setup.plan, shots=setup.plan.shots[:2], shot_period_s=3.05), bench, observe):
+            pass
+    assert len(asked_s) >= 10
+    assert [later - earlier for earlier, later in pairwise(asked_s)] == pytest.approx([0.2] * (len(asked_s) - 1))
+    assert 0 < fired_s[1] - asked_s[-1] < 0.5
+
+
 def test_those_who_watch_are_told_of_every_step_and_how_many_records_have_come(setup: Setup) -> None:
     seen: dict[int, list[tuple[Step, int]]] = {shot.index: [] for shot in setup.plan.shots}
     came = Counter[int]()

@@ -140,6 +140,47 @@ def test_what_went_wrong_takes_precedence_over_a_signal_that_came_meanwhile() ->
         unsafe()
 
 
+@posix
+def test_a_block_that_may_be_interrupted_may_be_so_also_inside_one_that_may_not() -> None:
+    done = []
+
+    def measure() -> None:
+        with uninterrupted():
+            with interruptible():
+                signal.raise_signal(signal.SIGTERM)
+                done.append("measured on")
+            done.append("never")
+
+    with pytest.raises(Terminated):
+        measure()
+    assert done == []
+
+
+@posix
+def test_a_signal_that_is_held_back_comes_through_in_the_nearest_block_that_may_be_interrupted() -> None:
+    done = []
+
+    def measure() -> None:
+        with uninterrupted():
+            with interruptible():
+                with uninterrupted():
+                    signal.raise_signal(signal.SIGTERM)
+                    done.append("safe")
+                done.append("never")
+            done.append("never")
+
+    with pytest.raises(Terminated):
+        measure()
+    assert done == ["safe"]
+
+
+@pytest.mark.parametrize(("event", "goes"), [(0, False), (1, False), (2, True), (5, True), (6, True)])
+def test_a_console_goes_when_it_is_closed_and_at_log_off_and_shutdown(event: int, goes: bool) -> None:
+    asked: list[int] = []
+    assert interrupts._Interrupts().console_goes(event, lambda: asked.append(event)) == goes
+    assert asked == [event] * goes
+
+
 def test_another_thread_is_left_alone() -> None:
     before, seen = signal.getsignal(signal.SIGTERM), []
 

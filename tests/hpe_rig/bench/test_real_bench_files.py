@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import pyvisa
 from typer.testing import CliRunner
 
 from hpe_rig.acquire import prepare
 from hpe_rig.bench.bench_file import parse_bench, read_bench
+from hpe_rig.bench.opening import visa_addresses
 from hpe_rig.cli.app import app
 from hpe_rig.plan import PlanError
 from hpe_rig.scene import SettingsError
@@ -24,6 +26,14 @@ def real(path: Path, *edits: tuple[str, str]) -> Path:
         text = text.replace(old, new)
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def test_no_instrument_is_found_where_there_is_no_visa(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none_there(backend: str) -> None:
+        raise ValueError(f"no backend {backend!r}")
+
+    monkeypatch.setattr(pyvisa, "ResourceManager", none_there)
+    assert visa_addresses() == ()
 
 
 def test_a_copied_bench_has_a_title_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

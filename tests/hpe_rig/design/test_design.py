@@ -288,7 +288,7 @@ def test_few_draws_predict_the_papers_chain_like_many_at_a_high_pulse_rate() -> 
     text = NO_SPECKLE.replace("gate_length_m = 1.0e-3", "gate_length_m = 3.0e-3").replace("4000.0", "10600.0")
     setting = _problem(prepare_text("fast", text), "pulse_count", "jitter").start.setting
     assert setting is not None
-    many = predicted(setting, "cross_spectrum", 2000, 9).noise_jitter_m
+    many = predicted(setting, "cross_spectrum", 2000, 10).noise_jitter_m
     # the variance is the covariance v of steps 2 v: 200 draws know it to sqrt(5 / 200) = 16 %, its root to 8 %, three
     few = [predicted(setting, "cross_spectrum", 200, seed).noise_jitter_m for seed in range(4)]
     np.testing.assert_allclose(few, many, rtol=0.24)

@@ -12,7 +12,13 @@ from drivers.interfaces import InstrumentError
 from hpe_rig.acquire.setup import prepare
 from hpe_rig.bench.bench_file import DriveCalibration, OutputLimits, read_bench
 from hpe_rig.bench.opening import open_bench
-from hpe_rig.plan.checks.acoustic_output import AcousticOutput, derating_db, drive_output, highest_output
+from hpe_rig.plan.checks.acoustic_output import (
+    AcousticOutput,
+    _quieter,
+    derating_db,
+    drive_output,
+    highest_output,
+)
 from hpe_rig.plan.checks.check_result import CheckResult, PlanError, refuse_conflicts
 from hpe_rig.scene.scene import shipped_scenes
 
@@ -89,6 +95,16 @@ def test_too_much_output_is_refused_before_anything_opens_with_both_numbers_and_
     assert "burst_length_s of 99.7 %" in finding.remedy
     with pytest.raises(PlanError, match="I_spta 722"):
         refuse_conflicts(found)
+
+
+@pytest.mark.parametrize("to_spare", [0.8, 1.0, 1.5, 3.0])
+def test_shorter_bursts_are_offered_where_the_time_average_alone_is_too_much(to_spare: float) -> None:
+    limits = read_bench().bench.limits
+    index = limits.max_mechanical_index / to_spare
+    sppa = 10 * limits.max_sppa_w_per_m2
+    remedy = _quieter(AcousticOutput(index, sppa, 2 * limits.max_spta_w_per_m2), limits)
+    assert ("burst_length_s of 50 %" in remedy) == (to_spare >= 1)
+    assert "burst_length_s" not in _quieter(AcousticOutput(index, sppa, limits.max_spta_w_per_m2), limits)
 
 
 def test_a_bench_without_calibration_is_told_that_nothing_was_estimated(tmp_path: Path) -> None:

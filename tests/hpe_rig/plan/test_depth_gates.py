@@ -49,6 +49,22 @@ def test_a_gate_senses_what_passes_its_own_depth_later_the_deeper_it_lies() -> N
     assert far.capture == near.capture == plan.shots[0].capture
 
 
+def test_a_gate_may_begin_with_its_record_and_end_with_it_but_not_a_sample_beyond() -> None:
+    sample_m = 1540 / 2 / 100e6
+    refused: dict[tuple[int, int], bool] = {}
+    # A gate of 130 of the record's 512 samples, around 70 mm.
+    for depth_m in (70e-3 + side * (191 + shift) * sample_m for side in (-1, 1) for shift in range(-2, 3)):
+        scene = scene_with(processing__gates=[{"depth_m": float(depth_m)}])
+        plan = make_plan(scene, BENCH)
+        [gate] = depth_gates(scene, plan.shots[0])
+        at = shots_with_gate(plan, gate, 1540.0).shots[0].gate
+        refused[at.start, at.stop] = any("has one at" in each for each in refusals(scene))
+    assert {start for start, _ in refused} >= {-1, 0}
+    assert {stop for _, stop in refused} >= {512, 513}
+    for (start, stop), told in refused.items():
+        assert told == (start < 0 or stop > 512), (start, stop)
+
+
 def test_gates_that_share_echoes_are_thinned_from_the_nearest_to_the_focus() -> None:
     gates = [DepthGate(70e-3 + k * 0.5e-3, 1e-3) for k in range(-3, 4)]
     assert [round(gate.depth_m * 1e3, 3) for gate in apart(gates, 70e-3)] == [69.0, 70.0, 71.0]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
 import pytest
 
 from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.selection import LARGEST_CONDITION, select
 from hpe_rig.plan.shots import make_plan
@@ -18,9 +20,13 @@ BENCH = read_bench().bench
 SHORT = {"processing.window_start_s": 0.05, "processing.window_length_s": 0.012}
 
 
-def levels(changes: Mapping[str, object], name: str = "bovine-muscle") -> dict[str, str]:
+def found_of(changes: Mapping[str, object], name: str = "bovine-muscle") -> dict[str, CheckResult]:
     own = load_scene(name).with_(changes)
-    return {found.check: found.level for found in check_plan(own, BENCH, make_plan(own, BENCH))}
+    return {found.check: found for found in check_plan(own, BENCH, make_plan(own, BENCH))}
+
+
+def levels(changes: Mapping[str, object]) -> dict[str, str]:
+    return {check: found.level for check, found in found_of(changes).items()}
 
 
 @pytest.mark.parametrize("order", range(0, 21, 2))
@@ -31,7 +37,13 @@ def test_a_background_is_refused_where_least_squares_would_refuse_it(order: int,
     own = load_scene("bovine-muscle").with_(changes)
     chosen = select(own, make_plan(own, BENCH).shots[0])
     condition = linear_model(chosen.time_s, chosen.used, chosen.wanted_hz, np.inf, background_order=order).condition
-    assert ("fit" in levels(changes)) == (condition > LARGEST_CONDITION)
+    found = found_of(changes)
+    assert ("fit" in found) == (condition > LARGEST_CONDITION)
+    if LARGEST_CONDITION < condition < 1e12:
+        # Three digits, of a background in other units of time.
+        said = re.search(r"\(condition (\S+), limit", found["fit"].text)
+        assert said is not None
+        assert float(said[1]) == pytest.approx(condition, rel=0.02)
 
 
 @pytest.mark.parametrize("estimator", ["cross_spectrum", "joint"])
@@ -44,6 +56,12 @@ def test_an_estimator_without_prior_needs_what_least_squares_need(estimator: str
 def test_more_unknowns_than_pulses_are_refused() -> None:
     changes = {"processing.window_length_s": 0.005, "processing.background_order": 5}
     assert levels(changes | {"processing.harmonic": "least_squares"})["fit"] == "refused"
+
+
+@pytest.mark.parametrize(("snr_db", "level"), [(-40.0, "refused"), (-1.0, "warning"), (20.0, None)])
+def test_an_echo_below_its_noise_is_told(snr_db: float, level: str | None) -> None:
+    found = found_of({"simulation.receiver.snr_db": snr_db}).get("echo in noise")
+    assert (found and found.level) == level
 
 
 def test_a_fit_larger_than_memory_is_refused() -> None:

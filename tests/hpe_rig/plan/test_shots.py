@@ -8,10 +8,13 @@ import pytest
 from hypothesis import given, strategies as st
 
 from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.interference import SETTLING_S, admissible_delays_s, disturbed_pulses, effective_rate_hz
-from hpe_rig.plan.shots import Shot, burst_path_s, make_plan, tracking_path_s
+from hpe_rig.plan.shots import Plan, Shot, burst_path_s, make_plan, tracking_path_s
+from hpe_rig.plan.timeline import plan_text
 from hpe_rig.scene.scene import Scene, load_scene, parse_scene, shipped_scenes
+from hpe_rig.scene.validation import SettingsError
 
 BENCH = read_bench().bench
 MUSCLE = parse_scene("bovine-muscle", shipped_scenes()["bovine-muscle-synchronous"]).scene
@@ -183,6 +186,50 @@ def test_aliasing_harmonics_are_those_of_the_shortest_toneburst() -> None:
 
     assert "up to 1/T_b = 20000 Hz" in text(50e-6)
     assert text(50e-6, 100e-6) == text(100e-6, 50e-6) == text(50e-6)
+
+
+@pytest.mark.parametrize(
+    ("setting", "values"),
+    [
+        ("tracking.pulse_count", [101, 102]),
+        ("acquisition.record_samples", [256, 512]),
+        ("acquisition.sample_rate_hz", [50e6, 100e6]),
+        ("acquisition.input_range_v", [0.4, 0.8]),
+    ],
+)
+def test_points_whose_records_would_not_go_into_one_file_are_refused(setting: str, values: list[float]) -> None:
+    def plan_of(values: list[float]) -> Plan:
+        listed = f"\n[sweep]\n{setting} = {values}\n"
+        return make_plan(parse_scene("a", shipped_scenes()["table-1"] + listed).scene, BENCH)
+
+    assert len(plan_of([values[0]] * 2).shots) == 2
+    with pytest.raises(SettingsError, match="its points differ in the records of a shot"):
+        plan_of(values)
+
+
+def test_a_sweep_of_pulse_rates_has_the_shots_of_each() -> None:
+    scene = load_scene("table-1").with_({"sweep.pulse_rate_hz": [2500.0, 4000.0], "processing.window_length_s": 0.02})
+    plan = make_plan(scene, BENCH)
+    assert [shot.tracking_train.rate_hz for shot in plan.shots] == [2500.0, 4000.0]
+
+
+def test_a_measurement_lasts_to_the_end_of_its_last_train() -> None:
+    scene = load_scene("bovine-muscle").with_({"acquisition.repeats": 3, "acquisition.shot_period_s": 5.0})
+    plan = make_plan(scene, BENCH)
+    assert plan.duration_s == pytest.approx(2 * 5.0 + plan.shots[-1].train_end_s)
+    train = replace(plan.shots[-1].tracking_train, count=2 * plan.shots[-1].tracking_train.count)
+    longer = replace(plan.shots[-1], tracking_train=train)
+    assert longer.train_end_s > plan.shots[0].train_end_s
+    unequal = replace(plan, shots=(*plan.shots[:-1], longer))
+    assert unequal.duration_s == pytest.approx(2 * 5.0 + longer.train_end_s)
+
+
+def test_what_is_refused_is_said_before_what_is_warned_of() -> None:
+    plan = make_plan(TABLE_1, BENCH)
+    found = [CheckResult("first", "warning", "a", "b"), CheckResult("second", "refused", "c", "d")]
+    text = plan_text("title", plan, found)
+    assert "CANNOT BE MEASURED: 1 conflict and 1 warning" in text
+    assert text.index("REFUSED second") < text.index("WARNING first")
 
 
 def test_records_take_two_bytes_a_sample_of_every_input() -> None:

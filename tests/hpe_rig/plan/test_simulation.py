@@ -74,7 +74,12 @@ def test_a_push_that_was_scanned_is_no_force_that_a_fit_knows():
     (finding,) = [each for each in simulation(scene, setup.bench.bench, setup.plan) if each.check == "declared"]
     assert finding.level == "warning"
     assert "take an even bowl of 45 mm in its place" in finding.text
-    assert "docs/moduli.md" in finding.remedy
+    assert "beams.excitation_scan" in finding.remedy
+    told = scene.with_({"beams.excitation_scan": "push.h5"})
+    assert not [each for each in simulation(told, setup.bench.bench, setup.plan) if each.check == "declared"]
+    other = scene.with_({"beams.excitation_scan": "other.h5"})
+    (finding,) = [each for each in simulation(other, setup.bench.bench, setup.plan) if each.check == "declared"]
+    assert "other.h5, the twin simulates push.h5" in finding.text
 
 
 def test_another_sound_speed_moves_the_gate_as_well():

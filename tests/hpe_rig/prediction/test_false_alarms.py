@@ -26,7 +26,7 @@ def detection() -> ModuleType:
 
 def share_above_the_floor(detection: ModuleType, snr_db: float, estimator: str, trials: int) -> float:
     """Return the share of ``trials``, new scatterers and new noise in each, that are taken for a motion."""
-    floor_m, amplitude_m = detection.at_rest(snr_db, estimator, trials)
+    floor_m, amplitude_m, _ = detection.at_rest(snr_db, estimator, trials)
     assert amplitude_m.shape == (trials,)
     return float(np.mean(amplitude_m > floor_m))
 

@@ -19,7 +19,13 @@ from hpe_rig.prediction.linear_fit import noise_gain
 from hpe_rig.prediction.text import prediction_text
 from hpe_rig.processing import Estimator
 from hpe_rig.scene.scene import parse_scene, scene_text
-from hpe_rig.validation.accuracy.motion import PARAMETERS, MotionCase, case_rows, conditions_of as conditions_of_case
+from hpe_rig.validation.accuracy.motion import (
+    PARAMETERS,
+    MotionCase,
+    MotionRow,
+    case_rows,
+    conditions_of as conditions_of_case,
+)
 
 
 @pytest.fixture(scope="module")
@@ -65,18 +71,29 @@ def test_a_density_beyond_all_measure_is_drawn_in_bounded_memory_and_is_develope
     assert intensity.std() / intensity.mean() == pytest.approx(1.0, abs=0.3)
 
 
-def _compare(case: MotionCase, estimator: Estimator, draws: int, bias: float, jitter: float) -> None:
-    row = next(iter(case_rows(case, "", 0.0, [estimator], draws, 1)))
+def _compare(row: MotionRow, case: MotionCase, bias: float, jitter: float) -> None:
     measured = np.hypot(row.noise_jitter_m, row.speckle_jitter_m)
     predicted = np.hypot(row.predicted_noise_m, row.predicted_speckle_m)
-    assert row.predicted_bias_m / case.amplitude_m == pytest.approx(row.bias_m / case.amplitude_m, abs=bias)
+    # Twice what so many draws, and the 1000 of the prediction, know their means to: 2.6 % of 100 nm at 20 dB, where
+    # noise is 0.29 of it.
+    known = 2 * np.hypot(measured / np.sqrt(row.draws), predicted / np.sqrt(1000)) / case.amplitude_m
+    assert row.predicted_bias_m / case.amplitude_m == pytest.approx(row.bias_m / case.amplitude_m, abs=bias + known)
     assert predicted == pytest.approx(measured, rel=jitter)
 
 
-@pytest.mark.parametrize(("estimator", "spread"), [("coherent", 0.06), ("kasai", 0.06), ("cross_spectrum", 0.09)])
-def test_bias_and_jitter_of_table_one_are_predicted(estimator: Estimator, spread: float) -> None:
-    # 2 % and 15 % wanted; 160 draws know the mean to spread / sqrt(160), and a heavy-tailed spread to 2 / sqrt(160)
-    _compare(MotionCase(snr_db=20), estimator, 160, 0.02 + 2 * spread / np.sqrt(160), 0.15 + 2 / np.sqrt(160))
+OF_TABLE_ONE: tuple[Estimator, ...] = ("coherent", "kasai", "cross_spectrum")
+
+
+@pytest.fixture(scope="module")
+def rows() -> dict[str, MotionRow]:
+    """Return the row of every estimator, from the same 160 draws of echoes and noise."""
+    return {row.estimator: row for row in case_rows(MotionCase(snr_db=20), "", 0.0, OF_TABLE_ONE, 160, 1)}
+
+
+@pytest.mark.parametrize("estimator", OF_TABLE_ONE)
+def test_bias_and_jitter_of_table_one_are_predicted(rows: dict[str, MotionRow], estimator: Estimator) -> None:
+    # 2 % and 15 % wanted; 160 draws know a heavy-tailed spread to 2 / sqrt(160)
+    _compare(rows[estimator], MotionCase(), 0.02, 0.15 + 2 / np.sqrt(160))
 
 
 @pytest.mark.slow
@@ -86,7 +103,9 @@ def test_bias_and_jitter_of_table_one_are_predicted(estimator: Estimator, spread
     [(name, value) for name, values in PARAMETERS.items() for value in values if name != "snr_db"],
 )
 def test_bias_and_jitter_of_figures_5_to_11_are_predicted(name: str, value: float, estimator: Estimator) -> None:
-    _compare(replace(MotionCase(snr_db=20), **{name: value}), estimator, 1000, 0.02, 0.15 + 2 / np.sqrt(1000))
+    case = replace(MotionCase(snr_db=20), **{name: value})
+    row = next(iter(case_rows(case, "", 0.0, [estimator], 1000, 1)))
+    _compare(row, case, 0.02, 0.15 + 2 / np.sqrt(1000))
 
 
 @pytest.mark.parametrize("over_noise", [0.0, 0.3, 99.9, 100.1, 3e4])
@@ -163,3 +182,5 @@ def test_without_beams_or_snr_the_prediction_says_what_it_needs() -> None:
     bare = scene.model_copy(update={"beams": None})
     assert conditions_of(bare) is None
     assert "needs [beams]" in "\n".join(prediction_text(bare, prepare("table-1").plan.shots[0]))
+    ball = prepare("steel-sphere")
+    assert "a [sphere] moves as a whole" in "\n".join(prediction_text(ball.scene.scene, ball.plan.shots[0]))

@@ -104,11 +104,11 @@ def wide() -> TableOne:
 
 @pytest.fixture(scope="session")
 def wide_draws(wide: TableOne) -> FloatArray:
-    """The echoes of ``speckle_draws`` with their margins: (draw, pulse, sample)."""
+    """Echoes of 30 scatterer draws with their margins, noise-free: (draw, pulse, sample)."""
     return wide.speckle(np.random.default_rng(20), 30)
 
 
 @pytest.fixture(scope="session")
-def speckle_draws(table_one: TableOne) -> FloatArray:
-    """Echoes of 30 scatterer draws, noise-free: (draw, pulse, sample)."""
-    return table_one.speckle(np.random.default_rng(20), 30)
+def speckle_draws(wide: TableOne, wide_draws: FloatArray) -> FloatArray:
+    """The same without the margins, the gate alone."""
+    return np.ascontiguousarray(wide_draws[..., wide.margin : -wide.margin])

@@ -108,3 +108,22 @@ def test_without_beams_the_headline_is_what_is_tracked() -> None:
     assert (lead.amplitude_m, lead.phase_rad, lead.corrected) == (estimate.amplitude_m, estimate.phase_rad, False)
     assert estimate.corrected_amplitude_m is None
     assert lead.amplitude_uncertainty_m == pytest.approx(math.hypot(1e-9, 0.005 * 1e-7))
+
+
+def test_kurtoses_of_speckle_and_of_the_media_stand_beside_their_uncertainties() -> None:
+    tails = replace(AVERAGING, speckle_kurtosis=(6.0, 9.0), lost_kurtosis=(2.0, 4.0))
+    (estimate,) = estimates_of(fit(), Known(), (tails,))
+    found = {name: (each.amplitude_kurtosis, each.phase_kurtosis) for name, each in parts(estimate).items()}
+    assert (found.pop("speckle"), found.pop("beam averaging")) == ((6.0, 9.0), (2.0, 4.0))
+    assert set(found.values()) == {(3.0, 3.0)}
+
+
+def test_a_phase_of_which_nothing_is_known_is_even_over_the_circle() -> None:
+    state = 1e-12 * np.array([1.0, 0.0])
+    of_noise = fit_from_state(np.array([200.0]), state, 1e-18 * np.eye(2), np.asarray(1e-16), 100)
+    (estimate,) = estimates_of(of_noise)
+    # a tenth of the likelihood is left to a motion of some size: docs/theory/estimation.md, Uncertainties
+    assert parts(estimate)["noise"].phase_kurtosis < 3
+    (unknown,) = estimates_of(replace(of_noise, covariance=np.array([[[1e-18, 0], [0, math.pi**2 / 3]]])))
+    assert unknown.interval_68_rad == pytest.approx(0.6827 * math.pi, rel=1e-3)
+    assert unknown.interval_95_rad == pytest.approx(0.95 * math.pi, rel=1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -12,10 +13,11 @@ import pytest
 from hpe_rig import measure
 from hpe_rig.plan import select
 from hpe_rig.processing import band, conditioning, echoes, motion
-from hpe_rig.processing.conditioning import centred_volts, codes_to_volts, hann
+from hpe_rig.processing.conditioning import _median, centred_volts, codes_to_volts, hann
 from hpe_rig.processing.motion import coherent
 from hpe_rig.processing.shots import margin_needed, shot_echoes
 from hpe_rig.scene import load_scene
+from hpe_rig.store import StoreError, reader
 
 
 def test_full_scale_codes_become_full_scale_volts() -> None:
@@ -38,6 +40,12 @@ def test_missing_and_full_scale_records_move_no_other_records_offset() -> None:
     np.testing.assert_allclose(volts[[0, 2, 4]], np.tile([1e-2, -1e-2], (3, 2)), rtol=1e-6)
     # without a sound record there is no offset to know
     assert centred_volts(codes, 1e-4, np.zeros(5, dtype=bool))[0, 0] == np.float32(120e-4)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 100, 101])
+def test_the_median_is_that_of_numpy(count: int) -> None:
+    values = np.random.default_rng(count).standard_normal((3, count))
+    assert np.array_equal(_median(values), np.median(values, axis=-1, keepdims=True))
 
 
 @pytest.mark.parametrize("count", [2, 3, 99, 130])
@@ -75,6 +83,33 @@ def test_volts_made_in_blocks_give_the_motion_of_those_held(tmp_path: Path, monk
     np.testing.assert_allclose(in_blocks.displacement_m, expected.displacement_m, rtol=0, atol=5e-12)
     np.testing.assert_allclose(in_blocks.variance_m2, expected.variance_m2, rtol=1e-3)
     assert band.band_spectrum(found, 2)[0].dtype == np.complex64
+
+
+def test_codes_of_a_long_shot_are_the_same_from_the_copy_and_from_the_run_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = measure(load_scene("table-1").with_({"tracking.pulse_count": 300}), path=tmp_path / "run.h5")
+    gate, margin = run.plan.shots[0].gate, margin_needed(run.scene, run.plan.shots[0])
+    expected = run.stored.records.in_blocks(0, gate, margin).block(slice(None))
+    copied = run.stored.records.in_blocks(0, gate, margin, most_held=0)
+    monkeypatch.setattr(reader, "MOST_COPIED_BYTES", 0)
+    uncopied = run.stored.records.in_blocks(0, gate, margin, most_held=0)
+    monkeypatch.undo()
+    # as where the disk of temporary files has no room
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
+    without_room = run.stored.records.in_blocks(0, gate, margin, most_held=0)
+    for records in (copied, uncopied, without_room):
+        for pulses in (slice(None), slice(3, 17), slice(290, 400), slice(5, 5)):
+            np.testing.assert_array_equal(records.block(pulses), expected[pulses])
+
+
+def test_a_copy_that_was_cut_is_a_message() -> None:
+    copy = reader.CodesCopy(4)
+    copy.add(np.ones((3, 4), np.int16))
+    assert copy.block(1, 3).sum() == 8
+    os.ftruncate(vars(copy)["_file"].fileno(), 8)
+    with pytest.raises(StoreError, match="another program has cut it"):
+        copy.block(1, 3)
 
 
 def test_spectra_of_a_long_train_lie_in_a_file_and_give_the_same_motion(

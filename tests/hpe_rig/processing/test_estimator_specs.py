@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pytest
 
 from hpe_rig.processing import ESTIMATORS, WINDOW_NOISE, hann, spec_of
 from hpe_rig.scene.scene import BUILT_IN_ESTIMATORS
+
+if TYPE_CHECKING:
+    from conftest import TableOne
 
 
 def test_every_estimator_a_scene_may_name_has_a_row() -> None:
@@ -20,6 +26,19 @@ def test_every_estimator_a_scene_may_name_has_a_row() -> None:
 def test_an_estimator_takes_echoes_or_displacements_and_not_both(name: str) -> None:
     spec = spec_of(name)
     assert (spec.motion is None) == (spec.fit_echoes is not None)
+
+
+@pytest.mark.parametrize("name", ["coherent", "cross_correlation", "kasai", "loupas"])
+def test_displacements_walk_off_where_steps_from_pulse_to_pulse_are_added_up(table_one: TableOne, name: str) -> None:
+    """A target at rest in noise of its own power: the steps' errors add up, or each pulse has its own."""
+    still = replace(table_one, pulses=600)
+    echoes = still.rigid(np.zeros(600))
+    noisy = echoes + np.sqrt(np.mean(echoes**2)) * np.random.default_rng(3).normal(size=(8, *echoes.shape))
+    motion = spec_of(name).motion
+    assert motion is not None
+    found = motion(still.gate(noisy)).displacement_m
+    apart = (found[:, 300:] - found[:, :300]).std() / (found[:, 1:] - found[:, :-1]).std()
+    assert spec_of(name).steps_add_up == (apart > 1.5), apart
 
 
 def test_noise_of_a_window_is_that_of_its_samples() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import stats
 
 from hpe_rig.processing import (
     HarmonicFit,
@@ -17,6 +18,7 @@ from hpe_rig.processing import (
     velocity_to_harmonics,
 )
 from hpe_rig.processing.echoes import EchoGate
+from hpe_rig.processing.velocity_chain import LIKELIHOOD_GAIN, _residual_spectrum
 from hpe_rig.result import PHASE_VARIANCE_LIMIT
 
 FloatArray = NDArray[np.float64]
@@ -123,6 +125,18 @@ def test_velocity_chain_removes_gain_delay_and_90_degrees_exactly(frequency_hz: 
     assert fit.phase_rad[0] == pytest.approx(-2.0, abs=1e-7)
 
 
+def test_noise_of_intervals_must_stand_out_as_in_one_test_of_a_hundred() -> None:
+    """Twice the gain in log-likelihood is chi-square of one degree of freedom (Wilks)."""
+    assert pytest.approx(stats.chi2.ppf(0.99, 1), rel=0.01) == 2 * LIKELIHOOD_GAIN
+
+
+def test_bins_beside_a_wanted_frequency_say_nothing_of_the_noise() -> None:
+    """The fit has taken up what was in them: of 49 bins between 0 and half the rate two, of 105 Hz in bins of 10 Hz."""
+    still = Velocity(np.arange(100) * 1e-3, np.full(100, 1e-3), np.zeros(100), np.ones(100, bool))
+    power, shape = _residual_spectrum(np.zeros(100), still, np.array([105.0]), 1e-3)
+    assert power.size == shape.size == 47
+
+
 def test_velocity_chain_equals_the_papers_times_two_for_whole_cycles() -> None:
     time_s = np.arange(101) / 4000
     displacement = 1e-6 * np.sin(2 * np.pi * 200 * time_s + 0.5) + 1e-7 * np.sin(2 * np.pi * 600 * time_s)
@@ -143,13 +157,26 @@ def test_velocity_chain_separates_ten_harmonics_with_gaps() -> None:
 
 
 @pytest.mark.parametrize("gaps", [False, True])
-def test_stated_covariance_of_the_velocity_chain_is_true(gaps: bool) -> None:
+def test_velocity_chain_leaves_nothing_of_a_background_far_larger_than_the_motion(gaps: bool) -> None:
+    time_s = np.arange(1001) / 4000
+    valid = np.random.default_rng(7).random(1000) > (0.1 if gaps else 0.0)
+    # heart beat and breathing, 11 mm within the train
+    background = 5e-3 * np.sin(2 * np.pi * 1.2 * time_s) + 20e-3 * np.sin(2 * np.pi * 0.25 * time_s)
+    velocity = _velocity(background + 1e-7 * np.sin(2 * np.pi * 200 * time_s + 0.3), 4000, valid)
+    fit = velocity_to_harmonics(velocity, [200.0], background_order=16)
+    # without its polynomial the band-pass passes 0.2 nm of it; differences of millimetres are rounded to 1e-14 m
+    np.testing.assert_allclose(fit.state, 1e-7 * np.array([np.cos(0.3), np.sin(0.3)]), atol=1e-14)
+
+
+@pytest.mark.parametrize("background_order", [0, 6])
+@pytest.mark.parametrize("gaps", [False, True])
+def test_stated_covariance_of_the_velocity_chain_is_true(gaps: bool, background_order: int) -> None:
     time_s = np.arange(101) / 4000
     generator = np.random.default_rng(8)
     valid = generator.random(100) > (0.2 if gaps else 0.0)
     truth = 1e-6 * np.sin(2 * np.pi * 200 * time_s + 1.1)
     noisy = truth + 1e-7 * generator.standard_normal((3000, 101))
-    fit = velocity_to_harmonics(_velocity(noisy, 4000, valid), [200.0])
+    fit = velocity_to_harmonics(_velocity(noisy, 4000, valid), [200.0], background_order=background_order)
     # variance known to sqrt(2/3000) = 0.026; the noise estimate from about 100 differences (80 with gaps) has a
     # relative variance of 3/100, so the mean of its inverse is 1.03 to 1.04, and 1 % false alarms lower it by 0.01
     for error, variance in (

@@ -58,6 +58,12 @@ def test_pixels_hold_the_motion_within_their_uncertainty(demodulated: bool, gate
         assert within.mean() == pytest.approx(0.683, abs=4 * np.sqrt(0.683 * 0.317 / 400)), name
 
 
+def test_a_gate_longer_than_a_record_is_refused() -> None:
+    settings = MapSettings(RATE_HZ, CARRIER_HZ, 401, SPEED)
+    with pytest.raises(ValueError, match="a gate of 401 samples is longer than a record"):
+        map_pixels(np.ones((1, 60, 400)), TIME_S, [200.0], settings)
+
+
 def test_bad_pixels_are_marked_and_the_others_as_without_them() -> None:
     samples, settings = lines(3, 30.0, 12), MapSettings(RATE_HZ, CARRIER_HZ, 16, SPEED)
     whole = map_pixels(samples, TIME_S, [200.0], settings)

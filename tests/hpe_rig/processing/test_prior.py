@@ -13,8 +13,15 @@ import pytest
 from numpy.typing import NDArray
 
 from hpe_rig.prediction.beam_averaging import medium_motion
-from hpe_rig.processing import Motion, PushForce, harmonic_columns, least_squares, shear_motion
-from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, displacement, medium_ensemble
+from hpe_rig.processing import Motion, PushForce, aperture_force, harmonic_columns, least_squares, shear_motion
+from hpe_rig.processing.ensemble import (
+    BeamWidths,
+    KnownMedium,
+    _even_sequence,
+    _modulus,
+    displacement,
+    medium_ensemble,
+)
 from hpe_rig.processing.prior import (
     FREEDOM,
     WEIGHT,
@@ -446,7 +453,80 @@ def test_pulses_of_one_instant_are_told_however_long_the_train(
     for delay_s in (0.0, 131e-6):
         # a minute, in whose last periods an angle is known to 1e-11, and the middle of a period, where it turns over
         time_s = delay_s + np.arange(round(60 * pulse_rate_hz)) / pulse_rate_hz
-        assert prior.instants(time_s) == instants
+        assert prior.instants(time_s) == pytest.approx(instants, rel=1e-9)
+
+
+def test_imported_times_that_jitter_are_still_of_one_instant() -> None:
+    """50 ns: far less than any harmonic takes, and what the model leaves untold is the same in every period."""
+    time_s = np.arange(6000) / 5000.0 + 50e-9 * np.random.default_rng(5).standard_normal(6000)
+    assert PRIOR.instants(time_s) == pytest.approx(50, rel=1e-9)
+    everywhere = np.sort(np.random.default_rng(6).uniform(0, 1, 40_000))
+    assert 6_500 < PRIOR.instants(everywhere) < 10_000
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_pulses_that_come_again_are_seen_as_each_alone(order: int) -> None:
+    """Every instant's rows once, or with a background of order 1, which moves on, every pulse's."""
+    watched = AT_4000
+    seen = seen_by(PRIOR, watched.time_s, watched.valid, WANTED_HZ, order)
+    used = watched.time_s[watched.valid]
+    rows, own = PRIOR.columns(used, range(10))
+    power = np.sum((PRIOR.states(range(10)) @ PRIOR.root) ** 2, axis=1).reshape(-1, 2).mean(axis=1)
+    factor = np.hstack([rows @ PRIOR.root, own * FREEDOM * np.sqrt(np.repeat(power, 2))])
+    np.testing.assert_allclose(seen.factor[seen.again], factor, atol=1e-12 * np.abs(factor).max())
+    moving = factor - seen.background @ (seen.background.T @ factor)
+    np.testing.assert_allclose((seen.left * seen.value) @ seen.right, moving, atol=1e-9 * seen.value[0])
+    np.testing.assert_allclose(seen.left.T @ seen.left, np.eye(seen.value.size), atol=1e-4)
+
+
+@pytest.mark.parametrize("watched", [SHIFTING, AT_4000], ids=["shifting", "synchronous"])
+def test_what_pulses_of_an_instant_share_is_in_the_residual_or_in_the_allowance(watched: Pulses) -> None:
+    seen = seen_by(PRIOR, watched.time_s, watched.valid, WANTED_HZ)
+    instant = np.round(watched.time_s[watched.valid] * RATE_HZ % 1, 9)
+    _, first, again = np.unique(instant, return_index=True, return_inverse=True)
+    shared = np.random.default_rng(9).standard_normal((400, first.size))[:, again]
+    shared -= (shared @ seen.background) @ seen.background.T
+    left = shared - (shared @ seen.left) @ seen.left.T
+    freedom = instant.size - 1 - seen.value.size
+    residual = np.mean(np.sum(left**2, axis=-1)) / freedom
+    # all of it: of the mean over an instant's pulses, counted for each as if they were independent
+    assert residual + seen.alike == pytest.approx(instant.size / first.size, rel=0.02)
+
+
+def test_pulses_that_all_come_at_instants_of_their_own_show_what_the_model_leaves_untold() -> None:
+    watched = pulses(3989.0, 131e-6)
+    assert seen_by(PRIOR, watched.time_s, watched.valid, WANTED_HZ).alike == pytest.approx(0, abs=1e-9)
+
+
+def test_a_force_that_is_no_gaussian_moves_the_ensemble_as_it_moves_media() -> None:
+    beams = replace(BEAMS, force_width_m=(0.34e-3, 0.34e-3, 3.6e-3), width_spread=0.0)
+    force = aperture_force(45e-3, 70e-3, 3e6, 1540.0, 0.5)
+    plain, shaped = (medium_ensemble(each, RATE_HZ, 4e4) for each in (beams, replace(beams, force=force)))
+    # what is tracked of the peak stays that of the Gaussian
+    np.testing.assert_allclose(shaped.peak / shaped.tracked, plain.peak / plain.tracked, rtol=1e-9)
+    seen, members = (TRACKING_M[0] ** 2 / 2, DEPTH_M**2, np.zeros(1)), np.flatnonzero(plain.voigt)[:4]
+    for member in (*members, 3):
+        modulus_pa = _modulus(np.asarray(2j * np.pi * plain.node_hz), _even_sequence(240, 5))[member]
+        medium = modulus_pa, plain.node_hz, 1000.0
+        own = shear_motion(*medium, force, *seen).value[:, 0]
+        ratio = shaped.tracked[member] / own
+        assert np.abs(ratio / ratio.mean() - 1).max() < 4e-3
+
+
+@pytest.mark.parametrize("modulus", [voigt(9e3, 0.02), maxwell(12e3, 5.0)])
+def test_an_aperture_in_a_medium_of_the_ensemble_is_no_other_medium(modulus: ComplexArray) -> None:
+    beams = replace(BEAMS, force_width_m=(0.34e-3, 0.34e-3, 3.6e-3))
+    force, seen = aperture_force(45e-3, 70e-3, 3e6, 1540.0, 0.5), (TRACKING_M[0] ** 2 / 2, DEPTH_M**2, np.zeros(1))
+    field, duty = shear_motion(modulus, RATE_HZ * HARMONIC, 1000.0, force, *seen), RATE_HZ * LENGTH_S * HARMONIC
+    wave = 1j * np.sinc(duty) * np.exp(-1j * np.pi * duty) * field.value[:, 0]
+    wave *= RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2)
+    of_gaussian, of_aperture = (
+        medium_fit(noisy(SHIFTING, wave, 7.7e-9, 20), WANTED_HZ, medium_prior(each, RATE_HZ, LENGTH_S))
+        for each in (beams, replace(beams, force=force))
+    )
+    assert np.median(of_gaussian.evidence.significance) < 0.01
+    # forty of them: one in a hundred by chance
+    assert np.sum(of_aperture.evidence.significance < 0.01) <= 3
 
 
 def test_a_slow_creep_counts_where_the_steps_of_a_sum_do_not_see_it() -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hpe_rig.processing import aperture_force, shear_motion
+from hpe_rig.moduli import APERTURE_SHAPE
+from hpe_rig.processing import aperture_force, scanned_force, shear_motion
 from hpe_rig.processing.push_force import PushForce, bowl_pressure
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import SimulationSettings, Specimen, Transducer
@@ -91,3 +92,28 @@ def test_any_aperture_has_a_force_that_is_1_at_its_focus_and_fades(diameter_m: f
     found = aperture_force(diameter_m, 70e-3, frequency_hz, 1540.0)
     assert found.at(np.zeros(1), np.zeros(1))[0, 0] == pytest.approx(1.0, abs=0.05)
     assert abs(found.at(np.zeros(1), np.array([-60e-3, 60e-3]))).max() < 0.02
+
+
+def test_a_scan_of_the_bowl_has_the_bowls_force_and_moves_a_medium_alike(force: PushForce) -> None:
+    scanned = scanned_force(lambda r, z: 5e3 * np.abs(bowl_pressure(45e-3, 70e-3, K, r, z)) ** 2, 3e6)
+    own, its = (shear_motion(MODULUS_PA, FREQUENCY_HZ, 1000.0, each, 0.0, 0.0, PLACES_M) for each in (force, scanned))
+    # 100 Hz hangs on where the force ends, 4.5 sigmas away, which half of the scan's intensity puts 4 % nearer
+    assert np.abs(its.value / own.value - 1)[0].max() < 0.02
+    assert np.abs(its.value / own.value - 1)[1:].max() < APERTURE_SHAPE
+    assert [name for name, _ in scanned.unsure] == ["reach", "loss"]
+
+
+def test_what_a_specimen_adds_to_a_scan_is_its_attenuation() -> None:
+    lossless = wave_number(3e6, 1540.0, 1e-9)
+    dry, wet = (
+        scanned_force(lambda r, z, k=k: np.abs(bowl_pressure(45e-3, 70e-3, k, r, z)) ** 2, 3e6, loss)
+        for k, loss in ((lossless, 0.5), (K, 0.0))
+    )
+    # a beam attenuated along its waves' own ways beside one attenuated along the axis
+    places = np.linspace(0, 1e-3, 5), np.linspace(-8e-3, 8e-3, 9)
+    assert np.abs(dry.at(*places) - wet.at(*places)).max() < 0.01
+
+
+def test_a_scan_without_a_beam_is_refused() -> None:
+    with pytest.raises(ValueError, match="does not fall to half"):
+        scanned_force(lambda r, z: np.ones((z.size, r.size)), 3e6)

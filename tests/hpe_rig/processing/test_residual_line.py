@@ -45,6 +45,19 @@ def test_a_line_is_found_where_it_folds(line_hz: float) -> None:
     assert line.amplitude_m == pytest.approx(5e-9, rel=0.4)
 
 
+def test_a_line_in_a_bin_is_told_to_every_digit_and_one_at_half_the_pulse_rate_is_none() -> None:
+    wanted = 1e-6 * np.sin(2 * np.pi * 200 * TIME_S)
+    alone = residual_line(_motion(wanted + 5e-9 * np.sin(2 * np.pi * 740 * TIME_S), np.zeros(PULSES)), [200.0])
+    assert alone is not None
+    assert (alone.frequency_hz, alone.amplitude_m) == pytest.approx((740.0, 5e-9), rel=1e-6)
+    # Up and down from pulse to pulse: amplitude and phase of it cannot be told apart.
+    noise = np.random.default_rng(4).standard_normal(PULSES)
+    other = residual_line(_motion(wanted + 1e-7 * (-1.0) ** np.arange(PULSES), noise), [200.0])
+    assert other is not None
+    assert other.frequency_hz < RATE_HZ / 2
+    assert other.amplitude_m < 1e-8
+
+
 def test_what_folds_onto_a_wanted_frequency_leaves_no_line_and_too_few_bins_say_nothing() -> None:
     moved = 1e-6 * np.sin(2 * np.pi * 200 * TIME_S) + 1e-6 * np.sin(2 * np.pi * 3800 * TIME_S)
     line = residual_line(_motion(moved, np.random.default_rng(3).standard_normal(PULSES)), [200.0])

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from hpe_rig import measure
 from hpe_rig.acquire.setup import planned
 from hpe_rig.bench.bench_file import read_bench
 from hpe_rig.processing import Motion, least_squares
 from hpe_rig.processing.shots import _fit_warnings, _setting_warnings
-from hpe_rig.scene.scene import Scene, parse_scene, scene_text
+from hpe_rig.scene.scene import Scene, load_scene, parse_scene, scene_text
 
 
 def _scene(bursts: int) -> Scene:
@@ -32,6 +34,17 @@ def test_a_harmonic_below_three_uncertainties_is_named_and_no_other() -> None:
     assert not list(_fit_warnings(least_squares(_motion(1e-7), [200.0]), 0.1))
     # noise of 10 nm over 400 pulses: 0.7 nm, so 3.5 nm is five times that
     assert not list(_fit_warnings(least_squares(_motion(3.5e-9), [200.0]), 0.1))
+
+
+def test_a_step_near_a_quarter_wavelength_is_told_also_by_an_estimator_without_displacements(tmp_path: Path) -> None:
+    # 42.8 um are a quarter wavelength; 125 um at 200 Hz move by up to 39 um in 250 us.
+    moved = {"simulation.motion": [{"frequency_hz": 200.0, "amplitude_m": 125e-6}], "processing.estimator": "joint"}
+    moved |= {"tracking.pulse_count": 41}
+    run = measure(load_scene("table-1").with_(moved), path=tmp_path / "run.h5")
+    told = [text for text in run.estimate().shots[0].warnings if "quarter wavelengths from pulse to pulse" in text]
+    assert len(told) == 1
+    # What the beam averages is a little less than the peak.
+    assert 0.85 < float(told[0].partition(" up to ")[2].partition(" ")[0]) < 39.2 / 42.8
 
 
 def test_one_toneburst_and_pulses_after_the_last_are_told() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from dataclasses import replace
@@ -16,10 +17,10 @@ from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import process
 from hpe_rig.acquire.setup import prepare
 from hpe_rig.report.figures import sweep_pictures
-from hpe_rig.report.page import render, write_report
+from hpe_rig.report.page import error_stages, render, write_report
 from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.result import PALETTE, headline_sentence, symbols
-from hpe_rig.result.estimates import Result, shot_warnings
+from hpe_rig.result.estimates import Estimate, Result, ShotResult, shot_warnings
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import StoreError
 
@@ -258,3 +259,14 @@ def test_phases_of_a_sweep_are_followed_from_the_strongest_point() -> None:
     curve = SweepCurve(100.0, "", x, np.array([1e-9, 5e-8, 1e-7]), np.zeros(3), phase_rad, np.zeros(3), 1, None)
     _, phase = sweep_pictures(Sweep("force F / F_0", (curve,)))
     assert "between 60.00 and 181.00 degrees" in phase.alt
+
+
+def test_what_is_told_of_aliasing_and_taken_off_has_its_line_among_the_errors() -> None:
+    as_it_is = Estimate(100.0, 1e-7, 1e-9, 0.1, 0.01, averaging_factor=0.9, averaging_phase_rad=0.0)
+    told = replace(as_it_is, aliasing_factor=1.1, aliasing_phase_rad=math.radians(-3.0))
+    lines = [
+        {stage.stage: stage.size for stage in error_stages(ShotResult(0, 0, 1e-4, 1.0, 9, 0, 1e-9, (each,), ()), None)}
+        for each in (as_it_is, told)
+    ]
+    assert "aliasing on the mean" not in lines[0]
+    assert lines[1]["aliasing on the mean"] == "+10.0 %, -3.00 degrees"

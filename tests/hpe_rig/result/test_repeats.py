@@ -91,3 +91,17 @@ def test_the_phase_of_the_mean_of_weak_repeats_is_as_uncertain_as_stated(amplitu
         ratio.append(mean.phase_rad / mean.phase_uncertainty_rad)
     # On noise alone the mean of five would state a fifth of the variance of each, and be off by five times that.
     assert 0.4 < np.mean(np.square(ratio)) < 1.7
+
+
+def test_the_phase_of_a_mean_that_may_be_noise_is_nearly_even_over_the_circle() -> None:
+    budget = (Component("noise", NOISE_M, math.pi / math.sqrt(3), 3.0, 1.8),)
+    shots = [
+        replace(shot(index, 0.0, 0.0), estimates=(Estimate(100.0, NOISE_M, NOISE_M, angle, 1.8, components=budget),))
+        for index, angle in enumerate((0.0, 1.5, 3.0, -1.5))
+    ]
+    mean = mean_of(shots)
+    assert mean.phase_uncertainty_rad > 1.4
+    assert mean.phase_kurtosis == pytest.approx(1.8 * (math.pi / mean.phase_uncertainty_rad) ** 2 / 3)
+    assert mean.interval_68_rad < mean.interval_95_rad <= math.pi
+    # far from noise it is as normal as noise is
+    assert mean_of([shot(0, 0.0, 0.0), shot(1, 0.0, 0.0)]).phase_kurtosis == 3.0

@@ -174,3 +174,21 @@ def test_a_scene_saved_with_a_byte_order_mark_is_read(tmp_path: Path) -> None:
     path = tmp_path / "notepad.toml"
     path.write_text(MUSCLE, encoding="utf-8-sig")
     assert parse_scene(*scene_text(str(path))).scene.title.startswith("Bovine")
+
+
+@pytest.mark.parametrize("stored", [False, True])
+def test_a_number_swept_twice_is_refused_when_the_scene_is_read(stored: bool) -> None:
+    twice = '[sweep]\nlateral_offset_m = [0.0, 1e-3]\n"tracking.lateral_offset_m" = [0.0, 2e-3]\n\n[processing]'
+    with pytest.raises(SettingsError) as caught:
+        parse_scene("twice", edited(MUSCLE, "[processing]", twice), stored=stored)
+    words = ["scene twice", "sweep.lateral_offset_m = [0.0, 0.001]", "Try: one of the two"]
+    assert not [word for word in words if word not in str(caught.value)], str(caught.value)
+
+
+@pytest.mark.parametrize("path", [r"C:\Users\me\push.csv", r"D:\scans\push.csv"])
+def test_a_path_of_windows_between_double_quotes_is_told_how_to_be_written(path: str) -> None:
+    double, single = (edited(MUSCLE, "[beams]", f"[beams]\nexcitation_scan = {q}{path}{q}") for q in ('"', "'"))
+    message = message_of(double)
+    assert "a backslash begins a special character" in message
+    assert "single quotes" in message
+    assert parse_scene("right", single).scene.beams.excitation_scan == path

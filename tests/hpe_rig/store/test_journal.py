@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import signal
 import threading
 from pathlib import Path
 
@@ -12,8 +13,9 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.store import StoreError, is_taken
-from hpe_rig.store.journal import Journal, lookup3
+from hpe_rig.bench import uninterrupted
+from hpe_rig.store import StoreError, is_taken, journal as journal_module
+from hpe_rig.store.journal import Journal, in_time, lookup3
 from hpe_rig.store.writer import open_on
 
 
@@ -57,6 +59,23 @@ def test_nothing_reaches_the_file_before_a_commit_and_the_file_is_whole_after_ea
         assert other["echo"][3].tolist() == [3] * 10
 
 
+@pytest.mark.skipif(os.name == "nt", reason="a console's signals cannot be sent to one process on Windows")
+def test_what_is_made_while_an_interrupt_comes_is_undone_before_the_program_goes_on(tmp_path: Path) -> None:
+    new = tmp_path / "new.h5"
+
+    def make(given_up: threading.Event) -> Path:
+        new.touch()
+        # to the whole process, so that it reaches the thread that waits
+        os.kill(os.getpid(), signal.SIGINT)
+        assert given_up.wait(5.0)
+        return new
+
+    # as where a run file is made: signals wait until somebody lets them through
+    with pytest.raises(KeyboardInterrupt), uninterrupted():
+        in_time(make, Path.unlink)
+    assert not new.exists()
+
+
 class Dribbling:
     """A file on a share that brings a few bytes a read."""
 
@@ -95,6 +114,37 @@ def test_a_file_cut_under_its_writer_is_noticed_and_left_alone_from_then_on(path
 
 
 @pytest.mark.skipif(os.name == "nt", reason="an open file keeps its name there")
+def test_a_disk_that_hangs_is_waited_for_once_and_nothing_more_is_asked_of_it(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(journal_module, "LONGEST_STEP_S", 0.05)
+    journal, answers, asked = Journal(path), threading.Event(), list[str]()
+
+    class Hanging:
+        def write(self, data: memoryview) -> int:
+            asked.append("write")
+            answers.wait(10.0)
+            return len(data)
+
+        def __getattr__(self, name: str) -> object:
+            return getattr(file, name)
+
+    file, vars(journal)["_file"] = vars(journal)["_file"], Hanging()
+    journal.write(memoryview(b"new"))
+    with pytest.raises(OSError, match=r"the disk has not answered for 0\.05 s"):
+        journal.commit()
+    for ask in (lambda: journal.amend(((0, b"later"),)), lambda: journal.amend(((0, b"again"),))):
+        with pytest.raises(OSError, match="the disk does not answer"):
+            ask()
+    # Returns without the disk, which keeps the file.
+    journal.close()
+    assert not file.closed
+    assert asked == ["write"]
+    answers.set()
+    for each in (file, vars(journal)["_view"]):
+        each.close()
+
+
 def test_a_file_that_was_moved_or_replaced_is_noticed(path: Path) -> None:
     journal = Journal(path)
     path.rename(path.with_name("elsewhere.h5"))
@@ -129,7 +179,7 @@ def test_a_file_has_one_writer_and_any_number_of_readers(path: Path) -> None:
 class Waiting:
     """A file on a disk that takes nothing until ``answers`` is set, and then fails where it is told to."""
 
-    def __init__(self, file: io.FileIO, error: OSError | None = None) -> None:
+    def __init__(self, file: io.FileIO, error: Exception | None = None) -> None:
         self._file, self._error, self.answers = file, error, threading.Event()
         self.fileno, self.seek, self.truncate, self.close = file.fileno, file.seek, file.truncate, file.close
 
@@ -167,16 +217,40 @@ def test_a_commit_goes_on_while_the_next_is_prepared_and_the_library_reads_both(
         assert other["rows"][:2].tolist() == [1.0, 2.0]
 
 
-def test_what_a_commit_failed_with_that_nobody_waited_for_is_raised_by_the_next(path: Path) -> None:
+def test_after_an_interrupt_a_disk_that_hangs_already_is_waited_for_a_moment_only(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C may come before anybody waits for the step that hangs: then it was 60 s until the program ended."""
+    monkeypatch.setattr(journal_module, "LAST_STEP_S", 0.05)
     journal = Journal(path)
-    file, disk = open_on(journal), Waiting(vars(journal)["_file"], OSError(errno.ENOSPC, "no room"))
+    disk = vars(journal)["_file"] = Waiting(vars(journal)["_file"])
+    journal.hurry()
+    assert not vars(journal)["_interrupted"]
+    journal.write(memoryview(b"new"))
+    journal.commit(wait=False)
+    journal.hurry()
+    with pytest.raises(OSError, match=r"the disk has not answered for 0\.05 s"):
+        journal.commit()
+    disk.answers.set()
+    for each in (disk, vars(journal)["_view"]):
+        each.close()
+
+
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "no room"), MemoryError("no room")])
+def test_what_a_commit_failed_with_that_nobody_waited_for_is_raised_by_every_further_one(
+    path: Path, error: Exception
+) -> None:
+    journal, before = Journal(path), path.read_bytes()
+    file, disk = open_on(journal), Waiting(vars(journal)["_file"], error)
     vars(journal)["_file"] = disk
     file["rows"][0] = 1.0
     file.flush()
     journal.commit(wait=False)
     disk.answers.set()
+    # Once would be too little: the next batch would come to a file that lacks this one.
     for _ in range(2):
-        with pytest.raises(OSError, match="no room"):
+        with pytest.raises(type(error), match="no room"):
             journal.commit()
+    assert path.read_bytes() == before
     file.close()
     journal.close()

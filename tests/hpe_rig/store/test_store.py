@@ -8,6 +8,7 @@ import io
 import json
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
@@ -26,6 +27,7 @@ from hpe_rig.acquire.checked_scene import check
 from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.run_file import open_run, process
 from hpe_rig.acquire.setup import Setup, prepare
+from hpe_rig.bench import uninterrupted
 from hpe_rig.cli.app import resume, run
 from hpe_rig.result import headline_sentence, symbols
 from hpe_rig.result.html_repr import result_html
@@ -36,12 +38,16 @@ from hpe_rig.store import (
     StoreError,
     WriteOptions,
     free_path,
+    is_taken,
     read_run,
     read_snapshots,
     result_path,
+    verify,
     write_result,
+    writer as writer_module,
 )
-from hpe_rig.store.format import versions
+from hpe_rig.store.format import STAGES, reason, versions
+from hpe_rig.store.journal import Journal
 from hpe_rig.store.layout import empty_run
 from hpe_rig.store.records import MISSING
 
@@ -120,6 +126,32 @@ def test_the_next_shot_leaves_the_last_one_as_it_is(setup: Setup, tmp_path: Path
     assert not stored.shot_complete.any()
 
 
+def test_shots_are_taken_one_by_one_or_by_a_slice(setup: Setup, tmp_path: Path) -> None:
+    records = read_run(written(setup, tmp_path / "run.h5", block_of(setup, 0, 48))).records
+    first, second = records[:]
+    assert first.valid.all()
+    assert not second.valid.any()
+    (last,) = records[1:5]
+    np.testing.assert_array_equal(last.codes, records[1].codes)
+
+
+def test_records_that_come_out_of_order_land_in_their_pulses_places(setup: Setup, tmp_path: Path) -> None:
+    """By their trigger times; 0, 2, 1, 3 reach as far as four in a row do."""
+    block = block_of(setup, 0, 4, 0.0)
+    order = [0, 2, 1, 3]
+    mixed = replace(block, codes=block.codes[order], trigger_time_s=block.trigger_time_s[order])
+    found = read_run(written(setup, tmp_path / "run.h5", mixed)).records[0]
+    assert np.flatnonzero(found.valid).tolist() == [0, 1, 2, 3]
+    assert found.codes[:4, 0].tolist() == [0, 1, 2, 3]
+
+
+def test_run_times_are_those_of_the_stages_that_were_measured(setup: Setup, tmp_path: Path) -> None:
+    path = tmp_path / "run.h5"
+    with RunWriter(path, setup.scene, setup.bench, setup.plan) as writer:
+        writer.run_time(dict(zip(STAGES, (1.5, -1.0, np.inf), strict=False)))
+    assert read_run(path).run_time_s == {STAGES[0]: 1.5}
+
+
 def test_a_gate_is_read_alone(setup: Setup, tmp_path: Path) -> None:
     stored = read_run(record_run(setup, tmp_path / "run.h5"))
     gate = slice(100, 130)
@@ -185,6 +217,85 @@ def test_a_folder_that_vanishes_while_it_is_written_is_a_message(setup: Setup, t
     shutil.rmtree(folder)
     with pytest.raises(StoreError, match="moved or removed"), writer:
         writer.append(setup.plan.shots[0], block_of(setup, 0, 48, 0.5))
+
+
+@pytest.mark.parametrize(
+    "words", ["Disable slist failed (unable to allocate memory block of 131072 bytes)", "can't start new thread"]
+)
+def test_too_little_memory_is_said_in_plain_words(words: str) -> None:
+    """As the library and Python say it under a limit of memory, of which nobody foresaw the first."""
+    assert reason(RuntimeError(words)) == "it needs more memory than is available"
+
+
+class ShortOfMemory:
+    """The run file, of which one write, the ``number``-th, finds too little memory."""
+
+    def __init__(self, file: io.FileIO, number: int) -> None:
+        self._file, self._left, self.struck = file, number, False
+
+    def write(self, data: memoryview) -> int:
+        self._left -= 1
+        if self._left == 0:
+            self.struck = True
+            raise MemoryError
+        return self._file.write(data) or 0
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._file, name)
+
+
+def test_too_little_memory_for_one_write_ends_the_run_with_a_message_and_a_whole_file(
+    setup: Setup, tmp_path: Path
+) -> None:
+    whole = read_run(written(setup, tmp_path / "whole.h5", block_of(setup, 0, 48, 0.5))).records[0]
+    number, struck, shot = 0, True, setup.plan.shots[0]
+    while struck:
+        number += 1
+        path = tmp_path / f"{number}.h5"
+        writer = RunWriter(path, setup.scene, setup.bench, setup.plan)
+        journal = vars(writer)["_journal"]
+        disk = vars(journal)["_file"] = ShortOfMemory(vars(journal)["_file"], number)
+        message = ""
+        try:
+            with writer:
+                for first in range(0, 48, 16):
+                    writer.append(shot, block_of(setup, first, 16, 0.5))
+                writer.finish(shot)
+        except StoreError as error:
+            message = str(error)
+        struck, stored = disk.struck, read_run(path)
+        assert struck == ("cannot be written any further (it needs more memory than is available)" in message)
+        assert stored.status == ("failed" if struck else "complete")
+        assert not verify(path).damage
+        records = stored.records[0]
+        np.testing.assert_array_equal(records.codes[records.valid], whole.codes[records.valid])
+        assert records.valid.all() or not stored.shot_complete[0]
+    assert number > 5
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a console's signals cannot be sent to one process on Windows")
+def test_a_file_whose_making_is_interrupted_is_closed_before_it_is_removed(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows removes no file that is open; an open one is locked."""
+    path, unlink, locked = tmp_path / "run.h5", Path.unlink, list[bool | None]()
+
+    def interrupted(made: Path) -> Journal:
+        journal = Journal(made)
+        os.kill(os.getpid(), signal.SIGINT)
+        return journal
+
+    def noted(file: Path, missing_ok: bool = False) -> None:
+        if file == path:
+            locked.append(is_taken(file))
+        unlink(file, missing_ok)
+
+    monkeypatch.setattr(writer_module, "Journal", interrupted)
+    monkeypatch.setattr(Path, "unlink", noted)
+    with pytest.raises(KeyboardInterrupt), uninterrupted():
+        RunWriter(path, setup.scene, setup.bench, setup.plan)
+    assert locked == [False]
+    assert not path.exists()
 
 
 def test_a_disk_too_small_for_the_run_is_refused_before_anything_is_written(

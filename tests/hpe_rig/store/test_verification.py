@@ -6,6 +6,8 @@ Bits are flipped in the file's bytes, behind the back of everything that knows o
 from __future__ import annotations
 
 import json
+import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,6 +24,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.live.source import RunSource
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import StoreError, WriteOptions, read_run, read_snapshots, result_path, verify
+from hpe_rig.store.checksum import HEAP
 from hpe_rig.store.verification import Damage, ranges
 
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "run_files"
@@ -206,6 +209,11 @@ def test_what_is_no_file_of_hpe_rig_is_a_message(tmp_path: Path, make: Callable[
     assert "Try:" in done.output
 
 
+def test_a_result_holds_the_estimates_of_its_shots_and_no_records(path: Path) -> None:
+    found = verify(result_path(path, process(path).estimator))
+    assert (found.kind, found.shots, found.shots_complete, found.records) == ("result", 3, 3, 0)
+
+
 def test_a_damaged_result_is_found(path: Path) -> None:
     result = result_path(path, process(path).estimator)
     with h5py.File(result, "r") as file:
@@ -215,6 +223,60 @@ def test_a_damaged_result_is_found(path: Path) -> None:
     result.write_bytes(data)
     (damage,) = verify(result).damage
     assert str(damage) == "/results/amplitude_m fails its checksum"
+
+
+@pytest.mark.parametrize("kind", ["run", "result"])
+def test_damaged_units_and_axes_are_found_without_asking_the_library_for_them(path: Path, kind: str) -> None:
+    """Texts of variable length and references lie in a heap for which HDF5 does not vouch."""
+    damaged, name = (
+        (path, "records/sample") if kind == "run" else (result_path(path, process(path).estimator), "motion/time_s")
+    )
+    data = bytearray(damaged.read_bytes())
+    data[data.index(b"time ", data.index(b"GCOL"))] ^= 1
+    damaged.write_bytes(data)
+    with h5py.File(damaged, "r") as file:
+        assert file[name].attrs["long_name"].startswith("uime ")
+    (damage,) = verify(damaged).damage
+    assert str(damage) == "units of datasets, or what tells their axes, fail their checksum"
+
+
+def test_a_file_from_before_heaps_were_vouched_for_is_sound(path: Path) -> None:
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        del file.attrs[HEAP]
+    assert not verify(path).damage
+
+
+@pytest.mark.parametrize("foreign", ["text", 3.0, h5py.Empty("f8")], ids=["text", "number", "empty"])
+def test_checksums_of_the_heap_that_are_none_are_damage(path: Path, foreign: object) -> None:
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        file.attrs[HEAP] = foreign
+    (damage,) = verify(path).damage
+    assert str(damage) == "units of datasets, or what tells their axes, fail their checksum"
+
+
+def test_a_listing_does_not_state_what_a_damaged_result_says(path: Path) -> None:
+    result = result_path(path, process(path).estimator)
+    stated = CliRunner().invoke(app, ["list", str(path.parent)]).stdout
+    digit = re.search(rb'"amplitude_m": [0-9.]*([1-8])', result.read_bytes())
+    assert digit is not None
+    data = bytearray(result.read_bytes())
+    data[digit.start(1)] ^= 1
+    result.write_bytes(data)
+    done = CliRunner().invoke(app, ["list", str(path.parent)])
+    assert " nm" in stated
+    assert " nm" not in done.output
+    assert "run.coherent.h5 is no readable result file (it fails its checksum). Try: hpe-rig process" in done.output
+
+
+@pytest.mark.skipif(os.name == "nt", reason="named pipes are POSIX's")
+@pytest.mark.parametrize("arguments", [["verify", "pipe.h5"], ["list", "."], ["process", "run.h5"]])
+def test_a_named_pipe_is_not_waited_for(path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str]) -> None:
+    monkeypatch.chdir(path.parent)
+    os.mkfifo(path.with_name("pipe.h5"))
+    os.mkfifo(result_path(path, "coherent"))
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == (0 if arguments[0] == "list" else 2)
+    assert "Try:" in done.output
 
 
 def test_ranges_are_first_and_last_of_each_row() -> None:

@@ -12,7 +12,8 @@ from hpe_rig.validation.paper.sphere import fit_sphere, sphere_phasors
 
 def test_without_noise_the_sphere_gives_the_moduli_of_the_gelatin_back() -> None:
     quiet = {"simulation.receiver.snr_db": 80.0, "simulation.instruments.trigger_jitter_s": 0.0}
-    scene = load_scene("steel-sphere").with_(quiet | {"excitation.burst_count": 10})
+    plain = {"excitation.burst_count": 10, "sphere": None}
+    scene = load_scene("steel-sphere").with_(quiet | plain)
     result = result_of(scene)
     estimates = result.shots[0].estimates
     true_m = np.array([each.true_amplitude_m for each in estimates], float)

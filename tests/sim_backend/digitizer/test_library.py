@@ -6,7 +6,7 @@ from ctypes import byref, c_int32, c_long, c_uint8, c_uint32, c_uint64, c_void_p
 import numpy as np
 import pytest
 
-from sim_backend.digitizer.board import BoardSettings, Input, is_clipped, words
+from sim_backend.digitizer.board import Board, BoardSettings, Input, Latencies, is_clipped, words
 from sim_backend.digitizer.boards import BOARDS
 from sim_backend.settings.simulation import Instruments, SimulationSettings
 from sim_backend.world import World
@@ -197,6 +197,21 @@ def test_clipping_shows_in_the_status(gain, status):
     library, data = single_port(world_of(Ramps(gain)))
     assert library.AlazarGetStatus(BOARD) == status
     assert (np.frombuffer(data, "<u2").max() == 16383 << 2) == (status == 2)
+
+
+def test_volts_within_a_code_beyond_either_end_of_the_range_are_at_its_end():
+    volts = 0.8 * np.array([-1.0, -1.0 - 1 / 8191, -2.0, 1.0, 1.0 + 1 / 8191, 2.0])
+    assert (words(volts, Input(), BoardSettings()) >> 2).tolist() == [0, 0, 0, 16383, 16383, 16383]
+
+
+def test_giving_up_ends_the_capture_that_runs_and_no_other():
+    board = Board(Latencies(0, 0))
+    for begin_ps in (0, 100, 200):
+        board.arm(begin_ps, BoardSettings())
+        board.stop(begin_ps + 50)
+    assert [(arming.start_ps, arming.stop_ps) for arming in board.armings] == [(0, 50), (100, 150), (200, 250)]
+    board.stop(1000)
+    assert board.armings[-1].stop_ps == 250
 
 
 def test_signed_format_is_twos_complement():
@@ -414,7 +429,8 @@ def test_trigger_timeout_takes_records_by_itself():
     assert library.AlazarGetStatus(BOARD) == 1
 
 
-@pytest.mark.parametrize(("level", "taken"), [(128 + 127 * 39 // 50, RECORDS), (128 + 127 * 41 // 50, 0)])
+# A pulse of 4 V, on a scale on which 127 steps are 5 V: 229.6.
+@pytest.mark.parametrize(("level", "taken"), [(128 + 127 * 39 // 50, RECORDS), (229, RECORDS), (230, 0)])
 def test_a_trigger_must_reach_the_programmed_level(level, taken):
     world = world_of()
     library = loaded(world)

@@ -301,6 +301,10 @@ def test_a_sibling_bounds_the_duty_cycle_by_its_narrowest_pulse():
     least, most = (float(ask(generator, f"FUNC:SQU:DCYC? {end}")) for end in ("MIN", "MAX"))
     # 16 ns of 1 us
     assert (least, most) == pytest.approx((1.6, 98.4))
+    generator.write("FREQ 1 KHZ")
+    # 16 ns of 1 ms would be less than 0.01 %, the least there is
+    least, most = (float(ask(generator, f"FUNC:SQU:DCYC? {end}")) for end in ("MIN", "MAX"))
+    assert (least, most) == pytest.approx((0.01, 99.99), rel=1e-12)
 
 
 def test_edges_take_no_more_than_the_room_that_width_and_period_leave(generator):
@@ -320,6 +324,18 @@ def test_as_many_cycles_as_fit_between_internal_triggers_are_taken_and_no_more(g
     generator.write("BURS:NCYC 500001")
     assert float(ask(generator, "BURS:NCYC?")) == 500_000
     assert errors(generator) == [-221]
+
+
+def test_what_does_not_fit_between_internal_triggers_moves_them_apart_or_makes_them_faster(generator):
+    generator.write("FUNC SIN;:FREQ 1E6;:BURS:NCYC 5;:BURS:INT:PER 1E-5;:TRIG:SOUR IMM;:BURS:STAT 1")
+    assert errors(generator) == []
+    # 15 us of burst and 200 ns, where there were 10 us.
+    generator.write("BURS:NCYC 15")
+    assert float(ask(generator, "BURS:INT:PER?")) == pytest.approx(15.2e-6)
+    assert errors(generator) == [-221]
+    # 500 s is the longest period: not one cycle of 1 mHz fits.
+    generator.write("BURS:NCYC 1;:FREQ 1E-3")
+    assert float(ask(generator, "FREQ?")) == pytest.approx(2e-3)
 
 
 def test_the_burst_period_leaves_room_for_the_burst_and_200_ns_and_no_more(generator):

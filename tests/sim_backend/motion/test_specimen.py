@@ -7,6 +7,7 @@ from scipy.integrate import quad
 from sim_backend.motion.force import ForcePulses
 from sim_backend.motion.specimen import (
     frequency_response,
+    legendre,
     tabulate_step_response,
     transient_displacement,
 )
@@ -147,6 +148,26 @@ def test_displacement_of_two_trains_is_the_sum_of_each_and_scales_with_force():
     apart = transient_displacement(response, one, time_ps) + transient_displacement(response, two, time_ps)
     together = transient_displacement(response, both, time_ps)
     assert together == pytest.approx(apart, rel=1e-12, abs=1e-12 * np.abs(apart).max())
+
+
+def test_pulses_looked_up_together_add_up_as_one_by_one():
+    response = tabulate_step_response(Specimen(), WIDTH_M)
+    time_ps = np.arange(0, 150_000_000_000, 100_000_000)
+    # the last comes after all times; the others are felt at so many that several groups are made
+    onset_ps, strength = [*range(0, 155_000_000_000, 5_000_000_000), 200_000_000_000], np.arange(1.0, 33.0)
+    force = ForcePulses(np.array(onset_ps), np.array(onset_ps) + BURST_PS, strength)
+    plain_m = np.zeros(len(time_ps))
+    for onset, end, size in zip(force.onset_ps, force.end_ps, strength, strict=True):
+        plain_m += size * (response.at((time_ps - onset) / 1e12) - response.at((time_ps - end) / 1e12))
+    # beyond a response's memory, which the sum knows and the plain form does not, 1e-11 of the static displacement
+    allowed_m = 1e-11 * strength.sum() * response.at(np.array(1e4))
+    assert transient_displacement(response, force, time_ps) == pytest.approx(plain_m, rel=1e-13, abs=allowed_m)
+
+
+def test_nodes_that_all_callers_share_cannot_be_changed():
+    for shared in legendre(5):
+        with pytest.raises(ValueError, match="read-only"):
+            shared[0] = 0.0
 
 
 def test_times_in_any_order_give_the_same_displacements():

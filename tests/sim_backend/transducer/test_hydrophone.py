@@ -1,17 +1,30 @@
 """Hydrophone scans: what a bowl's field becomes when it is scanned, in every format, and what a scan may lack."""
 
+import hashlib
 import os
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 from scipy.io import savemat
 
+import hpe_rig as hpe
+from hpe_rig.acquire.resumption import _refuse_other
+from hpe_rig.acquire.run_file import _warnings, _with_scan_beside
 from hpe_rig.bench.twin import check_declared
-from hpe_rig.scene import load_scene
+from hpe_rig.prediction import force_of
+from hpe_rig.processing import Estimates
+from hpe_rig.scene import SettingsError, load_scene
+from hpe_rig.store import StoreError, sha256_of_scan
 from sim_backend.settings import SimulationSettings, Transducer
 from sim_backend.transducer import bowl_pressure, pulse_echo_beam, push_intensity, read_scan, wave_number
+
+OLD_RUN = next((Path(__file__).parents[2] / "fixtures" / "run_files").glob("*.h5"))
 
 
 def scanned(frequency_hz: float, across_m: float, along_m: float, steps: tuple[int, int]) -> dict[str, np.ndarray]:
@@ -119,6 +132,51 @@ def test_everything_that_a_scan_lacks_is_said_at_once(tracking, tmp_path: Path) 
         read_scan(str(tmp_path / "absent.csv"))
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("empty.csv", b"", "cannot be read as a table with commas between columns: it is empty"),
+        ("empty.mat", b"", "cannot be read as a MAT file: it is empty"),
+        ("truncated.mat", b"MATLAB", "cannot be read as a MAT file"),
+        ("text.h5", b"x_m,y_m,z_m,pressure_pa", "cannot be read as an HDF5 file"),
+        ("semicolons.csv", b"x_m;y_m\n0;0\n", "with commas between columns"),
+        ("binary.csv", bytes(range(256)), "cannot be read as a table with commas between columns"),
+    ],
+)
+def test_a_file_that_is_no_scan_is_named_with_what_is_wrong(
+    name: str, content: bytes, words: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    scene = load_scene("bovine-muscle").with_({"beams.excitation_scan": str(tmp_path / name)})
+    (mistake,) = check_declared(scene)
+    assert words in mistake.what
+    assert name in mistake.what
+
+
+def test_a_spreadsheets_mark_of_the_encoding_is_no_part_of_a_name(tracking, tmp_path: Path) -> None:
+    plain = Path(written(tracking, tmp_path / "plain.csv"))
+    (tmp_path / "marked.csv").write_bytes(b"\xef\xbb\xbf" + plain.read_bytes())
+    marked = read_scan(str(tmp_path / "marked.csv"))
+    assert np.array_equal(marked.pressure_pa, read_scan(str(plain)).pressure_pa)
+
+
+def test_a_scan_that_cuts_the_push_or_has_no_focus_is_no_force(tracking, tmp_path: Path) -> None:
+    scene = load_scene("bovine-muscle").model_copy(update={"simulation": None})
+    short = written(scanned(3.0e6, 8e-3, 3e-3, (40, 12)), tmp_path / "short.h5")
+    found = check_declared(scene.with_({"beams.excitation_scan": short}))
+    assert [words for each in found for words in ("z_m = -0.003", "z_m = 0.003") if words in each.what] == [
+        "z_m = -0.003",
+        "z_m = 0.003",
+    ]
+    with pytest.raises(SettingsError, match="the push goes on"):
+        force_of(scene.with_({"beams.excitation_scan": short}))
+    long = written(scanned(3.0e6, 8e-3, 17e-3, (40, 68)), tmp_path / "long.h5")
+    assert check_declared(scene.with_({"beams.excitation_scan": long})) == []
+    dark = written(tracking | {"pressure_pa": 0 * tracking["pressure_pa"]}, tmp_path / "dark.h5")
+    with pytest.raises(ValueError, match="the pressure at the focus is 0"):
+        read_scan(dark)
+
+
 def test_a_scene_with_unreadable_scans_says_so_of_each(tmp_path: Path) -> None:
     absent = str(tmp_path / "absent.h5")
     scene = load_scene("bovine-muscle").with_(
@@ -128,7 +186,72 @@ def test_a_scene_with_unreadable_scans_says_so_of_each(tmp_path: Path) -> None:
             "simulation.beams.tracking_scan": absent,
         }
     )
-    assert [each.path for each in check_declared(scene)] == [
+    assert [each.path for each in check_declared(scene.with_({"beams.excitation_scan": absent}))] == [
+        "beams.excitation_scan",
         "simulation.beams.excitation_scan",
         "simulation.beams.tracking_scan",
     ]
+    bench_alone = scene.model_copy(update={"simulation": None}).with_({"beams.excitation_scan": absent})
+    assert [each.path for each in check_declared(bench_alone)] == ["beams.excitation_scan"]
+    with pytest.raises(SettingsError, match=r"beams\.excitation_scan.*is no file here"):
+        force_of(bench_alone)
+
+
+@pytest.mark.parametrize("path", ["push.csv", "/gone/push.csv", r"C:\scans\push.csv"])
+def test_a_scan_that_is_lost_is_taken_from_beside_the_run_file(path: str, tmp_path: Path) -> None:
+    scene = load_scene("bovine-muscle").with_({"beams.excitation_scan": path})
+    assert _with_scan_beside(scene, tmp_path) == scene
+    (tmp_path / "push.csv").touch()
+    found = _with_scan_beside(scene, tmp_path)
+    assert found.beams is not None
+    assert found.beams.excitation_scan == str(tmp_path / "push.csv")
+    assert _with_scan_beside(found, tmp_path / "elsewhere") == found, "it is where it says"
+
+
+def test_a_result_says_that_the_scan_is_no_longer_the_one_of_the_run(tmp_path: Path) -> None:
+    path = tmp_path / "push.csv"
+    path.write_text("x_m\n")
+    scene = load_scene("bovine-muscle").with_({"beams.excitation_scan": str(path)})
+    assert sha256_of_scan(load_scene("bovine-muscle")) is None
+    stated = hashlib.sha256(b"x_m\n").hexdigest()
+    assert sha256_of_scan(scene) == stated
+    run = hpe.open_run(OLD_RUN)
+    assert run.stored.scan_sha256 == "", "files of earlier releases do not say"
+    run = replace(run, scene=scene)
+    of_the_file = [sum("no longer the one" in each for each in _warnings(run, Estimates((), {})))]
+    for stored in (stated, "0" * 64):
+        known = replace(run, stored=replace(run.stored, scan_sha256=stored))
+        of_the_file.append(sum("no longer the one" in each for each in _warnings(known, Estimates((), {}))))
+        setup: Any = SimpleNamespace(
+            scene=SimpleNamespace(scene=scene, name="scene"), bench=SimpleNamespace(bench=run.bench)
+        )
+        with pytest.raises(StoreError, match="one run has one scan") if stored != stated else nullcontext():
+            _refuse_other(known, setup)
+    assert of_the_file == [0, 0, 1]
+    path.unlink()
+    (lost,) = [each for each in _warnings(known, Estimates((), {})) if each.startswith("beams.excitation_scan")]
+    assert "cannot be read (no such file or directory)" in lost
+
+
+@pytest.mark.slow
+def test_a_run_finds_its_scan_again_beside_the_run_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    written(scanned(3.0e6, 8e-3, 17e-3, (40, 68)), tmp_path / "push.csv")
+    scene = load_scene("bovine-muscle").with_({"beams.excitation_scan": "push.csv", "excitation.burst_count": 5})
+    scene = scene.with_({"processing.window_start_s": 0.0})
+    hpe.measure(scene, path=tmp_path / "run.h5")
+    before = force_of(scene)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    run = hpe.open_run(tmp_path / "run.h5")
+    assert force_of(run.scene) == before
+    with (tmp_path / "push.csv").open("rb") as scan:
+        assert run.stored.scan_sha256 == hashlib.file_digest(scan, "sha256").hexdigest()
+    assert not any("no longer the one" in warning for warning in run.estimate().warnings)
+    with (tmp_path / "push.csv").open("a", encoding="utf-8") as scan:
+        scan.write("\n")
+    assert any("no longer the one" in warning for warning in hpe.open_run(tmp_path / "run.h5").estimate().warnings)
+    (tmp_path / "push.csv").rename(tmp_path / "lost.csv")
+    with pytest.raises(SettingsError, match="beside the run file"):
+        force_of(hpe.open_run(tmp_path / "run.h5").scene)
