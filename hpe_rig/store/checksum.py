@@ -9,6 +9,7 @@ was never written. ``docs/integrity.md`` describes what is covered and what read
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator
 from hashlib import blake2b
@@ -86,18 +87,29 @@ def seal(file: h5py.File, changing: set[str] | None = None) -> None:
             dataset.attrs[ATTRIBUTE] = np.uint64(found)
 
 
-def seal_heap(file: h5py.File) -> None:
-    """Give ``file`` an attribute with place, length and checksum of each part of its heap, uint64 (part, 3)."""
+def seal_heap(file: h5py.File, memory: io.BytesIO | None = None) -> None:
+    """Give ``file`` an attribute with place, length and checksum of each part of its heap, uint64 (part, 3).
+
+    ``memory`` is where the library writes it; without, the library is asked for a copy.
+    """
     file.flush()
-    image: bytes = file.id.get_file_image()
+    if memory is None:
+        sums = _heap_sums(memoryview(file.id.get_file_image()))
+    else:
+        with memory.getbuffer() as image:
+            sums = _heap_sums(image)
+    if sums:
+        file.attrs[HEAP] = np.array(sums, "<u8")
+
+
+def _heap_sums(image: memoryview) -> list[tuple[int, int, int]]:
     # Its signature and version; nothing else that is in a file at its start looks like it.
     places = [found.start() for found in re.finditer(rb"GCOL\x01\0\0\0", image)]
     lengths = [int.from_bytes(image[place + 8 : place + 16], "little") for place in places]
-    sums = [
-        digest(HEAP, (place,), image[place : place + length]) for place, length in zip(places, lengths, strict=True)
+    return [
+        (place, length, digest(HEAP, (place,), image[place : place + length]))
+        for place, length in zip(places, lengths, strict=True)
     ]
-    if places:
-        file.attrs[HEAP] = np.array([places, lengths, sums], "<u8").T
 
 
 def heap_is_sound(file: h5py.File, path: Path) -> bool:

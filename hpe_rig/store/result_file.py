@@ -37,7 +37,7 @@ def write_result(path: Path, result: Result) -> None:
         with h5py.File(memory, "w", libver=LIBVER) as file:
             _write(file, result)
             seal(file)
-            seal_heap(file)
+            seal_heap(file, memory)
         in_time(partial(_replace, path, memory.getbuffer()), lambda _: None)
     except (OSError, RuntimeError) as error:
         raise StoreError(
