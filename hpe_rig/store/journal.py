@@ -14,6 +14,7 @@ import contextlib
 import errno
 import os
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from pathlib import Path
@@ -30,6 +31,8 @@ LAST_STEP_S: Final = 5.0
 """The same for the steps after one during which the run was interrupted: somebody waits for its end."""
 UNDO_S: Final = 1.0
 """How long an interrupted program waits for what is still made on the disk, to undo it: outputs may be on meanwhile."""
+LOOK_S: Final = 0.2
+"""How long one look at what the disk does lasts: a signal that comes just before it begins takes effect at its end."""
 SUPERBLOCK_BYTES: Final = 48
 FLAGS_PLACE: Final = 11
 """Byte of the superblock in which the library marks a file as being written."""
@@ -185,19 +188,17 @@ class Journal:
             return
         done, patience_s = self._done, LAST_STEP_S if self._interrupted else LONGEST_STEP_S
         try:
-            done.result(patience_s)
-        except TimeoutError as error:
-            if done.done():
-                raise
-            self._stuck = True
-            self._failure = OSError(errno.ETIMEDOUT, f"the disk has not answered for {patience_s:g} s")
-            raise self._failure from error
+            self._stuck = not _ends(done, patience_s)
         except BaseException:
             self._interrupted = not done.done()
             raise
         finally:
             if self._stuck or done.done():
                 self._done = None
+        if self._stuck:
+            self._failure = OSError(errno.ETIMEDOUT, f"the disk has not answered for {patience_s:g} s")
+            raise self._failure
+        done.result()
 
     def _apply(self, batch: tuple[Write, ...], end: int, sync: bool) -> None:
         try:
@@ -259,6 +260,7 @@ def in_time(make: Callable[[threading.Event], Made], undo: Callable[[Made], obje
     given_up, tasks = threading.Event(), SimpleQueue[tuple[Callable[[], None], Future[None]] | None]()
     made: list[Made] = []
     done: Future[None] = Future()
+    stuck = False
 
     def undone(_: Future[None]) -> None:
         for each in made:
@@ -269,19 +271,30 @@ def in_time(make: Callable[[threading.Event], Made], undo: Callable[[Made], obje
     threading.Thread(target=_work, args=(tasks,), daemon=True, name="new file").start()
     try:
         with interruptible():
-            done.result(LONGEST_STEP_S)
+            stuck = not _ends(done, LONGEST_STEP_S)
+        if stuck:
+            raise OSError(errno.ETIMEDOUT, f"the disk has not answered for {LONGEST_STEP_S:g} s")
+        done.result()
         return made[0]
-    except BaseException as error:
+    except BaseException:
         given_up.set()
-        stuck = isinstance(error, TimeoutError) and not done.done()
         # A disk that answers is waited for: the process may end before its thread has undone anything.
-        if stuck or done not in wait([done], UNDO_S).done:
+        if stuck or not _ends(done, UNDO_S):
             done.add_done_callback(undone)
         else:
             undone(done)
-        if stuck:
-            raise OSError(errno.ETIMEDOUT, f"the disk has not answered for {LONGEST_STEP_S:g} s") from error
         raise
+
+
+def _ends(done: Future[None], patience_s: float) -> bool:
+    """Return whether the task ends in time, looking up often: a signal wakes nobody who is about to fall asleep."""
+    until_s = time.monotonic() + patience_s
+    while not done.done():
+        left_s = until_s - time.monotonic()
+        if left_s <= 0:
+            return False
+        wait([done], min(LOOK_S, left_s))
+    return True
 
 
 def _lost(path: Path, what: str) -> StoreError:

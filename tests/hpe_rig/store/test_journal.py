@@ -60,13 +60,19 @@ def test_nothing_reaches_the_file_before_a_commit_and_the_file_is_whole_after_ea
 
 
 @pytest.mark.skipif(os.name == "nt", reason="a console's signals cannot be sent to one process on Windows")
-def test_what_is_made_while_an_interrupt_comes_is_undone_before_the_program_goes_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize("to_thread", [False, True], ids=["to the process", "to a thread that waits for nobody"])
+def test_what_is_made_while_an_interrupt_comes_is_undone_before_the_program_goes_on(
+    tmp_path: Path, to_thread: bool
+) -> None:
     new = tmp_path / "new.h5"
 
     def make(given_up: threading.Event) -> Path:
         new.touch()
-        # to the whole process, so that it reaches the thread that waits
-        os.kill(os.getpid(), signal.SIGINT)
+        if to_thread:
+            # As where it comes just before the main thread falls asleep: nothing wakes that.
+            signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+        else:
+            os.kill(os.getpid(), signal.SIGINT)
         assert given_up.wait(5.0)
         return new
 
