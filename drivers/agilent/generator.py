@@ -76,7 +76,7 @@ class Agilent33250A:
 
         The vendor is not compared: later instruments of the same model carry another company's name.
         """
-        reply = self._session.query("*IDN?")
+        reply = self._session.ask_who()
         fields = [field.strip() for field in reply.split(",")]
         model = model_named(fields[1]) if len(fields) > 3 else None
         if model is None or self._series not in ("", model.name):

@@ -15,6 +15,7 @@ from drivers.interfaces import Connection, InstrumentError, Line
 _LOG: Final = logging.getLogger("drivers")
 # A 33250A queues 20 errors; a few reads more, so that the final "no error" is seen as well.
 QUEUE_READS: Final = 25
+IDENTITY_QUERY: Final = "*IDN?"
 ERROR_QUERY: Final = "SYST:ERR?"
 # Keeps a message and its reply, of 21 characters a number, within the 256 that even the smallest RS-232 buffer takes.
 MOST_QUERIES: Final = 10
@@ -131,6 +132,25 @@ class ScpiSession:
             reply = self._receive(command, patience)
             self._dirty = False
             return reply
+
+    def ask_who(self) -> str:
+        """Return the reply to ``*IDN?``, asked again in haste before nobody is there; a stranger is sent nothing else.
+
+        A reply is lost where another program sends something before it is read.
+        """
+        with self._lock:
+            try:
+                return self.query(IDENTITY_QUERY)
+            except DroppedError:
+                raise
+            except InstrumentError as missing:
+                with self.haste():
+                    self._send(IDENTITY_QUERY)
+                    try:
+                        # Should the first reply be late, it says the same; the session stays dirty for the other one.
+                        return self._receive(IDENTITY_QUERY)
+                    except InstrumentError:
+                        raise missing from None
 
     def query_all(self, commands: Sequence[str]) -> tuple[str, ...]:
         """Return the replies to ``commands``, asked in as few messages as the buffers allow; none may hold a ``;``."""

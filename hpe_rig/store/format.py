@@ -42,7 +42,7 @@ RUN_ID_BYTES: Final = 32
 SNAPSHOT_BYTES: Final = 8192
 """Enough for the settings of one shot as JSON; fixed, since nothing may be created while others read."""
 CHUNK_BYTES: Final = 1_000_000
-"""Target size of one chunk of echoes, which is the most that a crash can cost."""
+"""Size that a chunk of echoes has at least, if a shot has as much; a crash costs less than one and the last block."""
 ROW_CHUNK: Final = 2048
 """Most pulses in one chunk of a quantity with one value per pulse, which is written as a whole with each of echoes."""
 TIME_BYTES: Final = 32

@@ -253,6 +253,7 @@ class RunWriter:
                 self._write_chunk()
                 for chunk in self._chunks:
                     chunk.begin(rows.index, number)
+                    chunk.recall(rows.recorded[number * chunk.rows : (number + 1) * chunk.rows])
             for chunk, of_input in zip(self._chunks, codes, strict=True):
                 chunk.put(index[here] - number * chunk.rows, of_input[here])
             rows.recorded[index[here]] = True
@@ -490,6 +491,15 @@ class _Chunk:
             self._codes = self._spare.pop() if self._spare else np.empty_like(self._codes)
         self._filled[:] = False
         self.place = (shot, number)
+
+    def recall(self, recorded: NDArray[np.bool_]) -> None:
+        """Take in again which records of the chunk the file holds, (pulse,): one comes late, behind those of others."""
+        if self.place is None or not recorded.any():
+            return
+        shot, number = self.place
+        first = number * self.rows
+        self._codes[: recorded.size] = self._echo[shot, first : first + recorded.size]
+        self._filled[: recorded.size] = recorded
 
     def put(self, rows: NDArray[np.int64], codes: NDArray[np.int16]) -> None:
         """Put ``codes`` (row, sample) into the rows ``rows``."""

@@ -140,6 +140,35 @@ def test_another_model_is_refused_before_anything_is_sent_to_it(scripted) -> Non
     assert connection.messages == ["*IDN?"]
 
 
+@pytest.mark.parametrize("late", [False, True], ids=["lost", "late"])
+def test_whoever_does_not_say_who_it_is_is_asked_once_more_and_nothing_else_is_sent(
+    scripted, monkeypatch, late: bool
+) -> None:
+    connection = scripted()
+    read, silent = connection.read, [True]
+
+    def once_silent() -> str:
+        if silent and silent.pop():
+            if not late:
+                connection.outbox.clear()
+            raise TimeoutError("nothing to read")
+        return read()
+
+    monkeypatch.setattr(connection, "read", once_silent)
+    generator = Agilent33250A(connection, "toneburst")
+    assert generator.identify().model == "33250A"
+    assert connection.messages == ["*IDN?", "*IDN?"]
+    # A late first reply would be the answer to what is asked next.
+    generator.configure(BURST)
+
+
+def test_somebody_who_never_says_who_it_is_is_not_there(scripted) -> None:
+    connection = scripted(replies={"*IDN": None})
+    with pytest.raises(InstrumentError, match=r"no reply to '\*IDN\?'"):
+        Agilent33250A(connection, "master").identify()
+    assert connection.messages == ["*IDN?", "*IDN?"]
+
+
 def test_the_later_vendor_name_is_accepted(scripted) -> None:
     connection = scripted(replies={"*IDN": "Keysight Technologies,33250A,0,2.04-1.01-2.00-03-2"})
     identity = Agilent33250A(connection, "master").identify()

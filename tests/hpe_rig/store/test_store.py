@@ -39,6 +39,7 @@ from hpe_rig.store import (
     WriteOptions,
     free_path,
     is_taken,
+    layout,
     read_run,
     read_snapshots,
     result_path,
@@ -143,6 +144,23 @@ def test_records_that_come_out_of_order_land_in_their_pulses_places(setup: Setup
     found = read_run(written(setup, tmp_path / "run.h5", mixed)).records[0]
     assert np.flatnonzero(found.valid).tolist() == [0, 1, 2, 3]
     assert found.codes[:4, 0].tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_a_late_record_of_an_earlier_chunk_costs_none_of_those_that_came_in_time(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compress: bool
+) -> None:
+    monkeypatch.setattr(layout, "CHUNK_BYTES", 8 * 2 * 256)
+    path, shot = tmp_path / "run.h5", setup.plan.shots[0]
+    with RunWriter(path, setup.scene, setup.bench, setup.plan, WriteOptions(compress=compress)) as writer:
+        for first, count in ((0, 3), (4, 17), (21, 27), (3, 1)):
+            writer.append(shot, block_of(setup, first, count, 0.0))
+        writer.finish(shot)
+    found = read_run(path).records[0]
+    assert found.valid.all()
+    np.testing.assert_array_equal(found.codes[:, 100], np.arange(48))
+    with h5py.File(path) as file:
+        assert file["records/echo"].chunks[1] == 8
 
 
 def test_run_times_are_those_of_the_stages_that_were_measured(setup: Setup, tmp_path: Path) -> None:
