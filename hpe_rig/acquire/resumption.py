@@ -41,8 +41,10 @@ def prepare_rest(
         )
     if is_taken(path):
         raise StoreError(f"{path} is being written by a run that goes on. Try: wait for its end, or stop it.")
-    own = earlier.stored.scene_name, earlier.stored.scene_toml
-    setup = prepare_text(*(own if scene is None else source_text(scene)), bench_path, stages, stored=scene is None)
+    if scene is None:
+        setup = prepare_text(earlier.stored.scene_name, earlier.stored.scene_toml, bench_path, stages, stored=path)
+    else:
+        setup = prepare_text(*source_text(scene), bench_path, stages)
     _refuse_other(earlier, setup)
     complete = _sound_shots(earlier.stored)
     if complete == len(setup.plan.shots):

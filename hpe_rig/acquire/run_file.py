@@ -6,14 +6,14 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.acquire.checked_scene import plan_html
-from hpe_rig.acquire.setup import planned
+from hpe_rig.acquire.setup import planned, with_scan_beside
 from hpe_rig.bench import BenchFile, parse_bench, with_transducers
 from hpe_rig.plan import (
     CheckResult,
@@ -226,7 +226,7 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     stored = read_run(Path(path))
     bench = parse_bench(stored.bench_name, stored.bench_toml).bench
     scene = parse_scene(stored.scene_name, stored.scene_toml, stored=True).scene
-    scene = with_transducers(_with_scan_beside(scene, stored.path.parent), bench)
+    scene = with_transducers(with_scan_beside(scene, stored.path.parent), bench)
     if bench.simulated:
         scene = with_default_specimen(scene)
     plan, found = planned(scene, bench)
@@ -235,18 +235,6 @@ def open_run(path: str | os.PathLike[str]) -> Run:
     if bench.recording is not None:
         plan = _at_imported_times(plan, stored)
     return Run(stored.path, scene, bench, plan, found, stored)
-
-
-def _with_scan_beside(scene: Scene, folder: Path) -> Scene:
-    """Return ``scene`` with the scan of its push taken from ``folder`` where its own path leads to none."""
-    beams = scene.beams
-    if beams is None or beams.excitation_scan is None or Path(beams.excitation_scan).is_file():
-        return scene
-    # a path of Windows may be read elsewhere, and takes either slash
-    beside = folder / PureWindowsPath(beams.excitation_scan).name
-    if not beside.is_file():
-        return scene
-    return scene.model_copy(update={"beams": beams.model_copy(update={"excitation_scan": str(beside)})})
 
 
 def _as_set(plan: Plan, stored: StoredRun) -> Plan:

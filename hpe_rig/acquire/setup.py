@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 from hpe_rig.bench import (
     BenchFile,
@@ -72,16 +72,21 @@ def prepare_text(
     bench_path: Path | None = None,
     stages: Stages | None = None,
     refuse: bool = True,
-    stored: bool = False,
+    stored: Path | None = None,
 ) -> Setup:
-    """Return the planned measurement of a scene's text, ``stored`` where a run file holds it; raises as ``prepare``."""
+    """Return the planned measurement of a scene's text, which may be that of a run file; raises as ``prepare``.
+
+    ``stored`` is the path of that file.
+    """
     with (stages or Stages())("plan"):
         bench = read_bench(bench_path)
         if bench.bench.recording is not None:
             what = "this bench stands for an imported recording, no instrument of it is known"
             raise SettingsError(f"bench {bench.name}", [Mistake("recording", what, "a bench file of your own")])
         check = check_simulation if bench.bench.simulated else None
-        scene = parse_scene(name, text, check, stored)
+        scene = parse_scene(name, text, check, stored is not None)
+        if stored is not None:
+            scene = replace(scene, scene=with_scan_beside(scene.scene, stored.parent))
         scene = replace(scene, scene=with_transducers(scene.scene, bench.bench))
         if bench.bench.simulated:
             # Filled in here and in open_run alone: everything behind a plan meets a described specimen.
@@ -93,6 +98,18 @@ def prepare_text(
         if refuse:
             refuse_conflicts(found)
     return Setup(scene, bench, plan, found)
+
+
+def with_scan_beside(scene: Scene, folder: Path) -> Scene:
+    """Return ``scene`` with the scan of its push taken from ``folder`` where its own path leads to none."""
+    beams = scene.beams
+    if beams is None or beams.excitation_scan is None or Path(beams.excitation_scan).is_file():
+        return scene
+    # a path of Windows may be read elsewhere, and takes either slash
+    beside = folder / PureWindowsPath(beams.excitation_scan).name
+    if not beside.is_file():
+        return scene
+    return scene.model_copy(update={"beams": beams.model_copy(update={"excitation_scan": str(beside)})})
 
 
 def _twin_mistakes(scene: Scene) -> list[Mistake]:

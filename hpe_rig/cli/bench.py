@@ -94,7 +94,7 @@ def _programmed_as(path: Path, state: BenchState) -> Mapping[str, Settings]:
     An idle bench differs from one that measures in nearly everything. No output is enabled, and all are verified off.
     """
     stored, shots = open_run(path).stored, len(read_snapshots(path))
-    setup = prepare_text(stored.scene_name, stored.scene_toml, state.path, refuse=False, stored=True)
+    setup = prepare_text(stored.scene_name, stored.scene_toml, state.path, refuse=False, stored=path)
     shot = setup.plan.shots[shots - 1]
     point = setup.scene.scene.points[shot.point]
     with open_bench(point.scene, setup.bench.bench.with_(point.bench), setup.plan.roles) as bench:

@@ -92,14 +92,25 @@ class RunWriter:
         try:
             image = empty_run(scene, bench, plan, *about)
             self._journal = _begun(image, path, options.overwrite, 0 if options.compress else plan.record_bytes)
-        except RuntimeError as error:
+            try:
+                with uninterrupted():
+                    self._open(plan, bench)
+            except BaseException:
+                # A file that nobody can write holds nothing, and would say "running" for ever.
+                with contextlib.suppress(OSError, MemoryError):
+                    self._journal.close()
+                self.remove()
+                raise
+        except LIBRARY_ERRORS as error:
             # Of the library, or of Python, which finds no memory for a thread.
             raise StoreError(f"{path} cannot be created ({reason(error)}). Try: again, with fewer programs.") from error
-        with self._writing():
-            self._file = open_on(self._journal)
-            self._endings = _endings(self._file, self._journal)
+
+    def _open(self, plan: Plan, bench: BenchText) -> None:
+        """Take the datasets of the file that was begun."""
+        self._file = open_on(self._journal)
+        self._endings = _endings(self._file, self._journal)
         if not self._journal.locked:
-            logging.getLogger("hpe_rig").warning("%s: its disk knows no locks. Let no other run write it.", path)
+            logging.getLogger("hpe_rig").warning("%s: its disk knows no locks. Let no other run write it.", self.path)
         self._volts = volts_of_codes(plan.shots[0].capture.input_range_v, bench.bench.digitizer.board_model.code_limits)
         self._tables = {name: _Table(self._file, name) for name in (*BY_SHOT, *AT_ONCE)}
         # A checksum takes as long as writing what it is of: they go on at the same time.

@@ -191,6 +191,21 @@ def test_a_block_in_other_volts_than_the_range_says_is_refused(setup: Setup, tmp
     assert read_run(tmp_path / "run.h5").status == "failed"
 
 
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_file_that_cannot_be_opened_once_it_is_there_is_not_left_behind(
+    setup: Setup, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overwrite: bool
+) -> None:
+    path = written(setup, tmp_path / "run.h5") if overwrite else tmp_path / "run.h5"
+
+    def no_room(_: Journal) -> h5py.File:
+        raise MemoryError
+
+    monkeypatch.setattr(writer_module, "open_on", no_room)
+    with pytest.raises(StoreError, match=r"cannot be created \(.*memory"):
+        RunWriter(path, setup.scene, setup.bench, setup.plan, WriteOptions(overwrite=overwrite))
+    assert not path.exists()
+
+
 def test_an_empty_run_is_the_same_bytes_every_time(setup: Setup) -> None:
     images = [empty_run(setup.scene, setup.bench, setup.plan) for _ in range(2)]
     assert images[0] == images[1]

@@ -15,11 +15,12 @@ from scipy.io import savemat
 
 import hpe_rig as hpe
 from hpe_rig.acquire.resumption import _refuse_other
-from hpe_rig.acquire.run_file import _warnings, _with_scan_beside
+from hpe_rig.acquire.run_file import _warnings
+from hpe_rig.acquire.setup import prepare_text, with_scan_beside
 from hpe_rig.bench.twin import check_declared
 from hpe_rig.prediction import force_of
 from hpe_rig.processing import Estimates
-from hpe_rig.scene import SettingsError, load_scene
+from hpe_rig.scene import SettingsError, load_scene, scene_text
 from hpe_rig.store import StoreError, sha256_of_scan
 from sim_backend.settings import SimulationSettings, Transducer
 from sim_backend.transducer import bowl_pressure, pulse_echo_beam, push_intensity, read_scan, wave_number
@@ -200,12 +201,25 @@ def test_a_scene_with_unreadable_scans_says_so_of_each(tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", ["push.csv", "/gone/push.csv", r"C:\scans\push.csv"])
 def test_a_scan_that_is_lost_is_taken_from_beside_the_run_file(path: str, tmp_path: Path) -> None:
     scene = load_scene("bovine-muscle").with_({"beams.excitation_scan": path})
-    assert _with_scan_beside(scene, tmp_path) == scene
+    assert with_scan_beside(scene, tmp_path) == scene
     (tmp_path / "push.csv").touch()
-    found = _with_scan_beside(scene, tmp_path)
+    found = with_scan_beside(scene, tmp_path)
     assert found.beams is not None
     assert found.beams.excitation_scan == str(tmp_path / "push.csv")
-    assert _with_scan_beside(found, tmp_path / "elsewhere") == found, "it is where it says"
+    assert with_scan_beside(found, tmp_path / "elsewhere") == found, "it is where it says"
+
+
+def test_a_run_is_resumed_with_the_scan_beside_its_file(tmp_path: Path) -> None:
+    lost, here = tmp_path / "push.csv", tmp_path / "elsewhere" / "push.csv"
+    written(scanned(3.0e6, 8e-3, 17e-3, (40, 68)), lost)
+    text = scene_text(load_scene("bovine-muscle").with_({"beams.excitation_scan": str(lost)}))[1]
+    here.parent.mkdir()
+    lost.rename(here)
+    with pytest.raises(SettingsError, match="is no file here"):
+        prepare_text("scanned", text)
+    beams = prepare_text("scanned", text, stored=here.with_name("run.h5")).scene.scene.beams
+    assert beams is not None
+    assert beams.excitation_scan == str(here)
 
 
 def test_a_result_says_that_the_scan_is_no_longer_the_one_of_the_run(tmp_path: Path) -> None:
