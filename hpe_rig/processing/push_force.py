@@ -127,9 +127,8 @@ def scanned_force(
     loss_np_per_m = np_per_m * (attenuation_db_per_cm_mhz or 0.0)
     focus, away_m = np.zeros(1), np.concatenate([np.zeros(1), np.geomspace(1e-5, LONGEST_M, 2000)])
     across_m = _half_way_m(away_m, lambda at_m: intensity(at_m, focus)[0])
-    before_m, behind_m = (
-        _half_way_m(away_m, lambda at_m, side=side: intensity(focus, side * at_m)[:, 0]) for side in (-1, 1)
-    )
+    before_m = _half_way_m(away_m, lambda at_m: intensity(focus, -at_m)[:, 0])
+    behind_m = _half_way_m(away_m, lambda at_m: intensity(focus, at_m)[:, 0])
     # of the even bowl whose beam is as wide and as long at half of the intensity: FWHM 1.03 lambda F / D across
     spot_m, sigma_m = 2 * across_m / 1.03, (before_m + behind_m) / 2.3548
     f_number = sigma_m / (SIGMAS_A_LENGTH * spot_m)
