@@ -119,7 +119,7 @@ def test_a_stored_run_gives_the_profile_that_its_scene_did_not_ask_for(run: hpe.
 
 
 def test_the_report_draws_amplitude_phase_and_motion_over_depth(run: hpe.Run, tmp_path: Path) -> None:
-    page = write_report(run.path, output=tmp_path / "page.html", profile_step_m=1e-3).read_text(encoding="utf-8")
+    page = write_report(run.path, output=tmp_path / "page.html").read_text(encoding="utf-8")
     for words in ("Amplitude over depth", "Phase over depth", "Motion over depth and burst period"):
         assert words in page
 
