@@ -158,7 +158,7 @@ class Problem:
         """How many real numbers were measured."""
         return sum(2 * one.frequency_hz.size for one in self.vibrations)
 
-    @property
+    @cached_property
     def free(self) -> int:
         """How many unknowns nothing is known of: the law's parameters and the amplitude."""
         return len(self.law.parameters) + 1

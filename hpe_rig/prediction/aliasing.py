@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,4 +73,12 @@ def _steady_motion(
     if not time_s.size:
         # a plan with conflicts may have no pulse in its window
         return None
-    return np.asarray(true[place - 1]), harmonic_columns(time_s, frequency_hz) @ parts
+    return np.asarray(true[place - 1]), _displacement_m(time_s.tobytes(), frequency_hz.tobytes(), parts.tobytes())
+
+
+@lru_cache(maxsize=4)
+def _displacement_m(time_s: bytes, frequency_hz: bytes, parts_m: bytes) -> NDArray[np.float64]:
+    """Kept: the aliasing of the scene's estimator and the forecast of all of them ask for the same motion."""
+    moved = harmonic_columns(np.frombuffer(time_s), np.frombuffer(frequency_hz)) @ np.frombuffer(parts_m)
+    moved.setflags(write=False)
+    return np.asarray(moved)

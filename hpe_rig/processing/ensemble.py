@@ -312,6 +312,10 @@ def seen_beside(
     return tracked, focal_motion(*medium, x**2, z**2, lateral_m)[0], tracked * steep
 
 
+_legendre = functools.cache(np.polynomial.legendre.leggauss)
+"""Nodes and weights of Gauss's quadrature, by their number."""
+
+
 def displacement(
     shear_k2: ComplexArray, lateral: FloatArray, axial: FloatArray, directions: int = DIRECTIONS
 ) -> ComplexArray:
@@ -323,7 +327,7 @@ def displacement(
     # Here, as below: a prescribed motion has no medium, and needs no special functions.
     from scipy.special import wofz
 
-    node, weight = np.polynomial.legendre.leggauss(directions)
+    node, weight = _legendre(directions)
     # In the variable that makes a needle's spectrum smooth: m = tan(angle) / slope.
     slope = np.sqrt(np.maximum(axial / lateral - 1, 1e-12))[:, None]
     angle = np.arctan(slope) * (node + 1) / 2

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import lru_cache
 from typing import Any
 
@@ -52,8 +51,9 @@ def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray
 
     The cycles before the first pulse are counted exactly, in fractions: a start at 1e5 s loses no phase.
     """
-    start = Fraction(float(time_s[0]))
-    before = np.array([float(Fraction(float(f)) * start % 1) for f in frequency_hz])
+    start, unit = float(time_s[0]).as_integer_ratio()
+    ratios = [float(f).as_integer_ratio() for f in frequency_hz]
+    before = np.array([cycles * start % (of * unit) / (of * unit) for cycles, of in ratios])
     angle = 2 * np.pi * (np.outer(time_s - time_s[0], frequency_hz) + before)
     columns = np.empty((time_s.size, 2 * len(before)))
     np.sin(angle, out=columns[:, ::2])

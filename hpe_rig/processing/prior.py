@@ -383,8 +383,9 @@ def fourth_moment(share: FloatArray, values: FloatArray) -> FloatArray:
 
     ``share`` (..., member), of sum 1. About a mean of zero that is the kurtosis; an independent factor's multiplies it.
     """
-    square = np.einsum("...m,...mfi->...fi", share, values**2)
-    fourth = np.einsum("...m,...mfi->...fi", share, values**4)
+    squares = values**2
+    square = np.einsum("...m,...mfi->...fi", share, squares)
+    fourth = np.einsum("...m,...mfi->...fi", share, squares**2)
     return np.asarray(np.where(square > 0, fourth / np.where(square > 0, square, 1.0) ** 2, 1.0))
 
 

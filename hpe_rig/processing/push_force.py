@@ -126,8 +126,9 @@ def scanned_force(
     np_per_m = 100 * NEPER_PER_DB * frequency_hz * 1e-6
     loss_np_per_m = np_per_m * (attenuation_db_per_cm_mhz or 0.0)
     focus, away_m = np.zeros(1), np.concatenate([np.zeros(1), np.geomspace(1e-5, LONGEST_M, 2000)])
-    across_m = _half_way_m(away_m, intensity(away_m, focus)[0])
-    before_m, behind_m = (_half_way_m(away_m, intensity(focus, side * away_m)[:, 0]) for side in (-1, 1))
+    across_m = _half_way_m(away_m, lambda at_m: intensity(at_m, focus)[0])
+    before_m = _half_way_m(away_m, lambda at_m: intensity(focus, -at_m)[:, 0])
+    behind_m = _half_way_m(away_m, lambda at_m: intensity(focus, at_m)[:, 0])
     # of the even bowl whose beam is as wide and as long at half of the intensity: FWHM 1.03 lambda F / D across
     spot_m, sigma_m = 2 * across_m / 1.03, (before_m + behind_m) / 2.3548
     f_number = sigma_m / (SIGMAS_A_LENGTH * spot_m)
@@ -139,12 +140,17 @@ def scanned_force(
     return _force_of(attenuated, spot_m, f_number, sigma_m, unsure)
 
 
-def _half_way_m(away_m: FloatArray, value: FloatArray) -> float:
-    """Return where ``value`` has fallen to half of its first."""
-    below = np.flatnonzero(value < value[0] / 2)
-    if not below.size:
-        raise ValueError(f"the intensity does not fall to half of the focus' within {LONGEST_M * 1e3:g} mm of it")
-    return float(away_m[below[0]])
+def _half_way_m(away_m: FloatArray, along: Callable[[FloatArray], FloatArray]) -> float:
+    """Return the first of the places at which ``along`` has fallen to half of that at the first of all.
+
+    From near to far: what lies beyond is not asked for, where a bowl's field takes the longest.
+    """
+    most = along(away_m[:1])[0]
+    for part_m in np.array_split(away_m, 20):
+        below = np.flatnonzero(along(part_m) < most / 2)
+        if below.size:
+            return float(part_m[below[0]])
+    raise ValueError(f"the intensity does not fall to half of the focus' within {LONGEST_M * 1e3:g} mm of it")
 
 
 def _force_of(

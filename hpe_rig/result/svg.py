@@ -106,8 +106,11 @@ def panel(left: float = 0.15) -> tuple[Figure, Axes]:
         # The page's own paper shows through, light or dark.
         figure.set_facecolor("none")
         axes.set_facecolor("none")
-        # Fixed margins: fitting them to every text takes as long as all the drawing.
-        figure.subplots_adjust(left=left, right=0.96, bottom=0.155, top=0.9)
+        # Fixed margins, names of the axes at the edges: fitting them to every text takes as long as all the drawing.
+        right, bottom, top = 0.96, 0.155, 0.9
+        figure.subplots_adjust(left=left, right=right, bottom=bottom, top=top)
+        axes.xaxis.set_label_coords((left + right) / 2, 0.065, figure.transFigure)
+        axes.yaxis.set_label_coords(0.034, (bottom + top) / 2, figure.transFigure)
         return figure, axes
 
 

@@ -9,7 +9,6 @@ import math
 import os
 import re
 import tomllib
-import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,9 +76,14 @@ def read_settings_text(path: Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
     return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig").read()
 
 
+_OBEYED = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+"""Unicode's control characters but for line ends and tabs."""
+
+
 def control_character(text: str) -> str:
     """Return the first character of ``text`` that a terminal would obey, line ends and tabs apart; "" for none."""
-    return next((c for c in text if unicodedata.category(c) == "Cc" and c not in "\n\r\t"), "")
+    found = _OBEYED.search(text)
+    return found[0] if found else ""
 
 
 def parse_toml(text: str, source: str, most_bytes: int = MOST_TEXT_BYTES) -> dict[str, Any]:

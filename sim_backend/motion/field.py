@@ -51,6 +51,8 @@ _NODES_WHERE_WAVES_ARE_SHORT = 36
 _SHORT_OCTAVES = 5
 # exp(-32) = 1e-14: a share of the spectrum below that puts nothing into any point.
 _NEGLIGIBLE_EXPONENT = 32.0
+# Of two numbers, one this many times the other: the series in their ratio is over, to 1e-16, after so many powers.
+_OUTWEIGHS, _TERMS = 16.0, 14
 # Of the table of J0 along the ray.
 _CELL, _CELL_NODES = 0.5, 10
 # Chebyshev degrees of the shapes; laterally more where the field reaches over many widths of the force.
@@ -284,8 +286,26 @@ class _Spectrum:
         """Return the displacement at every point, (s, point)."""
         modulus = shear_modulus(specimen, s_per_s)
         pole = specimen.density_kg_per_m3 * s_per_s**2 / modulus
-        # k^2 / (k^2 + pole) / modulus at every s and k, of which only the fraction hangs on both
-        return np.asarray((1 / (self._k2 + pole[:, None])) @ self._k2_into / modulus[:, None])
+        # at rest too
+        pole[pole == 0] = np.finfo(np.float64).tiny
+        displaced = np.empty((len(pole), self._k2_into.shape[1]), np.complex128)
+        order = np.argsort(np.abs(pole))
+        size, length2, power = np.abs(pole)[order], np.abs(self._k2), np.arange(_TERMS)
+        # k^2 / (k^2 + pole): of poles of one size the fraction hangs on both where wave numbers are near; where one of
+        # the two outweighs the other it is a power series in their ratio, whose sums over wave numbers serve all poles.
+        for poles in np.split(order, np.flatnonzero(np.diff(np.floor(np.log2(size) / 4))) + 1):
+            p, least, most = pole[poles], abs(pole[poles[0]]), abs(pole[poles[-1]])
+            # the wave numbers grow along the ray
+            low, high = np.searchsorted(length2, [least / _OUTWEIGHS, most * _OUTWEIGHS])
+            short, near, long = self._k2[high:], self._k2[low:high], self._k2[:low]
+            by_short = (most / short) ** power[:, None] / short @ self._k2_into[high:]
+            by_long = (long / least) ** power[:, None] @ self._k2_into[:low]
+            displaced[poles] = (
+                (1 / (near + p[:, None])) @ self._k2_into[low:high]
+                + (-p[:, None] / most) ** power @ by_short
+                + (-least / p[:, None]) ** power / p[:, None] @ by_long
+            )
+        return np.asarray(displaced / modulus[:, None])
 
 
 class _Directions:

@@ -96,7 +96,9 @@ AlazarDigitizer.records = slowly
 def hold(scene, bench):
     import hpe_rig
     with hpe_rig.open_bench(scene, bench):
-        time.sleep(1.0)
+        time.sleep(0.0 if HELD[0] else 1.0)
+        while HELD[0] and not Path("go").exists():
+            time.sleep(0.01)
 
 print("ready", flush=True)
 for line in sys.stdin:
@@ -140,7 +142,7 @@ class Rig:
     def start(self, *arguments: str, slowly_s: float = 0.006, held: bool = False) -> tuple[Path, int]:
         """Start a command and return its folder and process; a record takes four times ``slowly_s``.
 
-        ``held``: the first one takes until there is a file ``go`` in the folder.
+        ``held``: the first record, or a library's hold on the bench, lasts until there is a file ``go`` in the folder.
         """
         self.runs += 1
         place = self.folder / f"run-{self.runs}"
@@ -348,7 +350,7 @@ def test_of_two_programs_at_one_bench_the_second_is_refused_or_safe(
     rig: Rig, whole: Path, first: str, second: str
 ) -> None:
     # The first run goes on once the second program is over, which comes in between so, on a busy machine too.
-    place, process = rig.start(*COMMANDS[first], held=first in ("run", "resume"))
+    place, process = rig.start(*COMMANDS[first], held=first in ("run", "resume", "library"))
     wait_for(lambda: bool(rig.outputs_on()) if first in ("run", "resume") else holds(rig, process))
     live = place / "run.h5"
     command = SECOND[second] or ("resume", str(live), "--bench", "../metal.toml", "--output", "run.h5")

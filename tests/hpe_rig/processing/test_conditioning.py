@@ -126,7 +126,7 @@ def test_spectra_of_a_long_train_lie_in_a_file_and_give_the_same_motion(
     for module in (conditioning, echoes):
         monkeypatch.setattr(module, "BLOCK_SAMPLES", 50 * records.shape[1])
     expected = coherent(found)
-    # volts are of single precision, and how many pulses are multiplied at once decides how their products are rounded
+    # volts and products are of single precision: how many pulses are multiplied at once decides their rounding
     rounding = np.sqrt(records.shape[1]) * np.finfo(np.float32).eps
     one_radian_m = run.scene.acquisition.sound_speed_m_per_s / (4 * np.pi * found.carrier_hz)
     np.testing.assert_allclose(expected.displacement_m, at_once.displacement_m, rtol=0, atol=rounding * one_radian_m)

@@ -95,7 +95,7 @@ def brute_force(
     modulus: complex, frequency_hz: float, width_m: tuple[float, float], lateral_m: np.ndarray
 ) -> np.ndarray:
     """Return the displacement per body force by Gauss quadrature in spherical wave numbers, real all along."""
-    from scipy.special import jv
+    from scipy.special import j0
 
     q2 = 1000.0 * (2 * np.pi * frequency_hz) ** 2 / modulus
     m, m_weight = np.polynomial.legendre.leggauss(1200)
@@ -108,7 +108,7 @@ def brute_force(
         k = (low + high) / 2 + (high - low) / 2 * node
         a = (width_m[0] ** 2 * (1 - m**2) + width_m[1] ** 2 * m**2) / 2
         radial = (k**2 / (k**2 - q2) * (high - low) / 2 * weight)[:, None] * np.exp(-np.outer(k**2, a))
-        waves = jv(0, k[:, None, None] * np.sqrt(1 - m**2)[None, :, None] * lateral_m)
+        waves = j0(k[:, None, None] * np.sqrt(1 - m**2)[None, :, None] * lateral_m)
         total += np.einsum("km,m,kmr->r", radial, m_weight * (1 - m**2), waves, optimize=True)
     return width_m[0] ** 2 * width_m[1] / np.sqrt(2 * np.pi) / modulus * 2 * total
 

@@ -50,9 +50,15 @@ def echoes(pulse_time_s: NDArray[np.float64], lines: int = LINES, demodulated: b
     at_s = pulse_time_s[:, None] + depth_m / SPEED
     moved_m = AMPLITUDE_M * np.sin(2 * np.pi * MOVED_HZ * at_s + PHASE_RAD)
     late_s = np.arange(SAMPLES) / RATE_HZ - (2 * (depth_m + moved_m) / SPEED)[..., None]
-    envelope = np.exp(-2 * (late_s * CARRIER_HZ / 1.5) ** 2)
-    turning = np.exp(2j * np.pi * CARRIER_HZ * (late_s - np.arange(SAMPLES) / RATE_HZ)) if demodulated else None
-    each = envelope * (np.cos(2 * np.pi * CARRIER_HZ * late_s) if turning is None else turning)
+    of_length = late_s * CARRIER_HZ / 1.5
+    # exp(-2 * 4.3**2) is 1e-16
+    near = np.abs(of_length) < 4.3
+    each = np.zeros(late_s.shape, np.complex128 if demodulated else np.float64)
+    phase_rad = 2 * np.pi * CARRIER_HZ * late_s[near]
+    if demodulated:
+        at_rest_rad = 2 * np.pi * CARRIER_HZ * np.arange(SAMPLES) / RATE_HZ
+        phase_rad -= np.broadcast_to(at_rest_rad, late_s.shape)[near]
+    each[near] = np.exp(-2 * of_length[near] ** 2) * (np.exp(1j * phase_rad) if demodulated else np.cos(phase_rad))
     summed = np.einsum("lps,lpst->lpt", np.broadcast_to(weight, each.shape[:3]), each)
     return np.asarray(summed / (1.01 * np.abs(summed).max()))
 

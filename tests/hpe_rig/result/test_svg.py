@@ -37,5 +37,8 @@ def test_a_map_as_svg_has_no_colour_that_stays_light(tmp_path: Path) -> None:
     write_figure(found.figure(), tmp_path / "map.svg")
     _, _, shapes = (tmp_path / "map.svg").read_text(encoding="utf-8").partition("</style>")
     assert set(re.findall(r"(?:fill|stroke): (#\w+)", shapes)) - set(ON_DARK) == set()
-    write_figure(found.figure(), tmp_path / "map.png")
+
+
+def test_the_ending_of_a_figure_s_path_says_its_format(tmp_path: Path) -> None:
+    write_figure(Figure(), tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")

@@ -29,7 +29,7 @@ from hpe_rig.validation.accuracy.own_scene import (
 
 @pytest.fixture(scope="module")
 def tiny() -> Scene:
-    return load_scene("table-1").with_({"tracking.pulse_count": 41, "acquisition.repeats": 3})
+    return load_scene("table-1").with_({"tracking.pulse_count": 21, "acquisition.repeats": 3})
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_the_command_writes_the_table_and_tells_its_progress(tmp_path: Path) -> 
     table, scene = tmp_path / "mine.csv", tmp_path / "mine.toml"
     from hpe_rig.scene.scene import scene_text as text_of
 
-    scene.write_text(text_of("table-1")[1].replace("pulse_count = 101", "pulse_count = 41"), encoding="utf-8")
+    scene.write_text(text_of("table-1")[1].replace("pulse_count = 101", "pulse_count = 21"), encoding="utf-8")
     words = ["accuracy", "--scene", str(scene), "--seeds", "2", "--output", str(table)]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output

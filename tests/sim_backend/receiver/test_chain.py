@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies
-from scipy import signal
 
 from sim_backend.acoustics.reception import third_harmonics, widened, with_reception
 from sim_backend.receiver.chain import TRAIL, fast_length, lead_s, receive
@@ -44,6 +43,9 @@ def echo(samples=1200, centre=900, carrier_hz=9.0e6, amplitude=1.0):
 
 @pytest.mark.parametrize("order", [1, 2, 3, 5])
 def test_filters_equal_scipys_butterworth(order):
+    # here: it takes half a second to load, in every process that collects the tests
+    from scipy import signal
+
     frequency_hz = np.linspace(0.1e6, 50e6, 300)
     for ours, kind, centre_hz, bandwidth in ((band_pass, "bandpass", 9.0e6, 0.33), (notch, "bandstop", 3.0e6, 0.5)):
         half = bandwidth / 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import struct
 import sys
@@ -9,7 +10,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
@@ -143,7 +143,8 @@ def test_the_generators_share_one_clock_and_one_trigger_wire() -> None:
 def test_a_serial_instrument_is_in_local_mode_until_it_is_told_otherwise_and_echoes_nothing(world: World) -> None:
     with served(world, "serial") as emulator:
         name = emulator.served["master"].address.removeprefix("ASRL").removesuffix("::INSTR")
-        with Path(name).open("r+b", buffering=0) as terminal:
+        # no terminal of this process's: else its end would hang up a suite that began without one, as services do
+        with os.fdopen(os.open(name, os.O_RDWR | os.O_NOCTTY), "r+b", buffering=0) as terminal:
             terminal.write(b"FREQ 2E6\nSYST:ERR?\n")
             assert terminal.read(100) == b'+550,"Command not allowed in local"\n'
             terminal.write(b"SYST:REM\nFREQ 2E6\nFREQ?;:SYST:ERR?\n")
