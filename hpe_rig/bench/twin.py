@@ -6,10 +6,11 @@ Where ``[simulation]`` is silent about sound speed and beams, the scene's own [a
 from __future__ import annotations
 
 import cmath
+import logging
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,8 @@ FloatArray = NDArray[np.float64]
 Intensity = Callable[[FloatArray, FloatArray], FloatArray]
 """Over distances from the axis (lateral,) and from the focus (axial,), in any unit: (axial, lateral)."""
 
+# From here on a push takes half a minute or more.
+_LONG_HARMONICS = 56
 _OWN_BEAM_KEYS = {"pulse_length_m", "transducer_diameter_m", "attenuation_db_per_cm_mhz", "excitation_scan"}
 """What [beams] says to the application alone."""
 MOST_AT_ENDS = 0.25
@@ -474,18 +477,34 @@ def _intensity_of(scan: Scan, wave_number_per_m: float) -> Intensity:
 
 
 def _force_too_large(scene: Scene) -> Iterator[Mistake]:
-    """Yield that no drive makes the specimen's force, where its push propagates nonlinearly."""
+    """Yield what keeps the push from its force where it propagates nonlinearly: its own computation, or the drive."""
     settings = twin_settings(scene)
     if settings.propagation is None or settings.specimen is None or scene.excitation is None:
         return
     from sim_backend.transducer import push_of
 
-    push = push_of(settings, scene.excitation.carrier_hz)
+    if settings.propagation.harmonics >= _LONG_HARMONICS:
+        _say_long(settings.propagation.harmonics)
+    try:
+        push = push_of(settings, scene.excitation.carrier_hz)
+    except ValueError as error:
+        remedy = "fewer harmonics (24 are good to 1 % of the force), or another sound speed or transducer"
+        yield Mistake("simulation.propagation", str(error), remedy)
+        return
     try:
         if push is not None:
             push.surface_for(settings.specimen.force_density_n_per_m3)
     except ValueError as error:
         yield Mistake("simulation.specimen.force_density_n_per_m3", str(error), "a smaller one, or less nonlinearity")
+
+
+@cache
+def _say_long(harmonics: int) -> None:
+    """Say once that the push takes its time."""
+    logging.getLogger("hpe_rig").warning(
+        "The push with %d harmonics takes minutes to compute. With 24, good to 1 %% of its force, seconds.",
+        harmonics,
+    )
 
 
 def simulation_schema() -> dict[str, Any]:

@@ -99,6 +99,23 @@ def nonlinear_beam(
     return march.beam()
 
 
+def largest_table(transducer: Transducer, wavelength_m: float, harmonics: int) -> int:
+    """Return how many values the largest table of Bessel functions of such a beam has, at the bowl or at its focus.
+
+    Memory goes with it, the time of a march with it times ``harmonics``: 24 harmonics of the default bowl have half a
+    million values, 128 have 13 million.
+    """
+    k, half_m = 2 * math.pi / wavelength_m, transducer.diameter_m / 2
+    panel = _WIDER * transducer.half_aperture * k
+    at_bowl = (_nodes(_reach_m(transducer) * k) + 60) * (_nodes(half_m * k) + 60)
+    across, along = _nodes(_WINDOW_M * harmonics * panel) + 40, _nodes(1.15 * half_m * panel) + 16
+    return max(at_bowl, across * along * harmonics)
+
+
+def _reach_m(bowl: Transducer) -> float:
+    return bowl.diameter_m / 2 + 1.2 * bowl.focal_length_m
+
+
 class _March:
     """The spectra at one depth, and what was seen on the way."""
 
@@ -112,14 +129,13 @@ class _March:
         self.pressed: list[Floats] = []
         self._window: tuple[float, int] | None = None
         k, bowl = 2 * np.pi * self.frequency_hz / self.layer.sound_speed_m_per_s, self.transducer
-        reach_m = bowl.diameter_m / 2 + 1.2 * bowl.focal_length_m
-        angle, weight = _gauss(0, _LAST_RAD, math.ceil(_DENSITY * reach_m * k / 2) + 60)
+        angle, weight = _gauss(0, _LAST_RAD, _nodes(_reach_m(bowl) * k) + 60)
         fading = np.clip((angle - _FADING_RAD) / (_LAST_RAD - _FADING_RAD), 2e-3, 1 - 2e-3)
         # Infinitely smooth from 1 to 0, so that nothing rings.
         weight = weight / (1 + np.exp(1 / (1 - fading) - 1 / fading))
         self.q1, self.w1 = k * np.sin(angle), k**2 * np.sin(angle) * np.cos(angle) * weight
         self.panel = _WIDER * bowl.half_aperture * k
-        each = math.ceil(_DENSITY * 1.15 * bowl.diameter_m / 2 * self.panel / 2) + 16
+        each = _nodes(1.15 * bowl.diameter_m / 2 * self.panel) + 16
         node, weight = _gauss(0, self.panel, each)
         starts = self.panel * np.arange(self.accuracy.harmonics)[:, None]
         self.q = (starts + node).ravel()
@@ -140,7 +156,7 @@ class _March:
         from scipy.special import j0
 
         bowl = self.transducer
-        count = math.ceil(_DENSITY * bowl.diameter_m * abs(self.k[0]) / 4) + 60
+        count = _nodes(bowl.diameter_m / 2 * abs(self.k[0])) + 60
         angle, weight = _gauss(0, math.asin(bowl.half_aperture), count)
         ring_m, ahead_m = (
             bowl.focal_length_m * np.sin(angle),
@@ -200,13 +216,15 @@ class _March:
             return
         self._window = window
         fastest = max(self.carried * self.panel, abs(self.k[0]))
-        self.r, weight = _gauss(0, window[0], math.ceil(_DENSITY * window[0] * fastest / 2) + 40)
+        self.r, weight = _gauss(0, window[0], _nodes(window[0] * fastest) + 40)
         self.weight = weight * self.r
         share = np.clip((self.r / window[0] - 0.8) / 0.2, 0, 1)
         self.taper = np.cos(np.pi / 2 * share) ** 2
         self.bessel1 = j0(np.outer(self.r, self.q1))
         # Single precision: half the time of the march, and 1e-6 of the harmonics.
-        self.bessel = j0(np.outer(self.r, self.q[: self.length[self.carried - 1]])).astype(np.float32)
+        self.bessel = np.empty((len(self.r), self.length[self.carried - 1]), dtype=np.float32)
+        for row, r_m in zip(self.bessel, self.r, strict=True):
+            row[:] = j0(r_m * self.q[: len(row)])
 
     def _pressure(self) -> Complexes:
         """Return the harmonics at the window's nodes, (place, harmonic)."""
@@ -244,6 +262,11 @@ class _March:
         return Beam(
             np.array(depth_m), on_axis, np.array(heat), np.array(impedance), np.concatenate(self.pressed, axis=1)
         )
+
+
+def _nodes(turns_rad: float) -> int:
+    """Return the nodes that a wave with ``turns_rad`` from one end to the other needs."""
+    return math.ceil(_DENSITY * turns_rad / 2)
 
 
 def _gauss(low: float, high: float, count: int) -> tuple[Floats, Floats]:

@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 
 from sim_backend.settings import Propagation, SimulationSettings, Specimen, Transducer
 from sim_backend.transducer.burgers import Layer
-from sim_backend.transducer.nonlinear import Accuracy, Beam, nonlinear_beam
+from sim_backend.transducer.nonlinear import Accuracy, Beam, largest_table, nonlinear_beam
 
 Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
+# Values that the largest table of a march may have foreseen at its focus; those before it take some times as much.
+_MOST_VALUES = 20_000_000
 # Surface pressures over the one that would do without nonlinearity; the lowest is linear to 1e-3.
 LEVELS = (0.02, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0)
 
@@ -102,7 +104,10 @@ class Push:
 
 
 def push_of(settings: SimulationSettings, carrier_hz: float = 3.0e6) -> Push | None:
-    """Return the push of a scene over drive, None where it asks for no nonlinear propagation; computed once."""
+    """Return the push of a scene over drive, None where it asks for no nonlinear propagation; computed once.
+
+    Raises ``ValueError`` where it would take too much memory.
+    """
     specimen, propagation = settings.specimen, settings.propagation
     if specimen is None or propagation is None:
         return None
@@ -138,6 +143,7 @@ def water_output(settings: SimulationSettings, surface_pa: float, carrier_hz: fl
 def _water(
     transducer: Transducer, propagation: Propagation, speed_m_per_s: float, surface_pa: float, carrier_hz: float
 ) -> WaterOutput:
+    _refuse_too_many(transducer, speed_m_per_s / carrier_hz, propagation.harmonics)
     layer = _water_layer(propagation, speed_m_per_s, math.inf)
     beam = nonlinear_beam(transducer, [layer], carrier_hz, surface_pa, Accuracy(propagation.harmonics))
     # The bowl's own edge is no place that a hydrophone comes to.
@@ -158,6 +164,7 @@ def _push(
     width_m: Triple,
     carrier_hz: float,
 ) -> Push:
+    _refuse_too_many(transducer, layers[0].sound_speed_m_per_s / carrier_hz, harmonics)
     start_m, speed_m_per_s = layers[0].thickness_m, layers[-1].sound_speed_m_per_s
 
     def force(beam: Beam) -> float:
@@ -175,6 +182,16 @@ def _push(
         peaks = positive_pa[inside].max(), negative_pa[inside].max(), beam.intensity_w_per_m2()[inside].max()
         rows.append((force(beam), heat / speed_m_per_s, *peaks, heat))
     return Push(surface_pa, *np.array(rows).T)
+
+
+def _refuse_too_many(transducer: Transducer, wavelength_m: float, harmonics: int) -> None:
+    """Raise ``ValueError`` where waves are so short beside the bowl, or so many, that memory would not hold them."""
+    more = largest_table(transducer, wavelength_m, harmonics) / _MOST_VALUES
+    if more > 1:
+        raise ValueError(
+            f"{harmonics} harmonics of waves {wavelength_m * 1e3:.3g} mm long, from a bowl of "
+            f"{transducer.diameter_m * 1e3:.3g} mm, would take {more:.2g} times the memory that a push may"
+        )
 
 
 def path(specimen: Specimen, propagation: Propagation, speed_m_per_s: float, focus_m: float) -> list[Layer]:

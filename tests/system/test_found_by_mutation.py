@@ -19,10 +19,11 @@ from typer.testing import CliRunner
 
 from hpe_rig.acquire import check, prepare, prepare_text, process, record_run
 from hpe_rig.bench import read_bench
+from hpe_rig.bench.twin import check_declared
 from hpe_rig.cli.app import app
 from hpe_rig.cli.console import guarded, refuse_undecodable
 from hpe_rig.plan import PlanError
-from hpe_rig.scene import SettingsError, parse_toml, path_of, shipped_scenes, with_values
+from hpe_rig.scene import SettingsError, load_scene, parse_toml, path_of, shipped_scenes, with_values
 from hpe_rig.store import StoreError, read_run
 from hpe_rig.study.definition import read_studies
 
@@ -102,6 +103,11 @@ FOUND: Mapping[str, tuple[str, Mapping[str, Any], str]] = {
         {"tracking.pulse_count": 344063, "tracking.pulse_rate_hz": 1e-3},
         "beyond the twin's clock of 106 days",
     ),
+    "a push of waves of 3 um": (
+        MUSCLE,
+        {"acquisition.sound_speed_m_per_s": 10.0, "simulation.propagation.specimen_depth_m": 1e-9},
+        "times the memory that a push may",
+    ),
     "a force that is not a number": (MUSCLE, {"excitation.force_fraction": [float("nan")]}, "not finite"),
 }
 
@@ -123,6 +129,17 @@ def test_what_mutation_found_once_is_refused_with_a_message(tmp_path: Path, case
         said = str(checked)
     assert re.search(message, said), said
     assert "Try:" in said
+
+
+def test_a_push_that_takes_minutes_says_so_before_it_begins(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import sim_backend.transducer as transducer
+
+    monkeypatch.setattr(transducer, "push_of", lambda *_: None)
+    scene = load_scene(MUSCLE).with_({"simulation.propagation": {"harmonics": 128}})
+    assert not check_declared(scene)
+    assert "with 128 harmonics takes minutes" in caplog.text
 
 
 @pytest.mark.parametrize("text", [DEEP, LONG, "x = 0x" + "f" * 5000 + "\n", "x = " + "{a=" * 3000 + "1" + "}" * 3000])

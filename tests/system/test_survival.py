@@ -324,5 +324,6 @@ def test_a_long_run_streams_in_constant_memory(prepared: Prepare, tmp_path: Path
     print(f"{written:.0f} MB written, resident {resident[0]:.0f}, {resident[60]:.0f}, {resident[-1]:.0f} MB")
     assert written > 1200
     assert max(resident) < 500
-    # One shot is 10 MB on disk and 40 MB in the twin: less than one of them may stay of sixty.
-    assert resident[-1] - resident[60] < 10
+    # One shot is 10 MB on disk and 40 MB in the twin: less than one of them may stay of sixty. What waits for the disk
+    # comes and goes.
+    assert max(resident[60:]) - max(resident[:60]) < 10
