@@ -28,11 +28,13 @@ class Floor:
     """Noise of a displacement amplitude; standard deviations of one quadrature, root mean square of the two, m.
 
     ``larger_quadrature``: deviation of the larger principal quadrature over that, 1 to sqrt(2), as the pulses lie.
+    ``relative_variances``: of the noise in equally many media each, over the mean, where it differs among them.
     """
 
     noise_m: float
     trigger_jitter_m: float
     larger_quadrature: float = 1.0
+    relative_variances: tuple[float, ...] = (1.0,)
 
     @property
     def quadrature_m(self) -> float:
@@ -42,21 +44,27 @@ class Floor:
     @property
     def detected_m(self) -> float:
         """The amplitude that noise alone exceeds with ``FALSE_ALARMS``."""
-        return self.quadrature_m * amplitude_quantile(self.larger_quadrature)
+        if self.quadrature_m == 0:
+            return 0.0
+        noise = np.array(self.relative_variances) * self.noise_m**2
+        relative = (noise + self.trigger_jitter_m**2) / self.quadrature_m**2
+        return self.quadrature_m * amplitude_quantile(self.larger_quadrature, tuple(relative.tolist()))
 
 
-def amplitude_quantile(larger_quadrature: float) -> float:
+def amplitude_quantile(larger_quadrature: float, relative_variances: tuple[float, ...] = (1.0,)) -> float:
     """Return what the amplitude of two normal quadratures exceeds with ``FALSE_ALARMS``, over their root mean square.
 
     ``larger_quadrature``: standard deviation of the larger principal one over the same, from 1, where the amplitude has
-    the Rayleigh distribution, to sqrt(2), where it is one normal number's size.
+    the Rayleigh distribution, to sqrt(2), where it is one normal number's size. ``relative_variances``: of the noise in
+    groups of equally many measurements, over their mean; where they differ, the largest exceed more often.
     """
     larger = larger_quadrature**2
     # Two standard normal numbers have an even direction and a length of its own: exp(-length^2 / 2) is its tail. Along
     # each direction the amplitude is the length times a deviation, and the tail's mean over them is the amplitude's.
     across = np.sin(np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS) ** 2
-    variance = larger + (2 - 2 * larger) * across
-    low, high = 0.0, 2 * math.sqrt(2 * math.log(1 / FALSE_ALARMS))
+    variance = np.multiply.outer(relative_variances, larger + (2 - 2 * larger) * across)
+    variance = np.maximum(variance, np.finfo(np.float64).tiny)
+    low, high = 0.0, 2 * math.sqrt(2 * math.log(1 / FALSE_ALARMS) * max(relative_variances))
     for _ in range(50):
         middle = (low + high) / 2
         exceeded = float(np.mean(np.exp(-(middle**2) / 2 / variance)))
@@ -79,11 +87,12 @@ def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = No
     if scene.wanted_frequencies_hz:
         worst = scene.wanted_frequencies_hz[at]
     conditions = conditions_of(scene, shot, worst)
-    noise_m = echo_noise_m(scene, spec) * float(gain[at])
+    noise_m, relative = echo_noise_m(scene, spec) * float(gain[at]), (1.0,)
     if conditions is not None:
         still = replace(conditions, amplitude_m=0.0, trigger_jitter_s=0.0)
-        noise_m = predict(still, (spec.name,)).expected[0].quadrature_m
-    return Floor(noise_m, trigger_noise_m(scene, simulated) * float(gain[at]), float(larger[at]))
+        foreseen = predict(still, (spec.name,)).expected[0]
+        noise_m, relative = foreseen.quadrature_m, foreseen.relative_variances
+    return Floor(noise_m, trigger_noise_m(scene, simulated) * float(gain[at]), float(larger[at]), relative)
 
 
 def _gain_and_larger_quadrature(scene: Scene, shot: Shot | None) -> tuple[FloatArray, FloatArray]:

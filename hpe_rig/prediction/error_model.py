@@ -37,6 +37,10 @@ FAR_FROM_NOISE = 5e3
 NEGLIGIBLE = 1e-6
 """Of the largest singular value."""
 PHASE_LIMIT = np.pi / np.sqrt(3)
+GROUPS = 32
+"""Groups of draws, of one strength of echo each, whose noise is told apart where a peak is read."""
+MORE_NOISE = 6
+"""How often the weakest eighth of them is given noise anew."""
 MOST_SCATTERERS = 5000
 """Most that are drawn. With tens in every resolution cell the sums are as good as normal: the excess of their fourth
 moment goes as one over the scatterers in a cell."""
@@ -94,6 +98,7 @@ class Expected:
 
     ``quadrature_m``: noise of each quadrature, which the stated uncertainty is about; ``noise_jitter_m``: what it makes
     of the amplitude, less where that is small. ``tracked``: mean of tracked over peak displacement, without noise.
+    ``relative_variances``: of the noise in groups of equally many media over its mean, where it differs among them.
     """
 
     estimator: str
@@ -104,6 +109,7 @@ class Expected:
     phase_bias_rad: float
     phase_jitter_rad: float
     tracked: float = 1.0
+    relative_variances: tuple[float, ...] = (1.0,)
 
     @property
     def jitter_m(self) -> float:
@@ -123,13 +129,16 @@ def expected(conditions: Conditions, estimator: str, speckle: Speckle, generator
     """Return bias and jitter of ``estimator`` for speckle drawn by ``draw_speckle`` under the same conditions."""
     spec = spec_of(estimator)
     if spec.reads_peak:
-        ratio, pulse, walk = _peak_statistics(conditions, speckle, generator)
+        ratio, variances = _peak_statistics(conditions, speckle, generator)
     else:
         ratio, share = _whole_gate(conditions, speckle, spec.by_carrier)
-        pulse = spec.gate_noise / (conditions.gate_samples * conditions.snr * share)
-        walk = _walk(conditions, pulse) if spec.steps_add_up else 0.0
-    deviation = _quadrature_deviation(conditions, spec, pulse + conditions.trigger_jitter_variance, walk)
-    return _with_noise(conditions, estimator, ratio, deviation)
+        pulse = spec.gate_noise / (conditions.gate_samples * conditions.snr)
+        variances = [(pulse * share, _walk(conditions, pulse) if spec.steps_add_up else 0.0)]
+    jitter = conditions.trigger_jitter_variance
+    deviations = np.array([_quadrature_deviation(conditions, spec, pulse + jitter, walk) for pulse, walk in variances])
+    deviation = float(np.sqrt(np.mean(deviations**2)))
+    relative = tuple((deviations**2 / deviation**2).tolist()) if deviation > 0 else (1.0,)
+    return _with_noise(conditions, estimator, ratio, deviation, relative)
 
 
 def tracked_over_peak(conditions: Conditions, estimator: str, speckle: Speckle) -> FloatArray:
@@ -305,10 +314,14 @@ def _whole_gate(conditions: Conditions, speckle: Speckle, by_carrier: bool) -> t
 def _walk(conditions: Conditions, pulse: float) -> float:
     """Return the phase variance of a step's own noise for one correlation over the whole band.
 
-    With M independent bins of in-band SNR s a pulse has 1/(2 M s) and a step 1/(2 M s^2) of its own.
+    With M independent numbers in the gate and ``pulse`` = 1/(2 M s) of white noise, a step has 2 M ``pulse``^2 of its
+    own. Of noise limited to the band B before a gate T cuts it, M is the sum of the squared eigenvalues of time and
+    band limiting: less than B T, by what the gate's ends see of neighbouring numbers. Source: Slepian and Pollak (1961).
     """
-    bins = BAND_OF_CARRIER * conditions.carrier_hz * 2 * conditions.gate_length_m / conditions.sound_speed_m_per_s
-    return 2 * bins * pulse**2
+    between_s = _instant_s(conditions) * np.subtract.outer(np.arange(INSTANTS), np.arange(INSTANTS))
+    band_hz = BAND_OF_CARRIER * conditions.carrier_hz
+    covariance = band_hz * _instant_s(conditions) * np.sinc(band_hz * between_s)
+    return 2 * float(np.sum(covariance**2)) * pulse**2
 
 
 def _quadrature_deviation(conditions: Conditions, spec: EstimatorSpec, pulse: float, walk: float) -> float:
@@ -339,7 +352,9 @@ def _fitted_deviation(conditions: Conditions, pulse: float, walk: float) -> floa
     return float(conditions.metres_per_radian * np.sqrt(level))
 
 
-def _with_noise(conditions: Conditions, estimator: str, ratio: FloatArray, deviation: float) -> Expected:
+def _with_noise(
+    conditions: Conditions, estimator: str, ratio: FloatArray, deviation: float, relative: tuple[float, ...]
+) -> Expected:
     """Return what noise makes of amplitudes ``ratio`` (draw,): a Rice distribution about each."""
     # in double precision: the spread is a small difference
     amplitude = np.abs(ratio, dtype=np.float64) * conditions.amplitude_m
@@ -357,6 +372,7 @@ def _with_noise(conditions: Conditions, estimator: str, ratio: FloatArray, devia
         0.0,
         float(np.sqrt(np.mean(phase**2))),
         float(ratio.mean()),
+        relative,
     )
 
 
@@ -378,37 +394,66 @@ def _rice_mean(amplitude: FloatArray, deviation: float) -> FloatArray:
 
 def _peak_statistics(
     conditions: Conditions, speckle: Speckle, generator: np.random.Generator
-) -> tuple[FloatArray, float, float]:
-    """Return ratio (draw,), pulse variance and a step's own variance of the phase at the cross-spectrum's peak.
+) -> tuple[FloatArray, list[tuple[float, float]]]:
+    """Return ratio (draw,) at the cross-spectrum's peak, and its phase's pulse variance and a step's own variance.
 
-    Three noisy pulses a draw, so two steps: s_1 = p_2(f_1) - p_1(f_1) and s_2 = p_3(f_2) - p_2(f_2). Pulse noise v and
-    own noise w give Var s = 2 v + w and Cov(s_1, s_2) = -v; where noise moves the peak, f_1 differs from f_2. Steps q
-    at f_1 alone, of phases against the clean echo, have no noise of their own: their Var q + 2 Cov(q_1, q_2) is what
-    chance makes of the draws at hand, and is taken off.
+    The variances are those of ``GROUPS`` of equally many draws, from the weakest echo to the strongest. Three noisy
+    pulses a draw, so two steps: s_1 = p_2(f_1) - p_1(f_1) and s_2 = p_3(f_2) - p_2(f_2). Pulse noise v and own noise w
+    give Var s = 2 v + w and Cov(s_1, s_2) = -v; where noise moves the peak, f_1 differs from f_2. Steps q at f_1 alone,
+    of phases against the clean echo, have no noise of their own: their Var q + 2 Cov(q_1, q_2) is what chance makes of
+    the draws at hand, and is taken off. So is the difference of -Cov of the phases' linear form at the clean peak from
+    what it is known to be, the noise in a bin over the peak's power. w is that of the weakest echoes, nearly all of it:
+    they are given more noise.
     """
     to_band = _to_band(conditions, PADDING * INSTANTS, hann(INSTANTS))
-    power = np.mean(np.abs(speckle.resting) ** 2, axis=-1, keepdims=True)[:, None]
+    power = np.mean(np.abs(speckle.resting) ** 2, axis=-1, keepdims=True)
     # noise of the real signal's band, seen through the gate: its share in INSTANTS samples of the envelope
     scale = np.sqrt(power * INSTANTS / (conditions.gate_samples * conditions.snr))
     clean, moved = _times(speckle.resting, to_band), _times(speckle.moved, to_band)
-    shape = (len(clean), 3, clean.shape[1])
-    noisy = _noise_in_band(to_band, math.prod(shape[:2]), generator).reshape(shape) * scale + clean[:, None]
-    level = noisy.real**2 + noisy.imag**2
-    first, second = (np.argmax(level[:, k] * level[:, k + 1], axis=-1)[:, None] for k in (0, 1))
-    steps = [_phase_step(noisy[:, k], noisy[:, k + 1], peak) for k, peak in ((0, first), (1, second))]
+    weakness = np.square(scale[:, 0] / np.abs(clean).max(axis=-1), dtype=np.float64)
+    groups = np.array_split(np.argsort(-weakness), GROUPS)
+    first, second, pulse, own = _two_steps(clean, scale, to_band, generator)
     ratios = [_taken(moved / clean, peak).real for peak in (first, second)]
-    pulse = max(-float(np.mean(steps[0] * steps[1])), 0.0)
-    phases = [_phase_step(clean, noisy[:, k], first) for k in range(3)]
-    own = max(_own_variance(*steps) - _own_variance(phases[1] - phases[0], phases[2] - phases[1]), 0.0)
+    weak = np.concatenate(groups[: GROUPS // 8])
+    more = [_two_steps(clean[weak], scale[weak], to_band, generator)[2:] for _ in range(MORE_NOISE)]
+    for values, number in ((pulse, 0), (own, 1)):
+        values[weak] = np.mean([values[weak], *(each[number] for each in more)], axis=0)
     # a step of the motion read at one peak or the other
     half_step = np.sin(np.pi * conditions.frequency_hz / conditions.pulse_rate_hz)
     step_power = 2 * np.square(conditions.amplitude_m / conditions.metres_per_radian * half_step)
     own += float(np.mean((ratios[0] - ratios[1]) ** 2)) / 2 * step_power
-    return (ratios[0] + ratios[1]) / 2, pulse, own
+    known = float(np.square(hann(INSTANTS)).sum() * weakness.mean())
+    mean_pulse = max(known + float(pulse.mean()), 0.0)
+    variances = [
+        (mean_pulse * float(weakness[group].mean() / weakness.mean()), max(float(own[group].mean()), 0.0))
+        for group in groups
+    ]
+    return (ratios[0] + ratios[1]) / 2, variances
 
 
-def _own_variance(first: FloatArray, second: FloatArray) -> float:
-    return float(np.mean((first**2 + second**2) / 2 + 2 * first * second))
+def _two_steps(
+    clean: ComplexArray, scale: FloatArray, to_band: ComplexArray, generator: np.random.Generator
+) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
+    """Return both peaks (draw, 1), and of each draw (draw,) what adds up to variances.
+
+    Of the pulse's, beyond that of its phase's linear form, and of a step's own.
+    """
+    shape = (len(clean), 3, clean.shape[1])
+    noisy = _noise_in_band(to_band, math.prod(shape[:2]), generator).reshape(shape) * scale[:, None] + clean[:, None]
+    level = noisy.real**2 + noisy.imag**2
+    first, second = (np.argmax(level[:, k] * level[:, k + 1], axis=-1)[:, None] for k in (0, 1))
+    steps = [_phase_step(noisy[:, k], noisy[:, k + 1], peak) for k, peak in ((0, first), (1, second))]
+    phases = [_phase_step(clean, noisy[:, k], first) for k in range(3)]
+    own = _own_variance(*steps) - _own_variance(phases[1] - phases[0], phases[2] - phases[1])
+    middle = np.argmax(np.abs(clean), axis=-1)[:, None]
+    at_peak = _taken(clean, middle)
+    linear = [(np.conj(at_peak) * _taken(noisy[:, k], middle)).imag / np.abs(at_peak) ** 2 for k in range(3)]
+    beyond = (linear[1] - linear[0]) * (linear[2] - linear[1]) - steps[0] * steps[1]
+    return first, second, np.asarray(beyond, dtype=np.float64), own
+
+
+def _own_variance(first: FloatArray, second: FloatArray) -> FloatArray:
+    return np.asarray((first**2 + second**2) / 2 + 2 * first * second, dtype=np.float64)
 
 
 def _noise_in_band(to_band: ComplexArray, count: int, generator: np.random.Generator) -> ComplexArray:
