@@ -87,7 +87,8 @@ def detection_floor(scene: Scene, simulated: bool = True, shot: Shot | None = No
     if scene.wanted_frequencies_hz:
         worst = scene.wanted_frequencies_hz[at]
     conditions = conditions_of(scene, shot, worst)
-    noise_m, relative = echo_noise_m(scene, spec) * float(gain[at]), (1.0,)
+    noise_m = echo_noise_m(scene, spec) * float(gain[at])
+    relative: tuple[float, ...] = (1.0,)
     if conditions is not None:
         still = replace(conditions, amplitude_m=0.0, trigger_jitter_s=0.0)
         foreseen = predict(still, (spec.name,)).expected[0]

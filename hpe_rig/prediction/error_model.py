@@ -316,7 +316,7 @@ def _walk(conditions: Conditions, pulse: float) -> float:
 
     With M independent numbers in the gate and ``pulse`` = 1/(2 M s) of white noise, a step has 2 M ``pulse``^2 of its
     own. Of noise limited to the band B before a gate T cuts it, M is the sum of the squared eigenvalues of time and
-    band limiting: less than B T, by what the gate's ends see of neighbouring numbers. Source: Slepian and Pollak (1961).
+    band limiting (Slepian and Pollak, 1961): less than B T, since at the gate's ends neighbours are alike.
     """
     between_s = _instant_s(conditions) * np.subtract.outer(np.arange(INSTANTS), np.arange(INSTANTS))
     band_hz = BAND_OF_CARRIER * conditions.carrier_hz

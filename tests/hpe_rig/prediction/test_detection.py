@@ -22,8 +22,8 @@ def scene(name, *edits):
 
 
 def test_noise_of_the_default_conditions_is_that_of_the_theory_page():
-    """100 pulses at 40 dB, 1.69 nm; half a unit of its last digit, and 0.4 % of gate samples."""
-    assert detection_floor(scene("table-1")).noise_m == pytest.approx(1.69e-9, abs=0.012e-9)
+    """100 pulses at 40 dB, 1.67 nm; half a unit of its last digit, and 0.4 % of gate samples."""
+    assert detection_floor(scene("table-1")).noise_m == pytest.approx(1.67e-9, abs=0.012e-9)
 
 
 def test_trigger_jitter_of_a_nanosecond_is_that_of_the_theory_page():

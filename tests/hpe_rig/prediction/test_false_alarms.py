@@ -45,7 +45,8 @@ def test_one_in_twenty_without_motion_exceeds_the_floor(detection: ModuleType, s
 @pytest.mark.parametrize("estimator", ["coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum"])
 @pytest.mark.parametrize("snr_db", [0.0, 10.0, 20.0, 40.0])
 def test_one_in_twenty_at_any_snr_exceeds_the_floor(detection: ModuleType, snr_db: float, estimator: str) -> None:
-    # Where a peak is read its noise is drawn as well, and repeats to 2 %, at 0 dB to 5 %: 2 ln(20) times that of the share.
+    # Where a peak is read its noise is drawn as well, and repeats to 2 %, at 0 dB to 5 %: 2 ln(20) times that of the
+    # share.
     known_to = (0.1 if snr_db == 0 else 0.06) if estimator == "cross_spectrum" else 0.0
     drawn = known_to * 2 * np.log(1 / FALSE_ALARMS) * FALSE_ALARMS
     found = share_above_the_floor(detection, snr_db, estimator, 4000)

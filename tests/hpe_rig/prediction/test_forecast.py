@@ -40,8 +40,9 @@ def test_noise_jitter_of_the_best_estimators_is_the_bound(table_one: Conditions,
     found = expected(
         conditions, "joint", draw_speckle(conditions, np.random.default_rng(1), 400), np.random.default_rng(2)
     )
-    # the gate's ends put 1.5 % of the energy outside the band, 0.8 % of jitter; 1 mm is 129.87 samples, 0.05 %
-    assert found.noise_jitter_m == pytest.approx(1.008 * bound_m, rel=3e-3, abs=0)
+    # Echo and noise outside the gate belong to the same band: of the noise along an echo in the gate 1.4 % lies outside
+    # the band, 0.7 % of jitter, and the whole echo is there; 1 mm is 129.87 samples, 0.05 %.
+    assert found.noise_jitter_m == pytest.approx(0.993 * bound_m, rel=3e-3, abs=0)
 
 
 def test_more_scatterers_cannot_tell_the_drawn_envelopes_from_the_closed_form(table_one: Conditions) -> None:
