@@ -255,7 +255,7 @@ class World:
         return self._physics
 
     def _evaluate(self, until_ps: int) -> Evaluation:
-        version = self.board.changes + sum(generator.changes for generator in self._generators.values())
+        version = self.board.changes, *(generator.changes for generator in self._generators.values())
         if self._evaluated is not None and self._evaluated[0] == version and self._evaluated[1].until_ps >= until_ps:
             return self._evaluated[1]
         horizon_ps = -(-(until_ps + 1) // PS_PER_S) * PS_PER_S if self._is_endless() else FAR_PS

@@ -232,6 +232,17 @@ def test_the_physics_is_asked_once_a_capture():
     assert len(bench.acoustics.captures) == 1
 
 
+def test_what_the_wires_carry_is_worked_out_once_until_an_instrument_is_told_something():
+    bench = Bench()
+    bench.arm()
+    bench.program()
+    bench.fire()
+    first = bench.world.emissions()[0]
+    assert bench.world.emissions()[0] is first
+    bench.send("toneburst", "OUTP 0")
+    assert bench.world.emissions()[0] is not first
+
+
 def test_a_running_toneburst_is_cut_at_output_off():
     bench = Bench()
     bench.arm()
@@ -284,6 +295,20 @@ def test_motion_is_told_from_the_masters_edge_on_also_where_it_fires_again():
     assert bench.acoustics.captures[0].origin_ps == edge_ps
     time_s = np.array([0.0, 1e-3, 2.5e-3])
     assert bench.world.true_motion_m(time_s) == pytest.approx(time_s, abs=1e-12)
+
+
+def test_motion_of_a_second_shot_is_told_from_its_own_edge():
+    """The outputs stay on between both, so that the world remembers the first edge too."""
+    bench = Bench()
+    bench.arm()
+    bench.program()
+    bench.fire()
+    bench.world.clock.sleep(1.0)
+    bench.library.AlazarAbortAsyncRead(BOARD)
+    bench.arm()
+    edge_ps = bench.fire()
+    assert bench.next_words() is not None
+    assert bench.acoustics.captures[-1].origin_ps == edge_ps
 
 
 def test_captures_keep_their_truth_and_the_history_does_not_grow():

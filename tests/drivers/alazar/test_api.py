@@ -121,6 +121,32 @@ def test_every_other_code_is_an_error_naming_call_number_name_and_role(code: int
     assert all(part in text for part in ("digitizer", "AlazarStartCapture", str(code), RETURN_CODES[code]))
 
 
+@pytest.mark.parametrize(
+    ("name", "cause"),
+    [
+        ("ApiFailed", "refused an argument"),
+        ("ApiAccessDenied", "another program holds the board"),
+        ("ApiUnsupportedFunction", "has no such function"),
+        ("ApiInvalidSize", "size is not one the board accepts"),
+        ("ApiNoActiveDriver", "kernel driver is not loaded"),
+        ("ApiInsufficientResources", "not enough memory"),
+        ("ApiInvalidHandle", "not valid any more"),
+        ("ApiBufferNotReady", "not posted"),
+        ("ApiInvalidDriverVersion", "different versions"),
+        ("ApiWaitTimeout", "no trigger arrived"),
+        ("ApiBufferTooSmall", "smaller than the records"),
+        ("ApiBufferOverflow", "faster than they were read"),
+        ("ApiInvalidRecordsPerBuffer", "do not divide the record count"),
+        ("ApiLockAndProbePagesFailed", "could not pin the buffers"),
+        ("ApiPllNotLocked", "clock is not locked"),
+    ],
+)
+def test_the_cause_that_is_suspected_is_that_of_the_code_s_name(name: str, cause: str) -> None:
+    [code] = [code for code, each in RETURN_CODES.items() if each == name]
+    with pytest.raises(InstrumentError, match=f"(?i){cause}"):
+        check(code, "AlazarStartCapture", "digitizer")
+
+
 @pytest.mark.parametrize("code", [603, 604, 607])
 def test_codes_that_changed_their_meaning_are_not_given_a_name(code: int) -> None:
     with pytest.raises(InstrumentError, match=f"{code}.*SDK version"):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hpe_rig.bench import read_bench
-from hpe_rig.plan import DepthGate, apart, check_plan, depth_gates, make_plan, shots_with_gate
+from hpe_rig.plan import DepthGate, apart, check_plan, depth_gates, make_plan, shots_with_gate, with_gate
 from hpe_rig.plan.checks.depth_gates import MOST_GATES
 from hpe_rig.plan.interference import admissible_delays_s
 from hpe_rig.scene import Scene, SettingsError, load_scene
@@ -47,6 +47,16 @@ def test_a_gate_senses_what_passes_its_own_depth_later_the_deeper_it_lies() -> N
     np.testing.assert_allclose(far.timeline.sensing_s - near.timeline.sensing_s, 2e-3 / 1540, rtol=1e-9)
     assert (far.gate.stop - far.gate.start) * 2 == near.gate.stop - near.gate.start
     assert far.capture == near.capture == plan.shots[0].capture
+
+
+def test_the_scene_of_a_gate_has_no_other_and_is_asked_about_its_own_depth() -> None:
+    scene = load_scene("bovine-muscle").with_({"processing.gates": [{"depth_m": 71e-3}], "beams.focus_depth_m": 69e-3})
+    there = with_gate(scene, DepthGate(71e-3, 0.5e-3))
+    assert (there.gate_depth_m, there.acquisition.gate_length_m) == (71e-3, 0.5e-3)
+    assert there.processing.gates == ()
+    assert there.processing.gate_profile_step_m is None
+    assert there.beams is not None
+    assert there.beams.focus_depth_m is None
 
 
 def test_a_gate_may_begin_with_its_record_and_end_with_it_but_not_a_sample_beyond() -> None:

@@ -89,12 +89,28 @@ def test_another_sound_speed_moves_the_gate_as_well():
     assert "71.82 mm" in finding.text  # 70 mm x 1580 / 1540
 
 
+@pytest.mark.parametrize(
+    ("latency", "depth_mm"), [("digitizer_latency_s", "70.77"), ("aux_latency_s", "69.23")], ids=["later", "sooner"]
+)
+def test_a_record_that_begins_later_after_its_pulse_than_planned_looks_deeper(latency, depth_mm):
+    """A digitizer that is late looks deeper, a trigger output that is late fires the pulse later: 1 us is 0.77 mm."""
+    setup = prepare("table-1")
+    planned_s = getattr(setup.bench.bench.digitizer, {"digitizer_latency_s": "latency_s"}.get(latency, latency))
+    scene = setup.scene.scene.with_({f"simulation.instruments.{latency}": planned_s + 1e-6})
+    (finding,) = [each for each in prepare(scene, refuse=False).findings if each.check == "gate in focus"]
+    assert f"the gate's middle lies {depth_mm} mm deep" in finding.text
+
+
 @pytest.mark.parametrize(("moving_hz", "seen"), [(3800.0, "at 200 Hz"), (4200.0, "at 200 Hz"), (215.0, "at 215 Hz")])
 def test_motion_that_the_pulses_show_at_a_wanted_frequency_is_named(moving_hz, seen):
     extra = f"\n[[simulation.motion]]\nfrequency_hz = {moving_hz}\namplitude_m = 1e-6\n"
     (finding,) = found(TABLE_1 + extra, "motion aliased")
     assert finding.level == "warning"
     assert seen in finding.text
+
+
+def test_motion_of_no_amplitude_is_not_named():
+    assert not found(TABLE_1 + "\n[[simulation.motion]]\nfrequency_hz = 215.0\namplitude_m = 0.0\n", "motion aliased")
 
 
 @pytest.mark.parametrize("moving_hz", [1.2, 400.0, 3000.0])

@@ -200,6 +200,13 @@ def test_variances_of_motion_and_reference_add(table_one: TableOne, speckle_draw
     np.testing.assert_allclose(found, motion.variance_m2 + reference.variance_m2, rtol=1e-12)
 
 
+def test_the_walk_of_added_steps_is_the_mean_of_both_gates(table_one: TableOne, speckle_draws: FloatArray) -> None:
+    motion, reference = (kasai(table_one.gate(_noisy(speckle_draws[k], 1, 20.0, k)[0])) for k in (0, 1))
+    assert motion.walk is not None
+    assert reference.walk is not None
+    np.testing.assert_allclose(relative_to(motion, reference).walk, (motion.walk + reference.walk) / 2, rtol=1e-12)
+
+
 def test_pulses_taken_out_of_a_gate_are_taken_for_missing(table_one: TableOne, speckle_draws: FloatArray) -> None:
     out = np.arange(100) % 9 == 4
     fewer, marked = table_one.gate(speckle_draws[0]).without(out), table_one.gate(speckle_draws[0], ~out)

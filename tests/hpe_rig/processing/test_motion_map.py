@@ -84,6 +84,14 @@ def test_bad_pixels_are_marked_and_the_others_as_without_them() -> None:
     assert told[-1] == (3, 3)
 
 
+def test_progress_counts_the_lines_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(motion_map, "BATCH_BYTES", 1)
+    told: list[tuple[int, int]] = []
+    settings = MapSettings(RATE_HZ, CARRIER_HZ, 16, SPEED)
+    map_pixels(lines(3, 30.0, 12), TIME_S, [200.0], settings, progress=lambda done, of: told.append((done, of)))
+    assert told == [(1, 3), (2, 3), (3, 3)]
+
+
 def test_motion_of_wavelengths_is_followed() -> None:
     # 0.4 mm/s along with the vibration: half a wavelength over the train, as in a dragging hand.
     samples = np.exp(-4j * np.pi * CARRIER_HZ * (moved() + 0.4e-2 * TIME_S) / SPEED)[None, :, None]

@@ -30,7 +30,8 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_the_checksum_of_metadata_is_that_of_its_authors_and_of_the_library(path: Path) -> None:
-    # The value that the author of lookup3 gives for his example, and a superblock that the library wrote.
+    # The values that the author of lookup3 gives for his examples, and a superblock that the library wrote.
+    assert lookup3(b"") == 0xDEADBEEF
     assert lookup3(b"Four score and seven years ago") == 0x17770551
     superblock = path.read_bytes()[:48]
     assert lookup3(superblock[:-4]) == int.from_bytes(superblock[-4:], "little")

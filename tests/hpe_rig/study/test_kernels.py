@@ -79,6 +79,15 @@ def test_the_compiled_peak_search_is_that_of_the_paper_s_chain() -> None:
         np.testing.assert_allclose(step, plain.step, rtol=0, atol=1e-13)
 
 
+@pytest.mark.parametrize("volts", [1e-4, 1.0, 1e4])
+def test_the_compiled_peak_search_finds_weak_and_strong_echoes_alike(volts: float) -> None:
+    pytest.importorskip("numba")
+    spectra = _echoes(TRAIN, 3) @ spectral_kernels(TRAIN).of_volts["peak"]
+    found, wanted = peak_steps(volts * spectra, fast=True), peak_steps(spectra, fast=False)
+    np.testing.assert_array_equal(found.peak, wanted.peak)
+    np.testing.assert_allclose(found.step, wanted.step, rtol=0, atol=1e-13)
+
+
 def test_a_refused_realisation_is_no_number_and_the_others_are() -> None:
     seen, echoes = spectral_kernels(TRAIN), _echoes(TRAIN, 2)
     volts = echoes @ seen.of_volts["plain"]
