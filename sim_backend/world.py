@@ -140,7 +140,7 @@ class World:
             instruments.digitizer_latency_s, instruments.aux_latency_s, instruments.aux_waits_for_trigger_delay
         )
         self.board = Board(latencies, BOARDS[board], BoardSettings(BOARDS[board]), count=first_capture)
-        self._evaluated: tuple[int, Evaluation] | None = None
+        self._evaluated: tuple[tuple[int, ...], Evaluation] | None = None
         self._recording: Recording | None = None
         self._past: deque[CaptureSnapshot] = deque(maxlen=KEPT_CAPTURES - 1)
 

@@ -31,11 +31,12 @@ from sim_backend.echoes import (
     rectangular_burst,
 )
 from sim_backend.receiver import (
+    Begun,
+    RecordNoise,
     RecordStream,
     echo_gain_v,
     leak_per_vpp_v,
     leak_v,
-    noise_v,
     pulse_strength,
     toneburst_echo_strength,
 )
@@ -48,8 +49,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Indices = NDArray[np.int64]
-Begun = Callable[[], Floats]
-"""Gives an array, waiting until it is made."""
 FocusMotion = Callable[[Bursts, Picoseconds, int], Floats]
 
 # Children of the world's seed: what each is used for must never change, or old scenes give new data.
@@ -65,9 +64,6 @@ _MOST_REPEATED = 256
 """Echoes that are kept for the next records: a periodic motion that is tracked at so many places of its period."""
 _MOST_PULSES = 8
 """Kinds of pulse of which echoes are kept: a sweep of carriers or of burst lengths makes new ones in every shot."""
-
-MADE_MEANWHILE = 1 << 18
-"""Samples of noise, from about 2 ms on, that are drawn while the echoes are computed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +110,7 @@ class Acoustics:
         loss = {"attenuation_db_per_cm_mhz": settings.echo_attenuation_db_per_cm_mhz}
         scatterers = settings.scatterers.model_copy(update=loss)
         self._field = draw_field(scatterers, settings.beams, placing, beside_m, self._placing)
-        self._noise = RecordStream(settings.seed, _NOISE_STREAM)
+        self._noise = RecordNoise(settings.receiver, RecordStream(settings.seed, _NOISE_STREAM))
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._heard: dict[Pulse, Heard] = {}
         # By pulse the echoes of the latest records, where they were few: what decided them, and what came of it.
@@ -157,13 +153,7 @@ class Acoustics:
         depends on seed, ``capture.index`` and the record's number in the capture alone, the scatterers on the seed
         alone. Records must ascend in time; ``pulses`` may lack those that no record hears.
         """
-        receiver = self._settings.receiver
-        shape = (len(capture.first_sample_ps), capture.samples)
-        if receiver.snr_db is None:
-            noise = _begun(lambda: np.zeros(shape), 0)
-        else:
-            rng = self._noise.begin(capture, capture.samples)
-            noise = _begun(lambda: noise_v(receiver, *shape, rng), math.prod(shape))
+        noise = self._noise.begin(capture)
         self._add_tracking_echoes(noise, tonebursts, pulses, capture)
         self._add_toneburst_echoes(noise, tonebursts, capture)
         self._add_leak(noise(), tonebursts, capture)
@@ -373,20 +363,6 @@ def _add_to_records(volts: Floats, block: Floats, kind: Indices, strength_v: Flo
     for first in range(0, len(volts), _RECORDS_AT_ONCE):
         some = slice(first, first + _RECORDS_AT_ONCE)
         volts[some] += block[kind[some]] if alike else block[kind[some]] * strength_v[some, None]
-
-
-def _begun(make: Begun, values: int) -> Begun:
-    """Return what gives the array that ``make`` makes, the same at every call; a large one is made meanwhile."""
-    if values < MADE_MEANWHILE:
-        made = make()
-        return lambda: made
-    from concurrent.futures import ThreadPoolExecutor
-
-    # Random numbers need a core of their own, echoes another: neither waits, and what comes out is the same.
-    drawing = ThreadPoolExecutor(1)
-    future = drawing.submit(make)
-    drawing.shutdown(wait=False)
-    return future.result
 
 
 def transmitted_share(amplitude_vpp: Floats, settings: SimulationSettings) -> Floats:

@@ -1,6 +1,7 @@
 """Receiver: from the sum over scatterers to volts at the digitizer's input.
 
     echo gain, noise, toneburst leak              eq. (16)             front_end.py, always
+    the noise, a block ahead                                           record_noise.py
     their random numbers, record by record                             streams.py
     trigger jitter, sample clock                                       timing.py
     notch, T/R switch, noise, band-pass, log      paper, Sec. III.B    chain.py, of elements.py
