@@ -39,7 +39,7 @@ class RecordNoise:
         # One thread, so that blocks are drawn in the order in which they are begun.
         self._thread: ThreadPoolExecutor | None = None
         self._ahead: tuple[Capture, Future[Floats]] | None = None
-        self._next: tuple[int, int] | None = None
+        self._before: tuple[int, int, int] | None = None
 
     def begin(self, capture: Capture) -> Begun:
         """Return what gives the noise of the records of ``capture``, (record, sample), V."""
@@ -52,11 +52,11 @@ class RecordNoise:
             drawn = self._draw(capture)
             return lambda: drawn
         future = future or self._submit(capture)
-        following = capture.index, capture.first_record + records
-        if self._next == (capture.index, capture.first_record):
-            after = replace(capture, first_record=following[1])
+        # A shorter block is the capture's last.
+        if self._before == (capture.index, capture.first_record - records, records):
+            after = replace(capture, first_record=capture.first_record + records)
             self._ahead = after, self._submit(after)
-        self._next = following
+        self._before = capture.index, capture.first_record, records
         return lambda: future.result()[:records]
 
     def _taken(self, capture: Capture) -> Future[Floats] | None:
