@@ -21,8 +21,6 @@ _REFERENCE_CYCLES = 3.0
 # One echo only: the last digits cost nothing.
 _GAIN_TOLERANCE = 1e-12
 _SAMPLES_PER_CYCLE = 16
-# Numbers drawn at a time: they stay in the processor's cache until they are scaled.
-_NOISE_AT_ONCE = 1 << 15
 
 
 def reference_gate_s(receiver: Receiver, sound_speed_m_per_s: float) -> Floats:
@@ -65,12 +63,8 @@ def noise_v(receiver: Receiver, records: int, samples: int, rng: np.random.Gener
     A stronger pulse therefore gains signal over noise, as on the bench. The caller skips it where ``snr_db`` is None.
     """
     level_v = 0.0 if receiver.snr_db is None else receiver.echo_rms_v * 10 ** (-receiver.snr_db / 20)
-    noise = np.empty((records, samples))
-    flat = noise.reshape(-1)
-    for first in range(0, flat.size, _NOISE_AT_ONCE):
-        some = flat[first : first + _NOISE_AT_ONCE]
-        rng.standard_normal(out=some)
-        some *= level_v
+    noise = rng.standard_normal((records, samples))
+    noise *= level_v
     return noise
 
 
