@@ -46,8 +46,8 @@ class LinearModel:
         return state, data
 
 
-def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray:
-    """Return sin and cos of 2 pi f t, interleaved (pulse, 2 * frequency).
+def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray, out: FloatArray | None = None) -> FloatArray:
+    """Return sin and cos of 2 pi f t, interleaved (pulse, 2 * frequency), in ``out`` if given.
 
     The cycles before the first pulse are counted exactly, in fractions: a start at 1e5 s loses no phase.
     """
@@ -55,7 +55,7 @@ def harmonic_columns(time_s: FloatArray, frequency_hz: FloatArray) -> FloatArray
     ratios = [float(f).as_integer_ratio() for f in frequency_hz]
     before = np.array([cycles * start % (of * unit) / (of * unit) for cycles, of in ratios])
     angle = 2 * np.pi * (np.outer(time_s - time_s[0], frequency_hz) + before)
-    columns = np.empty((time_s.size, 2 * len(before)))
+    columns = np.empty((time_s.size, 2 * len(before))) if out is None else out
     np.sin(angle, out=columns[:, ::2])
     np.cos(angle, out=columns[:, 1::2])
     return columns
@@ -111,7 +111,10 @@ def _model(
 ) -> LinearModel:
     frequency_hz = np.array(frequencies_hz)
     _require_frequencies(time_s, frequency_hz)
-    every_pulse = np.hstack([harmonic_columns(time_s, frequency_hz), background_columns(time_s, background_order)])
+    wanted = 2 * frequency_hz.size
+    every_pulse = np.empty((time_s.size, wanted + background_order + 1))
+    harmonic_columns(time_s, frequency_hz, every_pulse[:, :wanted])
+    every_pulse[:, wanted:] = background_columns(time_s, background_order)
     matrix: FloatArray = every_pulse if valid.all() else every_pulse[valid]
     found, states = matrix.shape
     if found <= states:
