@@ -262,7 +262,8 @@ def innovation_test(motion: Motion, normalised: FloatArray, states: int) -> Inno
     neighbours = np.einsum("...i,...i->...", later[..., 1:], later[..., :-1])
     size = np.abs(later)
     robust = np.partition(size, degrees // 2, axis=-1)[..., degrees // 2, None] / 0.6745
-    used = np.flatnonzero(motion.valid)[states:]
+    # a slice where it does, which costs a fraction of a list
+    used = slice(states, None) if motion.valid.all() else np.flatnonzero(motion.valid)[states:]
     placed = np.full((*normalised.shape[:-1], motion.valid.size), np.nan)
     placed[..., used] = later / np.maximum(robust, tiny)
     outliers = np.zeros(placed.shape, dtype=bool)

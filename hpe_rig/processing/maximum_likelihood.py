@@ -57,7 +57,7 @@ def joint(
     # the constant is the phase of the resting echo: centred columns are what is left once that is fitted
     matrix = np.delete(model.matrix, constant, axis=1) if background_order >= 0 else model.matrix
     matrix = matrix - matrix.mean(axis=0)
-    root = triangular_root(matrix, model.condition if not len(also_hz) else largest_condition)
+    root = triangular_root(matrix, matrix.T @ matrix, model.condition if not len(also_hz) else largest_condition)
     reduced, residual = _most_likely_of_all(echoes, matrix, root @ (matrix @ root).T)
     if prior is not None:
         displacement_m = scatter(reduced @ matrix.T + residual, echoes.valid)

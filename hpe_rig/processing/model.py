@@ -122,7 +122,8 @@ def _model(
             f"{found} valid pulses cannot give {states} unknowns and their uncertainty: too few; "
             f"try at least {states + 1} pulses or fewer frequencies"
         )
-    condition = _condition(matrix)
+    products = matrix.T @ matrix
+    condition = _condition(matrix, products)
     if not condition <= largest_condition:
         raise ValueError(_unresolved(time_s[valid], frequency_hz, condition, largest_condition))
     if also_hz:
@@ -132,21 +133,21 @@ def _model(
         kept = states + _resolvable(every_pulse[valid], states, largest_condition)
         every_pulse = every_pulse[:, :kept]
         matrix = every_pulse if valid.all() else every_pulse[valid]
-    root = triangular_root(matrix, max(condition, largest_condition if also_hz else 1.0))
+        products = matrix.T @ matrix
+    root = triangular_root(matrix, products, max(condition, largest_condition if also_hz else 1.0))
     for array in (matrix, every_pulse, root):
         array.flags.writeable = False
     return LinearModel(matrix, every_pulse, root, condition, slice(0, states))
 
 
-def triangular_root(matrix: FloatArray, condition: float) -> FloatArray:
-    """Return the upper triangular root (state, state) of the inverse of the columns' products."""
+def triangular_root(matrix: FloatArray, products: FloatArray, condition: float) -> FloatArray:
+    """Return the upper triangular root (state, state) of the inverse of the ``products`` of a matrix's columns."""
     if condition > SURE_CONDITION:
         return np.asarray(np.linalg.inv(np.linalg.qr(matrix, mode="r")))
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(matrix.T @ matrix)).T)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(products)).T)
 
 
-def _condition(matrix: FloatArray) -> float:
-    products = matrix.T @ matrix
+def _condition(matrix: FloatArray, products: FloatArray) -> float:
     length = np.sqrt(np.diagonal(products)).clip(min=np.finfo(np.float64).tiny)
     # products of columns have the condition's square: good up to 1e4, beyond it QR has the digits
     smallest, *_, largest = np.linalg.eigvalsh(products / np.outer(length, length)).tolist()
