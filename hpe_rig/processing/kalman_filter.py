@@ -22,7 +22,7 @@ PRIOR = 1e10
 """Prior variance over measurement variance: nothing known."""
 BLOCK = 16
 """Pulses, or states if these are more, whose innovations are found from their joint covariance."""
-CHUNK = 1 << 13
+CHUNK = 10_000
 """Pulses that are in work at once."""
 FEW_STATES, MANY_PULSES = 8, 4096
 """States up to which, and pulses from which on, a factor a pulse, all of them at once, costs less than blocks."""
