@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import math
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -36,7 +36,7 @@ LEAST_INDEPENDENT = 3.0
 
 LOOP_WORTH = 10_000
 """Echoes of several trains from which on the compiled loop is taken, if Numba is loaded already."""
-ALIGNED_AT_ONCE = 1 << 14
+ALIGNED_AT_ONCE = 1 << 13
 """Pulses that are aligned together: a longer train never lies aligned in memory as a whole."""
 
 
@@ -70,12 +70,14 @@ def coherent_phase(
         if np.isfinite(made[2]).any():
             return made
         # what is missing, the other way says
-    steps = pulse_steps(spectrum, band)
+    # of a long train only what is asked for is held: the steps' own products are not
+    steps = replace(pulse_steps(spectrum, band), product=np.empty(0, np.complex128))
     # the first pass aligns with single-echo noise, the second with the noise of the mean echo
     found = against_others(spectrum, band, steps, steps.delay_s, steps.energy)
     phase = steps.phase + np.angle(found.product)
     delay_s = -phase / (2 * np.pi * found.mean_hz[..., None])
-    # of a long train the first pass' arrays make room for the second's
+    # the first pass' arrays make room for the second's
+    steps = replace(steps, phase=np.empty(0), energy=np.empty(0))
     del found
     found = against_others(spectrum, band, steps, delay_s)
     phase += np.angle(found.product)

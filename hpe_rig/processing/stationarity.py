@@ -66,7 +66,10 @@ def _drift(motion: Motion, frequency_hz: FloatArray, columns: FloatArray, q: Flo
     valid = motion.valid
     side = np.where(np.arange(valid.size) < valid.size // 2, -1.0, 1.0)[valid]
     step, residual = side * columns.T, motion.displacement_m[..., valid]
-    step, residual = (each - (each @ q) @ q.T for each in (step, residual))
+    # row by row: of a long train nothing is held twice
+    for rows in (step, residual):
+        for row in np.ndindex(rows.shape[:-1]):
+            rows[row] -= (rows[row] @ q) @ q.T
     products = step @ step.T
     smallest, *_, largest = np.linalg.eigvalsh(products)
     free = len(q) - q.shape[1] - len(step)
