@@ -68,7 +68,8 @@ class RecordNoise:
         whole = len(capture.first_sample_ps) <= len(ahead.first_sample_ps)
         if whole and begins == (capture.index, capture.first_record, capture.samples):
             return future
-        future.result()
+        # Waits only: what nobody asks for may have failed.
+        future.exception()
         return None
 
     def _draw(self, capture: Capture) -> Floats:
