@@ -113,8 +113,8 @@ class RunWriter:
             logging.getLogger("hpe_rig").warning("%s: its disk knows no locks. Let no other run write it.", self.path)
         self._volts = volts_of_codes(plan.shots[0].capture.input_range_v, bench.bench.digitizer.board_model.code_limits)
         self._tables = {name: _Table(self._file, name) for name in (*BY_SHOT, *AT_ONCE)}
-        # A checksum takes as long as writing what it is of: they go on at the same time.
-        self._beside = ThreadPoolExecutor(1, thread_name_prefix="checksum")
+        # A checksum takes as long as writing what it is of: they go on at the same time, two chunks' at once.
+        self._beside = ThreadPoolExecutor(2, thread_name_prefix="checksum")
         names = ["records/echo", *(["records/monitor"] if "records/monitor" in self._file else [])]
         self._chunks = [
             _Chunk(self._file, name, _ChunkSums(self._file, name, self._journal), self._beside) for name in names
