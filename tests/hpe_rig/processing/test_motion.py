@@ -55,6 +55,20 @@ def test_a_rigid_target_without_noise_is_recovered(
     assert fit.phase_rad[0] == pytest.approx(table_one.phase_rad, abs=1e-6)
 
 
+@pytest.mark.parametrize(("precision", "rounding"), [(np.float64, 1e-14), (np.float32, 5e-6)])
+def test_a_train_that_two_threads_transform_has_the_same_spectrum(
+    table_one: TableOne, precision: type[Any], rounding: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # 1000 samples, so that a transform is taken, and more pulses than threads take at once; some 40 roundings
+    volts = np.random.default_rng(3).standard_normal((1000, 1000)).astype(precision)
+    train = EchoGate(volts, 100e6, np.arange(1000) / 4000, 9e6, 1540.0, np.ones(1000, bool))
+    alone, band = band_spectrum(train, 2)
+    assert band_module.transforms(*band.analysis.shape, round(train.sample_rate_hz / np.diff(band.frequency_hz)[0]))
+    monkeypatch.setattr(band_module, "SHARED_FROM", 0)
+    shared, _ = band_spectrum(train, 2)
+    np.testing.assert_allclose(shared, alone, rtol=0, atol=rounding * np.abs(alone).max())
+
+
 def test_motion_away_from_the_transducer_is_positive(table_one: TableOne) -> None:
     ramp = np.linspace(0, 2e-6, 50)
     echoes = table_one.gate(table_one.rigid(ramp))
