@@ -11,7 +11,15 @@ stated standard error (``standard_error_m``), over ``--seeds`` seeds. Error is t
     python scripts/study_time.py --workers 2
 """
 
+# ruff: noqa: E402
 from __future__ import annotations
+
+import os
+
+# One thread, as a worker of a study has: two that wait for one another count as processor time. Before any import of
+# what has threads.
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_threads] = "1"
 
 import argparse
 import statistics
@@ -154,6 +162,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, help="processes, by the clock as well")
     parser.add_argument("--ways", action="store_true", help="the second table alone")
     asked = parser.parse_args()
+    if asked.seeds < 2:
+        parser.error("--seeds: at least 2, of which the standard deviation is printed")
     if not asked.ways:
         timed_paper()
         if asked.workers:

@@ -4,12 +4,14 @@ Many small matrices gain nothing from more threads. Where files or tests are nam
 pytest-xdist is missing, all runs in one process; ``pytest -n 0`` runs the whole suite so.
 """
 
+import functools
 import gc
 import os
 import sys
 from pathlib import Path
 
 import pytest
+import typer.testing
 from hypothesis import settings
 
 for library in ("OMP", "OPENBLAS", "MKL"):
@@ -24,6 +26,9 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", ""):
 # The same examples in every run: what passes here passes there.
 settings.register_profile("seeded", derandomize=True)
 settings.load_profile("seeded")
+
+# The tree of commands is the same at every call, and made anew takes longer than most commands of the tests.
+typer.testing._get_command = functools.cache(typer.testing._get_command)
 
 # What the tests leave behind is looked through for cycles seldom: objects to look through are many, cycles few.
 gc.set_threshold(50_000)

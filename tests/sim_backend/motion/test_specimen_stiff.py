@@ -48,7 +48,7 @@ def exact_transfer(specimen, width_m, s):
             return 2 * (1 - m**2) * (mp.sqrt(mp.pi / a) / 2 + k2 * 1j * mp.pi / (2 * q) * faddeeva)
 
         edges = [0, 0.01, 0.03, 0.08, 0.2, 0.5, 1] if sz > sx else [0, 0.5, 0.9, 1]
-        value = mp.quad(over_direction, edges, maxdegree=5)
+        value = mp.quad(over_direction, edges, method="gauss-legendre", maxdegree=5)
         return complex(sx**2 * sz / mp.sqrt(2 * mp.pi) * value / modulus)
 
 
