@@ -31,10 +31,10 @@ LEAST_IN_FLOAT32 = 1e-12
 """Share of a train's energy that must lie in the band: below it there is nothing but rounding."""
 FFT_WORTH = 6.0
 """Products a point and doubling from which on a whole FFT costs less than the wanted bins one by one, measured."""
-BLOCK = 32
+BLOCK = 64
 """Pulses that are transformed together: few enough to stay in the cache from the volts to the spectrum."""
-SHARED_BLOCK, SHARED_FROM = 384, 1 << 20
-"""Pulses of a block that two threads share, and points of a train from which on that is faster."""
+SHARED_FROM = 1 << 20
+"""Points of a train from which on two threads transform half of it each."""
 TAPER_PERIODS = 1.45
 """Carrier periods at an end of the record that are faded at least, where no margin is left: into the gate."""
 SMOOTH = 30**60
@@ -227,15 +227,27 @@ def _transform(volts: Volts, band: Band, bins: int, spectrum: ComplexArray) -> N
     start = round(band.frequency_hz[0] / (band.frequency_hz[1] - band.frequency_hz[0]))
     taper, mean = band.taper.astype(volts.dtype), np.full(band.taper.size, 1 / band.taper.size, volts.dtype)
     turn, level = (each.astype(spectrum.dtype) for each in (band.turn, band.level))
-    block, threads = (SHARED_BLOCK, 2) if pulses * bins >= SHARED_FROM else (BLOCK, 1)
-    for train in np.ndindex(volts.shape[:-2]):
-        for pulse in range(0, pulses, block):
-            here = slice(pulse, pulse + block)
+
+    @np.errstate(invalid="ignore")
+    def transform(train: tuple[int, ...], first: int, stop: int) -> None:
+        for pulse in range(first, stop, BLOCK):
+            here = slice(pulse, min(pulse + BLOCK, stop))
             some = volts[train][here]
-            part = rfft(some * taper, bins, workers=threads)[:, start : start + count] * turn
+            part = rfft(some * taper, bins)[:, start : start + count] * turn
             # the mean comes off in the band, where there is less of it than there are samples
             part -= np.outer(some @ mean, level)
             spectrum[train][:, here] = part.T
+
+    for train in np.ndindex(volts.shape[:-2]):
+        if pulses * bins < SHARED_FROM:
+            transform(train, 0, pulses)
+        else:
+            from concurrent.futures import ThreadPoolExecutor
+
+            with ThreadPoolExecutor(1) as other:
+                half = other.submit(transform, train, pulses // 2, pulses)
+                transform(train, 0, pulses // 2)
+                half.result()
 
 
 def _project(volts: Volts, columns: ComplexArray, spectrum: ComplexArray) -> None:
