@@ -53,11 +53,11 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with whole measurements, whose files are the longest: at the end workers wait for each other on short ones.
+    """Begin with the longest files: at the end workers wait for each other on short ones.
 
     What is collected stays to the end, so no search for garbage need look through it.
     """
-    items.sort(key=lambda item: "system" not in item.path.parts)
+    items.sort(key=lambda item: {"system", "transports"}.isdisjoint(item.path.parts))
     gc.collect()
     gc.freeze()
 
