@@ -90,7 +90,9 @@ class Band:
 
     def noise_along(self, gated: ComplexArray, energy: FloatArray) -> FloatArray:
         """Return the energy (...) of white noise along an echo of that ``energy`` (...), ``gated`` (..., bin)."""
-        return inner(gated, gated @ self.noise.T) / np.maximum(energy, np.finfo(np.float64).tiny)
+        return inner(gated, np.einsum("...i,ji->...j", gated, self.noise)) / np.maximum(
+            energy, np.finfo(np.float64).tiny
+        )
 
     def gated(self, echo: ComplexArray) -> ComplexArray:
         """Return G times an echo (..., bin): its product with another echo is that over the gate."""
@@ -225,7 +227,7 @@ def _transform(volts: Volts, band: Band, bins: int, spectrum: ComplexArray) -> N
 
     count, pulses = spectrum.shape[-2:]
     start = round(band.frequency_hz[0] / (band.frequency_hz[1] - band.frequency_hz[0]))
-    taper, mean = band.taper.astype(volts.dtype), np.full(band.taper.size, 1 / band.taper.size, volts.dtype)
+    taper = band.taper.astype(volts.dtype)
     turn, level = (each.astype(spectrum.dtype) for each in (band.turn, band.level))
 
     @np.errstate(invalid="ignore")
@@ -235,7 +237,7 @@ def _transform(volts: Volts, band: Band, bins: int, spectrum: ComplexArray) -> N
             some = volts[train][here]
             part = rfft(some * taper, bins)[:, start : start + count] * turn
             # the mean comes off in the band, where there is less of it than there are samples
-            part -= np.outer(some @ mean, level)
+            part -= np.outer(some.mean(axis=-1), level)
             spectrum[train][:, here] = part.T
 
     for train in np.ndindex(volts.shape[:-2]):
@@ -298,6 +300,17 @@ def inner(one: ComplexArray, other: ComplexArray) -> FloatArray:
     """Return the real part of the inner product (...) of spectra (..., bin)."""
     product: FloatArray = np.einsum("...i,...i->...", one.real, other.real)
     product += np.einsum("...i,...i->...", one.imag, other.imag)
+    return product
+
+
+def products_with(echo: ComplexArray, spectrum: ComplexArray) -> ComplexArray:
+    """Return the inner product (..., pulse) of one echo (..., bin) with each of spectra (..., pulse, bin).
+
+    Bin by bin, not by BLAS: its threads, once awake, wait for more work on cores where the next echoes are transformed.
+    """
+    product = np.zeros(spectrum.shape[:-1], np.complex128)
+    for index in range(spectrum.shape[-1]):
+        product += np.conj(echo[..., index, None]) * spectrum[..., index]
     return product
 
 

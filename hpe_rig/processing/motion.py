@@ -21,6 +21,7 @@ from hpe_rig.processing.band import (
     energy_of,
     inner,
     let_go,
+    products_with,
     real_product,
     turned,
 )
@@ -302,7 +303,7 @@ def against_others(
     product, variance = np.empty(spectrum.shape[:-1], np.complex128), np.empty(spectrum.shape[:-1])
     # block by block also what is made of each pulse: of a long train two arrays are held, not ten
     for block, here in enumerate(blocks):
-        with_total = (aligned(block) @ np.conj(gated)[..., None])[..., 0]
+        with_total = products_with(gated, aligned(block))
         own = steps.whole[..., here] - energy_of(band.outside(aligned(block))) if energy is None else energy[..., here]
         # a pulse's own noise in its reference would pull its phase to zero: the reference is the total less the pulse
         product[..., here] = with_others = with_total - own
