@@ -15,9 +15,11 @@ import operator
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,7 +250,11 @@ def peak_memory_bytes() -> int:
         this = wintypes.HANDLE(-1)
         ctypes.windll.kernel32.K32GetProcessMemoryInfo(this, ctypes.byref(counters), counters.size)
         return int(counters.peak)
+    # On Linux the counter of `resource` is inherited: a worker would have its parent's peak.
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
+        return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) * 1024
     import resource
 
-    # Kibibytes on Linux, bytes on macOS.
+    # Kibibytes, bytes on macOS.
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -244,3 +246,11 @@ def test_an_estimator_without_a_difference_has_no_gain_to_leave_in() -> None:
 
 def run_batch_of_each(cases: list[Case]) -> list[CaseRecord]:
     return [run_batch([case])[0] for case in cases]
+
+
+def test_the_peak_of_a_worker_is_its_own() -> None:
+    large = np.ones(25_000_000)
+    say = "from hpe_rig.study.engine import peak_memory_bytes; print(peak_memory_bytes())"
+    worker = subprocess.run([sys.executable, "-c", say], capture_output=True, text=True, check=True)
+    # What it imports takes about 50 MB.
+    assert 20e6 < int(worker.stdout) < 150e6 < large.nbytes <= engine.peak_memory_bytes()
