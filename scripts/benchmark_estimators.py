@@ -1,14 +1,19 @@
 """Run times and errors of motion and harmonic estimation beside public peers, on the same arrays in one run.
 
 Peers are optional: statsmodels, filterpy, simdkalman, scikit-image, zea (with jax); what is not installed is left out
-and named.
+and named. NumPy's BLAS has one thread, as in the commands of ``hpe-rig``.
 """
 
+# ruff: noqa: E402
 from __future__ import annotations
+
+import os
+
+for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_threads] = "1"
 
 import argparse
 import importlib
-import os
 import time
 from collections.abc import Callable
 from dataclasses import replace

@@ -17,6 +17,7 @@ import importlib.util
 import itertools
 import mmap
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,7 +35,7 @@ FFT_WORTH = 6.0
 BLOCK = 64
 """Pulses that are transformed together: few enough to stay in the cache from the volts to the spectrum."""
 SHARED_FROM = 1 << 20
-"""Points of a train from which on two threads transform half of it each."""
+"""Points of a train from which on two threads share its blocks."""
 TAPER_PERIODS = 1.45
 """Carrier periods at an end of the record that are faded at least, where no margin is left: into the gate."""
 SMOOTH = 30**60
@@ -231,9 +232,9 @@ def _transform(volts: Volts, band: Band, bins: int, spectrum: ComplexArray) -> N
     turn, level = (each.astype(spectrum.dtype) for each in (band.turn, band.level))
 
     @np.errstate(invalid="ignore")
-    def transform(train: tuple[int, ...], first: int, stop: int) -> None:
-        for pulse in range(first, stop, BLOCK):
-            here = slice(pulse, min(pulse + BLOCK, stop))
+    def transform(train: tuple[int, ...], firsts: Iterator[int]) -> None:
+        for first in firsts:
+            here = slice(first, min(first + BLOCK, pulses))
             some = volts[train][here]
             part = rfft(some * taper, bins)[:, start : start + count] * turn
             # the mean comes off in the band, where there is less of it than there are samples
@@ -241,15 +242,17 @@ def _transform(volts: Volts, band: Band, bins: int, spectrum: ComplexArray) -> N
             spectrum[train][:, here] = part.T
 
     for train in np.ndindex(volts.shape[:-2]):
+        firsts = iter(range(0, pulses, BLOCK))
         if pulses * bins < SHARED_FROM:
-            transform(train, 0, pulses)
+            transform(train, firsts)
         else:
             from concurrent.futures import ThreadPoolExecutor
 
             with ThreadPoolExecutor(1) as other:
-                half = other.submit(transform, train, pulses // 2, pulses)
-                transform(train, 0, pulses // 2)
-                half.result()
+                # each takes the next block: where another program has half a core, that thread takes fewer
+                beside = other.submit(transform, train, firsts)
+                transform(train, firsts)
+                beside.result()
 
 
 def _project(volts: Volts, columns: ComplexArray, spectrum: ComplexArray) -> None:
