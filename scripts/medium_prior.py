@@ -105,7 +105,7 @@ def harmonics(modulus_pa: ComplexArray, wider: float, longer: float | None = Non
     x, y, z = BEAMS.force_width_m
     width_m = wider * x, wider * y, (longer or wider) * z
     axes = width_m, BEAMS.tracking_width_m, BEAMS.axial_spread_m
-    moved, _ = medium_motion(modulus_pa, 1000.0, RATE_HZ * HARMONIC, *axes)
+    moved, *_ = medium_motion(modulus_pa, 1000.0, RATE_HZ * HARMONIC, *axes)
     duty = RATE_HZ * LENGTH_S
     wave = 1j * moved * np.sinc(HARMONIC * duty) * np.exp(-1j * np.pi * HARMONIC * duty)
     return np.asarray(wave * RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2))

@@ -22,7 +22,7 @@ from hpe_rig.processing import (
     PushForce,
     Window,
     aperture_force,
-    displacement,
+    displacement_and_slope,
     fourth_moment,
     harmonic_range_hz,
     medium_ensemble,
@@ -38,8 +38,6 @@ ComplexArray = NDArray[np.complex128]
 Triple = tuple[float, float, float]
 
 DIRECTIONS = 96
-AREA_STEP = 0.05
-"""Relative step in the tracking beam's area over which a derivative is taken."""
 OFF_AXIS_SHARE = 0.913
 """Of what obliquity takes on the axis, its mean over the focal plane, by energy of echoes, at any aperture."""
 SHAPE_RELATIVE = 0.004
@@ -199,11 +197,9 @@ def _seen_through(
         tracked, peak, change = (each[:, 0] for each in seen_beside(*known, frequency_hz, beams, place_m))
         return tracked / peak, np.zeros_like(tracked), change / tracked, one_medium
     if known is not None:
-        (tracked, peak), (wider, _) = (
-            medium_motion(*known, frequency_hz, beams.force_width_m, width_m, beams.axial_spread_m)
-            for width_m in (beams.tracking_width_m, _wider(beams.tracking_width_m))
-        )
-        steep = np.log(wider / tracked) / np.log1p(AREA_STEP)
+        widths = beams.force_width_m, beams.tracking_width_m
+        tracked, peak, by_area = medium_motion(*known, frequency_hz, *widths, beams.axial_spread_m)
+        steep = by_area / tracked
         return tracked / peak, np.zeros_like(tracked), np.abs(steep.real) + 1j * np.abs(steep.imag), one_medium
     ensemble = _ensemble(scene, beams, frequency_hz)
     to_wanted = ensemble.interpolation(frequency_hz).T
@@ -310,16 +306,9 @@ def force_of(scene: Scene) -> PushForce:
 
 def _gaussian_steepness(beams: BeamWidths) -> float:
     """Return the relative change of the Gaussian motion's averaging with the logarithm of the tracking beam's area."""
-    narrow, wide = (
-        gaussian_averaging(beams.force_width_m, each, beams.axial_spread_m)
-        for each in (beams.tracking_width_m, _wider(beams.tracking_width_m))
-    )
-    return float(np.log(wide / narrow) / np.log1p(AREA_STEP))
-
-
-def _wider(tracking_width_m: Triple) -> Triple:
-    x, y, z = tracking_width_m
-    return x * (1 + AREA_STEP) ** 0.5, y * (1 + AREA_STEP) ** 0.5, z
+    pairs = zip(beams.tracking_width_m[:2], beams.force_width_m[:2], strict=True)
+    squares = [width**2 / 2 / motion**2 for width, motion in pairs]
+    return -sum(square / (1 + square) for square in squares) / 2
 
 
 def _as_sensed(scene: Scene, averaging: Averaging) -> Averaging:
@@ -383,13 +372,13 @@ def off_focus(offset_m: float, uncertainty_m: float, width_m: float) -> tuple[fl
 def motion_of_medium(
     scene: Scene, frequency_hz: FloatArray, window: Window = "none", simulated: bool = True
 ) -> tuple[ComplexArray, ComplexArray] | None:
-    """Return ``medium_motion`` of the scene's medium; None where none is known."""
+    """Return tracked and peak displacement of ``medium_motion`` in the scene's medium; None where none is known."""
     known = medium_of(scene, frequency_hz, simulated)
     if scene.beams is None or known is None:
         return None
     widths = scene.beams.excitation_width_m, scene.beams.tracking_width_m
     depth_m = depth_spread(widths[1], scene.acquisition.gate_length_m, pulse_length_m(scene), window)
-    return medium_motion(*known, frequency_hz, *widths, depth_m)
+    return medium_motion(*known, frequency_hz, *widths, depth_m)[:2]
 
 
 def medium_of(scene: Scene, frequency_hz: FloatArray, simulated: bool = True) -> tuple[ComplexArray, float] | None:
@@ -427,20 +416,21 @@ def medium_motion(
     force_width_m: Triple,
     tracking_width_m: Triple,
     axial_spread_m: float,
-) -> tuple[ComplexArray, ComplexArray]:
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Return the tracked and the peak displacement over the force, complex (frequency,), time factor exp(+jwt).
 
-    Both but for one real factor. ``modulus_pa`` (frequency,) complex shear modulus; ``force_width_m`` the sigmas of the
-    Gaussian body force (round), ``tracking_width_m`` those of the tracking beam; ``axial_spread_m`` the standard
-    deviation of depth in the gate, weighted by echo energy. Speckle weights by energy, a Gaussian of variance T^2/2
-    across: in the plane of wave numbers that is a force as much broader, of the same density at each.
+    And the derivative of the tracked one by the logarithm of the tracking beam's area. All but for one real factor.
+    ``modulus_pa`` (frequency,) complex shear modulus; ``force_width_m`` the sigmas of the Gaussian body force (round),
+    ``tracking_width_m`` those of the tracking beam; ``axial_spread_m`` the standard deviation of depth in the gate,
+    weighted by echo energy. Speckle weights by energy, a Gaussian of variance T^2/2 across: in the plane of wave
+    numbers that is a force as much broader, of the same density at each.
     """
     shear_k2 = density_kg_per_m3 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa
-    lateral, axial = force_width_m[0] ** 2, force_width_m[2] ** 2
-    across = np.array([lateral + tracking_width_m[0] ** 2 / 2, lateral])
-    along = np.array([axial + axial_spread_m**2, axial])
-    tracked, peak = displacement(np.stack([shear_k2, shear_k2]), across, along, DIRECTIONS) / modulus_pa
-    return tracked, peak
+    lateral, axial, area = force_width_m[0] ** 2, force_width_m[2] ** 2, tracking_width_m[0] ** 2 / 2
+    across, along = np.array([lateral + area, lateral]), np.array([axial + axial_spread_m**2, axial])
+    moved, by_area = displacement_and_slope(np.stack([shear_k2, shear_k2]), across, along, DIRECTIONS)
+    tracked, peak, change = np.stack([*moved, area * by_area[0]]) / modulus_pa
+    return tracked, peak, change
 
 
 def depth_spread(tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, window: Window) -> float:

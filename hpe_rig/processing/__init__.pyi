@@ -26,6 +26,7 @@ from .ensemble import (
     KnownMedium as KnownMedium,
     RigidSphere as RigidSphere,
     displacement as displacement,
+    displacement_and_slope as displacement_and_slope,
     medium_ensemble as medium_ensemble,
     seen_beside as seen_beside,
 )

@@ -44,9 +44,6 @@ to 3e-3 in nearly elastic media."""
 LARGEST_WAVE = 12.0
 """Wave number times the force's width from which on both move the focus alike, but for a factor."""
 
-AREA_STEP = 0.05
-"""Relative step in the tracking beam's area over which a derivative is taken."""
-
 MODULUS_PA = (1e3, 60e3)
 VISCOSITY_PA_S = (0.2, 15.0)
 LOW_VISCOSITY_PA_S = (0.005, 0.2)
@@ -183,6 +180,48 @@ def _on_axis(
     members: int,
 ) -> Ensemble:
     """Return the ensemble where the tracking beam lies on the force's axis."""
+    spread = beams.force_width_m, beams.width_spread
+    pushed = _pushed(*spread, lowest_hz, highest_hz, known, density_kg_per_m3, members)
+    # Speckle weights by energy, a Gaussian of variance T^2/2 across: a force as much broader, of the same density.
+    area, depth = beams.tracking_width_m[0] ** 2 / 2, pushed.axial + beams.axial_spread_m**2
+    tracked, by_area = displacement_and_slope(pushed.shear_k2, pushed.lateral + area, depth)
+    # what the force moves over what a Gaussian of its widths moves; the share that is tracked stays the Gaussian's
+    shape = 1.0 if beams.force is None else _of_shape(beams, pushed.shear_k2, pushed.wide)
+    tracked, peak, change = np.stack([tracked, pushed.peak, area * by_area]) * (shape / pushed.modulus_pa)
+    found = Ensemble(pushed.node_hz, tracked, peak, change, _voigt(members, known))
+    for array in (found.node_hz, found.tracked, found.peak, found.steepness, found.voigt):
+        array.flags.writeable = False
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Pushed:
+    """Media under Gaussian forces, whatever is tracked of them: complex (member, node), real (member,).
+
+    ``lateral``, ``axial``: squared widths of the force, which is ``wide`` times as wide as declared. ``peak``: times
+    the modulus, the motion at the focus.
+    """
+
+    node_hz: FloatArray
+    modulus_pa: ComplexArray
+    shear_k2: ComplexArray
+    wide: FloatArray
+    lateral: FloatArray
+    axial: FloatArray
+    peak: ComplexArray
+
+
+@functools.lru_cache(maxsize=8)
+def _pushed(
+    force_width_m: Triple,
+    width_spread: float,
+    lowest_hz: float,
+    highest_hz: float,
+    known: KnownMedium | None,
+    density_kg_per_m3: float,
+    members: int,
+) -> _Pushed:
+    """Return what the ensembles of all gates on the axis have in common."""
     from scipy.special import ndtri
 
     node_hz = _nodes(lowest_hz, highest_hz, _node_count(lowest_hz, highest_hz, NODES_PER_E_FOLD))
@@ -190,23 +229,10 @@ def _on_axis(
     s = np.asarray(2j * np.pi * node_hz, np.complex128)
     modulus_pa = _known_modulus(known, s, spread) if known else _modulus(s, spread)
     shear_k2 = -density_kg_per_m3 * s**2 / modulus_pa
-    wide, deep = np.exp(beams.width_spread * ndtri(spread[:, 3:5])).T
-    lateral, axial = (beams.force_width_m[0] * wide) ** 2, (beams.force_width_m[2] * deep) ** 2
-    # Speckle weights by energy, a Gaussian of variance T^2/2 across: a force as much broader, of the same density.
-    area, depth = beams.tracking_width_m[0] ** 2 / 2, axial + beams.axial_spread_m**2
-    tracked, wider = (displacement(shear_k2, lateral + each, depth) for each in (area, (1 + AREA_STEP) * area))
-    # what the force moves over what a Gaussian of its widths moves; the share that is tracked stays the Gaussian's
-    per_force = 1 / modulus_pa if beams.force is None else _of_shape(beams, shear_k2, wide) / modulus_pa
-    found = Ensemble(
-        node_hz,
-        tracked * per_force,
-        displacement(shear_k2, lateral, axial) * per_force,
-        (wider - tracked) / np.log1p(AREA_STEP) * per_force,
-        _voigt(members, known),
-    )
-    for array in (found.node_hz, found.tracked, found.peak, found.steepness, found.voigt):
-        array.flags.writeable = False
-    return found
+    wide, deep = np.exp(width_spread * ndtri(spread[:, 3:5])).T
+    lateral, axial = (force_width_m[0] * wide) ** 2, (force_width_m[2] * deep) ** 2
+    peak = displacement(shear_k2, lateral, axial)
+    return _Pushed(node_hz, modulus_pa, shear_k2, wide, lateral, axial, peak)
 
 
 def _of_shape(beams: BeamWidths, shear_k2: ComplexArray, wide: FloatArray) -> ComplexArray:
@@ -324,6 +350,26 @@ def displacement(
     ``shear_k2`` (member, frequency) is the squared wave number, ``lateral`` and ``axial`` (member,) the squared widths
     of the force.
     """
+    q, root_a, w, weight, _ = _waves(shear_k2, lateral, axial, directions)
+    return _sum(np.sqrt(np.pi) / 2 / root_a + 0.5j * np.pi * q * w, weight)
+
+
+def displacement_and_slope(
+    shear_k2: ComplexArray, lateral: FloatArray, axial: FloatArray, directions: int = DIRECTIONS
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return ``displacement`` and its derivative by ``lateral``, (member, frequency)."""
+    q, root_a, w, weight, transverse = _waves(shear_k2, lateral, axial, directions)
+    still, moving = np.sqrt(np.pi) / 2 / root_a, 0.5j * np.pi * q * w
+    # by a, with w'(z) = 2j / sqrt(pi) - 2 z w(z); da / d lateral = transverse / 2
+    by_a = -still * (0.5 / root_a**2 + q**2) - q**2 * moving
+    return _sum(still + moving, weight), _sum(by_a, weight * transverse / 2)
+
+
+def _waves(
+    shear_k2: ComplexArray, lateral: FloatArray, axial: FloatArray, directions: int
+) -> tuple[ComplexArray, FloatArray, ComplexArray, FloatArray, FloatArray]:
+    """Return q, sqrt(a) and w(q sqrt(a)) of the waves in each direction, (member, frequency, direction), ready to be
+    broadcast, and (member, direction) their weights in the integral and 1 - m^2."""
     # Here, as below: a prescribed motion has no medium, and needs no special functions.
     from scipy.special import wofz
 
@@ -333,11 +379,15 @@ def displacement(
     angle = np.arctan(slope) * (node + 1) / 2
     m = np.tan(angle) / slope
     weight = weight * np.arctan(slope) / 2 / (slope * np.cos(angle) ** 2)
-    a = (lateral[:, None] * (1 - m**2) + axial[:, None] * m**2) / 2
+    root_a = np.sqrt((lateral[:, None] * (1 - m**2) + axial[:, None] * m**2) / 2)[:, None]
     q = np.sqrt(shear_k2)
     q = np.where(q.imag < 0, -q, q)[:, :, None]
-    waves = np.sqrt(np.pi / a)[:, None] / 2 + 0.5j * np.pi * q * wofz(q * np.sqrt(a)[:, None])
-    return np.asarray((waves @ (weight * 2 * (1 - m**2))[:, :, None])[..., 0])
+    return q, root_a, wofz(q * root_a), weight * 2 * (1 - m**2), 1 - m**2
+
+
+def _sum(waves: ComplexArray, weight: FloatArray) -> ComplexArray:
+    """Return the sum over directions, (member, frequency)."""
+    return np.asarray((waves @ weight[:, :, None])[..., 0])
 
 
 def _modulus(s: ComplexArray, spread: FloatArray) -> ComplexArray:

@@ -10,6 +10,8 @@ from hpe_rig.acquire.run import record_run
 from hpe_rig.acquire.setup import prepare_text
 from hpe_rig.prediction.beam_averaging import (
     SHAPE_RELATIVE,
+    _gaussian_steepness,
+    _seen_through,
     beam_widths,
     depth_spread,
     gaussian_averaging,
@@ -50,7 +52,7 @@ def voigt(modulus_pa, viscosity_pa_s, frequency_hz=FREQUENCY_HZ):
 def test_tracked_over_peak_displacement_is_that_of_the_theory_notes():
     """An endless column of 0.34 mm in 4 kPa gelatin, T = 0.155 mm; half a unit of its digits."""
     column_m, tracking_m = (0.34e-3, 0.34e-3, 0.5), (0.155e-3, 0.155e-3, 1.0)
-    tracked, peak = medium_motion(voigt(4e3, 1.0), 1000.0, FREQUENCY_HZ, column_m, tracking_m, 0.0)
+    tracked, peak, _ = medium_motion(voigt(4e3, 1.0), 1000.0, FREQUENCY_HZ, column_m, tracking_m, 0.0)
     ratio = tracked / peak
     assert np.abs(ratio) == pytest.approx([0.984, 0.980, 0.973, 0.955], abs=6e-4)
     assert np.degrees(np.angle(ratio[[0, 3]])) == pytest.approx([-0.6, -1.6], abs=0.05)
@@ -67,9 +69,26 @@ def test_averaging_equals_the_quadrature_over_the_twins_field(modulus_pa, viscos
     field = field_transfer(specimen, FORCE_M, across_m, np.abs(along_m), FREQUENCY_HZ)
     peak = field_transfer(specimen, FORCE_M, np.zeros(1), np.zeros(1), FREQUENCY_HZ)[:, 0, 0]
     expected = np.einsum("fra,r,a->f", field, across, along) / across.sum() / along.sum() / peak
-    tracked, own = medium_motion(voigt(modulus_pa, viscosity_pa_s), 1000.0, FREQUENCY_HZ, FORCE_M, TRACKING_M, depth_m)
+    medium = voigt(modulus_pa, viscosity_pa_s), 1000.0, FREQUENCY_HZ
+    tracked, own, _ = medium_motion(*medium, FORCE_M, TRACKING_M, depth_m)
     # What the field's own quadrature promises.
     assert np.abs(tracked / own - expected).max() < 2e-6
+
+
+def test_steepness_is_the_change_of_the_averaging_with_the_beams_area():
+    """Of the Gaussian motion, and of a medium's under the declared medium; central differences of 1e-3."""
+    scene = parse_scene("a", MUSCLE + "\n[medium]\nshear_modulus_pa = 4e3\nshear_viscosity_pa_s = 1.0\n").scene
+    beams = beam_widths(scene, "coherent")
+    wider, narrower = (
+        replace(beams, tracking_width_m=tuple(np.multiply(beams.tracking_width_m, [scale, scale, 1.0])))
+        for scale in (1.001**0.5, 0.999**0.5)
+    )
+    area = (gaussian_averaging(each.force_width_m, each.tracking_width_m, 0.0) for each in (wider, narrower))
+    assert _gaussian_steepness(beams) == pytest.approx(np.log(next(area) / next(area)) / 2e-3, rel=1e-5)
+    ratios = (_seen_through(scene, each, FREQUENCY_HZ)[0] for each in (wider, narrower))
+    change = np.log(next(ratios) / next(ratios)) / 2e-3
+    steep = _seen_through(scene, beams, FREQUENCY_HZ)[2]
+    assert steep == pytest.approx(np.abs(change.real) + 1j * np.abs(change.imag), rel=1e-5)
 
 
 def test_gaussian_of_the_scaled_width_is_tracked_alike():

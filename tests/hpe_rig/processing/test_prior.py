@@ -20,6 +20,7 @@ from hpe_rig.processing.ensemble import (
     _even_sequence,
     _modulus,
     displacement,
+    displacement_and_slope,
     medium_ensemble,
 )
 from hpe_rig.processing.prior import (
@@ -163,6 +164,21 @@ def test_the_ensembles_displacement_is_the_twins() -> None:
     found = displacement(shear_k2[None], np.array([FORCE_M[0] ** 2]), np.array([FORCE_M[2] ** 2]))[0] / modulus_pa
     truth = frequency_response(specimen, FORCE_M, frequency_hz)
     np.testing.assert_allclose(found / found[0], truth / truth[0], rtol=5e-4)
+
+
+def test_the_displacements_slope_is_its_change_with_the_width() -> None:
+    """Central differences of 1e-3: their own error is of the order of its square."""
+    frequency_hz = np.geomspace(50, 40e3, 40)
+    modulus_pa = np.array([1e3 + 2j * np.pi * frequency_hz * 0.005, 60e3 + 2j * np.pi * frequency_hz * 15.0])
+    shear_k2, lateral, axial = 1000.0 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa, FORCE_M[0] ** 2, FORCE_M[2] ** 2
+
+    def at_width(scale: float) -> ComplexArray:
+        return displacement(shear_k2, np.full(2, scale * lateral), np.full(2, axial), 96)
+
+    value, slope = displacement_and_slope(shear_k2, np.full(2, lateral), np.full(2, axial), 96)
+    np.testing.assert_array_equal(value, at_width(1.0))
+    change = (at_width(1.001) - at_width(0.999)) / 2e-3
+    assert np.abs(lateral * slope / change - 1).max() < 1e-5
 
 
 def test_between_its_nodes_a_medium_is_interpolated() -> None:
