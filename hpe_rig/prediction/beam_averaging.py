@@ -427,10 +427,19 @@ def medium_motion(
     """
     shear_k2 = density_kg_per_m3 * (2 * np.pi * frequency_hz) ** 2 / modulus_pa
     lateral, axial, area = force_width_m[0] ** 2, force_width_m[2] ** 2, tracking_width_m[0] ** 2 / 2
-    across, along = np.array([lateral + area, lateral]), np.array([axial + axial_spread_m**2, axial])
-    moved, by_area = displacement_and_slope(np.stack([shear_k2, shear_k2]), across, along, DIRECTIONS)
+    across, along = (lateral + area, lateral), (axial + axial_spread_m**2, axial)
+    moved, by_area = _tracked_and_peak(np.asarray(shear_k2, np.complex128).tobytes(), across, along)
     tracked, peak, change = np.stack([*moved, area * by_area[0]]) / modulus_pa
     return tracked, peak, change
+
+
+@functools.lru_cache(maxsize=4)
+def _tracked_and_peak(
+    shear_k2: bytes, across: tuple[float, float], along: tuple[float, float]
+) -> tuple[ComplexArray, ComplexArray]:
+    """Kept: what is foreseen of a scene asks several times for the motion of all harmonics."""
+    wave = np.frombuffer(shear_k2, np.complex128)
+    return displacement_and_slope(np.stack([wave, wave]), np.array(across), np.array(along), DIRECTIONS)
 
 
 def depth_spread(tracking_width_m: Triple, gate_length_m: float, pulse_length_m: float, window: Window) -> float:
