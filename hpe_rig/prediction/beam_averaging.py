@@ -22,6 +22,7 @@ from hpe_rig.processing import (
     PushForce,
     Window,
     aperture_force,
+    bounded_steepness,
     displacement_and_slope,
     fourth_moment,
     harmonic_range_hz,
@@ -204,7 +205,8 @@ def _seen_through(
     ensemble = _ensemble(scene, beams, frequency_hz)
     to_wanted = ensemble.interpolation(frequency_hz).T
     tracked, peak, change = (each @ to_wanted for each in (ensemble.tracked, ensemble.peak, ensemble.steepness))
-    ratio, steep = np.log(tracked / peak), change / tracked
+    power = np.abs(tracked) ** 2 / np.sum(np.abs(tracked) ** 2, axis=1, keepdims=True)
+    ratio, steep = np.log(tracked / peak), bounded_steepness(change / tracked, power / power.mean(axis=0))
 
     def rms(values: FloatArray) -> FloatArray:
         return np.asarray(np.sqrt(np.mean(values**2, axis=0)))

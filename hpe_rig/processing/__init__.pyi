@@ -65,6 +65,7 @@ from .prior import (
     Evidence as Evidence,
     MediumFit as MediumFit,
     MediumPrior as MediumPrior,
+    bounded_steepness as bounded_steepness,
     fourth_moment as fourth_moment,
     harmonic_range_hz as harmonic_range_hz,
     medium_fit as medium_fit,

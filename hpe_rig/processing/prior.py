@@ -39,6 +39,8 @@ FREEDOM = 0.03
 """The same for each wanted harmonic alone: reflections and layers, which no medium without end has."""
 LEAST_MEMBERS = 15.0
 """Members that carry the error's mean at least: the ensemble has no more where the data narrow it down."""
+LEAST_SHARE = 0.5
+"""Of the likely members' rms motion at a frequency: where one moves less, its change counts as that of this much."""
 BROAD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
 UNTOLD = 1e-3
@@ -65,8 +67,8 @@ class MediumPrior:
     ``spectrum`` complex (harmonic, node) takes the response to A exp(j phase) of every harmonic's motion. ``root``
     (direction, direction) is a root of the directions' covariance, so F is ``states(all harmonics) @ root``.
     ``members`` (member, direction) are the ensemble, ``misfit`` (direction,) standard deviations from it;
-    ``averaging``, complex (member, harmonic): peak over tracked motion; ``steepness``, the same shape: relative change
-    of the tracked motion with the logarithm of the tracking beam's area.
+    ``averaging``, complex (member, harmonic): peak over tracked motion; ``size``, the same shape, real: amplitude of a
+    member's motion; ``steepness``: its relative change with the logarithm of the tracking beam's area.
     """
 
     burst_rate_hz: float
@@ -75,6 +77,7 @@ class MediumPrior:
     members: FloatArray
     misfit: FloatArray
     averaging: ComplexArray
+    size: FloatArray
     steepness: ComplexArray
 
     @property
@@ -224,8 +227,9 @@ def medium_prior(
     weighted = np.sqrt(share / share.sum())[:, None] * members
     root = np.asarray(np.linalg.qr(np.vstack([weighted, np.diag(misfit)]), mode="r")).T
     steepness = ensemble.steepness @ spectrum.T / tracked
-    prior = MediumPrior(burst_rate_hz, spectrum, root, members, misfit, peak / tracked, steepness)
-    for array in (prior.spectrum, prior.root, prior.members, prior.misfit, prior.averaging, prior.steepness):
+    seen = peak / tracked, unit * np.abs(tracked), steepness
+    prior = MediumPrior(burst_rate_hz, spectrum, root, members, misfit, *seen)
+    for array in (spectrum, root, members, misfit, *seen):
         array.flags.writeable = False
     return prior
 
@@ -361,7 +365,9 @@ def medium_posterior(prior: MediumPrior, evidence: Evidence, fit: HarmonicFit, m
     the estimate misses the states of every member of scale 1, true less estimated.
     """
     places, likelihood = list(prior.places(fit.frequency_hz)), evidence.likelihood
-    ratio, steepness = np.log(prior.averaging[:, places]), _parts(prior.steepness[:, places])
+    ratio, own_m2 = np.log(prior.averaging[:, places]), evidence.square_m2[..., None] * prior.size[:, places] ** 2
+    mean_m2 = np.einsum("...m,...mf->...f", likelihood, own_m2)
+    steepness = _parts(bounded_steepness(prior.steepness[:, places], own_m2 / mean_m2[..., None, :]))
     mean = likelihood @ ratio
     off = _parts(np.asarray(ratio - mean[..., None, :]))
     size = fit.amplitude_m * np.exp(1j * fit.phase_rad)
@@ -371,11 +377,20 @@ def medium_posterior(prior: MediumPrior, evidence: Evidence, fit: HarmonicFit, m
         evidence.significance,
         np.exp(mean),
         np.einsum("...m,...mfi,...mfj->...fij", likelihood, off, off),
-        np.sqrt(np.einsum("...m,mfi->...fi", likelihood, steepness**2)),
+        np.sqrt(np.einsum("...m,...mfi->...fi", likelihood, steepness**2)),
         np.einsum("...m,...mfi,...mfi->...fi", likelihood * np.sqrt(evidence.square_m2), short, off),
         fourth_moment(likelihood, steepness),
         fourth_moment(likelihood, off),
     )
+
+
+def bounded_steepness(steepness: ComplexArray, power: FloatArray) -> ComplexArray:
+    """Return the relative change of each member's motion, over no less than ``LEAST_SHARE`` of the members' rms motion.
+
+    ``power`` (..., member, frequency): square of a member's motion over the mean square. Beside a push there are media
+    and frequencies of which two waves leave nothing: what then changes is small, though without bound in proportion.
+    """
+    return np.asarray(steepness * np.minimum(1.0, np.sqrt(power) / LEAST_SHARE))
 
 
 def fourth_moment(share: FloatArray, values: FloatArray) -> FloatArray:

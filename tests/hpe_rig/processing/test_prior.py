@@ -25,8 +25,10 @@ from hpe_rig.processing.ensemble import (
 )
 from hpe_rig.processing.prior import (
     FREEDOM,
+    LEAST_SHARE,
     WEIGHT,
     MediumFit,
+    bounded_steepness,
     medium_fit,
     medium_kalman,
     medium_prior,
@@ -558,6 +560,24 @@ def test_a_slow_creep_counts_where_the_steps_of_a_sum_do_not_see_it() -> None:
     white, of_steps, still = each
     assert white < of_steps < 1.1 * white
     assert still < white / 3
+
+
+def test_media_that_hardly_move_at_a_frequency_do_not_decide_how_motion_changes_there() -> None:
+    """Beside the push two waves leave nothing of some harmonics; the bound is that of ``bounded_steepness``."""
+    prior = medium_prior(replace(BEAMS, lateral_m=4.75e-3), RATE_HZ, LENGTH_S)
+    size, relative = prior.size[:, :10], prior.steepness[:, :10]
+    power = size**2 / np.mean(size**2, axis=0)
+    bounded = bounded_steepness(relative, power)
+
+    def rms(values: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.mean(np.abs(values) ** 2, axis=0)))
+
+    changed = rms(np.abs(relative) * size) / rms(size)
+    assert np.max(rms(np.abs(relative)) / changed) > 3
+    assert np.all(rms(np.abs(bounded)) <= changed / LEAST_SHARE)
+    moving = power > LEAST_SHARE**2
+    assert np.any(~moving)
+    np.testing.assert_array_equal(bounded[moving], relative[moving])
 
 
 @pytest.mark.parametrize("lateral_m", [0.25e-3, 1e-3])
