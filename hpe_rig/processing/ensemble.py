@@ -368,8 +368,10 @@ def displacement_and_slope(
 def _waves(
     shear_k2: ComplexArray, lateral: FloatArray, axial: FloatArray, directions: int
 ) -> tuple[ComplexArray, FloatArray, ComplexArray, FloatArray, FloatArray]:
-    """Return q, sqrt(a) and w(q sqrt(a)) of the waves in each direction, (member, frequency, direction), ready to be
-    broadcast, and (member, direction) their weights in the integral and 1 - m^2."""
+    """Return q, sqrt(a) and w(q sqrt(a)) of the waves in each direction, their weights in the integral, and 1 - m^2.
+
+    The first three broadcast to (member, frequency, direction), the others are (member, direction).
+    """
     # Here, as below: a prescribed motion has no medium, and needs no special functions.
     from scipy.special import wofz
 
