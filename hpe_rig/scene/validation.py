@@ -133,7 +133,9 @@ def _not_toml(text: str, error: str) -> Mistake:
         return Mistake("", f"{where}: this table stands a second time", "put its keys under the first one")
     if re.search(r"=\s*-?\d+,\d", line):
         return Mistake("", f"{where}: a comma in a number", "a decimal point")
-    if "\\" in line and '"' in line:
+    # A backslash before the last quote takes it into the string, which then has no end.
+    endless = '\\"' in line and re.search("Unterminated|Illegal", error)
+    if endless or re.search("Unescaped|hex value|Escaped", error):
         what = f"{where}: between double quotes a backslash begins a special character"
         return Mistake("", what, "single quotes, as in 'C:\\scans\\push.csv', or / in place of each backslash")
     if line.count('"') % 2 or line.count("'") % 2:

@@ -185,10 +185,16 @@ def test_a_number_swept_twice_is_refused_when_the_scene_is_read(stored: bool) ->
     assert not [word for word in words if word not in str(caught.value)], str(caught.value)
 
 
-@pytest.mark.parametrize("path", [r"C:\Users\me\push.csv", r"D:\scans\push.csv"])
+@pytest.mark.parametrize("path", [r"C:\Users\me\push.csv", r"D:\scans\push.csv", r"D:\ua0\push.csv", "\\"])
 def test_a_path_of_windows_between_double_quotes_is_told_how_to_be_written(path: str) -> None:
     double, single = (edited(MUSCLE, "[beams]", f"[beams]\nexcitation_scan = {q}{path}{q}") for q in ('"', "'"))
     message = message_of(double)
     assert "a backslash begins a special character" in message
     assert "single quotes" in message
     assert parse_scene("right", single).scene.beams.excitation_scan == path
+
+
+def test_a_backslash_is_not_blamed_for_what_stands_after_the_string() -> None:
+    message = message_of(edited(MUSCLE, "[beams]", '[beams]\nexcitation_scan = "C:\\\\push.csv" mm'))
+    assert "not valid TOML" in message
+    assert "backslash" not in message
