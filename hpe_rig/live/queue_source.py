@@ -60,12 +60,13 @@ class QueueSource:
         self._run.pause()
 
     def _has_ended(self, queue: Sequence[QueueRun]) -> bool:
-        states = {run.state for run in queue}
+        states, now_s = {run.state for run in queue}, self._clock()
         if "running" in states:
             self._idle_since_s = None
             return False
-        now_s = self._clock()
-        self._idle_since_s = now_s if self._idle_since_s is None else self._idle_since_s
+        if self._idle_since_s is None or queue != self._queue:
+            # A change since the last look says that runs went on between, however long ago that was.
+            self._idle_since_s = now_s
         return "waiting" not in states or now_s - self._idle_since_s > LONGEST_BETWEEN_S
 
 

@@ -192,12 +192,14 @@ def test_the_page_of_a_queue_follows_its_runs_and_says_which_of_how_many_and_how
 def test_a_stop_between_two_runs_ends_the_queue_before_the_next_and_is_forgotten_by_a_resume(tmp_path: Path) -> None:
     runs = [(str(path), None) for path in scenes(tmp_path, 2)]
     folder = tmp_path / "queue"
-    queue, source, told = new_queue(runs, folder), QueueSource(folder), Watcher()
+    now_s = [0.0]
+    queue, source, told = new_queue(runs, folder), QueueSource(folder, lambda: now_s[0]), Watcher()
     source.poll()
 
     def tell(text: str) -> None:
         if text.startswith("run 2"):
-            # The first run is complete, the second one has not begun.
+            # The first run is complete, the second one has not begun; nobody has looked for a minute.
+            now_s[0] = 60.0
             source.poll()
             source.stop()
 
