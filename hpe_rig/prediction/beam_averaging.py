@@ -24,6 +24,7 @@ from hpe_rig.processing import (
     aperture_force,
     bounded_steepness,
     displacement_and_slope,
+    driven_spectrum,
     fourth_moment,
     harmonic_range_hz,
     medium_ensemble,
@@ -205,7 +206,11 @@ def _seen_through(
     ensemble = _ensemble(scene, beams, frequency_hz)
     to_wanted = ensemble.interpolation(frequency_hz).T
     tracked, peak, change = (each @ to_wanted for each in (ensemble.tracked, ensemble.peak, ensemble.steepness))
-    power = np.abs(tracked) ** 2 / np.sum(np.abs(tracked) ** 2, axis=1, keepdims=True)
+    assert scene.excitation is not None  # noqa: S101 (as its caller knows)
+    # every medium is driven until it moves as far in all
+    bursts = scene.excitation.burst_rate_hz, scene.excitation.burst_length_s[0]
+    whole = ensemble.tracked @ driven_spectrum(ensemble, *bursts).T
+    power = np.abs(tracked) ** 2 / np.sum(np.abs(whole) ** 2, axis=1, keepdims=True)
     ratio, steep = np.log(tracked / peak), bounded_steepness(change / tracked, power / power.mean(axis=0))
 
     def rms(values: FloatArray) -> FloatArray:
@@ -439,7 +444,10 @@ def medium_motion(
 def _tracked_and_peak(
     shear_k2: bytes, across: tuple[float, float], along: tuple[float, float]
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Kept: what is foreseen of a scene asks several times for the motion of all harmonics."""
+    """Return tracked and peak motion times the modulus, and their changes with area across, each (2, frequency).
+
+    Kept: what is foreseen of a scene asks several times for the motion of all harmonics.
+    """
     wave = np.frombuffer(shear_k2, np.complex128)
     return displacement_and_slope(np.stack([wave, wave]), np.array(across), np.array(along), DIRECTIONS)
 

@@ -180,8 +180,8 @@ def _on_axis(
     members: int,
 ) -> Ensemble:
     """Return the ensemble where the tracking beam lies on the force's axis."""
-    spread = beams.force_width_m, beams.width_spread
-    pushed = _pushed(*spread, lowest_hz, highest_hz, known, density_kg_per_m3, members)
+    force = beams.force_width_m, beams.width_spread
+    pushed = _pushed(*force, lowest_hz, highest_hz, known, density_kg_per_m3, members)
     # Speckle weights by energy, a Gaussian of variance T^2/2 across: a force as much broader, of the same density.
     area, depth = beams.tracking_width_m[0] ** 2 / 2, pushed.axial + beams.axial_spread_m**2
     tracked, by_area = displacement_and_slope(pushed.shear_k2, pushed.lateral + area, depth)

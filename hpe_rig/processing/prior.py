@@ -40,7 +40,7 @@ FREEDOM = 0.03
 LEAST_MEMBERS = 15.0
 """Members that carry the error's mean at least: the ensemble has no more where the data narrow it down."""
 LEAST_SHARE = 0.5
-"""Of the likely members' rms motion at a frequency: where one moves less, its change counts as that of this much."""
+"""Of the likely members' rms motion at a frequency: the change of one that moves less is taken relative to this much."""
 BROAD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
 UNTOLD = 1e-3
@@ -67,8 +67,8 @@ class MediumPrior:
     ``spectrum`` complex (harmonic, node) takes the response to A exp(j phase) of every harmonic's motion. ``root``
     (direction, direction) is a root of the directions' covariance, so F is ``states(all harmonics) @ root``.
     ``members`` (member, direction) are the ensemble, ``misfit`` (direction,) standard deviations from it;
-    ``averaging``, complex (member, harmonic): peak over tracked motion; ``size``, the same shape, real: amplitude of a
-    member's motion; ``steepness``: its relative change with the logarithm of the tracking beam's area.
+    ``averaging``, complex (member, harmonic): peak over tracked motion; ``amplitude_m``, the same shape, real: that of
+    a member's motion; ``steepness``: its relative change with the logarithm of the tracking beam's area.
     """
 
     burst_rate_hz: float
@@ -77,7 +77,7 @@ class MediumPrior:
     members: FloatArray
     misfit: FloatArray
     averaging: ComplexArray
-    size: FloatArray
+    amplitude_m: FloatArray
     steepness: ComplexArray
 
     @property
@@ -207,15 +207,10 @@ def medium_prior(
     """Return the prior of the motion under tonebursts of ``burst_length_s`` at ``burst_rate_hz``.
 
     Times count from a burst's onset at the focus. A ``known`` medium narrows the ensemble to Voigt media near it. The
-    force's spectrum is that of rectangular pulses, paper eq. (18).
+    force's spectrum is that of rectangular pulses (``driven_spectrum``).
     """
-    lowest_hz, highest_hz = harmonic_range_hz(burst_rate_hz)
-    harmonic = np.arange(1.0, round(highest_hz / burst_rate_hz) + 1)
-    ensemble = medium_ensemble(pushed, lowest_hz, highest_hz, known, density_kg_per_m3)
-    duty = burst_rate_hz * burst_length_s
-    # A sin(w t + phase) has A exp(j phase) = j times the amplitude of exp(jwt), which is twice the coefficient
-    force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
-    spectrum = force[:, None] * ensemble.interpolation(np.asarray(burst_rate_hz * harmonic))
+    ensemble = medium_ensemble(pushed, *harmonic_range_hz(burst_rate_hz), known, density_kg_per_m3)
+    spectrum = driven_spectrum(ensemble, burst_rate_hz, burst_length_s)
     tracked, peak = ensemble.tracked @ spectrum.T, ensemble.peak @ spectrum.T
     unit = np.sqrt(2 / np.sum(np.abs(tracked) ** 2, axis=1))[:, None]
     # a few ten node values, real and imaginary, hold each member: from there to the states by one matrix
@@ -232,6 +227,18 @@ def medium_prior(
     for array in (spectrum, root, members, misfit, *seen):
         array.flags.writeable = False
     return prior
+
+
+def driven_spectrum(ensemble: Ensemble, burst_rate_hz: float, burst_length_s: float) -> ComplexArray:
+    """Return what takes responses at the ensemble's nodes to A exp(j phase) of every harmonic, (harmonic, node).
+
+    Of the motion under rectangular tonebursts, paper eq. (18), up to ``harmonic_range_hz``.
+    """
+    harmonic = np.arange(1.0, round(harmonic_range_hz(burst_rate_hz)[1] / burst_rate_hz) + 1)
+    duty = burst_rate_hz * burst_length_s
+    # A sin(w t + phase) has A exp(j phase) = j times the amplitude of exp(jwt), which is twice the coefficient
+    force = 2j * np.sinc(harmonic * duty) * np.exp(-1j * np.pi * harmonic * duty)
+    return np.asarray(force[:, None] * ensemble.interpolation(np.asarray(burst_rate_hz * harmonic)))
 
 
 def harmonic_range_hz(burst_rate_hz: float) -> tuple[float, float]:
@@ -365,14 +372,18 @@ def medium_posterior(prior: MediumPrior, evidence: Evidence, fit: HarmonicFit, m
     the estimate misses the states of every member of scale 1, true less estimated.
     """
     places, likelihood = list(prior.places(fit.frequency_hz)), evidence.likelihood
-    ratio, own_m2 = np.log(prior.averaging[:, places]), evidence.square_m2[..., None] * prior.size[:, places] ** 2
-    mean_m2 = np.einsum("...m,...mf->...f", likelihood, own_m2)
+    ratio, own_m2 = (
+        np.log(prior.averaging[:, places]),
+        evidence.square_m2[..., None] * prior.amplitude_m[:, places] ** 2,
+    )
+    # where nothing moves at all, squares may be below the smallest number
+    mean_m2 = np.maximum(np.einsum("...m,...mf->...f", likelihood, own_m2), np.finfo(np.float64).tiny)
     steepness = _parts(bounded_steepness(prior.steepness[:, places], own_m2 / mean_m2[..., None, :]))
     mean = likelihood @ ratio
     off = _parts(np.asarray(ratio - mean[..., None, :]))
-    size = fit.amplitude_m * np.exp(1j * fit.phase_rad)
+    phasor_m = fit.amplitude_m * np.exp(1j * fit.phase_rad)
     each = missed[..., ::2] + 1j * missed[..., 1::2]
-    short = _parts(np.asarray(each / np.where(size == 0, np.inf, size)[..., None, :], np.complex128))
+    short = _parts(np.asarray(each / np.where(phasor_m == 0, np.inf, phasor_m)[..., None, :], np.complex128))
     return MediumPosterior(
         evidence.significance,
         np.exp(mean),

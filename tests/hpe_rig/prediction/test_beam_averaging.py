@@ -377,3 +377,18 @@ def test_gates_without_an_echo_say_nothing_of_speckle(estimator: str) -> None:
     # exp(-2.08) of 400 and their deviation, and those at the gate's very ends beside them
     assert 300 < len(speckle.resting) < 400
     assert np.isfinite(tracked_over_peak(resting, estimator, speckle)).all()
+
+
+def test_what_is_foreseen_at_a_frequency_does_not_depend_on_what_else_is_wanted():
+    """Beside the push, where media that hardly move at 700 Hz would make the spread of one alone five times as wide."""
+    lateral = "lateral_offset_m = [1.0e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6.0e-3]"
+    beside = shipped_scenes()["gelatin-moduli"].replace(lateral, "lateral_offset_m = [3.5e-3]")
+    foreseen = []
+    for wanted in ("", "frequencies_hz = [700.0]", "frequencies_hz = [100.0, 700.0]"):
+        scene = parse_scene("beside", beside.replace("[processing]", f"[processing]\n{wanted}")).scene
+        tracking = scene.tracking.model_copy(update={"lateral_offset_m": 3.5e-3})
+        found = predicted_averaging(scene.model_copy(update={"tracking": tracking}), "coherent")
+        foreseen.append(found[scene.wanted_frequencies_hz.index(700.0)])
+    speckle = [(each.speckle_relative, each.speckle_phase_rad) for each in foreseen]
+    assert speckle[1:] == [pytest.approx(speckle[0])] * 2
+    assert speckle[0][0] < 0.02

@@ -28,7 +28,6 @@ from hpe_rig.processing.prior import (
     LEAST_SHARE,
     WEIGHT,
     MediumFit,
-    bounded_steepness,
     medium_fit,
     medium_kalman,
     medium_prior,
@@ -563,21 +562,33 @@ def test_a_slow_creep_counts_where_the_steps_of_a_sum_do_not_see_it() -> None:
 
 
 def test_media_that_hardly_move_at_a_frequency_do_not_decide_how_motion_changes_there() -> None:
-    """Beside the push two waves leave nothing of some harmonics; the bound is that of ``bounded_steepness``."""
+    """Beside the push two waves leave nothing of some harmonics. Of noise alone all media are about as likely."""
     prior = medium_prior(replace(BEAMS, lateral_m=4.75e-3), RATE_HZ, LENGTH_S)
-    size, relative = prior.size[:, :10], prior.steepness[:, :10]
-    power = size**2 / np.mean(size**2, axis=0)
-    bounded = bounded_steepness(relative, power)
+    noise_m = np.random.default_rng(11).standard_normal(SHIFTING.time_s.size)
+    found = medium_fit(SHIFTING.motion(1e-9 * noise_m), WANTED_HZ, prior)
+    places = list(prior.places(WANTED_HZ))
+    amplitude_m, relative = prior.amplitude_m[:, places], prior.steepness[:, places]
+    own_m2 = found.evidence.square_m2[:, None] * amplitude_m**2
+    assert found.fit.medium is not None
 
     def rms(values: FloatArray) -> FloatArray:
-        return np.asarray(np.sqrt(np.mean(np.abs(values) ** 2, axis=0)))
+        return np.asarray(np.sqrt(found.evidence.likelihood @ values**2))
 
-    changed = rms(np.abs(relative) * size) / rms(size)
-    assert np.max(rms(np.abs(relative)) / changed) > 3
-    assert np.all(rms(np.abs(bounded)) <= changed / LEAST_SHARE)
-    moving = power > LEAST_SHARE**2
-    assert np.any(~moving)
-    np.testing.assert_array_equal(bounded[moving], relative[moving])
+    # of the change itself, over the rms motion: a medium that hardly moves has hardly a part in it
+    changed = rms(np.abs(relative) * np.sqrt(own_m2)) / rms(np.sqrt(own_m2))
+    stated = np.hypot(*found.fit.medium.steepness.T)
+    assert np.max(rms(np.abs(relative)) / stated) > 3
+    moving = own_m2 > LEAST_SHARE**2 * (found.evidence.likelihood @ own_m2)
+    assert np.all((stated >= rms(np.abs(relative) * moving)) & (stated <= changed / LEAST_SHARE))
+
+
+def test_a_record_of_nothing_at_a_null_of_the_bursts_spectrum_has_no_nan() -> None:
+    """Bursts of half the period push nothing at 200 Hz."""
+    prior = medium_prior(BEAMS, 100.0, 5e-3)
+    found = medium_fit(SHIFTING.motion(np.zeros(SHIFTING.time_s.size)), [100.0, 200.0], prior).fit
+    assert found.medium is not None
+    assert np.all(np.isfinite(found.medium.steepness))
+    np.testing.assert_array_equal(found.amplitude_m, 0.0)
 
 
 @pytest.mark.parametrize("lateral_m", [0.25e-3, 1e-3])
