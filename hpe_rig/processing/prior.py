@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, IntArray, Motion
-from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, RigidSphere, medium_ensemble
+from hpe_rig.processing.ensemble import BeamWidths, Ensemble, KnownMedium, RigidSphere, medium_ensemble
 from hpe_rig.processing.harmonic import HarmonicFit, MediumPosterior, fit_from_state, step_covariance, steps_freedom
 from hpe_rig.processing.kalman_filter import filter_constant, innovation_test
 from hpe_rig.processing.model import background_columns, harmonic_columns
