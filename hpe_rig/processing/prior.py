@@ -40,7 +40,7 @@ FREEDOM = 0.03
 LEAST_MEMBERS = 15.0
 """Members that carry the error's mean at least: the ensemble has no more where the data narrow it down."""
 LEAST_SHARE = 0.5
-"""Of the likely members' rms motion at a frequency: the change of one that moves less is taken relative to this much."""
+"""Of the likely members' rms motion at a frequency: the change of one that moves less is relative to this much."""
 BROAD = 1e5
 """Standard deviation of a background state over the noise of a pulse, for the Kalman filter: nothing known."""
 UNTOLD = 1e-3
