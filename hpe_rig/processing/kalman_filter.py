@@ -15,7 +15,7 @@ from math import comb, factorial
 import numpy as np
 
 from hpe_rig.processing.echoes import FloatArray, Motion
-from hpe_rig.processing.harmonic import HarmonicFit, Innovations, fit_from_state
+from hpe_rig.processing.harmonic import HarmonicFit, Innovations, by_residual, fit_from_state
 from hpe_rig.processing.model import LARGEST_CONDITION, SURE_CONDITION, linear_model, scaled_time
 
 PRIOR = 1e10
@@ -74,8 +74,9 @@ def kalman(
         found = filter_changing(
             model.matrix, displacement, [d * s for d, s in zip(drive, strength, strict=True)], prior
         )
-    variance = found.fitness / (model.matrix.shape[0] - model.matrix.shape[1])
-    covariance = variance[..., None, None] * (found.root @ found.root.T)
+    freedom = model.matrix.shape[0] - model.matrix.shape[1]
+    variance = found.fitness / freedom
+    covariance = variance[..., None, None] * (found.root @ found.root.T) * by_residual(freedom)
     wanted = model.wanted
     state, covariance = found.state[..., wanted], covariance[..., wanted, wanted]
     report = None if not found.innovations.size else innovation_test(motion, found.innovations, model.matrix.shape[1])

@@ -15,7 +15,7 @@ import numpy as np
 
 from hpe_rig.processing.band import Band, band_spectrum, energy_of, inner, turned
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Motion, scatter
-from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
+from hpe_rig.processing.harmonic import HarmonicFit, by_residual, fit_from_state
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model, triangular_root
 from hpe_rig.processing.motion import coherent_phase, motion_of_phase
 from hpe_rig.processing.prior import MediumPrior, medium_fit
@@ -64,8 +64,9 @@ def joint(
         # Every pulse has the same weight: its variance scales nothing.
         motion = Motion(echoes.pulse_time_s, displacement_m, np.ones_like(displacement_m), echoes.valid)
         return medium_fit(motion, frequency_hz, prior, background_order=background_order).fit
-    variance = np.einsum("...i,...i->...", residual, residual) / (len(matrix) - matrix.shape[1] - 1)
-    covariance = variance[..., None, None] * (root @ root.T)
+    freedom = len(matrix) - matrix.shape[1] - 1
+    variance = np.einsum("...i,...i->...", residual, residual) / freedom
+    covariance = variance[..., None, None] * (root @ root.T) * by_residual(freedom)
     wanted = 2 * frequency_hz.size
     return fit_from_state(
         frequency_hz,

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from hpe_rig.processing.band import BAND, compiled
 from hpe_rig.processing.echoes import FloatArray
+from hpe_rig.processing.harmonic import by_residual
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.result import BadPixel, MotionMap
 
@@ -269,7 +270,8 @@ class _Pixels:
     def _estimates(self, state: Singles, noise_m2: Singles, metres: Singles, relative: Singles) -> list[Singles]:
         """Return amplitude, phase (pixel, frequency) and velocity (pixel,), each with u, from ``state`` in rad."""
         count = self.frequency_hz.size
-        covariance = (self.model.root @ self.model.root.T).astype(np.float32)
+        pulses, states = self.model.matrix.shape
+        covariance = (self.model.root @ self.model.root.T * by_residual(pulses - states)).astype(np.float32)
         at = 2 * np.arange(count)
         own, other, crossed = covariance[at, at], covariance[at + 1, at + 1], covariance[at, at + 1]
         shares = np.stack([(own + other) / 2, (own - other) / 2, crossed])

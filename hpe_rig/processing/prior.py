@@ -22,7 +22,15 @@ import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, IntArray, Motion
 from hpe_rig.processing.ensemble import BeamWidths, Ensemble, KnownMedium, RigidSphere, medium_ensemble
-from hpe_rig.processing.harmonic import HarmonicFit, MediumPosterior, fit_from_state, step_covariance, steps_freedom
+from hpe_rig.processing.harmonic import (
+    STEPS_FREEDOM,
+    HarmonicFit,
+    MediumPosterior,
+    by_residual,
+    fit_from_state,
+    step_covariance,
+    steps_energy,
+)
 from hpe_rig.processing.kalman_filter import filter_constant, innovation_test
 from hpe_rig.processing.model import background_columns, harmonic_columns
 
@@ -140,14 +148,15 @@ class Evidence:
     """Scale, noise and test of the data against the prior, each (...), and how likely the members are.
 
     ``scale_m``: rms displacement of the ensemble; ``variance_m2`` of a pulse's noise; ``total_m2``: the same with what
-    the model leaves untold, as if it differed from pulse to pulse; ``significance``: probability
-    that a medium of the ensemble gives data as unlikely as these. ``likelihood`` (..., member), of sum 1;
-    ``square_m2`` (..., member), mean square of each member's own scale.
+    the model leaves untold, as if it differed from pulse to pulse; ``freedom``: degrees of freedom of the residual that
+    tells the noise; ``significance``: probability that a medium of the ensemble gives data as unlikely as these.
+    ``likelihood`` (..., member), of sum 1; ``square_m2`` (..., member), mean square of each member's own scale.
     """
 
     scale_m: FloatArray
     variance_m2: FloatArray
     total_m2: FloatArray
+    freedom: FloatArray
     significance: FloatArray
     likelihood: FloatArray
     square_m2: FloatArray
@@ -269,18 +278,20 @@ def medium_fit(
     weights = seen.rows * gain[..., None, :]
     taken = gain * seen.value
     white = weights @ np.swapaxes(weights, -1, -2)
-    noise = evidence.total_m2[..., None, None] * white
+    noise, freedom = evidence.total_m2[..., None, None] * white, evidence.freedom
     if motion.walk is not None:
+        freedom = STEPS_FREEDOM * freedom
         residual, walk = data - (taken * along) @ seen.left.T, np.asarray(motion.walk)
         columns = np.hstack([seen.background, seen.left])
         shares = np.concatenate([np.ones((*taken.shape[:-1], seen.background.shape[1])), taken], axis=-1)
-        freedom = steps_freedom(columns, shares, walk)
-        pulse, of_steps = step_covariance(residual, walk, weights @ seen.left.T, freedom)
+        energy = steps_energy(columns, shares, walk)
+        pulse, of_steps = step_covariance(residual, walk, weights @ seen.left.T, energy)
         # Steps do not see what drifts slowly, a creep say; where a residual is far larger than they explain, it counts.
         explained = pulse * (1 + walk * len(seen.left) / 6)
         drifts = evidence.variance_m2 > UNEXPLAINED * explained
         untold = (evidence.total_m2 - evidence.variance_m2)[..., None, None] * white
         noise = of_steps + np.where(drifts[..., None, None], noise, untold)
+    noise = by_residual(freedom)[..., None, None] * noise
     aliasing, missed = _aliasing(seen, weights, evidence)
     state = (gain * along) @ seen.rows.T
     variance, used = evidence.variance_m2, len(seen.left)
@@ -319,7 +330,8 @@ def likely_states(
     free[: prior.misfit.size] = prior.misfit[:, None] * directions.T
     gain = _gain(seen, evidence)
     weights = rows * gain[..., None, :]
-    noise = evidence.total_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
+    variance = by_residual(evidence.freedom) * evidence.total_m2
+    noise = variance[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
     of_these = replace(seen, wanted_members=prior.members @ directions.T, wanted_free=free)
     left, missed = _aliasing(of_these, weights, evidence)
     return (gain * (_without_background(motion, seen) @ seen.left)) @ rows.T, noise + left, missed
@@ -511,7 +523,7 @@ def _evidence(seen: Seen, data: FloatArray, along: FloatArray) -> Evidence:
     statistic = np.sum(along**2 * kept, axis=-1) / noise / seen.value.size
     significance = fdtrc(seen.value.size, freedom, statistic)
     total = noise + untold * scale**2
-    return Evidence(scale, noise, total, significance, *_likelihood(seen, along, total))
+    return Evidence(scale, noise, total, freedom, significance, *_likelihood(seen, along, total))
 
 
 def _likelihood(seen: Seen, along: FloatArray, variance: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hpe_rig.processing.conditioning import hann
 from hpe_rig.processing.echoes import BoolArray, FloatArray, Velocity
-from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
+from hpe_rig.processing.harmonic import STEPS_FREEDOM, HarmonicFit, by_residual, fit_from_state
 from hpe_rig.processing.kalman_filter import PRIOR, filter_constant
 from hpe_rig.processing.model import LARGEST_CONDITION, LinearModel, harmonic_columns, linear_model
 
@@ -86,6 +86,7 @@ def velocity_to_harmonics(
     over_pulses = per_pulse(over_intervals, interval_s)
     covariance = pulse_variance[..., None, None] * (over_pulses @ over_pulses.T)
     covariance = covariance + interval_variance[..., None, None] * (over_intervals @ over_intervals.T)
+    covariance *= by_residual(STEPS_FREEDOM * (len(model.matrix) - model.matrix.shape[1]))
     used = int(np.count_nonzero(np.append(velocity.valid, False) | np.insert(velocity.valid, 0, False)))
     state = np.concatenate(states, axis=-1)
     return fit_from_state(frequency_hz, state, covariance, pulse_variance, used, model.condition)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.special import chdtri
+from scipy.special import chdtri, ndtri, stdtrit
 
 from hpe_rig.processing import (
     HarmonicFit,
@@ -18,6 +18,8 @@ from hpe_rig.processing import (
     velocity_to_harmonics,
 )
 from hpe_rig.processing.echoes import EchoGate
+from hpe_rig.processing.harmonic import by_residual
+from hpe_rig.processing.model import linear_model
 from hpe_rig.processing.velocity_chain import LIKELIHOOD_GAIN, _residual_spectrum
 from hpe_rig.result import PHASE_VARIANCE_LIMIT
 
@@ -98,12 +100,36 @@ def test_stated_covariance_of_least_squares_is_true() -> None:
     generator = np.random.default_rng(5)
     truth = 1e-6 * np.sin(2 * np.pi * 200 * time_s + 1.1)
     fit = least_squares(_motion(truth + 1e-7 * generator.standard_normal((20000, 100)), time_s), [200.0, 400.0])
-    # 20000 draws: a variance of 1 is known to sqrt(2/20000) = 0.01; 95 degrees of freedom make it 95/93; three sigma
+    # 20000 draws: a variance of 1 is known to sqrt(2/20000) = 0.01; 95 degrees of freedom make it 95/93, and u is
+    # Student's quantile over the normal one as large; three sigma
+    wider = (stdtrit(95, 0.975) / ndtri(0.975)) ** 2
     for error, variance in (
         (fit.amplitude_m[:, 0] - 1e-6, fit.covariance[:, 0, 0, 0]),
         (fit.phase_rad[:, 0] - 1.1, fit.covariance[:, 0, 1, 1]),
     ):
-        assert np.mean(error**2 / variance) == pytest.approx(95 / 93, abs=0.03)
+        assert np.mean(error**2 / variance) == pytest.approx(95 / 93 / wider, abs=0.03)
+
+
+def test_noise_that_a_residual_tells_widens_u_as_students_quantile_does() -> None:
+    freedom = np.array([2, 3, 5, 12, 66, 98, 600])
+    wanted = stdtrit(freedom, 0.975) / ndtri(0.975)
+    np.testing.assert_allclose(np.sqrt(by_residual(freedom[2:])), wanted[2:], rtol=3e-3)
+    np.testing.assert_allclose(np.sqrt(by_residual(freedom[:2])), wanted[:2], rtol=0.05)
+    # one pulse more than states: wider than Student's 12.7, never less
+    assert stdtrit(1, 0.975) / ndtri(0.975) < np.sqrt(by_residual(1)) < 10
+    assert by_residual(0) == by_residual(1)
+
+
+@pytest.mark.parametrize("pulses", [8, 12, 30])
+def test_intervals_of_few_pulses_hold_the_truth_as_often_as_those_of_many(pulses: int) -> None:
+    """95 % of quadratures lie within 1.96 u; 20000 trials know that to 0.15 % each, two quadratures, three sigma."""
+    time_s, truth = np.arange(pulses) / 4000, 1e-6
+    noise = 1e-8 * np.random.default_rng(pulses).standard_normal((20000, pulses))
+    motion = _motion(noise + truth * np.sin(2 * np.pi * 700 * time_s), time_s)
+    for fit in (least_squares(motion, [700.0]), kalman(motion, [700.0])):
+        u = np.sqrt(np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[:, :2])
+        within = np.abs(fit.state[:, :2] - [truth, 0.0]) < ndtri(0.975) * u
+        assert within.mean() == pytest.approx(0.95, abs=0.005)
 
 
 def test_no_motion_and_no_noise_give_finite_covariances() -> None:
@@ -298,8 +324,10 @@ def test_accumulated_steps_count_every_state_that_is_fitted(driven: int) -> None
     noise = 1e-9 * generator.standard_normal((trials, 160))
     noise += np.cumsum(np.sqrt(walk) * 1e-9 * generator.standard_normal((trials, 160)), axis=1)
     motion = Motion(time_s, noise, np.full(noise.shape, 1e-18), np.ones(160, dtype=bool), walk=np.full(trials, walk))
-    fit = least_squares(motion, HARMONICS, also_hz=100.0 * np.arange(11, 11 + driven))
-    stated = np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[:, :20]
+    driven_hz = 100.0 * np.arange(11, 11 + driven)
+    fit = least_squares(motion, HARMONICS, also_hz=driven_hz)
+    states = linear_model(time_s, motion.valid, np.array(HARMONICS), also_hz=driven_hz).matrix.shape[1]
+    stated = np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[:, :20] / by_residual(2 / 3 * (160 - states))
     # of means, not the mean of the ratio, which few degrees of freedom would raise
     assert np.mean(fit.state[:, :20] ** 2, axis=0) / stated.mean(axis=0) == pytest.approx(np.ones(20), abs=0.08)
     assert np.mean(fit.state[:, :20] ** 2) / stated.mean() == pytest.approx(1, abs=0.03)
@@ -312,7 +340,7 @@ def test_one_pulse_more_than_states_states_an_uncertainty() -> None:
     noise += np.cumsum(np.random.default_rng(2).standard_normal((500, 22)) * np.sqrt(0.2) * 1e-9, axis=1)
     motion = Motion(time_s, noise, np.full(noise.shape, 1e-18), np.ones(22, dtype=bool), walk=walk)
     fit = least_squares(motion, 190.0 * np.arange(1, 11), largest_condition=np.inf)
-    stated = np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[:, :20]
+    stated = np.diagonal(fit.state_covariance, axis1=-2, axis2=-1)[:, :20] / by_residual(1)
     assert np.isfinite(stated).all()
     # chi-square of one degree of freedom: its mean over 500 is known to 6 %, three of these; the state's as well
     assert np.mean(fit.state[:, :20] ** 2 / stated.mean(axis=0)) == pytest.approx(1, abs=0.4)

@@ -11,6 +11,7 @@ from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from hpe_rig.processing import Motion, kalman, kalman_filter, least_squares
+from hpe_rig.processing.harmonic import by_residual
 from hpe_rig.processing.kalman_filter import filter_changing, filter_constant
 from hpe_rig.processing.model import linear_model
 
@@ -172,7 +173,7 @@ def test_background_noise_is_that_of_the_highest_derivative(order: int) -> None:
     state = covariance @ weighted.T @ data
     np.testing.assert_allclose(found.state[:2], state[:2], rtol=1e-6)
     rest = data - matrix.matrix @ state
-    variance = rest @ np.linalg.solve(noise, rest) / (pulses - 3 - order)
+    variance = rest @ np.linalg.solve(noise, rest) / (pulses - 3 - order) * by_residual(pulses - 3 - order)
     np.testing.assert_allclose(found.state_covariance[:2, :2], variance * covariance[:2, :2], rtol=1e-6)
 
 

@@ -23,6 +23,7 @@ from hpe_rig.processing.ensemble import (
     displacement_and_slope,
     medium_ensemble,
 )
+from hpe_rig.processing.harmonic import by_residual
 from hpe_rig.processing.prior import (
     FREEDOM,
     LEAST_SHARE,
@@ -221,7 +222,8 @@ def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(watched: Pu
         largest = np.abs(estimate).max()
         np.testing.assert_allclose(found.fit.state[index], estimate, atol=1e-9 * largest)
         np.testing.assert_allclose(filtered.fit.state[index], found.fit.state[index], atol=1e-9 * largest)
-        np.testing.assert_allclose(found.noise_m2[index], variance * gain @ gain.T, atol=1e-8 * variance)
+        stated = by_residual(found.evidence.freedom[index]) * variance
+        np.testing.assert_allclose(found.noise_m2[index], stated * gain @ gain.T, atol=1e-8 * variance)
     np.testing.assert_allclose(found.noise_m2 + found.aliasing_m2, found.fit.state_covariance)
     # white and of unit variance but for the sharper start that weights of three times the scale deserve
     test = filtered.fit.innovations
