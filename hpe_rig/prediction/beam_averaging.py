@@ -27,6 +27,7 @@ from hpe_rig.processing import (
     driven_spectrum,
     fourth_moment,
     harmonic_range_hz,
+    lengthened,
     medium_ensemble,
     scanned_force,
     seen_beside,
@@ -84,7 +85,8 @@ def predicted_averaging(
     ratio, deviation, steepness, (steep_tails, ratio_tails) = _seen_through(scene, beams, frequency_hz)
     factor = 1 - loss_scale * (1 - np.abs(ratio))
     speckle, uncertain = area_spread * steepness, (factor * deviation.real, deviation.imag)
-    columns = np.stack([factor, np.angle(ratio), speckle.real, *uncertain, speckle.imag], axis=-1).tolist()
+    spread_of_length = lengthened(speckle.real, speckle.imag, tails * steep_tails[:, 1])
+    columns = np.stack([factor, np.angle(ratio), spread_of_length, *uncertain, speckle.imag], axis=-1).tolist()
     rest = {"carrier_relative": carrier, "area_spread": area_spread, "loss_scale": loss_scale, "area_kurtosis": tails}
     kurtoses = zip((tails * steep_tails).tolist(), ratio_tails.tolist(), strict=True)
     found = [

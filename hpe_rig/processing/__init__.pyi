@@ -68,6 +68,7 @@ from .prior import (
     driven_spectrum as driven_spectrum,
     fourth_moment as fourth_moment,
     harmonic_range_hz as harmonic_range_hz,
+    lengthened as lengthened,
     medium_fit as medium_fit,
     medium_kalman as medium_kalman,
     medium_prior as medium_prior,

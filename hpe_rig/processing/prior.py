@@ -416,6 +416,16 @@ def bounded_steepness(steepness: ComplexArray, power: FloatArray) -> ComplexArra
     return np.asarray(steepness * np.minimum(1.0, np.sqrt(power) / LEAST_SHARE))
 
 
+def lengthened(relative: FloatArray, turned_rad: FloatArray, kurtosis: FloatArray) -> FloatArray:
+    """Return the relative spread of a phasor's length, ``relative`` to first order, which is turned by ``turned_rad``.
+
+    What is tracked is linear in what weights the motion, so that a part across the phasor makes it longer:
+    |1 + j t| = 1 + t^2 / 2, of the mean square k t^4 / 4 where t has the root mean square ``turned_rad`` and the
+    ``kurtosis`` k. All of one shape.
+    """
+    return np.asarray(np.hypot(relative, np.sqrt(kurtosis) / 2 * turned_rad**2))
+
+
 def fourth_moment(share: FloatArray, values: FloatArray) -> FloatArray:
     """Return mean fourth power over mean square squared of ``values`` (..., member, frequency, 2); 1 where they are 0.
 

@@ -28,7 +28,7 @@ from hpe_rig.processing.gate_tracking import added, follow
 from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
-from hpe_rig.processing.prior import MediumPrior, medium_prior
+from hpe_rig.processing.prior import MediumPrior, lengthened, medium_prior
 from hpe_rig.processing.quantisation import rounding_m
 from hpe_rig.processing.residual_line import Line, residual_line
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
@@ -403,19 +403,20 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
         return predicted
     ratio = 1 / complex(fit.medium.peak_over_tracked[index])
     relative, phase_rad = np.sqrt(np.diag(fit.medium.peak_covariance[index])).tolist()
-    speckle, turned = (predicted.area_spread * fit.medium.steepness[index]).tolist()
+    speckle, turned = predicted.area_spread * fit.medium.steepness[index]
+    tails = predicted.area_kurtosis * fit.medium.steepness_kurtosis[index]
     factor = (1 - predicted.loss_scale * (1 - abs(ratio))) * predicted.offset_factor
     return replace(
         predicted,
         factor=factor,
         phase_rad=float(np.angle(ratio)) + predicted.offset_phase_rad,
-        speckle_relative=speckle,
-        speckle_phase_rad=turned,
+        speckle_relative=float(lengthened(speckle, turned, tails[1])),
+        speckle_phase_rad=float(turned),
         factor_uncertainty=factor * relative,
         phase_uncertainty_rad=phase_rad,
         shared_relative=float(fit.medium.shared[index, 0]),
         shared_phase_rad2=float(fit.medium.shared[index, 1]),
-        speckle_kurtosis=_pair(predicted.area_kurtosis * fit.medium.steepness_kurtosis[index]),
+        speckle_kurtosis=_pair(tails),
         lost_kurtosis=_pair(fit.medium.peak_kurtosis[index]),
     )
 
