@@ -85,16 +85,16 @@ def predicted_averaging(
     ratio, deviation, steepness, (steep_tails, ratio_tails) = _seen_through(scene, beams, frequency_hz)
     factor = 1 - loss_scale * (1 - np.abs(ratio))
     speckle, uncertain = area_spread * steepness, (factor * deviation.real, deviation.imag)
-    spread_of_length = lengthened(speckle.real, speckle.imag, tails * steep_tails[:, 1])
-    columns = np.stack([factor, np.angle(ratio), spread_of_length, *uncertain, speckle.imag], axis=-1).tolist()
+    columns = np.stack([factor, np.angle(ratio), speckle.real, *uncertain, speckle.imag], axis=-1).tolist()
     rest = {"carrier_relative": carrier, "area_spread": area_spread, "loss_scale": loss_scale, "area_kurtosis": tails}
     kurtoses = zip((tails * steep_tails).tolist(), ratio_tails.tolist(), strict=True)
     found = [
-        _as_sensed(scene, replace(Averaging(*each), **rest, speckle_kurtosis=tuple(own), lost_kurtosis=tuple(lost)))
+        replace(Averaging(*each), **rest, speckle_kurtosis=tuple(own), lost_kurtosis=tuple(lost))
         for each, (own, lost) in zip(columns, kurtoses, strict=True)
     ]
     return tuple(
-        _scaled(each, share) for each, share in zip(found, _by_its_force(scene, beams, frequency_hz), strict=True)
+        _scaled(_as_sensed(scene, lengthened(each)), share)
+        for each, share in zip(found, _by_its_force(scene, beams, frequency_hz), strict=True)
     )
 
 

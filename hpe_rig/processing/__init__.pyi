@@ -1,5 +1,10 @@
 from .band import Band as Band, band_grid as band_grid, band_of as band_of
-from .budget import Known as Known, estimates_of as estimates_of, known_of as known_of
+from .budget import (
+    Known as Known,
+    estimates_of as estimates_of,
+    known_of as known_of,
+    lengthened as lengthened,
+)
 from .burst_period import burst_period_motion as burst_period_motion, residual_m as residual_m
 from .conditioning import codes_to_volts as codes_to_volts, hann as hann, unlike_pulses as unlike_pulses
 from .correlation import cross_correlation as cross_correlation
@@ -68,7 +73,6 @@ from .prior import (
     driven_spectrum as driven_spectrum,
     fourth_moment as fourth_moment,
     harmonic_range_hz as harmonic_range_hz,
-    lengthened as lengthened,
     medium_fit as medium_fit,
     medium_kalman as medium_kalman,
     medium_prior as medium_prior,

@@ -8,14 +8,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.bench import twin_of
 from hpe_rig.processing.harmonic import HarmonicFit
-from hpe_rig.result import NORMAL, PHASE_VARIANCE_LIMIT, RECTIFIED, Averaging, Component, Estimate, phase_kurtosis
+from hpe_rig.result import (
+    NORMAL,
+    PHASE_VARIANCE_LIMIT,
+    RECTIFIED,
+    Averaging,
+    Component,
+    Estimate,
+    combined_kurtosis,
+    phase_kurtosis,
+    residual_kurtosis,
+)
 from hpe_rig.scene import Scene
 
 TINY_M = 1e-30
@@ -98,6 +108,7 @@ def _estimate(
         components=components(best, index, known, averaging or TRACKED),
         aliasing_factor=tracked_m / best_m if tracked_m and best_m else 1.0,
         aliasing_phase_rad=math.remainder(float(fit.phase_rad[index] - best.phase_rad[index]), 2 * math.pi),
+        noise_freedom=float(best.freedom),
     )
 
 
@@ -127,14 +138,15 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     ) -> Component:
         return Component(source, amplitude * peak_m, phase_rad, *kurtosis)
 
-    unknown = phase_kurtosis(float(random[1]))
+    few, unknown = residual_kurtosis(float(fit.freedom)), phase_kurtosis(float(random[1]))
+    noisy = few, unknown if unknown < NORMAL else few
     rounding = np.array(known.rounding_m[index] if known.rounding_m else (0.0, 0.0)) / (1.0, max(amplitude_m, TINY_M))
     off_carrier = averaging.carrier_relative or known.carrier_relative
     carrier = (relative("carrier", off_carrier),) if off_carrier else ()
     shape = (relative("beam shape", averaging.shape_relative),) if averaging.shape_relative else ()
     return (
-        fitted("noise", random * (1 - share), (NORMAL, unknown)),
-        fitted("trigger jitter", random * share, (NORMAL, unknown)),
+        fitted("noise", random * (1 - share), noisy),
+        fitted("trigger jitter", random * share, noisy),
         Component(RECTIFIED, math.sqrt(fit.rectified_m2[index]) / averaging.factor, 0.0),
         fitted("quantisation", np.minimum(rounding**2, (np.inf, PHASE_VARIANCE_LIMIT))),
         fitted("aliasing", aliasing),
@@ -146,6 +158,20 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
         *carrier,
         *shape,
     )
+
+
+def lengthened(averaging: Averaging) -> Averaging:
+    """Return ``averaging``, of which speckle's amplitude is that of the first order, with the second order as well.
+
+    What is tracked is linear in what weights the motion, so that a part t across the phasor makes it longer by t^2 / 2,
+    which has the mean square k u^4 / 4 where t has the standard deviation u and the kurtosis k. That of t^2 is (35 / 3)
+    (k / 3)^4 where t is a normal number of a log-normal scale. Both orders count as independent.
+    """
+    amplitude, turn = averaging.speckle_kurtosis
+    second = math.sqrt(turn) / 2 * averaging.speckle_phase_rad**2
+    total = math.hypot(averaging.speckle_relative, second)
+    kurtosis = combined_kurtosis(total, ((averaging.speckle_relative, amplitude), (second, 35 / 3 * (turn / 3) ** 4)))
+    return replace(averaging, speckle_relative=total, speckle_kurtosis=(kurtosis, turn))
 
 
 def _with_shared(

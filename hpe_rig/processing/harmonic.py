@@ -13,12 +13,7 @@ import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, Motion
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model
-from hpe_rig.result import phase_variance_at_rad2, phase_variance_rad2, rectified_variance_m2
-
-NORMAL_95 = 1.959964
-"""Standard deviations within which 95 % of normal errors lie."""
-STEPS_FREEDOM = 2 / 3
-"""Degrees of freedom of the changes of white noise from pulse to pulse, over those of the noise."""
+from hpe_rig.result import by_residual, phase_variance_at_rad2, phase_variance_rad2, rectified_variance_m2
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +70,8 @@ class HarmonicFit:
     them. Where there is a prior of media ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` that
     harmonics which the fit does not tell apart and shrinkage leave, and ``medium`` what is known of the medium
     afterwards. ``unaliased``, where a fit without the prior is beside it: without the aliasing that the prior tells.
+    ``freedom`` (...): degrees of freedom of the residual that tells the noise, whose ``by_residual`` the covariances
+    have.
     """
 
     frequency_hz: FloatArray
@@ -92,6 +89,7 @@ class HarmonicFit:
     aliasing: FloatArray | None = None
     medium: MediumPosterior | None = None
     unaliased: HarmonicFit | None = None
+    freedom: FloatArray | float = np.inf
 
 
 def least_squares(
@@ -114,46 +112,49 @@ def least_squares(
     model = linear_model(*times, frequency_hz, largest_condition, background_order=background_order, also_hz=also_hz)
     wanted, (pulses, states) = model.wanted, model.matrix.shape
     state, residual = model.solve(motion.displacement_m[..., motion.valid])
-    freedom = pulses - states
-    variance = np.einsum("...i,...i->...", residual, residual) / freedom
+    freedom = np.full(motion.displacement_m.shape[:-1], float(pulses - states))
+    variance = np.einsum("...i,...i->...", residual, residual) / (pulses - states)
     if motion.walk is not None:
         q, walk = model.matrix @ model.root, np.asarray(motion.walk)
-        energy = steps_energy(q, np.ones(states), walk)
+        energy, freedom = of_changes(q, np.ones(states), walk)
         variance, covariance = step_covariance(residual, walk, model.root[wanted] @ q.T, energy)
-        covariance *= by_residual(STEPS_FREEDOM * freedom)
     else:
-        covariance = variance[..., None, None] * (model.root[wanted] @ model.root[wanted].T) * by_residual(freedom)
-    return fit_from_state(frequency_hz, state[..., wanted], covariance, variance, pulses, model.condition)
+        covariance = variance[..., None, None] * (model.root[wanted] @ model.root[wanted].T)
+    covariance = by_residual(freedom)[..., None, None] * covariance
+    return fit_from_state(
+        frequency_hz, state[..., wanted], covariance, variance, pulses, model.condition, freedom=freedom
+    )
 
 
-def by_residual(freedom: FloatArray | float) -> FloatArray:
-    """Return the factor (...) on a variance that a residual of ``freedom`` (...) degrees of freedom alone tells.
-
-    An error over such a standard deviation has Student's distribution: with the factor 1.96 of them hold 95 % of the
-    errors, of 4 pulses as of 4000 (Guide to the expression of uncertainty in measurement, G.3). Student's quantile is
-    Wallace's (1959), within 0.3 % from 5 degrees of freedom on, 4 % too large at 2.
-    """
-    freedom = np.maximum(freedom, 1.0)
-    exponent = (NORMAL_95 * (8 * freedom + 3) / (8 * freedom + 1)) ** 2 / freedom
-    return np.asarray(freedom * np.expm1(exponent) / NORMAL_95**2)
-
-
-def steps_energy(columns: FloatArray, taken: FloatArray, walk: FloatArray) -> FloatArray:
-    """Return the energy (...) of a residual's changes between pulses, over that of one pulse's noise.
+def of_changes(columns: FloatArray, taken: FloatArray, walk: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return energy (...) of a residual's changes between pulses, over that of one pulse's noise, and their freedom.
 
     The noise is a sum of steps: white, and ``walk`` (...) times as much variance that a step adds to all later pulses.
     The fit has taken the share ``taken`` (..., column) of what lies along each of the orthonormal ``columns`` (pulse,
-    column).
+    column). A sum of squares with the covariance A has the freedom (tr A)^2 / tr A^2 (Satterthwaite, 1946): that of
+    white noise, times what ``walk`` makes of it where nothing is fitted.
     """
     changes = np.diff(columns, axis=0)
     onwards = np.cumsum(columns[:0:-1], axis=0)[::-1]
     count, energy = len(changes), np.einsum("ij,ij->j", changes, changes)
-    white = 2 * count - (taken * (2 - taken)) @ energy
+    gone, inner = taken * (2 - taken), changes.T @ changes
+    white = 2 * count - gone @ energy
     # |D (1 - Q h Q') L|^2: D takes the changes, L adds steps up, D L = 1
     along = np.einsum("ij,ij->j", onwards, changes)
-    products = (changes.T @ changes) * (onwards.T @ onwards)
+    products = inner * (onwards.T @ onwards)
     steps = count - 2 * taken @ along + np.einsum("...i,ij,...j->...", taken, products, taken)
-    return np.asarray(white + walk * steps)
+    # A = D (1 - Q g Q') D'
+    again = np.diff(changes, axis=0, prepend=0.0, append=0.0)
+    square = 6 * count - 2 - 2 * gone @ np.einsum("ij,ij->j", again, again)
+    square = square + np.einsum("...i,ij,...j->...", gone, inner**2, gone)
+    freedom = white**2 / np.maximum(square, np.finfo(np.float64).tiny) * _of_walk(walk)
+    return np.asarray(white + walk * steps), np.asarray(freedom)
+
+
+def _of_walk(walk: FloatArray) -> FloatArray:
+    """Return the freedom of steps of variance 2 + ``walk``, -1 between neighbours, over that without ``walk``."""
+    square = (2 + walk) ** 2
+    return np.asarray(1.5 * square / (square + 2))
 
 
 def step_covariance(
@@ -161,7 +162,7 @@ def step_covariance(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the pulse variance (...) and the covariance (..., row, row) of ``rows`` (..., row, pulse) over steps.
 
-    The scale comes from the ``residual``'s changes between pulses (..., pulse) and their ``steps_energy``.
+    The scale comes from the ``residual``'s changes between pulses (..., pulse) and their energy by ``of_changes``.
     """
     changes = np.diff(residual, axis=-1)
     pulse = np.einsum("...i,...i->...", changes, changes) / energy
@@ -180,10 +181,12 @@ def fit_from_state(
     condition: float = np.nan,
     innovations: Innovations | None = None,
     aliasing_m2: FloatArray | None = None,
+    freedom: FloatArray | float = np.inf,
 ) -> HarmonicFit:
     """Return amplitude and phase with their covariance, from in-phase, quadrature and (if there) the constant.
 
-    ``aliasing_m2``: the part of ``state_covariance`` that is aliasing.
+    ``aliasing_m2``: the part of ``state_covariance`` that is aliasing; ``freedom``: as of ``HarmonicFit``, the factor
+    of which ``state_covariance`` has.
     """
     count = frequency_hz.size
     in_phase, quadrature = state[..., 0 : 2 * count : 2], state[..., 1 : 2 * count : 2]
@@ -207,6 +210,7 @@ def fit_from_state(
         condition,
         innovations,
         None if aliasing_m2 is None else np.asarray(unresolved * weights),
+        freedom=np.broadcast_to(np.asarray(freedom, dtype=np.float64), variance.shape),
     )
 
 
@@ -215,7 +219,7 @@ def moved_by(fit: HarmonicFit, missed_m: FloatArray) -> HarmonicFit:
     state = fit.state.copy()
     state[..., : 2 * fit.frequency_hz.size] += missed_m
     rest = np.square(fit.residual_rms_m), fit.pulses, fit.condition, fit.innovations
-    return fit_from_state(fit.frequency_hz, state, fit.state_covariance, *rest)
+    return fit_from_state(fit.frequency_hz, state, fit.state_covariance, *rest, freedom=fit.freedom)
 
 
 def with_aliasing(

@@ -15,8 +15,9 @@ from math import comb, factorial
 import numpy as np
 
 from hpe_rig.processing.echoes import FloatArray, Motion
-from hpe_rig.processing.harmonic import HarmonicFit, Innovations, by_residual, fit_from_state
+from hpe_rig.processing.harmonic import HarmonicFit, Innovations, fit_from_state
 from hpe_rig.processing.model import LARGEST_CONDITION, SURE_CONDITION, linear_model, scaled_time
+from hpe_rig.result import by_residual
 
 PRIOR = 1e10
 """Prior variance over measurement variance: nothing known."""
@@ -80,7 +81,8 @@ def kalman(
     wanted = model.wanted
     state, covariance = found.state[..., wanted], covariance[..., wanted, wanted]
     report = None if not found.innovations.size else innovation_test(motion, found.innovations, model.matrix.shape[1])
-    return fit_from_state(frequency_hz, state, covariance, variance, len(model.matrix), model.condition, report)
+    known = len(model.matrix), model.condition, report
+    return fit_from_state(frequency_hz, state, covariance, variance, *known, freedom=freedom)
 
 
 def filter_constant(matrix: FloatArray, data: FloatArray, prior: float, innovations: bool = False) -> Filtered:

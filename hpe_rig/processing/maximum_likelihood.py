@@ -15,10 +15,11 @@ import numpy as np
 
 from hpe_rig.processing.band import Band, band_spectrum, energy_of, inner, turned
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, EchoGate, FloatArray, Motion, scatter
-from hpe_rig.processing.harmonic import HarmonicFit, by_residual, fit_from_state
+from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.processing.model import LARGEST_CONDITION, linear_model, triangular_root
 from hpe_rig.processing.motion import coherent_phase, motion_of_phase
 from hpe_rig.processing.prior import MediumPrior, medium_fit
+from hpe_rig.result import by_residual
 
 STEPS = 12
 ENOUGH = 1e-12
@@ -75,6 +76,7 @@ def joint(
         variance,
         len(matrix),
         model.condition,
+        freedom=freedom,
     )
 
 

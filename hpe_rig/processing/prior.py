@@ -22,17 +22,10 @@ import numpy as np
 
 from hpe_rig.processing.echoes import BoolArray, ComplexArray, FloatArray, IntArray, Motion
 from hpe_rig.processing.ensemble import BeamWidths, Ensemble, KnownMedium, RigidSphere, medium_ensemble
-from hpe_rig.processing.harmonic import (
-    STEPS_FREEDOM,
-    HarmonicFit,
-    MediumPosterior,
-    by_residual,
-    fit_from_state,
-    step_covariance,
-    steps_energy,
-)
+from hpe_rig.processing.harmonic import HarmonicFit, MediumPosterior, fit_from_state, of_changes, step_covariance
 from hpe_rig.processing.kalman_filter import filter_constant, innovation_test
 from hpe_rig.processing.model import background_columns, harmonic_columns
+from hpe_rig.result import by_residual
 
 HIGHEST_HZ = 4e4
 """Frequency up to which the bursts' harmonics are part of the model."""
@@ -280,11 +273,10 @@ def medium_fit(
     white = weights @ np.swapaxes(weights, -1, -2)
     noise, freedom = evidence.total_m2[..., None, None] * white, evidence.freedom
     if motion.walk is not None:
-        freedom = STEPS_FREEDOM * freedom
         residual, walk = data - (taken * along) @ seen.left.T, np.asarray(motion.walk)
         columns = np.hstack([seen.background, seen.left])
         shares = np.concatenate([np.ones((*taken.shape[:-1], seen.background.shape[1])), taken], axis=-1)
-        energy = steps_energy(columns, shares, walk)
+        energy, freedom = of_changes(columns, shares, walk)
         pulse, of_steps = step_covariance(residual, walk, weights @ seen.left.T, energy)
         # Steps do not see what drifts slowly, a creep say; where a residual is far larger than they explain, it counts.
         explained = pulse * (1 + walk * len(seen.left) / 6)
@@ -295,7 +287,7 @@ def medium_fit(
     aliasing, missed = _aliasing(seen, weights, evidence)
     state = (gain * along) @ seen.rows.T
     variance, used = evidence.variance_m2, len(seen.left)
-    fit = fit_from_state(frequency_hz, state, noise + aliasing, variance, used, aliasing_m2=aliasing)
+    fit = fit_from_state(frequency_hz, state, noise + aliasing, variance, used, aliasing_m2=aliasing, freedom=freedom)
     fit = replace(fit, medium=medium_posterior(prior, evidence, fit, missed))
     return MediumFit(fit, noise, aliasing, evidence, taken)
 
@@ -373,7 +365,8 @@ def medium_kalman(
     test = innovation_test(motion, np.reshape(innovations, data.shape), seen.background.shape[1])
     known = whole.fit.state_covariance, whole.evidence.variance_m2, whole.fit.pulses
     state = np.reshape(states, (*data.shape[:-1], -1))
-    fit = fit_from_state(whole.fit.frequency_hz, state, *known, np.nan, test, whole.aliasing_m2)
+    rest = np.nan, test, whole.aliasing_m2
+    fit = fit_from_state(whole.fit.frequency_hz, state, *known, *rest, freedom=whole.fit.freedom)
     return replace(whole, fit=replace(fit, medium=whole.fit.medium))
 
 
@@ -414,16 +407,6 @@ def bounded_steepness(steepness: ComplexArray, power: FloatArray) -> ComplexArra
     and frequencies of which two waves leave nothing: what then changes is small, though without bound in proportion.
     """
     return np.asarray(steepness * np.minimum(1.0, np.sqrt(power) / LEAST_SHARE))
-
-
-def lengthened(relative: FloatArray, turned_rad: FloatArray, kurtosis: FloatArray) -> FloatArray:
-    """Return the relative spread of a phasor's length, ``relative`` to first order, which is turned by ``turned_rad``.
-
-    What is tracked is linear in what weights the motion, so that a part across the phasor makes it longer:
-    |1 + j t| = 1 + t^2 / 2, of the mean square k t^4 / 4 where t has the root mean square ``turned_rad`` and the
-    ``kurtosis`` k. All of one shape.
-    """
-    return np.asarray(np.hypot(relative, np.sqrt(kurtosis) / 2 * turned_rad**2))
 
 
 def fourth_moment(share: FloatArray, values: FloatArray) -> FloatArray:

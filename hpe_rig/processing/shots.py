@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
-from hpe_rig.processing.budget import Known, estimates_of, known_of
+from hpe_rig.processing.budget import Known, estimates_of, known_of, lengthened
 from hpe_rig.processing.conditioning import (
     CodedVolts,
     GateStatistics,
@@ -28,7 +28,7 @@ from hpe_rig.processing.gate_tracking import added, follow
 from hpe_rig.processing.harmonic import HarmonicFit
 from hpe_rig.processing.model import LinearModel, linear_model
 from hpe_rig.processing.motion import coherent
-from hpe_rig.processing.prior import MediumPrior, lengthened, medium_prior
+from hpe_rig.processing.prior import MediumPrior, medium_prior
 from hpe_rig.processing.quantisation import rounding_m
 from hpe_rig.processing.residual_line import Line, residual_line
 from hpe_rig.processing.stationarity import Drift, drift_between_halves
@@ -396,29 +396,29 @@ def _fit(
 def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) -> Averaging | None:
     """Return the averaging of one frequency in the media that the motion leaves likely; else as ``predicted``.
 
-    What speckle does is, to first order, to make the tracking beam wider or narrower: how much that matters is the
-    root mean square over those media, widths of the force included.
+    What speckle does is to make the tracking beam wider or narrower: how much that matters is the root mean square over
+    those media, widths of the force included.
     """
     if predicted is None or fit.medium is None:
         return predicted
     ratio = 1 / complex(fit.medium.peak_over_tracked[index])
     relative, phase_rad = np.sqrt(np.diag(fit.medium.peak_covariance[index])).tolist()
-    speckle, turned = predicted.area_spread * fit.medium.steepness[index]
-    tails = predicted.area_kurtosis * fit.medium.steepness_kurtosis[index]
+    speckle, turned = (predicted.area_spread * fit.medium.steepness[index]).tolist()
     factor = (1 - predicted.loss_scale * (1 - abs(ratio))) * predicted.offset_factor
-    return replace(
+    seen = replace(
         predicted,
         factor=factor,
         phase_rad=float(np.angle(ratio)) + predicted.offset_phase_rad,
-        speckle_relative=float(lengthened(speckle, turned, tails[1])),
-        speckle_phase_rad=float(turned),
+        speckle_relative=speckle,
+        speckle_phase_rad=turned,
         factor_uncertainty=factor * relative,
         phase_uncertainty_rad=phase_rad,
         shared_relative=float(fit.medium.shared[index, 0]),
         shared_phase_rad2=float(fit.medium.shared[index, 1]),
-        speckle_kurtosis=_pair(tails),
+        speckle_kurtosis=_pair(predicted.area_kurtosis * fit.medium.steepness_kurtosis[index]),
         lost_kurtosis=_pair(fit.medium.peak_kurtosis[index]),
     )
+    return lengthened(seen)
 
 
 def _pair(values: NDArray[np.float64]) -> tuple[float, float]:

@@ -17,9 +17,10 @@ import numpy as np
 
 from hpe_rig.processing.conditioning import hann
 from hpe_rig.processing.echoes import BoolArray, FloatArray, Velocity
-from hpe_rig.processing.harmonic import STEPS_FREEDOM, HarmonicFit, by_residual, fit_from_state
+from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
 from hpe_rig.processing.kalman_filter import PRIOR, filter_constant
 from hpe_rig.processing.model import LARGEST_CONDITION, LinearModel, harmonic_columns, linear_model
+from hpe_rig.result import by_residual
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,15 +82,15 @@ def velocity_to_harmonics(
         _one_frequency(velocity, filled, f, _half_width_hz(every_hz, f), model, fitted, steps) for f in frequency_hz
     ]
     states, functionals = zip(*each, strict=True)
-    pulse_variance, interval_variance = velocity_noise(velocity, model, every_hz, interval_s)
+    pulse_variance, interval_variance, freedom = velocity_noise(velocity, model, every_hz, interval_s)
     over_intervals = np.concatenate(functionals)
     over_pulses = per_pulse(over_intervals, interval_s)
     covariance = pulse_variance[..., None, None] * (over_pulses @ over_pulses.T)
     covariance = covariance + interval_variance[..., None, None] * (over_intervals @ over_intervals.T)
-    covariance *= by_residual(STEPS_FREEDOM * (len(model.matrix) - model.matrix.shape[1]))
+    covariance *= by_residual(freedom)
     used = int(np.count_nonzero(np.append(velocity.valid, False) | np.insert(velocity.valid, 0, False)))
     state = np.concatenate(states, axis=-1)
-    return fit_from_state(frequency_hz, state, covariance, pulse_variance, used, model.condition)
+    return fit_from_state(frequency_hz, state, covariance, pulse_variance, used, model.condition, freedom=freedom)
 
 
 def _even_interval_s(velocity: Velocity) -> float:
@@ -171,9 +172,11 @@ def _filled(velocity: Velocity, model: LinearModel, fitted: FloatArray) -> Float
 
 def velocity_noise(
     velocity: Velocity, model: LinearModel, frequency_hz: FloatArray, interval_s: float
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, float]:
     """Return the variances (...) of one pulse's displacement (m^2) and of one interval's velocity ((m/s)^2).
 
+    And the degrees of freedom of the residual that tells the first, (tr A)^2 / tr A^2 of its covariance A
+    (Satterthwaite, 1946).
     Noise of the echoes is white over pulses, so neighbouring velocities share it with opposite sign. Where the peak of
     the cross-spectrum jumps between two of equal height the velocities carry noise that does not cancel in
     the next interval; it is looked for in the spectrum of the residual from ``model`` outside ``frequency_hz``
@@ -186,13 +189,26 @@ def velocity_noise(
     residual[..., velocity.valid] = model.solve(velocity.velocity_m_per_s[..., velocity.valid])[1]
     spread = np.zeros((q.shape[1], velocity.valid.size))
     spread[:, velocity.valid] = q.T
-    expected = 2 * len(q) / interval_s**2 - np.sum(per_pulse(spread, interval_s) ** 2)
+    over_pulses = per_pulse(spread, interval_s)
+    expected = 2 * len(q) / interval_s**2 - np.sum(over_pulses**2)
+    freedom = float(expected**2 / _square_trace(q, over_pulses, velocity.valid, interval_s))
     alone = np.sum(residual**2, axis=-1) / expected
     power, shape = _residual_spectrum(residual * interval_s, velocity, frequency_hz, interval_s)
     if shape.size < LEAST_BINS:
-        return alone, np.zeros_like(alone)
+        return alone, np.zeros_like(alone), freedom
     pulse, ratio = _most_likely(power, shape)
-    return np.where(ratio > 0, pulse, alone), ratio * pulse / interval_s**2
+    return np.where(ratio > 0, pulse, alone), ratio * pulse / interval_s**2, freedom
+
+
+def _square_trace(q: FloatArray, over_pulses: FloatArray, valid: BoolArray, interval_s: float) -> float:
+    """Return tr (M K M K): K the covariance of velocities of unit pulse noise, M = 1 - q q' what a fit of q leaves.
+
+    ``over_pulses`` (state, pulse): the columns of q (valid interval, state) as rows over pulses.
+    """
+    covered = np.diff(over_pulses)[:, valid] / interval_s
+    whole = (4 * len(q) + 2 * np.count_nonzero(valid[:-1] & valid[1:])) / interval_s**4
+    left = whole - 2 * np.sum(covered**2) + np.sum((covered @ q) ** 2)
+    return max(float(left), np.finfo(np.float64).tiny)
 
 
 def per_pulse(functional: FloatArray, interval_s: float) -> FloatArray:

@@ -139,7 +139,8 @@ class Estimate:
     are the predicted ratio and lag of tracked to peak displacement, None where no beams are given. ``aliasing_factor``
     and ``aliasing_phase_rad`` are what unresolved harmonics make of the tracked values, as far as the motion tells; the
     headline is without. ``components`` are the independent sources of uncertainty of the headline, of which there is
-    noise alone where none are listed. ``true_amplitude_m`` and ``true_phase_rad`` are the ground truth, the peak
+    noise alone where none are listed. ``noise_freedom``: degrees of freedom of the residual that tells the noise.
+    ``true_amplitude_m`` and ``true_phase_rad`` are the ground truth, the peak
     displacement at the focus, known on the twin alone.
     """
 
@@ -156,6 +157,7 @@ class Estimate:
     components: tuple[Component, ...] = ()
     aliasing_factor: float = 1.0
     aliasing_phase_rad: float = 0.0
+    noise_freedom: float = math.inf
 
     @property
     def headline(self) -> Headline:

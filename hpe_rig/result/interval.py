@@ -19,7 +19,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from hpe_rig.result.phase import PHASE_VARIANCE_LIMIT
+from hpe_rig.result.phase import PHASE_VARIANCE_LIMIT, FloatArray
 
 NORMAL = 3.0
 """Kurtosis of a normal distribution."""
@@ -29,8 +29,33 @@ COVERED = (0.6827, 0.95)
 """Probabilities of the intervals that are stated."""
 NEARLY_NORMAL = 0.01
 """Kurtosis off that of a normal distribution up to which intervals are a normal one's, to 1e-3 of themselves."""
+LEAST_FREEDOM = 5.0
+"""Degrees of freedom from which on Student's distribution has a kurtosis, 9 there, that intervals can be taken by."""
+WIDE_AT_LEAST = 1.9912
+"""Half width of the interval of 95 % in standard deviations there: its quantile 2.5706 over sqrt(5 / 3)."""
+NORMAL_95 = 1.959964
+"""The same of a normal distribution."""
 PLACES = np.sinh(np.linspace(0.0, 5.0, 2001))
 """Standard deviations at which a density is summed: quantiles are good to 1e-3."""
+
+
+def by_residual(freedom: FloatArray | float) -> FloatArray:
+    """Return the factor on a variance that is known only from a residual of ``freedom`` (...) degrees of freedom.
+
+    An error over such a standard deviation has Student's distribution: the factor is its variance, f / (f - 2)
+    (Guide to the expression of uncertainty in measurement, Supplement 1, 6.4.9.4). Below ``LEAST_FREEDOM``, where it
+    has no kurtosis or no variance, it is the factor with which the interval of 95 % holds as many, by Wallace's
+    quantile (1959): 4 % too wide at 2 degrees of freedom and 38 % at 1, as which less counts.
+    """
+    many, few = np.maximum(freedom, LEAST_FREEDOM), np.clip(freedom, 1.0, LEAST_FREEDOM)
+    exponent = (NORMAL_95 * (8 * few + 3) / (8 * few + 1)) ** 2 / few
+    by_interval = few * np.expm1(exponent) / WIDE_AT_LEAST**2
+    return np.asarray(np.where(np.less(freedom, LEAST_FREEDOM), by_interval, 1 + 2 / (many - 2)))
+
+
+def residual_kurtosis(freedom: float) -> float:
+    """Return the kurtosis of an error whose variance is known only from a residual: with it intervals are Student's."""
+    return NORMAL + 6 / (max(freedom, LEAST_FREEDOM) - 4)
 
 
 def half_widths(uncertainty: float, kurtosis: float = NORMAL) -> tuple[float, float]:

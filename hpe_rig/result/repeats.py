@@ -13,7 +13,15 @@ from dataclasses import dataclass, field
 from statistics import fmean
 
 from hpe_rig.result.estimates import RECTIFIED, Estimate, Headline, ShotResult
-from hpe_rig.result.interval import NORMAL, combined_kurtosis, half_widths, phase_half_widths, phase_kurtosis
+from hpe_rig.result.interval import (
+    NORMAL,
+    by_residual,
+    combined_kurtosis,
+    half_widths,
+    phase_half_widths,
+    phase_kurtosis,
+    residual_kurtosis,
+)
 from hpe_rig.result.phase import phase_variance_rad2, rectified_variance_m2
 
 INDEPENDENT = ("noise", "trigger jitter")
@@ -104,7 +112,8 @@ def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
     probability = float(gammaincc(freedom / 2, chi_square / 2))
     agrees = probability >= DISAGREE
     common = [_parts(item, independent=False) for item in estimates]
-    stated = _of_the_mean(each, independent, abs(mean))
+    together = sum(item.noise_freedom for item in estimates)
+    stated = _of_the_mean(each, _with_freedom(estimates, independent, together), abs(mean))
     own_m, own_rad = (
         # Scatter beyond what is stated has a cause that nobody listed: then what was found counts.
         max(stated[axis], 0.0 if agrees else _spread(deviations) / math.sqrt(count))
@@ -113,7 +122,7 @@ def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
     u_m, u_rad = (
         math.hypot(own, sum(part[axis] for part in common) / count) for axis, own in enumerate((own_m, own_rad))
     )
-    kurtosis_m, kurtosis_rad = _kurtoses(estimates, u_m, u_rad, own_rad)
+    kurtosis_m, kurtosis_rad = _kurtoses(estimates, (u_m, u_rad), (own_m, own_rad), residual_kurtosis(together))
     (narrow_m, wide_m), (narrow_rad, wide_rad) = half_widths(u_m, kurtosis_m), phase_half_widths(u_rad, kurtosis_rad)
     known = all(item.true_amplitude_m is not None for item in estimates)
     truth = sum(cmath.rect(i.true_amplitude_m or 0.0, i.true_phase_rad or 0.0) for i in estimates) / count
@@ -170,6 +179,14 @@ def _of_the_mean(
     return math.hypot(u_m, rectified_m), math.sqrt(phase_variance_rad2(amplitude_m, u_m**2, u_m**2))
 
 
+def _with_freedom(
+    estimates: Sequence[Estimate], parts: Sequence[tuple[float, float]], freedom: float
+) -> list[tuple[float, float]]:
+    """Return the independent ``parts`` of u as they are where all repeats together, ``freedom``, tell their noise."""
+    factors = [math.sqrt(by_residual(freedom) / by_residual(item.noise_freedom)) for item in estimates]
+    return [(u_m * factor, u_rad * factor) for (u_m, u_rad), factor in zip(parts, factors, strict=True)]
+
+
 def _parts(estimate: Estimate, independent: bool) -> tuple[float, float]:
     """Return u of amplitude, m, and phase, rad, from the components that are independent between repeats, or not."""
     listed = [each for each in estimate.budget if each.source != RECTIFIED]
@@ -177,16 +194,24 @@ def _parts(estimate: Estimate, independent: bool) -> tuple[float, float]:
     return math.hypot(*(each.amplitude_m for each in parts)), math.hypot(*(each.phase_rad for each in parts))
 
 
-def _kurtoses(estimates: Sequence[Estimate], u_m: float, u_rad: float, own_rad: float) -> tuple[float, float]:
-    """Return the kurtoses of the mean's errors of amplitude and phase.
+def _kurtoses(
+    estimates: Sequence[Estimate], u: tuple[float, float], own: tuple[float, float], few: float
+) -> tuple[float, float]:
+    """Return the kurtoses of the mean's errors of amplitude and phase, of uncertainties ``u``.
 
-    What is not normal is common to all repeats, but for the phase of a mean that may be noise, ``own_rad`` of its u.
+    What is common to all repeats has its kurtosis; what is the mean's ``own`` that of ``few`` degrees of freedom, or of
+    a phase that may be noise.
     """
     budgets = [[each for each in item.budget if each.source not in INDEPENDENT] for item in estimates]
-    along = [combined_kurtosis(u_m, ((each.amplitude_m, each.amplitude_kurtosis) for each in own)) for own in budgets]
-    noise = own_rad, phase_kurtosis(own_rad**2)
+    unknown = phase_kurtosis(own[1] ** 2)
+    noise_m, noise_rad = (own[0], few), (own[1], unknown if unknown < NORMAL else few)
+    along = [
+        combined_kurtosis(u[0], [noise_m, *((each.amplitude_m, each.amplitude_kurtosis) for each in common)])
+        for common in budgets
+    ]
     turned = [
-        combined_kurtosis(u_rad, [noise, *((each.phase_rad, each.phase_kurtosis) for each in own)]) for own in budgets
+        combined_kurtosis(u[1], [noise_rad, *((each.phase_rad, each.phase_kurtosis) for each in common)])
+        for common in budgets
     ]
     return fmean(along), fmean(turned)
 

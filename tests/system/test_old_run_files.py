@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from hpe_rig.acquire import open_run, prepare, prepare_rest, process, record_run, resume
-from hpe_rig.processing.harmonic import by_residual
 from hpe_rig.report import write_report
+from hpe_rig.result import by_residual
 from hpe_rig.scene import SettingsError, parse_scene
 from hpe_rig.store import read_run, read_snapshots
 
@@ -29,8 +29,6 @@ With the samples in double precision those versions differ from this one by 1e-8
 """
 ENGINE = SINGLE
 """The same where the twin computes the echoes anew, to the tolerance of its echo engine, and rounds them to codes."""
-FREEDOM = {"specimen": (56, 56), "aborted": (37, 21), "compressed": (16, 36), "aborted-resumed": (37, 37, 37, 37)}
-"""Intervals between pulses less fitted states, of each shot."""
 
 
 @pytest.fixture
@@ -41,17 +39,18 @@ def copied(tmp_path: Path) -> Path:
 
 
 def shots_of(name: str) -> list[dict[str, Any]]:
-    """Return the shots of a result as the earlier version printed them, with u as it is stated now.
-
-    Earlier versions took the noise that the residual of few pulses tells for known.
-    """
+    """Return the shots of a result as the earlier version printed them."""
     shots: list[dict[str, Any]] = json.loads((FIXTURES / f"{name}.json").read_text(encoding="utf-8"))["shots"]
-    for shot, freedom in zip(shots, FREEDOM[name], strict=True):
-        wider = float(np.sqrt(by_residual(2 / 3 * freedom)))
-        for estimate in shot["estimates"]:
-            estimate["amplitude_uncertainty_m"] *= wider
-            estimate["phase_uncertainty_rad"] *= wider
-            estimate["snr_db"] -= 20 * np.log10(wider)
+    return shots
+
+
+def as_stated_then(shots: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return ``shots`` with u as earlier versions stated it: they took noise for known that few pulses tell."""
+    for estimate in (estimate for shot in shots for estimate in shot["estimates"]):
+        wider = float(np.sqrt(by_residual(estimate["noise_freedom"])))
+        estimate["amplitude_uncertainty_m"] /= wider
+        estimate["phase_uncertainty_rad"] /= wider
+        estimate["snr_db"] += 20 * np.log10(wider)
     return shots
 
 
@@ -113,11 +112,11 @@ def test_an_old_run_file_gives_the_numbers_that_its_version_gave(copied: Path, n
     expected = json.loads((FIXTURES / f"{name}.json").read_text(encoding="utf-8"))
     for key in ("title", "status", "simulated", "estimator"):
         assert result[key] == expected[key]
-    assert_alike(result["shots"], shots_of(name), SINGLE)
+    assert_alike(as_stated_then(result["shots"]), expected["shots"], SINGLE)
 
 
 def test_the_comparison_notices_a_number_that_differs(copied: Path) -> None:
-    shots = process(copied / "specimen.h5", CHAIN).as_dict()["shots"]
+    shots = as_stated_then(process(copied / "specimen.h5", CHAIN).as_dict()["shots"])
     shots[1]["estimates"][0]["phase_rad"] += 1e-4
     with pytest.raises(AssertionError, match=r"\[1\].estimates\[0\].phase_rad"):
         assert_alike(shots, shots_of("specimen"), SINGLE)
@@ -130,7 +129,7 @@ def test_an_old_run_is_resumed_and_equals_one_that_was_not_interrupted(copied: P
     resumed = read_run(done)
     assert (resumed.status, resumed.predecessor) == ("complete", "aborted.h5")
     assert resumed.shot_complete.all()
-    assert_alike(process(done, CHAIN).as_dict()["shots"], shots_of("aborted-resumed"), ENGINE)
+    assert_alike(as_stated_then(process(done, CHAIN).as_dict()["shots"]), shots_of("aborted-resumed"), ENGINE)
     whole = read_run(record_run(prepare(str(copied / "aborted.toml")), copied / "whole.h5"))
     for shot in range(1, 4):
         # The first shot is the old version's; the others this version has measured in both files.

@@ -11,9 +11,9 @@ from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from hpe_rig.processing import Motion, kalman, kalman_filter, least_squares
-from hpe_rig.processing.harmonic import by_residual
 from hpe_rig.processing.kalman_filter import filter_changing, filter_constant
 from hpe_rig.processing.model import linear_model
+from hpe_rig.result import by_residual
 
 FloatArray = NDArray[np.float64]
 RATE_HZ = 4000.0

@@ -23,18 +23,17 @@ from hpe_rig.processing.ensemble import (
     displacement_and_slope,
     medium_ensemble,
 )
-from hpe_rig.processing.harmonic import by_residual
 from hpe_rig.processing.prior import (
     FREEDOM,
     LEAST_SHARE,
     WEIGHT,
     MediumFit,
-    lengthened,
     medium_fit,
     medium_kalman,
     medium_prior,
     seen_by,
 )
+from hpe_rig.result import by_residual
 from sim_backend.motion.specimen import frequency_response
 from sim_backend.settings import Specimen
 
@@ -631,17 +630,3 @@ def test_beside_the_push_the_ensemble_is_interpolated_to_1e_3_of_the_motion() ->
     between = (ensemble.tracked @ ensemble.interpolation(other.node_hz).T)[member]
     rms = np.sqrt(np.sum(np.abs(ensemble.tracked @ ensemble.interpolation(RATE_HZ * harmonic).T) ** 2, axis=1))[member]
     assert np.abs(between - other.tracked[member]).max() < 1e-3 * rms
-
-
-@pytest.mark.parametrize("freedom", [9, 40])
-def test_what_speckle_turns_it_lengthens(freedom: int) -> None:
-    """Mean square change of |1 + x + j t|, x and t of Student's distribution, kurtosis 3 + 6 / (freedom - 4).
-
-    The next order of x is 0.02 squared. 400 000 draws of t^4, of kurtosis 12 to some hundred, know it to 3 %.
-    """
-    draws = np.random.default_rng(freedom).standard_t(freedom, (2, 400_000)) / np.sqrt(freedom / (freedom - 2))
-    relative, turned_rad, kurtosis = 0.02, 0.15, 3 + 6 / (freedom - 4)
-    length = np.abs(1 + relative * draws[0] + 1j * turned_rad * draws[1])
-    stated = lengthened(np.array(relative), np.array(turned_rad), np.array(kurtosis))
-    assert np.mean((length - 1) ** 2) == pytest.approx(stated**2, rel=0.1)
-    assert lengthened(np.array(relative), np.array(0.0), np.array(kurtosis)) == relative
