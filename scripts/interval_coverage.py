@@ -392,8 +392,8 @@ u is a standard deviation, whatever the distribution of an error: NEV is 1 where
   where the peak of its spectrum jumps from bin to bin the reference gate does not take it off. The pulses that are
   skipped about every toneburst let the noise along one direction of the phasors grow to 9 to 110 nm, while across it
   there are 3 nm; the motion of 2 to 8 nm lies within some 30 degrees of that direction in most media, so that noise
-  decides between about the true phase and nearly the opposite one. Errors are then below 40 or above 100 degrees, and
-  an interval of 110 degrees holds 56 %. Uncertainty takes the true phase for even over the circle.
+  alone decides whether the phase found is about right or nearly opposite. Errors are then below 40 or above 100
+  degrees, and an interval of 110 degrees holds 56 %. u assumes that the true phase may be any.
 
 u holds one thing that no seed draws. The prior allows reflections and layers, which no medium without end has, 3 % of
 each harmonic, and so much of them as its shrinkage takes counts as aliasing: where amplitudes are ten to twenty times
