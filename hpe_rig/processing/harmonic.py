@@ -143,9 +143,9 @@ def of_changes(columns: FloatArray, taken: FloatArray, walk: FloatArray) -> tupl
     along = np.einsum("ij,ij->j", onwards, changes)
     products = inner * (onwards.T @ onwards)
     steps = count - 2 * taken @ along + np.einsum("...i,ij,...j->...", taken, products, taken)
-    # A = D (1 - Q g Q') D'
-    again = np.diff(changes, axis=0, prepend=0.0, append=0.0)
-    square = 6 * count - 2 - 2 * gone @ np.einsum("ij,ij->j", again, again)
+    # A = D (1 - Q g Q') D', and |D' D q|^2 = 2 |D q|^2 - 2 sum of neighbours' products
+    again = 2 * (energy - np.einsum("ij,ij->j", changes[1:], changes[:-1]))
+    square = 6 * count - 2 - 2 * gone @ again
     square = square + np.einsum("...i,ij,...j->...", gone, inner**2, gone)
     freedom = white**2 / np.maximum(square, np.finfo(np.float64).tiny) * _of_walk(walk)
     return np.asarray(white + walk * steps), np.asarray(freedom)
