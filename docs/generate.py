@@ -115,7 +115,7 @@ def write_pages(folder: Path) -> None:
 
 def settings_page(of: str) -> str:
     """Return the page of a ``"scene"``, a ``"bench"`` file or ``"simulation"``: every key, from the schema."""
-    from hpe_rig.acquire import settings_tables
+    from hpe_rig.runs import settings_tables
     from hpe_rig.scene.description import toml_value
 
     lines = [f"# Keys of {'[simulation]' if of == 'simulation' else f'a {of}'}", "", PURPOSE[of], ""]

@@ -10,19 +10,21 @@
 >>> hpe.estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
 >>> hpe.run_study("fig-7", "results")
 
-A scene is a name, a path or a ``Scene`` wherever one is taken. The map:
+A scene is given as a name, a path or a ``Scene``. The packages, in the order of the flow:
 
 scene.toml -> plan -> bench -> sequencer -> records -> processing -> result -> report
-scene/        plan/   bench/   acquire/     store/     processing/   result/   report/
-before it: prediction/; after it: moduli/; beside it, files and code of others: recordings/, extensions/
-around it: live/, study/, design/, validation/, cli/; startup.py: Ctrl-C while the program loads
+scene/        plan/   bench/   measurement/ store/     processing/   result/   report/
+
+before a measurement: prediction/, design/; after it: moduli/, runs/; physics of the specimen: medium/
+files and code of others: recordings/, extensions/; around the flow: live/, study/, validation/, cli/
+arrays.py: types of arrays; startup.py: Ctrl-C while the program loads
 
 what                                        equation of the paper          where
 burst train, spectrum of its force          (17), (18)                     prediction/theory.py, sim_backend/motion
-displacement D(t), velocity                 (1), (2)                       processing/harmonic.py
+displacement D(t), velocity                 (1), (2)                       processing/harmonics/model.py
 echo of a scatterer, its delay              (3), (7) to (13)               sim_backend/echoes
-cross-spectrum, velocity from its phase     (5), (6)                       processing/motion.py
-amplitude and phase from displacement       Kalman filter, least squares   processing/: harmonic.py, kalman_filter.py
+cross-spectrum, velocity from its phase     (5), (6)                       processing/motion/spectral_peak.py
+amplitude and phase from displacement       Kalman filter, least squares   processing/harmonics/
 noise at a signal-to-noise ratio            (16)                           sim_backend/receiver
 
 T_b  burst_length_s     f_r  burst_rate_hz     f_prf  pulse_rate_hz     t_d  tracking.delay_s

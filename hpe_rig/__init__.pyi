@@ -1,4 +1,5 @@
-from .acquire import (
+from .result import Result as Result
+from .runs import (
     CheckedScene as CheckedScene,
     Run as Run,
     check as check,
@@ -11,6 +12,5 @@ from .acquire import (
     open_run as open_run,
     sweep as sweep,
 )
-from .result import Result as Result
 from .scene import Scene as Scene, load_scene as load_scene
 from .study import run_study as run_study

@@ -13,10 +13,10 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import j0, j1
 
+from hpe_rig.arrays import ComplexArray, FloatArray
 from sim_backend.acoustics import Acoustics
 from sim_backend.echoes import coloured, draw_field, drawn_echoes, echo_pulse, echoes, numba_installed
 from sim_backend.settings import SimulationSettings, Transducer
@@ -24,10 +24,9 @@ from sim_backend.transducer import bowl_pressure, push_intensity, wave_number
 from sim_backend.wiring import Bursts, Capture
 
 if TYPE_CHECKING:
+    from hpe_rig.medium import PushForce
     from hpe_rig.moduli import Moduli
-    from hpe_rig.processing import PushForce
 
-Floats = NDArray[np.float64]
 SPEED = 1540.0
 PAPER = Transducer()
 GATE_S = (np.arange(130) - 65) * 1e-8
@@ -45,7 +44,7 @@ def timed(make: Callable[[], Any], times: int = 5) -> tuple[Any, float]:
     return made, min(taken)
 
 
-def on_axis(k: complex, axial_m: Floats) -> NDArray[np.complex128]:
+def on_axis(k: complex, axial_m: FloatArray) -> ComplexArray:
     """Return O'Neil's closed form on the axis."""
     focal_m, radius_m = PAPER.focal_length_m, PAPER.diameter_m / 2
     middle_m = focal_m + axial_m
@@ -215,7 +214,7 @@ def _ratio(settings: SimulationSettings, seed: int) -> float:
     return float(turned / (step / 1e-8) * SPEED / 2 / 200e-9)
 
 
-def _analytic(echo: Floats) -> NDArray[np.complex128]:
+def _analytic(echo: FloatArray) -> ComplexArray:
     spectrum = np.fft.fft(np.pad(echo * np.hanning(len(echo)), 190))
     spectrum[len(spectrum) // 2 :] = 0
     return np.asarray(np.fft.ifft(spectrum))
@@ -224,7 +223,7 @@ def _analytic(echo: Floats) -> NDArray[np.complex128]:
 _SHAPES: dict[str, Any] = {}
 
 
-def _in_phase(settings: SimulationSettings, offset_m: Floats) -> Floats:
+def _in_phase(settings: SimulationSettings, offset_m: FloatArray) -> FloatArray:
     """Return the medium's displacement at 200 Hz at the scatterers, in phase with the focus' and over it."""
     from scipy.interpolate import RectBivariateSpline
 
@@ -246,7 +245,7 @@ PLACES_M = {"1 to 6 mm, five": (1e-3, 2.25e-3, 3.5e-3, 4.75e-3, 6e-3), "1 mm": (
 
 def moduli() -> None:
     """Print what a fit of moduli makes of the twin's push, by a Gaussian force and by the aperture's own."""
-    from hpe_rig.processing import PushForce, aperture_force
+    from hpe_rig.medium import PushForce, aperture_force
 
     own = aperture_force(PAPER.diameter_m, PAPER.focal_length_m, 3e6, SPEED)
     pushes = {"Gaussian": PushForce((0.34e-3,), 3.6e-3), "aperture": own}
@@ -267,7 +266,7 @@ def measured() -> None:
     The scan is one without phase, every 50 um across and 0.25 mm along, 9 mm and 22 mm to each side.
     """
     from hpe_rig.bench import scanned_push
-    from hpe_rig.processing import aperture_force, scanned_force
+    from hpe_rig.medium import aperture_force, scanned_force
 
     even = aperture_force(PAPER.diameter_m, PAPER.focal_length_m, 3e6, SPEED)
     k = wave_number(3e6, SPEED, 0.5)

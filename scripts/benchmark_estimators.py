@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import os
 
+from hpe_rig.arrays import FloatArray
+
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_threads] = "1"
 
@@ -19,12 +21,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, Motion, estimate, kalman, least_squares, motion_of
 from hpe_rig.validation import MotionCase, gate, twin_echoes
 
-Floats = NDArray[np.float64]
 RATE_HZ, FREQUENCY_HZ, NOISE_M = 4000.0, 200.0, 1e-7
 
 
@@ -52,7 +52,7 @@ def _harmonic(pulses: int, series: int, repeats: int) -> None:
     motion = Motion(time_s, data, np.full(data.shape, NOISE_M**2), np.ones(pulses, dtype=bool))
     angle = 2 * np.pi * FREQUENCY_HZ * time_s
     rows = np.stack([np.sin(angle), np.cos(angle)], axis=-1)
-    ways: dict[str, Callable[[], Floats]] = {
+    ways: dict[str, Callable[[], FloatArray]] = {
         "hpe_rig least_squares": lambda: least_squares(motion, [FREQUENCY_HZ]).state[:, :2],
         "hpe_rig kalman": lambda: kalman(motion, [FREQUENCY_HZ], innovations=False).state[:, :2],
         "hpe_rig kalman with NIS": lambda: kalman(motion, [FREQUENCY_HZ]).state[:, :2],
@@ -69,7 +69,7 @@ def _harmonic(pulses: int, series: int, repeats: int) -> None:
         _line(f"{name}, {series} x {pulses}", compute, truth, 10 * repeats if pulses * series < 10_000 else repeats)
 
 
-def _statsmodels(rows: Floats, data: Floats, innovations: bool = False) -> Floats:
+def _statsmodels(rows: FloatArray, data: FloatArray, innovations: bool = False) -> FloatArray:
     module = importlib.import_module("statsmodels.tsa.statespace.kalman_filter")
     found = []
     for series in data:
@@ -87,7 +87,7 @@ def _statsmodels(rows: Floats, data: Floats, innovations: bool = False) -> Float
     return np.array(found)
 
 
-def _filterpy(rows: Floats, data: Floats) -> Floats:
+def _filterpy(rows: FloatArray, data: FloatArray) -> FloatArray:
     module = importlib.import_module("filterpy.kalman")
     found = []
     for series in data:
@@ -99,7 +99,7 @@ def _filterpy(rows: Floats, data: Floats) -> Floats:
     return np.array(found)
 
 
-def _simdkalman(time_s: Floats, data: Floats) -> Floats:
+def _simdkalman(time_s: FloatArray, data: FloatArray) -> FloatArray:
     module = importlib.import_module("simdkalman")
     angle = 2 * np.pi * FREQUENCY_HZ * (time_s[1] - time_s[0])
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
@@ -150,12 +150,12 @@ def _velocity(pulses: int, samples: int, repeats: int) -> None:
     analytic = (2 * np.fft.ifft(spectrum, axis=-1)).astype(np.complex64)[..., None]
     truth = np.array([1e-3])
 
-    def by_zea() -> Floats:
+    def by_zea() -> FloatArray:
         os.environ.setdefault("KERAS_BACKEND", "jax")
         found = importlib.import_module("zea.doppler").color_doppler(analytic, 9e6, RATE_HZ, 1540.0)
         return np.array([-float(np.mean(found))])
 
-    def by_slope(name: Estimator) -> Floats:
+    def by_slope(name: Estimator) -> FloatArray:
         return np.polyfit(time_s, motion_of(echoes, name).displacement_m, 1)[:1]
 
     for name in ("coherent", "kasai"):
@@ -164,11 +164,11 @@ def _velocity(pulses: int, samples: int, repeats: int) -> None:
     _line(f"zea color_doppler, {pulses} x {samples}, from IQ", by_zea, truth, 3 * repeats, 1e6, "um/s")
 
 
-def _fitted(motion: Motion) -> Floats:
+def _fitted(motion: Motion) -> FloatArray:
     return least_squares(motion, [FREQUENCY_HZ]).state[:2]
 
 
-def _skimage(echoes: EchoGate) -> Floats:
+def _skimage(echoes: EchoGate) -> FloatArray:
     register = importlib.import_module("skimage.registration").phase_cross_correlation
     reference = echoes.volts.mean(axis=0)
     lag = [register(echo, reference, upsample_factor=1000, normalization=None)[0][0] for echo in echoes.volts]
@@ -176,7 +176,7 @@ def _skimage(echoes: EchoGate) -> Floats:
     return _fitted(Motion(echoes.pulse_time_s, metres, np.zeros_like(metres), echoes.valid))
 
 
-def _train(displacement_m: Floats, samples: int) -> EchoGate:
+def _train(displacement_m: FloatArray, samples: int) -> EchoGate:
     """Return echoes (pulse, sample) of one medium that moves as a whole, 40 dB SNR."""
     generator = np.random.default_rng(3)
     bins = samples // 2 + 1
@@ -190,7 +190,7 @@ def _train(displacement_m: Floats, samples: int) -> EchoGate:
 
 
 def _line(
-    name: str, compute: Callable[[], Floats], truth: Floats, repeats: int, scale: float = 1e9, unit: str = "nm"
+    name: str, compute: Callable[[], FloatArray], truth: FloatArray, repeats: int, scale: float = 1e9, unit: str = "nm"
 ) -> None:
     times_s = []
     try:

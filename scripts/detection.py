@@ -14,10 +14,10 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 import hpe_rig as hpe
-from hpe_rig.acquire import prepare
+from hpe_rig.arrays import FloatArray
+from hpe_rig.measurement import prepare
 from hpe_rig.plan import select
 from hpe_rig.prediction import FALSE_ALARMS, beam_widths, detection_floor, noise_gain
 from hpe_rig.processing import (
@@ -32,8 +32,6 @@ from hpe_rig.processing import (
 )
 from sim_backend.echoes import drawn_echoes, hann_pulse
 from sim_backend.settings import SimulationSettings
-
-FloatArray = NDArray[np.float64]
 
 SNR_DB = (0.0, 10.0, 20.0, 40.0)
 SAMPLE_RATE_HZ, CARRIER_HZ, BANDWIDTH = 100e6, 9e6, 0.065

@@ -16,13 +16,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 import hpe_rig as hpe
+from hpe_rig.arrays import FloatArray
 from hpe_rig.prediction import draw_speckle, resting_conditions, tracked_over_peak
 from hpe_rig.result import COVERED, coverage_factor
-
-FloatArray = NDArray[np.float64]
 
 DRAWS = 20_000
 WIDTH_SPREAD = 0.3

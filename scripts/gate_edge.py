@@ -8,8 +8,8 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, margin_samples
 
 SAMPLE_RATE_HZ, CARRIER_HZ, SOUND_SPEED, LENGTH_S = 100e6, 9e6, 1540.0, 1 / (0.065 * 9e6)
@@ -31,7 +31,7 @@ def main() -> None:
                 print(f"{name:20}{gate_m * 1e3:5g} mm{margin:8}{errors.mean():10.4f} %{errors.std():10.4f} %")
 
 
-def echoes(gate_m: float, margin: int, draws: int) -> NDArray[np.float64]:
+def echoes(gate_m: float, margin: int, draws: int) -> FloatArray:
     """Return noise-free echoes (draw, pulse, sample) of a medium that moves as a whole."""
     generator = np.random.default_rng(1)
     samples = round(2 * gate_m / SOUND_SPEED * SAMPLE_RATE_HZ) + 2 * margin
@@ -49,7 +49,7 @@ def echoes(gate_m: float, margin: int, draws: int) -> NDArray[np.float64]:
     return found
 
 
-def relative_errors(volts: NDArray[np.float64], margin: int, name: Estimator) -> NDArray[np.float64]:
+def relative_errors(volts: FloatArray, margin: int, name: Estimator) -> FloatArray:
     """Return the relative error of the amplitude (draw,)."""
     everything = np.ones(PULSE_TIME_S.size, dtype=bool)
     gate = EchoGate(volts, SAMPLE_RATE_HZ, PULSE_TIME_S, CARRIER_HZ, SOUND_SPEED, everything, (margin, margin))

@@ -14,11 +14,9 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import j0
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from hpe_rig.arrays import ComplexArray, FloatArray
 
 WIDTH_M = (0.34e-3, 3.6e-3)
 DENSITY = 1000.0

@@ -33,8 +33,9 @@ from typing import Any
 
 import numpy as np
 
-from hpe_rig.acquire import Progress, Setup, Step, prepare_rest, prepare_text, process, record_run, resume
+from hpe_rig.measurement import Progress, Setup, Step, prepare_rest, prepare_text, record_run, resume
 from hpe_rig.plan import PlanError
+from hpe_rig.runs import process
 from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, WriteOptions, read_run, verify
 

@@ -35,14 +35,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import hpe_rig as hpe
+from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
-from hpe_rig.plan import PlanError
-from hpe_rig.processing import (
+from hpe_rig.medium import (
     BRANCH_OVER_MODULUS,
-    ESTIMATORS,
     LOW_VISCOSITY_PA_S,
     MAXWELL_VISCOSITY_PA_S,
     MODULUS_PA,
@@ -50,6 +48,8 @@ from hpe_rig.processing import (
     POWER_REFERENCE_HZ,
     VISCOSITY_PA_S,
 )
+from hpe_rig.plan import PlanError
+from hpe_rig.processing import ESTIMATORS
 from hpe_rig.result import Result
 from hpe_rig.scene import Scene, shipped_scenes, with_default_specimen
 from hpe_rig.store import StoreError
@@ -180,7 +180,7 @@ def coverage(name: str, estimators: Sequence[str], seeds: Sequence[int]) -> list
     return [_row(name, estimator, [run[estimator] for run in runs]) for estimator in estimators]
 
 
-def errors_over_u(name: str, estimators: tuple[str, ...], seed: int) -> dict[str, NDArray[np.float64] | None]:
+def errors_over_u(name: str, estimators: tuple[str, ...], seed: int) -> dict[str, FloatArray | None]:
     """Return error over u of amplitude and phase, (estimate, 2), by estimator; None where it refuses the records."""
     scene = drawn(thinned(with_default_specimen(hpe.load_scene(name))), seed)
     with TemporaryDirectory() as folder:
@@ -269,7 +269,7 @@ def drawn_medium(rng: np.random.Generator) -> dict[str, Any]:
     return found
 
 
-def _ratios(run: hpe.Run, estimator: str) -> NDArray[np.float64] | None:
+def _ratios(run: hpe.Run, estimator: str) -> FloatArray | None:
     """Return error over u and over the half widths of 68 and 95 %, (estimate, 2, 3).
 
     None where records are refused, no estimate where a warning rules it out.
@@ -283,7 +283,7 @@ def _ratios(run: hpe.Run, estimator: str) -> NDArray[np.float64] | None:
     return np.array(list(_each_ratio(result)))
 
 
-def _each_ratio(result: Result) -> Iterator[NDArray[np.float64]]:
+def _each_ratio(result: Result) -> Iterator[FloatArray]:
     for shot in result.shots:
         for item in shot.estimates:
             stated = item.headline
@@ -294,7 +294,7 @@ def _each_ratio(result: Result) -> Iterator[NDArray[np.float64]]:
             yield np.stack([error_m / np.array(widths_m), error_rad / np.array(widths_rad)])
 
 
-def _row(name: str, estimator: str, runs: Sequence[NDArray[np.float64] | None]) -> Row:
+def _row(name: str, estimator: str, runs: Sequence[FloatArray | None]) -> Row:
     """Return the coverage over ``runs``, what ``_ratios`` has of each."""
     answered = [run for run in runs if run is not None]
     found = [run for run in answered if len(run)]

@@ -38,8 +38,9 @@ def _row(pulses: int) -> str:
     import resource
 
     import hpe_rig as hpe
-    from hpe_rig.acquire import prepare, process, record_run
+    from hpe_rig.measurement import prepare, record_run
     from hpe_rig.result import Stages
+    from hpe_rig.runs import process
 
     start_s, stages = time.perf_counter(), Stages()
     with tempfile.TemporaryDirectory() as folder:

@@ -21,8 +21,8 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import ComplexSingleArray
 from hpe_rig.processing import MapSettings, map_pixels
 from hpe_rig.result import text_table
 
@@ -31,7 +31,7 @@ RATE_HZ, CARRIER_HZ, PULSE_RATE_HZ, SPEED = 10e6, 5e6, 4000.0, 1540.0
 TEN_HZ = tuple(190.0 * n for n in range(1, 11))
 
 
-def speckle() -> NDArray[np.complex64]:
+def speckle() -> ComplexSingleArray:
     """Return I and Q (line, depth, pulse) of speckle that vibrates by 300 nm at 190 Hz, 30 dB above its noise."""
     rng, time_s = np.random.default_rng(1), np.arange(PULSES) / PULSE_RATE_HZ
     rate_hz = np.fft.fftfreq(DEPTHS, 1 / RATE_HZ)
@@ -44,7 +44,7 @@ def speckle() -> NDArray[np.complex64]:
     return np.asarray(echo + np.sqrt(np.mean(np.abs(echo) ** 2) / 2e3) * noise, np.complex64)
 
 
-def peers(echo: NDArray[np.complex64]) -> dict[str, Callable[[], Any]]:
+def peers(echo: ComplexSingleArray) -> dict[str, Callable[[], Any]]:
     """Return the peers that are installed, each with the array in the order of axes that it takes."""
     found: dict[str, Callable[[], Any]] = {}
     try:

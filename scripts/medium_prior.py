@@ -27,11 +27,10 @@ from unittest import mock
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 import hpe_rig as hpe
-from hpe_rig.prediction import beam_widths, medium_motion
-from hpe_rig.processing import (
+from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
+from hpe_rig.medium import (
     BRANCH_OVER_MODULUS,
     LOW_VISCOSITY_PA_S,
     MAXWELL_VISCOSITY_PA_S,
@@ -40,20 +39,20 @@ from hpe_rig.processing import (
     POWER_REFERENCE_HZ,
     VISCOSITY_PA_S,
     BeamWidths,
+    medium_ensemble,
+)
+from hpe_rig.prediction import beam_widths, medium_motion
+from hpe_rig.processing import (
     HarmonicFit,
     MediumPrior,
     Motion,
     harmonic_columns,
     least_squares,
-    medium_ensemble,
     medium_fit,
     medium_prior,
     seen_by,
     shot_fit,
 )
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 BEAMS = BeamWidths((0.34e-3, 0.34e-3, 3.60e-3), (0.078e-3, 0.078e-3, 0.83e-3), 0.3e-3)
 NARROW = BeamWidths((0.17e-3, 0.17e-3, 1.80e-3), (0.155e-3, 0.155e-3, 1.68e-3), 0.3e-3)
@@ -111,7 +110,7 @@ def harmonics(modulus_pa: ComplexArray, wider: float, longer: float | None = Non
     return np.asarray(wave * RMS_M / np.sqrt(np.sum(np.abs(wave) ** 2) / 2))
 
 
-def train(rate_hz: float, delay_s: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+def train(rate_hz: float, delay_s: float) -> tuple[FloatArray, BoolArray]:
     """Return times (pulse,) over 15 burst periods, from a burst's onset, and which pulses no burst disturbs."""
     time_s = 0.05 + delay_s + np.arange(round(0.15 * rate_hz)) / rate_hz
     inside = time_s % (1 / RATE_HZ)

@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hpe_rig.medium import PushForce
 from hpe_rig.moduli import Push, Vibration, compare_media, fit_medium
-from hpe_rig.processing import PushForce
 from sim_backend.motion import field_transfer
 from sim_backend.settings import Specimen
 

@@ -25,9 +25,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import hpe_rig as hpe
+from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
 from hpe_rig.moduli import (
     Push,
@@ -56,11 +56,11 @@ K_95 = 1.959964
 class Trial:
     """One seed: moduli (2,), their stated uncertainties and bounds, by number of places; whether a law is excluded."""
 
-    values: dict[str, NDArray[np.float64]]
-    stated: dict[str, NDArray[np.float64]]
-    bounds: dict[str, NDArray[np.float64]]
+    values: dict[str, FloatArray]
+    stated: dict[str, FloatArray]
+    bounds: dict[str, FloatArray]
     excluded: dict[str, bool]
-    lateral: NDArray[np.float64]
+    lateral: FloatArray
     """How far the fit moved every place, in units of what is known of it, (place,)."""
 
 
@@ -152,7 +152,7 @@ def drawn(scene: Scene, name: str, seed: int, rng: np.random.Generator) -> Scene
     return changed.with_({"simulation.specimen.force_density_n_per_m3": force})
 
 
-def plane_wave(places: Sequence[Vibration]) -> NDArray[np.float64]:
+def plane_wave(places: Sequence[Vibration]) -> FloatArray:
     """Return the Voigt moduli (2,) of the phase's fall with distance; NaN where it does not fall."""
     wave, _ = plane_wave_of(places, 1000.0)
     if wave is None:
@@ -176,7 +176,7 @@ def _vibration(scene: Scene, plain: dict[str, Any]) -> Vibration:
     return vibration_at(place, scene.processing.estimator, label, *measured)
 
 
-def _bound(places: Sequence[Vibration], push: Push, truth: tuple[float, float]) -> NDArray[np.float64]:
+def _bound(places: Sequence[Vibration], push: Push, truth: tuple[float, float]) -> FloatArray:
     return np.asarray(np.sqrt(np.diag(bound(places, push, "voigt", truth))))
 
 

@@ -18,8 +18,8 @@ from statistics import median
 from typing import Any
 
 from drivers.visa import VisaConnection
-from hpe_rig.acquire import Progress, Step, prepare, record_run
 from hpe_rig.bench import TRANSPORTS, read_bench
+from hpe_rig.measurement import Progress, Step, prepare, record_run
 from hpe_rig.scene import shipped_scenes
 from sim_backend.world import GeneratorConnection
 

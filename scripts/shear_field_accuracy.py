@@ -18,7 +18,7 @@ from itertools import pairwise
 import mpmath as mp
 import numpy as np
 
-from hpe_rig.processing import PushForce, shear_motion
+from hpe_rig.medium import PushForce, shear_motion
 
 GAUSSIAN = PushForce((0.34e-3,), 3.6e-3)
 SHARES = ((0.0, 0.0, 0.02), (0.1, 0.3, 0.0), (0.8, 0.2, -0.05), (0.0, 0.25, 0.1))

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 
-from hpe_rig.acquire import prepare, prepare_text
+from hpe_rig.measurement import prepare, prepare_text
 from hpe_rig.prediction import fitted_over_true
 from hpe_rig.scene import scene_text
 

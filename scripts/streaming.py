@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from drivers.interfaces import RecordBlock
-    from hpe_rig.acquire import Setup
+    from hpe_rig.measurement import Setup
 
 AT_ONCE = 1000
 CODES = 997
@@ -56,7 +56,7 @@ def main() -> None:
 
 def _write(folder: Path, megabytes: float, samples: int, repeats: int) -> None:
     import hpe_rig as hpe
-    from hpe_rig.acquire import prepare
+    from hpe_rig.measurement import prepare
 
     pulses = AT_ONCE * max(1, round(megabytes * 1e6 / (2 * samples * AT_ONCE)))
     keys = {"tracking.pulse_count": pulses, "acquisition.record_samples": samples}
@@ -143,7 +143,7 @@ def _alone(what: str, path: Path) -> None:
     # Guarded, as it is not there on Windows.
     import resource
 
-    from hpe_rig.acquire import process
+    from hpe_rig.runs import process
     from hpe_rig.store import read_run
 
     start_s = time.perf_counter()

@@ -17,6 +17,8 @@ from __future__ import annotations
 
 import os
 
+from hpe_rig.arrays import FloatArray
+
 # One thread, as a worker of a study has: two that wait for one another count as processor time. Before any import of
 # what has threads.
 for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -34,13 +36,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpe_rig.processing import estimate
 from hpe_rig.study import StudyResult, processes, run_study
 from hpe_rig.validation import MotionCase, gate, twin_echoes
-
-Floats = NDArray[np.float64]
 
 POINTS = {
     "scatterers": 500,
@@ -164,7 +163,7 @@ def control_variate(seeds: int) -> None:
     is zero, and it goes with the estimate. E N / E D is taken from more draws, whose time is not counted.
     """
 
-    def drawn(seed: int, draws: int) -> tuple[Floats, Floats, Floats, list[float]]:
+    def drawn(seed: int, draws: int) -> tuple[FloatArray, FloatArray, FloatArray, list[float]]:
         generator, times = np.random.default_rng(seed), [time.process_time()]
         clean = twin_echoes(case, draws, generator)
         energy = np.square(clean).mean(axis=(1, 2))

@@ -29,7 +29,8 @@ import h5py
 import numpy as np
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.acquire import (
+from hpe_rig.bench import open_bench
+from hpe_rig.measurement import (
     Progress,
     Setup,
     ShotBlock,
@@ -37,11 +38,10 @@ from hpe_rig.acquire import (
     acquire,
     prepare_rest,
     prepare_text,
-    process,
     record_run,
     resume,
 )
-from hpe_rig.bench import open_bench
+from hpe_rig.runs import process
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import RunWriter, StoreError, read_run
 

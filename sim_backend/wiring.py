@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
-from numpy.typing import NDArray
 
-Picoseconds = NDArray[np.int64]
-Volts = NDArray[np.float64]
+from sim_backend.arrays import FloatArray, IndexArray, Int64Array
 
 PS_PER_S = 1_000_000_000_000
 
@@ -51,11 +49,11 @@ class SimulatedClock:
 class Bursts:
     """Sine bursts that reached the transducer; every array has shape (burst,)."""
 
-    onset_ps: Picoseconds
-    end_ps: Picoseconds
-    carrier_hz: NDArray[np.float64]
-    cycles: NDArray[np.float64]
-    amplitude_vpp: NDArray[np.float64]
+    onset_ps: Int64Array
+    end_ps: Int64Array
+    carrier_hz: FloatArray
+    cycles: FloatArray
+    amplitude_vpp: FloatArray
 
     @functools.cached_property
     def longest_ps(self) -> int:
@@ -75,7 +73,7 @@ class Capture:
 
     index: int
     origin_ps: int
-    first_sample_ps: Picoseconds
+    first_sample_ps: Int64Array
     sample_period_ps: int
     samples: int
     first_record: int = 0
@@ -85,9 +83,9 @@ class Capture:
 class Steps:
     """Steps of an output's open-circuit voltage, by time; every array has shape (step,)."""
 
-    time_ps: Picoseconds
-    before_v: Volts
-    after_v: Volts
+    time_ps: Int64Array
+    before_v: FloatArray
+    after_v: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +151,7 @@ def near(bursts: Bursts, capture: Capture) -> Bursts:
     return Bursts(*(getattr(bursts, name)[some] for name in BURST_FIELDS))
 
 
-def crossings(steps: Steps, level_v: float, rising: bool, input_ohm: float) -> Picoseconds:
+def crossings(steps: Steps, level_v: float, rising: bool, input_ohm: float) -> Int64Array:
     """Return when an input of ``input_ohm`` sees the voltage pass ``level_v``: int64 (edge,)."""
     share = input_ohm / (input_ohm + SOURCE_OHM)
     before, after = steps.before_v * share, steps.after_v * share
@@ -161,7 +159,7 @@ def crossings(steps: Steps, level_v: float, rising: bool, input_ohm: float) -> P
     return steps.time_ps[passed]
 
 
-def accepted(trigger_ps: Picoseconds, busy_ps: int, limit: int | None = None) -> NDArray[np.intp]:
+def accepted(trigger_ps: Int64Array, busy_ps: int, limit: int | None = None) -> IndexArray:
     """Return the indices of the triggers that find an instrument idle which is busy ``busy_ps`` after each.
 
     ``trigger_ps`` is sorted; a trigger exactly ``busy_ps`` after an accepted one is accepted too. At most ``limit``.

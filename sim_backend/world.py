@@ -12,8 +12,8 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.digitizer import (
     BOARDS,
     FAR_PS,
@@ -33,7 +33,6 @@ from sim_backend.wiring import (
     Bursts,
     Capture,
     Emission,
-    Picoseconds,
     Respond,
     SimulatedClock,
     Steps,
@@ -58,11 +57,11 @@ KEPT_CAPTURES = 16
 class Physics(Protocol):
     """From what was transmitted to what was received; a capture is asked for in blocks of consecutive records."""
 
-    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> NDArray[np.float64]: ...
+    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray: ...
 
     def focus_displacement_m(
-        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
-    ) -> NDArray[np.float64]: ...
+        self, tonebursts: Bursts, time_ps: Int64Array, origin_ps: int, *, index: int = 0
+    ) -> FloatArray: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +181,7 @@ class World:
         ignored = {role: emission.ignored for role, emission in evaluation.emissions.items()}
         return evaluation.tonebursts, evaluation.pulses, ignored
 
-    def true_displacement_m(self, capture_index: int = -1) -> NDArray[np.float64]:
+    def true_displacement_m(self, capture_index: int = -1) -> FloatArray:
         """Return the true displacement at the focus when each record's tracking pulse got there: (record,).
 
         NaN where no pulse was fired. ``capture_index`` counts the last ``KEPT_CAPTURES`` armings of this world, from
@@ -197,7 +196,7 @@ class World:
         )
         return displacement_m
 
-    def true_motion_m(self, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def true_motion_m(self, time_s: FloatArray) -> FloatArray:
         """Return the true displacement at the focus at ``time_s`` after the master trigger's edge: (time,)."""
         captured = self._capture(-1)
         time_ps = captured.origin_ps + np.round(time_s * PS_PER_S).astype(np.int64)
@@ -233,7 +232,7 @@ class World:
         """Return the records of the last arming, as far as known at least to ``until_ps``."""
         return self._captured(until_ps).taken
 
-    def volts(self, until_ps: int, records: slice) -> NDArray[np.float64]:
+    def volts(self, until_ps: int, records: slice) -> FloatArray:
         """Return the voltage at channel A for consecutive ``records`` of ``taken``: (record, sample)."""
         return self._recorded(until_ps).volts(records)
 

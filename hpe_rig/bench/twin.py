@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import ComplexArray, FloatArray, Int64Array
 from hpe_rig.scene import Mistake, Scene, SettingsError, mistakes_of, settings_schema
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
     from sim_backend.transducer import Push, Scan, WaterOutput
 
-FloatArray = NDArray[np.float64]
 Intensity = Callable[[FloatArray, FloatArray], FloatArray]
 """Over distances from the axis (lateral,) and from the focus (axial,), in any unit: (axial, lateral)."""
 
@@ -132,11 +131,11 @@ class TwinDeclaration:
 
     def moved_m(
         self,
-        time_s: NDArray[np.float64],
-        burst_onset_s: NDArray[np.float64],
+        time_s: FloatArray,
+        burst_onset_s: FloatArray,
         burst_length_s: float,
         drive: tuple[float, float] | None,
-    ) -> NDArray[np.float64]:
+    ) -> FloatArray:
         """Return the displacement at the focus ``time_s`` (time,) after the master trigger, background included, m.
 
         ``burst_onset_s`` (burst,) at the transducer; ``drive``: carrier, Hz, and amplitude, Vpp, of the tonebursts.
@@ -154,11 +153,11 @@ class TwinDeclaration:
 
     def _pushed_m(
         self,
-        time_ps: NDArray[np.int64],
-        burst_onset_s: NDArray[np.float64],
+        time_ps: Int64Array,
+        burst_onset_s: FloatArray,
         burst_length_s: float,
         drive: tuple[float, float],
-    ) -> NDArray[np.float64]:
+    ) -> FloatArray:
         from sim_backend.motion import focus_response, force_shape, radiation_force, transient_displacement
         from sim_backend.wiring import Bursts
 
@@ -208,7 +207,7 @@ class TwinDeclaration:
         """Frequency, Hz, and amplitude, m, of every prescribed sinusoid; empty where no motion is prescribed."""
         return tuple((each.frequency_hz, each.amplitude_m) for each in self.settings.motion or ())
 
-    def background_m(self, time_s: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def background_m(self, time_s: FloatArray) -> FloatArray | None:
         """Return how far the whole specimen has moved ``time_s`` (time,) after the master trigger; None: it rests."""
         if not self.settings.background:
             return None
@@ -261,7 +260,7 @@ class TwinDeclaration:
         response = focus_transfer(specimen, force_shape(self.settings), np.array([frequency_hz]))[0]
         return float(abs(response) * specimen.force_density_n_per_m3)
 
-    def medium(self, frequency_hz: NDArray[np.float64]) -> tuple[NDArray[np.complex128], float] | None:
+    def medium(self, frequency_hz: FloatArray) -> tuple[ComplexArray, float] | None:
         """Return the specimen's complex shear modulus (frequency,), Pa, and density, kg/m^3.
 
         None without specimen, and where it moves by the Gaussian of eq. (12) instead of the medium's own field.
@@ -352,7 +351,7 @@ def twin_tables(scene: Scene) -> dict[str, Any]:
     return declared | simulation | {"beams": beams | simulation.get("beams", {})}
 
 
-def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: NDArray[np.float64]) -> Dose | None:
+def twin_dose(scene: Scene, burst_length_s: float, frequency_hz: FloatArray) -> Dose | None:
     """Return the simulated specimen's dose and what it could move at ``frequency_hz``; None without or of a sphere."""
     from sim_backend.motion import dose, force_shape
 

@@ -163,9 +163,10 @@ def run(
     """Measure a scene, from the plan to the printed result. SCENE may be a run file, whose scene is measured again."""
     stages = Stages()
     with stages("load"):
-        from hpe_rig.acquire import chosen_estimator, prepare, process, provenance_now, record_run
         from hpe_rig.cli.watch import page_options, watched
+        from hpe_rig.measurement import prepare, provenance_now, record_run
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
+        from hpe_rig.runs import chosen_estimator, process
         from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
     setup = prepare(scene, bench, stages)
@@ -213,9 +214,10 @@ def resume(
     """Continue a stopped run, keeping its complete shots. They are copied to a new file, which gets the others too."""
     stages = Stages()
     with stages("load"):
-        from hpe_rig.acquire import chosen_estimator, prepare_rest, process, provenance_now, resume as resume_run
         from hpe_rig.cli.watch import page_options, watched
+        from hpe_rig.measurement import prepare_rest, provenance_now, resume as resume_run
         from hpe_rig.processing import estimate_run  # noqa: F401, needed at the end
+        from hpe_rig.runs import chosen_estimator, process
         from hpe_rig.store import WriteOptions, free_path, new_run_id, refuse_unwritable, result_path
 
     rest = prepare_rest(run_file, scene, bench, stages)
@@ -244,11 +246,11 @@ def process(
     wide: Wide = False,
 ) -> None:
     """Estimate again from a stored run. The result is printed and written beside the run file."""
-    from hpe_rig.acquire import process as process_run
+    from hpe_rig.runs import process as process_run
 
     _refuse_unswept(bool(sweep), together, gate_profile_step)
     if sweep:
-        from hpe_rig.acquire import open_run, parse_axes
+        from hpe_rig.runs import open_run, parse_axes
 
         result = open_run(run_file).sweep(parse_axes(sweep), together=together, estimator=estimator)
     else:
@@ -290,8 +292,8 @@ def import_command(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the run file if it exists.")] = False,
 ) -> None:
     """Make a run file of echoes that another program recorded. Prints what is inferred; hpe-rig process goes on."""
-    from hpe_rig.acquire import import_recording
     from hpe_rig.recordings import parse_options
+    from hpe_rig.runs import import_recording
     from hpe_rig.store import WriteOptions
 
     options = parse_options(setting or []) | ({} if lines is None else {"lines": lines})
@@ -315,10 +317,10 @@ def map_command(
     sidecar: Sidecar = None,
 ) -> None:
     """Map amplitude, phase and velocity over lines and depths of a recording. Bad pixels are marked."""
-    from hpe_rig.acquire import map_recording
     from hpe_rig.cli.stored import write_map
     from hpe_rig.cli.terminal import told
     from hpe_rig.recordings import parse_options
+    from hpe_rig.runs import map_recording
 
     options = parse_options(setting or []) | ({} if lines is None else {"lines": lines})
     with told("lines") as tell:
@@ -368,7 +370,7 @@ def report(
     _refuse_unswept(bool(sweep), together, gate_profile_step)
     axes = None
     if sweep:
-        from hpe_rig.acquire import parse_axes
+        from hpe_rig.runs import parse_axes
 
         axes = StoredAxes(parse_axes(sweep), together)
     written = write_report(run_file, estimator, output, shot, _step_m(gate_profile_step), axes)
@@ -415,8 +417,8 @@ def moduli(
     json: Json = False,
 ) -> None:
     """Fit the shear modulus and viscosity of the medium to the vibrations at all places of one or more runs."""
-    from hpe_rig.acquire import fit_moduli
     from hpe_rig.cli.stored import print_moduli
+    from hpe_rig.runs import fit_moduli
 
     print_moduli(
         fit_moduli(
@@ -463,7 +465,7 @@ def align(
     opened: Open = False,
 ) -> None:
     """Align the focus on a live page, without excitation. Single tracking shots are repeated until stopped."""
-    from hpe_rig.acquire import prepare
+    from hpe_rig.measurement import prepare
     from hpe_rig.store import extra
 
     with extra("live"):
@@ -497,8 +499,8 @@ def check(
     verbose: Annotated[bool, typer.Option("--verbose", help="List the checks that passed as well.")] = False,
 ) -> None:
     """Say whether a scene can be measured, with timeline, conflicts and expected errors. No instrument is opened."""
-    from hpe_rig.acquire import check as check_scene
     from hpe_rig.cli.terminal import terminal_columns, wrapped
+    from hpe_rig.runs import check as check_scene
 
     checked = check_scene(scene, bench, target)
     columns = terminal_columns()
@@ -515,8 +517,8 @@ def emulate(
     transport: Annotated[str, typer.Option(help="One of socket, serial, hislip, vxi11, prologix.")] = "socket",
 ) -> None:
     """Serve the simulated generators to any VISA program. On loopback; prints the bench file; stop with Ctrl-C."""
-    from hpe_rig.acquire import prepare
     from hpe_rig.bench import emulate as serve
+    from hpe_rig.measurement import prepare
 
     setup = prepare(scene, bench, refuse=False)
     serve(setup.scene.scene, setup.bench, transport, typer.echo)
@@ -609,13 +611,13 @@ def new(
     ] = False,
 ) -> None:
     """Copy a shipped scene, the scene of a run file or a bench file, to edit."""
-    from hpe_rig.acquire import source_text
     from hpe_rig.bench import read_bench, titled
+    from hpe_rig.measurement import source_text
 
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     text = titled(read_bench().text, f"Bench {path.stem}") if like == "bench" else source_text(like)[1]
     if full:
-        from hpe_rig.acquire import full_text
+        from hpe_rig.runs import full_text
 
         text = full_text("bench" if like == "bench" else "scene", text)
     try:
@@ -645,8 +647,8 @@ def schema(
     """Print the JSON schema of a settings file, for use in editors, or of what --json prints."""
     import json
 
-    from hpe_rig.acquire import json_schema
     from hpe_rig.report import comparison_schema
+    from hpe_rig.runs import json_schema
 
     typer.echo(json.dumps(json_schema(of, {"compare": comparison_schema}), indent=2))
 

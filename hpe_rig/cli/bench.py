@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.acquire import open_run, prepare_text, programmed
 from hpe_rig.bench import (
     BenchReport,
     Difference,
@@ -22,7 +21,9 @@ from hpe_rig.bench import (
 )
 from hpe_rig.cli.console import EXIT_INSTRUMENT, EXIT_UNSAFE, announce
 from hpe_rig.cli.tables import Page, wide_console
+from hpe_rig.measurement import prepare_text, programmed
 from hpe_rig.result import rich_table
+from hpe_rig.runs import open_run
 from hpe_rig.scene import parse_toml
 from hpe_rig.store import read_snapshots
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 import typer
 
 if TYPE_CHECKING:
-    from hpe_rig.acquire import Observer, Setup
+    from hpe_rig.measurement import Observer, Setup
     from hpe_rig.result import Result
 
 P = ParamSpec("P")
@@ -124,8 +124,8 @@ def show(result: Result, json: bool, csv: bool, wide: bool = False) -> None:
 @contextmanager
 def progress(setup: Setup, quiet: bool) -> Iterator[Observer]:
     """Yield an observer that shows progress with the time left: a bar on a terminal, lines elsewhere."""
-    from hpe_rig.acquire import Progress
     from hpe_rig.cli.terminal import told
+    from hpe_rig.measurement import Progress
 
     total = sum(shot.capture.record_count for shot in setup.plan.shots)
     with told("records", quiet) as tell:
@@ -145,8 +145,8 @@ def _failure(error: BaseException) -> tuple[str, int] | None:
     if type(error) is KeyboardInterrupt:  # a stop from the page is a kind of it, with words of its own
         return f"interrupted{notes}", EXIT_INTERRUPTED
     from drivers.interfaces import InstrumentError
-    from hpe_rig.acquire import StopRequested
     from hpe_rig.bench import Terminated, UnsafeBenchError
+    from hpe_rig.measurement import StopRequested
     from hpe_rig.plan import PlanError
     from hpe_rig.scene import SettingsError
     from hpe_rig.store import StoreError

@@ -96,7 +96,7 @@ def _instant(text: str | None, option: str, end: bool = False) -> datetime | Non
 
 def extension_lines() -> tuple[list[str], bool]:
     """Return a line for every installed extension, and whether all of them load and are what their groups take."""
-    from hpe_rig.moduli import law_of
+    from hpe_rig.medium import law_of
     from hpe_rig.processing import spec_of
     from hpe_rig.recordings import foreign_importer
 

@@ -6,20 +6,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from hpe_rig.acquire import (
-    Mover,
-    Observer,
-    QueueRun,
-    Setup,
-    Watching,
-    listed,
-    new_queue,
-    read_queue,
-    run_queue,
-)
 from hpe_rig.cli.console import EXIT_INSTRUMENT, announce, progress
 from hpe_rig.cli.tables import wide_console
 from hpe_rig.cli.watch import PageOptions, live_page, watched
+from hpe_rig.measurement import Mover, Observer, QueueRun, Setup, Watching, listed, new_queue, read_queue, run_queue
 from hpe_rig.result import Result, rich_table
 from hpe_rig.scene import Mistake, SettingsError, printable
 

@@ -10,7 +10,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from hpe_rig.acquire import (
+from hpe_rig.cli.keys import Pressed, keyboard
+from hpe_rig.measurement import (
     Mover,
     Observer,
     Setup,
@@ -23,7 +24,6 @@ from hpe_rig.acquire import (
     toggle_pause,
     wait_at_place,
 )
-from hpe_rig.cli.keys import Pressed, keyboard
 from hpe_rig.store import StoreError, extra
 
 LOOK_EVERY_S = 0.1
@@ -103,7 +103,7 @@ def watched(
         clear_leftover(path)
         log: Watch | None = None
         if verbose:
-            from hpe_rig.acquire import log_path, logged
+            from hpe_rig.measurement import log_path, logged
 
             log = stack.enter_context(logged(setup, log_path(path)))
         stack.enter_context(live_page(path, live, announce))

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from hpe_rig.acquire import prepare
 from hpe_rig.design.model import baseline, effective_pulses
 from hpe_rig.design.problem import FINAL_DRAWS, FINAL_SEED, GOALS, Candidate, Constraints, Problem
 from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import Simulated, simulate
 from hpe_rig.design.variables import variables
+from hpe_rig.measurement import prepare
 from hpe_rig.moduli import push_of
 from hpe_rig.prediction import Expected, as_averaged, detection_text, predict, predicted_averaging
 from hpe_rig.result import text_table

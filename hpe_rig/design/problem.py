@@ -11,13 +11,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hpe_rig.acquire import Setup, planned
+from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import BenchFile, check_simulation, with_transducers
 from hpe_rig.design.model import Baseline, baseline, design_setting, predicted
 from hpe_rig.design.variables import Variable
+from hpe_rig.measurement import Setup, planned
 from hpe_rig.moduli import ModuliForecast, moduli_forecast
 from hpe_rig.plan import AcousticOutput, CheckResult, Plan, highest_output
 from hpe_rig.prediction import Conditions, Expected
@@ -115,7 +113,7 @@ class Problem:
         """How many different scenes have been judged."""
         return len(self._cost)
 
-    def values_at(self, place: NDArray[np.float64]) -> Values:
+    def values_at(self, place: FloatArray) -> Values:
         """Return the values at ``place`` (variable,) of the space."""
         return {variable.key.path: variable.value(x) for variable, x in zip(self.space, place, strict=True)}
 

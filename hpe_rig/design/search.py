@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.design.problem import OUTSIDE, Candidate, Problem
 from hpe_rig.design.variables import Variable
 from hpe_rig.scene import Mistake, SettingsError
@@ -42,7 +42,7 @@ def find_design(problem: Problem, seed: int = 0, generations: int = GENERATIONS)
     return DesignResult(problem, problem.start, best, tuple(_held(problem, best)))
 
 
-def _place(problem: Problem, candidate: Candidate) -> NDArray[np.float64]:
+def _place(problem: Problem, candidate: Candidate) -> FloatArray:
     """Return where ``candidate`` is in the space, or is nearest to it; in the middle for what has no value."""
     places = []
     for variable in problem.space:
@@ -53,10 +53,10 @@ def _place(problem: Problem, candidate: Candidate) -> NDArray[np.float64]:
     return np.array(places)
 
 
-def _evolution(problem: Problem, seed: int, generations: int) -> NDArray[np.float64]:
+def _evolution(problem: Problem, seed: int, generations: int) -> FloatArray:
     from scipy.optimize import Bounds, differential_evolution
 
-    def cost(place: NDArray[np.float64]) -> float:
+    def cost(place: FloatArray) -> float:
         return problem.cost(problem.values_at(place))
 
     found = differential_evolution(
@@ -73,7 +73,7 @@ def _evolution(problem: Problem, seed: int, generations: int) -> NDArray[np.floa
     return np.asarray(found.x, dtype=np.float64)
 
 
-def _pattern_search(problem: Problem, place: NDArray[np.float64]) -> NDArray[np.float64]:
+def _pattern_search(problem: Problem, place: FloatArray) -> FloatArray:
     """Return the best place by steps along single variables and pairs of them, halved whenever none is better.
 
     A limit that two variables share, such as pulse rate and number of pulses in a given time, lets neither move alone.
@@ -93,14 +93,14 @@ def _pattern_search(problem: Problem, place: NDArray[np.float64]) -> NDArray[np.
     return place
 
 
-def _directions(variables: int) -> list[NDArray[np.float64]]:
+def _directions(variables: int) -> list[FloatArray]:
     """Return both ways along every variable, then those of every pair in which both grow, or shrink, or trade."""
     axes = np.eye(variables)
     pairs = [one + sign * other for one, other in itertools.combinations(axes, 2) for sign in (1, -1)]
     return [sign * axis for axis in (*axes, *pairs) for sign in (1, -1)]
 
 
-def _without_the_needless(problem: Problem, place: NDArray[np.float64]) -> Candidate:
+def _without_the_needless(problem: Problem, place: FloatArray) -> Candidate:
     """Return the candidate with every number that does not matter left as the starting scene has it."""
     best = problem.values_at(place)
     for variable in problem.space:
@@ -128,7 +128,7 @@ def _held(problem: Problem, best: Candidate) -> Iterator[str]:
                 yield f"{word} {variable.key}: {', '.join(reasons)}"
 
 
-def _moves(problem: Problem, place: NDArray[np.float64], index: int, sign: int) -> Iterator[NDArray[np.float64]]:
+def _moves(problem: Problem, place: FloatArray, index: int, sign: int) -> Iterator[FloatArray]:
     """Yield places a step further along one variable, alone, then with every other along: some gain only together."""
     alone = place.copy()
     alone[index] = min(max(place[index] + sign * _step(problem.space[index]), 0.0), problem.space[index].last)
@@ -141,7 +141,7 @@ def _moves(problem: Problem, place: NDArray[np.float64], index: int, sign: int) 
             yield along
 
 
-def _refused(problem: Problem, best: Candidate, place: NDArray[np.float64]) -> list[str]:
+def _refused(problem: Problem, best: Candidate, place: FloatArray) -> list[str]:
     """Return what refuses the scene at ``place``; empty where nothing does, or it would be no better."""
     values = {path: value for path, value in problem.values_at(place).items() if path in best.values}
     trial = problem.judged(problem.candidate(values))

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.bench import twin_settings
 from hpe_rig.design.model import Baseline, echo_power_of
 from hpe_rig.plan import Plan, driven_frequencies_hz, select
@@ -20,7 +20,6 @@ from hpe_rig.study import Errors, errors
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
 
-Floats = NDArray[np.float64]
 TOLERANCE = 1e-7
 DRAWS_AT_ONCE = 16
 MOST_VALUES = 1 << 27
@@ -56,9 +55,9 @@ class _Train:
     Of the samples (sample,) those in ``around`` are the gate's, ``margin`` of them at either end outside it.
     """
 
-    time_s: Floats
-    valid: NDArray[np.bool_]
-    sample_s: Floats
+    time_s: FloatArray
+    valid: BoolArray
+    sample_s: FloatArray
     around: slice
     margin: int
     reference: slice
@@ -93,7 +92,7 @@ def _train(scene: Scene, plan: Plan, setting: Conditions, start: Baseline) -> _T
 
 def _deviations(
     scene: Scene, plan: Plan, setting: Conditions, train: _Train, draws: int, seed: int
-) -> Iterator[Floats]:
+) -> Iterator[FloatArray]:
     """Yield the deviations of amplitude, m, and phase, rad, of 16 draws at a time: (draw, 2)."""
     from sim_backend.echoes import drawn_echoes, hann_pulse
 

@@ -11,12 +11,12 @@ from dataclasses import replace
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpe_rig.acquire import Setup, ShotBlock, acquire
+from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import Bench, open_bench
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.state import State, band_verdict, image_state, level_state, rf_state
+from hpe_rig.measurement import Setup, ShotBlock, acquire
 from hpe_rig.plan import Plan, Shot, check_plan, make_plan, refuse_conflicts
 from hpe_rig.report import EchoView, echo_view
 from hpe_rig.scene import Mistake, Scene, SettingsError
@@ -73,7 +73,7 @@ class AlignSource:
         self._scene, self._shot, self._simulated, self._band = scene, shot, simulated, band_percent
         self._lock = threading.Lock()
         self._stop = threading.Event()
-        self._lines: deque[NDArray[np.float64]] = deque(maxlen=LONGEST_MEMORY)
+        self._lines: deque[FloatArray] = deque(maxlen=LONGEST_MEMORY)
         self._levels: deque[State] = deque(maxlen=LONGEST_MEMORY)
         self._highest_percent = 0.0
         self._view: EchoView | None = None

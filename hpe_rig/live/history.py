@@ -8,11 +8,11 @@ from typing import final
 
 import numpy as np
 
-from hpe_rig.acquire import Run
 from hpe_rig.live.state import State, harmonic_state
 from hpe_rig.plan import Shot, scene_of
 from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import estimates_of, shot_fit
+from hpe_rig.runs import Run
 
 MOST_SHOTS = 2_000
 """Shots whose amplitudes are kept; a screen shows no more."""

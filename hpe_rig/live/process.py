@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hpe_rig.acquire import read_queue
 from hpe_rig.live.queue_source import QueueSource
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
+from hpe_rig.measurement import read_queue
 from hpe_rig.store import StoreError, read_run, reason
 
 START_S = 20.0

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import final
 
-from hpe_rig.acquire import QUEUE_FILE, QueueRun, read_queue, time_left_s, write_stop
 from hpe_rig.live.source import RunSource
 from hpe_rig.live.state import State
+from hpe_rig.measurement import QUEUE_FILE, QueueRun, read_queue, time_left_s, write_stop
 from hpe_rig.store import StoreError
 
 LONGEST_BETWEEN_S = 2.0

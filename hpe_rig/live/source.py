@@ -7,18 +7,9 @@ from typing import Protocol, final
 
 import numpy as np
 
-from hpe_rig.acquire import (
-    Run,
-    awaited_place_m,
-    open_run,
-    pause_requested,
-    request_stop,
-    stop_path,
-    stop_requested,
-    toggle_pause,
-)
 from hpe_rig.live.history import ShotHistory, TimeLeft, setting_of, warnings_of
 from hpe_rig.live.state import State, harmonic_state, image_state, level_state, motion_state, rf_state
+from hpe_rig.measurement import awaited_place_m, pause_requested, request_stop, stop_path, stop_requested, toggle_pause
 from hpe_rig.plan import scene_of
 from hpe_rig.prediction import beam_widths
 from hpe_rig.processing import (
@@ -31,6 +22,7 @@ from hpe_rig.processing import (
     shot_prior,
 )
 from hpe_rig.report import echo_view, gate_alone, motion_view, shown_pulses
+from hpe_rig.runs import Run, open_run
 from hpe_rig.store import ShotRecords, StoredRun, StoreError, is_taken, read_run
 
 LONGEST_HISTORY = 240

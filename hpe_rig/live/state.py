@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.report import EchoView, MotionView, grey_limit_v
 from hpe_rig.result import Estimate
 
-FloatArray = NDArray[np.float64]
 State = dict[str, Any]
 
 MOST_POINTS = 600

@@ -1,18 +1,5 @@
 from .forecast import ModuliForecast as ModuliForecast, moduli_forecast as moduli_forecast, moduli_text as moduli_text
-from .inversion import (
-    Moduli as Moduli,
-    bound as bound,
-    compare_media as compare_media,
-    fit_medium as fit_medium,
-)
-from .media import (
-    LAWS as LAWS,
-    Law as Law,
-    MediumLaw as MediumLaw,
-    Parameter as Parameter,
-    law_names as law_names,
-    law_of as law_of,
-)
+from .inversion import Moduli as Moduli, bound as bound, compare_media as compare_media, fit_medium as fit_medium
 from .outcome import (
     ModuliResult as ModuliResult,
     moduli_of as moduli_of,

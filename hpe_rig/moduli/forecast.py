@@ -11,12 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hpe_rig.arrays import ComplexArray, FloatArray
+from hpe_rig.medium import shear_motion
 from hpe_rig.moduli.inversion import bound
 from hpe_rig.moduli.places import depths_of, detected, push_of, strongest, vibration_at, with_shared_noise
-from hpe_rig.moduli.vibration_model import ComplexArray, FloatArray, Push, Vibration
+from hpe_rig.moduli.vibration_model import Push, Vibration
 from hpe_rig.plan import Plan, places_of
 from hpe_rig.prediction import TYPICAL, detection_floor, expected_amplitude_m, medium_of, noise_gain
-from hpe_rig.processing import shear_motion
 from hpe_rig.scene import Scene, SettingsError
 
 

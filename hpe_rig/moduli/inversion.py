@@ -10,12 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import chdtrc
 
-from hpe_rig.moduli.media import Law, MediumLaw, law_names, law_of
-from hpe_rig.moduli.vibration_model import ComplexArray, FloatArray, Problem, Push, Vibration
+from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
+from hpe_rig.medium import Law, MediumLaw, law_names, law_of
+from hpe_rig.moduli.vibration_model import Problem, Push, Vibration
 
 STARTS_FOLLOWED = 3
 """Starting points from which the fit is run, the best of a grid; each in a neighbourhood of its own."""
@@ -229,7 +229,7 @@ def _nuisance(kind: str, one: Vibration | None) -> str:
 
 def _contributions(
     labels: Sequence[str],
-    number: NDArray[np.intp],
+    number: IndexArray,
     problem: Problem,
     jacobian: FloatArray,
     own: FloatArray,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hpe_rig.medium import MediumLaw, law_of
 from hpe_rig.moduli.inversion import Contribution, Moduli, compare_media
-from hpe_rig.moduli.media import MediumLaw, law_of
 from hpe_rig.moduli.places import WIDTH_UNCERTAINTY, Source, push_of, vibrations_of
 from hpe_rig.moduli.shear_speed import Voigt, fit_voigt, shear_speed
 from hpe_rig.moduli.vibration_model import Vibration

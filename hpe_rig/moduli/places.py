@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpe_rig.moduli.vibration_model import ComplexArray, FloatArray, Push, Vibration
+from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
+from hpe_rig.moduli.vibration_model import Push, Vibration
 from hpe_rig.plan import (
     DepthGate,
     Plan,
@@ -259,7 +259,7 @@ def _states(fit: HarmonicFit, frequencies: int) -> tuple[FloatArray, FloatArray]
     return fit.state[: 2 * frequencies], fit.state_covariance[: 2 * frequencies, : 2 * frequencies]
 
 
-def detected(vibration: Vibration) -> NDArray[np.bool_]:
+def detected(vibration: Vibration) -> BoolArray:
     """Return which frequencies stand out of their noise (frequency,), the larger of the two quadratures'."""
     sigma_m = np.sqrt(np.diag(vibration.covariance_m2).reshape(-1, 2).max(axis=1))
     return np.asarray(np.abs(vibration.phasor_m) > DETECTED * sigma_m)

@@ -17,13 +17,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpe_rig.moduli.media import Law
-from hpe_rig.processing import QUICK_ERROR, PushForce, shear_motion
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
+from hpe_rig.medium import QUICK_ERROR, Law, PushForce, shear_motion
 
 TRAVELS, TRAVEL_UNCERTAINTY = 0.5, 0.5
 """Of the way from the focus to another depth, how much the force's onset travels with the sound, 0 to 1: a force that
@@ -86,7 +82,7 @@ class Vibration:
     phase_uncertainty_rad: float = 0.0
     area_uncertainty: float = 0.0
 
-    def only(self, kept: NDArray[np.bool_]) -> Vibration:
+    def only(self, kept: BoolArray) -> Vibration:
         """Return the vibration at the ``kept`` (frequency,) frequencies."""
         both = np.repeat(kept, 2)
         covariance = self.covariance_m2[np.ix_(both, both)]
@@ -214,7 +210,7 @@ class Problem:
         slope = self.law.slopes(self.law.values(unknown[: self.free - 1]))
         return np.asarray(covariance * np.outer(slope, slope))
 
-    def variances_without(self, dropped: NDArray[np.bool_], jacobian: FloatArray) -> FloatArray:
+    def variances_without(self, dropped: BoolArray, jacobian: FloatArray) -> FloatArray:
         """Return the coordinates' variances (parameter,) without the ``dropped`` data (place and frequency,)."""
         kept = np.concatenate([~np.repeat(dropped, 2), np.ones(len(self.nuisances), bool)])
         return np.asarray(np.diag(self.coordinate_covariance(jacobian[kept])))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import BoolArray
 from hpe_rig.plan.shots import Shot
 
 SETTLING_S = 4.5e-6
@@ -25,7 +25,7 @@ def forbidden_window_s(shot: Shot) -> tuple[float, float]:
     return -(gate_end_s + shot.timeline.pulse_length_s), quiet_s
 
 
-def disturbed_pulses(shot: Shot) -> NDArray[np.bool_]:
+def disturbed_pulses(shot: Shot) -> BoolArray:
     """Return which tracking pulses a toneburst or its echo disturbs, shape (pulse,)."""
     pulses, bursts = shot.timeline.pulse_onset_s, shot.timeline.burst_onset_s
     if not bursts.size:

@@ -11,8 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.plan.interference import disturbed_pulses
 from hpe_rig.plan.shots import Shot, pulse_count
 from hpe_rig.scene import Excitation, Scene
@@ -33,11 +33,11 @@ class Selection:
     them apart, empty where nothing pushes.
     """
 
-    window: NDArray[np.bool_]
-    time_s: NDArray[np.float64]
-    used: NDArray[np.bool_]
-    wanted_hz: NDArray[np.float64]
-    driven_hz: NDArray[np.float64]
+    window: BoolArray
+    time_s: FloatArray
+    used: BoolArray
+    wanted_hz: FloatArray
+    driven_hz: FloatArray
 
 
 def select(scene: Scene, shot: Shot, most_pulses: int | None = None) -> Selection:
@@ -56,7 +56,7 @@ def select(scene: Scene, shot: Shot, most_pulses: int | None = None) -> Selectio
     )
 
 
-def driven_frequencies_hz(scene: Scene) -> NDArray[np.float64]:
+def driven_frequencies_hz(scene: Scene) -> FloatArray:
     """Return every harmonic of the burst rate up to 1/T_b, wanted or not, (frequency,); empty where nothing pushes."""
     if scene.excitation is None:
         return np.zeros(0)
@@ -76,7 +76,7 @@ def window_pulse_count(scene: Scene) -> int:
     return max(1, int(_in_window(scene, np.arange(pulse_count(scene)) / rate_hz, rate_hz).sum()))
 
 
-def _in_window(scene: Scene, after_first_s: NDArray[np.float64], rate_hz: float) -> NDArray[np.bool_]:
+def _in_window(scene: Scene, after_first_s: FloatArray, rate_hz: float) -> BoolArray:
     """Return which pulses, ``after_first_s`` after the first, lie in the processing window, (pulse,)."""
     processing = scene.processing
     end_s = math.inf if processing.window_length_s is None else processing.window_start_s + processing.window_length_s

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import Capture, PulseTrain, Toneburst, TriggerPulse
+from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import EXCITATION_ROLES, GENERATOR_ROLES, BenchFile
 from hpe_rig.plan.omitted import Omission, omissions
 from hpe_rig.scene import Mistake, Scene, SettingsError
@@ -33,9 +33,9 @@ class Timeline:
     and end of the reference gate, where there is one.
     """
 
-    burst_onset_s: NDArray[np.float64]
+    burst_onset_s: FloatArray
     burst_length_s: float
-    pulse_onset_s: NDArray[np.float64]
+    pulse_onset_s: FloatArray
     pulse_length_s: float
     gate_offset_s: tuple[float, float]
     record_offset_s: tuple[float, float]
@@ -49,7 +49,7 @@ class Timeline:
         return min(own[0], other[0]), max(own[1], other[1])
 
     @property
-    def sensing_s(self) -> NDArray[np.float64]:
+    def sensing_s(self) -> FloatArray:
         """When each tracking pulse reaches the middle of the gate and senses its motion, shape (pulse,)."""
         return self.pulse_onset_s + self._way_s
 

@@ -7,8 +7,8 @@ from contextlib import suppress
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.plan import Shot, select
 from hpe_rig.prediction.beam_averaging import motion_of_medium
 from hpe_rig.prediction.linear_fit import fitted
@@ -22,7 +22,7 @@ LOBES = 10
 
 def fitted_over_true(
     scene: Scene, shot: Shot, simulated: bool = True, estimator: str | None = None
-) -> NDArray[np.complex128] | None:
+) -> ComplexArray | None:
     """Return what the estimator's fit makes of each wanted harmonic over what it is (frequency,), without noise.
 
     ``estimator``: absent, the scene's.
@@ -34,7 +34,7 @@ def fitted_over_true(
 
 def each_fitted_over_true(
     scene: Scene, shot: Shot, estimators: Sequence[str], simulated: bool = True
-) -> tuple[NDArray[np.complex128] | None, ...]:
+) -> tuple[ComplexArray | None, ...]:
     """Return ``fitted_over_true`` of each of ``estimators``, of one motion."""
     moved = _steady_motion(scene, shot, simulated)
     if moved is None:
@@ -44,17 +44,15 @@ def each_fitted_over_true(
 
 
 def _over_true(
-    scene: Scene, shot: Shot, estimator: str, true: NDArray[np.complex128], displacement_m: NDArray[np.float64]
-) -> NDArray[np.complex128] | None:
+    scene: Scene, shot: Shot, estimator: str, true: ComplexArray, displacement_m: FloatArray
+) -> ComplexArray | None:
     # a plan with conflicts may have no fit at all
     with suppress(ValueError):
         return np.asarray(fitted(scene, shot, spec_of(estimator), displacement_m) / true)
     return None
 
 
-def _steady_motion(
-    scene: Scene, shot: Shot, simulated: bool
-) -> tuple[NDArray[np.complex128], NDArray[np.float64]] | None:
+def _steady_motion(scene: Scene, shot: Shot, simulated: bool) -> tuple[ComplexArray, FloatArray] | None:
     """Return A exp(j phase) of the wanted harmonics (frequency,) and the displacement at every pulse (pulse,)."""
     if scene.excitation is None or shot.toneburst is None or not scene.wanted_frequencies_hz:
         return None
@@ -77,7 +75,7 @@ def _steady_motion(
 
 
 @lru_cache(maxsize=4)
-def _displacement_m(time_s: bytes, frequency_hz: bytes, parts_m: bytes) -> NDArray[np.float64]:
+def _displacement_m(time_s: bytes, frequency_hz: bytes, parts_m: bytes) -> FloatArray:
     """Kept: the aliasing of the scene's estimator and the forecast of all of them ask for the same motion."""
     moved = harmonic_columns(np.frombuffer(time_s), np.frombuffer(frequency_hz)) @ np.frombuffer(parts_m)
     moved.setflags(write=False)

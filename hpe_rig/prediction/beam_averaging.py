@@ -11,33 +11,33 @@ import functools
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import ComplexArray, FloatArray, SingleArray
 from hpe_rig.bench import scanned_push, twin_of
-from hpe_rig.prediction.error_model import Conditions, Moved, SingleArray, seeded_speckle, tracked_over_peak
-from hpe_rig.prediction.theory import beam_averaging_factor, carrier_spread, gate_energy, scatterer_density
-from hpe_rig.processing import (
+from hpe_rig.medium import (
     BeamWidths,
     Ensemble,
     PushForce,
-    Window,
     aperture_force,
-    bounded_steepness,
     displacement_and_slope,
+    medium_ensemble,
+    scanned_force,
+    seen_beside,
+)
+from hpe_rig.prediction.error_model import Conditions, Moved, seeded_speckle, tracked_over_peak
+from hpe_rig.prediction.theory import beam_averaging_factor, carrier_spread, gate_energy, scatterer_density
+from hpe_rig.processing import (
+    Window,
+    bounded_steepness,
     driven_spectrum,
     fourth_moment,
     harmonic_range_hz,
     lengthened,
-    medium_ensemble,
-    scanned_force,
-    seen_beside,
     spec_of,
 )
 from hpe_rig.result import NORMAL, Averaging
 from hpe_rig.scene import Scene
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Triple = tuple[float, float, float]
 
 DIRECTIONS = 96
@@ -276,7 +276,7 @@ def _tracked_share(
 ) -> tuple[complex, ...]:
     """Return tracked over peak motion under a force, complex (frequency,)."""
     # here: it needs SciPy, and most scenes declare no aperture
-    from hpe_rig.processing import shear_motion
+    from hpe_rig.medium import shear_motion
 
     medium = np.array(modulus_pa), np.array(frequency_hz), density, force
     seen, place = (beams.tracking_width_m[0] ** 2 / 2, beams.axial_spread_m**2), np.array([beams.lateral_m])

@@ -6,10 +6,9 @@ Derivations: docs/theory/prediction.md, "Bounds".
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-FloatArray = NDArray[np.float64]
+from hpe_rig.arrays import FloatArray
 
 
 def harmonic_bound(

@@ -7,15 +7,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.plan import Shot, window_pulse_count
 from hpe_rig.prediction.forecast import conditions_of, predict
 from hpe_rig.prediction.linear_fit import echo_noise_m, larger_quadrature, noise_gain, trigger_noise_m
 from hpe_rig.processing import spec_of
 from hpe_rig.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 FALSE_ALARMS = 0.05
 """Share of measurements without motion in which noise alone exceeds the floor."""

@@ -12,16 +12,12 @@ import functools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import ComplexArray, FloatArray, Int64Array, SingleArray
 from hpe_rig.processing import EstimatorSpec, hann, spec_of
 
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
-ComplexArray = NDArray[np.complexfloating[Any, Any]]
 """Single precision takes half the time: what draws say is as good as their number, to a part in a hundred."""
 Triple = tuple[float, float, float]
 
@@ -239,7 +235,7 @@ class _Block:
 
     place_m: SingleArray
     parts: tuple[SingleArray, SingleArray]
-    cell: NDArray[np.int64]
+    cell: Int64Array
     echo: ComplexArray
 
     def displaced(self, moved: Moved) -> ComplexArray:
@@ -248,7 +244,7 @@ class _Block:
         return _summed(self.cell, (self.parts[0] * weight, self.parts[1] * weight), self.echo.shape)
 
 
-def _summed(cell: NDArray[np.int64], parts: Iterable[SingleArray], shape: tuple[int, ...]) -> ComplexArray:
+def _summed(cell: Int64Array, parts: Iterable[SingleArray], shape: tuple[int, ...]) -> ComplexArray:
     # real and imaginary parts one by one: sums are of real numbers, and complex exponentials cost thrice as much
     real, imaginary = (np.bincount(cell, part, math.prod(shape)) for part in parts)
     return (real + 1j * imaginary).reshape(shape).astype(np.complex64)
@@ -434,7 +430,7 @@ def _peak_statistics(
 
 def _two_steps(
     clean: ComplexArray, scale: FloatArray, to_band: ComplexArray, generator: np.random.Generator
-) -> tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray]:
+) -> tuple[Int64Array, Int64Array, FloatArray, FloatArray]:
     """Return both peaks (draw, 1), and of each draw (draw,) what adds up to variances.
 
     Of the pulse's, beyond that of its phase's linear form, and of a step's own.
@@ -493,9 +489,9 @@ def _times(drawn: ComplexArray, matrix: ComplexArray | FloatArray) -> ComplexArr
     return np.asarray(drawn @ matrix.astype(drawn.dtype))
 
 
-def _taken(values: ComplexArray, place: NDArray[np.int64]) -> ComplexArray:
+def _taken(values: ComplexArray, place: Int64Array) -> ComplexArray:
     return np.take_along_axis(values, place, axis=-1)[:, 0]
 
 
-def _phase_step(before: ComplexArray, after: ComplexArray, place: NDArray[np.int64]) -> FloatArray:
+def _phase_step(before: ComplexArray, after: ComplexArray, place: Int64Array) -> FloatArray:
     return np.asarray(np.angle(np.conj(_taken(before, place)) * _taken(after, place)))

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot, select
 from hpe_rig.prediction.amplitude import expected_amplitude_m, expected_snr_db
@@ -30,8 +30,6 @@ from hpe_rig.processing import (
     spec_of,
 )
 from hpe_rig.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 
 def noise_gain(scene: Scene, shot: Shot, estimator: str | None = None) -> FloatArray:
@@ -74,7 +72,7 @@ def fit_weights(scene: Scene, shot: Shot, spec: EstimatorSpec) -> tuple[FloatArr
     return rows.reshape(chosen.wanted_hz.size, 2, -1), time_s
 
 
-def fitted(scene: Scene, shot: Shot, spec: EstimatorSpec, displacement_m: FloatArray) -> NDArray[np.complex128]:
+def fitted(scene: Scene, shot: Shot, spec: EstimatorSpec, displacement_m: FloatArray) -> ComplexArray:
     """Return A exp(j phase) (frequency,) that the fit makes of a displacement (pulse,) known without noise.
 
     Of every pulse in the processing window, used or not.

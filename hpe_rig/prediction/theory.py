@@ -8,12 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import ComplexArray, FloatArray, Int64Array
 from hpe_rig.processing import Window, hann
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Triple = tuple[float, float, float]
 
 DEPTHS = 256
@@ -36,7 +34,7 @@ def echo_power(gate_length_m: float, pulse_length_m: float, tracking_depth_m: fl
 
 
 def force_spectrum(
-    harmonic: NDArray[np.int64] | int, burst_rate_hz: float, burst_length_s: float, amplitude: float = 1.0
+    harmonic: Int64Array | int, burst_rate_hz: float, burst_length_s: float, amplitude: float = 1.0
 ) -> ComplexArray:
     """Return the complex Fourier coefficients F_n of the force pulse train, time from a burst's onset.
 

@@ -1,14 +1,8 @@
-from .band import Band as Band, band_grid as band_grid, band_of as band_of
-from .budget import (
-    Known as Known,
-    estimates_of as estimates_of,
-    known_of as known_of,
-    lengthened as lengthened,
-)
+from .budget import Known as Known, estimates_of as estimates_of, known_of as known_of, lengthened as lengthened
 from .burst_period import burst_period_motion as burst_period_motion, residual_m as residual_m
-from .conditioning import codes_to_volts as codes_to_volts, hann as hann, unlike_pulses as unlike_pulses
-from .correlation import cross_correlation as cross_correlation
-from .echoes import (
+from .echo.band import Band as Band, band_grid as band_grid, band_of as band_of
+from .echo.conditioning import codes_to_volts as codes_to_volts, hann as hann, unlike_pulses as unlike_pulses
+from .echo.echoes import (
     EchoGate as EchoGate,
     Motion as Motion,
     Velocity as Velocity,
@@ -17,23 +11,7 @@ from .echoes import (
     relative_to as relative_to,
     velocity_between_pulses as velocity_between_pulses,
 )
-from .ensemble import (
-    BRANCH_OVER_MODULUS as BRANCH_OVER_MODULUS,
-    LOW_VISCOSITY_PA_S as LOW_VISCOSITY_PA_S,
-    MAXWELL_VISCOSITY_PA_S as MAXWELL_VISCOSITY_PA_S,
-    MEMBERS as MEMBERS,
-    MODULUS_PA as MODULUS_PA,
-    POWER as POWER,
-    POWER_REFERENCE_HZ as POWER_REFERENCE_HZ,
-    VISCOSITY_PA_S as VISCOSITY_PA_S,
-    BeamWidths as BeamWidths,
-    Ensemble as Ensemble,
-    KnownMedium as KnownMedium,
-    RigidSphere as RigidSphere,
-    displacement_and_slope as displacement_and_slope,
-    medium_ensemble as medium_ensemble,
-    seen_beside as seen_beside,
-)
+from .echo.gate_tracking import added as added, follow as follow
 from .estimators import (
     ESTIMATORS as ESTIMATORS,
     WINDOW_NOISE as WINDOW_NOISE,
@@ -46,25 +24,17 @@ from .estimators import (
     motion_of as motion_of,
     spec_of as spec_of,
 )
-from .gate_tracking import added as added, follow as follow
 from .ground_truth import true_harmonics_m as true_harmonics_m
-from .harmonic import (
+from .harmonics.aliasing_error import with_unresolved as with_unresolved
+from .harmonics.harmonic_fit import (
     HarmonicFit as HarmonicFit,
     Innovations as Innovations,
     MediumPosterior as MediumPosterior,
     least_squares as least_squares,
 )
-from .kalman_filter import kalman as kalman
-from .maximum_likelihood import joint as joint
-from .model import aliased_hz as aliased_hz, harmonic_columns as harmonic_columns, linear_model as linear_model
-from .motion import (
-    coherent as coherent,
-    coherent_phase as coherent_phase,
-    kasai as kasai,
-    loupas as loupas,
-)
-from .motion_map import MapSettings as MapSettings, map_pixels as map_pixels
-from .prior import (
+from .harmonics.kalman_filter import kalman as kalman
+from .harmonics.maximum_likelihood import joint as joint
+from .harmonics.medium_prior import (
     WEIGHT as WEIGHT,
     Evidence as Evidence,
     MediumFit as MediumFit,
@@ -78,13 +48,23 @@ from .prior import (
     medium_prior as medium_prior,
     seen_by as seen_by,
 )
-from .push_force import PushForce as PushForce, aperture_force as aperture_force, scanned_force as scanned_force
-from .shear_field import (
-    QUICK_ERROR as QUICK_ERROR,
-    ShearMotion as ShearMotion,
-    focal_motion as focal_motion,
-    shear_motion as shear_motion,
+from .harmonics.model import (
+    aliased_hz as aliased_hz,
+    harmonic_columns as harmonic_columns,
+    linear_model as linear_model,
 )
+from .harmonics.stationarity import Drift as Drift, drift_between_halves as drift_between_halves
+from .harmonics.velocity_chain import Steps as Steps, velocity_to_harmonics as velocity_to_harmonics
+from .motion.correlation import cross_correlation as cross_correlation
+from .motion.phase_shift import coherent as coherent, coherent_phase as coherent_phase, kasai as kasai, loupas as loupas
+from .motion.spectral_peak import (
+    cross_spectrum as cross_spectrum,
+    fourier_columns as fourier_columns,
+    noisy_peak_steps as noisy_peak_steps,
+    orthonormal_rows as orthonormal_rows,
+    peak_steps as peak_steps,
+)
+from .motion_map import MapSettings as MapSettings, map_pixels as map_pixels
 from .shots import (
     NO_RECORDS as NO_RECORDS,
     Estimates as Estimates,
@@ -101,13 +81,3 @@ from .shots import (
     shot_motion as shot_motion,
     shot_prior as shot_prior,
 )
-from .spectral_peak import (
-    cross_spectrum as cross_spectrum,
-    fourier_columns as fourier_columns,
-    noisy_peak_steps as noisy_peak_steps,
-    orthonormal_rows as orthonormal_rows,
-    peak_steps as peak_steps,
-)
-from .stationarity import Drift as Drift, drift_between_halves as drift_between_halves
-from .unresolved import with_unresolved as with_unresolved
-from .velocity_chain import Steps as Steps, velocity_to_harmonics as velocity_to_harmonics

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
-from hpe_rig.processing.harmonic import HarmonicFit
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.result import (
     NORMAL,
     PHASE_VARIANCE_LIMIT,
@@ -74,7 +74,7 @@ def estimates_of(
     fit: HarmonicFit,
     known: Known | None = None,
     averaging: Sequence[Averaging | None] | None = None,
-    true_m: NDArray[np.float64] | None = None,
+    true_m: FloatArray | None = None,
 ) -> tuple[Estimate, ...]:
     """Return the estimates of one ``fit`` with their budgets.
 
@@ -87,7 +87,7 @@ def estimates_of(
 
 
 def _estimate(
-    fit: HarmonicFit, index: int, known: Known, averaging: Averaging | None, true_m: NDArray[np.float64] | None
+    fit: HarmonicFit, index: int, known: Known, averaging: Averaging | None, true_m: FloatArray | None
 ) -> Estimate:
     # What aliasing is on the mean is taken off the headline alone.
     best = fit if averaging is None or fit.unaliased is None else fit.unaliased
@@ -127,9 +127,7 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     shared = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * unit**2
     aliasing, lost = _with_shared(aliasing, lost**2, shared)
 
-    def fitted(
-        source: str, variance: NDArray[np.float64], kurtosis: tuple[float, float] = (NORMAL, NORMAL)
-    ) -> Component:
+    def fitted(source: str, variance: FloatArray, kurtosis: tuple[float, float] = (NORMAL, NORMAL)) -> Component:
         u_m, u_rad = np.sqrt(variance).tolist()
         return Component(source, u_m / averaging.factor, u_rad, *kurtosis)
 
@@ -174,9 +172,7 @@ def lengthened(averaging: Averaging) -> Averaging:
     return replace(averaging, speckle_relative=total, speckle_kurtosis=(kurtosis, turn))
 
 
-def _with_shared(
-    aliasing: NDArray[np.float64], lost: NDArray[np.float64], shared: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _with_shared(aliasing: FloatArray, lost: FloatArray, shared: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the variances of aliasing and beam averaging whose sum has what they share, a covariance, in it.
 
     Both are errors about the medium. What beam averaging adds to aliasing is its own; where it makes the sum smaller,

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.plan import Selection, Shot, reference_gate, select
-from hpe_rig.processing.echoes import FloatArray, Motion, relative_to
-from hpe_rig.processing.model import linear_model
-from hpe_rig.processing.motion import coherent
+from hpe_rig.processing.echo.echoes import Motion, relative_to
+from hpe_rig.processing.harmonics.model import linear_model
+from hpe_rig.processing.motion.phase_shift import coherent
 from hpe_rig.processing.shots import margin_needed, samples_needed, shot_echoes, shot_motion
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoredRun

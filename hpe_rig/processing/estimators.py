@@ -9,17 +9,18 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.extensions import ESTIMATORS as EXTENSIONS, ExtensionError, installed, load, origin
-from hpe_rig.processing.band import Band
-from hpe_rig.processing.correlation import cross_correlation
-from hpe_rig.processing.echoes import ComplexArray, EchoGate, FloatArray, Motion, velocity_between_pulses
-from hpe_rig.processing.harmonic import HarmonicFit, least_squares
-from hpe_rig.processing.kalman_filter import kalman
-from hpe_rig.processing.maximum_likelihood import joint
-from hpe_rig.processing.motion import coherent, coherent_phase, kasai, loupas
-from hpe_rig.processing.prior import MediumPrior, medium_fit, medium_kalman
-from hpe_rig.processing.spectral_peak import cross_spectrum
-from hpe_rig.processing.velocity_chain import velocity_to_harmonics
+from hpe_rig.processing.echo.band import Band
+from hpe_rig.processing.echo.echoes import EchoGate, Motion, velocity_between_pulses
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, least_squares
+from hpe_rig.processing.harmonics.kalman_filter import kalman
+from hpe_rig.processing.harmonics.maximum_likelihood import joint
+from hpe_rig.processing.harmonics.medium_prior import MediumPrior, medium_fit, medium_kalman
+from hpe_rig.processing.harmonics.velocity_chain import velocity_to_harmonics
+from hpe_rig.processing.motion.correlation import cross_correlation
+from hpe_rig.processing.motion.phase_shift import coherent, coherent_phase, kasai, loupas
+from hpe_rig.processing.motion.spectral_peak import cross_spectrum
 from hpe_rig.scene import Estimator as Estimator, estimator_names
 
 ESTIMATORS: tuple[Estimator, ...] = estimator_names()

@@ -12,8 +12,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
 from hpe_rig.plan import Shot, driven_frequencies_hz, select
 from hpe_rig.scene import Scene
@@ -21,9 +21,7 @@ from hpe_rig.scene import Scene
 INSTANTS_A_PULSE = 16
 
 
-def true_harmonics_m(
-    scene: Scene, shot: Shot, motion_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def true_harmonics_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Return A cos(phase) and A sin(phase) of the peak displacement at every wanted frequency, m, (frequency, 2).
 
     Of a specimen over the whole burst periods of the processing window, where every driven harmonic is orthogonal to
@@ -39,12 +37,10 @@ def true_harmonics_m(
     return _of_specimen_m(scene, shot, motion_m)
 
 
-def _of_specimen_m(
-    scene: Scene, shot: Shot, motion_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def _of_specimen_m(scene: Scene, shot: Shot, motion_m: Callable[[FloatArray], FloatArray]) -> FloatArray:
     # They bring scipy along: the measurement, which imports this file, does without until its first shot is done.
-    from hpe_rig.processing.echoes import Motion
-    from hpe_rig.processing.harmonic import least_squares
+    from hpe_rig.processing.echo.echoes import Motion
+    from hpe_rig.processing.harmonics.harmonic_fit import least_squares
 
     sensing_s = shot.timeline.sensing_s[select(scene, shot).window]
     time_s = sensing_s[0] + _instants_s(scene, float(sensing_s[-1] - sensing_s[0]))
@@ -58,7 +54,7 @@ def _of_specimen_m(
     return np.stack([fit.amplitude_m * np.cos(fit.phase_rad), fit.amplitude_m * np.sin(fit.phase_rad)], axis=-1)
 
 
-def _creep(scene: Scene, time_s: NDArray[np.float64], displacement_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _creep(scene: Scene, time_s: FloatArray, displacement_m: FloatArray) -> FloatArray:
     """Return the even creep (time,): what the last whole period is beyond the first, spread over all.
 
     Under bursts the mean force carries a medium that flows ever farther, and a ramp has a part at every harmonic.
@@ -74,7 +70,7 @@ def _creep(scene: Scene, time_s: NDArray[np.float64], displacement_m: NDArray[np
     return metres * np.arange(time_s.size) / ((periods - 1) * instants)
 
 
-def _also_hz(scene: Scene, length_s: float) -> NDArray[np.float64]:
+def _also_hz(scene: Scene, length_s: float) -> FloatArray:
     """Return the frequencies to fit along (frequency,): none where the instants make them orthogonal to the wanted."""
     if scene.excitation is None:
         return np.zeros(0)
@@ -83,7 +79,7 @@ def _also_hz(scene: Scene, length_s: float) -> NDArray[np.float64]:
     return np.zeros(0) if orthogonal else driven_frequencies_hz(scene)
 
 
-def _instants_s(scene: Scene, length_s: float) -> NDArray[np.float64]:
+def _instants_s(scene: Scene, length_s: float) -> FloatArray:
     rate_hz = scene.tracking.pulse_rate_hz * INSTANTS_A_PULSE
     if scene.excitation is None or length_s * scene.excitation.burst_rate_hz < 1:
         return np.arange(math.floor(length_s * rate_hz) + 1) / rate_hz

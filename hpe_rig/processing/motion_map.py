@@ -22,9 +22,9 @@ from typing import Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from hpe_rig.processing.band import BAND, compiled
-from hpe_rig.processing.echoes import FloatArray
-from hpe_rig.processing.model import LinearModel, linear_model
+from hpe_rig.arrays import BoolArray, ByteArray, ComplexSingleArray, FloatArray, SingleArray
+from hpe_rig.processing.echo.band import BAND, compiled
+from hpe_rig.processing.harmonics.model import LinearModel, linear_model
 from hpe_rig.result import BadPixel, MotionMap, by_residual
 
 RESULTS: Final = (
@@ -38,8 +38,6 @@ RESULTS: Final = (
     "power",
 )
 """What is found of every pixel, the first four at every frequency."""
-ComplexSingles = NDArray[np.complex64]
-Singles = NDArray[np.float32]
 
 BATCH_BYTES: Final = 6_400_000
 """Baseband samples that a thread works on at a time: a step on them takes longer than to wait for the interpreter."""
@@ -171,7 +169,7 @@ class _Pixels:
     mixed_hz: float
     fast: bool
 
-    def estimate(self, samples: NDArray[Any], gates: int) -> tuple[list[Singles], NDArray[np.uint8]]:
+    def estimate(self, samples: NDArray[Any], gates: int) -> tuple[list[SingleArray], ByteArray]:
         """Return the results of some lines (line, pulse, sample), each (line, gate, ...), and which are bad."""
         length = self.settings.gate_samples // self.factor
         broken = None
@@ -186,7 +184,7 @@ class _Pixels:
         phase, power = _phases(z, self.fast)
         return self._fitted(phase, power, np.float32(self.mixed_hz) + self._frequency(z, power), broken)
 
-    def _baseband(self, samples: NDArray[Any], count: int) -> ComplexSingles:
+    def _baseband(self, samples: NDArray[Any], count: int) -> ComplexSingleArray:
         """Return the baseband (line, pulse, sample) of the first gates, ``count`` samples of it."""
         if np.iscomplexobj(samples):
             return np.asarray(samples[..., :count], np.complex64)
@@ -212,7 +210,7 @@ class _Pixels:
             shifted[..., -middle:] = part[..., :middle]
         return np.asarray(ifft(shifted, axis=-1, overwrite_x=True)[..., :count], np.complex64)
 
-    def _frequency(self, z: ComplexSingles, power: Singles) -> Singles:
+    def _frequency(self, z: ComplexSingleArray, power: SingleArray) -> SingleArray:
         """Return where the energy of each gate lies (line, gate), Hz from the mixer; ``power`` as of `_phases`.
 
         As the echo's phase changes when it is late by little: Im sum conj(z) z' / sum |z|^2 over the gate and every
@@ -233,11 +231,11 @@ class _Pixels:
 
     def _fitted(
         self,
-        phase: Singles,
-        power: Singles,
-        frequency_hz: Singles,
-        broken: NDArray[np.bool_] | None,
-    ) -> tuple[list[Singles], NDArray[np.uint8]]:
+        phase: SingleArray,
+        power: SingleArray,
+        frequency_hz: SingleArray,
+        broken: BoolArray | None,
+    ) -> tuple[list[SingleArray], ByteArray]:
         shape, (pulses, states) = phase.shape[:-1], self.model.matrix.shape
         matrix = np.ascontiguousarray(self.model.matrix.T.astype(np.float32))
         flat = phase.reshape(-1, pulses)
@@ -272,7 +270,9 @@ class _Pixels:
         pulses, states = self.model.matrix.shape
         return float(by_residual(pulses - states))
 
-    def _estimates(self, state: Singles, noise_m2: Singles, metres: Singles, relative: Singles) -> list[Singles]:
+    def _estimates(
+        self, state: SingleArray, noise_m2: SingleArray, metres: SingleArray, relative: SingleArray
+    ) -> list[SingleArray]:
         """Return amplitude, phase (pixel, frequency) and velocity (pixel,), each with u, from ``state`` in rad."""
         count = self.frequency_hz.size
         covariance = (self.model.root @ self.model.root.T * self._by_residual).astype(np.float32)
@@ -299,19 +299,19 @@ def _choice(fast: bool, name: str) -> Callable[..., Any]:
     return cast("Callable[..., Any]", getattr(motion_map_numba, name))
 
 
-def _distance(fitted: Singles, phase: Singles) -> Singles:
+def _distance(fitted: SingleArray, phase: SingleArray) -> SingleArray:
     """Return the sum of squares (pixel,) of ``fitted``, which is overwritten, less ``phase`` (pixel, pulse)."""
     fitted -= phase
     return np.asarray(np.einsum("ij,ij->i", fitted, fitted))
 
 
 def _estimates(
-    state: Singles,
-    noise_m2: Singles,
-    metres: Singles,
-    relative: Singles,
-    covariance: Singles,
-    found: tuple[Singles, Singles, Singles, Singles],
+    state: SingleArray,
+    noise_m2: SingleArray,
+    metres: SingleArray,
+    relative: SingleArray,
+    covariance: SingleArray,
+    found: tuple[SingleArray, SingleArray, SingleArray, SingleArray],
 ) -> None:
     """Write amplitude and phase (pixel, frequency), each followed by its u, of ``state`` (pixel, state) in rad.
 
@@ -332,13 +332,13 @@ def _estimates(
     np.minimum(phase_u, UNKNOWN_PHASE_RAD, out=phase_u)
 
 
-def _inner(one: ComplexSingles, other: ComplexSingles) -> Singles:
+def _inner(one: ComplexSingleArray, other: ComplexSingleArray) -> SingleArray:
     """Return Re sum conj(one) other over pulses and samples: (line, pulse, gate, sample) to (line, gate)."""
     parts = ((one.real, other.real), (one.imag, other.imag))
     return np.asarray(sum(np.einsum("lpgs,lpgs->lg", a, b) for a, b in parts))
 
 
-def _product(left: Singles, right: Singles) -> Singles:
+def _product(left: SingleArray, right: SingleArray) -> SingleArray:
     """Return ``left @ right``, by blocks of rows that BLAS leaves in this thread.
 
     Each of the pool's threads would else wake as many of BLAS's own, all on the same cores.
@@ -360,7 +360,7 @@ def _is_finite(samples: NDArray[Any]) -> bool:
         return bool(np.isfinite(np.vdot(flat, flat)))
 
 
-def _phases(z: ComplexSingles, fast: bool = False) -> tuple[Singles, Singles]:
+def _phases(z: ComplexSingleArray, fast: bool = False) -> tuple[SingleArray, SingleArray]:
     """Return the phase of every pulse (line, gate, pulse), followed from pulse to pulse, and the power (line, gate)."""
     some = z[..., ::STRIDE]
     parts = np.ascontiguousarray(some).view(np.float32)
@@ -382,7 +382,7 @@ def _phases(z: ComplexSingles, fast: bool = False) -> tuple[Singles, Singles]:
     return np.asarray(first + np.angle(others), np.float32), power
 
 
-def _followed(z: ComplexSingles) -> Singles:
+def _followed(z: ComplexSingleArray) -> SingleArray:
     """Return the phase of ``z`` (..., pulse) against the first pulse, without its jumps by whole turns."""
     angle = np.arctan2(np.ascontiguousarray(z.imag), np.ascontiguousarray(z.real))
     angle -= angle[..., :1].copy()

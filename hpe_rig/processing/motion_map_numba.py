@@ -11,9 +11,9 @@ from typing import Any, Final, TypeVar
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Singles = NDArray[np.float32]
+from hpe_rig.arrays import ComplexSingleArray, SingleArray
+
 Loop = TypeVar("Loop", bound=Callable[..., object])
 
 # Sums may be taken in any order: only so are many pulses worked on at a time. NaN stays NaN.
@@ -48,7 +48,7 @@ def _angle(y: Any, x: Any) -> Any:
     return -angle if y < 0 else angle
 
 
-def followed(z: NDArray[np.complex64]) -> Singles:
+def followed(z: ComplexSingleArray) -> SingleArray:
     """Return what `motion_map._followed` returns of ``z`` (..., pulse)."""
     flat = np.ascontiguousarray(z).reshape(-1, z.shape[-1])
     angle = np.empty(flat.shape, np.float32)
@@ -57,7 +57,7 @@ def followed(z: NDArray[np.complex64]) -> Singles:
 
 
 @_compiled
-def _follow(parts: Singles, angle: Singles) -> None:
+def _follow(parts: SingleArray, angle: SingleArray) -> None:
     """Write the phases (pixel, pulse) of ``parts`` (pixel, 2 * pulse): real, imaginary, real, ..."""
     pulses = angle.shape[1]
     for i in range(len(parts)):
@@ -83,7 +83,7 @@ def _follow(parts: Singles, angle: Singles) -> None:
 
 
 @_compiled
-def distance(fitted: Singles, phase: Singles) -> Singles:
+def distance(fitted: SingleArray, phase: SingleArray) -> SingleArray:
     """Return the sum of squares (pixel,) of ``fitted`` less ``phase`` (pixel, pulse)."""
     total = np.empty(len(phase), np.float32)
     for i in range(len(phase)):
@@ -96,12 +96,12 @@ def distance(fitted: Singles, phase: Singles) -> Singles:
 
 @_compiled
 def estimates(
-    state: Singles,
-    noise_m2: Singles,
-    metres: Singles,
-    relative: Singles,
-    covariance: Singles,
-    found: tuple[Singles, Singles, Singles, Singles],
+    state: SingleArray,
+    noise_m2: SingleArray,
+    metres: SingleArray,
+    relative: SingleArray,
+    covariance: SingleArray,
+    found: tuple[SingleArray, SingleArray, SingleArray, SingleArray],
 ) -> None:
     """Write amplitude and phase (pixel, frequency), each followed by its u, of ``state`` (pixel, state) in rad.
 

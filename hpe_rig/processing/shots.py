@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import BoolArray, FloatArray
+from hpe_rig.medium import BeamWidths, KnownMedium, RigidSphere
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
 from hpe_rig.processing.budget import Known, estimates_of, known_of, lengthened
-from hpe_rig.processing.conditioning import (
+from hpe_rig.processing.echo.conditioning import (
     CodedVolts,
     GateStatistics,
     centred_volts,
@@ -21,18 +22,17 @@ from hpe_rig.processing.conditioning import (
     statistics_of,
     unlike_pulses,
 )
-from hpe_rig.processing.echoes import EchoGate, Motion, gate_edge_relative, margin_samples, relative_to
-from hpe_rig.processing.ensemble import BeamWidths, KnownMedium, RigidSphere
+from hpe_rig.processing.echo.echoes import EchoGate, Motion, gate_edge_relative, margin_samples, relative_to
+from hpe_rig.processing.echo.gate_tracking import added, follow
 from hpe_rig.processing.estimators import EstimatorSpec, Harmonic, Options, estimate, fit_motion, spec_of
-from hpe_rig.processing.gate_tracking import added, follow
-from hpe_rig.processing.harmonic import HarmonicFit
-from hpe_rig.processing.model import LinearModel, linear_model
-from hpe_rig.processing.motion import coherent
-from hpe_rig.processing.prior import MediumPrior, medium_prior
-from hpe_rig.processing.quantisation import rounding_m
-from hpe_rig.processing.residual_line import Line, residual_line
-from hpe_rig.processing.stationarity import Drift, drift_between_halves
-from hpe_rig.processing.unresolved import with_unresolved
+from hpe_rig.processing.harmonics.aliasing_error import with_unresolved
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
+from hpe_rig.processing.harmonics.medium_prior import MediumPrior, medium_prior
+from hpe_rig.processing.harmonics.model import LinearModel, linear_model
+from hpe_rig.processing.harmonics.quantisation import rounding_m
+from hpe_rig.processing.harmonics.residual_line import Line, residual_line
+from hpe_rig.processing.harmonics.stationarity import Drift, drift_between_halves
+from hpe_rig.processing.motion.phase_shift import coherent
 from hpe_rig.result import DETECTED, MOST_PULSES, Averaging, Estimate, ShotMotion, ShotResult
 from hpe_rig.scene import Processing, Scene
 
@@ -177,7 +177,7 @@ def _estimate_shot(
     records: GatedRecords,
     found: GateStatistics,
     still: GatedRecords | None,
-    true_m: NDArray[np.float64] | None,
+    true_m: FloatArray | None,
     spec: EstimatorSpec,
     averaging: tuple[Averaging | None, ...],
     known: Known,
@@ -279,12 +279,12 @@ class FittedMotion:
     ``matrix`` (pulse, unknown): the columns of the harmonics, the background and the others that are there as well.
     """
 
-    displacement_m: NDArray[np.float64]
-    matrix: NDArray[np.float64]
+    displacement_m: FloatArray
+    matrix: FloatArray
 
 
 def fitted_motion(
-    motion: Motion, fit: HarmonicFit | Sequence[Estimate], also_hz: NDArray[np.float64], background_order: int
+    motion: Motion, fit: HarmonicFit | Sequence[Estimate], also_hz: FloatArray, background_order: int
 ) -> FittedMotion:
     """Return harmonics as ``fit`` has them, with background and ``also_hz`` fitted to what they leave of ``motion``.
 
@@ -305,7 +305,7 @@ def fitted_motion(
     return FittedMotion(harmonics_m + rest @ np.linalg.lstsq(rest, left_m, rcond=None)[0], matrix)
 
 
-def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[NDArray[np.float64], LinearModel]:
+def shot_model(scene: Scene, shot: Shot, with_driven: bool = True) -> tuple[FloatArray, LinearModel]:
     """Return the times (pulse,) of the pulses that the fit of ``shot`` uses, and the model fitted to them.
 
     As planned, no record missing; without the other driven frequencies where an estimator does not fit them along.
@@ -421,7 +421,7 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
     return lengthened(seen)
 
 
-def _pair(values: NDArray[np.float64]) -> tuple[float, float]:
+def _pair(values: FloatArray) -> tuple[float, float]:
     amplitude, phase = values.tolist()
     return amplitude, phase
 
@@ -472,7 +472,7 @@ def _line(motion: Motion, chosen: Selection, options: Options) -> Line | None:
         return None
 
 
-def _missing_warnings(recorded: NDArray[np.bool_], damaged: NDArray[np.bool_]) -> Iterator[str]:
+def _missing_warnings(recorded: BoolArray, damaged: BoolArray) -> Iterator[str]:
     """Yield what missing records of a complete shot mean; where a run stopped they never came."""
     missing = int((~recorded & ~damaged).sum())
     if missing and not recorded[-1] and not damaged[-1]:
@@ -486,12 +486,12 @@ def _missing_warnings(recorded: NDArray[np.bool_], damaged: NDArray[np.bool_]) -
         )
 
 
-def _damaged_warnings(damaged: NDArray[np.bool_]) -> Iterator[str]:
+def _damaged_warnings(damaged: BoolArray) -> Iterator[str]:
     if damaged.any():
         yield f"{int(damaged.sum())} of {damaged.size} records {DAMAGED}"
 
 
-def _record_warnings(recorded: NDArray[np.bool_], unlike: NDArray[np.bool_], clipped: int) -> Iterator[str]:
+def _record_warnings(recorded: BoolArray, unlike: BoolArray, clipped: int) -> Iterator[str]:
     left_out = int(unlike.sum())
     if left_out:
         yield (
@@ -540,7 +540,7 @@ def _medium_warnings(fit: HarmonicFit, unlikely: float) -> Iterator[str]:
         )
 
 
-def _setting_warnings(scene: Scene, pulse_time_s: NDArray[np.float64], reference: Motion | None) -> Iterator[str]:
+def _setting_warnings(scene: Scene, pulse_time_s: FloatArray, reference: Motion | None) -> Iterator[str]:
     excitation = scene.excitation
     if excitation is not None and excitation.burst_count > 1:
         late = int((pulse_time_s > excitation.burst_count / excitation.burst_rate_hz).sum())

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import ByteArray, UInt32Array
 from hpe_rig.bench import DigitizerBoard
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.settings import RecordingSettings
@@ -76,7 +76,7 @@ class Alazar:
         return Contents({path.stem: limited}, stated, axes=("pulse", "sample"), board=settings.board)
 
 
-def _has_headers(data: NDArray[np.uint8], record_bytes: int, channels: int, stated: bool | None) -> bool:
+def _has_headers(data: ByteArray, record_bytes: int, channels: int, stated: bool | None) -> bool:
     if stated is not None:
         return stated
     with_them, without = record_bytes + HEADER_BYTES, record_bytes
@@ -92,7 +92,7 @@ def _has_headers(data: NDArray[np.uint8], record_bytes: int, channels: int, stat
     return bool(numbers.size > 1 and np.all(np.diff(numbers) == 1))
 
 
-def _stated(headers: NDArray[np.uint32], model: Any, settings: RecordingSettings) -> dict[str, tuple[Any, str]]:
+def _stated(headers: UInt32Array, model: Any, settings: RecordingSettings) -> dict[str, tuple[Any, str]]:
     """Return what the headers (record, 4) say: rate and range by the vendor's numbers, the times of the triggers."""
     stated: dict[str, tuple[Any, str]] = {}
     rate_id = int(headers[0, 3] >> RATE_SHIFT) & ((1 << RATE_BITS) - 1)

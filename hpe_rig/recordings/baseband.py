@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.arrays import SingleArray
+
 LEAST_RATE = 4.0
 """Samples a period of the highest frequency in the band, after interpolation."""
 BAND_END = 1.5
@@ -21,7 +23,7 @@ BAND_END = 1.5
 
 def to_radio_frequency(
     values: NDArray[np.complexfloating[Any, Any]], rate_hz: float, demodulation_hz: float, carrier_hz: float
-) -> tuple[NDArray[np.float32], float]:
+) -> tuple[SingleArray, float]:
     """Return real samples (..., sample) of complex ``values`` (..., sample), and their rate.
 
     The rate is the smallest whole multiple of ``rate_hz`` that holds the band of the carrier twice over.

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.recordings.baseband import to_radio_frequency
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.importers import read_contents
@@ -47,16 +48,16 @@ class Recording:
     sha256: str
     format: str
     values: NDArray[Any]
-    recorded: NDArray[np.bool_]
+    recorded: BoolArray
     scale_v: float | None
     sample_rate_hz: float
     pulse_rate_hz: float
     carrier_hz: float
     sound_speed_m_per_s: float | None
-    pulse_time_s: NDArray[np.float64]
+    pulse_time_s: FloatArray
     regular: bool
     first_sample_s: float
-    line_position_m: NDArray[np.float64] | None
+    line_position_m: FloatArray | None
     inferred: tuple[str, ...]
     board: str | None = None
     demodulation_hz: float | None = None
@@ -169,7 +170,7 @@ class _Reading:
             self.said.wrong("demodulation_hz", what, 'I and Q as complex numbers, or as an axis "iq" of two')
         return mixed_hz if is_iq else None
 
-    def _recorded(self, values: NDArray[Any]) -> NDArray[np.bool_]:
+    def _recorded(self, values: NDArray[Any]) -> BoolArray:
         """Return which records (line, shot, pulse) are there; of a map all, which marks its pixels itself."""
         if self.for_map:
             return np.ones(values.shape[:3], np.bool_)
@@ -186,7 +187,7 @@ class _Reading:
     def _signed(
         self,
         values: NDArray[Any],
-        recorded: NDArray[np.bool_],
+        recorded: BoolArray,
         rate_hz: float,
         carrier_hz: float,
         mixed_hz: float | None,
@@ -308,9 +309,9 @@ class _Reading:
             return values
         return values[..., first:end]
 
-    def _finite(self, values: NDArray[Any]) -> NDArray[np.bool_]:
+    def _finite(self, values: NDArray[Any]) -> BoolArray:
         """Return which records (line, shot, pulse) are there; a mistake for others, unless they count as missing."""
-        recorded: NDArray[np.bool_] = np.isfinite(values).all(axis=-1)
+        recorded: BoolArray = np.isfinite(values).all(axis=-1)
         if recorded.all() or self.settings.not_finite == "missing":
             if not recorded.all():
                 self.said.inferred.append(f"{int((~recorded).sum())} records hold values that are not finite: missing")
@@ -322,7 +323,7 @@ class _Reading:
         self.said.wrong("", what, 'numbers, or not_finite = "missing"')
         return recorded
 
-    def _not_constant(self, values: NDArray[Any], recorded: NDArray[np.bool_]) -> None:
+    def _not_constant(self, values: NDArray[Any], recorded: BoolArray) -> None:
         """Add a mistake for lines that never change: a channel that is not connected."""
         with np.errstate(invalid="ignore"):
             first = values[..., :1]
@@ -342,13 +343,13 @@ class _Reading:
             what = f"{int(alive.sum())} records hold one value throughout: {_places(alive)}"
             self.said.wrong("", what, 'records with echoes; NaN in them and not_finite = "missing" leaves them out')
 
-    def _chosen_alive(self, dead: NDArray[np.bool_]) -> bool:
+    def _chosen_alive(self, dead: BoolArray) -> bool:
         chosen = chosen_lines(self.settings.lines, dead.size)
         return not isinstance(chosen, Mistake) and not dead[chosen[0]].any()
 
     def _lines(
-        self, values: NDArray[Any], recorded: NDArray[np.bool_], position_m: NDArray[np.float64] | None
-    ) -> tuple[NDArray[Any], NDArray[np.bool_], NDArray[np.float64] | None]:
+        self, values: NDArray[Any], recorded: BoolArray, position_m: FloatArray | None
+    ) -> tuple[NDArray[Any], BoolArray, FloatArray | None]:
         chosen = chosen_lines(self.settings.lines or ("all" if self.for_map else None), values.shape[0])
         if isinstance(chosen, Mistake):
             self.said.mistakes.append(chosen)
@@ -371,7 +372,7 @@ class _Reading:
         )
 
 
-def _places(which: NDArray[np.bool_]) -> str:
+def _places(which: BoolArray) -> str:
     """Return the first of the records (line, shot, pulse) in words, counted from 1."""
     found = np.argwhere(which)
     words = [f"line {line + 1} shot {shot + 1} pulse {pulse + 1}" for line, shot, pulse in found[:SHOWN].tolist()]

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.recordings.contents import Contents
 from hpe_rig.recordings.settings import RecordingSettings
 from hpe_rig.scene import Mistake, mistakes_of
@@ -84,7 +84,7 @@ class Statements:
         found = mistakes_of(RecordingSettings, {key: value})
         return found[0] if found else None
 
-    def times(self, count: int | None) -> tuple[NDArray[np.float64] | None, float | None, bool]:
+    def times(self, count: int | None) -> tuple[FloatArray | None, float | None, bool]:
         """Return the times of the pulses, their rate and whether it is regular."""
         stated = self.stated("pulse_time_s")
         if stated is None or (self.settings.pulse_time_s is None and self.settings.pulse_rate_hz is not None):
@@ -135,7 +135,7 @@ class Statements:
             return 0.0
         return 2 * depth_m / speed
 
-    def positions_m(self, lines: int) -> NDArray[np.float64] | None:
+    def positions_m(self, lines: int) -> FloatArray | None:
         """Return where the lines lie beside the middle, (line,); None where nobody says."""
         pitch_m = self.settings.line_pitch_m
         if pitch_m is not None:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hpe_rig.acquire import Run, open_run
 from hpe_rig.bench import settings_differences
 from hpe_rig.result import (
     PALETTE,
@@ -25,6 +24,7 @@ from hpe_rig.result import (
     titled,
     type_schema,
 )
+from hpe_rig.runs import Run, open_run
 from hpe_rig.scene import parse_toml
 from hpe_rig.store import read_snapshots
 

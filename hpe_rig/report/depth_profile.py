@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpe_rig.result import GateResult, Headline, Picture, legend_above, mark, panel, picture
-
-FloatArray = NDArray[np.float64]
 
 MOST_CURVES = 4
 """Frequencies drawn, those that move most: of more nothing could be told apart."""

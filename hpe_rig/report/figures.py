@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.report.residual_tests import periodogram
 from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.report.views import EchoView, MotionView, grey_limit_v
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 ROOM_ABOVE = 1.05
 """Top of an amplitude's axis over the largest, so that its mark is whole."""
-FloatArray = NDArray[np.float64]
 
 
 def rf_line(view: EchoView) -> Picture:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from matplotlib import rc_context
 
-from hpe_rig.acquire import Run, fit_moduli
 from hpe_rig.result import STYLE, Picture, inline
+from hpe_rig.runs import Run, fit_moduli
 from hpe_rig.scene import SettingsError
 from hpe_rig.store import StoreError
 

@@ -16,7 +16,6 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from hpe_rig.acquire import Run, estimate_points, open_run, points_over
 from hpe_rig.bench import twin_of
 from hpe_rig.extensions import ESTIMATORS, IMPORTERS, MEDIA, named, origin
 from hpe_rig.plan import scene_of, timing
@@ -45,6 +44,7 @@ from hpe_rig.result import (
     shown_shot,
     symbols,
 )
+from hpe_rig.runs import Run, estimate_points, open_run, points_over
 from hpe_rig.scene import Scene
 from hpe_rig.store import StoreError, reason, refuse_unwritable
 

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc, kolmogorov
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.report.views import MotionView
 
-FloatArray = NDArray[np.float64]
 Outcome = Literal["passed", "noticed", "not possible"]
 
 LEAST_P = 0.001

@@ -8,11 +8,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.result import Headline, ShotResult
-
-FloatArray = NDArray[np.float64]
 
 FORCE = "force F / F_0"
 PROPORTIONAL = (FORCE, "excitation.force_fraction")

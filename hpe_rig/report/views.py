@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.plan import Selection, Shot, select
 from hpe_rig.processing import (
     aliased_hz,
@@ -22,8 +22,6 @@ from hpe_rig.processing import (
 from hpe_rig.result import Estimate
 from hpe_rig.scene import Scene
 from hpe_rig.store import ShotRecords
-
-FloatArray = NDArray[np.float64]
 
 MOST_PULSES = 20_000
 """Pulses of a shot that are looked at; a picture shows no more, and memory stays bounded."""

@@ -1,15 +1,3 @@
-from .estimates import (
-    RECTIFIED as RECTIFIED,
-    Averaging as Averaging,
-    Component as Component,
-    Estimate as Estimate,
-    GateResult as GateResult,
-    Headline as Headline,
-    Result as Result,
-    ShotResult as ShotResult,
-    json_values as json_values,
-    shot_warnings as shot_warnings,
-)
 from .figure import PALETTE as PALETTE
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
 from .interval import (
@@ -75,3 +63,15 @@ from .svg import (
     write_figure as write_figure,
 )
 from .tables import csv_text as csv_text, mappings as mappings, rich_table as rich_table, text_table as text_table
+from .values import (
+    RECTIFIED as RECTIFIED,
+    Averaging as Averaging,
+    Component as Component,
+    Estimate as Estimate,
+    GateResult as GateResult,
+    Headline as Headline,
+    Result as Result,
+    ShotResult as ShotResult,
+    json_values as json_values,
+    shot_warnings as shot_warnings,
+)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from hpe_rig.result.estimates import Result
+from hpe_rig.result.values import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

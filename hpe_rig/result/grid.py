@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpe_rig.result.estimates import Result
+from hpe_rig.arrays import FloatArray, Int64Array
+from hpe_rig.result.values import Result
 
 if TYPE_CHECKING:
     import xarray
@@ -56,8 +56,6 @@ SETTING_UNITS: Final = {
 }
 """What was set in each shot, (shot,), with units."""
 
-FloatArray = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True)
 class Grid:
@@ -69,7 +67,7 @@ class Grid:
     (shot, pulse), empty where the result holds no displacements.
     """
 
-    shot: NDArray[np.int64]
+    shot: Int64Array
     frequency_hz: FloatArray
     frequency: FloatArray | None
     estimates: Mapping[str, FloatArray]

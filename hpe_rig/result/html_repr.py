@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from html import escape
 from itertools import groupby
 
-from hpe_rig.result.estimates import Headline, Result, shot_warnings
 from hpe_rig.result.print_symbols import symbols
 from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.sentence import headline_sentence
 from hpe_rig.result.spectra import amplitude_spectrum, phase_spectrum, repeats_of, shown_shot
 from hpe_rig.result.svg import image
+from hpe_rig.result.values import Headline, Result, shot_warnings
 
 MOST_SHOTS = 6
 COLUMNS = (

@@ -19,7 +19,8 @@ from statistics import NormalDist
 
 import numpy as np
 
-from hpe_rig.result.phase import PHASE_VARIANCE_LIMIT, FloatArray
+from hpe_rig.arrays import FloatArray
+from hpe_rig.result.phase import PHASE_VARIANCE_LIMIT
 
 NORMAL = 3.0
 """Kurtosis of a normal distribution."""

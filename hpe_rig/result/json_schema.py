@@ -9,8 +9,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
-from hpe_rig.result.estimates import DERIVED, Estimate, Result, ShotResult
 from hpe_rig.result.repeats import RepeatMean
+from hpe_rig.result.values import DERIVED, Estimate, Result, ShotResult
 
 NUMBER = {"type": ["number", "null"]}
 """Numbers that JSON cannot hold, such as an infinite ratio, are null."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+from hpe_rig.arrays import FloatArray, Int64Array
 
 MOST_PULSES = 5_000_000
 """Pulses of all shots up to which a result keeps their displacements: about 200 MB; they can be had again any time."""
@@ -23,14 +22,14 @@ class ShotMotion:
     NaN where no model is fitted. ``tracked_by``: the motion estimator, "coherent" for one that has no displacements.
     """
 
-    pulse: NDArray[np.int64]
-    time_s: NDArray[np.float64]
-    displacement_m: NDArray[np.float64]
-    uncertainty_m: NDArray[np.float64]
-    model_m: NDArray[np.float64]
+    pulse: Int64Array
+    time_s: FloatArray
+    displacement_m: FloatArray
+    uncertainty_m: FloatArray
+    model_m: FloatArray
     tracked_by: str
 
     @property
-    def residual_m(self) -> NDArray[np.float64]:
+    def residual_m(self) -> FloatArray:
         """What the model does not explain, (pulse,)."""
         return self.displacement_m - self.model_m

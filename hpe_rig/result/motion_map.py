@@ -8,13 +8,12 @@ from enum import IntEnum
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from hpe_rig.arrays import ByteArray, FloatArray
 
 if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
-
-FloatArray = NDArray[np.float64]
 
 
 class BadPixel(IntEnum):
@@ -48,7 +47,7 @@ class MotionMap:
     velocity_uncertainty_m_per_s: FloatArray
     residual_m: FloatArray
     power: FloatArray
-    bad: NDArray[np.uint8]
+    bad: ByteArray
     lines_are_placed: bool
     origin: str = ""
 

@@ -16,9 +16,8 @@ them, one standard deviation, lie below 1.515 times the noise of a quadrature, n
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from hpe_rig.arrays import FloatArray
 
 PHASE_VARIANCE_LIMIT = np.pi**2 / 3
 """Variance of a phase about which nothing is known, rad^2."""

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 
-from hpe_rig.result.estimates import RECTIFIED, Estimate, Headline, ShotResult
 from hpe_rig.result.interval import (
     NORMAL,
     by_residual,
@@ -23,6 +22,7 @@ from hpe_rig.result.interval import (
     residual_kurtosis,
 )
 from hpe_rig.result.phase import phase_variance_rad2, rectified_variance_m2
+from hpe_rig.result.values import RECTIFIED, Estimate, Headline, ShotResult
 
 INDEPENDENT = ("noise", "trigger jitter")
 """Components that are drawn anew in every repeat; all others are common to them, but what noise has of its own."""

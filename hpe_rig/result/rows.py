@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from hpe_rig.result.estimates import Headline, Result
 from hpe_rig.result.repeats import RepeatMean
 from hpe_rig.result.tables import csv_text, text_table
+from hpe_rig.result.values import Headline, Result
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from hpe_rig.result.estimates import Estimate, Headline, Result, ShotResult
 from hpe_rig.result.repeats import RepeatMean
+from hpe_rig.result.values import Estimate, Headline, Result, ShotResult
 
 UNITS = ((1e-3, "mm"), (1e-6, "um"), (1e-9, "nm"), (1e-12, "pm"))
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from hpe_rig.result.estimates import Estimate, Result, ShotResult
 from hpe_rig.result.svg import BLUE, GREY, ORANGE, PURPLE, Picture, legend, panel, picture
+from hpe_rig.result.values import Estimate, Result, ShotResult
 
 
 def shown_shot(result: Result) -> ShotResult:

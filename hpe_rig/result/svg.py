@@ -17,12 +17,10 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.result.figure import PALETTE
 from hpe_rig.result.print_symbols import svg_symbols
-
-FloatArray = NDArray[np.float64]
 
 SIZE_IN = (4.8, 3.1)
 BLUE, ORANGE, GREEN, PURPLE, GREY, _, SKY, _ = PALETTE

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interfaces import Setting
+from hpe_rig.arrays import BoolArray, FloatArray, Int16Array
 from hpe_rig.plan import Plan
 from hpe_rig.result import UNKNOWN, Provenance
 from hpe_rig.store.checksum import BY_SHOT, GROUP, blank, digest, stored_bytes
@@ -67,11 +68,11 @@ class StoredShot:
     name: str
     shot: int
     around: slice
-    valid: NDArray[np.bool_]
+    valid: BoolArray
     volts_per_code: float
     code_limits: tuple[int, int]
     margin: tuple[int, int]
-    damaged: NDArray[np.bool_]
+    damaged: BoolArray
     copy: CodesCopy | None = None
 
     @property
@@ -79,9 +80,9 @@ class StoredShot:
         """Numbers of pulses and of samples."""
         return self.valid.size, self.around.stop - self.around.start
 
-    def block(self, pulses: slice) -> NDArray[np.int16]:
+    def block(self, pulses: slice) -> Int16Array:
         """Return the codes of some ``pulses``, (pulse, sample); they were compared with their checksums before."""
-        codes: NDArray[np.int16]
+        codes: Int16Array
         if self.copy is not None and self.copy.whole:
             codes = self.copy.block(*pulses.indices(self.valid.size)[:2])
         else:
@@ -106,7 +107,7 @@ class CodesCopy:
             # And so removed, with the last of those who may read it.
             weakref.finalize(self, self._file.close)
 
-    def add(self, codes: NDArray[np.int16]) -> None:
+    def add(self, codes: Int16Array) -> None:
         """Append the next records, (pulse, sample)."""
         if self.whole:
             try:
@@ -117,7 +118,7 @@ class CodesCopy:
                 with suppress(OSError):
                     self._file.close()
 
-    def block(self, first: int, last: int) -> NDArray[np.int16]:
+    def block(self, first: int, last: int) -> Int16Array:
         """Return the codes of the records from ``first`` to before ``last``, (pulse, sample)."""
         codes = np.empty((max(0, last - first), self._samples), np.int16)
         self._file.seek(2 * first * self._samples)
@@ -177,7 +178,7 @@ class StoredRecords(Sequence[ShotRecords]):
         gate: slice,
         margin: int,
         most_held: int = MOST_HELD_SAMPLES,
-        look: Callable[[NDArray[np.int16]], None] | None = None,
+        look: Callable[[Int16Array], None] | None = None,
     ) -> GatedRecords:
         """Return what ``gated`` does; of more samples than ``most_held`` the codes stay in the file until asked for.
 
@@ -192,7 +193,7 @@ class StoredRecords(Sequence[ShotRecords]):
         inside = slice(stored.margin[0], samples - stored.margin[1])
         copy = CodesCopy(samples) if 2 * pulses * samples <= MOST_COPIED_BYTES else None
 
-        def see(codes: NDArray[np.int16]) -> None:
+        def see(codes: Int16Array) -> None:
             if copy is not None:
                 copy.add(codes)
             if look is not None:
@@ -223,7 +224,7 @@ class StoredRecords(Sequence[ShotRecords]):
             arrival,
         )
 
-    def chunks(self, shot: int, pulses: int, name: str = "echo") -> Iterator[tuple[int, NDArray[np.int16]]]:
+    def chunks(self, shot: int, pulses: int, name: str = "echo") -> Iterator[tuple[int, Int16Array]]:
         """Yield the codes of ``shot`` as (first pulse, codes) in steps of ``pulses``, opening the file once.
 
         Raises ``StoreError`` where one of its records is damaged.
@@ -241,9 +242,9 @@ class StoredRecords(Sequence[ShotRecords]):
         self,
         shot: int,
         pulses: int = 4096,
-        look: Callable[[NDArray[np.int16]], None] | None = None,
+        look: Callable[[Int16Array], None] | None = None,
         samples: slice = slice(0, 0),
-    ) -> NDArray[np.bool_]:
+    ) -> BoolArray:
         """Return which records of ``shot`` are damaged at any input, (pulse,), holding at most ``pulses`` of them.
 
         ``look`` is given the codes of some ``samples`` of all echoes (pulse, sample), some pulses after the other.
@@ -263,15 +264,15 @@ class StoredRecords(Sequence[ShotRecords]):
                         look(codes)
         return found
 
-    def recorded(self, shot: int) -> NDArray[np.bool_]:
+    def recorded(self, shot: int) -> BoolArray:
         """Return which records of ``shot`` are marked as there, (pulse,); their echoes may yet prove damaged."""
         with trusted(self.path) as trust:
             return _arrival(trust, self.shape, shot).recorded
 
-    def unvouched(self, shot: int) -> NDArray[np.bool_]:
+    def unvouched(self, shot: int) -> BoolArray:
         """Return which records of ``shot`` are marked as there without a checksum of the mark, (pulse,)."""
         with trusted(self.path) as trust:
-            marked: NDArray[np.bool_] = _rows(trust, "records/recorded", self.shape, "u1")[shot] == 1
+            marked: BoolArray = _rows(trust, "records/recorded", self.shape, "u1")[shot] == 1
             arrival = _arrival(trust, self.shape, shot)
             return marked & ~arrival.recorded & ~arrival.damaged
 
@@ -283,14 +284,14 @@ class StoredGroundTruth:
     path: Path
     shape: Shape
 
-    def __getitem__(self, shot: int) -> NDArray[np.float64]:
+    def __getitem__(self, shot: int) -> FloatArray:
         name = "truth/displacement_m"
         with trusted(self.path) as trust:
-            row_m: NDArray[np.float64]
+            row_m: FloatArray
             row_m, _ = _row(trust, name, _rows(trust, name, self.shape), _within(shot, self.shape[0]))
             return row_m
 
-    def harmonics_m(self, shot: int, frequencies: int) -> NDArray[np.float64]:
+    def harmonics_m(self, shot: int, frequencies: int) -> FloatArray:
         """Return A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
         shape, shot = (self.shape[0], None), _within(shot, self.shape[0])
         with trusted(self.path) as trust:
@@ -305,8 +306,8 @@ class StoredGroundTruth:
 class ShotRows:
     """Everything of one shot but its echoes: which records came, (pulse,), when, and the rows of the other datasets."""
 
-    recorded: NDArray[np.bool_]
-    trigger_time_s: NDArray[np.float64]
+    recorded: BoolArray
+    trigger_time_s: FloatArray
     tables: Mapping[str, Any]
 
 
@@ -333,11 +334,11 @@ class StoredRun:
     status: str
     records: StoredRecords
     true_displacement_m: StoredGroundTruth | None
-    shot_complete: NDArray[np.bool_]
+    shot_complete: BoolArray
     clipped: tuple[int, ...]
     predecessor: str
     run_time_s: Mapping[str, float]
-    force_set: NDArray[np.float64]
+    force_set: FloatArray
     untrusted: Mapping[int, str]
     damage: tuple[str, ...]
     vouched: bool
@@ -464,7 +465,7 @@ def _stored_run(trust: Trusted, path: Path) -> StoredRun:
     )
 
 
-def _force_set(trust: Trusted, shots: int) -> NDArray[np.float64]:
+def _force_set(trust: Trusted, shots: int) -> FloatArray:
     if not trust.has("records/force_set"):
         # Files from before it was asked what the generator holds.
         return np.full(shots, np.nan)
@@ -548,7 +549,7 @@ def _row(trust: Trusted, name: str, dataset: h5py.Dataset, row: int | None) -> t
     return (values if expected and sound else blank(dataset.dtype, values.shape)), sound
 
 
-def _all_rows(trust: Trusted, name: str, dataset: h5py.Dataset) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _all_rows(trust: Trusted, name: str, dataset: h5py.Dataset) -> tuple[NDArray[Any], BoolArray]:
     """Return every row of a dataset, blank where none was written or it cannot be trusted, and which are sound."""
     values: NDArray[Any] = dataset[()]
     if not trust.vouched:
@@ -565,9 +566,9 @@ def _all_rows(trust: Trusted, name: str, dataset: h5py.Dataset) -> tuple[NDArray
 class _Arrival:
     """Which records of a shot are in the file, when they were triggered, and of which this cannot be told; (pulse,)."""
 
-    recorded: NDArray[np.bool_]
-    trigger_time_s: NDArray[np.float64]
-    damaged: NDArray[np.bool_]
+    recorded: BoolArray
+    trigger_time_s: FloatArray
+    damaged: BoolArray
 
 
 def _arrival(trust: Trusted, shape: Shape, shot: int) -> _Arrival:
@@ -598,7 +599,7 @@ def _codes(
     arrival: _Arrival,
     samples: slice,
     rows: slice | None = None,
-) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
+) -> tuple[Int16Array, BoolArray]:
     """Return the codes of ``samples`` of the records ``rows``, (pulse, sample), and which are damaged, (pulse,).
 
     Chunk by chunk, each checked before it is decompressed. A file that has no checksums may be of any chunks.
@@ -627,7 +628,7 @@ def _codes(
 
 def _chunk(
     trust: Trusted, echo: h5py.Dataset, name: str, shot: int, number: int, sums: h5py.Dataset | None
-) -> NDArray[np.int16] | None:
+) -> Int16Array | None:
     """Return the codes of chunk ``number`` of a shot, (pulse, sample), None where it is damaged.
 
     ``sums`` (shot, chunk) is None in a file without checksums.
@@ -649,13 +650,13 @@ def _chunk(
         if plain:
             return np.frombuffer(stored, "<i2").reshape(echo.chunks[1:])
     try:
-        codes: NDArray[np.int16] = echo[shot, first : first + rows]
+        codes: Int16Array = echo[shot, first : first + rows]
     except OSError:
         return None
     return codes
 
 
-def _refuse_unheld(echo: h5py.Dataset, recorded: NDArray[np.bool_], shape: Shape, samples: int) -> None:
+def _refuse_unheld(echo: h5py.Dataset, recorded: BoolArray, shape: Shape, samples: int) -> None:
     held, plain = echo.id.get_storage_size(), echo.id.get_create_plist().get_nfilters() == 0
     if plain and int(recorded.sum()) * shape[2] * 2 > held:
         raise UntrustedError(f"{int(recorded.sum())} records are said to be there, in {held} bytes")

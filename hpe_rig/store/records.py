@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.interfaces import RecordBlock
+from hpe_rig.arrays import BoolArray, FloatArray, Int16Array, Int64Array
 from hpe_rig.plan import Shot
 
 MISSING = np.int16(-32768)
@@ -25,7 +25,7 @@ class GatedRecords(Protocol):
     @property
     def shape(self) -> tuple[int, int]: ...
     @property
-    def valid(self) -> NDArray[np.bool_]: ...
+    def valid(self) -> BoolArray: ...
     @property
     def volts_per_code(self) -> float: ...
     @property
@@ -33,9 +33,9 @@ class GatedRecords(Protocol):
     @property
     def margin(self) -> tuple[int, int]: ...
     @property
-    def damaged(self) -> NDArray[np.bool_] | None: ...
+    def damaged(self) -> BoolArray | None: ...
 
-    def block(self, pulses: slice) -> NDArray[np.int16]:
+    def block(self, pulses: slice) -> Int16Array:
         """Return the codes of some ``pulses``, (pulse, sample), ``MISSING`` where nothing arrived."""
         ...
 
@@ -50,20 +50,20 @@ class ShotRecords:
     ``damaged`` (pulse,): which of the missing records failed their checksums; None where all others never came.
     """
 
-    codes: NDArray[np.int16]
-    trigger_time_s: NDArray[np.float64]
+    codes: Int16Array
+    trigger_time_s: FloatArray
     volts_per_code: float
     volts_offset: float
     code_limits: tuple[int, int]
     margin: tuple[int, int] = (0, 0)
-    damaged: NDArray[np.bool_] | None = None
+    damaged: BoolArray | None = None
 
     @property
     def shape(self) -> tuple[int, int]:
         """Numbers of pulses and of samples."""
         return self.codes.shape[0], self.codes.shape[1]
 
-    def block(self, pulses: slice) -> NDArray[np.int16]:
+    def block(self, pulses: slice) -> Int16Array:
         """Return the codes of some ``pulses``, (pulse, sample)."""
         return self.codes[pulses]
 
@@ -73,9 +73,9 @@ class ShotRecords:
         return replace(self, codes=self.codes[:, around], margin=margins)
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> BoolArray:
         """Which pulses have a record, shape (pulse,)."""
-        valid: NDArray[np.bool_] = self.codes[:, 0] != MISSING
+        valid: BoolArray = self.codes[:, 0] != MISSING
         return valid
 
 
@@ -94,7 +94,7 @@ class Placed:
     record: int
 
 
-def place(block: RecordBlock, before: Placed | None, shot: Shot) -> tuple[NDArray[np.int64], Placed | None]:
+def place(block: RecordBlock, before: Placed | None, shot: Shot) -> tuple[Int64Array, Placed | None]:
     """Return the tracking pulse of each record of ``block``, (record,), -1 where none fits, and the latest placed.
 
     The board's trigger times decide, counted from the record placed last, so that a lost trigger shifts no later record
@@ -113,8 +113,8 @@ def place(block: RecordBlock, before: Placed | None, shot: Shot) -> tuple[NDArra
 
 
 def _placed_by_time(
-    record: NDArray[np.int64], trigger_time_s: NDArray[np.float64], before: Placed | None, shot: Shot
-) -> tuple[NDArray[np.int64], Placed | None]:
+    record: Int64Array, trigger_time_s: FloatArray, before: Placed | None, shot: Shot
+) -> tuple[Int64Array, Placed | None]:
     anchor = before or Placed(0, float(trigger_time_s[0]), int(record[0]))
     pulses = anchor.pulse + (trigger_time_s - anchor.trigger_time_s) * shot.tracking_train.rate_hz
     index = np.round(pulses).astype(np.int64)

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.result import MOTION_UNITS, UNITS, Result, ShotResult, result_grid
 from hpe_rig.store.atomic import atomic_file
 from hpe_rig.store.checksum import seal, seal_heap
@@ -87,7 +87,7 @@ def _write(file: h5py.File, result: Result) -> None:
         _write_profile(file, result, axis)
 
 
-def _write_profile(file: h5py.File, result: Result, frequency_hz: NDArray[np.float64]) -> None:
+def _write_profile(file: h5py.File, result: Result, frequency_hz: FloatArray) -> None:
     """Write groups ``profile`` and ``burst_period``; NaN where a shot has no such gate."""
     settings = list(dict.fromkeys(_setting(gate.shot) for gate in result.profile))
     depth_m = np.unique([gate.depth_m for gate in result.profile])

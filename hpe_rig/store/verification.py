@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import BoolArray
 from hpe_rig.result import dataclass_schema, titled
 from hpe_rig.store.checksum import ATTRIBUTE, GROUP, datasets, heap_is_sound
 from hpe_rig.store.format import RESULT_FORMAT, StoreError, reason
@@ -133,7 +133,7 @@ def _verified_result(path: Path) -> Verification:
     return Verification(path, "result", "complete", shots, shots, 0, checksums, damage)
 
 
-def ranges(which: NDArray[np.bool_]) -> tuple[tuple[int, int], ...]:
+def ranges(which: BoolArray) -> tuple[tuple[int, int], ...]:
     """Return first and last index of each row of true values in ``which``.
 
     >>> ranges(np.array([True, True, False, True]))

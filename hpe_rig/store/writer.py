@@ -28,6 +28,7 @@ from h5py import h5f, h5fd, h5p, h5s
 from numpy.typing import NDArray
 
 from drivers.interfaces import RecordBlock
+from hpe_rig.arrays import BoolArray, FloatArray, Int16Array, Int64Array
 from hpe_rig.bench import BenchText, uninterrupted
 from hpe_rig.plan import Plan, Shot
 from hpe_rig.result import Provenance
@@ -191,7 +192,7 @@ class RunWriter:
         with self._committing():
             self._tables["untrusted"].put(shot.index, why.encode("ascii", "replace")[:UNTRUSTED_BYTES])
 
-    def ground_truth(self, shot: Shot, displacement_m: NDArray[np.float64]) -> None:
+    def ground_truth(self, shot: Shot, displacement_m: FloatArray) -> None:
         """Write the true displacement at the focus at each record of ``shot``, (record,)."""
         recorded = np.zeros(0, bool) if self._shot is None else self._shot.recorded
         valid = np.flatnonzero(recorded)
@@ -201,7 +202,7 @@ class RunWriter:
             with self._writing():
                 self._tables["truth/displacement_m"].put(shot.index, row_m)
 
-    def true_harmonics(self, shot: Shot, harmonics_m: NDArray[np.float64]) -> None:
+    def true_harmonics(self, shot: Shot, harmonics_m: FloatArray) -> None:
         """Write A cos(phase) and A sin(phase) of the true displacement at the wanted frequencies, (frequency, 2)."""
         with self._writing():
             for name, column_m in zip(TRUE_HARMONICS, harmonics_m.T, strict=True):
@@ -254,9 +255,9 @@ class RunWriter:
     def _put(
         self,
         rows: _ShotRows,
-        index: NDArray[np.int64],
-        codes: tuple[NDArray[np.int16], ...],
-        time_s: NDArray[np.float64],
+        index: Int64Array,
+        codes: tuple[Int16Array, ...],
+        time_s: FloatArray,
     ) -> None:
         # Records of one block may reach over several chunks, and late ones may belong to an earlier chunk.
         for number, here in self._by_chunk(index):
@@ -272,7 +273,7 @@ class RunWriter:
             if index[here][-1] % self._chunk.rows == self._chunk.rows - 1:
                 self._write_chunk()
 
-    def _by_chunk(self, index: NDArray[np.int64]) -> Iterator[tuple[int, slice | NDArray[np.bool_]]]:
+    def _by_chunk(self, index: Int64Array) -> Iterator[tuple[int, slice | BoolArray]]:
         """Yield each chunk that records ``index`` (record,) belong to, and which of them do."""
         rows = self._chunk.rows
         if index.size and bool(np.all(np.diff(index) == 1)):
@@ -444,7 +445,7 @@ class _Arrivals:
         self._sums, self._rows = sums, rows
         self.count = sums.count
 
-    def put(self, shot: int, numbers: Sequence[int], recorded: NDArray[np.bool_], time_s: NDArray[np.float64]) -> None:
+    def put(self, shot: int, numbers: Sequence[int], recorded: BoolArray, time_s: FloatArray) -> None:
         """Write those of the chunks ``numbers`` out of the shot's, each (pulse,)."""
         pieces = [slice(number * self._rows, (number + 1) * self._rows) for number in numbers]
         times_s = [np.ascontiguousarray(time_s[rows], self._time_s.dtype) for rows in pieces]
@@ -490,7 +491,7 @@ class _Chunk:
         self.rows: int = echo.chunks[1]
         self._codes = np.empty(echo.chunks[1:], "<i2")
         self._filled = np.zeros(self.rows, bool)
-        self._spare, self._lent = list[NDArray[np.int16]](), list[NDArray[np.int16]]()
+        self._spare, self._lent = list[Int16Array](), list[Int16Array]()
         self.place: tuple[int, int] | None = None
         self.fresh = False
         self.unvouched: dict[int, Future[int]] = {}
@@ -503,7 +504,7 @@ class _Chunk:
         self._filled[:] = False
         self.place = (shot, number)
 
-    def recall(self, recorded: NDArray[np.bool_]) -> None:
+    def recall(self, recorded: BoolArray) -> None:
         """Take in again which records of the chunk the file holds, (pulse,): one comes late, behind those of others."""
         if self.place is None or not recorded.any():
             return
@@ -512,7 +513,7 @@ class _Chunk:
         self._codes[: recorded.size] = self._echo[shot, first : first + recorded.size]
         self._filled[: recorded.size] = recorded
 
-    def put(self, rows: NDArray[np.int64], codes: NDArray[np.int16]) -> None:
+    def put(self, rows: Int64Array, codes: Int16Array) -> None:
         """Put ``codes`` (row, sample) into the rows ``rows``."""
         # As a slice, as nearly always, they take half the time.
         here = slice(rows[0], rows[-1] + 1) if bool(np.all(np.diff(rows) == 1)) else rows
@@ -520,7 +521,7 @@ class _Chunk:
         self._filled[here] = True
         self.fresh = True
 
-    def write(self, shot: int, first: int, codes: NDArray[np.int16]) -> None:
+    def write(self, shot: int, first: int, codes: Int16Array) -> None:
         """Write whole ``codes`` (pulse, sample) from pulse ``first`` on, a multiple of the chunk's rows."""
         self.begin(shot, first // self.rows)
         self.put(np.arange(codes.shape[0]), codes)

@@ -9,13 +9,10 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from hpe_rig.result import MARKS, STYLE, label_decades, mark
 from hpe_rig.study.results import StudyResult
 from hpe_rig.study.series import Curve, View, axis_label, curves, numbers
-
-Floats = NDArray[np.float64]
 
 NM, DEGREES = 1e9, 180 / np.pi
 PANELS = (

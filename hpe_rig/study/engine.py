@@ -22,15 +22,13 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray, IndexArray
 from hpe_rig.processing import Estimator
 from hpe_rig.study.cases import Case
 from hpe_rig.study.kernels import Form, form_of, spectral_kernels, states
 from hpe_rig.study.results import CaseRecord
 from hpe_rig.study.statistics import errors, phase_errors
-
-Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-7
 """Of the echoes, rms over rms: 1 pm of motion."""
@@ -46,7 +44,7 @@ class _Running:
     """A case while it runs: states (draw, noise, 2 * frequency) by estimator, of which ``draws`` are there."""
 
     case: Case
-    states: dict[str, Floats] = field(init=False)
+    states: dict[str, FloatArray] = field(init=False)
     draws: int = 0
     seconds: float = 0.0
     finished: bool = False
@@ -61,8 +59,8 @@ class _Echoes:
     """Noise-free echoes (draw, distinct displacement, sample) and which of them every pulse gets (pulse,)."""
 
     cases: list[_Running]
-    volts: Floats
-    which: NDArray[np.intp]
+    volts: FloatArray
+    which: IndexArray
 
 
 def run_batch(cases: Sequence[Case]) -> list[CaseRecord]:
@@ -140,7 +138,7 @@ def _echoes(cases: list[_Running], block: int, draws: int) -> _Echoes:
     _, first, which = np.unique(np.round(displacement_m / largest_m, 12), return_index=True, return_inverse=True)
     # The gate's samples in time after the echo of the resting focus.
     middle = (train.samples - 1) / 2
-    gate_s: Floats = np.asarray((np.arange(train.samples) - middle) / train.sample_rate_hz + case.gate_offset_s)
+    gate_s: FloatArray = np.asarray((np.arange(train.samples) - middle) / train.sample_rate_hz + case.gate_offset_s)
     rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_DRAWS, block)))
     pulse = echo_pulse(twin, train.carrier_hz)
     chunks = list(drawn_echoes(twin, displacement_m[first], pulse, gate_s, rng, draws, TOLERANCE))
@@ -157,14 +155,14 @@ def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
 
 def _in_forms(
     active: list[_Running], shape: tuple[int, ...], peak: np.random.Generator, others: np.random.Generator
-) -> dict[Form, Floats]:
+) -> dict[Form, FloatArray]:
     """Return unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes.
 
     Drawn by ``peak`` for the paper's chain and by ``others`` for all that see the tapered gate, where there are any.
     """
     wanted = {form_of(name) for one in active for name in one.case.estimators}
     seen = spectral_kernels(active[0].case.train)
-    out: dict[Form, Floats] = {}
+    out: dict[Form, FloatArray] = {}
     for rng, forms in ((peak, wanted & {"peak"}), (others, wanted - {"peak"})):
         if forms:
             numbers = rng.standard_normal((*shape, len(seen.basis[min(forms)])))
@@ -172,7 +170,9 @@ def _in_forms(
     return out
 
 
-def _estimate(made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[Form, Floats], since: float) -> float:
+def _estimate(
+    made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[Form, FloatArray], since: float
+) -> float:
     """Write the states of every case of these echoes at ``place`` (draw, noise); return the time it is."""
     train = made.cases[0].case.train
     volts = made.volts[some]

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import ComplexArray, FloatArray, IndexArray
 from hpe_rig.processing import (
     Band,
     EchoGate,
@@ -37,9 +37,6 @@ from hpe_rig.processing import (
     orthonormal_rows,
     spec_of,
 )
-
-Floats = NDArray[np.float64]
-Places = NDArray[np.intp]
 
 PADDING = 8
 """The paper's chain: how finely its spectrum is sampled, as `processing.cross_spectrum`'s default."""
@@ -60,11 +57,11 @@ class Train:
     options: Options
 
     @property
-    def pulse_time_s(self) -> Floats:
+    def pulse_time_s(self) -> FloatArray:
         """When each pulse senses the motion, (pulse,)."""
         return self.delay_s + np.arange(self.pulses) / self.pulse_rate_hz
 
-    def gate(self, volts: Floats) -> EchoGate:
+    def gate(self, volts: FloatArray) -> EchoGate:
         """Return echoes (..., pulse, sample) as the estimators take them."""
         valid = np.ones(self.pulses, dtype=bool)
         return EchoGate(volts, self.sample_rate_hz, self.pulse_time_s, self.carrier_hz, self.sound_speed_m_per_s, valid)
@@ -84,15 +81,15 @@ def form_of(estimator: Estimator) -> Form:
 class SpectralKernels:
     """What a train fixes of the spectra; `spectral_kernels` makes it."""
 
-    basis: dict[Form, Floats]
+    basis: dict[Form, FloatArray]
     """(number, sample), orthonormal rows: how many numbers say all that an estimator of a form sees of a gate."""
-    grid_hz: dict[Form, Floats]
+    grid_hz: dict[Form, FloatArray]
     """(bin,)"""
     band: Band
     """The plain spectrum's."""
-    of_volts: dict[Form, Floats]
+    of_volts: dict[Form, FloatArray]
     """(sample, 2 * bin), from samples to spectra: real parts, then imaginary parts."""
-    of_numbers: dict[Form, Floats]
+    of_numbers: dict[Form, FloatArray]
     """The same from the numbers, (number, 2 * bin), and of "volts" (number, sample), orthonormal rows."""
 
 
@@ -106,22 +103,22 @@ def _spectral_kernels(carrier_hz: float, sample_rate_hz: float, samples: int) ->
     # The grids are those of one pulse, whenever it is fired and whatever the sound speed.
     one = EchoGate(np.zeros((1, samples)), sample_rate_hz, np.zeros(1), carrier_hz, 1.0, np.ones(1, dtype=bool))
     band = band_of(one)
-    grid_hz: dict[Form, Floats] = {
+    grid_hz: dict[Form, FloatArray] = {
         "peak": band_grid(one, 1 << (PADDING * samples - 1).bit_length()),
         "plain": band.frequency_hz,
     }
     of_volts = {form: fourier_columns(samples, sample_rate_hz, hz) for form, hz in grid_hz.items()}
     of_volts["peak"] *= hann(samples)[:, None]
-    basis: dict[Form, Floats] = {"peak": orthonormal_rows(np.hstack([of_volts["plain"], of_volts["peak"]]))}
+    basis: dict[Form, FloatArray] = {"peak": orthonormal_rows(np.hstack([of_volts["plain"], of_volts["peak"]]))}
     # All others see the tapered spectrum, from numbers of their own: the chain's noise does not hang on who else runs.
     of_volts["plain"] = np.hstack([band.analysis.real, band.analysis.imag])
     basis["plain"] = basis["volts"] = orthonormal_rows(of_volts["plain"])
-    of_numbers: dict[Form, Floats] = {form: basis[form] @ columns for form, columns in of_volts.items()}
+    of_numbers: dict[Form, FloatArray] = {form: basis[form] @ columns for form, columns in of_volts.items()}
     return SpectralKernels(basis, grid_hz, band, of_volts, of_numbers | {"volts": basis["volts"]})
 
 
 @functools.lru_cache(maxsize=64)
-def functional(train: Train, estimator: Estimator) -> Floats:
+def functional(train: Train, estimator: Estimator) -> FloatArray:
     """Return the matrix (pulse, 2 * frequency) from displacements to A cos(phi), A sin(phi), interleaved."""
     # A linear map's matrix is what it makes of the unit vectors: a fit of many trains, each moved at one pulse alone.
     unit = np.eye(train.pulses)
@@ -131,14 +128,16 @@ def functional(train: Train, estimator: Estimator) -> Floats:
 
 
 @functools.lru_cache(maxsize=64)
-def step_functional(train: Train, estimator: Estimator) -> Floats:
+def step_functional(train: Train, estimator: Estimator) -> FloatArray:
     """Return the matrix (step, 2 * frequency) from displacement steps between pulses to A cos(phi), A sin(phi)."""
     # A step before pulse k moves all pulses from k on: it weighs as much as their weights together.
     onwards = np.cumsum(functional(train, estimator)[::-1], axis=0)[::-1]
     return np.ascontiguousarray(onwards[1:])
 
 
-def states(train: Train, estimator: Estimator, clean: Floats, which: Places, level: Floats, noise: Floats) -> Floats:
+def states(
+    train: Train, estimator: Estimator, clean: FloatArray, which: IndexArray, level: FloatArray, noise: FloatArray
+) -> FloatArray:
     """Return the states (draw, noise, 2 * frequency), NaN where the estimator refuses a realisation.
 
     ``clean`` (draw, echo, ...) and ``noise`` (draw, noise, pulse, ...) in the form of the estimator, ``which`` (pulse,)
@@ -154,7 +153,7 @@ def states(train: Train, estimator: Estimator, clean: Floats, which: Places, lev
         return np.full((*noisy.shape[:2], 2 * len(train.frequencies_hz)), np.nan)
 
 
-def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
+def _states(train: Train, estimator: Estimator, noisy: FloatArray) -> FloatArray:
     spec = spec_of(estimator)
     if spec.motion is None:
         fit = estimate(train.gate(noisy), train.frequencies_hz, estimator, options=train.options)
@@ -166,14 +165,14 @@ def _states(train: Train, estimator: Estimator, noisy: Floats) -> Floats:
 
 
 def _peaks_states(
-    train: Train, estimator: Estimator, clean: Floats, which: Places, level: Floats, noise: Floats
-) -> Floats:
+    train: Train, estimator: Estimator, clean: FloatArray, which: IndexArray, level: FloatArray, noise: FloatArray
+) -> FloatArray:
     step, peak = noisy_peak_steps(clean, which, level, noise)
     step_m = step * _metres(train) / spectral_kernels(train).grid_hz["peak"][peak]
     return np.asarray(step_m @ step_functional(train, estimator))
 
 
-def _complex(both: Floats) -> NDArray[np.complex128]:
+def _complex(both: FloatArray) -> ComplexArray:
     """Return spectra (..., bin) of their real and imaginary parts (..., 2 * bin)."""
     bins = both.shape[-1] // 2
     return np.asarray(both[..., :bins] + 1j * both[..., bins:])

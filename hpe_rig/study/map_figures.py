@@ -10,16 +10,15 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.result import STYLE, label_decades
 from hpe_rig.study.curve_figures import DEGREES, NM
 from hpe_rig.study.definition import Axis
 from hpe_rig.study.results import StudyResult
 from hpe_rig.study.series import View, axis_label, maps, shown
 
-Floats = NDArray[np.float64]
-Levels = Sequence[float] | Floats | None
+Levels = Sequence[float] | FloatArray | None
 
 OURS = 2.19
 """W_x and W_y of the paper's transducer, marked."""
@@ -29,7 +28,7 @@ DARK = "#101010"
 HEIGHT_IN, BELOW_IN, ABOVE_IN = 3.1, 0.47, 0.28
 
 
-def lateral_average(w_x: Floats, w_y: Floats) -> Floats:
+def lateral_average(w_x: FloatArray, w_y: FloatArray) -> FloatArray:
     """Return tracked over peak displacement of beams without axial extent; each W any shape.
 
     Speckle weights by the square of the tracking beam's amplitude: prod W sqrt(2) / sqrt(2 W^2 + 1).
@@ -69,7 +68,7 @@ def map_alt(result: StudyResult, one: View) -> str:
     return f"{one.title}. {'; '.join(parts)}."
 
 
-def _normalised(table: dict[str, Floats]) -> Floats:
+def _normalised(table: dict[str, FloatArray]) -> FloatArray:
     return np.asarray(1 + table["amplitude_bias_m"] / table["amplitude_true_m"])
 
 
@@ -82,10 +81,10 @@ def _figure(rows: int) -> Figure:
     return figure
 
 
-def _four_quantities(x: Floats, y: Floats, table: dict[str, Floats]) -> Figure:
+def _four_quantities(x: FloatArray, y: FloatArray, table: dict[str, FloatArray]) -> Figure:
     figure = _figure(2)
     phase = np.arange(5, 181, 5.0)
-    panels: tuple[tuple[str, Floats, Levels], ...] = (
+    panels: tuple[tuple[str, FloatArray, Levels], ...] = (
         ("(a) normalised displacement", _normalised(table), np.arange(1, 10) / 10),
         ("(b) displacement jitter (nm)", table["amplitude_jitter_m"] * NM, None),
         ("(c) |phase bias| (degrees)", np.abs(table["phase_bias_rad"]) * DEGREES, phase),
@@ -97,7 +96,9 @@ def _four_quantities(x: Floats, y: Floats, table: dict[str, Floats]) -> Figure:
 
 
 def _by_outer_value(
-    found: list[tuple[tuple[Any, ...], Floats, Floats, dict[str, Floats]]], outer: Sequence[Axis], lateral: bool
+    found: list[tuple[tuple[Any, ...], FloatArray, FloatArray, dict[str, FloatArray]]],
+    outer: Sequence[Axis],
+    lateral: bool,
 ) -> Figure:
     rows = -(-len(found) // 2)
     figure = _figure(rows)
@@ -122,9 +123,9 @@ def _by_outer_value(
 
 def _map(
     axes: Axes,
-    x: Floats,
-    y: Floats,
-    values: Floats,
+    x: FloatArray,
+    y: FloatArray,
+    values: FloatArray,
     levels: Levels,
     title: str,
     limits: tuple[float | None, float | None] = (None, None),

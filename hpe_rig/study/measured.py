@@ -15,18 +15,17 @@ from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpe_rig.acquire import open_run, prepare, record_run
+from hpe_rig.arrays import FloatArray
+from hpe_rig.measurement import prepare, record_run
 from hpe_rig.processing import Estimator
 from hpe_rig.result import Estimate, Result
+from hpe_rig.runs import open_run
 from hpe_rig.store import StoreError
 from hpe_rig.study.engine import peak_memory_bytes, settled
 from hpe_rig.study.measured_case import MeasuredCase
 from hpe_rig.study.results import CaseRecord
 from hpe_rig.study.statistics import errors, phase_errors
-
-Floats = NDArray[np.float64]
 
 BETWEEN_LOOKS = 16
 """Draws after which it is asked whether a case is known well enough."""
@@ -54,7 +53,7 @@ def measure_case(case: MeasuredCase) -> CaseRecord:
     }
 
 
-def _measure(case: MeasuredCase, draw: int, found: Mapping[Estimator, Floats]) -> None:
+def _measure(case: MeasuredCase, draw: int, found: Mapping[Estimator, FloatArray]) -> None:
     """Write what every estimator makes of a draw to ``found`` (noise, frequency, 5), NaN where it refuses."""
     with tempfile.TemporaryDirectory() as folder:
         run = open_run(record_run(prepare(case.seeded(draw)), Path(folder) / "run.h5"))
@@ -67,7 +66,7 @@ def _measure(case: MeasuredCase, draw: int, found: Mapping[Estimator, Floats]) -
             _fill(values, result, case.corrected)
 
 
-def _fill(values: Floats, result: Result, corrected: bool) -> None:
+def _fill(values: FloatArray, result: Result, corrected: bool) -> None:
     for shot in result.shots:
         values[shot.shot] = [(*_numbers(each, corrected), bool(shot.warnings)) for each in shot.estimates]
 
@@ -78,7 +77,7 @@ def _numbers(each: Estimate, corrected: bool) -> tuple[float | None, ...]:
     return found.amplitude_m, found.phase_rad, each.true_amplitude_m, each.true_phase_rad
 
 
-def _rows(case: MeasuredCase, found: Mapping[Estimator, Floats], draws: int) -> list[CaseRecord]:
+def _rows(case: MeasuredCase, found: Mapping[Estimator, FloatArray], draws: int) -> list[CaseRecord]:
     """Return bias and jitter of amplitude and phase, a row an estimator and frequency."""
     rows = []
     for name, every in found.items():
@@ -94,7 +93,7 @@ def _rows(case: MeasuredCase, found: Mapping[Estimator, Floats], draws: int) -> 
     return rows
 
 
-def _first(values: Floats) -> float:
+def _first(values: FloatArray) -> float:
     """Return the first known of ``values``; a true value is that of every realisation but for jitter."""
     known = values[np.isfinite(values)]
     return float(known[0]) if known.size else float("nan")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hpe_rig.acquire import Setup, prepare
+from hpe_rig.measurement import Setup, prepare
 from hpe_rig.processing import Estimator
 from hpe_rig.scene import Scene, with_default_specimen
 

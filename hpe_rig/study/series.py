@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.processing import spec_of
 from hpe_rig.study.definition import Axis
 from hpe_rig.study.results import StudyResult
 
-Floats = NDArray[np.float64]
 StudyRow = dict[str, Any]
 
 READINGS = {
@@ -48,7 +47,7 @@ class View:
         """What a reader calls it."""
         return f"{READINGS[self.reading]}, {spec_of(self.estimator).label}"
 
-    def values(self, column: str) -> Floats:
+    def values(self, column: str) -> FloatArray:
         """Return a column, (row,)."""
         return np.array([row[column] for row in self.rows], dtype=np.float64)
 
@@ -58,10 +57,10 @@ class Curve:
     """Rows along one axis, the values of the others fixed."""
 
     label: str
-    x: Floats
+    x: FloatArray
     rows: tuple[StudyRow, ...]
 
-    def values(self, column: str) -> Floats:
+    def values(self, column: str) -> FloatArray:
         """Return a column, (point,)."""
         return np.array([row[column] for row in self.rows], dtype=np.float64)
 
@@ -112,7 +111,9 @@ def curves(result: StudyResult, one: View) -> list[Curve]:
     return found
 
 
-def maps(result: StudyResult, one: View) -> Iterator[tuple[tuple[Any, ...], Floats, Floats, dict[str, Floats]]]:
+def maps(
+    result: StudyResult, one: View
+) -> Iterator[tuple[tuple[Any, ...], FloatArray, FloatArray, dict[str, FloatArray]]]:
     """Yield (outer values, x (x,), y (y,), every numeric column (y, x)) for each value of the outer axes."""
     *outer, across, up = result.definition.axes
     x, y = (np.array(axis.values(), dtype=np.float64) for axis in (across, up))

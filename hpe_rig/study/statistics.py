@@ -12,9 +12,8 @@ import math
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from hpe_rig.arrays import FloatArray
 
 UNKNOWN_RAD = math.pi / math.sqrt(3)
 """Standard deviation of a phase about which nothing is known."""
@@ -38,7 +37,7 @@ class Errors:
         return {f"{quantity}_{name}_{unit}": value for name, value in asdict(self).items()}
 
 
-def errors(deviation: Floats) -> Errors:
+def errors(deviation: FloatArray) -> Errors:
     """Return bias and jitter of ``deviation`` (draw, noise) from the true value, NaN rows left out."""
     kept = _whole_rows(deviation)
     draws, repeats = kept.shape
@@ -59,7 +58,7 @@ def errors(deviation: Floats) -> Errors:
     return Errors(bias, bias_se, *total, *noise, *speckle)
 
 
-def phase_errors(phase_rad: Floats, true_rad: float) -> Errors:
+def phase_errors(phase_rad: FloatArray, true_rad: float) -> Errors:
     """Return bias and jitter of a phase (draw, noise): the circular mean of its error, and what is wrapped about it.
 
     For small errors those of eq. (14) and (15). A phase about which nothing is known has a jitter of pi / sqrt(3), and
@@ -76,21 +75,21 @@ def phase_errors(phase_rad: Floats, true_rad: float) -> Errors:
     return replace(errors(wrapped(turned)), bias=centre, bias_se=float(np.minimum(UNKNOWN_RAD, centre_se)))
 
 
-def wrapped(angle_rad: Floats) -> Floats:
+def wrapped(angle_rad: FloatArray) -> FloatArray:
     """Return angles in (-pi, pi]."""
     return np.asarray(np.pi - np.mod(np.pi - angle_rad, 2 * np.pi))
 
 
-def _whole_rows(values: Floats) -> Floats:
+def _whole_rows(values: FloatArray) -> FloatArray:
     return values[~np.isnan(values).any(axis=1)]
 
 
-def _error_of_mean(values: Floats) -> float:
+def _error_of_mean(values: FloatArray) -> float:
     """Return the standard error of the mean of independent ``values`` (draw,); NaN of a single one."""
     return float(values.std(ddof=1) / math.sqrt(values.size)) if values.size > 1 else math.nan
 
 
-def _root_of_mean(values: Floats) -> tuple[float, float]:
+def _root_of_mean(values: FloatArray) -> tuple[float, float]:
     """Return the root of the mean of independent ``values`` (draw,) and its standard error; of a negative mean 0."""
     mean = float(values.mean())
     spread = _error_of_mean(values)

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes import (
     EchoDelays,
     Pulse,
@@ -41,15 +41,12 @@ from sim_backend.receiver import (
     toneburst_echo_strength,
 )
 from sim_backend.settings import SimulationSettings
-from sim_backend.wiring import PS_PER_S, Bursts, Capture, Picoseconds, near, to_ps
+from sim_backend.wiring import PS_PER_S, Bursts, Capture, near, to_ps
 
 if TYPE_CHECKING:
     from sim_backend.motion import MediumMotion
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Indices = NDArray[np.int64]
-FocusMotion = Callable[[Bursts, Picoseconds, int], Floats]
+FocusMotion = Callable[[Bursts, Int64Array, int], FloatArray]
 
 # Children of the world's seed: what each is used for must never change, or old scenes give new data.
 _SCATTERER_STREAM = 0
@@ -71,11 +68,11 @@ class Heard:
     """A pulse and what a beam lets it hear of the scatterers."""
 
     shape: Pulse
-    weight: Floats
+    weight: FloatArray
     """(scatterer,)"""
-    colour: Complexes | None = None
+    colour: ComplexArray | None = None
     """(frequency, scatterer), what is heard of every frequency besides; None: all alike."""
-    sensed: Floats | None = None
+    sensed: FloatArray | None = None
     """(scatterer,) delay that a displacement makes, over 2 u / c; None: 1."""
 
 
@@ -83,10 +80,10 @@ class Heard:
 class Passage:
     """Bursts on their way through the focus; every array (burst,)."""
 
-    onset_ps: Picoseconds
-    time_ps: Picoseconds
+    onset_ps: Int64Array
+    time_ps: Int64Array
     """When they pass the focus."""
-    delay_s: Floats | None
+    delay_s: FloatArray | None
     """By how much the background delays their echoes; None without background."""
 
 
@@ -114,7 +111,7 @@ class Acoustics:
         self._delay_s = depth_delay_s(self._field, settings.scatterers.axial_delay, settings.sound_speed_m_per_s)
         self._heard: dict[Pulse, Heard] = {}
         # By pulse the echoes of the latest records, where they were few: what decided them, and what came of it.
-        self._repeated: dict[Pulse, tuple[tuple[Floats, Floats, Picoseconds], Floats]] = {}
+        self._repeated: dict[Pulse, tuple[tuple[FloatArray, FloatArray, Int64Array], FloatArray]] = {}
         reference = self._hear(
             echo_pulse(settings, settings.receiver.reference_carrier_hz), self._field.tracking_weight
         )
@@ -124,8 +121,8 @@ class Acoustics:
         self._background_m = _background_motion(settings)
 
     def focus_displacement_m(
-        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
-    ) -> Floats:
+        self, tonebursts: Bursts, time_ps: Int64Array, origin_ps: int, *, index: int = 0
+    ) -> FloatArray:
         """Return the displacement at the focus at ``time_ps`` (time,), positive away from the transducer, m.
 
         Where the tracking transducer was moved beside the push, that on its axis. ``tonebursts`` move a specimen;
@@ -146,7 +143,7 @@ class Acoustics:
             np.random.SeedSequence(self._settings.seed, spawn_key=(_SCATTERER_STREAM, box % 2**32))
         )
 
-    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> Floats:
+    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray:
         """Return what reaches the digitizer's input, float64 (record, sample), V.
 
         Echoes of every tracking pulse and toneburst that fall into a record, toneburst leak, and noise. The noise
@@ -185,7 +182,7 @@ class Acoustics:
             through = self._hear(shape, self._field.excitation_weight, of_push=True)
             self._add_echoes(volts, capture, through, passage, strength_v[alike], motion_m)
 
-    def _hear(self, shape: Pulse, gaussian_weight: Floats, of_push: bool = False) -> Heard:
+    def _hear(self, shape: Pulse, gaussian_weight: FloatArray, of_push: bool = False) -> Heard:
         """Return what is heard by ``shape`` through a beam of ``gaussian_weight``, or through the aperture's own."""
         if self._settings.beams.field == "gaussian":
             return Heard(shape, gaussian_weight)
@@ -194,7 +191,7 @@ class Acoustics:
             self._heard[shape] = Heard(shape, made.weight * self._field.strength, made.colour, made.sensed)
         return self._heard[shape]
 
-    def _add_leak(self, volts: Floats, tonebursts: Bursts, capture: Capture) -> None:
+    def _add_leak(self, volts: FloatArray, tonebursts: Bursts, capture: Capture) -> None:
         leak_per_vpp = leak_per_vpp_v(self._settings)
         if leak_per_vpp == 0:
             return
@@ -207,7 +204,7 @@ class Acoustics:
             amplitude_v = leak_per_vpp * tonebursts.amplitude_vpp[burst]
             volts[record, span] += leak_v(amplitude_v, tonebursts.carrier_hz[burst], age_ps)
 
-    def _passage(self, onset_ps: Picoseconds, capture: Capture) -> Passage:
+    def _passage(self, onset_ps: Int64Array, capture: Capture) -> Passage:
         """Return when bursts of ``onset_ps`` (burst,) pass the focus, which the background has moved."""
         time_ps = onset_ps + to_ps(self._travel_s)
         if self._background_m is None:
@@ -219,7 +216,7 @@ class Acoustics:
         moved_m = self._background_m(time_ps - capture.origin_ps)
         return Passage(onset_ps, time_ps, moved_m * (2 / self._settings.sound_speed_m_per_s))
 
-    def _motion_sensed_m(self, tonebursts: Bursts, passage_ps: Picoseconds, capture: Capture) -> Floats:
+    def _motion_sensed_m(self, tonebursts: Bursts, passage_ps: Int64Array, capture: Capture) -> FloatArray:
         """Return the amplitude of every motion shape when pulses pass, at ``passage_ps`` (burst,): (burst, shape)."""
         if self._medium is not None:
             return self._medium.amplitudes_m(tonebursts, passage_ps)
@@ -233,8 +230,8 @@ class Acoustics:
         capture: Capture,
         heard: Heard,
         passage: Passage,
-        strength_v: Floats,
-        motion_m: Floats,
+        strength_v: FloatArray,
+        motion_m: FloatArray,
     ) -> None:
         """Add the echoes of like pulses, everything from their onset on, to the records they meet."""
         shape, seen = heard.shape, noticeable(heard.weight)
@@ -302,7 +299,7 @@ class Acoustics:
         else:
             np.add.at(volts[:, span], record, block)
 
-    def _made_before(self, shape: Pulse, decided_by: tuple[Floats, Floats, Picoseconds]) -> Floats | None:
+    def _made_before(self, shape: Pulse, decided_by: tuple[FloatArray, FloatArray, Int64Array]) -> FloatArray | None:
         """Return the echoes of ``shape`` that the latest records before had, where the same numbers decide them."""
         before, block = self._repeated.get(shape, ((), None))
         same = len(before) == len(decided_by) and all(map(np.array_equal, before, decided_by))
@@ -310,13 +307,13 @@ class Acoustics:
 
     def _add_shifted_echoes(
         self,
-        volts: Floats,
+        volts: FloatArray,
         capture: Capture,
         shape: Pulse,
-        weight: Floats,
+        weight: FloatArray,
         delays: EchoDelays,
         passage: Passage,
-        strength_v: Floats,
+        strength_v: FloatArray,
         heard_ps: slice,
     ) -> None:
         """Add echoes that the background shifts as a whole, by any number of samples.
@@ -354,7 +351,7 @@ class Acoustics:
                 volts[into, begin:end] += echo[begin - first : end - first]
 
 
-def _add_to_records(volts: Floats, block: Floats, kind: Indices, strength_v: Floats) -> None:
+def _add_to_records(volts: FloatArray, block: FloatArray, kind: Int64Array, strength_v: FloatArray) -> None:
     """Add to every record (record, sample) its ``kind`` (record,) of echo (kind, sample), by its strength (record,)."""
     alike = bool((strength_v == strength_v[0]).all())
     if alike:
@@ -365,7 +362,7 @@ def _add_to_records(volts: Floats, block: Floats, kind: Indices, strength_v: Flo
         volts[some] += block[kind[some]] if alike else block[kind[some]] * strength_v[some, None]
 
 
-def transmitted_share(amplitude_vpp: Floats, settings: SimulationSettings) -> Floats:
+def transmitted_share(amplitude_vpp: FloatArray, settings: SimulationSettings) -> FloatArray:
     """Return what hybrid, amplifier and diodes leave of tracking pulses (burst,), over that of the reference pulse.
 
     The carrier alone: its harmonics lie outside the receive band. They are the push's: to a tracking transducer of its
@@ -382,7 +379,7 @@ def transmitted_share(amplitude_vpp: Floats, settings: SimulationSettings) -> Fl
     return left / of_reference if of_reference[0] > 0 else np.zeros_like(amplitude_vpp)
 
 
-def burst_record_pairs(start_ps: Picoseconds, end_ps: Picoseconds, capture: Capture) -> tuple[Indices, Indices]:
+def burst_record_pairs(start_ps: Int64Array, end_ps: Int64Array, capture: Capture) -> tuple[Int64Array, Int64Array]:
     """Return burst and record index of every pair in which the interval (burst,) holds a sample's time, ends included.
 
     Records must begin in time order, as triggers do.
@@ -427,7 +424,7 @@ def _focus_motion(settings: SimulationSettings, travel_s: float) -> FocusMotion 
     return None
 
 
-def _background_motion(settings: SimulationSettings) -> Callable[[Picoseconds], Floats] | None:
+def _background_motion(settings: SimulationSettings) -> Callable[[Int64Array], FloatArray] | None:
     """Return how far the whole specimen has moved at times after the master trigger, or None."""
     if not settings.background:
         return None
@@ -448,7 +445,7 @@ def _medium_motion(
     return replace(motion, shape=motion.shape * scatterers.moves)
 
 
-def _after_arrival_s(sample_ps: NDArray[np.int64], arrival_s: float) -> Floats:
+def _after_arrival_s(sample_ps: Int64Array, arrival_s: float) -> FloatArray:
     """Return sample times after the focus' echo: integers are subtracted first, so no digit of the phase is lost."""
     whole_ps = to_ps(arrival_s)
     return np.asarray((sample_ps - whole_ps) / PS_PER_S - (arrival_s - whole_ps / PS_PER_S))

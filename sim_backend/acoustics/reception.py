@@ -12,13 +12,11 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.receiver import STENCIL, RecordStream, jittered, sampled_late, samples_late
 from sim_backend.settings import ReceiveChain, SimulationSettings, Specimen
-from sim_backend.wiring import PS_PER_S, Bursts, Capture, Picoseconds, joined_bursts, no_bursts
-
-Floats = NDArray[np.float64]
+from sim_backend.wiring import PS_PER_S, Bursts, Capture, joined_bursts, no_bursts
 
 # Children of the world's seed, after those of the acoustics.
 _CHAIN_NOISE_STREAM = 100
@@ -29,11 +27,11 @@ _PULSER_SALT, _TONEBURST_SALT = 1, 2
 class Physics(Protocol):
     """From what was transmitted to what was received."""
 
-    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> Floats: ...
+    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray: ...
 
     def focus_displacement_m(
-        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
-    ) -> Floats: ...
+        self, tonebursts: Bursts, time_ps: Int64Array, origin_ps: int, *, index: int = 0
+    ) -> FloatArray: ...
 
 
 def with_reception(acoustics: Physics, settings: SimulationSettings) -> Physics:
@@ -53,12 +51,12 @@ class Reception:
         self._lateness = RecordStream(settings.seed, _CLOCK_STREAM)
 
     def focus_displacement_m(
-        self, tonebursts: Bursts, time_ps: Picoseconds, origin_ps: int, *, index: int = 0
-    ) -> Floats:
+        self, tonebursts: Bursts, time_ps: Int64Array, origin_ps: int, *, index: int = 0
+    ) -> FloatArray:
         """Return the displacement at the focus at ``time_ps`` (time,), m, moved by the jittered tonebursts."""
         return self._acoustics.focus_displacement_m(self._pushed(tonebursts, origin_ps, index), time_ps, origin_ps)
 
-    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> Floats:
+    def record_volts(self, tonebursts: Bursts, pulses: Bursts, capture: Capture) -> FloatArray:
         """Return what the digitizer samples, float64 (record, sample), V."""
         tonebursts = self._pushed(tonebursts, capture.origin_ps, capture.index)
         pulses = self._tracked(pulses, capture.origin_ps, capture.index)
@@ -74,8 +72,8 @@ class Reception:
         return sampled_late(volts, kept, period_s, self._settings.instruments, rng)
 
     def _received(
-        self, volts: Floats, chain: ReceiveChain, tonebursts: Bursts, pulses: Bursts, wide: Capture
-    ) -> Floats:
+        self, volts: FloatArray, chain: ReceiveChain, tonebursts: Bursts, pulses: Bursts, wide: Capture
+    ) -> FloatArray:
         from sim_backend.receiver import receive, switch_gain
 
         thirds = third_harmonics(tonebursts, self._settings)

@@ -7,13 +7,12 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ByteArray, FloatArray, Int64Array
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.board import Arming, BoardSettings, Taken, is_clipped, words
 from sim_backend.digitizer.boards import MILLIVOLTS_BY_ID
 from sim_backend.digitizer.codes import Code
-from sim_backend.wiring import Picoseconds
 
 RESOLUTIONS = {8: 0, 12: 1, 14: 2, 16: 3}
 ADDRESS_MULTIPLE, ADDRESS_MULTIPLE_NPT = 32, 64
@@ -120,7 +119,7 @@ class BufferQueue:
         count = self.transfer.records_per_buffer
         return slice(self.delivered * count, (self.delivered + 1) * count)
 
-    def deliver(self, arming: Arming, taken: Taken, volts: NDArray[np.float64], reset_ps: int) -> None:
+    def deliver(self, arming: Arming, taken: Taken, volts: FloatArray, reset_ps: int) -> None:
         """Write the ``volts`` (record, sample) of `next_records` into the buffer at the head and let go of it."""
         data = packed(self.transfer, arming, taken, volts, self.next_records, reset_ps)
         # As DMA would: straight into the program's memory, which posting has checked to be large enough.
@@ -129,8 +128,8 @@ class BufferQueue:
 
 
 def packed(
-    transfer: Transfer, arming: Arming, taken: Taken, volts: NDArray[np.float64], records: slice, reset_ps: int
-) -> NDArray[np.uint8]:
+    transfer: Transfer, arming: Arming, taken: Taken, volts: FloatArray, records: slice, reset_ps: int
+) -> ByteArray:
     """Return the bytes, in order, of consecutive ``records``, whose ``volts`` are (record, sample).
 
     R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
@@ -148,7 +147,7 @@ def packed(
     return data
 
 
-def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps: int) -> NDArray[np.uint8]:
+def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps: int) -> ByteArray:
     """Return record headers as uint8 (record, 16): four little-endian words (docs/theory/instruments.md, 2.6).
 
     Assumed: records count from 0, resolution codes 0 to 3 for 8 to 16 bits, format 0 for unsigned, "this channel" on
@@ -178,7 +177,7 @@ def headers(arming: Arming, taken: Taken, channel: int, records: slice, reset_ps
     return quad.astype("<u4").view(np.uint8)
 
 
-def timestamps(arming: Arming, tick_ps: Picoseconds, reset_ps: int) -> NDArray[np.int64]:
+def timestamps(arming: Arming, tick_ps: Int64Array, reset_ps: int) -> Int64Array:
     """Return the 40-bit time stamps of triggers at ``tick_ps`` (record,), each count some samples: int64 (record,)."""
     period_ps = arming.settings.board.samples_per_count * arming.settings.sample_period_ps
     return (tick_ps - reset_ps) // period_ps & 0xFFFFFFFFFF

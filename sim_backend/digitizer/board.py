@@ -15,12 +15,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.boards import BOARDS, IMPEDANCE_50_OHM, BoardType
 from sim_backend.wiring import (
     PS_PER_S,
     Emission,
-    Picoseconds,
     Steps,
     accepted,
     crossings,
@@ -96,10 +96,10 @@ class Arming:
 class Taken:
     """Triggers that an arming accepted; arrays (record,). ``by`` says what triggered, ``ignored`` counts the others."""
 
-    tick_ps: Picoseconds
-    first_sample_ps: Picoseconds
-    end_ps: Picoseconds
-    by: NDArray[np.int64]
+    tick_ps: Int64Array
+    first_sample_ps: Int64Array
+    end_ps: Int64Array
+    by: Int64Array
     ignored: int
 
     def complete(self, time_ps: int) -> int:
@@ -153,7 +153,7 @@ def aux_steps(arming: Arming, taken: Taken, latencies: Latencies) -> Steps:
     return joined_steps([Steps(rise_ps, low, high), Steps(fall_ps, high, low)])
 
 
-def words(volts: NDArray[np.float64], channel: Input, settings: BoardSettings) -> NDArray[np.unsignedinteger]:
+def words(volts: FloatArray, channel: Input, settings: BoardSettings) -> NDArray[np.unsignedinteger]:
     """Return the board's codes, left-justified in bytes or in little-endian words of two; shaped as ``volts``."""
     board = settings.board
     out = np.empty(volts.shape, f"<u{board.bytes_per_sample}")
@@ -189,7 +189,7 @@ def _at_input(channel: Input) -> float:
     return 1.0 if channel.impedance == IMPEDANCE_50_OHM else 2.0
 
 
-def _trigger_edges(settings: BoardSettings, arriving: Steps) -> Picoseconds:
+def _trigger_edges(settings: BoardSettings, arriving: Steps) -> Int64Array:
     used = {0: (0,), 1: (1,), 2: (0, 1)}.get(settings.operation, ())
     edges = [np.empty(0, np.int64)]
     for engine in (settings.engines[index] for index in used):
@@ -202,8 +202,8 @@ def _trigger_edges(settings: BoardSettings, arriving: Steps) -> Picoseconds:
 
 
 def _with_timeout(
-    tick_ps: Picoseconds, ready_ps: int, busy_ps: int, settings: BoardSettings, last_ps: int
-) -> tuple[Picoseconds, NDArray[np.int64]]:
+    tick_ps: Int64Array, ready_ps: int, busy_ps: int, settings: BoardSettings, last_ps: int
+) -> tuple[Int64Array, Int64Array]:
     taken: list[int] = []
     by: list[int] = []
     while len(taken) < settings.record_count:

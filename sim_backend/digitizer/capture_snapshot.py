@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim_backend.arrays import Int64Array
 from sim_backend.digitizer.board import Arming, Taken
-from sim_backend.wiring import BURST_FIELDS, Bursts, Capture, Picoseconds
+from sim_backend.wiring import BURST_FIELDS, Bursts, Capture
 
 FAR_PS = 1 << 60
 
@@ -30,7 +31,7 @@ class CaptureSnapshot:
         return Capture(index, self.origin_ps, first_ps, settings.sample_period_ps, settings.record_samples)
 
 
-def pulse_of_each_record(captured: CaptureSnapshot) -> Picoseconds:
+def pulse_of_each_record(captured: CaptureSnapshot) -> Int64Array:
     """Return the onset of the pulse that each record's trigger fired, -1 where there is none: int64 (record,)."""
     tick_ps, onset_ps = captured.taken.tick_ps, captured.pulses.onset_ps
     first = np.searchsorted(onset_ps, tick_ps)

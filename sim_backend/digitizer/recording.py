@@ -10,13 +10,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray
 from sim_backend.digitizer.capture_snapshot import CaptureSnapshot, same_inputs
 from sim_backend.wiring import Bursts, Capture, near
 
-Floats = NDArray[np.float64]
-RecordVolts = Callable[[Bursts, Bursts, Capture], Floats]
+RecordVolts = Callable[[Bursts, Bursts, Capture], FloatArray]
 """Tonebursts, pulses and the records wanted -> volts (record, sample), which depend on these records alone."""
 
 BLOCK_VALUES = 1 << 20
@@ -34,9 +33,9 @@ class Recording:
         self._parts: list[tuple[int, CaptureSnapshot]] = []
         self._complete = 0
         # What the physics made, by block and by the record from which on its snapshot holds.
-        self._made: dict[tuple[int, int], Floats] = {}
+        self._made: dict[tuple[int, int], FloatArray] = {}
         # The largest voltage so far, by record, one array a block.
-        self._highest_v: list[Floats] = []
+        self._highest_v: list[FloatArray] = []
 
     def update(self, captured: CaptureSnapshot, now_ps: int) -> None:
         """Take what the instruments are programmed to from now on; records complete before are kept."""
@@ -47,7 +46,7 @@ class Recording:
             self._highest_v = self._highest_v[: first // _records_a_block(captured.capture)]
         self._complete = captured.taken.complete(now_ps)
 
-    def volts(self, records: slice) -> Floats:
+    def volts(self, records: slice) -> FloatArray:
         """Return the volts of consecutive ``records``, (record, sample)."""
         size = _records_a_block(self._parts[-1][1].capture)
         blocks = []
@@ -65,7 +64,7 @@ class Recording:
             self._block(len(self._highest_v))
         return float(self._highest_v[number][place])
 
-    def _block(self, number: int) -> Floats:
+    def _block(self, number: int) -> FloatArray:
         pieces = list(self._pieces(number))
         volts = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
         if number == len(self._highest_v):
@@ -74,7 +73,7 @@ class Recording:
             self._highest_v.append(np.maximum(np.maximum.accumulate(own_v), before_v))
         return volts
 
-    def _pieces(self, number: int) -> Iterator[Floats]:
+    def _pieces(self, number: int) -> Iterator[FloatArray]:
         """Yield the volts of a block's records, from every snapshot that holds for some of them."""
         size = _records_a_block(self._parts[-1][1].capture)
         first = number * size
@@ -84,7 +83,7 @@ class Recording:
             if low < high:
                 yield self._make(number, begin, captured)[low:high]
 
-    def _make(self, number: int, begin: int, captured: CaptureSnapshot) -> Floats:
+    def _make(self, number: int, begin: int, captured: CaptureSnapshot) -> FloatArray:
         if (number, begin) not in self._made:
             wanted = _block_of(captured.capture, number)
             volts = self._record_volts(captured.tonebursts, near(captured.pulses, wanted), wanted)

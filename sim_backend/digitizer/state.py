@@ -6,8 +6,8 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray
 from sim_backend.digitizer import codes
 from sim_backend.digitizer.auto_dma import BufferQueue, Transfer, clipped_channels, timestamps
 from sim_backend.digitizer.board import Arming, Board, BoardSettings, Taken, words
@@ -32,7 +32,7 @@ class Recorder(Protocol):
 
     def taken(self, until_ps: int) -> Taken: ...
 
-    def volts(self, until_ps: int, records: slice) -> NDArray[np.float64]: ...
+    def volts(self, until_ps: int, records: slice) -> FloatArray: ...
 
     def highest_v(self, until_ps: int, count: int) -> float: ...
 

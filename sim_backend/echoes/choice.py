@@ -10,15 +10,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.echoes.combined import FEWEST_ECHOES
 from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.nodes import CHECKED, MOST_NODES, edge_share, node_count
 from sim_backend.echoes.pulse import Pulse
 from sim_backend.echoes.series import MOST_ANGLE_RAD, largest_angle, terms_needed
 
-Floats = NDArray[np.float64]
 Method = Literal["running_sum", "combined", "interpolated", "series"]
 
 # Below this the series and the nodes promise what rounding does not let them keep.
@@ -46,9 +45,9 @@ class Choice:
 
 def choices(
     delays: EchoDelays,
-    weight: Floats,
+    weight: FloatArray,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     tolerance: float,
     method: Method | None,
 ) -> list[Choice]:
@@ -100,7 +99,7 @@ def refuse(method: Method | None, reason: str) -> list[Choice]:
     raise ValueError(f"method {method!r} cannot serve here because {reason}: leave the method out or take running_sum")
 
 
-def in_reach(delays: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> NDArray[np.int64]:
+def in_reach(delays: EchoDelays, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> Int64Array:
     """Return the scatterers whose echo can touch a sample."""
     early_s, late_s = delays.range_s()
     touches = (early_s + pulse.start_s <= sample_time_s[-1]) & (late_s + pulse.end_s >= sample_time_s[0])
@@ -108,7 +107,7 @@ def in_reach(delays: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Fl
     return np.flatnonzero(touches)
 
 
-def left_out_below(weight: Floats, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> float:
+def left_out_below(weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray, tolerance: float) -> float:
     """Return the weight below which scatterers are left out: all of them together stay below the tolerance's share.
 
     No echo exceeds its scatterer's weight times the pulse's amplitudes, so N of them below w add less than N w. The rms
@@ -120,7 +119,7 @@ def left_out_below(weight: Floats, pulse: Pulse, sample_time_s: Floats, toleranc
     return LEFT_OUT_SHARE * tolerance * incoherent_rms(weight, pulse, sample_time_s) / (largest * len(weight))
 
 
-def incoherent_rms(weight: Floats, pulse: Pulse, sample_time_s: Floats) -> float:
+def incoherent_rms(weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> float:
     """Return the rms in the gate of echoes whose phases are independent; what cancels stays far below it."""
     power = float(np.square(np.abs(pulse.amplitude)).sum()) / 2
     pulse_s, gate_s = pulse.end_s - pulse.start_s, float(sample_time_s[-1] - sample_time_s[0])

@@ -10,16 +10,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.echoes.pulse import Pulse
 from sim_backend.settings import SimulationSettings
 
 if TYPE_CHECKING:
     from sim_backend.transducer import Mixture
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _NODES = 9
 """Frequencies that a pulse's band is interpolated between."""
@@ -32,15 +30,15 @@ _FAINT = 1e-5
 class Colouring:
     """What a beam makes of the echo of each scatterer."""
 
-    weight: Floats
+    weight: FloatArray
     """(scatterer,) largest share of any of the pulse's frequencies, relative to the focus."""
-    colour: Complexes
+    colour: ComplexArray
     """(frequency, scatterer) share of each frequency, phase included, over ``weight``."""
-    sensed: Floats
+    sensed: FloatArray
     """(scatterer,) delay that a displacement makes, over 2 u / c."""
 
 
-def coloured(settings: SimulationSettings, offset_m: Floats, pulse: Pulse, of_push: bool = False) -> Colouring:
+def coloured(settings: SimulationSettings, offset_m: FloatArray, pulse: Pulse, of_push: bool = False) -> Colouring:
     """Return what the aperture's beam makes of the echo of ``pulse`` from ``offset_m`` (scatterer, 3) off the focus.
 
     ``of_push``: of a toneburst, whose axis is that of the push, not of the tracking.
@@ -58,7 +56,7 @@ def coloured(settings: SimulationSettings, offset_m: Floats, pulse: Pulse, of_pu
     return Colouring(weight, share / np.where(weight > 0, weight, 1.0), sensed)
 
 
-def _band(pulse: Pulse) -> tuple[tuple[float, ...], Mixture | None, Floats]:
+def _band(pulse: Pulse) -> tuple[tuple[float, ...], Mixture | None, FloatArray]:
     """Return frequencies to know the beam at, what to tabulate of them, and what leads to the pulse's (line, table).
 
     Of three lines, a window's, the least squares straight line by their energies: anything else would make steps where

@@ -9,14 +9,10 @@ docs/theory/echoes.md, section 3.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import Pulse
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Indices = NDArray[np.int64]
 
 FEWEST_ECHOES = 128
 LARGEST_SHARE = 0.4
@@ -27,13 +23,13 @@ _HELD_BACK = 6
 
 
 def combined(
-    delay_s: Floats,
-    weight: Floats,
+    delay_s: FloatArray,
+    weight: FloatArray,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     tolerance: float,
-    colour: Complexes | None = None,
-) -> tuple[Floats, int] | None:
+    colour: ComplexArray | None = None,
+) -> tuple[FloatArray, int] | None:
     """Return the echoes (echo, sample) to ``tolerance`` of their rms and how many were exact; None where that fails.
 
     ``delay_s`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s`` (sample,) ascending. A ``colour``, the
@@ -52,7 +48,7 @@ def combined(
     return np.asarray(echo), len(some)
 
 
-def _phases(delay_s: Floats, weight: Floats, pulse: Pulse) -> Floats:
+def _phases(delay_s: FloatArray, weight: FloatArray, pulse: Pulse) -> FloatArray:
     """Return columns (echo, column) that mix the real and imaginary phases of some scatterers at both band edges."""
     rng = np.random.default_rng(0)
     # Scatterers spread over all weights, the heaviest included.
@@ -66,7 +62,7 @@ def _phases(delay_s: Floats, weight: Floats, pulse: Pulse) -> Floats:
     return np.asarray(mixed)
 
 
-def _skeleton(rows: Floats, tolerance: float) -> tuple[Indices, Floats]:
+def _skeleton(rows: FloatArray, tolerance: float) -> tuple[Int64Array, FloatArray]:
     """Return some rows and the combination (row, some) that makes all rows of them, to ``tolerance`` of their rms."""
     # What of each row the directions found so far do not span; in every turn the longest becomes the next direction.
     left = rows.copy()

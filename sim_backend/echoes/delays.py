@@ -6,12 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes.pulse import Pulse
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 ALIKE_SHARE = 0.01
 """Of the tolerance, for echoes that are taken for the same one."""
@@ -25,13 +22,13 @@ class EchoDelays:
     field one a mode; pulses that come late add a shape of ones. As many shapes as scatterers stand for any delays.
     """
 
-    rest_s: Floats
+    rest_s: FloatArray
     """(scatterer,), the echo delay at rest."""
-    shape: Floats
+    shape: FloatArray
     """(shape, scatterer)"""
-    amplitude_s: Floats
+    amplitude_s: FloatArray
     """(echo, shape), delay where the shape is 1: 2 A / c."""
-    colour: NDArray[np.complex128] | None = None
+    colour: ComplexArray | None = None
     """(frequency, scatterer), what the echo has of every frequency of the pulse; None: all alike."""
 
     @property
@@ -39,21 +36,21 @@ class EchoDelays:
         """How many echoes."""
         return len(self.amplitude_s)
 
-    def range_s(self) -> tuple[Floats, Floats]:
+    def range_s(self) -> tuple[FloatArray, FloatArray]:
         """Return bounds on each scatterer's earliest and latest delay, (scatterer,)."""
         reach_s = float(np.abs(self.amplitude_s).max(axis=0) @ np.abs(self.shape).max(axis=1))
         return self.rest_s - reach_s, self.rest_s + reach_s
 
-    def of(self, part: Indices) -> EchoDelays:
+    def of(self, part: Int64Array) -> EchoDelays:
         """Return the same of some scatterers."""
         colour = None if self.colour is None else self.colour[:, part]
         return EchoDelays(self.rest_s[part], self.shape[:, part], self.amplitude_s, colour)
 
-    def delay_s(self) -> Floats:
+    def delay_s(self) -> FloatArray:
         """Return the delay of every scatterer in every echo, (echo, scatterer)."""
         return self.rest_s + self.amplitude_s @ self.shape
 
-    def parts(self, pairs_at_once: int) -> Iterator[Floats]:
+    def parts(self, pairs_at_once: int) -> Iterator[FloatArray]:
         """Yield the delays of some echoes at a time, (echo, scatterer), about ``pairs_at_once`` of them."""
         at_once = max(1, pairs_at_once // max(1, len(self.rest_s)))
         for first in range(0, len(self.amplitude_s), at_once):
@@ -69,7 +66,9 @@ class EchoDelays:
         return EchoDelays(self.rest_s + middle_s @ self.shape, self.shape, self.amplitude_s - middle_s, self.colour)
 
 
-def distinct_echoes(amplitude_s: Floats, shape: Floats, pulse: Pulse, tolerance: float) -> tuple[Indices, Indices]:
+def distinct_echoes(
+    amplitude_s: FloatArray, shape: FloatArray, pulse: Pulse, tolerance: float
+) -> tuple[Int64Array, Int64Array]:
     """Return one echo of each kind, (kind,), and the kind of each echo, (echo,).
 
     ``amplitude_s`` (echo, shape) and ``shape`` (shape, scatterer) as in `EchoDelays`. Echoes of a kind differ by less
@@ -87,7 +86,7 @@ def distinct_echoes(amplitude_s: Floats, shape: Floats, pulse: Pulse, tolerance:
     return order[new], kind
 
 
-def refuse_unusable(delays: EchoDelays, weight: Floats, sample_time_s: Floats, tolerance: float) -> None:
+def refuse_unusable(delays: EchoDelays, weight: FloatArray, sample_time_s: FloatArray, tolerance: float) -> None:
     """Raise ValueError for what `refuse_numbers` and `refuse_misfits` say of a motion."""
     axes = {"rest_s": "scatterer", "shape": "shape, scatterer", "amplitude_s": "echo, shape"}
     named = {name: getattr(delays, name) for name in axes} | {"weight": weight}
@@ -95,7 +94,7 @@ def refuse_unusable(delays: EchoDelays, weight: Floats, sample_time_s: Floats, t
     refuse_numbers(named, sample_time_s, tolerance)
 
 
-def refuse_misfits(named: dict[str, Floats], axes: dict[str, str]) -> None:
+def refuse_misfits(named: dict[str, FloatArray], axes: dict[str, str]) -> None:
     """Raise ValueError where an array lacks an axis or two disagree about the length of one."""
     length: dict[str, tuple[str, int]] = {}
     for name, value in named.items():
@@ -110,7 +109,7 @@ def refuse_misfits(named: dict[str, Floats], axes: dict[str, str]) -> None:
                 )
 
 
-def refuse_numbers(named: dict[str, Floats], sample_time_s: Floats, tolerance: float) -> None:
+def refuse_numbers(named: dict[str, FloatArray], sample_time_s: FloatArray, tolerance: float) -> None:
     """Raise ValueError for numbers that are not finite, by name and place, and for sample times that do not ascend."""
     for name, value in (named | {"sample_time_s": sample_time_s, "tolerance": np.array([tolerance])}).items():
         finite = np.isfinite(value)
@@ -123,7 +122,7 @@ def refuse_numbers(named: dict[str, Floats], sample_time_s: Floats, tolerance: f
         raise ValueError("sample_time_s must ascend: sort the sample times")
 
 
-def refuse_aliasing(pulse: Pulse, sample_time_s: Floats) -> None:
+def refuse_aliasing(pulse: Pulse, sample_time_s: FloatArray) -> None:
     """Raise ValueError where the samples are too far apart for the pulse's highest frequency."""
     if len(sample_time_s) < 2:
         return

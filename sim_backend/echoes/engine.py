@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes.choice import (
     FINEST_TOLERANCE,
     LEFT_OUT_SHARE,
@@ -39,8 +39,6 @@ from sim_backend.echoes.nodes import interpolated_within
 from sim_backend.echoes.pulse import Pulse
 from sim_backend.echoes.series import ScattererRows, series
 
-Floats = NDArray[np.float64]
-
 DEFAULT_TOLERANCE = 1e-6
 CANCELLED = 0.25
 """Share of what independent echoes add up to, below which scatterers cancel each other."""
@@ -53,7 +51,7 @@ _PAIRS_AT_ONCE = 1 << 23
 class Synthesis:
     """Echoes and how they were made."""
 
-    echo: Floats
+    echo: FloatArray
     """(echo, sample)"""
     method: Method
     terms: int
@@ -64,9 +62,9 @@ class Synthesis:
 
 def synthesise(
     delays: EchoDelays,
-    weight: Floats,
+    weight: FloatArray,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     tolerance: float = DEFAULT_TOLERANCE,
     method: Method | None = None,
 ) -> Synthesis:
@@ -87,9 +85,9 @@ def synthesise(
 
 def _synthesise(
     delays: EchoDelays,
-    weight: Floats,
+    weight: FloatArray,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     tolerance: float,
     method: Method | None,
 ) -> Synthesis:
@@ -117,10 +115,10 @@ def _synthesise(
 def _within_what_is_left(
     made: Synthesis,
     delays: EchoDelays,
-    weight: Floats,
-    part: NDArray[np.int64],
+    weight: FloatArray,
+    part: Int64Array,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     tolerance: float,
     method: Method | None,
 ) -> Synthesis:
@@ -142,16 +140,16 @@ def _within_what_is_left(
     return made
 
 
-def _rms(echo: Floats) -> float:
+def _rms(echo: FloatArray) -> float:
     return math.sqrt(float(np.vdot(echo, echo)) / echo.size)
 
 
 def _evaluate(
     delays: EchoDelays,
-    weight: Floats,
-    part: NDArray[np.int64],
+    weight: FloatArray,
+    part: Int64Array,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     tolerance: float,
     method: Method | None,
 ) -> Synthesis:
@@ -163,7 +161,7 @@ def _evaluate(
         return Synthesis(np.zeros((echoes_wanted, len(sample_time_s))), method or "running_sum", 0, 0)
     able = choices(delays, weight, pulse, sample_time_s, tolerance, method)
     choice = min(able, key=lambda one: one.cost_s)
-    echo: Floats | None = None
+    echo: FloatArray | None = None
     terms = choice.terms
     match choice.method:
         case "series":
@@ -182,15 +180,15 @@ def _evaluate(
 
 
 def _series_by_blocks(
-    delays: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, tolerance: float
-) -> Floats:
+    delays: EchoDelays, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray, tolerance: float
+) -> FloatArray:
     """Return the echoes, block by block of samples: each with the scatterers that can reach it, its origin near it."""
     delays = delays.about_middle()
     if (delays.rest_s[1:] < delays.rest_s[:-1]).any():
         order = np.argsort(delays.rest_s, kind="stable")
         delays, weight = delays.of(order), weight[order]
     reach_s = float(np.abs(delays.amplitude_s).max(axis=0) @ np.abs(delays.shape).max(axis=1))
-    out: Floats = np.empty((1, delays.echo_count, len(sample_time_s)))
+    out: FloatArray = np.empty((1, delays.echo_count, len(sample_time_s)))
     for block in blocks(sample_time_s, pulse):
         origin_s = local_origin_s(sample_time_s[block], pulse)
         time_s = sample_time_s[block]
@@ -204,22 +202,22 @@ def _series_by_blocks(
         rest_s, amplitude_s = delays.rest_s[near] - origin_s, delays.amplitude_s[None]
         scene = ScattererRows(row, rest_s, weight[near], delays.shape[:, near], amplitude_s, colour)
         series(scene, pulse, time_s - origin_s, tolerance, out[:, :, block])
-    echo: Floats = out[0]
+    echo: FloatArray = out[0]
     return echo
 
 
 def echoes(
-    depth_delay_s: Floats,
-    weight: Floats,
-    motion_weight: Floats,
-    displacement_m: Floats,
+    depth_delay_s: FloatArray,
+    weight: FloatArray,
+    motion_weight: FloatArray,
+    displacement_m: FloatArray,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     sound_speed_m_per_s: float,
     tolerance: float = DEFAULT_TOLERANCE,
-    shift_s: Floats | None = None,
-    colour: NDArray[np.complex128] | None = None,
-) -> Floats:
+    shift_s: FloatArray | None = None,
+    colour: ComplexArray | None = None,
+) -> FloatArray:
     """Return the echoes of proportionally moving scatterers, float64 (echo, sample), eq. (7) to (13).
 
     ``depth_delay_s``, ``weight``, ``motion_weight`` (scatterer,); ``displacement_m`` (echo,) at the focus;

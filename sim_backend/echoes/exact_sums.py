@@ -13,17 +13,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.echoes.pulse import Pulse, extended, phasors
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Indices = NDArray[np.int64]
 
 # Echo-scatterer pairs handled at once: 2 MB a complex array, inside the caches that matter.
 _PAIRS_AT_ONCE = 1 << 17
 
 
-def direct_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats) -> Floats:
+def direct_sum(delay_s: FloatArray, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray) -> FloatArray:
     """Return the sum over scatterers of weighted, delayed pulses, float64 (echo, sample), eq. (10).
 
     ``delay_s`` (echo, scatterer), ``weight`` (scatterer,), ``sample_time_s`` (sample,).
@@ -37,8 +34,8 @@ def direct_sum(delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Flo
 
 
 def running_sum(
-    delay_s: Floats, weight: Floats, pulse: Pulse, sample_time_s: Floats, colour: Complexes | None = None
-) -> Floats:
+    delay_s: FloatArray, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray, colour: ComplexArray | None = None
+) -> FloatArray:
     """Return the same as `direct_sum`, exact to rounding; shapes as there, ``sample_time_s`` ascending.
 
     ``colour`` (frequency, scatterer) is what a scatterer's echo has of every frequency of the pulse.
@@ -78,7 +75,7 @@ def running_sum(
     return out
 
 
-def blocks(sample_time_s: Floats, pulse: Pulse) -> list[slice]:
+def blocks(sample_time_s: FloatArray, pulse: Pulse) -> list[slice]:
     """Return slices of the samples, none of which lasts longer than the pulse."""
     found, begin = [], 0
     while begin < len(sample_time_s):
@@ -88,20 +85,20 @@ def blocks(sample_time_s: Floats, pulse: Pulse) -> list[slice]:
     return found
 
 
-def local_origin_s(time_s: Floats, pulse: Pulse) -> float:
+def local_origin_s(time_s: FloatArray, pulse: Pulse) -> float:
     """Return what to count a block's times from: 0 near it, else its middle, or phases of far times lose digits."""
     middle_s = float(time_s[len(time_s) // 2])
     return middle_s if abs(middle_s) > pulse.end_s - pulse.start_s else 0.0
 
 
 def _block(
-    tau: Floats,
-    weight: Floats,
+    tau: FloatArray,
+    weight: FloatArray,
     pulse: Pulse,
-    sample_time_s: Floats,
-    rotation: Complexes,
-    colour: Complexes | None = None,
-) -> Floats:
+    sample_time_s: FloatArray,
+    rotation: ComplexArray,
+    colour: ComplexArray | None = None,
+) -> FloatArray:
     """Return the echoes of one block, (echo, sample); ``tau`` (echo, scatterer), ``rotation`` (frequency, sample)."""
     echoes_in_block, samples = len(tau), len(sample_time_s)
     row = np.arange(echoes_in_block)[:, None]
@@ -126,7 +123,7 @@ def _block(
     return total
 
 
-def _alive(cells: NDArray[np.floating | np.integer], samples: int) -> Floats:
+def _alive(cells: NDArray[np.floating | np.integer], samples: int) -> FloatArray:
     """Return at every sample the sum over the scatterers alive there, (echo, sample), from both rows of cells."""
     summed = np.cumsum(cells.reshape(-1, 2, samples), axis=2)
     return np.asarray(summed[:, 0, ::-1] + summed[:, 1])

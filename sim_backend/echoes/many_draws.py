@@ -8,8 +8,8 @@ import itertools
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray
 from sim_backend.echoes.colouring import coloured
 from sim_backend.echoes.delays import EchoDelays, refuse_aliasing, refuse_misfits, refuse_numbers
 from sim_backend.echoes.engine import DEFAULT_TOLERANCE, synthesise
@@ -19,8 +19,6 @@ from sim_backend.echoes.scatterers import draw_thinned
 from sim_backend.echoes.series import MOST_ANGLE_RAD, ScattererRows, largest_angle, series
 from sim_backend.settings import SimulationSettings
 
-Floats = NDArray[np.float64]
-
 DRAWS_AT_ONCE = 16
 """Draws of a chunk. Part of what a seed means: each chunk has its own stream of random numbers."""
 
@@ -28,10 +26,10 @@ DRAWS_AT_ONCE = 16
 def batch(
     scene: ScattererRows,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     tolerance: float = DEFAULT_TOLERANCE,
     compiled: bool = True,
-) -> Floats:
+) -> FloatArray:
     """Return the echoes of every row of ``scene``, (row, echo, sample); rms error over all within ``tolerance``.
 
     A row is a draw, a gate (its start subtracted from ``rest_s``) or a parameter value (its own weights or
@@ -60,9 +58,9 @@ def batch(
 def _batch_of_series(
     scene: ScattererRows,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     tolerance: float,
-    out: Floats,
+    out: FloatArray,
     compiled: bool,
 ) -> None:
     for part in blocks(sample_time_s, pulse):
@@ -87,14 +85,14 @@ def compilable(scene: ScattererRows, pulse: Pulse) -> bool:
 
 def drawn_echoes(
     settings: SimulationSettings,
-    displacement_m: Floats,
+    displacement_m: FloatArray,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     rng: np.random.Generator,
     draws: int,
     tolerance: float = DEFAULT_TOLERANCE,
     compiled: bool = True,
-) -> Iterator[Floats]:
+) -> Iterator[FloatArray]:
     """Yield the noise-free echoes of ``draws`` new draws of scatterers, (up to 16 draws, echo, sample) at a time.
 
     ``displacement_m`` (echo,) or (draw, echo) at the focus; ``sample_time_s`` (sample,), 0 the arrival of the resting
@@ -107,7 +105,7 @@ def drawn_echoes(
     largest_s = float(np.abs(amplitude_s).max(initial=0.0))
     reach_s = (float(sample_time_s[0]) - pulse.end_s - largest_s, float(sample_time_s[-1]) - pulse.start_s + largest_s)
 
-    def chunk(first: int, stream: np.random.Generator) -> Floats:
+    def chunk(first: int, stream: np.random.Generator) -> FloatArray:
         field = draw_thinned(settings, reach_s, tolerance, stream, DRAWS_AT_ONCE)
         # A whole chunk always, so that the last one's draws do not depend on how many of them are wanted.
         row = np.minimum(np.arange(first, first + DRAWS_AT_ONCE), draws - 1)
@@ -122,7 +120,7 @@ def drawn_echoes(
     yield from map(chunk, firsts, rng.spawn(len(firsts)))
 
 
-def _refuse_unusable(scene: ScattererRows, sample_time_s: Floats, tolerance: float) -> None:
+def _refuse_unusable(scene: ScattererRows, sample_time_s: FloatArray, tolerance: float) -> None:
     axes = {
         "rest_s": "scatterer",
         "weight": "scatterer",

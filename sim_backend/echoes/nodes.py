@@ -10,14 +10,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.echoes.delays import EchoDelays
 from sim_backend.echoes.exact_sums import running_sum
 from sim_backend.echoes.pulse import Pulse
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 MOST_NODES = 256
 """Node counts from here on mean that interpolation does not pay."""
@@ -28,7 +25,7 @@ _PAIRS_AT_ONCE = 1 << 23
 
 
 def node_count(
-    pulse: Pulse, half_range_s: float, edge_share: float, tolerance: float, colour: Complexes | None = None
+    pulse: Pulse, half_range_s: float, edge_share: float, tolerance: float, colour: ComplexArray | None = None
 ) -> int:
     """Return how many Chebyshev nodes keep the relative rms error below ``tolerance``.
 
@@ -55,7 +52,9 @@ def node_count(
     return MOST_NODES
 
 
-def edge_share(delay_s: Floats, weight: Floats, pulse: Pulse, half_range_s: float, sample_time_s: Floats) -> float:
+def edge_share(
+    delay_s: FloatArray, weight: FloatArray, pulse: Pulse, half_range_s: float, sample_time_s: FloatArray
+) -> float:
     """Return the share of an echo's energy in samples that a scatterer's support edge may cross, 0 to 1."""
     first_s, last_s = float(sample_time_s[0]), float(sample_time_s[-1])
     # At least one sample an edge: where all edges coincide, chance does not average.
@@ -96,8 +95,8 @@ def _edge_jumps(pulse: Pulse) -> tuple[float, ...]:
 
 
 def interpolated_within(
-    delays: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, nodes: int, tolerance: float
-) -> Floats | None:
+    delays: EchoDelays, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray, nodes: int, tolerance: float
+) -> FloatArray | None:
     """Return the echoes of a motion of one shape by `interpolated`; None where it misses ``tolerance``.
 
     That is told by some echoes that are summed exactly: few scatterers in the gate may all lie where a support ends.
@@ -115,7 +114,9 @@ def interpolated_within(
     return echo
 
 
-def interpolated(delays: EchoDelays, weight: Floats, pulse: Pulse, sample_time_s: Floats, nodes: int) -> Floats:
+def interpolated(
+    delays: EchoDelays, weight: FloatArray, pulse: Pulse, sample_time_s: FloatArray, nodes: int
+) -> FloatArray:
     """Return the echoes (echo, sample) of a motion of one shape.
 
     They are exact at ``nodes`` Chebyshev points of the amplitude's range and a polynomial in between.

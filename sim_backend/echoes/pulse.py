@@ -14,12 +14,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.settings import SimulationSettings
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 # A -6 dB full width is this many standard deviations of a Gaussian amplitude spectrum.
 _WIDTH_OVER_SIGMA = 2 * math.sqrt(2 * math.log(2))
@@ -86,7 +83,7 @@ def gaussian_pulse(carrier_hz: float, bandwidth: float, tolerance: float = 1e-10
     width_hz = bandwidth * carrier_hz / _WIDTH_OVER_SIGMA
     half = math.sqrt(-2 * math.log(max(tolerance, _FINEST_TOLERANCE))) / (2 * math.pi * width_hz)
 
-    def spectrum(frequency_hz: Floats) -> Complexes:
+    def spectrum(frequency_hz: FloatArray) -> ComplexArray:
         upper = np.exp(-0.5 * np.square((frequency_hz - carrier_hz) / width_hz))
         lower = np.exp(-0.5 * np.square((frequency_hz + carrier_hz) / width_hz))
         return np.asarray((upper + lower) / (2 * math.sqrt(2 * math.pi) * width_hz), dtype=np.complex128)
@@ -105,11 +102,11 @@ def band_limited_burst(
     ringing = math.sqrt(-2 * math.log(max(tolerance, _FINEST_TOLERANCE))) / (2 * math.pi * width_hz)
     duration_s = cycles / carrier_hz
 
-    def spectrum(frequency_hz: Floats) -> Complexes:
+    def spectrum(frequency_hz: FloatArray) -> ComplexArray:
         upper, lower = ((frequency_hz - side * centre_hz) / width_hz for side in (1, -1))
         band = np.exp(-0.5 * np.square(upper)) + np.exp(-0.5 * np.square(lower))
 
-        def gate(offset_hz: Floats) -> Complexes:
+        def gate(offset_hz: FloatArray) -> ComplexArray:
             turn = np.exp(-1j * np.pi * offset_hz * duration_s)
             return np.asarray(duration_s * np.sinc(offset_hz * duration_s) * turn)
 
@@ -118,7 +115,9 @@ def band_limited_burst(
     return from_spectrum(spectrum, -ringing, duration_s + ringing, tolerance)
 
 
-def from_spectrum(spectrum: Callable[[Floats], Complexes], start_s: float, end_s: float, tolerance: float) -> Pulse:
+def from_spectrum(
+    spectrum: Callable[[FloatArray], ComplexArray], start_s: float, end_s: float, tolerance: float
+) -> Pulse:
     """Return the pulse whose Fourier transform is ``spectrum(frequency_hz)``, one that is over outside start and end.
 
     Periods of the support carry the Fourier series; terms that together are below ``tolerance`` are left out.
@@ -136,7 +135,7 @@ def from_spectrum(spectrum: Callable[[Floats], Complexes], start_s: float, end_s
     return _strong_terms(start_s, end_s, frequency_hz, amplitude, tolerance)
 
 
-def sampled_pulse(value: Floats, sample_rate_hz: float, start_s: float, tolerance: float = 1e-10) -> Pulse:
+def sampled_pulse(value: FloatArray, sample_rate_hz: float, start_s: float, tolerance: float = 1e-10) -> Pulse:
     """Return the band-limited pulse through measured samples ``value`` (sample,), the first at ``start_s``.
 
     The samples are one period of a Fourier series: begin and end them near zero. Raises ValueError where a sample is
@@ -172,13 +171,13 @@ def attenuated(pulse: Pulse, loss_db: Sequence[float]) -> Pulse:
     return replace(pulse, amplitude=tuple(amplitude * 10 ** (-lost / 20) for lost, amplitude in pairs))
 
 
-def waveform(pulse: Pulse, time_s: Floats) -> Floats:
+def waveform(pulse: Pulse, time_s: FloatArray) -> FloatArray:
     """Return the pulse at ``time_s``, any shape, relative to its arrival."""
     inside = (time_s >= pulse.start_s) & (time_s < pulse.end_s)
     return np.where(inside, extended(pulse, time_s), 0.0)
 
 
-def extended(pulse: Pulse, time_s: Floats) -> Floats:
+def extended(pulse: Pulse, time_s: FloatArray) -> FloatArray:
     """Return the pulse's exponentials at ``time_s``, any shape, as if its support had no end."""
     value = np.zeros(time_s.shape)
     for frequency_hz, amplitude in zip(pulse.frequency_hz, pulse.amplitude, strict=True):
@@ -189,7 +188,7 @@ def extended(pulse: Pulse, time_s: Floats) -> Floats:
     return value
 
 
-def phasors(pulse: Pulse, time_s: Floats, sign: int) -> Complexes:
+def phasors(pulse: Pulse, time_s: FloatArray, sign: int) -> ComplexArray:
     """Return exp(sign j w_m t), (frequency, *time): two exponentials where the frequencies are evenly spaced."""
     rate, step = angular_rates(pulse)
     out = np.empty((len(rate), *time_s.shape), dtype=np.complex128)
@@ -214,7 +213,9 @@ def angular_rates(pulse: Pulse) -> tuple[tuple[float, ...], float | None]:
     return tuple(rate.tolist()), step if even else None
 
 
-def _strong_terms(start_s: float, end_s: float, frequency_hz: Floats, amplitude: Complexes, tolerance: float) -> Pulse:
+def _strong_terms(
+    start_s: float, end_s: float, frequency_hz: FloatArray, amplitude: ComplexArray, tolerance: float
+) -> Pulse:
     strong = np.abs(amplitude)
     budget = tolerance * strong.sum() / 2
     first = int(np.searchsorted(np.cumsum(strong), budget))

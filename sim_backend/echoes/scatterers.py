@@ -11,11 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import BoolArray, FloatArray, Int64Array
 from sim_backend.settings import Beams, Reflector, Scatterers, SimulationSettings, scatterer_count
-
-Floats = NDArray[np.float64]
 
 # N dropped scatterers change an echo by at most N times this, against an echo of order 1 to 10: below 1e-14
 # relative in the default scene. (A limit of 1e-6 there changes the echo by 5e-6.)
@@ -29,26 +27,26 @@ _PLANE_NODES = 12
 class ScattererField:
     """Where the scatterers are, relative to the focus, in ascending depth; every array but the first (scatterer,)."""
 
-    offset_m: Floats
+    offset_m: FloatArray
     """(scatterer, 3), lateral x, y and axial z, away from the transducer."""
-    tracking_weight: Floats
+    tracking_weight: FloatArray
     """I of eq. (8) times reflectivity and, with attenuation, the loss from the focus to its depth."""
-    motion_weight: Floats
+    motion_weight: FloatArray
     """g, the Gaussian of eq. (12): displacement over the focus'."""
-    excitation_weight: Floats
+    excitation_weight: FloatArray
     """The excitation beam's pulse-echo weight: g times reflectivity."""
-    moves: Floats
+    moves: FloatArray
     """Share in the medium's motion: 0 of a reflector that stands still."""
-    strength: Floats
+    strength: FloatArray
     """Reflectivity, without any beam."""
 
 
-def gaussian_weight(offset_m: Floats, width_m: tuple[float, float, float]) -> Floats:
+def gaussian_weight(offset_m: FloatArray, width_m: tuple[float, float, float]) -> FloatArray:
     """Return exp(-sum x_i^2 / 2 width_i^2), (scatterer,), for ``offset_m`` (scatterer, 3)."""
     return np.asarray(np.exp(-0.5 * np.square(offset_m / np.array(width_m)).sum(axis=1)))
 
 
-def noticeable(weight: Floats) -> NDArray[np.bool_]:
+def noticeable(weight: FloatArray) -> BoolArray:
     """Return which scatterers matter, (scatterer,)."""
     return np.abs(weight) >= NEGLIGIBLE_WEIGHT
 
@@ -83,13 +81,13 @@ def draw_field(
     return field_at(offset_m, beams, strength if loss is None else strength * loss, moves)
 
 
-def _drawn_box(scatterers: Scatterers, beams: Beams, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _drawn_box(scatterers: Scatterers, beams: Beams, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Return places in a box around its middle (scatterer, 3), and reflectivities (scatterer,)."""
     offset_m = rng.uniform(-0.5, 0.5, (scatterer_count(scatterers, beams), 3)) * np.array(scatterers.volume_m)
     return offset_m, reflectivity(scatterers, len(offset_m), rng)
 
 
-def reflectivity(scatterers: Scatterers, count: int, rng: np.random.Generator) -> Floats:
+def reflectivity(scatterers: Scatterers, count: int, rng: np.random.Generator) -> FloatArray:
     """Return the reflectivity of each of ``count`` scatterers; draws nothing where all are 1."""
     if scatterers.reflectivity == "unit":
         return np.ones(count)
@@ -97,7 +95,7 @@ def reflectivity(scatterers: Scatterers, count: int, rng: np.random.Generator) -
     return np.sign(drawn) if scatterers.reflectivity == "sign" else drawn
 
 
-def depth_loss(scatterers: Scatterers, depth_m: Floats) -> Floats | None:
+def depth_loss(scatterers: Scatterers, depth_m: FloatArray) -> FloatArray | None:
     """Return the two-way loss from the focus to ``depth_m`` beyond it, at the band's centre, or None without any.
 
     The loss up to the focus, and with it the downshift, is the pulse's (`pulse.echo_pulse`).
@@ -108,7 +106,7 @@ def depth_loss(scatterers: Scatterers, depth_m: Floats) -> Floats | None:
     return np.asarray(10 ** (-decibel / 20))
 
 
-def reflector_points(reflector: Reflector, beams: Beams) -> tuple[Floats, Floats]:
+def reflector_points(reflector: Reflector, beams: Beams) -> tuple[FloatArray, FloatArray]:
     """Return offsets (point, 3) and reflectivities (point,) of a reflector.
 
     A plane is the Gauss-Hermite rule of its integral over the tracking beam; its motion varies across it as the
@@ -125,7 +123,7 @@ def reflector_points(reflector: Reflector, beams: Beams) -> tuple[Floats, Floats
 
 
 def field_at(
-    offset_m: Floats, beams: Beams, strength: Floats | None = None, moves: Floats | None = None
+    offset_m: FloatArray, beams: Beams, strength: FloatArray | None = None, moves: FloatArray | None = None
 ) -> ScattererField:
     """Return the field of scatterers at ``offset_m`` (scatterer, 3) from the focus.
 
@@ -148,7 +146,7 @@ def field_at(
     )
 
 
-def depth_delay_s(field: ScattererField, axial_delay: str, sound_speed_m_per_s: float) -> Floats:
+def depth_delay_s(field: ScattererField, axial_delay: str, sound_speed_m_per_s: float) -> FloatArray:
     """Return the echo delay of every scatterer at rest, relative to the focus, (scatterer,); zero for ``"none"``."""
     if axial_delay == "none":
         return np.zeros(len(field.offset_m))
@@ -162,18 +160,18 @@ class ThinnedDraws:
     In ascending draw and, within one, depth.
     """
 
-    row: NDArray[np.int64]
+    row: Int64Array
     """Which draw."""
-    delay_s: Floats
+    delay_s: FloatArray
     """At rest, relative to the focus."""
-    tracking_weight: Floats
-    motion_weight: Floats
-    offset_m: Floats
+    tracking_weight: FloatArray
+    motion_weight: FloatArray
+    offset_m: FloatArray
     """(scatterer, 3) from the focus."""
-    strength: Floats
+    strength: FloatArray
     """Reflectivity, without any beam."""
 
-    def of(self, part: NDArray[np.int64]) -> ThinnedDraws:
+    def of(self, part: Int64Array) -> ThinnedDraws:
         """Return the same of some scatterers."""
         return ThinnedDraws(*(getattr(self, name)[part] for name in self.__slots__))
 
@@ -238,12 +236,12 @@ def _with_reflectors(drawn: ThinnedDraws, settings: SimulationSettings, draws: i
     return both.of(np.lexsort((both.delay_s, both.row)))
 
 
-def _gaussian(place_m: tuple[Floats, Floats, Floats], width_m: tuple[float, float, float]) -> Floats:
+def _gaussian(place_m: tuple[FloatArray, FloatArray, FloatArray], width_m: tuple[float, float, float]) -> FloatArray:
     x, y, z = (np.square(at_m) * (-0.5 / width**2) for at_m, width in zip(place_m, width_m, strict=True))
     return np.asarray(np.exp(x + y + z))
 
 
-def _ascending(count: NDArray[np.int64], rng: np.random.Generator) -> Floats:
+def _ascending(count: Int64Array, rng: np.random.Generator) -> FloatArray:
     """Return ``count`` (draw,) uniform numbers in [0, 1) for each draw, in ascending order within it: no sorting.
 
     Sums of exponential spacings over the sum of one spacing more are distributed as sorted uniform numbers.

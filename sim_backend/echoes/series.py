@@ -19,14 +19,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import BoolArray, ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes.pulse import Pulse, phasors
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
-Indices = NDArray[np.int64]
-Booleans = NDArray[np.bool_]
 
 MOST_ANGLE_RAD = 3.0
 """Largest turn of the highest frequency: beyond, the series' terms grow and take digits with them."""
@@ -44,21 +39,21 @@ _TAIL_SHARE = 0.25
 class ScattererRows:
     """Scatterers of one or more scenes (rows) and their motion, in ascending row and, within one, delay."""
 
-    row: Indices
+    row: Int64Array
     """(scatterer,), the scene each belongs to."""
-    rest_s: Floats
+    rest_s: FloatArray
     """(scatterer,), echo delay about which it moves."""
-    weight: Floats
+    weight: FloatArray
     """(scatterer,)."""
-    shape: Floats
+    shape: FloatArray
     """(shape, scatterer), g."""
-    amplitude_s: Floats
+    amplitude_s: FloatArray
     """(row, echo, shape), b: the delay that a shape of 1 adds."""
-    colour: Complexes | None = None
+    colour: ComplexArray | None = None
     """(frequency, scatterer), what its echo has of every frequency of the pulse; None: all alike."""
 
 
-def largest_angle(pulse: Pulse, shape: Floats, amplitude_s: Floats) -> float:
+def largest_angle(pulse: Pulse, shape: FloatArray, amplitude_s: FloatArray) -> float:
     """Return a bound on the turn of the pulse's highest frequency, rad."""
     if shape.size == 0 or amplitude_s.size == 0:
         return 0.0
@@ -67,8 +62,8 @@ def largest_angle(pulse: Pulse, shape: Floats, amplitude_s: Floats) -> float:
 
 
 def series(
-    scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance: float, made: Floats | None = None
-) -> Floats:
+    scene: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolerance: float, made: FloatArray | None = None
+) -> FloatArray:
     """Return the echoes, float64 (row, echo, sample), to ``tolerance`` of their rms; samples within one pulse length.
 
     Written to ``made`` where there is one, of the same shape.
@@ -81,13 +76,13 @@ def series(
     sums = _rest_sums(scene, enter, leave, tables, pulse, len(sample_time_s))
     rms = math.sqrt(float(np.vdot(sums[:, 0], sums[:, 0])) / sums[:, 0].size)
     coefficients = _coefficients(scene.amplitude_s * tables.scale, tables.recurrence)
-    out: Floats = np.matmul(coefficients, sums, out=made)
+    out: FloatArray = np.matmul(coefficients, sums, out=made)
     budget = CROSSING_SHARE * tolerance * rms * math.sqrt(len(sample_time_s))
     _correct_crossings(out, scene, (enter, leave), tables, pulse, sample_time_s, budget)
     return out
 
 
-def series_tables(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance: float) -> Tables:
+def series_tables(scene: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolerance: float) -> Tables:
     """Return what pulse, gate and number of orders fix; raises ValueError where the motion is too large."""
     angle = largest_angle(pulse, scene.shape, scene.amplitude_s)
     if angle > MOST_ANGLE_RAD:
@@ -133,13 +128,13 @@ class Tables:
     """How each monomial of the shapes but the first follows from an earlier one (`recurrence`)."""
     scale: float
     """Highest angular frequency of the pulse, rad/s, to which moments and coefficients are referred."""
-    turn: Complexes
+    turn: ComplexArray
     """c_m (-j w_m / scale)^|a| exp(j w_m t), (frequency, exponent, sample)."""
     jumps: tuple[list[float], list[float]]
     """Start and end: sizes of the jumping derivatives over their factorials, referred to the carrier, (order,)."""
-    taylor: Floats
+    taylor: FloatArray
     """Taylor coefficients of the exponentials about start and end, (end, order)."""
-    lines: tuple[Complexes, Complexes]
+    lines: tuple[ComplexArray, ComplexArray]
     """What each frequency adds to the jumps, (end, frequency, order), and to the Taylor coefficients."""
 
 
@@ -169,7 +164,7 @@ def tables_of(pulse: Pulse, sample_time: bytes, shapes: int, orders: int) -> Tab
     )
 
 
-def _line_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> Complexes:
+def _line_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> ComplexArray:
     """Return each exponential's derivative over factorial at an end, (frequency, order), turned by ``about_hz``."""
     omega = 2 * np.pi * np.array(pulse.frequency_hz)
     rate = 1j * (omega - 2 * np.pi * about_hz)
@@ -180,7 +175,7 @@ def _line_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int)
     return out
 
 
-def _edge_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> Complexes:
+def _edge_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int) -> ComplexArray:
     """Return derivative over factorial of the exponentials at an end, (order,), turned back by ``about_hz``."""
     omega = 2 * np.pi * np.array(pulse.frequency_hz)
     parts = np.array(pulse.amplitude) * np.exp(1j * omega * edge_s)
@@ -197,7 +192,7 @@ def _edge_derivatives(pulse: Pulse, edge_s: float, about_hz: float, orders: int)
     return out
 
 
-def _coefficients(amplitude_rad: Floats, recurrence: list[tuple[int, int, int]]) -> Floats:
+def _coefficients(amplitude_rad: FloatArray, recurrence: list[tuple[int, int, int]]) -> FloatArray:
     """Return b^a / a!, (row, echo, exponent)."""
     out = np.empty((len(recurrence) + 1, *amplitude_rad.shape[:2]))
     out[0] = 1.0
@@ -207,8 +202,8 @@ def _coefficients(amplitude_rad: Floats, recurrence: list[tuple[int, int, int]])
 
 
 def _rest_sums(
-    scene: ScattererRows, enter: Indices, leave: Indices, tables: Tables, pulse: Pulse, samples: int
-) -> Floats:
+    scene: ScattererRows, enter: Int64Array, leave: Int64Array, tables: Tables, pulse: Pulse, samples: int
+) -> FloatArray:
     """Return U_a, real (row, exponent, sample), of the scatterers whose support at rest holds a sample.
 
     In ascending delay those that entered since the first sample follow one another, and so do those that were there
@@ -246,7 +241,7 @@ def _rest_sums(
     return out
 
 
-def _runs(key: Indices) -> Indices:
+def _runs(key: Int64Array) -> Int64Array:
     """Return where a new value begins."""
     new = np.empty(len(key), dtype=np.bool_)
     new[:1] = True
@@ -254,7 +249,7 @@ def _runs(key: Indices) -> Indices:
     return np.flatnonzero(new)
 
 
-def _moments(scene: ScattererRows, part: slice, recurrence: list[tuple[int, int, int]]) -> Floats:
+def _moments(scene: ScattererRows, part: slice, recurrence: list[tuple[int, int, int]]) -> FloatArray:
     """Return I_n g_n^a, (exponent, scatterer)."""
     shape, weight = scene.shape[:, part], scene.weight[part]
     out = np.empty((len(recurrence) + 1, len(weight)))
@@ -265,12 +260,12 @@ def _moments(scene: ScattererRows, part: slice, recurrence: list[tuple[int, int,
 
 
 def _correct_crossings(
-    out: Floats,
+    out: FloatArray,
     scene: ScattererRows,
-    index: tuple[Indices, Indices],
+    index: tuple[Int64Array, Int64Array],
     tables: Tables,
     pulse: Pulse,
-    sample_time_s: Floats,
+    sample_time_s: FloatArray,
     budget: float,
 ) -> None:
     """Add, at each sample that an end of a support crosses, what the motion lets in or out; in place.
@@ -323,7 +318,7 @@ def _correct_crossings(
         _add_pairs(out, scene, own, sample, past_s, was_past, expansion)
 
 
-def _coloured_jump(colour: Complexes, lines: Complexes, reach_s: Floats) -> Floats:
+def _coloured_jump(colour: ComplexArray, lines: ComplexArray, reach_s: FloatArray) -> FloatArray:
     """Return a bound on each scatterer's pulse within its reach of an end that jumps, (scatterer,)."""
     jump = np.abs(np.einsum("fs,fq->qs", colour, lines))
     # What cancels on paper is no jump.
@@ -335,7 +330,13 @@ def _coloured_jump(colour: Complexes, lines: Complexes, reach_s: Floats) -> Floa
 
 
 def _add_pairs(
-    out: Floats, scene: ScattererRows, who: Indices, sample: Indices, past_s: Floats, was_past: Booleans, taylor: Floats
+    out: FloatArray,
+    scene: ScattererRows,
+    who: Int64Array,
+    sample: Int64Array,
+    past_s: FloatArray,
+    was_past: BoolArray,
+    taylor: FloatArray,
 ) -> None:
     """Add to ``out``, at ``sample`` (pair,), the part of the scatterers ``who`` whose end has moved over it."""
     row = scene.row[who]
@@ -369,12 +370,12 @@ def largest_near(jumps: list[float], reach_s: float) -> tuple[int, float]:
     return next((order for order, jump in enumerate(jumps) if jump > 0), 0), bound
 
 
-def largest_size(value: Floats) -> float:
+def largest_size(value: FloatArray) -> float:
     """Return the largest magnitude, 0 of nothing."""
     return max(abs(float(value.max())), abs(float(value.min()))) if value.size else 0.0
 
 
-def enough_taylor(taylor: Floats, angle: float, tolerance: float) -> Floats:
+def enough_taylor(taylor: FloatArray, angle: float, tolerance: float) -> FloatArray:
     """Return as many Taylor coefficients (end, order) as keep the rest below ``tolerance``, ``angle`` from the end."""
     tail, orders = angle, 1
     while tail > tolerance and orders < taylor.shape[1]:

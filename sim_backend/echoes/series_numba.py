@@ -13,8 +13,8 @@ from typing import TypeVar
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes.pulse import Pulse, angular_rates
 from sim_backend.echoes.series import (
     CROSSING_SHARE,
@@ -25,14 +25,14 @@ from sim_backend.echoes.series import (
     series_tables,
 )
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Loop = TypeVar("Loop", bound=Callable[..., object])
 
 _compiled: Callable[[Loop], Loop] = numba.njit(nogil=True, cache=True, error_model="numpy")
 
 
-def compiled_series(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, tolerance: float, out: Floats) -> None:
+def compiled_series(
+    scene: ScattererRows, pulse: Pulse, sample_time_s: FloatArray, tolerance: float, out: FloatArray
+) -> None:
     """Write the same as `sim_backend.echoes.series.series` to ``out`` (row, echo, sample)."""
     tables = series_tables(scene, pulse, sample_time_s, tolerance)
     shape, amplitude_s = scene.shape[0], scene.amplitude_s[:, :, 0]
@@ -71,7 +71,7 @@ def compiled_series(scene: ScattererRows, pulse: Pulse, sample_time_s: Floats, t
 
 
 @_compiled
-def _place(time_s: Floats, edge_s: float, rate_hz: float) -> int:
+def _place(time_s: FloatArray, edge_s: float, rate_hz: float) -> int:
     """Return the first sample at or after ``edge_s``; guessed as if evenly spaced, then exact."""
     guess = (edge_s - time_s[0]) * rate_hz
     place = 0 if guess < 0 else (len(time_s) if guess > len(time_s) else int(guess))
@@ -84,14 +84,14 @@ def _place(time_s: Floats, edge_s: float, rate_hz: float) -> int:
 
 @_compiled
 def _add_scatterers(
-    cells: Floats,
+    cells: FloatArray,
     first: int,
     last: int,
-    rest_s: Floats,
-    weight: Floats,
-    shape: Floats,
-    time_s: Floats,
-    ends_s: Floats,
+    rest_s: FloatArray,
+    weight: FloatArray,
+    shape: FloatArray,
+    time_s: FloatArray,
+    ends_s: FloatArray,
     omega: float,
     step: float,
     rate_hz: float,
@@ -122,7 +122,7 @@ def _add_scatterers(
 
 
 @_compiled
-def _sum_up(cells: Floats, turn: Complexes, sums: Floats) -> float:
+def _sum_up(cells: FloatArray, turn: ComplexArray, sums: FloatArray) -> float:
     """Sum ``cells`` from either end, turn them into ``sums`` (power, sample); return the power of the first."""
     frequencies, powers, samples = turn.shape
     flat = cells.reshape(2, samples, frequencies * powers * 2)
@@ -146,7 +146,7 @@ def _sum_up(cells: Floats, turn: Complexes, sums: Floats) -> float:
 
 
 @_compiled
-def _combine(sums: Floats, scaled: Floats, echoes: Floats) -> None:
+def _combine(sums: FloatArray, scaled: FloatArray, echoes: FloatArray) -> None:
     """Write the series ``sum_q scaled^q / q! sums[q]`` to ``echoes`` (echo, sample)."""
     powers, samples = sums.shape
     for k in range(len(echoes)):
@@ -161,14 +161,14 @@ def _combine(sums: Floats, scaled: Floats, echoes: Floats) -> None:
 
 @_compiled
 def _correct(
-    echoes: Floats,
+    echoes: FloatArray,
     strength: float,
     past_s: float,
     shape: float,
-    amplitude_s: Floats,
+    amplitude_s: FloatArray,
     sample: int,
     was: float,
-    taylor: Floats,
+    taylor: FloatArray,
     orders: int,
 ) -> None:
     """Add to one sample of each echo what the motion of one support end lets in or out."""
@@ -184,25 +184,25 @@ def _correct(
 
 @_compiled
 def echoes_of_rows(
-    first: NDArray[np.int64],
-    rest_s: Floats,
-    weight: Floats,
-    shape: Floats,
-    amplitude_s: Floats,
-    time_s: Floats,
-    ends_s: Floats,
+    first: Int64Array,
+    rest_s: FloatArray,
+    weight: FloatArray,
+    shape: FloatArray,
+    amplitude_s: FloatArray,
+    time_s: FloatArray,
+    ends_s: FloatArray,
     omega: float,
     step: float,
     scale: float,
-    turn: Complexes,
-    jump_order: NDArray[np.int64],
-    largest: Floats,
-    taylor: Floats,
+    turn: ComplexArray,
+    jump_order: Int64Array,
+    largest: FloatArray,
+    taylor: FloatArray,
     orders: int,
     farthest_s: float,
     crossing: float,
     share: float,
-    out: Floats,
+    out: FloatArray,
 ) -> None:
     """Write the echoes of every row to ``out`` (row, echo, sample); the arguments are those of `compiled_series`."""
     frequencies, powers, samples = turn.shape

@@ -13,15 +13,14 @@ from collections.abc import Sequence
 from dataclasses import fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.generator.registers import Registers
 from sim_backend.generator.timing import INTERNAL
 from sim_backend.wiring import (
     PS_PER_S,
     Bursts,
     Emission,
-    Picoseconds,
     Steps,
     accepted,
     crossings,
@@ -40,7 +39,6 @@ UNSEEN = frozenset(
 )
 """Registers that do not show at the output; the declared load only changes what is displayed."""
 
-Cycles = NDArray[np.float64]
 History = Sequence[tuple[int, Registers]]
 
 
@@ -99,7 +97,7 @@ def _onsets(
     arriving: Steps,
     latency_ps: int,
     until_ps: int,
-) -> tuple[Picoseconds, int]:
+) -> tuple[Int64Array, int]:
     nothing = np.empty(0, np.int64)
     if not registers.output:
         return nothing, 0
@@ -130,7 +128,7 @@ def _idle_v(registers: Registers) -> float:
 
 def _gated(
     registers: Registers, start_ps: int, stop_ps: int, arriving: Steps, latency_ps: int
-) -> tuple[Picoseconds, Cycles]:
+) -> tuple[Int64Array, FloatArray]:
     """Return when the gate starts the output, and how many cycles come before it has closed: (burst,)."""
     if not registers.output:
         return np.empty(0, np.int64), np.empty(0)
@@ -156,12 +154,12 @@ def _gated(
     return onset_ps[kept], cycles[kept]
 
 
-def _length_ps(registers: Registers, cycles: Cycles) -> Picoseconds:
-    length_s: Cycles = np.minimum(cycles / registers.frequency_hz, 1e6)
+def _length_ps(registers: Registers, cycles: FloatArray) -> Int64Array:
+    length_s: FloatArray = np.minimum(cycles / registers.frequency_hz, 1e6)
     return np.rint(length_s * PS_PER_S).astype(np.int64)
 
 
-def _sines(registers: Registers, onset_ps: Picoseconds, cycles: Cycles, stop_ps: int) -> Bursts:
+def _sines(registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_ps: int) -> Bursts:
     full_ps = onset_ps + _length_ps(registers, cycles)
     end_ps = np.minimum(full_ps, stop_ps)
     whole = np.isfinite(cycles) & (end_ps == full_ps)
@@ -171,7 +169,7 @@ def _sines(registers: Registers, onset_ps: Picoseconds, cycles: Cycles, stop_ps:
 
 
 def _pulses(
-    registers: Registers, onset_ps: Picoseconds, cycles: Cycles, stop_ps: int, after_cut_v: float
+    registers: Registers, onset_ps: Int64Array, cycles: FloatArray, stop_ps: int, after_cut_v: float
 ) -> tuple[Steps, bool]:
     period_ps = PS_PER_S / registers.frequency_hz
     square_s = registers.duty_percent / 100 / registers.frequency_hz
@@ -195,5 +193,5 @@ def _pulses(
     return joined_steps([_steps(rise_ps, idle_v, active_v), falls]), bool(cut.any())
 
 
-def _steps(time_ps: Picoseconds, before_v: float, after_v: float) -> Steps:
+def _steps(time_ps: Int64Array, before_v: float, after_v: float) -> Steps:
     return Steps(time_ps, np.full(time_ps.size, before_v), np.full(time_ps.size, after_v))

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray
 from sim_backend.motion.field import Force, focus_transfer
 from sim_backend.settings import Specimen
 
@@ -32,7 +32,7 @@ class Dose:
     """Body force at that intensity."""
     reference_drive_vpp: float
     """The drive that gives the specimen its force."""
-    displacement_limit_m: NDArray[np.float64]
+    displacement_limit_m: FloatArray
     """Displacement amplitude at the focus at that intensity, (frequency,)."""
 
 
@@ -41,7 +41,7 @@ def dose(
     force: Force,
     burst_rate_hz: float,
     burst_length_s: float,
-    frequency_hz: NDArray[np.float64],
+    frequency_hz: FloatArray,
     sound_speed_m_per_s: float,
     carrier_hz: float = 3.0e6,
 ) -> Dose:

@@ -16,8 +16,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import NDArray
 
+from sim_backend.arrays import BoolArray, ComplexArray, FloatArray, Int64Array
 from sim_backend.motion.force import Share, force_share, radiation_force
 from sim_backend.motion.inverse_laplace import FIELD_CONTOUR, Contour, Panels, panels_of
 from sim_backend.motion.specimen import (
@@ -35,10 +35,7 @@ from sim_backend.motion.specimen import (
 )
 from sim_backend.settings import SimulationSettings, Specimen, Transmitter
 from sim_backend.transducer import GaussianSum, push_intensity
-from sim_backend.wiring import Bursts, Picoseconds
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from sim_backend.wiring import Bursts
 
 # The ray's angle: more than the hyperbola's 0.35, behind which the pole hides, and less than pi / 4. Waves grow along
 # it as exp(|k| r sin(ray)), which costs digits and nodes far from the axis: there both turn towards the real one.
@@ -84,13 +81,13 @@ class FocusField:
     axial_reach_m: float
     response: StepResponse
     """Amplitude of every mode, m per N/m^3."""
-    shape: Floats
+    shape: FloatArray
     """Chebyshev coefficients of every mode in the squares of both coordinates, (mode, lateral, axial)."""
     lateral_inner_m: float = 0.0
     uneven: bool = False
     """Whether they are in the depth itself: the field differs before and behind the focal plane."""
 
-    def shapes(self, lateral_m: Floats, axial_m: Floats) -> Floats:
+    def shapes(self, lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
         """Return every mode's shape at points (point,), distances from axis and focal plane: (point, mode)."""
         reach, inner = (self.lateral_reach_m, self.axial_reach_m), (self.lateral_inner_m, 0.0)
         outside = lateral_m.size and (lateral_m.max() > reach[0] * 1.0001 or np.abs(axial_m).max() > reach[1] * 1.0001)
@@ -167,7 +164,7 @@ def _kept_sum_response(specimen: Specimen, force: GaussianSum) -> StepResponse:
     return StepResponse(memory_s(specimen, panels), panels)
 
 
-def focus_transfer(specimen: Specimen, force: Force, frequency_hz: Floats) -> Complexes:
+def focus_transfer(specimen: Specimen, force: Force, frequency_hz: FloatArray) -> ComplexArray:
     """Return displacement at the focus over body force there, complex (frequency,), as `frequency_response` does."""
     if not isinstance(force, GaussianSum):
         return frequency_response(specimen, force, frequency_hz)
@@ -181,7 +178,7 @@ def _focus_spectrum(force: GaussianSum) -> _Spectrum:
     return _Spectrum(force, np.zeros(1), np.zeros(1))
 
 
-def _worth(specimen: Specimen, panels: Panels) -> Floats:
+def _worth(specimen: Specimen, panels: Panels) -> FloatArray:
     """Return the displacement that an error counts against in every panel (panel,), but for a common factor."""
     if not creeps_for_ever(specimen):
         return np.ones(panels.coefficient.shape[1])
@@ -195,7 +192,7 @@ def _worth(specimen: Specimen, panels: Panels) -> Floats:
 class MediumMotion:
     """The field's modes at the scatterers, and what drives them."""
 
-    shape: Floats
+    shape: FloatArray
     """(mode, scatterer)"""
     field: FocusField
     specimen: Specimen
@@ -203,12 +200,12 @@ class MediumMotion:
     travel_s: float
     share: Share | None = None
 
-    def amplitudes_m(self, tonebursts: Bursts, time_ps: Picoseconds) -> Floats:
+    def amplitudes_m(self, tonebursts: Bursts, time_ps: Int64Array) -> FloatArray:
         """Return every mode's amplitude at ``time_ps`` (time,) under ``tonebursts``: (time, mode)."""
         force = radiation_force(tonebursts, self.specimen, self.travel_s, self.transmitter, self.share)
         return transients(self.field.response, force, time_ps)
 
-    def displacement_m(self, tonebursts: Bursts, time_ps: Picoseconds, lateral_m: float) -> Floats:
+    def displacement_m(self, tonebursts: Bursts, time_ps: Int64Array, lateral_m: float) -> FloatArray:
         """Return the displacement beside the focus at ``time_ps`` (time,)."""
         shape = self.field.shapes(np.array([abs(lateral_m)]), np.zeros(1))
         # one response in place of as many as there are modes: the table is summed over them first
@@ -219,7 +216,7 @@ class MediumMotion:
 
 
 def medium_motion(
-    settings: SimulationSettings, offset_m: Floats, travel_s: float, beside_m: float = 0.0
+    settings: SimulationSettings, offset_m: FloatArray, travel_s: float, beside_m: float = 0.0
 ) -> MediumMotion:
     """Return the motion of scatterers at ``offset_m`` (scatterer, 3) from the focus, and of a point beside it.
 
@@ -248,8 +245,8 @@ _kept_field = lru_cache(maxsize=8)(focus_field)
 
 
 def field_transfer(
-    specimen: Specimen, force: Force, lateral_m: Floats, axial_m: Floats, frequency_hz: Floats
-) -> Complexes:
+    specimen: Specimen, force: Force, lateral_m: FloatArray, axial_m: FloatArray, frequency_hz: FloatArray
+) -> ComplexArray:
     """Return displacement over body force on a grid, (frequency, lateral, axial), m per N/m^3, factor exp(+jwt)."""
     s = np.asarray(2j * np.pi * np.asarray(frequency_hz), np.complex128)
     value = _Spectrum(_gaussians(force), lateral_m, axial_m).transfer(specimen, s)
@@ -276,13 +273,13 @@ def _scale(force: GaussianSum) -> tuple[float, float]:
 class _Spectrum:
     """What the force's spectrum puts into every point from every wave number on the ray: computed once a geometry."""
 
-    def __init__(self, force: GaussianSum, lateral_m: Floats, axial_m: Floats) -> None:
+    def __init__(self, force: GaussianSum, lateral_m: FloatArray, axial_m: FloatArray) -> None:
         directions = _Directions(force)
         self.ray = _ray(directions, float(lateral_m.max()), float(np.abs(axial_m).max()))
         self._k2, into = _ray_spectrum(directions, lateral_m, axial_m, self.ray)
         self._k2_into = self._k2[:, None] * into
 
-    def transfer(self, specimen: Specimen, s_per_s: Complexes) -> Complexes:
+    def transfer(self, specimen: Specimen, s_per_s: ComplexArray) -> ComplexArray:
         """Return the displacement at every point, (s, point)."""
         modulus = shear_modulus(specimen, s_per_s)
         pole = specimen.density_kg_per_m3 * s_per_s**2 / modulus
@@ -320,7 +317,7 @@ class _Directions:
         self._centre_m, self._strength = np.array(force.centre_m), np.array(force.share) * np.array(volumes)
         self.farthest_m = float(np.abs(self._centre_m).max())
 
-    def spectra(self, k: Complexes, seen: NDArray[np.bool_]) -> tuple[Complexes, Complexes | None]:
+    def spectra(self, k: ComplexArray, seen: BoolArray) -> tuple[ComplexArray, ComplexArray | None]:
         """Return its even and odd part along the directions ``seen``, (k, direction); None: it has no odd one."""
         # (k, direction, width)
         spread = np.exp(-(k**2)[:, None, None] * self._half[seen]) * self.share[seen, None]
@@ -350,8 +347,8 @@ def _turned(contour: Contour, share: float) -> Contour:
 
 
 def _ray_spectrum(
-    directions: _Directions, lateral_m: Floats, axial_m: Floats, ray: float
-) -> tuple[Complexes, Complexes]:
+    directions: _Directions, lateral_m: FloatArray, axial_m: FloatArray, ray: float
+) -> tuple[ComplexArray, ComplexArray]:
     """Return the squares of the wave numbers, (k,), and their weighted share in every point, (k, point)."""
     m, a = directions.m, directions.least
     turn, finer = np.exp(1j * ray), _RAY / ray
@@ -399,7 +396,7 @@ class _BesselOnRay:
         value = jv(0, turn * (middle + node[:, None] * _CELL / 2))
         self._polynomial = np.linalg.solve(np.vander(node).astype(np.complex128), value)
 
-    def at(self, distance: Floats) -> Complexes:
+    def at(self, distance: FloatArray) -> ComplexArray:
         """Return J0 at ``distance``, any shape, from 0 to ``farthest``."""
         cell, place = np.divmod(distance / _CELL, 1.0)
         here, place = cell.astype(np.intp), 2 * place - 1
@@ -409,18 +406,18 @@ class _BesselOnRay:
         return np.asarray(value)
 
 
-def _highest(a: Floats, distance_m: Floats, ray: float) -> Floats:
+def _highest(a: FloatArray, distance_m: FloatArray, ray: float) -> FloatArray:
     """Return |k| where the force's spectrum, which falls, outweighs the waves, which grow along the ray off it."""
     fall, growth = a * math.cos(2 * ray), distance_m * math.sin(ray)
     return np.asarray((growth + np.sqrt(growth**2 + 4 * _NEGLIGIBLE_EXPONENT * fall)) / (2 * fall))
 
 
-def _nodes(count: int) -> Floats:
+def _nodes(count: int) -> FloatArray:
     """Return Chebyshev's points of 0 to 1, (count,)."""
     return np.asarray((np.cos((np.arange(count) + 0.5) * np.pi / count) + 1) / 2)
 
 
-def _to_series(count: int) -> Floats:
+def _to_series(count: int) -> FloatArray:
     """Return the matrix from values at `_nodes` to Chebyshev coefficients, (degree, node)."""
     series = np.cos(np.outer(np.arange(count), (np.arange(count) + 0.5) * np.pi / count)) * (2 / count)
     series[0] /= 2

@@ -13,13 +13,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.settings import SimulationSettings, Specimen, Transmitter
-from sim_backend.wiring import Bursts, Picoseconds, to_ps
+from sim_backend.wiring import Bursts, to_ps
 
-Floats = NDArray[np.float64]
-Share = Callable[[Floats, Floats], Floats]
+Share = Callable[[FloatArray, FloatArray], FloatArray]
 """Force over the reference's, of pressure over the reference's and the carrier in Hz, all (pulse,)."""
 
 _PHASES, _PHASES_OF_DIODES = 64, 4096
@@ -29,12 +28,12 @@ _PHASES, _PHASES_OF_DIODES = 64, 4096
 class ForcePulses:
     """Rectangular pulses of body force at the focus; every array has shape (pulse,)."""
 
-    onset_ps: Picoseconds
-    end_ps: Picoseconds
-    force_density_n_per_m3: Floats
+    onset_ps: Int64Array
+    end_ps: Int64Array
+    force_density_n_per_m3: FloatArray
 
 
-def transmit_response(frequency_hz: Floats, resonance_hz: float, quality: float) -> Floats:
+def transmit_response(frequency_hz: FloatArray, resonance_hz: float, quality: float) -> FloatArray:
     """Return the transducer's pressure a volt at ``frequency_hz``, relative to its resonance: one damped mode.
 
     The single mode has no third harmonic; its quality is set from the one figure known (see `Specimen`).
@@ -77,7 +76,7 @@ def force_share(settings: SimulationSettings) -> Share | None:
     if settings.propagation is None or specimen is None:
         return None
 
-    def share(pressure: Floats, carrier_hz: Floats) -> Floats:
+    def share(pressure: FloatArray, carrier_hz: FloatArray) -> FloatArray:
         from sim_backend.transducer import push_of
 
         found = np.zeros_like(pressure)
@@ -90,7 +89,7 @@ def force_share(settings: SimulationSettings) -> Share | None:
     return share
 
 
-def relative_pressure(drive_vpp: Floats, specimen: Specimen, transmitter: Transmitter | None = None) -> Floats:
+def relative_pressure(drive_vpp: FloatArray, specimen: Specimen, transmitter: Transmitter | None = None) -> FloatArray:
     """Return the pressure at resonance relative to that of the reference drive, shape of ``drive_vpp``."""
     relative = drive_vpp / specimen.reference_drive_vpp
     if transmitter is None or transmitter.linear:
@@ -99,7 +98,7 @@ def relative_pressure(drive_vpp: Floats, specimen: Specimen, transmitter: Transm
     return np.asarray(harmonic_v(drive_vpp, transmitter) / reference_v)
 
 
-def harmonic_v(drive_vpp: Floats, transmitter: Transmitter, harmonic: int = 1) -> Floats:
+def harmonic_v(drive_vpp: FloatArray, transmitter: Transmitter, harmonic: int = 1) -> FloatArray:
     """Return the amplitude of a harmonic of the carrier at the transducer, V, shape of ``drive_vpp``.
 
     ``drive_vpp`` at the hybrid's input, from one generator alone. Negative where the harmonic is in counterphase.
@@ -112,7 +111,7 @@ def harmonic_v(drive_vpp: Floats, transmitter: Transmitter, harmonic: int = 1) -
     return np.asarray(out_v * 10 ** (transmitter.matching_gain_db / 20))
 
 
-def _distorted_v(amplitude_v: Floats, transmitter: Transmitter, harmonic: int) -> Floats:
+def _distorted_v(amplitude_v: FloatArray, transmitter: Transmitter, harmonic: int) -> FloatArray:
     """Return the Fourier sine coefficient of a sine through the hybrid's and the amplifier's ceiling, and diodes.
 
     v / (1 + |v / ceiling|^2p)^(1/2p), the Rapp law, then less by the threshold of the diodes, and nothing below it.

@@ -14,10 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 
 # Each panel ends at four times its begin: as far as one hyperbola serves.
 _RATIO = 4.0
@@ -45,11 +43,11 @@ FIELD_CONTOUR = Contour(40, 4.6, 1.0, 0.35)
 class Panels:
     """Step responses tabulated as Chebyshev series in time, panel by panel, each four times as long as the last."""
 
-    coefficient: Floats
+    coefficient: FloatArray
     """(degree, panel, response)."""
 
     @property
-    def begins_s(self) -> Floats:
+    def begins_s(self) -> FloatArray:
         """Begin of every panel, (panel,)."""
         return np.asarray(_FIRST_S * _RATIO ** np.arange(self.coefficient.shape[1]))
 
@@ -58,7 +56,7 @@ class Panels:
         """End of the last panel."""
         return float(_FIRST_S * _RATIO ** self.coefficient.shape[1])
 
-    def at(self, time_s: Floats) -> Floats:
+    def at(self, time_s: FloatArray) -> FloatArray:
         """Return the responses at ``time_s``, shape of it and then (response,).
 
         Exactly 0 up to the onset; before the first panel inertia alone acts, so it goes with the square of time;
@@ -76,7 +74,7 @@ class Panels:
 
 
 def panels_of(
-    transfer: Callable[[Complexes], Complexes], contour: Contour = AXIS_CONTOUR, degrees: int = _DEGREES
+    transfer: Callable[[ComplexArray], ComplexArray], contour: Contour = AXIS_CONTOUR, degrees: int = _DEGREES
 ) -> Panels:
     """Return the table of the responses whose ``transfer`` gives (s, response) for s (s,), from 1 ps to 10^4 s."""
     count = int(np.ceil(np.log(_LAST_S / _FIRST_S) / np.log(_RATIO)))
@@ -95,7 +93,7 @@ def panels_of(
     return Panels(np.einsum("dt,tpr->dpr", to_coefficients, samples, optimize=True))
 
 
-def _hyperbola(contour: Contour) -> tuple[Complexes, Complexes]:
+def _hyperbola(contour: Contour) -> tuple[ComplexArray, ComplexArray]:
     """Return s and the weight of U(s), (node,), for times 1 to 4; the half above the real axis, counted twice."""
     step = contour.span / contour.nodes
     x = (np.arange(contour.nodes) + 0.5) * step
@@ -103,7 +101,7 @@ def _hyperbola(contour: Contour) -> tuple[Complexes, Complexes]:
     return s, step / np.pi * contour.height * np.cos(1j * x - contour.alpha) / s
 
 
-def _clenshaw(coefficient: Floats, panel: NDArray[np.int64], x: Floats) -> Floats:
+def _clenshaw(coefficient: FloatArray, panel: Int64Array, x: FloatArray) -> FloatArray:
     """Return each panel's Chebyshev series at ``x`` by Clenshaw's recurrence, (*panel, response).
 
     Row by row: numpy's chebval would gather (degree, time, response) at once.

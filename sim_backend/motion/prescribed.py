@@ -6,17 +6,15 @@ import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray, Int64Array
 from sim_backend.settings import BackgroundMotion, MotionComponent
-from sim_backend.wiring import PS_PER_S, Picoseconds
-
-Floats = NDArray[np.float64]
+from sim_backend.wiring import PS_PER_S
 
 _TIMES_AT_ONCE = 1 << 16
 
 
-def motion_at(components: Sequence[MotionComponent], time_ps: Picoseconds) -> Floats:
+def motion_at(components: Sequence[MotionComponent], time_ps: Int64Array) -> FloatArray:
     """Return the sum of sinusoids D sin(2 pi f t + phi), m, at ``time_ps`` (time,) after the master trigger.
 
     The phase is right to 1e-12 rad after 1e5 s.
@@ -30,7 +28,7 @@ def motion_at(components: Sequence[MotionComponent], time_ps: Picoseconds) -> Fl
     return displacement_m
 
 
-def background_at(background: Sequence[BackgroundMotion], time_ps: Picoseconds) -> Floats:
+def background_at(background: Sequence[BackgroundMotion], time_ps: Int64Array) -> FloatArray:
     """Return how far the whole specimen has moved, m, at ``time_ps`` (time,) after the master trigger."""
     return motion_at([part for each in background for part in _components(each)], time_ps)
 
@@ -44,7 +42,7 @@ def _components(background: BackgroundMotion) -> Iterator[MotionComponent]:
         )
 
 
-def turns(frequency_hz: float, time_ps: Picoseconds) -> Floats:
+def turns(frequency_hz: float, time_ps: Int64Array) -> FloatArray:
     """Return f t less its whole turns: those of whole hertz and whole seconds are dropped as integers, before rounding.
 
     Exact but for 1e-13 turns up to 1e6 Hz and 1e5 s.

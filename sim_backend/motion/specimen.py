@@ -15,16 +15,14 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.motion.force import ForcePulses
 from sim_backend.motion.inverse_laplace import AXIS_CONTOUR, Panels, panels_of
 from sim_backend.motion.sphere import SPHERE_CONTOUR, SPHERE_DEGREES, sphere_response, sphere_share
 from sim_backend.settings import OWN_MEDIA, Specimen, creeps, modulus_of
-from sim_backend.wiring import PS_PER_S, Picoseconds
+from sim_backend.wiring import PS_PER_S
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Triple = tuple[float, float, float]
 
 _DIRECTION_NODES = 64
@@ -36,7 +34,7 @@ _TIMES_AT_ONCE = 1 << 12
 _FAR, _FAR_TERMS = 6.0, 16
 
 
-def shear_modulus(specimen: Specimen, s_per_s: Complexes) -> Complexes:
+def shear_modulus(specimen: Specimen, s_per_s: ComplexArray) -> ComplexArray:
     """Return the modulus mu(s) in Pa, shape of ``s_per_s``; analytic off the negative real axis, so also in time.
 
     Voigt ``mu1 + s mu2``; Maxwell ``s mu1 mu2 / (mu1 + s mu2)``; Zener ``mu1`` beside a Maxwell branch of
@@ -57,7 +55,7 @@ def shear_modulus(specimen: Specimen, s_per_s: Complexes) -> Complexes:
             return modulus_of(foreign, dict(specimen.parameters), s_per_s)
 
 
-def _branch(modulus_pa: float, viscosity_pa_s: float, s_per_s: Complexes) -> Complexes:
+def _branch(modulus_pa: float, viscosity_pa_s: float, s_per_s: ComplexArray) -> ComplexArray:
     # Divided through by the modulus: neither a stiff spring nor a fast s overflows.
     return np.asarray(s_per_s * viscosity_pa_s / (1 + s_per_s * (viscosity_pa_s / modulus_pa)))
 
@@ -69,7 +67,7 @@ def creeps_for_ever(specimen: Specimen) -> bool:
     return specimen.medium == "maxwell" or (specimen.medium == "power_law" and specimen.power > 0)
 
 
-def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: Floats) -> Complexes:
+def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: FloatArray) -> ComplexArray:
     """Return displacement at the focus over body force there, m per N/m^3, complex (frequency,), time factor exp(+jwt).
 
     ``width_m`` the sigmas of the force, ``frequency_hz`` (frequency,) >= 0. Raises ``ValueError`` at 0 Hz for a medium
@@ -84,7 +82,7 @@ def frequency_response(specimen: Specimen, width_m: Triple, frequency_hz: Floats
     return transfer(specimen, width_m, np.asarray(2j * np.pi * frequency_hz, dtype=np.complex128))
 
 
-def transfer(specimen: Specimen, width_m: Triple, s_per_s: Complexes) -> Complexes:
+def transfer(specimen: Specimen, width_m: Triple, s_per_s: ComplexArray) -> ComplexArray:
     """Return the same at complex frequencies ``s_per_s`` (frequency,), continued into the left half plane.
 
     Of a rigid sphere, whose force stands for the body force, its own displacement. Of the medium:
@@ -103,7 +101,7 @@ def transfer(specimen: Specimen, width_m: Triple, s_per_s: Complexes) -> Complex
     return np.asarray(force_volume(width_m) / modulus * moved)
 
 
-def inertia_factor(z: Complexes) -> Complexes:
+def inertia_factor(z: ComplexArray) -> ComplexArray:
     """Return ``1 + j sqrt(pi) z w(z)``, any shape, to 1e-12 for Im z >= 0; w is the Faddeeva function.
 
     What remains of a Gaussian source's static response once inertia counts: 1 at rest, -1/(2 z^2) far out. There the
@@ -129,7 +127,7 @@ def inertia_factor(z: Complexes) -> Complexes:
 
 
 @lru_cache
-def legendre(count: int) -> tuple[Floats, Floats]:
+def legendre(count: int) -> tuple[FloatArray, FloatArray]:
     """Return ``count`` nodes and weights of Gauss's quadrature, which no caller can change: all get the same."""
     node, weight = np.polynomial.legendre.leggauss(count)
     node.flags.writeable = weight.flags.writeable = False
@@ -144,7 +142,7 @@ class StepResponse:
     """Time after which the displacement is the static one; where there is none, the end of the table."""
     panels: Panels
 
-    def at(self, time_s: Floats) -> Floats:
+    def at(self, time_s: FloatArray) -> FloatArray:
         """Return the displacement at ``time_s``, any shape, exactly 0 up to the onset."""
         return self.panels.at(time_s)[..., 0]
 
@@ -172,12 +170,12 @@ def memory_s(specimen: Specimen, panels: Panels, forgotten: float = _FORGOTTEN) 
     return float(panels.begins_s[min(int(np.flatnonzero(moving)[-1]) + 1, len(moving) - 2)])
 
 
-def transient_displacement(response: StepResponse, force: ForcePulses, time_ps: Picoseconds) -> Floats:
+def transient_displacement(response: StepResponse, force: ForcePulses, time_ps: Int64Array) -> FloatArray:
     """Return the displacement at the focus at ``time_ps`` (time,) under all ``force`` pulses, m; 0 before any."""
     return transients(response, force, time_ps)[:, 0]
 
 
-def transients(response: StepResponse, force: ForcePulses, time_ps: Picoseconds) -> Floats:
+def transients(response: StepResponse, force: ForcePulses, time_ps: Int64Array) -> FloatArray:
     """Return every tabulated response at ``time_ps`` (time,) under all ``force`` pulses: (time, response).
 
     Each pulse is a step up and a step down; once both are older than the medium's memory they cancel, so a pulse
@@ -211,7 +209,7 @@ def force_volume(width_m: Triple) -> float:
     return math.prod(width_m) / math.sqrt(2 * math.pi)
 
 
-def _directions(width_m: Triple) -> tuple[Floats, Floats]:
+def _directions(width_m: Triple) -> tuple[FloatArray, FloatArray]:
     """Return ``a``, half the squared width of the force along each direction, and its share, (direction,)."""
     wide, narrow = max(width_m[:2]), min(width_m[:2])
     # The mean over azimuth converges like ((r - 1)/(r + 1))^2n, r the ratio of the lateral widths.
@@ -222,7 +220,7 @@ def _directions(width_m: Triple) -> tuple[Floats, Floats]:
     return np.concatenate([a for _, a, _ in parts]), np.concatenate([share for _, _, share in parts]) / count
 
 
-def polar_nodes(lateral: float, axial: float) -> tuple[Floats, Floats, Floats]:
+def polar_nodes(lateral: float, axial: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return cosine m, half the squared width ``a`` and share of the directions of one azimuth, (direction,) each.
 
     ``lateral`` and ``axial`` are the squared widths. The share is that of the

@@ -12,12 +12,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray
 from sim_backend.motion.inverse_laplace import Contour
 from sim_backend.settings import Specimen, Sphere
-
-Complexes = NDArray[np.complex128]
 
 SPHERE_CONTOUR = Contour(96, 5.6, 0.8, 0.15)
 """Behind which a sphere's resonance hides: its poles lie 22 degrees off the imaginary axis for steel; 1e-6."""
@@ -29,7 +27,9 @@ def sphere_mass_kg(sphere: Sphere) -> float:
     return 4 / 3 * math.pi * sphere.radius_m**3 * sphere.density_kg_per_m3
 
 
-def sphere_response(sphere: Sphere, modulus_pa: Complexes, density_kg_per_m3: float, s_per_s: Complexes) -> Complexes:
+def sphere_response(
+    sphere: Sphere, modulus_pa: ComplexArray, density_kg_per_m3: float, s_per_s: ComplexArray
+) -> ComplexArray:
     """Return displacement over force, m/N (frequency,), in a medium of complex shear modulus (frequency,)."""
     a = sphere.radius_m
     wave = a * s_per_s * np.sqrt(density_kg_per_m3 / modulus_pa)

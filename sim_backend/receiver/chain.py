@@ -10,13 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.receiver.elements import band_pass, compressed, notch, ringing_s, sampled
 from sim_backend.settings import BandFilter, ReceiveChain
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _RECORDS_AT_ONCE = 64
 TRAIL = 24
@@ -37,19 +34,19 @@ def fast_length(samples: int) -> int:
 
 
 def receive(
-    volts: Floats,
+    volts: FloatArray,
     chain: ReceiveChain,
     sample_period_s: float,
-    switch: Floats | None = None,
+    switch: FloatArray | None = None,
     rng: np.random.Generator | None = None,
-) -> Floats:
+) -> FloatArray:
     """Return what leaves the chain, float64 (record, sample), for ``volts`` (record, sample) at the transducer.
 
     The filters see each record as if it repeated: the first `lead_s` of it and its last `TRAIL` samples are spoilt.
     ``switch`` (record, sample) is the share that the T/R switch passes, None all of it; ``rng`` draws the
     preamplifier's noise, needed where the chain has any.
     """
-    frequency_hz: Floats = np.fft.rfftfreq(volts.shape[1], sample_period_s).astype(np.float64)
+    frequency_hz: FloatArray = np.fft.rfftfreq(volts.shape[1], sample_period_s).astype(np.float64)
     out = np.empty_like(volts)
     for first in range(0, len(volts), _RECORDS_AT_ONCE):
         some = slice(first, first + _RECORDS_AT_ONCE)
@@ -59,15 +56,15 @@ def receive(
 
 
 def _receive(
-    volts: Floats,
+    volts: FloatArray,
     chain: ReceiveChain,
-    frequency_hz: Floats,
+    frequency_hz: FloatArray,
     period_s: float,
-    switch: Floats | None,
+    switch: FloatArray | None,
     rng: np.random.Generator | None,
-) -> Floats:
+) -> FloatArray:
     # Filters are gathered as one response (frequency,) and applied only where something that is no filter follows.
-    pending: Complexes | None = None
+    pending: ComplexArray | None = None
     if chain.notch is not None:
         pending = sampled(notch(chain.notch, frequency_hz), 1.0)
     if switch is not None:
@@ -85,13 +82,13 @@ def _receive(
     return _filtered(volts, pending)
 
 
-def _filtered(volts: Floats, response: Complexes | None) -> Floats:
+def _filtered(volts: FloatArray, response: ComplexArray | None) -> FloatArray:
     if response is None:
         return volts
     return np.asarray(np.fft.irfft(np.fft.rfft(volts) * response, volts.shape[1]))
 
 
-def _product(one: Complexes | None, other: Complexes) -> Complexes:
+def _product(one: ComplexArray | None, other: ComplexArray) -> ComplexArray:
     return other if one is None else one * other
 
 

@@ -10,30 +10,27 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.settings import BandFilter, LogAmplifier
 from sim_backend.wiring import PS_PER_S, Bursts, Capture, to_ps
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 # After this many recovery times the switch passes all but 2e-9.
 _OPEN = 20.0
 
 
-def band_pass(band: BandFilter, frequency_hz: Floats) -> Complexes:
+def band_pass(band: BandFilter, frequency_hz: FloatArray) -> ComplexArray:
     """Return the Butterworth band-pass response at ``frequency_hz`` (frequency,) >= 0: 1 at the centre, -3 dB edges."""
     return _low_pass(*_detuning(band, frequency_hz), band.order)
 
 
-def notch(band: BandFilter, frequency_hz: Floats) -> Complexes:
+def notch(band: BandFilter, frequency_hz: FloatArray) -> ComplexArray:
     """Return the Butterworth band-stop response at ``frequency_hz`` (frequency,): 0 at the centre, -3 dB edges."""
     away, width = _detuning(band, frequency_hz)
     return _low_pass(width, away, band.order)
 
 
-def sampled(response: Complexes, at_infinity: float) -> Complexes:
+def sampled(response: ComplexArray, at_infinity: float) -> ComplexArray:
     """Return ``response`` (frequency,) from 0 to half the sampling rate, led to its limit there without a step.
 
     A step would ring before and after every edge of the signal like 1/t; this does like 1/t^3. It leaves what lies
@@ -54,18 +51,18 @@ def ringing_s(bands: Iterable[BandFilter], tolerance: float) -> float:
     return slowest_s * math.log(100 / tolerance)
 
 
-def _poles(order: int) -> Complexes:
+def _poles(order: int) -> ComplexArray:
     angle = np.pi * (2 * np.arange(order) + order + 1) / (2 * order)
     return np.asarray(np.exp(1j * angle))
 
 
-def _detuning(band: BandFilter, frequency_hz: Floats) -> tuple[Complexes, Complexes]:
+def _detuning(band: BandFilter, frequency_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Return j (f / f0 - f0 / f) over the bandwidth as numerator and denominator: neither is infinite at 0 Hz."""
     f = frequency_hz / band.centre_hz
     return np.asarray(1j * (f * f - 1), np.complex128), np.asarray(band.bandwidth * f, np.complex128)
 
 
-def _low_pass(above: Complexes, below: Complexes, order: int) -> Complexes:
+def _low_pass(above: ComplexArray, below: ComplexArray, order: int) -> ComplexArray:
     """Return the low-pass prototype at p = above / below."""
     response = np.ones(above.shape, np.complex128)
     for pole in _poles(order):
@@ -73,7 +70,7 @@ def _low_pass(above: Complexes, below: Complexes, order: int) -> Complexes:
     return response
 
 
-def switch_gain(sent: Bursts, capture: Capture, recovery_s: float) -> Floats | None:
+def switch_gain(sent: Bursts, capture: Capture, recovery_s: float) -> FloatArray | None:
     """Return what the switch passes, float64 (record, sample) from 0 to 1, or None where it passes everything.
 
     Shut from a burst's onset to its end, then ``1 - exp(-t / recovery)``. ``sent`` is by time and does not overlap
@@ -94,7 +91,7 @@ def switch_gain(sent: Bursts, capture: Capture, recovery_s: float) -> Floats | N
     return gain
 
 
-def _share_passed(sent: Bursts, time_ps: NDArray[np.int64], recovery_s: float) -> Floats:
+def _share_passed(sent: Bursts, time_ps: Int64Array, recovery_s: float) -> FloatArray:
     last = np.searchsorted(sent.onset_ps, time_ps, side="right") - 1
     since_s = np.where(last >= 0, time_ps - sent.end_ps[np.maximum(last, 0)], 1 << 60) / PS_PER_S
     if recovery_s == 0:
@@ -102,7 +99,7 @@ def _share_passed(sent: Bursts, time_ps: NDArray[np.int64], recovery_s: float) -
     return np.asarray(-np.expm1(-np.clip(since_s / recovery_s, 0.0, 700.0)))
 
 
-def compressed(volts: Floats, amplifier: LogAmplifier) -> Floats:
+def compressed(volts: FloatArray, amplifier: LogAmplifier) -> FloatArray:
     """Return the output ``slope asinh(v / 2 knee) / ln 10`` of the input ``volts``, any shape, limited to saturation.
 
     Odd and smooth, so that it keeps the sign of the carrier and, after a band-pass, its phase.

@@ -8,14 +8,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray, Int64Array
 from sim_backend.echoes import echo_pulse, echoes
 from sim_backend.settings import Receiver, SimulationSettings, Specimen
 from sim_backend.wiring import PS_PER_S, Bursts
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _REFERENCE_CYCLES = 3.0
 # One echo only: the last digits cost nothing.
@@ -23,7 +20,7 @@ _GAIN_TOLERANCE = 1e-12
 _SAMPLES_PER_CYCLE = 16
 
 
-def reference_gate_s(receiver: Receiver, sound_speed_m_per_s: float) -> Floats:
+def reference_gate_s(receiver: Receiver, sound_speed_m_per_s: float) -> FloatArray:
     """Return dense sample times that fill the reference gate, relative to the echo of the focus, (sample,)."""
     length_s = 2 * receiver.reference_gate_m / sound_speed_m_per_s
     count = max(_SAMPLES_PER_CYCLE, math.ceil(length_s * receiver.reference_carrier_hz * _SAMPLES_PER_CYCLE))
@@ -31,7 +28,7 @@ def reference_gate_s(receiver: Receiver, sound_speed_m_per_s: float) -> Floats:
 
 
 def echo_gain_v(
-    settings: SimulationSettings, depth_delay_s: Floats, weight: Floats, colour: Complexes | None = None
+    settings: SimulationSettings, depth_delay_s: FloatArray, weight: FloatArray, colour: ComplexArray | None = None
 ) -> float:
     """Return the volts of a scatterer of weight 1, so that the resting echo has ``echo_rms_v`` in the reference gate.
 
@@ -49,7 +46,7 @@ def echo_gain_v(
     return receiver.echo_rms_v / rms if rms > 0 else 0.0
 
 
-def pulse_strength(pulses: Bursts, receiver: Receiver) -> Floats:
+def pulse_strength(pulses: Bursts, receiver: Receiver) -> FloatArray:
     """Return each tracking pulse's strength relative to the reference pulse, (burst,).
 
     A burst shorter than the transducer's response delivers amplitude in proportion to its length.
@@ -57,7 +54,7 @@ def pulse_strength(pulses: Bursts, receiver: Receiver) -> Floats:
     return np.asarray(pulses.amplitude_vpp / receiver.reference_pulse_vpp * pulses.cycles / _REFERENCE_CYCLES)
 
 
-def noise_v(receiver: Receiver, records: int, samples: int, rng: np.random.Generator) -> Floats:
+def noise_v(receiver: Receiver, records: int, samples: int, rng: np.random.Generator) -> FloatArray:
     """Return white noise, (record, sample), ``snr_db`` below the resting echo of the reference pulse, eq. (16).
 
     A stronger pulse therefore gains signal over noise, as on the bench. The caller skips it where ``snr_db`` is None.
@@ -68,7 +65,7 @@ def noise_v(receiver: Receiver, records: int, samples: int, rng: np.random.Gener
     return noise
 
 
-def toneburst_echo_strength(tonebursts: Bursts, receiver: Receiver) -> Floats:
+def toneburst_echo_strength(tonebursts: Bursts, receiver: Receiver) -> FloatArray:
     """Return each toneburst's echo strength relative to the reference pulse, (burst,): long bursts ring up fully."""
     return np.asarray(receiver.toneburst_echo_gain * tonebursts.amplitude_vpp / receiver.reference_pulse_vpp)
 
@@ -78,6 +75,6 @@ def leak_per_vpp_v(settings: SimulationSettings) -> float:
     return settings.receiver.toneburst_leak_v / (settings.specimen or Specimen()).reference_drive_vpp
 
 
-def leak_v(amplitude_v: float, carrier_hz: float, age_ps: NDArray[np.int64]) -> Floats:
+def leak_v(amplitude_v: float, carrier_hz: float, age_ps: Int64Array) -> FloatArray:
     """Return the leak of one toneburst at ``age_ps`` (sample,) after its onset, while it is transmitted, V."""
     return np.asarray(amplitude_v * np.sin(2 * np.pi * carrier_hz * (age_ps / PS_PER_S)))

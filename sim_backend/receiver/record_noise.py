@@ -13,8 +13,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray
 from sim_backend.receiver.front_end import noise_v
 from sim_backend.receiver.streams import RecordStream
 from sim_backend.settings import Receiver
@@ -23,8 +23,7 @@ from sim_backend.wiring import Capture
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
 
-Floats = NDArray[np.float64]
-Begun = Callable[[], Floats]
+Begun = Callable[[], FloatArray]
 """Gives an array, waiting until it is made; the same at every call."""
 
 DRAWN_MEANWHILE = 1 << 18
@@ -38,7 +37,7 @@ class RecordNoise:
         self._receiver, self._stream = receiver, stream
         # One thread, so that blocks are drawn in the order in which they are begun.
         self._thread: ThreadPoolExecutor | None = None
-        self._ahead: tuple[Capture, Future[Floats]] | None = None
+        self._ahead: tuple[Capture, Future[FloatArray]] | None = None
         self._before: tuple[int, int, int] | None = None
 
     def begin(self, capture: Capture) -> Begun:
@@ -59,7 +58,7 @@ class RecordNoise:
         self._before = capture.index, capture.first_record, records
         return lambda: future.result()[:records]
 
-    def _taken(self, capture: Capture) -> Future[Floats] | None:
+    def _taken(self, capture: Capture) -> Future[FloatArray] | None:
         """Return what was drawn ahead if ``capture`` is the beginning of it, and wait for it where it is not."""
         if self._ahead is None:
             return None
@@ -72,11 +71,11 @@ class RecordNoise:
         future.exception()
         return None
 
-    def _draw(self, capture: Capture) -> Floats:
+    def _draw(self, capture: Capture) -> FloatArray:
         rng = self._stream.begin(capture, capture.samples)
         return noise_v(self._receiver, len(capture.first_sample_ps), capture.samples, rng)
 
-    def _submit(self, capture: Capture) -> Future[Floats]:
+    def _submit(self, capture: Capture) -> Future[FloatArray]:
         if self._thread is None:
             from concurrent.futures import ThreadPoolExecutor
 

@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray, Int64Array, UInt64Array
 from sim_backend.settings import Instruments
 from sim_backend.wiring import PS_PER_S, Bursts
-
-Floats = NDArray[np.float64]
 
 # Central differences, exact for polynomials of degree six: 2e-4 of the slope at 9 MHz and 100 MHz.
 _SLOPE = np.array([-1, 9, -45, 0, 45, -9, 1]) / 60
@@ -34,7 +32,7 @@ def jittered(bursts: Bursts, rms_s: float, seed: int, origin_ps: int = 0, index:
     return replace(bursts, onset_ps=bursts.onset_ps + move_ps, end_ps=bursts.end_ps + move_ps)
 
 
-def _normal(instant_ps: NDArray[np.int64], seed: int, index: int) -> Floats:
+def _normal(instant_ps: Int64Array, seed: int, index: int) -> FloatArray:
     """Return a standard normal number for each instant: Box and Muller on two hashed uniform ones."""
     key = _scrambled(_scrambled(np.full(instant_ps.shape, seed, np.uint64)) + np.uint64(index))
     first = _scrambled(instant_ps.astype(np.uint64) ^ key)
@@ -43,7 +41,7 @@ def _normal(instant_ps: NDArray[np.int64], seed: int, index: int) -> Floats:
     return np.asarray(np.sqrt(-2 * np.log((radius + 0.5) * unit)) * np.cos(2 * np.pi * turn * unit))
 
 
-def _scrambled(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
+def _scrambled(word: UInt64Array) -> UInt64Array:
     """Return the finaliser of the SplitMix64 generator, each word on its own."""
     word = word + np.uint64(0x9E3779B97F4A7C15)
     word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -57,8 +55,8 @@ def samples_late(instruments: Instruments) -> bool:
 
 
 def sampled_late(
-    volts: Floats, kept: slice, period_s: float, instruments: Instruments, rng: np.random.Generator
-) -> Floats:
+    volts: FloatArray, kept: slice, period_s: float, instruments: Instruments, rng: np.random.Generator
+) -> FloatArray:
     """Return ``volts`` (record, sample) in ``kept`` as an imperfect clock takes them: (record, kept sample).
 
     ``kept`` leaves `STENCIL` samples on either side. To first order in the lateness, whose second order is

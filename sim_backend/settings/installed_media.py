@@ -13,7 +13,8 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from sim_backend.arrays import ComplexArray
 
 GROUP: Final = "hpe_rig.media"
 OWN_MEDIA: Final = ("voigt", "maxwell", "zener", "power_law")
@@ -42,7 +43,7 @@ def refuse_parameters(medium: str, given: Mapping[str, float]) -> None:
             raise ValueError(f"parameters.{name} of {medium} is {given[name]:g}: from {low:g} to {high:g}")
 
 
-def modulus_of(medium: str, given: Mapping[str, float], s_per_s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+def modulus_of(medium: str, given: Mapping[str, float], s_per_s: ComplexArray) -> ComplexArray:
     """Return the modulus of an installed ``medium``, Pa, shape of ``s_per_s``."""
     law = _law(medium)
     values = np.array([given[each.name] for each in law.parameters])

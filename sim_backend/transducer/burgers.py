@@ -14,10 +14,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from sim_backend.arrays import ComplexArray, FloatArray
 
 DB_PER_CM_TO_NP_PER_M = 100 * math.log(10) / 20
 # Of the harmonics carried, the share that is not damped, and how fast the last is, over its own rate of steepening.
@@ -44,12 +42,12 @@ class Layer:
         """Characteristic impedance rho c, Pa s/m."""
         return self.density_kg_per_m3 * self.sound_speed_m_per_s
 
-    def attenuation_np_per_m(self, frequency_hz: Floats) -> Floats:
+    def attenuation_np_per_m(self, frequency_hz: FloatArray) -> FloatArray:
         """Return the attenuation at ``frequency_hz``, any shape."""
         loss_np_per_m = self.attenuation_db_per_cm_mhz * DB_PER_CM_TO_NP_PER_M
         return np.asarray(loss_np_per_m * (frequency_hz * 1e-6) ** self.attenuation_power)
 
-    def wave_number(self, frequency_hz: Floats, reference_hz: float) -> Complexes:
+    def wave_number(self, frequency_hz: FloatArray, reference_hz: float) -> ComplexArray:
         """Return k - j alpha, any shape, with the dispersion that causality demands; c holds at ``reference_hz``."""
         w, w0 = 2 * np.pi * frequency_hz, 2 * np.pi * reference_hz
         y = self.attenuation_power
@@ -62,7 +60,9 @@ class Layer:
         return np.asarray(w * (1 / self.sound_speed_m_per_s + slowness) - 1j * self.attenuation_np_per_m(frequency_hz))
 
 
-def advance(pressure_pa: Complexes, step_m: float, frequency_hz: float, layer: Layer) -> tuple[Complexes, Floats]:
+def advance(
+    pressure_pa: ComplexArray, step_m: float, frequency_hz: float, layer: Layer
+) -> tuple[ComplexArray, FloatArray]:
     """Return the harmonics ``step_m`` farther on, (place, harmonic), and the intensity lost on the way, W/m^2 (place,).
 
     ``pressure_pa`` complex amplitudes of the harmonics 1 to N. Every row is a plane wave of its own.
@@ -89,7 +89,7 @@ def advance(pressure_pa: Complexes, step_m: float, frequency_hz: float, layer: L
     return value, lost / (2 * layer.impedance)
 
 
-def _squared(pressure: Complexes) -> Complexes:
+def _squared(pressure: ComplexArray) -> ComplexArray:
     """Return the harmonics of the wave's square, free of aliasing, shape of ``pressure``."""
     from scipy.fft import irfft, next_fast_len, rfft
 

@@ -14,10 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from sim_backend.arrays import ComplexArray, FloatArray
 
 COLUMNS = ("x_m", "y_m", "z_m", "pressure_pa")
 PHASE = "phase_rad"
@@ -37,9 +35,9 @@ _SAME = 1e-6
 class Scan:
     """A scan as it was made; every array (point,). A file's scan is the same object until the file changes."""
 
-    place_m: Floats
+    place_m: FloatArray
     """(point, 3) from the focus"""
-    pressure_pa: Complexes
+    pressure_pa: ComplexArray
     """With the phase where it is known, else real."""
     has_phase: bool
 
@@ -82,7 +80,7 @@ def _read_once(path: str, file: Path, _modified_ns: int, _size: int) -> Scan:
     return scan
 
 
-def round_field(scan: Scan, wave_number_per_m: float, lateral_m: Floats, axial_m: Floats) -> Complexes:
+def round_field(scan: Scan, wave_number_per_m: float, lateral_m: FloatArray, axial_m: FloatArray) -> ComplexArray:
     """Return the beam averaged around its axis, over the focus', without the plane wave's phase: (axial, lateral).
 
     Cubic splines between points; 0 beyond them. Without phase a wave front is taken to be plane.
@@ -106,14 +104,14 @@ def round_field(scan: Scan, wave_number_per_m: float, lateral_m: Floats, axial_m
     return np.asarray(field / CubicSpline(depth_m, np.array(rows)[:, 0])(0.0))
 
 
-def _rings(radius_m: Floats, pressure: Complexes) -> tuple[Floats, Complexes]:
+def _rings(radius_m: FloatArray, pressure: ComplexArray) -> tuple[FloatArray, ComplexArray]:
     ring, which = np.unique(np.round(radius_m / _SAME).astype(np.int64), return_inverse=True)
     mean = np.zeros(len(ring), np.complex128)
     np.add.at(mean, which, pressure)
     return np.asarray(ring * _SAME), mean / np.bincount(which)
 
 
-def _scan(columns: Mapping[str, Floats]) -> Scan:
+def _scan(columns: Mapping[str, FloatArray]) -> Scan:
     place_m = np.stack([columns[name] for name in COLUMNS[:3]], axis=1)
     phase = columns.get(PHASE)
     turn = 1.0 if phase is None else np.exp(1j * phase)
@@ -149,7 +147,7 @@ def _gaps(scan: Scan) -> list[str]:
     return found
 
 
-def _columns(path: Path) -> dict[str, Floats]:
+def _columns(path: Path) -> dict[str, FloatArray]:
     """Return the named columns of the file, by its suffix."""
     if not path.stat().st_size:
         raise ValueError("it is empty")

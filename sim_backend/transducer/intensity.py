@@ -14,14 +14,13 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray
 from sim_backend.settings import SimulationSettings, Specimen, Transducer
 
 if TYPE_CHECKING:
     from sim_backend.transducer.hydrophone import Scan
 
-Floats = NDArray[np.float64]
 
 WIDTHS = 10
 """Widths across."""
@@ -51,7 +50,7 @@ class GaussianSum:
     share: tuple[tuple[float, ...], ...]
     """C, one row a centre, one column a width"""
 
-    def at(self, lateral_m: Floats, axial_m: Floats) -> Floats:
+    def at(self, lateral_m: FloatArray, axial_m: FloatArray) -> FloatArray:
         """Return the sum at places (place,) off the axis and the focal plane: (place,)."""
         across = np.exp(-0.5 * np.square(lateral_m[:, None] / np.array(self.lateral_width_m)))
         along = np.exp(-0.5 * np.square((axial_m[:, None] - np.array(self.centre_m)) / self.axial_width_m))
@@ -123,7 +122,7 @@ def push_extent(transducer: Transducer, frequency_hz: float, sound_speed_m_per_s
 
 
 def gaussian_sum(
-    lateral_m: Floats, axial_m: Floats, value: Floats, widths_m: Floats, step_m: float, edge_m: float
+    lateral_m: FloatArray, axial_m: FloatArray, value: FloatArray, widths_m: FloatArray, step_m: float, edge_m: float
 ) -> GaussianSum:
     """Return the sum of Gaussians nearest to ``value`` (axial, lateral), faded out over ``edge_m`` at both ends.
 
@@ -150,5 +149,5 @@ def gaussian_sum(
     return GaussianSum(tuple(widths_m.tolist()), step_m, tuple(centre_m.tolist()), rows)
 
 
-def _ridged(normal: Floats) -> Floats:
+def _ridged(normal: FloatArray) -> FloatArray:
     return np.asarray(normal + RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal)))

@@ -18,14 +18,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.settings import Transducer
 from sim_backend.transducer.burgers import Layer, advance
 from sim_backend.transducer.radiation import apodisation
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 # Plane waves of the fundamental beyond 45 degrees fade out by 80: edge waves that never reach the focus.
 _FADING_RAD, _LAST_RAD = math.radians(45), math.radians(80)
@@ -55,18 +52,18 @@ class Accuracy:
 class Beam:
     """A beam along its axis, step by step, and all of its force at once."""
 
-    depth_m: Floats
+    depth_m: FloatArray
     """Distance from the bowl's middle, (depth,)."""
-    harmonic_pa: Complexes
+    harmonic_pa: ComplexArray
     """Complex amplitudes of the harmonics on the axis, (depth, harmonic)."""
-    heat_w_per_m3: Floats
+    heat_w_per_m3: FloatArray
     """Absorbed power a volume on the axis, all harmonics and shocks, (depth,)."""
-    layer_impedance: Floats
+    layer_impedance: FloatArray
     """rho c at the depths, (depth,)."""
-    force_at: Floats
+    force_at: FloatArray
     """Rows of depth, distance from the axis, volume, force density in N/m^3: what the beam presses on, (4, place)."""
 
-    def extremes_pa(self) -> tuple[Floats, Floats]:
+    def extremes_pa(self) -> tuple[FloatArray, FloatArray]:
         """Return the peak positive and peak negative pressure, both positive, (depth,)."""
         samples = 32 * self.harmonic_pa.shape[1]
         spectrum = np.zeros((len(self.depth_m), samples // 2 + 1), dtype=np.complex128)
@@ -74,7 +71,7 @@ class Beam:
         wave = np.fft.irfft(spectrum, samples, axis=1)
         return wave.max(axis=1), -wave.min(axis=1)
 
-    def intensity_w_per_m2(self) -> Floats:
+    def intensity_w_per_m2(self) -> FloatArray:
         """Return the intensity of all harmonics while the toneburst is on, (depth,)."""
         return np.asarray((np.abs(self.harmonic_pa) ** 2).sum(axis=1) / (2 * self.layer_impedance))
 
@@ -125,8 +122,8 @@ class _March:
         self.transducer, self.layer, self.frequency_hz = transducer, layer, frequency_hz
         self.surface_pa, self.accuracy = surface_pa, accuracy
         self.depth_m, self.carried = 0.0, 4
-        self.seen: list[tuple[float, Complexes, float, float]] = []
-        self.pressed: list[Floats] = []
+        self.seen: list[tuple[float, ComplexArray, float, float]] = []
+        self.pressed: list[FloatArray] = []
         self._window: tuple[float, int] | None = None
         k, bowl = 2 * np.pi * self.frequency_hz / self.layer.sound_speed_m_per_s, self.transducer
         angle, weight = _gauss(0, _LAST_RAD, _nodes(_reach_m(bowl) * k) + 60)
@@ -151,7 +148,7 @@ class _March:
         self.kz1 = np.sqrt(self.k[0] ** 2 - self.q1**2)
         self.kz = [np.sqrt(k**2 - self.q[:size] ** 2) for k, size in zip(self.k, self.length, strict=True)]
 
-    def _bowl(self) -> Complexes:
+    def _bowl(self) -> ComplexArray:
         """Return the fundamental's spectrum at depth 0, as if the plane waves of every ring had come from there."""
         from scipy.special import j0
 
@@ -226,7 +223,7 @@ class _March:
         for row, r_m in zip(self.bessel, self.r, strict=True):
             row[:] = j0(r_m * self.q[: len(row)])
 
-    def _pressure(self) -> Complexes:
+    def _pressure(self) -> ComplexArray:
         """Return the harmonics at the window's nodes, (place, harmonic)."""
         first = self.bessel1 @ (self.first * self.w1)
         size = self.length[self.carried - 1]
@@ -236,7 +233,7 @@ class _March:
         higher = (self.bessel @ spectra.view(np.float32)).view(np.complex64)
         return np.column_stack([first, higher.astype(np.complex128)])
 
-    def _take_in(self, change: Complexes) -> None:
+    def _take_in(self, change: ComplexArray) -> None:
         """Add what steepening changed, already weighted for the integral over places, to the spectra."""
         self.first += (self.bessel1.T @ change[:, 0]) * (self.k[0] / self.kz1)
         higher = np.ascontiguousarray(change[:, 1:], dtype=np.complex64).view(np.float32)
@@ -244,7 +241,7 @@ class _March:
         for n in range(1, self.carried):
             self.higher[n] += spectra[: self.length[n], n - 1] * (self.k[n] / self.kz[n])
 
-    def _note(self, pressure: Complexes, shocked_w_per_m3: Floats, step_m: float) -> None:
+    def _note(self, pressure: ComplexArray, shocked_w_per_m3: FloatArray, step_m: float) -> None:
         frequency_hz = np.asarray(np.arange(1, self.carried + 1) * self.frequency_hz, dtype=np.float64)
         loss = self.layer.attenuation_np_per_m(frequency_hz)
         heat = np.abs(pressure) ** 2 @ loss / self.layer.impedance + shocked_w_per_m3
@@ -269,14 +266,14 @@ def _nodes(turns_rad: float) -> int:
     return math.ceil(_DENSITY * turns_rad / 2)
 
 
-def _gauss(low: float, high: float, count: int) -> tuple[Floats, Floats]:
+def _gauss(low: float, high: float, count: int) -> tuple[FloatArray, FloatArray]:
     """Return nodes and weights of Gauss-Legendre quadrature from ``low`` to ``high``."""
     node, weight = _legendre_nodes(count)
     return (high - low) / 2 * node + (high + low) / 2, (high - low) / 2 * weight
 
 
 @lru_cache(maxsize=64)
-def _legendre_nodes(count: int) -> tuple[Floats, Floats]:
+def _legendre_nodes(count: int) -> tuple[FloatArray, FloatArray]:
     from scipy.special import roots_legendre
 
     node, weight = roots_legendre(count)

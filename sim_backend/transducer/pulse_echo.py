@@ -15,15 +15,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.settings import SimulationSettings, Transducer
 from sim_backend.transducer.hydrophone import Scan, read_scan, round_field
 from sim_backend.transducer.intensity import diffraction_width_m
 from sim_backend.transducer.radiation import bowl_pressure, wave_number
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Mixture = tuple[tuple[float, ...], ...]
 """Shares of the frequencies in each table, where a table is not of one frequency."""
 
@@ -45,12 +43,12 @@ class PulseEchoBeam:
     lateral_step_m: float
     axial_step_m: float
     axial_reach_m: float
-    coefficient: Complexes
+    coefficient: ComplexArray
     """Spline coefficients of G, (table, axial, lateral)."""
-    sensed: Floats
+    sensed: FloatArray
     """Delay that a displacement makes over 2 u / c, at the middle frequency, (axial, lateral)."""
 
-    def at(self, lateral_m: Floats, axial_m: Floats) -> tuple[Complexes, Floats]:
+    def at(self, lateral_m: FloatArray, axial_m: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """Return G (table, place) and what share of a displacement is sensed, (place,)."""
         from scipy.ndimage import map_coordinates
 

@@ -14,13 +14,12 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import FloatArray
 from sim_backend.settings import Propagation, SimulationSettings, Specimen, Transducer
 from sim_backend.transducer.burgers import Layer
 from sim_backend.transducer.nonlinear import Accuracy, Beam, largest_table, nonlinear_beam
 
-Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 # Values that the largest table of a march may have foreseen at its focus; those before it take some times as much.
@@ -33,29 +32,29 @@ LEVELS = (0.02, 0.2, 0.35, 0.5, 0.65, 0.8, 1.0)
 class Push:
     """The push at rising surface pressures, every array (level,)."""
 
-    surface_pa: Floats
+    surface_pa: FloatArray
     """Pressure amplitude rho c u0 of the bowl's surface."""
-    force_n_per_m3: Floats
+    force_n_per_m3: FloatArray
     """Force density of the Gaussian push beam that moves the focus as far at rest."""
-    peak_force_n_per_m3: Floats
+    peak_force_n_per_m3: FloatArray
     """Largest force density, where the shock is strongest: far above the former."""
-    positive_pa: Floats
+    positive_pa: FloatArray
     """Peak positive pressure."""
-    negative_pa: Floats
+    negative_pa: FloatArray
     """Peak negative pressure."""
-    sppa_w_per_m2: Floats
+    sppa_w_per_m2: FloatArray
     """Largest intensity while a toneburst is on."""
-    heat_w_per_m3: Floats
+    heat_w_per_m3: FloatArray
     """Largest heating rate while a toneburst is on."""
 
-    def at(self, surface_pa: Floats) -> Push:
+    def at(self, surface_pa: FloatArray) -> Push:
         """Return the push at these surface pressures (level,): by monotone cubics in logarithms, powers beyond."""
         from scipy.interpolate import PchipInterpolator
 
         known, wanted = np.log(self.surface_pa), np.log(surface_pa)
         inside = np.clip(wanted, known[0], known[-1])
 
-        def there(name: str) -> Floats:
+        def there(name: str) -> FloatArray:
             value = np.log(getattr(self, name))
             slopes = (value[1] - value[0]) / (known[1] - known[0]), (value[-1] - value[-2]) / (known[-1] - known[-2])
             beyond = np.where(wanted < inside, slopes[0], slopes[1]) * (wanted - inside)
@@ -63,7 +62,7 @@ class Push:
 
         return Push(*(there(each.name) for each in fields(self)))
 
-    def share(self, pressure: Floats, force_density_n_per_m3: float) -> Floats:
+    def share(self, pressure: FloatArray, force_density_n_per_m3: float) -> FloatArray:
         """Return the force over ``force_density_n_per_m3`` at ``pressure`` over that of the drive which makes it."""
         reference_pa = self.surface_for(force_density_n_per_m3)
         with np.errstate(divide="ignore"):
@@ -92,7 +91,7 @@ class Push:
         low, high = (float(self._log_force(np.array(at + side * step))) for side in (-1, 1))
         return (high - low) / (4 * step)
 
-    def _log_force(self, log_pressure: Floats) -> Floats:
+    def _log_force(self, log_pressure: FloatArray) -> FloatArray:
         from scipy.interpolate import PchipInterpolator
 
         known = np.log(self.surface_pa)

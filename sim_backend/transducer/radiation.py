@@ -15,12 +15,9 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_backend.arrays import ComplexArray, FloatArray
 from sim_backend.settings import Transducer
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 NEPER_PER_DB = math.log(10) / 20
 
@@ -34,7 +31,9 @@ def wave_number(frequency_hz: float, sound_speed_m_per_s: float, attenuation_db_
     return complex(2 * math.pi * frequency_hz / sound_speed_m_per_s, -loss_np_per_m)
 
 
-def bowl_pressure(transducer: Transducer, wave_number_per_m: complex, lateral_m: Floats, axial_m: Floats) -> Complexes:
+def bowl_pressure(
+    transducer: Transducer, wave_number_per_m: complex, lateral_m: FloatArray, axial_m: FloatArray
+) -> ComplexArray:
     """Return the pressure over rho c u0 on a grid around the focus, complex (axial, lateral), time factor exp(+jwt).
 
     ``lateral_m`` distances from the axis, ``axial_m`` from the focus (the bowl's centre of curvature), positive away
@@ -57,14 +56,14 @@ def bowl_pressure(transducer: Transducer, wave_number_per_m: complex, lateral_m:
     return np.asarray(along @ _bessel(k, np.outer(np.sqrt(1 - cosine**2), lateral_m)))
 
 
-def _bessel(k: complex, distance_m: Floats) -> Floats | Complexes:
+def _bessel(k: complex, distance_m: FloatArray) -> FloatArray | ComplexArray:
     """Return J0(k distance), any shape; of a real argument in a tenth of the time."""
     from scipy.special import j0, jv
 
     return np.asarray(j0(k.real * distance_m) if k.imag == 0 else jv(0, k * distance_m))
 
 
-def apodisation(transducer: Transducer, share: Floats) -> Floats:
+def apodisation(transducer: Transducer, share: FloatArray) -> FloatArray:
     """Return the velocity over the aperture, relative to that of its middle, at shares of its radius from 0 to 1."""
     match transducer.apodisation:
         case "parabolic":
@@ -74,7 +73,7 @@ def apodisation(transducer: Transducer, share: Floats) -> Floats:
     return np.ones_like(share)
 
 
-def _plane_waves(transducer: Transducer, k: complex, orders: int, cosine: Floats) -> Complexes:
+def _plane_waves(transducer: Transducer, k: complex, orders: int, cosine: FloatArray) -> ComplexArray:
     """Return A at ``cosine`` (direction,), from ``orders`` spherical waves."""
     weighted = _hankel(k * transducer.focal_length_m, orders) * _moments(transducer, orders)
     n = np.arange(orders)
@@ -83,7 +82,7 @@ def _plane_waves(transducer: Transducer, k: complex, orders: int, cosine: Floats
     return np.asarray((k * transducer.focal_length_m) ** 2 / 2 * (weighted @ legendre))
 
 
-def _moments(transducer: Transducer, orders: int) -> Floats:
+def _moments(transducer: Transducer, orders: int) -> FloatArray:
     """Return W_n, (order,): Legendre moments of the apodisation over the bowl."""
     edge = math.sqrt(1 - transducer.half_aperture**2)
     if transducer.apodisation == "uniform":
@@ -97,7 +96,7 @@ def _moments(transducer: Transducer, orders: int) -> Floats:
     return np.array([float(strength @ row) for row in _legendre(cosine, orders)])
 
 
-def _legendre(x: Floats, orders: int) -> Iterator[Floats]:
+def _legendre(x: FloatArray, orders: int) -> Iterator[FloatArray]:
     """Yield P_0 to P_(orders - 1) at ``x``."""
     before, value = np.zeros_like(x), np.ones_like(x)
     for n in range(orders):
@@ -105,7 +104,7 @@ def _legendre(x: Floats, orders: int) -> Iterator[Floats]:
         before, value = value, ((2 * n + 1) * x * value - n * before) / (n + 1)
 
 
-def _hankel(argument: complex, orders: int) -> Complexes:
+def _hankel(argument: complex, orders: int) -> ComplexArray:
     """Return the spherical Hankel functions of the second kind, (order,): upwards, where they grow."""
     value = [1j * np.exp(-1j * argument) / argument]
     value.append(value[0] * (1 / argument + 1j))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.setup import prepare
 from hpe_rig.bench.opening import open_bench
+from hpe_rig.measurement.setup import prepare
 
 pytestmark = pytest.mark.hardware
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
-from hpe_rig.acquire import prepare, prepare_rest, record_run, resume
 from hpe_rig.cli.app import app
+from hpe_rig.measurement import prepare, prepare_rest, record_run, resume
 from hpe_rig.plan import disturbed_pulses
 from hpe_rig.report.page import render
 from hpe_rig.scene import SettingsError, shipped_scenes

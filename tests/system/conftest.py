@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.setup import Setup, prepare
-from hpe_rig.result.estimates import Result
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import Setup, prepare
+from hpe_rig.result.values import Result
+from hpe_rig.runs.run import process
 from hpe_rig.scene.scene import shipped_scenes
 
 Prepare = Callable[..., Setup]

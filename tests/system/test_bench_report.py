@@ -13,14 +13,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.bench import inventory as bench_report
 from hpe_rig.bench.bench_file import BenchFile, read_bench
 from hpe_rig.bench.comparison import file_differences, prefixed, settings_differences
 from hpe_rig.bench.inventory import survey
 from hpe_rig.cli.app import app
 from hpe_rig.cli.bench import bench_state, compare_with
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import Setup, prepare
 from hpe_rig.store import StoreError, read_snapshots
 from sim_backend.world import World
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from drivers.alazar import model_named
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import open_run, process
-from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import Setup, prepare
 from hpe_rig.plan.checks.check_result import PlanError
+from hpe_rig.runs.run import open_run, process
 
 Prepared = Callable[..., Setup]
 # Bits, and the smallest range for echoes of up to 0.8 V: from the boards' data sheets.

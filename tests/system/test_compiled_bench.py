@@ -24,12 +24,12 @@ import numpy as np
 import pytest
 
 from drivers.alazar.api import SIGNATURES, load_library
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import open_run, process
-from hpe_rig.acquire.setup import prepare
 from hpe_rig.bench.bench_file import parse_bench, read_bench
 from hpe_rig.bench.emulation import addressed
 from hpe_rig.bench.twin import twin_tables
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import prepare
+from hpe_rig.runs.run import open_run, process
 from sim_backend.settings import SimulationSettings
 from sim_backend.transports import Emulator
 from sim_backend.wiring import PS_PER_S

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import hpe_rig as hpe
 from hpe_rig.cli.app import app
-from hpe_rig.processing import PushForce, shear_motion
+from hpe_rig.medium import PushForce, shear_motion
 from hpe_rig.report import write_report
 from hpe_rig.result import Result, result_csv
 

@@ -14,12 +14,12 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.resumption import prepare_rest
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.setup import prepare_text
+from hpe_rig.measurement.resumption import prepare_rest
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import prepare_text
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.report.page import render
+from hpe_rig.runs.run import process
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.scene.validation import SettingsError
 from hpe_rig.store import StoreError, read_run, read_snapshots

@@ -142,7 +142,7 @@ def test_the_reference_holds_every_command_with_its_options(generated: dict[str,
 
 
 def test_the_reference_holds_every_key_of_the_schemas_with_an_example(generated: dict[str, str]) -> None:
-    from hpe_rig.acquire import settings_tables
+    from hpe_rig.runs import settings_tables
 
     for of in ("scene", "bench", "simulation"):
         rows = [line for line in generated[f"{of}.md"].splitlines() if line.startswith("| `")]

@@ -5,11 +5,11 @@ import re
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.setup import prepare_text
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import prepare_text
 from hpe_rig.prediction.detection import detection_floor
 from hpe_rig.report.sweep import fit_line
+from hpe_rig.runs.run import process
 from hpe_rig.scene.scene import shipped_scenes
 
 SCENES = shipped_scenes()

@@ -23,12 +23,12 @@ import pytest
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import InstrumentError
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.setup import Setup
 from hpe_rig.bench import instruments, opening
 from hpe_rig.bench.bench_file import TRANSPORTS, read_bench
 from hpe_rig.bench.instruments import UnsafeBenchError
 from hpe_rig.bench.interrupts import Terminated
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import Setup
 from hpe_rig.store import StoredRun, read_run
 from sim_backend.world import World
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import h5py
 import pytest
 
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import open_run, process
-from hpe_rig.acquire.setup import Setup
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import Setup
+from hpe_rig.runs.run import open_run, process
 from hpe_rig.store import read_snapshots
 
 # Half the force asks for 0.70710678 Vpp; a 33250A holds 4 digits.

@@ -17,12 +17,13 @@ import tomlkit
 import typer
 from typer.testing import CliRunner
 
-from hpe_rig.acquire import check, prepare, prepare_text, process, record_run
 from hpe_rig.bench import read_bench
 from hpe_rig.bench.twin import check_declared
 from hpe_rig.cli.app import app
 from hpe_rig.cli.console import guarded, refuse_undecodable
+from hpe_rig.measurement import prepare, prepare_text, record_run
 from hpe_rig.plan import PlanError
+from hpe_rig.runs import check, process
 from hpe_rig.scene import SettingsError, load_scene, parse_toml, path_of, shipped_scenes, with_values
 from hpe_rig.store import StoreError, read_run
 from hpe_rig.study.definition import read_studies

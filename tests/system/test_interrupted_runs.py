@@ -49,7 +49,8 @@ from pathlib import Path
 from drivers.alazar.digitizer import AlazarDigitizer
 from hpe_rig.bench import opening
 from hpe_rig.cli.app import main
-import hpe_rig.acquire, hpe_rig.processing, hpe_rig.cli.watch, hpe_rig.cli.tables, hpe_rig.live, pyvisa_py, scipy.linalg
+import hpe_rig.measurement, hpe_rig.runs, hpe_rig.processing, hpe_rig.cli.watch, hpe_rig.cli.tables, hpe_rig.live
+import pyvisa_py, scipy.linalg
 signal.signal(signal.SIGINT, signal.default_int_handler)
 # What media and beams can do is worked out once, here, for all runs.
 hpe_rig.check(sys.argv[1])

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.sequencer import Progress
-from hpe_rig.acquire.setup import prepare
-from hpe_rig.acquire.stop_request import StopRequested
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.sequencer import Progress
+from hpe_rig.measurement.setup import prepare
+from hpe_rig.measurement.stop_request import StopRequested
 from hpe_rig.report.page import write_report
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import read_run

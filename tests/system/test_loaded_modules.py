@@ -59,7 +59,7 @@ def test_a_run_of_a_prescribed_motion_loads_no_scipy_and_nothing_that_pushes(fol
     assert packages(loaded) == CORE | {"sim_backend"}
     # Of the motion room its own file alone: no force, no field, no specimen.
     assert {name for name in loaded if name.startswith("sim_backend.motion.")} == {"sim_backend.motion.prescribed"}
-    assert not loaded & {"sim_backend.receiver.chain", "hpe_rig.acquire.resumption", "hpe_rig.acquire.log"}
+    assert not loaded & {"sim_backend.receiver.chain", "hpe_rig.measurement.resumption", "hpe_rig.measurement.log"}
     assert not [name for name in loaded if name.startswith(("hpe_rig.report.", "hpe_rig.live.", "hpe_rig.moduli."))]
     assert not loaded & UNASKED
 
@@ -70,7 +70,7 @@ def test_a_check_opens_no_twin_and_loads_neither_scipy_nor_hdf5(tmp_path: Path) 
     assert packages(loaded) == CORE - {"h5py"} | {"sim_backend"}
     assert not [name for name in loaded if name.startswith("hpe_rig.store.")]
     assert "numpy.ma" not in loaded, "a quantile or a median of NumPy loads it"
-    assert not loaded & {"hpe_rig.acquire.run", "hpe_rig.acquire.run_file", "hpe_rig.bench.opening"}
+    assert not loaded & {"hpe_rig.measurement.run", "hpe_rig.runs.run", "hpe_rig.bench.opening"}
     # What the twin's settings may say, and what they say of the motion: no echoes, no instruments.
     rooms = {".".join(name.split(".")[:2]) for name in loaded if name.startswith("sim_backend.")}
     assert rooms == {"sim_backend.motion", "sim_backend.settings", "sim_backend.wiring"}
@@ -81,7 +81,10 @@ def test_processing_loads_neither_scipy_nor_the_physics(folder: Path) -> None:
     assert packages(loaded) == CORE | {"sim_backend"}
     assert not [name for name in loaded if name.startswith(("sim_backend.echoes", "sim_backend.digitizer"))]
     # No instrument is opened, no shot acquired, no point of a sweep made.
-    acquiring = {f"hpe_rig.acquire.{name}" for name in ("api", "recording", "reprocessing", "run", "sequencer")}
+    acquiring = {f"hpe_rig.measurement.{name}" for name in ("recording", "run", "sequencer")} | {
+        "hpe_rig.runs.api",
+        "hpe_rig.runs.reprocessing",
+    }
     assert not loaded & (acquiring | {"hpe_rig.bench.opening", "hpe_rig.prediction.forecast"})
 
 

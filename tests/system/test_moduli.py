@@ -12,11 +12,12 @@ import pytest
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
-from hpe_rig.acquire import json_schema, prepare, record_run
-from hpe_rig.acquire.places import require_mover
 from hpe_rig.cli.app import app
+from hpe_rig.measurement import prepare, record_run
+from hpe_rig.measurement.mover import require_mover
 from hpe_rig.moduli import ModuliResult
 from hpe_rig.report.page import _scene_of
+from hpe_rig.runs import json_schema
 from hpe_rig.scene import SettingsError, load_scene
 
 
@@ -114,7 +115,7 @@ def test_several_places_on_a_bench_need_somebody_to_move_the_transducer() -> Non
 
 
 def test_the_transducer_is_moved_once_a_place_with_every_output_off(tmp_path: Path) -> None:
-    from hpe_rig.acquire import Progress, Step
+    from hpe_rig.measurement import Progress, Step
 
     seen: list[tuple[str, float]] = []
 

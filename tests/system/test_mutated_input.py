@@ -24,10 +24,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.acquire import Setup, json_schema, open_run, prepare, process, record_run, request_stop
 from hpe_rig.bench import read_bench
 from hpe_rig.cli.app import app
+from hpe_rig.measurement import Setup, prepare, record_run, request_stop
 from hpe_rig.plan import PlanError, plan_text
+from hpe_rig.runs import json_schema, open_run, process
 from hpe_rig.scene import SettingsError, parse_toml, shipped_scenes
 from hpe_rig.store import StoreError, read_snapshots
 from hpe_rig.study.cases import points_of

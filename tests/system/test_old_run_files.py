@@ -11,9 +11,10 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.acquire import open_run, prepare, prepare_rest, process, record_run, resume
+from hpe_rig.measurement import prepare, prepare_rest, record_run, resume
 from hpe_rig.report import write_report
 from hpe_rig.result import by_residual
+from hpe_rig.runs import open_run, process
 from hpe_rig.scene import SettingsError, parse_scene
 from hpe_rig.store import read_run, read_snapshots
 

@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.acquire import (
+from hpe_rig.bench import opening
+from hpe_rig.cli.app import app
+from hpe_rig.measurement import (
     Progress,
     Setup,
     Step,
@@ -24,10 +26,8 @@ from hpe_rig.acquire import (
     stop_requested,
     stoppable,
 )
-from hpe_rig.acquire.resumption import prepare_rest
-from hpe_rig.acquire.run_file import process
-from hpe_rig.bench import opening
-from hpe_rig.cli.app import app
+from hpe_rig.measurement.resumption import prepare_rest
+from hpe_rig.runs.run import process
 from hpe_rig.store import StoreError, WriteOptions, journal, read_run, result_path
 
 Prepare = Callable[..., Setup]

@@ -73,7 +73,7 @@ def test_a_measurement_runs_without_what_only_posix_has(transport: str, tmp_path
     code = f"""
 from pathlib import Path
 from hpe_rig.bench import read_bench
-from hpe_rig.acquire import prepare, record_run
+from hpe_rig.measurement import prepare, record_run
 bench = Path("bench.toml")
 line = 'simulated = true' + ('\\ntransport = "{transport}"' if "{transport}" else "")
 bench.write_text(read_bench().text.replace("simulated = true", line), encoding="utf-8")

@@ -12,10 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
-from hpe_rig.acquire import json_schema, prepare, provenance_now, record_run
 from hpe_rig.bench import read_bench
 from hpe_rig.cli.app import app
+from hpe_rig.measurement import prepare, provenance_now, record_run
 from hpe_rig.report.page import render
+from hpe_rig.runs import json_schema
 from hpe_rig.scene import SettingsError, parse_scene, shipped_scenes
 from hpe_rig.store import WriteOptions, chosen, list_runs, read_run, verify
 

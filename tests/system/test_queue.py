@@ -17,7 +17,12 @@ import pytest
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
-from hpe_rig.acquire import (
+from hpe_rig.bench import BenchInUseError, hold, read_bench
+from hpe_rig.bench.lock import locked
+from hpe_rig.cli.app import app
+from hpe_rig.cli.watch import _asking
+from hpe_rig.live.queue_source import QueueSource
+from hpe_rig.measurement import (
     QUEUE_FILE,
     Observer,
     Progress,
@@ -26,7 +31,6 @@ from hpe_rig.acquire import (
     Step,
     StopRequested,
     Watching,
-    json_schema,
     listed,
     new_queue,
     pausable,
@@ -37,11 +41,7 @@ from hpe_rig.acquire import (
     run_queue,
     toggle_pause,
 )
-from hpe_rig.bench import BenchInUseError, hold, read_bench
-from hpe_rig.bench.lock import locked
-from hpe_rig.cli.app import app
-from hpe_rig.cli.watch import _asking
-from hpe_rig.live.queue_source import QueueSource
+from hpe_rig.runs import json_schema
 from hpe_rig.scene import SettingsError, shipped_scenes
 from hpe_rig.store import StoreError, read_run, verify
 

@@ -41,7 +41,9 @@ def test_help_imports_no_numerics_and_no_instruments() -> None:
 
 
 def test_the_light_core_imports_no_figures_no_signal_processing_and_no_visa() -> None:
-    core = "\n".join(f"from hpe_rig.{name} import *" for name in ("scene", "plan", "bench", "acquire", "store"))
+    core = "\n".join(
+        f"from hpe_rig.{name} import *" for name in ("scene", "plan", "bench", "measurement", "runs", "store")
+    )
     loaded = modules_after(f"{core}\nfrom hpe_rig.cli import main")
     assert not loaded.intersection({"matplotlib", "scipy.signal", "xarray", "starlette", "pyvisa", "sim_backend"})
 
@@ -58,7 +60,8 @@ def test_checking_a_scene_on_metal_loads_neither_twin_nor_visa(tmp_path: Path) -
     path = tmp_path / "metal.toml"
     path.write_text(bench, encoding="utf-8")
     statement = (
-        f"from pathlib import Path\nfrom hpe_rig.acquire import prepare\nprepare('bovine-muscle', Path({str(path)!r}))"
+        "from pathlib import Path\nfrom hpe_rig.measurement import prepare\n"
+        f"prepare('bovine-muscle', Path({str(path)!r}))"
     )
     assert not modules_after(statement).intersection({"sim_backend", "pyvisa"})
 
@@ -84,9 +87,9 @@ def test_the_import_contracts_hold(tree: Path) -> None:
 
 def test_the_import_contracts_notice_every_violation(tree: Path) -> None:
     violations = {
-        "hpe_rig.plan.shots": "hpe_rig.acquire.run",
-        "hpe_rig.acquire.sequencer": "drivers.alazar.digitizer",
-        "hpe_rig.processing.motion": "sim_backend.echoes.engine",
+        "hpe_rig.plan.shots": "hpe_rig.measurement.run",
+        "hpe_rig.measurement.sequencer": "drivers.alazar.digitizer",
+        "hpe_rig.processing.motion.phase_shift": "sim_backend.echoes.engine",
         "sim_backend.echoes.engine": "hpe_rig.processing",
         "sim_backend.world": "drivers.interfaces",
         "drivers.agilent.scpi": "sim_backend.wiring",
@@ -320,7 +323,7 @@ def test_the_picture_of_the_architecture_shows_the_rooms_that_there_are(
         set(re.findall(r"<text[^>]*>([^<]+)</text>", path.read_text(encoding="utf-8")))
         for path in (ROOT / "docs" / "figures" / "architecture.svg", tmp_path / "now.svg")
     )
-    assert {"scene", "cli", "acquire", "world", "alazar"} <= shown
+    assert {"scene", "cli", "measurement", "world", "alazar"} <= shown
     assert shown == now, "try: python scripts/draw_architecture.py"
 
 

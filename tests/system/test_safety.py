@@ -15,12 +15,12 @@ from typer.testing import CliRunner
 
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.interfaces import InstrumentError, RecordBlock
-from hpe_rig.acquire.sequencer import SAFETY_MARGIN_S, Progress, Step, acquire
-from hpe_rig.acquire.setup import Setup
 from hpe_rig.bench.instruments import Bench, UnsafeBenchError, proven_off
 from hpe_rig.bench.interrupts import Terminated
 from hpe_rig.bench.opening import open_bench
 from hpe_rig.cli.app import app
+from hpe_rig.measurement.sequencer import SAFETY_MARGIN_S, Progress, Step, acquire
+from hpe_rig.measurement.setup import Setup
 
 Prepare = Callable[..., Setup]
 
@@ -172,7 +172,7 @@ def test_a_signal_in_the_middle_of_a_run_ends_with_its_code_and_a_readable_file(
 ) -> None:
     script = f"""
 import os, signal, sys
-from hpe_rig.acquire import sequencer
+from hpe_rig.measurement import sequencer
 fire = sequencer._collect
 def collect(*args):
     os.kill(os.getpid(), {int(number)})

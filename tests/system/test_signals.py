@@ -16,14 +16,14 @@ import pytest
 
 from drivers.agilent.generator import Agilent33250A
 from drivers.interfaces import DeadlineError, InstrumentError
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.sequencer import acquire
-from hpe_rig.acquire.setup import Setup
 from hpe_rig.bench import instruments as open_instruments, opening as bench_module
 from hpe_rig.bench.instruments import UnsafeBenchError, proven_off
 from hpe_rig.bench.opening import open_bench
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.sequencer import acquire
+from hpe_rig.measurement.setup import Setup
 from hpe_rig.plan.shots import SAFETY_MARGIN_S
+from hpe_rig.runs.run import process
 from hpe_rig.store import RunWriter, read_run
 from sim_backend.wiring import PS_PER_S
 from sim_backend.world import World
@@ -101,7 +101,7 @@ def test_whenever_the_program_is_killed_no_toneburst_comes_after_the_programmed_
 def test_a_killed_run_leaves_a_readable_file_that_no_later_run_overwrites(tmp_path: Path) -> None:
     script = """
 import os, signal, sys
-from hpe_rig.acquire.recording import Recording
+from hpe_rig.measurement.recording import Recording
 take = Recording.take
 def killed(recording, event, *others):
     take(recording, event, *others)

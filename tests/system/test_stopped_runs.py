@@ -11,13 +11,13 @@ import h5py
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.sequencer import Progress, Step
-from hpe_rig.acquire.setup import Setup, prepare_text
 from hpe_rig.cli.app import app
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.sequencer import Progress, Step
+from hpe_rig.measurement.setup import Setup, prepare_text
 from hpe_rig.report.page import render
-from hpe_rig.result.estimates import Result
+from hpe_rig.result.values import Result
+from hpe_rig.runs.run import process
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import StoreError, read_run
 

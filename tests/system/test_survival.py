@@ -20,14 +20,14 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.acquire import run as run_module
-from hpe_rig.acquire.resumption import prepare_rest, resume
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.sequencer import Progress, ShotBlock, Step, acquire
-from hpe_rig.acquire.setup import Setup
 from hpe_rig.bench.instruments import Bench
 from hpe_rig.bench.opening import open_bench
+from hpe_rig.measurement import run as run_module
+from hpe_rig.measurement.resumption import prepare_rest, resume
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.sequencer import Progress, ShotBlock, Step, acquire
+from hpe_rig.measurement.setup import Setup
+from hpe_rig.runs.run import process
 from hpe_rig.store import RunWriter, StoredRun, StoreError, WriteOptions, read_run
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="needs fork, SIGKILL and file size limits")

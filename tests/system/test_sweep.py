@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.resumption import prepare_rest, resume
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.sequencer import Step
+from hpe_rig.measurement.resumption import prepare_rest, resume
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.sequencer import Step
 from hpe_rig.report.sweep import make_sweep
+from hpe_rig.runs.run import process
 from hpe_rig.scene.scene import parse_scene, shipped_scenes
 from hpe_rig.scene.validation import SettingsError
 

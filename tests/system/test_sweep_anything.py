@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import hpe_rig as hpe
-from hpe_rig.acquire import prepare, prepare_rest, record_run, resume
 from hpe_rig.bench import read_bench
+from hpe_rig.measurement import prepare, prepare_rest, record_run, resume
 from hpe_rig.plan import PlanError
 from hpe_rig.report.sweep import make_sweep
 from hpe_rig.result import result_csv

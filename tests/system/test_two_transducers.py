@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import hpe_rig as hpe
-from hpe_rig.acquire import prepare
 from hpe_rig.bench import parse_bench, read_bench, twin_of, with_transducers
 from hpe_rig.bench.bench_file import ForeignRecording
+from hpe_rig.measurement import prepare
 from hpe_rig.plan import disturbed_pulses
 from hpe_rig.scene import SettingsError, shipped_scenes
 from sim_backend.acoustics import Acoustics

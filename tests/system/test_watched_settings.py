@@ -11,15 +11,15 @@ from pathlib import Path
 import pytest
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.acquire import sequencer
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.sequencer import Observer, Progress, Step
-from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.bench import opening
 from hpe_rig.cli.tables import print_result
+from hpe_rig.measurement import sequencer
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.sequencer import Observer, Progress, Step
+from hpe_rig.measurement.setup import Setup, prepare
 from hpe_rig.report import write_report
 from hpe_rig.result import result_csv
+from hpe_rig.runs.run import process
 from hpe_rig.scene import load_scene
 from hpe_rig.store import StoredRun, read_run
 from sim_backend.world import World

@@ -17,11 +17,11 @@ import pytest
 import pyvisa
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.setup import prepare
 from hpe_rig.bench.bench_file import TRANSPORTS, BenchFile, parse_bench, read_bench
 from hpe_rig.bench.emulation import addressed
 from hpe_rig.bench.opening import open_bench, open_each
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import prepare
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.store import read_run
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hpe_rig.moduli import Law, Parameter
+from hpe_rig.medium import Law, Parameter
 
 REFERENCE_RAD_PER_S = 2 * np.pi * 100.0
 

@@ -6,11 +6,9 @@ from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray, Int64Array
 from hpe_rig.validation.accuracy.work_precision import Point, measured
-
-Floats = NDArray[np.float64]
 
 RECORDS, SAMPLES = 100, 512
 
@@ -24,7 +22,7 @@ def points() -> Iterator[Point]:
     first_ps = 90_000_000 + np.arange(RECORDS) * 250_000_000
     capture = Capture(0, 0, first_ps.astype(np.int64), 10_000, SAMPLES)
 
-    def received(chain: ReceiveChain) -> Floats:
+    def received(chain: ReceiveChain) -> FloatArray:
         physics = with_reception(_Speckle(), SimulationSettings(receive_chain=chain))
         return physics.record_volts(no_bursts(), no_bursts(), capture)
 
@@ -48,7 +46,7 @@ class _Speckle:
         self._delay_s = rng.uniform(-3e-6, 9e-6, 60)
         self._strength_v = 1e-3 * rng.standard_normal(60)
 
-    def record_volts(self, tonebursts: object, pulses: object, capture: object) -> Floats:
+    def record_volts(self, tonebursts: object, pulses: object, capture: object) -> FloatArray:
         from sim_backend.wiring import Capture
 
         assert isinstance(capture, Capture)  # noqa: S101
@@ -60,6 +58,6 @@ class _Speckle:
         return np.repeat(echo[None], len(capture.first_sample_ps), axis=0)
 
     def focus_displacement_m(
-        self, tonebursts: object, time_ps: NDArray[np.int64], origin_ps: int, *, index: int = 0
-    ) -> Floats:
+        self, tonebursts: object, time_ps: Int64Array, origin_ps: int, *, index: int = 0
+    ) -> FloatArray:
         return np.zeros(len(time_ps))

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray, IndexArray
 from hpe_rig.result import csv_text, label_decades, mark
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.validation.accuracy.work_precision import file_mistakes
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from sim_backend.echoes import EchoDelays, Method, Pulse
 
-Floats = NDArray[np.float64]
 
 TOLERANCES = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000)
@@ -91,7 +90,7 @@ def _of_scene(
     exact = _reference(delays, weight, pulse, gate_s, checked)
     most_s, cores = min(0.3, longest_s / 10), os.cpu_count() or 1
 
-    def row(name: str, method: str, tolerance: float, terms: int, echo: Floats, time_s: float) -> Measurement:
+    def row(name: str, method: str, tolerance: float, terms: int, echo: FloatArray, time_s: float) -> Measurement:
         error = float(np.sqrt(np.mean(np.square(echo[checked] - exact)) / np.mean(np.square(exact))))
         moved_m = float(error * _SOUND_SPEED_M_PER_S / (4 * np.pi * 9.0e6))
         return Measurement(count, echoes, _SAMPLES, name, method, tolerance, terms, error, time_s, moved_m, cores)
@@ -131,7 +130,9 @@ def share_chosen_well(rows: list[Measurement], factor: float = 2.0) -> tuple[int
     return well, len(chosen)
 
 
-def _reference(delays: EchoDelays, weight: Floats, pulse: Pulse, gate_s: Floats, checked: NDArray[np.intp]) -> Floats:
+def _reference(
+    delays: EchoDelays, weight: FloatArray, pulse: Pulse, gate_s: FloatArray, checked: IndexArray
+) -> FloatArray:
     """Return the direct sum, or where that is too long the exact running sum, which equals it to 1e-13."""
     from sim_backend.echoes import direct_sum, running_sum
 
@@ -140,7 +141,7 @@ def _reference(delays: EchoDelays, weight: Floats, pulse: Pulse, gate_s: Floats,
     return exact(delay_s, weight, pulse, gate_s)
 
 
-def _scene(count: int, echoes: int, seed: int) -> tuple[EchoDelays, Floats, Pulse, Floats]:
+def _scene(count: int, echoes: int, seed: int) -> tuple[EchoDelays, FloatArray, Pulse, FloatArray]:
     from sim_backend.echoes import EchoDelays, depth_delay_s, field_at, hann_pulse
     from sim_backend.settings import Beams, Scatterers
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.prediction import beam_averaging_factor, force_spectrum, scatterer_density
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, margin_samples, spec_of
 from hpe_rig.result import MARKS, label_decades, mark
@@ -29,7 +29,6 @@ from hpe_rig.validation.accuracy.work_precision import pareto
 if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
 
-Floats = NDArray[np.float64]
 
 FREQUENCY_HZ, BURST_RATE_HZ, BURST_LENGTH_S, BURSTS = 200.0, 100.0, 100e-6, 15
 PULSE_RATE_HZ, FIRST_PULSE_S, USED_FROM_S = 3990.0, 130e-6, 50e-3
@@ -132,7 +131,7 @@ def _settings(row: EndToEnd) -> tuple[str, float, float, int, int]:
     return row.estimator, row.gate_length_m, row.tolerance, row.nodes, row.degrees
 
 
-def amplitudes(way: Way, realisations: int, seed: int) -> Floats:
+def amplitudes(way: Way, realisations: int, seed: int) -> FloatArray:
     """Return the final amplitude of each realisation, m, (realisation,)."""
     from sim_backend.echoes import drawn_echoes, hann_pulse
 
@@ -177,7 +176,7 @@ def scene() -> SimulationSettings:
     return SimulationSettings(specimen=Specimen(preset="bovine_muscle", field="gaussian"))
 
 
-def displacement(nodes: int, degrees: int) -> Floats:
+def displacement(nodes: int, degrees: int) -> FloatArray:
     """Return the displacement at the focus when each used pulse senses it, m, (pulse,)."""
     from sim_backend.motion import (
         Contour,
@@ -236,7 +235,7 @@ def _of_way(varied: str, way: Way, realisations: Sequence[int], seed: int) -> It
         )
 
 
-def _estimated(way: Way, volts: Floats) -> Floats:
+def _estimated(way: Way, volts: FloatArray) -> FloatArray:
     """Return amplitudes over the beams' averaging, m, (realisation,) of echoes (realisation, pulse, sample)."""
     time_s = _pulse_s()
     valid = np.ones(len(time_s), dtype=bool)
@@ -261,7 +260,7 @@ def _averaging(way: Way) -> float:
     )
 
 
-def _of_same_draws(way: Way, tolerance: float, moved_m: Floats, seed: int) -> Floats:
+def _of_same_draws(way: Way, tolerance: float, moved_m: FloatArray, seed: int) -> FloatArray:
     from sim_backend.echoes import ScattererRows, batch, draw_thinned, hann_pulse
 
     settings, gate_s = scene(), _gate_s(way)
@@ -274,12 +273,12 @@ def _of_same_draws(way: Way, tolerance: float, moved_m: Floats, seed: int) -> Fl
     return _estimated(way, np.asarray(batch(resting, pulse, gate_s, tolerance), dtype=np.float64))
 
 
-def _pulse_s() -> Floats:
+def _pulse_s() -> FloatArray:
     count = round((BURSTS / BURST_RATE_HZ - USED_FROM_S) * PULSE_RATE_HZ)
     return np.asarray(USED_FROM_S + np.arange(count) / PULSE_RATE_HZ)
 
 
-def _gate_s(way: Way) -> Floats:
+def _gate_s(way: Way) -> FloatArray:
     samples = round(2 * way.gate_length_m / scene().sound_speed_m_per_s * SAMPLE_RATE_HZ) + 2 * MARGIN
     return np.asarray((np.arange(samples) - (samples - 1) / 2) / SAMPLE_RATE_HZ)
 

@@ -13,12 +13,11 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.processing import EchoGate, Estimator, HarmonicFit, Motion, estimate, kalman, least_squares
 from hpe_rig.validation.accuracy.work_precision import Point, grouped
 
-Floats = NDArray[np.float64]
 T = TypeVar("T")
 
 SOUND_SPEED, CARRIER_HZ, SAMPLE_RATE_HZ = 1540.0, 9e6, 100e6
@@ -115,7 +114,7 @@ def _echo(
     moved_s = 2 / SOUND_SPEED * amplitude_m * np.sin(2 * np.pi * np.arange(pulses) / 20 + 0.1)
     motion = EchoDelays(place_m[:, 2] * (2 / SOUND_SPEED), shape[None], moved_s[:, None])
     pulse = hann_pulse(CARRIER_HZ, bandwidth)
-    gate_s: Floats = (np.arange(round(1.3e-6 * sample_rate_hz), dtype=np.float64) + 0.5) / sample_rate_hz - 0.65e-6
+    gate_s: FloatArray = (np.arange(round(1.3e-6 * sample_rate_hz), dtype=np.float64) + 0.5) / sample_rate_hz - 0.65e-6
     made, time_s = _timed(lambda: synthesise(motion, weight, pulse, gate_s).echo)
     checked = np.unique(np.linspace(0, pulses - 1, 6).astype(int))
     few = EchoDelays(motion.rest_s, motion.shape, motion.amplitude_s[checked])

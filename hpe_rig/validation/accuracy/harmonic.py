@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hpe_rig.processing import (
     HarmonicFit,
@@ -22,8 +21,6 @@ from hpe_rig.processing import (
     velocity_to_harmonics,
 )
 from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped
-
-Floats = NDArray[np.float64]
 
 AMPLITUDE_M = 1e-6
 PHASE_RAD = 0.4

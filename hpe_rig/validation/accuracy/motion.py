@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.prediction import Conditions, Expected, draw_speckle, echo_bound, expected, scatterer_density
 from hpe_rig.processing import ESTIMATORS, EchoGate, Estimator, estimate, harmonic_columns, margin_samples
 from hpe_rig.validation.accuracy.work_precision import draw_panels, grouped
-
-Floats = NDArray[np.float64]
 
 PARAMETERS: dict[str, tuple[float, ...]] = {
     "snr_db": (0, 10, 20, 30, 40, 60),
@@ -49,12 +47,12 @@ class MotionCase:
     margin: int = 0
 
     @property
-    def pulse_time_s(self) -> Floats:
+    def pulse_time_s(self) -> FloatArray:
         """When each pulse senses the motion, (pulse,)."""
         return np.arange(round(self.cycles * self.points)) / (self.points * self.frequency_hz)
 
     @property
-    def gate_s(self) -> Floats:
+    def gate_s(self) -> FloatArray:
         """Sample times relative to the echo of the focus, margins included, (sample,)."""
         samples = round(2 * self.gate_length_m / self.sound_speed_m_per_s * self.sample_rate_hz) + 2 * self.margin
         return np.asarray((np.arange(samples) - (samples - 1) / 2) / self.sample_rate_hz, dtype=np.float64)
@@ -132,7 +130,7 @@ def case_rows(
         yield _row(case, parameter, value, name, clean, noisy, np.sqrt(bound[:, 0, 0]), model)
 
 
-def twin_echoes(case: MotionCase, draws: int, generator: np.random.Generator) -> Floats:
+def twin_echoes(case: MotionCase, draws: int, generator: np.random.Generator) -> FloatArray:
     """Return noise-free echoes of the twin, (draw, pulse, sample), moved by D_0 sin(2 pi f t)."""
     from sim_backend.echoes import drawn_echoes, hann_pulse
     from sim_backend.settings import Scatterers, SimulationSettings
@@ -166,7 +164,7 @@ def conditions_of(case: MotionCase) -> Conditions:
     )
 
 
-def gate(case: MotionCase, volts: Floats) -> EchoGate:
+def gate(case: MotionCase, volts: FloatArray) -> EchoGate:
     """Return echoes (..., pulse, sample) as the estimators take them."""
     everything = np.ones(volts.shape[-2], dtype=bool)
     return EchoGate(
@@ -185,9 +183,9 @@ def _row(
     parameter: str,
     value: float,
     name: Estimator,
-    clean: Floats,
-    noisy: Floats,
-    bound_m: Floats,
+    clean: FloatArray,
+    noisy: FloatArray,
+    bound_m: FloatArray,
     model: Expected,
 ) -> MotionRow:
     resting = estimate(gate(case, clean), [case.frequency_hz], name)

@@ -18,18 +18,17 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hpe_rig.acquire import Run, measure, planned, prepare
+from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
+from hpe_rig.measurement import planned, prepare
 from hpe_rig.processing import ESTIMATORS
 from hpe_rig.result import Result, text_table
+from hpe_rig.runs import Run, measure
 from hpe_rig.scene import Mistake, Processing, Scene, SettingsError
 from hpe_rig.store import StoreError
 from hpe_rig.study import one_shot
 from hpe_rig.validation.accuracy.work_precision import draw_panels, file_mistakes, grouped, write_rows
-
-Floats = NDArray[np.float64]
 
 SEEDS, QUICK_SEEDS = 20, 8
 QUICK_S = 50.0
@@ -167,8 +166,8 @@ def scene_rows(
 class _Trial:
     """One way at one seed: errors and true amplitudes (frequency,), m, and processor times."""
 
-    error_m: Floats
-    true_m: Floats
+    error_m: FloatArray
+    true_m: FloatArray
     time_s: float
     estimation_s: float
 
@@ -212,7 +211,7 @@ def _trial(run: Run, run_s: float) -> _Trial:
     return _Trial(found_m - true_m, true_m, run_s + estimation_s, estimation_s)
 
 
-def _amplitudes_m(result: Result) -> tuple[Floats, Floats]:
+def _amplitudes_m(result: Result) -> tuple[FloatArray, FloatArray]:
     """Return found, corrected where that is predicted, and true amplitudes (frequency,)."""
     each = result.shots[0].estimates
     found = [e.amplitude_m if e.corrected_amplitude_m is None else e.corrected_amplitude_m for e in each]
@@ -233,7 +232,7 @@ def _beats(one: Sequence[_Trial], other: Sequence[_Trial]) -> bool:
     return bool((faster and no_worse) or (no_slower and _less(*error_m)))
 
 
-def _less(one: Floats, other: Floats) -> bool:
+def _less(one: FloatArray, other: FloatArray) -> bool:
     """Return whether ``one`` (seed,) is less than ``other`` by more than chance and by more than counts."""
     gain = other - one
     chance = SURE * gain.std(ddof=1) / math.sqrt(gain.size)

@@ -7,11 +7,9 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray, Int64Array
 from hpe_rig.validation.accuracy.work_precision import Point, measured
-
-Floats = NDArray[np.float64]
 
 WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)
 BLOWN_UP = 1e6
@@ -54,7 +52,7 @@ def _transients(case: str, specimen: object) -> Iterator[Point]:
     force = ForcePulses(onset_ps, onset_ps + BURST_PS, np.ones(BURSTS))
     time_ps = 175_000_000 + np.arange(800) * 250_000_000
 
-    def by_panels(contour: Contour, degrees: int) -> Floats:
+    def by_panels(contour: Contour, degrees: int) -> FloatArray:
         panels: Panels = panels_of(lambda s: transfer(specimen, WIDTH_M, s)[:, None], contour, degrees)
         return transient_displacement(StepResponse(memory_s(specimen, panels), panels), force, time_ps)
 
@@ -75,7 +73,7 @@ def _transients(case: str, specimen: object) -> Iterator[Point]:
         )
 
 
-def _fourier(specimen: object, time_ps: NDArray[np.int64], period_s: float, highest_hz: float) -> Floats:
+def _fourier(specimen: object, time_ps: Int64Array, period_s: float, highest_hz: float) -> FloatArray:
     """Return the periodic response to the whole train from its Fourier series; the mean of a period is set by rest."""
     from sim_backend.motion import frequency_response
     from sim_backend.settings import Specimen
@@ -110,15 +108,15 @@ def _lumped() -> Iterator[Point]:
         exact,
     )
 
-    def slope(_t: float, y: Floats) -> Floats:
+    def slope(_t: float, y: FloatArray) -> FloatArray:
         return (1 - y) / constants_s
 
-    def solved(method: Literal["Radau", "BDF"], tolerance: float) -> Floats:
+    def solved(method: Literal["Radau", "BDF"], tolerance: float) -> FloatArray:
         start = np.zeros(constants_s.size)
         solution = solve_ivp(slope, (0, 1e3), start, method, time_s, rtol=tolerance, atol=tolerance * 1e-3)
         return np.asarray(solution.y.T)
 
-    def crawled(evaluations: int) -> Floats:
+    def crawled(evaluations: int) -> FloatArray:
         """Stop an explicit solver, stable only at steps of some ns, after so many evaluations: the rest stays."""
         solver = DOP853(slope, 0, np.zeros(constants_s.size), 1e3, rtol=1e-4, atol=1e-7)
         value = np.zeros(exact.shape)
@@ -127,7 +125,7 @@ def _lumped() -> Iterator[Point]:
             value[time_s > (solver.t_old or 0.0)] = solver.y
         return value
 
-    def blown_up(steps: int) -> Floats:
+    def blown_up(steps: int) -> FloatArray:
         """Take equal explicit steps, far longer than the shortest time constant."""
         length_s, left = 1e3 / steps, np.ones(constants_s.size)
         course = np.empty((steps + 1, constants_s.size))

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.result import csv_text, label_decades, mappings, mark, text_table
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import unwritable
@@ -21,7 +21,6 @@ from hpe_rig.store import unwritable
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
 
-Floats = NDArray[np.float64]
 Row = TypeVar("Row")
 Group = TypeVar("Group", bound=Hashable)
 
@@ -44,7 +43,7 @@ class Point:
 
 
 def measured(
-    case: str, method: str, setting: str, compute: Callable[[], Floats], exact: Floats, repeats: int = 3
+    case: str, method: str, setting: str, compute: Callable[[], FloatArray], exact: FloatArray, repeats: int = 3
 ) -> Point:
     """Return the point of ``compute``, timed ``repeats`` times, against ``exact``; NaN error where it raises."""
     times_s = []

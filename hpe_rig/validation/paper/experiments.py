@@ -13,15 +13,14 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from hpe_rig.acquire import prepare, process, record_run
+from hpe_rig.arrays import FloatArray
+from hpe_rig.measurement import prepare, record_run
 from hpe_rig.plan import select
 from hpe_rig.processing import Motion, least_squares
 from hpe_rig.result import STYLE, Estimate, Result, ShotResult
+from hpe_rig.runs import process
 from hpe_rig.scene import Scene, SceneSource, load_scene
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,21 +54,21 @@ class Repeated:
     phase unwrapped over frequency; what is true, and the share of it that the beams average.
     """
 
-    frequency_hz: Floats
-    amplitude_m: Floats
-    mean_nm: Floats
-    sd_nm: Floats
-    mean_deg: Floats
-    sd_deg: Floats
-    true_m: Floats
-    averaging: Floats
-    noise_nm: Floats
+    frequency_hz: FloatArray
+    amplitude_m: FloatArray
+    mean_nm: FloatArray
+    sd_nm: FloatArray
+    mean_deg: FloatArray
+    sd_deg: FloatArray
+    true_m: FloatArray
+    averaging: FloatArray
+    noise_nm: FloatArray
     """Stated uncertainty of one repeat by what repeats average: noise and trigger jitter."""
-    lasting_nm: Floats
+    lasting_nm: FloatArray
     """Stated uncertainty by what they do not: one draw of speckle, and harmonics that alias."""
 
     @property
-    def u_nm(self) -> Floats:
+    def u_nm(self) -> FloatArray:
         """Stated uncertainty of the means."""
         return np.asarray(np.hypot(self.noise_nm / np.sqrt(len(self.amplitude_m)), self.lasting_nm))
 
@@ -101,7 +100,7 @@ def by_chain(scene: SceneSource) -> dict[str, Result]:
         return {chain: process(run_file, chain) for chain in CHAINS}
 
 
-def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, Floats]:
+def result_and_sampled_truth(scene: SceneSource) -> tuple[Result, FloatArray]:
     """Return also the amplitudes, m (shot, frequency), of the true motion at the pulses: what aliases is in them."""
     setup = prepare(scene)
     with TemporaryDirectory() as folder:
@@ -138,7 +137,7 @@ def repeated(shots: Sequence[ShotResult]) -> Repeated:
     )
 
 
-def _stated_nm(estimates: Sequence[Sequence[Estimate]], sources: Sequence[str]) -> Floats:
+def _stated_nm(estimates: Sequence[Sequence[Estimate]], sources: Sequence[str]) -> FloatArray:
     """Return what is stated of these sources for one repeat, the root of its mean square over the repeats."""
     square = [[sum(each.amplitude_m**2 for each in item.components if each.source in sources) for item in row]
               for row in estimates]  # fmt: skip

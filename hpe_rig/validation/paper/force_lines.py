@@ -6,15 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.prediction import detection_floor
 from hpe_rig.report import Line, fit_line
 from hpe_rig.result import MARKS, ShotResult
 from hpe_rig.scene import load_scene
 from hpe_rig.validation.paper.experiments import CHAINS, Experiment, Verdict, by, by_chain, label, panels, seeded
-
-Floats = NDArray[np.float64]
 
 HIGHEST = {50e-6: 9, 100e-6: 11, 200e-6: 13}
 """How many of the highest samples the paper's regression takes."""
@@ -36,8 +34,8 @@ ABOVE_PLATEAU = 1.95
 class ForceLine:
     """The points of one T_b by one chain, and lines through the highest of them."""
 
-    force: Floats
-    nm: Floats
+    force: FloatArray
+    nm: FloatArray
     """(force, repeat)"""
     means: Line
     single: Sequence[Line]
@@ -109,7 +107,7 @@ def _force_line(shots: Sequence[ShotResult], count: int) -> ForceLine:
     nm = np.array([each.amplitude_m[:, 1] for each in forces.values()]) * 1e9
     true = np.array([each.true_m[1] * each.averaging[1] for each in forces.values()]) * 1e9
 
-    def line(values: Floats) -> Line:
+    def line(values: FloatArray) -> Line:
         found = fit_line(force[-count:], values[-count:])
         if found is None:
             raise ValueError("the scenes of Fig. 15 have no forces to draw a line through")

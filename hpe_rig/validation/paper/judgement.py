@@ -9,12 +9,11 @@ from statistics import NormalDist
 from typing import Concatenate, ParamSpec
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.study import Curve, StudyResult, View, curves, maps, view, with_error
 
-Floats = NDArray[np.float64]
-Columns = dict[str, Floats]
+Columns = dict[str, FloatArray]
 P = ParamSpec("P")
 
 SIGNIFICANT = 3.0
@@ -74,13 +73,13 @@ def family(count: int) -> float:
     return -NormalDist().inv_cdf((1 - (1 - rare) ** (1 / max(count, 1))) / 2)
 
 
-def span_of_largest(values: Floats, se: Floats) -> tuple[float, float]:
+def span_of_largest(values: FloatArray, se: FloatArray) -> tuple[float, float]:
     """Return between which values the largest of the true values lies, selection included."""
     margin = family(values.size) * se
     return float((values - margin).max()), float((values + margin).max())
 
 
-def below(values: Floats, se: Floats, limit: float, unit: str) -> Judgement:
+def below(values: FloatArray, se: FloatArray, limit: float, unit: str) -> Judgement:
     """Judge an upper limit for the largest of true values by those found and how far chance lifts the largest."""
     low, high = span_of_largest(values, se)
     verdict = AGREES if high < limit else DIFFERS if low > limit else UNTOLD
@@ -146,18 +145,18 @@ def slight(result: StudyResult, reading: str, quantity: str, share: float) -> Ju
     return Judgement(words, AGREES if high < share else DIFFERS if low > share else UNTOLD)
 
 
-def map_of(result: StudyResult, reading: str) -> list[tuple[float, Floats, Floats, Columns]]:
+def map_of(result: StudyResult, reading: str) -> list[tuple[float, FloatArray, FloatArray, Columns]]:
     """Return W_z, W_x, W_y and the columns (y, x) of every map of the paper's chain."""
     return [(float(values[0]), x, y, table) for values, x, y, table in maps(result, _seen(result, reading))]
 
 
-def at_point(x: Floats, y: Floats, values: Floats, place: float) -> float:
+def at_point(x: FloatArray, y: FloatArray, values: FloatArray, place: float) -> float:
     """Return a map's value at x = y = ``place``, linear between points in the logarithm of both."""
     rows = [float(np.interp(math.log(place), np.log(x), row)) for row in values]
     return float(np.interp(math.log(place), np.log(y), rows))
 
 
-def in_units(curve: Curve, quantity: str) -> tuple[Floats, Floats]:
+def in_units(curve: Curve, quantity: str) -> tuple[FloatArray, FloatArray]:
     """Return value and standard error of a quantity along a curve, in nm or degrees."""
     unit, scale, _ = UNITS[quantity.split("_")[0]]
     return curve.values(f"{quantity}_{unit}") * scale, curve.values(f"{quantity}_se_{unit}") * scale
@@ -169,7 +168,7 @@ def _seen(result: StudyResult, reading: str) -> View:
     return one
 
 
-def _both_ends(result: StudyResult, reading: str, quantity: str, from_db: float = -math.inf) -> tuple[Floats, ...]:
+def _both_ends(result: StudyResult, reading: str, quantity: str, from_db: float = -math.inf) -> tuple[FloatArray, ...]:
     """Return SNR, absolute value and error on the first curve, value and error on the last, all (SNR,)."""
     first, last = ends(result, reading)
     (a, a_se), (b, b_se) = in_units(first, quantity), in_units(last, quantity)
@@ -177,7 +176,7 @@ def _both_ends(result: StudyResult, reading: str, quantity: str, from_db: float 
     return first.x[kept], np.abs(a)[kept], a_se[kept], np.abs(b)[kept], b_se[kept]
 
 
-def _places(x: Floats, chosen: NDArray[np.bool_]) -> str:
+def _places(x: FloatArray, chosen: BoolArray) -> str:
     if not chosen.any():
         return "no SNR"
     return "every SNR" if chosen.all() else ", ".join(f"{value:g}" for value in x[chosen]) + " dB"

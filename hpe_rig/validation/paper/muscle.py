@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.prediction import detection_floor
 from hpe_rig.report import fit_line
 from hpe_rig.result import MARKS
@@ -28,8 +28,6 @@ from hpe_rig.validation.paper.experiments import (
     seeded,
 )
 from hpe_rig.validation.paper.judgement import family
-
-Floats = NDArray[np.float64]
 
 CHI2_16 = (0.66, 1.34)
 """Between which the root of a mean square over 16 degrees of freedom lies in 95 of 100 draws."""
@@ -93,7 +91,7 @@ def figure_16(seed: int = 1) -> Experiment:
     )
 
 
-def _figure_16_verdicts(force: Floats, shown: Floats, stated_nm: Floats, whose: str) -> Iterator[Verdict]:
+def _figure_16_verdicts(force: FloatArray, shown: FloatArray, stated_nm: FloatArray, whose: str) -> Iterator[Verdict]:
     means, sds, mean_deg, phases = shown
     pooled_nm = float(np.sqrt(np.mean(sds**2)))
     # Five means about a line each: three degrees of freedom at four frequencies.
@@ -149,7 +147,7 @@ def _figure_16_verdicts(force: Floats, shown: Floats, stated_nm: Floats, whose: 
     )
 
 
-def _stated_trend(force: Floats, stated_nm: Floats, means: Floats) -> float:
+def _stated_trend(force: FloatArray, stated_nm: FloatArray, means: FloatArray) -> float:
     """Return the correlation of the logarithms of force and stated deviation of phase, (force, frequency)."""
     deviation = np.log(stated_nm / means).ravel()
     return float(np.corrcoef(np.log(force.repeat(means.shape[1])), deviation)[0, 1])
@@ -392,7 +390,7 @@ def _slope_u(length_s: list[float]) -> float:
     return float(1 / np.sqrt(80 * float(centred @ centred)))
 
 
-def _difference_u_nm(one: Repeated, other: Repeated) -> Floats:
+def _difference_u_nm(one: Repeated, other: Repeated) -> FloatArray:
     """Return the stated uncertainty of differences of means by what repeats average; noise differs by frequency."""
     return np.asarray(np.hypot(one.noise_nm, other.noise_nm) / np.sqrt(len(one.amplitude_m)))
 
@@ -402,7 +400,7 @@ def _step_nm(pooled_nm: float) -> float:
     return pooled_nm * float(np.sqrt(2 / REPEATS))
 
 
-def _four_panels(x_name: str, curves: Mapping[str, tuple[Floats, Sequence[Floats] | Floats]]) -> Figure:
+def _four_panels(x_name: str, curves: Mapping[str, tuple[FloatArray, Sequence[FloatArray] | FloatArray]]) -> Figure:
     """Return what `WHAT` lists, a panel each, of every curve: x and the panels' values."""
     figure, axes = panels(4)
     for (name, (x, columns)), (mark, colour) in zip(curves.items(), MARKS, strict=False):

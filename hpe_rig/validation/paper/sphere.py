@@ -6,14 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import ComplexArray, FloatArray
 from hpe_rig.result import MARKS, Result
 from hpe_rig.scene import Scene
 from hpe_rig.validation.paper.experiments import Experiment, Verdict, label, panels, result_of, seeded
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 HIGHEST = 100
 """Harmonics of the burst rate up to the first zero of a toneburst of 100 us."""
@@ -32,7 +29,7 @@ class SphereFit:
     chi_square: float
 
 
-def sphere_phasors(scene: Scene, mu1_pa: float, mu2_pa_s: float, sampled: bool = True) -> Complexes:
+def sphere_phasors(scene: Scene, mu1_pa: float, mu2_pa_s: float, sampled: bool = True) -> ComplexArray:
     """Return the sphere's vibration at the wanted frequencies, m (frequency,), A exp(j phase).
 
     Of A sin(2 pi f t + phase), t from the push at the focus, in closed form, for the force that the scene declares.
@@ -46,8 +43,8 @@ def sphere_phasors(scene: Scene, mu1_pa: float, mu2_pa_s: float, sampled: bool =
     if specimen is None or specimen.sphere is None or excitation is None:
         raise ValueError("the scene pushes no sphere: give it [excitation] and [simulation.specimen.sphere]")
     rate_hz, length_s = excitation.burst_rate_hz, excitation.burst_length_s[0]
-    s: Complexes = np.asarray(2j * np.pi * rate_hz * np.arange(1, HIGHEST + 1), np.complex128)
-    modulus_pa: Complexes = np.asarray(mu1_pa + s * mu2_pa_s, np.complex128)
+    s: ComplexArray = np.asarray(2j * np.pi * rate_hz * np.arange(1, HIGHEST + 1), np.complex128)
+    modulus_pa: ComplexArray = np.asarray(mu1_pa + s * mu2_pa_s, np.complex128)
     response = sphere_response(specimen.sphere, modulus_pa, specimen.density_kg_per_m3, s)
     # Eq. (18), one-sided; cos becomes sin by 90 degrees.
     force_n = 2 * specimen.sphere.force_n * rate_hz * length_s * np.sinc(s.imag / 2 / np.pi * length_s)
@@ -71,13 +68,13 @@ def fit_sphere(scene: Scene, result: Result) -> SphereFit:
     # Noise is alike in both quadratures and at every frequency; what aliases is in the model.
     u_m = shot.residual_m * math.sqrt(2 / shot.pulses_used)
 
-    def residual(parameters: Floats) -> Floats:
+    def residual(parameters: FloatArray) -> FloatArray:
         model = sphere_phasors(scene, *np.exp(parameters[:2])) * parameters[2]
         off = (found - model) / u_m
         return np.concatenate([off.real, off.imag])
 
     fit = least_squares(residual, np.array([np.log(5e3), np.log(0.5), 1.0]), x_scale="jac")
-    slope: Floats = np.asarray(fit.jac)
+    slope: FloatArray = np.asarray(fit.jac)
     covariance = np.linalg.inv(slope.T @ slope)
     mu1_pa, mu2_pa_s = np.exp(fit.x[:2])
     relative = np.sqrt(np.diag(covariance))

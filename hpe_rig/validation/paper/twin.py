@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import read_bench, twin_dose
 from hpe_rig.plan import disturbed_pulses, make_plan
 from hpe_rig.prediction import detection_floor
@@ -23,8 +23,6 @@ from hpe_rig.validation.paper.experiments import (
     seeded,
 )
 from hpe_rig.validation.paper.judgement import family
-
-Floats = NDArray[np.float64]
 
 GELATINS = {"gelatin-8": "8 %, 4.0 kPa", "gelatin-12": "12 %, 7.25 kPa", "gelatin-15": "15 %, 13.5 kPa"}
 CLOSED_FORM = {
@@ -151,7 +149,7 @@ def _off_truth(each: Repeated) -> float:
     return float(np.abs((each.mean_nm - each.true_m * each.averaging * 1e9) / each.u_nm).max())
 
 
-def _over_closed_form(name: str, each: Repeated) -> Floats:
+def _over_closed_form(name: str, each: Repeated) -> FloatArray:
     """Return normalised measurement less the closed form in stated u, 200 to 600 Hz."""
     closed = CLOSED_FORM[name]
     places = [round(hz / 100) - 1 for hz in closed if 100 < hz <= 600]
@@ -208,7 +206,7 @@ def _gates(delay_s: float) -> tuple[float, float, float]:
     from sim_backend.settings import SimulationSettings
     from sim_backend.wiring import Bursts, Capture, no_bursts
 
-    def bursts(onset_s: Floats, length_s: float, carrier_hz: float) -> Bursts:
+    def bursts(onset_s: FloatArray, length_s: float, carrier_hz: float) -> Bursts:
         onset_ps, same = np.rint(onset_s * 1e12).astype(np.int64), np.ones(onset_s.size)
         cycles = length_s * carrier_hz * same
         return Bursts(onset_ps, onset_ps + round(length_s * 1e12), carrier_hz * same, cycles, same)

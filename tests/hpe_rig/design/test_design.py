@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.acquire.setup import Setup, prepare, prepare_text
 from hpe_rig.cli.app import app
 from hpe_rig.design.command import Request, compared, write_design
 from hpe_rig.design.model import effective_pulses, predicted
@@ -20,6 +19,7 @@ from hpe_rig.design.problem import Constraints, Goal, Problem
 from hpe_rig.design.search import DesignResult, find_design
 from hpe_rig.design.simulation_check import simulate
 from hpe_rig.design.variables import variables
+from hpe_rig.measurement.setup import Setup, prepare, prepare_text
 from hpe_rig.prediction.bounds import harmonic_bound
 from hpe_rig.result import symbols
 from hpe_rig.scene.scene import scene_text

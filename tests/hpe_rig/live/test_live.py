@@ -20,12 +20,6 @@ from typer.testing import CliRunner
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from hpe_rig.acquire.pause import pause_path, wait_at_place
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.sequencer import Progress, Step, unobserved
-from hpe_rig.acquire.setup import prepare, prepare_text
-from hpe_rig.acquire.stop_request import StopRequested, clear_stop, request_stop, stop_path, stoppable
 from hpe_rig.cli.app import app
 from hpe_rig.cli.watch import PageOptions, watched
 from hpe_rig.live import server
@@ -34,6 +28,12 @@ from hpe_rig.live.history import TimeLeft
 from hpe_rig.live.server import LivePage
 from hpe_rig.live.source import RunSource
 from hpe_rig.live.state import State, band_verdict
+from hpe_rig.measurement.pause import pause_path, wait_at_place
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.sequencer import Progress, Step, unobserved
+from hpe_rig.measurement.setup import prepare, prepare_text
+from hpe_rig.measurement.stop_request import StopRequested, clear_stop, request_stop, stop_path, stoppable
+from hpe_rig.runs.run import process
 from hpe_rig.scene import load_scene
 from hpe_rig.scene.scene import scene_text
 from hpe_rig.scene.validation import SettingsError
@@ -530,7 +530,7 @@ def test_an_alignment_without_records_says_so() -> None:
 
 def test_a_run_without_report_and_page_loads_neither_drawing_nor_web_packages(tmp_path: Path) -> None:
     code = (
-        "import sys\nfrom pathlib import Path\nfrom hpe_rig.acquire import record_run, prepare\n"
+        "import sys\nfrom pathlib import Path\nfrom hpe_rig.measurement import record_run, prepare\n"
         "from hpe_rig.cli.app import app\n"
         "from hpe_rig.cli.watch import watched\nsetup = prepare('table-1')\n"
         f"path = Path({str(tmp_path / 'run.h5')!r})\n"

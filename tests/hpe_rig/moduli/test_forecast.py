@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hpe_rig as hpe
-from hpe_rig.acquire import prepare
+from hpe_rig.measurement import prepare
 from hpe_rig.moduli.forecast import ModuliForecast, moduli_forecast, moduli_text
 from hpe_rig.moduli.places import with_shared_noise
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hpe_rig.medium import PushForce
+from hpe_rig.medium.material_laws import LAWS
 from hpe_rig.moduli.inversion import bound, compare_media, fit_medium
-from hpe_rig.moduli.media import LAWS
 from hpe_rig.moduli.vibration_model import Problem, Push, Vibration
-from hpe_rig.processing import PushForce
 from sim_backend.motion.field import field_transfer
 from sim_backend.settings import Specimen
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import hpe_rig as hpe
-from hpe_rig.moduli import ModuliResult, Source, law_of, moduli_of, push_of
+from hpe_rig.medium import law_of
+from hpe_rig.moduli import ModuliResult, Source, moduli_of, push_of
 from hpe_rig.moduli.places import APERTURE_SHAPE
 from hpe_rig.moduli.vibration_model import Problem
 from hpe_rig.prediction.beam_averaging import resting_conditions

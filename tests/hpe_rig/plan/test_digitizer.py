@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import InstrumentError
-from hpe_rig.acquire.sequencer import ShotBlock, acquire
 from hpe_rig.bench.bench_file import BenchFile, read_bench
 from hpe_rig.bench.opening import open_bench
+from hpe_rig.measurement.sequencer import ShotBlock, acquire
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.shots import make_plan
 from hpe_rig.scene.scene import Scene, parse_scene, shipped_scenes

@@ -13,7 +13,7 @@ from hpe_rig.plan.checks.check_result import CheckResult
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.selection import LARGEST_CONDITION, select
 from hpe_rig.plan.shots import make_plan
-from hpe_rig.processing.model import linear_model
+from hpe_rig.processing.harmonics.model import linear_model
 from hpe_rig.scene.scene import load_scene
 
 BENCH = read_bench().bench

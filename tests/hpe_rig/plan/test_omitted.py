@@ -3,7 +3,7 @@
 import pytest
 
 import hpe_rig as hpe
-from hpe_rig.acquire.setup import prepare_text
+from hpe_rig.measurement.setup import prepare_text
 from hpe_rig.scene.scene import shipped_scenes
 
 CHAIN = shipped_scenes()["gelatin-8"]

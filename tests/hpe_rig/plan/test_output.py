@@ -10,10 +10,10 @@ import pytest
 from drivers.agilent.models import MODELS as GENERATOR_MODELS
 from drivers.alazar.models import MODELS as BOARD_MODELS
 from drivers.interfaces import InstrumentError
-from hpe_rig.acquire.sequencer import acquire
-from hpe_rig.acquire.setup import prepare_text
 from hpe_rig.bench.bench_file import DigitizerBoard, Generator, read_bench
 from hpe_rig.bench.opening import open_bench
+from hpe_rig.measurement.sequencer import acquire
+from hpe_rig.measurement.setup import prepare_text
 from hpe_rig.plan.checks.check_result import PlanError
 from hpe_rig.plan.checks.checklist import check_plan
 from hpe_rig.plan.shots import make_plan

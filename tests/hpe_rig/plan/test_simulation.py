@@ -2,7 +2,7 @@
 
 import pytest
 
-from hpe_rig.acquire.setup import prepare, prepare_text
+from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.plan.checks.simulation import simulation
 from hpe_rig.scene.scene import load_scene, shipped_scenes
 

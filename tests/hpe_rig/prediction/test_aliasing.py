@@ -4,8 +4,8 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.setup import prepare, prepare_text
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.prediction.aliasing import fitted_over_true
 from hpe_rig.prediction.text import aliasing_text
 from hpe_rig.scene.scene import scene_text

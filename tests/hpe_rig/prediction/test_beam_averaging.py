@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.setup import prepare_text
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import prepare_text
 from hpe_rig.prediction.beam_averaging import (
     SHAPE_RELATIVE,
     _gaussian_steepness,

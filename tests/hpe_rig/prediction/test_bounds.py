@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hpe_rig.prediction.bounds import echo_bound, harmonic_bound
-from hpe_rig.processing.model import harmonic_columns
+from hpe_rig.processing.harmonics.model import harmonic_columns
 
 
 def test_bound_of_the_scenes_own_echoes_is_the_harmonic_bound_for_a_pure_carrier() -> None:

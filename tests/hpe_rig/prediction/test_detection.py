@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.setup import prepare, prepare_text
 from hpe_rig.bench.twin import twin_dose
+from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.prediction.detection import FALSE_ALARMS, amplitude_quantile, detection_floor
 from hpe_rig.prediction.text import calibration_text, detection_text, extrapolation_text
 from hpe_rig.scene.scene import parse_scene, shipped_scenes

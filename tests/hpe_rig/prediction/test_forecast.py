@@ -10,7 +10,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.setup import prepare, prepare_text
+from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.plan import select
 from hpe_rig.prediction.bounds import harmonic_bound
 from hpe_rig.prediction.error_model import Conditions, Speckle, draw_speckle, expected

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire import check, measure
-from hpe_rig.acquire.setup import prepare
 from hpe_rig.design.command import _column
 from hpe_rig.design.problem import Constraints, Problem
+from hpe_rig.measurement.setup import prepare
 from hpe_rig.prediction.detection import detection_floor
 from hpe_rig.prediction.forecast import forecast_of
 from hpe_rig.report.page import write_report
+from hpe_rig.runs import check, measure
 from hpe_rig.scene.scene import load_scene, shipped_scenes
 from hpe_rig.study import one_shot
 

@@ -10,8 +10,8 @@ import pytest
 from scipy.special import stdtrit
 
 from hpe_rig.processing.budget import Known, estimates_of, lengthened
-from hpe_rig.processing.echoes import Motion
-from hpe_rig.processing.harmonic import HarmonicFit, fit_from_state
+from hpe_rig.processing.echo.echoes import Motion
+from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, fit_from_state
 from hpe_rig.processing.shots import off_carrier
 from hpe_rig.result import Averaging, Component, Estimate
 

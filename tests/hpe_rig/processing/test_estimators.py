@@ -22,11 +22,11 @@ from hpe_rig.processing import (
     follow,
     kasai,
     least_squares,
-    maximum_likelihood,
     motion_of,
     relative_to,
     unlike_pulses,
 )
+from hpe_rig.processing.harmonics import maximum_likelihood
 
 if TYPE_CHECKING:
     from conftest import TableOne

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import open_run
-from hpe_rig.acquire.setup import prepare, prepare_text
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import prepare, prepare_text
 from hpe_rig.processing.ground_truth import true_harmonics_m
+from hpe_rig.runs.run import open_run
 from hpe_rig.scene.scene import shipped_scenes
 
 TABLE_1 = shipped_scenes()["table-1"]

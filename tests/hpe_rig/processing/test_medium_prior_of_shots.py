@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 import hpe_rig as hpe
-from hpe_rig.acquire import Run
 from hpe_rig.plan import Shot, select
 from hpe_rig.plan.omitted import omissions
 from hpe_rig.prediction import beam_widths, predicted_averaging
@@ -25,9 +24,10 @@ from hpe_rig.processing import (
     shot_echoes,
     shot_prior,
 )
-from hpe_rig.processing.echoes import Motion
+from hpe_rig.processing.echo.echoes import Motion
 from hpe_rig.processing.shots import _medium_warnings, averaging_seen, margin_needed
 from hpe_rig.result import Result
+from hpe_rig.runs import Run
 from hpe_rig.scene import Scene, SettingsError
 
 JITTER = "simulation.instruments.trigger_jitter_s"

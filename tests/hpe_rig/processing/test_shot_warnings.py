@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hpe_rig import measure
-from hpe_rig.acquire.setup import planned
 from hpe_rig.bench.bench_file import read_bench
+from hpe_rig.measurement.setup import planned
 from hpe_rig.processing import Motion, least_squares
 from hpe_rig.processing.shots import _fit_warnings, _setting_warnings
 from hpe_rig.scene.scene import Scene, load_scene, parse_scene, scene_text

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 import hpe_rig as hpe
-from hpe_rig.acquire import Run
 from hpe_rig.bench.twin import contradictions
+from hpe_rig.medium import RigidSphere, medium_ensemble
+from hpe_rig.medium.ensemble import _even_sequence, _modulus
 from hpe_rig.moduli import push_of
-from hpe_rig.processing import RigidSphere, medium_ensemble
-from hpe_rig.processing.ensemble import _even_sequence, _modulus
+from hpe_rig.runs import Run
 from hpe_rig.scene import SettingsError
 from hpe_rig.validation.paper.sphere import sphere_phasors
 from sim_backend.motion.sphere import sphere_response

@@ -15,7 +15,7 @@ from hpe_rig.processing import (
     Estimator,
     estimate,
 )
-from hpe_rig.processing.model import harmonic_columns
+from hpe_rig.processing.harmonics.model import harmonic_columns
 from hpe_rig.validation.accuracy.motion import MotionCase, twin_echoes
 
 if TYPE_CHECKING:

@@ -19,10 +19,11 @@ from scipy.io import savemat
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
-from hpe_rig.acquire import import_recording, prepare_rest
 from hpe_rig.cli.app import app
+from hpe_rig.measurement import prepare_rest
 from hpe_rig.recordings import chosen_lines, matlab
 from hpe_rig.result import shown_shot
+from hpe_rig.runs import import_recording
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import StoreError, verify
 

@@ -13,14 +13,14 @@ import h5py
 import numpy as np
 import pytest
 
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import process
-from hpe_rig.acquire.setup import prepare
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import prepare
 from hpe_rig.report.figures import sweep_pictures
 from hpe_rig.report.page import error_stages, render, write_report
 from hpe_rig.report.sweep import Sweep, SweepCurve
 from hpe_rig.result import PALETTE, headline_sentence, symbols
-from hpe_rig.result.estimates import Estimate, Result, ShotResult, shot_warnings
+from hpe_rig.result.values import Estimate, Result, ShotResult, shot_warnings
+from hpe_rig.runs.run import process
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import StoreError
 

@@ -12,7 +12,7 @@ import pytest
 from hpe_rig.report.residual_tests import innovations, line_p, periodogram, residual_tests, whiteness_p
 from hpe_rig.report.sweep import fit_line, make_sweep
 from hpe_rig.report.views import MotionView
-from hpe_rig.result.estimates import Estimate, ShotResult
+from hpe_rig.result.values import Estimate, ShotResult
 
 RATE_HZ = 4000.0
 PULSES = 400

@@ -13,9 +13,9 @@ import xarray
 from typer.testing import CliRunner
 
 import hpe_rig as hpe
-from hpe_rig.acquire import json_schema
 from hpe_rig.cli.app import app
 from hpe_rig.result import Result
+from hpe_rig.runs import json_schema
 from hpe_rig.store import verify, write_result
 
 

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hpe_rig.result.estimates import Component, Estimate, ShotResult
 from hpe_rig.result.interval import by_residual
 from hpe_rig.result.phase import phase_variance_rad2
 from hpe_rig.result.repeats import DISAGREE, RepeatMean, repeat_means
+from hpe_rig.result.values import Component, Estimate, ShotResult
 
 AMPLITUDE_M, PHASE_RAD = 1e-7, 3.1
 NOISE_M, SPECKLE_M, NOISE_RAD, SPECKLE_RAD = 2e-9, 1e-9, 0.02, 0.01

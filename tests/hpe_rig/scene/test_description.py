@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from hpe_rig.acquire import full_text, settings_tables
 from hpe_rig.bench import read_bench
 from hpe_rig.bench.bench_file import parse_bench
+from hpe_rig.runs import full_text, settings_tables
 from hpe_rig.scene import parse_scene, shipped_scenes
 from hpe_rig.scene.description import toml_value
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hpe_rig.acquire import check
+from hpe_rig.runs import check
 from hpe_rig.scene import Scene, SettingsError, forgotten_units, load_scene, shipped_scenes
 
 

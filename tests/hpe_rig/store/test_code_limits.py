@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.acquire.setup import Setup, prepare
-from hpe_rig.processing.conditioning import gate_statistics
+from hpe_rig.measurement.setup import Setup, prepare
+from hpe_rig.processing.echo.conditioning import gate_statistics
 from hpe_rig.store.format import StoreError
 from hpe_rig.store.layout import empty_run, volts_of_codes
 from hpe_rig.store.reader import read_run

@@ -23,15 +23,15 @@ import pytest
 import xarray as xr
 
 from drivers.interfaces import RecordBlock
-from hpe_rig.acquire.checked_scene import check
-from hpe_rig.acquire.run import record_run
-from hpe_rig.acquire.run_file import open_run, process
-from hpe_rig.acquire.setup import Setup, prepare
 from hpe_rig.bench import uninterrupted
 from hpe_rig.cli.app import resume, run
+from hpe_rig.measurement.run import record_run
+from hpe_rig.measurement.setup import Setup, prepare
 from hpe_rig.result import headline_sentence, symbols
 from hpe_rig.result.html_repr import result_html
 from hpe_rig.result.rows import result_csv, result_frame
+from hpe_rig.runs.checked_scene import check
+from hpe_rig.runs.run import open_run, process
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.store import (
     RunWriter,

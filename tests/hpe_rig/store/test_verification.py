@@ -17,11 +17,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hpe_rig.acquire import Setup, json_schema, prepare_text, record_run, resume
-from hpe_rig.acquire.resumption import prepare_rest
-from hpe_rig.acquire.run_file import open_run, process
 from hpe_rig.cli.app import app
 from hpe_rig.live.source import RunSource
+from hpe_rig.measurement import Setup, prepare_text, record_run, resume
+from hpe_rig.measurement.resumption import prepare_rest
+from hpe_rig.runs import json_schema
+from hpe_rig.runs.run import open_run, process
 from hpe_rig.scene import shipped_scenes
 from hpe_rig.store import StoreError, WriteOptions, read_run, read_snapshots, result_path, verify
 from hpe_rig.store.checksum import HEAP

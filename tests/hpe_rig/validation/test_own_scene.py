@@ -48,7 +48,7 @@ def rows(tiny: Scene) -> list[SceneRow]:
 
 
 def test_a_way_is_as_wrong_as_its_runs_say(rows: list[SceneRow], tiny: Scene, tmp_path: Path) -> None:
-    from hpe_rig.acquire import measure
+    from hpe_rig.runs import measure
 
     errors = []
     for seed in (1, 2, 3):

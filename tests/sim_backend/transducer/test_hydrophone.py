@@ -14,12 +14,12 @@ import pytest
 from scipy.io import savemat
 
 import hpe_rig as hpe
-from hpe_rig.acquire.resumption import _refuse_other
-from hpe_rig.acquire.run_file import _warnings
-from hpe_rig.acquire.setup import prepare_text, with_scan_beside
 from hpe_rig.bench.twin import check_declared
+from hpe_rig.measurement.resumption import _refuse_other
+from hpe_rig.measurement.setup import prepare_text, with_scan_beside
 from hpe_rig.prediction import force_of
 from hpe_rig.processing import Estimates
+from hpe_rig.runs.run import _warnings
 from hpe_rig.scene import SettingsError, load_scene, scene_text
 from hpe_rig.store import StoreError, sha256_of_scan
 from sim_backend.settings import SimulationSettings, Transducer

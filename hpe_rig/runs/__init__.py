@@ -1,0 +1,14 @@
+"""Stored runs: open, estimate, process again, sweep, import and map; the functions of the public API.
+
+run.py              an open run file: ``open_run(path) -> Run``
+checked_scene.py    predictions for a scene before it is measured
+reprocessing.py     estimates at several values of the processing settings
+importing.py        a recording of another program -> run file
+mapping.py          a recording of many lines -> map of its motion
+settings_files.py   schemas of scene, bench and simulation; files with every key
+api.py              ``measure``, ``estimate``, ``fit_moduli`` and the other functions offered by ``hpe_rig``
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

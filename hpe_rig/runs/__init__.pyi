@@ -1,0 +1,19 @@
+from .api import (
+    estimate as estimate,
+    fit_moduli as fit_moduli,
+    measure as measure,
+    open_bench as open_bench,
+    sweep as sweep,
+)
+from .checked_scene import CheckedScene as CheckedScene, check as check
+from .importing import Imported as Imported, import_recording as import_recording, import_records as import_records
+from .mapping import map_motion as map_motion, map_recording as map_recording
+from .reprocessing import (
+    StoredPoint as StoredPoint,
+    estimate_over as estimate_over,
+    estimate_points as estimate_points,
+    parse_axes as parse_axes,
+    points_over as points_over,
+)
+from .run import Run as Run, chosen_estimator as chosen_estimator, open_run as open_run, process as process
+from .settings_files import full_text as full_text, json_schema as json_schema, settings_tables as settings_tables

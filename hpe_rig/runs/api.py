@@ -1,0 +1,244 @@
+"""Public functions of ``hpe_rig``: a scene as a name, a path or a ``Scene``, a bench as the path of its file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hpe_rig.bench import Bench, open_bench as open_instruments
+from hpe_rig.measurement import BenchSource, as_path, bench_path, prepare, provenance_now, record_run, source_text
+from hpe_rig.result import Result, ShotResult, Stages
+from hpe_rig.runs.run import Run, chosen_estimator, incomplete_warnings, open_run
+from hpe_rig.scene import Estimator, Mistake, Scene, SceneSource, SettingsError, parse_scene
+from hpe_rig.store import StoreError, WriteOptions, versions
+
+if TYPE_CHECKING:
+    from hpe_rig.moduli import ModuliResult
+    from hpe_rig.processing import Estimates
+
+
+def measure(scene: SceneSource, bench: BenchSource = None, path: str | os.PathLike[str] | None = None) -> Run:
+    """Measure ``scene`` and return the run; every output is off when this returns or raises.
+
+    ``path``: the run file, never overwritten; absent: the scene's name here, numbered where that is taken. Raises
+    ``SettingsError`` with every mistake of scene or bench file, ``PlanError`` with every conflict, ``StoreError`` where
+    the file cannot be written, ``InstrumentError`` where an instrument fails, and ``TypeError`` for a wrong type.
+
+    >>> run = measure("bovine-muscle")
+    >>> run.displacement_m(0).shape
+    >>> print(run.estimate("coherent").to_frame())
+    """
+    setup, run_file = prepare(scene, bench_path(bench)), as_path(path, "a run file is taken as its path")
+    options = WriteOptions(provenance=provenance_now(setup.bench.bench))
+    return open_run(record_run(setup, run_file, options=options))
+
+
+def sweep(
+    scene: SceneSource,
+    axes: Mapping[str, Sequence[float] | NDArray[Any]],
+    *,
+    together: bool = False,
+    bench: BenchSource = None,
+    path: str | os.PathLike[str] | None = None,
+) -> Run:
+    """Measure ``scene`` at every value of the ``axes`` and return the run, one file of all shots; as ``measure``.
+
+    ``axes``: values by the name of a number of the scene, or of the bench file as "bench.PATH"; each value with each
+    or, where ``together``, the first values of all axes, then the second ones. Every point is checked before the first
+    shot. Raises as ``measure``.
+
+    >>> run = sweep("bovine-muscle", {"tracking.delay_s": [0.0, 50e-6], "simulation.receiver.snr_db": [20.0, 40.0]})
+    >>> run.estimate().to_frame()[["tracking.delay_s", "simulation.receiver.snr_db", "amplitude_m"]]
+    """
+    if not isinstance(axes, Mapping):
+        raise TypeError(f"axes are taken as a mapping from name to values, not as {type(axes).__name__}")
+    values = {str(name): _listed(each) for name, each in axes.items()}
+    taken = {"sweep.axes": values, "sweep.combine": "zip" if together else "product"}
+    return measure(_scene(scene).with_(taken), bench, path)
+
+
+@contextmanager
+def open_bench(scene: SceneSource, bench: BenchSource = None) -> Iterator[Bench]:
+    """Yield the instruments that ``scene`` needs, by role; off and verified off on every way out.
+
+    Raises as ``measure``.
+
+    >>> with open_bench("bovine-muscle", "my-bench.toml") as bench:
+    ...     print(bench.master.identify())
+    """
+    setup = prepare(scene, bench_path(bench))
+    with open_instruments(setup.scene.scene, setup.bench.bench, setup.plan.roles) as opened:
+        yield opened
+
+
+def fit_moduli(
+    *runs: str | os.PathLike[str] | Run,
+    laws: Sequence[str] = (),
+    estimator: str | None = None,
+    width_uncertainty: float = 0.05,
+    common_amplitude: bool = True,
+    profile_step_m: float | None = None,
+) -> ModuliResult:
+    """Return the moduli of the medium that explain the vibrations of one or more runs, at all their places.
+
+    ``laws``: the media tried, absent all; ``estimator`` in place of the scenes' own; ``width_uncertainty``: relative,
+    of the widths of the force; ``common_amplitude``: whether the force was the same at all places, so that how the
+    amplitude falls with distance counts; ``profile_step_m``: gates so far apart over the depth of the records, whatever
+    the scenes say of such. Raises as ``open_run``, ``SettingsError`` where a scene has no tonebursts, no
+    [beams], or runs push differently, and ``StoreError`` where nothing can be estimated.
+
+    >>> print(hpe.fit_moduli("gelatin-moduli.h5"))
+    """
+    from hpe_rig.medium import law_names
+    from hpe_rig.moduli import Source, moduli_of
+
+    if unknown := [law for law in laws if law not in law_names()]:
+        raise SettingsError(
+            "moduli", [Mistake("law", f"there is no {each} medium", ", ".join(law_names())) for each in unknown]
+        )
+    chosen = [law for law in law_names() if law in laws] or list(law_names())
+    opened = [(run if isinstance(run, Run) else open_run(run)).with_profile(profile_step_m) for run in runs]
+    if not opened:
+        raise SettingsError("moduli", [Mistake("", "no run is named", "hpe-rig moduli RUN.h5")])
+    chosen_estimator(estimator, opened[0].scene)
+    try:
+        sources = [Source(run.path.name, run.scene, run.plan, run.stored) for run in opened]
+        return moduli_of(sources, chosen, estimator, width_uncertainty, common_amplitude)
+    except ValueError as error:
+        raise StoreError(f"{opened[0].path}: {error}") from error
+
+
+def estimate(
+    rf: ArrayLike,
+    *,
+    sample_rate_hz: float,
+    pulse_rate_hz: float,
+    carrier_hz: float,
+    frequencies_hz: Sequence[float],
+    sound_speed_m_per_s: float = 1540.0,
+    estimator: str = "coherent",
+    margin: tuple[int, int] = (0, 0),
+) -> Result:
+    """Return amplitude and phase of the motion in anybody's gated echoes.
+
+    ``rf`` (..., pulse, sample), real: the samples of the gate, pulses ``1 / pulse_rate_hz`` apart; integers of a
+    digitizer do as well as volts. ``margin``: how many of the samples come before the gate and how many behind it; with
+    six carrier periods on either side the gate's edges cost nothing. A pulse with a sample that is not finite counts as
+    missing; where there are leading axes each of their entries becomes a shot of the result, in C order. Phases are
+    those of sin(2 pi f t + phase) with t from the first pulse; displacement is positive away from the transducer.
+    An entry that carries no estimate is left out, with a warning that says why. Raises ``TypeError`` where ``rf`` is
+    not real, ``SettingsError`` for an unknown estimator, ``ValueError`` for settings that cannot be and where no entry
+    carries an estimate.
+
+    >>> rf = np.load("echoes.npy")
+    >>> result = estimate(rf, sample_rate_hz=100e6, pulse_rate_hz=4e3, carrier_hz=9e6, frequencies_hz=[200.0])
+    """
+    volts = _real(rf)
+    if not 0 < pulse_rate_hz < np.inf:
+        raise ValueError(f"a pulse rate of {pulse_rate_hz:g} Hz: it must be positive and finite")
+    stages = Stages()
+    chosen = chosen_estimator(estimator)
+    acquired: dict[str, Any] = {"sample_rate_hz": sample_rate_hz, "carrier_hz": carrier_hz, "margin": margin}
+    acquired["sound_speed_m_per_s"] = sound_speed_m_per_s
+    with stages("process"):
+        found = _shots(volts.reshape(-1, *volts.shape[-2:]), pulse_rate_hz, acquired, frequencies_hz, chosen)
+    return Result(
+        title=f"Echoes of shape {volts.shape}",
+        run_file="",
+        simulated=False,
+        status="complete",
+        estimator=chosen,
+        phase_reference="of sin(2 pi f t + phase), with t from the first pulse",
+        shots=found.shots,
+        warnings=tuple(incomplete_warnings(found)),
+        omitted=(),
+        versions=versions(),
+        run_time_s=stages.run_time_s,
+        shots_without_result=tuple(found.without.items()),
+    )
+
+
+def _shots(
+    trains: NDArray[np.floating[Any]],
+    pulse_rate_hz: float,
+    acquired: dict[str, Any],
+    frequencies_hz: Sequence[float],
+    estimator: Estimator,
+) -> Estimates:
+    """Return the estimates of ``trains`` (train, pulse, sample); raise the first ``ValueError`` where none has one."""
+    from hpe_rig.processing import Estimates
+
+    shots, refused = list[ShotResult](), dict[int, ValueError]()
+    for index, volts in enumerate(trains):
+        try:
+            shots.append(_shot(index, volts, pulse_rate_hz, acquired, frequencies_hz, estimator))
+        except ValueError as error:
+            refused[index] = error
+    if refused and not shots:
+        raise refused[0]
+    return Estimates(tuple(shots), {index: str(error) for index, error in refused.items()})
+
+
+def _shot(
+    index: int,
+    volts: NDArray[np.floating[Any]],
+    pulse_rate_hz: float,
+    acquired: dict[str, Any],
+    frequencies_hz: Sequence[float],
+    estimator: Estimator,
+) -> ShotResult:
+    from hpe_rig.processing import (
+        EchoGate,
+        Known,
+        estimate as estimate_motion,
+        estimates_of,
+        gate_edge_relative,
+        spec_of,
+    )
+
+    valid = np.isfinite(volts).all(axis=-1)
+    # A constant offset, such as a digitizer's, is no echo; one number for all pulses keeps their resting echo.
+    centred = volts - volts[valid].mean() if valid.any() else volts
+    pulse_time_s = np.arange(valid.size) / pulse_rate_hz
+    echoes = EchoGate(volts=centred, pulse_time_s=pulse_time_s, valid=valid, **acquired)
+    edge = gate_edge_relative(echoes, spec_of(estimator).gate_window)
+    fit = estimate_motion(echoes, frequencies_hz, estimator)
+    return ShotResult(
+        shot=index,
+        repeat=0,
+        burst_length_s=None,
+        force_fraction=None,
+        pulses_used=fit.pulses,
+        pulses_missing=int((~valid).sum()),
+        residual_m=float(fit.residual_rms_m),
+        estimates=estimates_of(fit, Known(acquired["sound_speed_m_per_s"], gate_edge=edge)),
+        warnings=(),
+        pulse_rate_hz=pulse_rate_hz,
+    )
+
+
+def _real(rf: ArrayLike) -> NDArray[np.floating[Any]]:
+    """Return ``rf`` as float32 where it is that, else as float64."""
+    values = np.asarray(rf)
+    if values.dtype.kind not in "iuf":
+        raise TypeError(f"rf is taken as real numbers (..., pulse, sample), not as {values.dtype}")
+    if values.ndim < 2:
+        raise ValueError(f"rf has shape {values.shape}: it needs the axes (..., pulse, sample)")
+    if not values.size:
+        raise ValueError(f"rf has shape {values.shape}: it holds no echo")
+    return values if values.dtype == np.float32 else values.astype(np.float64)
+
+
+def _listed(values: Any) -> Any:
+    """Return ``values`` as plain numbers; what is no row of numbers as it is, for the scene's own message."""
+    return np.atleast_1d(values).tolist() if isinstance(values, np.ndarray | int | float) else values
+
+
+def _scene(source: SceneSource) -> Scene:
+    """Return the scene that is meant, also that of a run file."""
+    return source if isinstance(source, Scene) else parse_scene(*source_text(source)).scene

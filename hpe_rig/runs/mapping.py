@@ -1,0 +1,109 @@
+"""Map: a recording of many lines becomes amplitude, phase and velocity over lines and depths, without a run file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hpe_rig.recordings import Recording, read_recording, read_settings
+from hpe_rig.result import MotionMap
+from hpe_rig.runs.importing import known_of_scene
+from hpe_rig.scene import Mistake, Scene, SceneSource, SettingsError, edited_text, parse_scene, path_of, scene_text
+
+
+def map_motion(
+    recording: str | os.PathLike[str] | ArrayLike,
+    scene: SceneSource,
+    *,
+    sidecar: str | os.PathLike[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **settings: Any,
+) -> MotionMap:
+    """Return amplitude, phase and velocity with their uncertainties at every line and depth of ``recording``.
+
+    A file or an array of anybody's echoes, described as for ``import_records``; all lines where none are chosen. Gates
+    of the scene's ``acquisition.gate_length_m`` follow each other from the first sample on; of I and Q, whose samples
+    are pixels already, a gate shorter than one sample is one sample. Frequencies are the scene's. ``progress`` is told
+    how many lines are done, of how many. A pixel without echo or with noise alone is marked and NaN. Where Numba has
+    been imported the passes over pixels are compiled, and results differ by rounding. Raises ``SettingsError`` with
+    every mistake of recording, sidecar or scene.
+
+    >>> found = map_motion("rf.npz", "my-scene.toml", axes="line,pulse,sample", line_pitch_m=0.3e-3)
+    >>> found.to_xarray().amplitude_m.sel(frequency=200.0)
+    >>> found.figure().savefig("map.png")
+    """
+    source = Path(recording) if isinstance(recording, str | os.PathLike) else np.asarray(recording)
+    beside = None if sidecar is None else Path(sidecar)
+    return map_recording(source, scene, beside, settings, progress)[0]
+
+
+def map_recording(
+    source: Path | Any,
+    scene: SceneSource,
+    sidecar: Path | None = None,
+    options: dict[str, Any] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[MotionMap, tuple[str, ...]]:
+    """Return the map of ``source`` and what was inferred of it; raises as ``map_motion``."""
+    from hpe_rig.processing import map_pixels
+
+    name, text = scene_text(scene)
+    settings, where = read_settings(source if isinstance(source, Path) else None, sidecar, options)
+    recording = read_recording(source, settings, where, known_of_scene(name, text), for_map=True)
+    if recording.values.shape[1] != 1:
+        what = f"a map is of one shot, the recording has {recording.values.shape[1]}"
+        raise SettingsError(f"recording {recording.name}", [Mistake("axes", what, "one of them, or hpe-rig import")])
+    own = _as_recorded(name, text, recording)
+    if not own.wanted_frequencies_hz:
+        what = "the scene wants no vibration frequency"
+        raise SettingsError(f"scene {name}", [Mistake("processing.frequencies_hz", what, "[200.0]")])
+    try:
+        found = map_pixels(
+            recording.values[:, 0],
+            recording.pulse_time_s,
+            own.wanted_frequencies_hz,
+            _map_settings(own, recording),
+            recording.line_position_m,
+            progress,
+        )
+    except ValueError as error:
+        what, _, remedy = str(error).rpartition(": ")
+        mistake = Mistake("", what or str(error), remedy if what else "other settings")
+        raise SettingsError(f"recording {recording.name}", [mistake]) from error
+    return replace(found, origin=f"IMPORTED from {recording.name}, SHA-256 {recording.sha256}"), recording.inferred
+
+
+def _as_recorded(name: str, text: str, recording: Recording) -> Scene:
+    """Return the scene with the rates and counts of the recording."""
+    values: dict[str, float] = {
+        "tracking.pulse_rate_hz": recording.pulse_rate_hz,
+        "tracking.pulse_count": recording.values.shape[2],
+        "tracking.carrier_hz": recording.carrier_hz,
+        "acquisition.sample_rate_hz": recording.sample_rate_hz,
+        "acquisition.record_samples": recording.values.shape[3],
+    }
+    if recording.sound_speed_m_per_s is not None:
+        values["acquisition.sound_speed_m_per_s"] = recording.sound_speed_m_per_s
+    return parse_scene(name, edited_text(text, {path_of(key): value for key, value in values.items()})).scene
+
+
+def _map_settings(scene: Scene, recording: Recording) -> Any:
+    from hpe_rig.processing import MapSettings
+
+    acquisition = scene.acquisition
+    per_metre = 2 / acquisition.sound_speed_m_per_s * recording.sample_rate_hz
+    return MapSettings(
+        sample_rate_hz=recording.sample_rate_hz,
+        carrier_hz=recording.carrier_hz,
+        gate_samples=max(1, round(acquisition.gate_length_m * per_metre)),
+        sound_speed_m_per_s=acquisition.sound_speed_m_per_s,
+        sound_speed_uncertainty=acquisition.sound_speed_uncertainty,
+        first_sample_s=recording.first_sample_s,
+        demodulation_hz=recording.demodulation_hz,
+    )

@@ -1,0 +1,149 @@
+"""Codes to volts, offset, gate and window."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hpe_rig import measure
+from hpe_rig.plan import select
+from hpe_rig.processing.echo import band, conditioning, echoes
+from hpe_rig.processing.echo.conditioning import _median, centred_volts, codes_to_volts, hann
+from hpe_rig.processing.motion import phase_shift
+from hpe_rig.processing.motion.phase_shift import coherent
+from hpe_rig.processing.shots import margin_needed, shot_echoes
+from hpe_rig.scene import load_scene
+from hpe_rig.store import StoreError, reader
+
+
+def test_full_scale_codes_become_full_scale_volts() -> None:
+    volts = codes_to_volts(np.array([[-8192, 0, 8191]], dtype=np.int16), 0.8 / 8192, 0.01)
+    np.testing.assert_allclose(volts, [[-0.79, 0.01, 0.8 * 8191 / 8192 + 0.01]], rtol=1e-15)
+
+
+def test_offset_goes_and_the_resting_echo_stays() -> None:
+    echo = np.array([3000, 0, -3000, 0, 3000, 0, -3000, 0], dtype=np.int16)
+    volts = centred_volts(np.tile(echo + np.int16(500), (7, 1)), 1e-4, np.ones(7, dtype=bool))
+    # float32: 2^-24 of the largest number that occurs, 0.35 V, twice
+    np.testing.assert_allclose(volts, np.tile(echo * 1e-4, (7, 1)), atol=2 * 0.35 * 2**-24)
+
+
+def test_missing_and_full_scale_records_move_no_other_records_offset() -> None:
+    codes = np.tile(np.array([120, -80, 120, -80], dtype=np.int16), (5, 1))
+    codes[1] = -32768
+    codes[3, 2:] = 8191
+    volts = centred_volts(codes, 1e-4, np.array([True, False, True, False, True]))
+    np.testing.assert_allclose(volts[[0, 2, 4]], np.tile([1e-2, -1e-2], (3, 2)), rtol=1e-6)
+    # without a sound record there is no offset to know
+    assert centred_volts(codes, 1e-4, np.zeros(5, dtype=bool))[0, 0] == np.float32(120e-4)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 100, 101])
+def test_the_median_is_that_of_numpy(count: int) -> None:
+    values = np.random.default_rng(count).standard_normal((3, count))
+    assert np.array_equal(_median(values), np.median(values, axis=-1, keepdims=True))
+
+
+@pytest.mark.parametrize("count", [2, 3, 99, 130])
+def test_hann_window_is_symmetric_with_mean_one_half(count: int) -> None:
+    window = hann(count)
+    np.testing.assert_allclose(window, window[::-1], atol=1e-15)
+    assert window.mean() == pytest.approx(0.5, abs=1e-15)
+
+
+def test_volts_made_in_blocks_give_the_motion_of_those_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = measure(load_scene("table-1").with_({"processing.window_start_s": 2e-3}), path=tmp_path / "run.h5")
+    shot, records = run.plan.shots[0], run.stored.records
+    gate, margin = shot.gate, margin_needed(run.scene, shot)
+    looked: list[np.ndarray] = []
+    held = records.in_blocks(0, gate, margin)
+    left = records.in_blocks(0, gate, margin, most_held=0, look=lambda codes: looked.append(codes.copy()))
+    whole = records.gated(0, gate)
+    np.testing.assert_array_equal(np.concatenate(looked), whole.codes)
+    seen, direct = (conditioning.statistics_of(whole.codes), conditioning.gate_statistics(left))
+    for name in ("lowest", "highest", "mean", "square"):
+        np.testing.assert_allclose(getattr(seen, name), getattr(direct, name), rtol=1e-6)
+    assert not hasattr(left, "codes")
+    chosen = select(run.scene, shot)
+    expected = coherent(shot_echoes(run.scene, shot, held, chosen))
+    for module in (conditioning, echoes):
+        monkeypatch.setattr(module, "BLOCK_SAMPLES", 7 * held.shape[1])
+    monkeypatch.setattr(phase_shift, "STEPS_AT_ONCE", 5)
+    monkeypatch.setattr(phase_shift, "ALIGNED_AT_ONCE", 6)
+    found = shot_echoes(run.scene, shot, left, chosen)
+    assert len(list(found.blocks(found.gate))) == -(-found.valid.size // 7)
+    np.testing.assert_allclose(found.energy, shot_echoes(run.scene, shot, held, chosen).energy, rtol=1e-5)
+    np.testing.assert_allclose(found.gate_volts, shot_echoes(run.scene, shot, held, chosen).gate_volts, atol=1e-7)
+    in_blocks = coherent(found)
+    # single precision of the spectra: 6e-8 of an echo's phase
+    np.testing.assert_allclose(in_blocks.displacement_m, expected.displacement_m, rtol=0, atol=5e-12)
+    np.testing.assert_allclose(in_blocks.variance_m2, expected.variance_m2, rtol=1e-3)
+    assert band.band_spectrum(found, 2)[0].dtype == np.complex64
+
+
+def test_codes_of_a_long_shot_are_the_same_from_the_copy_and_from_the_run_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = measure(load_scene("table-1").with_({"tracking.pulse_count": 300}), path=tmp_path / "run.h5")
+    gate, margin = run.plan.shots[0].gate, margin_needed(run.scene, run.plan.shots[0])
+    expected = run.stored.records.in_blocks(0, gate, margin).block(slice(None))
+    copied = run.stored.records.in_blocks(0, gate, margin, most_held=0)
+    monkeypatch.setattr(reader, "MOST_COPIED_BYTES", 0)
+    uncopied = run.stored.records.in_blocks(0, gate, margin, most_held=0)
+    monkeypatch.undo()
+    # as where the disk of temporary files has no room
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
+    without_room = run.stored.records.in_blocks(0, gate, margin, most_held=0)
+    for records in (copied, uncopied, without_room):
+        for pulses in (slice(None), slice(3, 17), slice(290, 400), slice(5, 5)):
+            np.testing.assert_array_equal(records.block(pulses), expected[pulses])
+
+
+def test_a_copy_that_was_cut_is_a_message() -> None:
+    copy = reader.CodesCopy(4)
+    copy.add(np.ones((3, 4), np.int16))
+    assert copy.block(1, 3).sum() == 8
+    os.ftruncate(vars(copy)["_file"].fileno(), 8)
+    with pytest.raises(StoreError, match="another program has cut it"):
+        copy.block(1, 3)
+
+
+def test_spectra_of_a_long_train_lie_in_a_file_and_give_the_same_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lost = {"tracking.pulse_count": 400, "processing.window_start_s": 2e-3}
+    run = measure(load_scene("table-1").with_(lost), path=tmp_path / "run.h5")
+    shot = run.plan.shots[0]
+    records = run.stored.records.in_blocks(0, shot.gate, margin_needed(run.scene, shot), most_held=0)
+    found = shot_echoes(run.scene, shot, records, select(run.scene, shot))
+    # some pulses that do not count, in every block of volts
+    found = found.without(np.arange(found.valid.size) % 7 == 3)
+    at_once = coherent(found)
+    for module in (conditioning, echoes):
+        monkeypatch.setattr(module, "BLOCK_SAMPLES", 50 * records.shape[1])
+    expected = coherent(found)
+    # volts and products are of single precision: how many pulses are multiplied at once decides their rounding
+    rounding = np.sqrt(records.shape[1]) * np.finfo(np.float32).eps
+    one_radian_m = run.scene.acquisition.sound_speed_m_per_s / (4 * np.pi * found.carrier_hz)
+    np.testing.assert_allclose(expected.displacement_m, at_once.displacement_m, rtol=0, atol=rounding * one_radian_m)
+    monkeypatch.setattr(phase_shift, "ALIGNED_AT_ONCE", 64)
+    monkeypatch.setattr(band, "MOST_HELD_BYTES", 0)
+    assert isinstance(band.band_spectrum(found, 2)[0], np.memmap)
+    in_file = coherent(found)
+    np.testing.assert_allclose(in_file.displacement_m, expected.displacement_m, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(in_file.variance_m2, expected.variance_m2, rtol=1e-9)
+    assert float(in_file.largest_step) == pytest.approx(float(expected.largest_step), rel=1e-12)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a file on which there is never room")
+def test_a_full_temporary_disk_costs_memory_and_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(band, "MOST_HELD_BYTES", 0)
+    monkeypatch.setattr(tempfile, "TemporaryFile", partial(Path("/dev/full").open, "r+b", buffering=0))
+    made = band.spectra((3, 5), np.dtype(np.complex64))
+    assert type(made) is np.ndarray
+    assert made.shape == (3, 5)
