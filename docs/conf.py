@@ -6,14 +6,14 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE))
+sys.path.insert(0, str(HERE / "_build_tools"))
 
-from generate import write_pages  # noqa: E402, beside this file
+from generate import write_pages  # noqa: E402, found on the path set above
 
 project = "hpe_rig"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 source_suffix = {".md": "markdown"}
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "_build_tools"]
 html_theme = "pydata_sphinx_theme"
 html_title = "hpe_rig"
 html_show_copyright = False

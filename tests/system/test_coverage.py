@@ -1,4 +1,4 @@
-"""Stated intervals hold the truth as often as they say: subsets of what ``scripts/interval_coverage.py`` measures."""
+"""Stated intervals hold the truth as often as they say: subsets of what ``scripts/validation/interval_coverage.py`` measures."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 from hpe_rig.bench import twin_of
 from hpe_rig.scene import load_scene
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "interval_coverage.py"
+SCRIPT = Path(__file__).parents[2] / "scripts" / "validation" / "interval_coverage.py"
 HEAVY = 2.0
 """Kurtosis of the errors over that of normal ones: speckle has dark spots."""
 

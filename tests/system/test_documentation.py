@@ -26,19 +26,19 @@ FAST = (
 )
 """Pages whose blocks run by default; the others take minutes together."""
 FIRST = {
-    "docs/run-file.md": "hpe-rig run bovine-muscle",
-    "docs/bench-safety.md": "hpe-rig new my-bench --like bench",
+    "docs/reference/run-file.md": "hpe-rig run bovine-muscle",
+    "docs/how-to/bench-safety.md": "hpe-rig new my-bench --like bench",
 }
 """Commands that a page supposes to have been run."""
 
 
 def program(name: str) -> ModuleType:
     """Return a program of the documentation, which is no part of a package."""
-    sys.path.insert(0, str(DOCS))
+    sys.path.insert(0, str(DOCS / "_build_tools"))
     try:
         return importlib.import_module(name)
     finally:
-        sys.path.remove(str(DOCS))
+        sys.path.remove(str(DOCS / "_build_tools"))
 
 
 SNIPPETS = program("snippets")

@@ -27,8 +27,8 @@ needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo t
 @pytest.mark.external
 @pytest.mark.filterwarnings("default")
 def test_pymeasure_gets_what_the_page_says_over_every_transport() -> None:
-    page = runpy.run_path(str(ROOT / "scripts" / "pymeasure_programs.py"))["page"]()
-    assert page == (ROOT / "docs" / "pymeasure.md").read_text(encoding="utf-8")
+    page = runpy.run_path(str(ROOT / "docs" / "_build_tools" / "pymeasure_programs.py"))["page"]()
+    assert page == (ROOT / "docs" / "reference" / "pymeasure.md").read_text(encoding="utf-8")
     rows = [row.split("|")[2:-1] for row in page.splitlines() if row.startswith(("| Keysight", "| Agilent"))]
     assert len(rows) == 16
     assert {row[-1].strip() for row in rows} == {"0"}

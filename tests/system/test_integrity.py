@@ -1,4 +1,4 @@
-"""Nothing is silently wrong: bits flipped, files cut or lost, disks that fail; `scripts/integrity.py` counts."""
+"""Nothing is silently wrong: bits flipped, files cut or lost, disks that fail; `scripts/robustness/integrity.py` counts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-SCRIPT = Path(__file__).parents[2] / "scripts" / "integrity.py"
+SCRIPT = Path(__file__).parents[2] / "scripts" / "robustness" / "integrity.py"
 Counts = dict[str, dict[str, int]]
 LINUX = pytest.mark.skipif(sys.platform != "linux" or shutil.which("cc") is None, reason="needs cc and Linux's /proc")
 

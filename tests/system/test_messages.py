@@ -38,7 +38,7 @@ CAUSES = {
 
 @pytest.fixture(scope="module")
 def messages() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("messages", ROOT / "scripts" / "messages.py")
+    spec = importlib.util.spec_from_file_location("messages", ROOT / "docs" / "_build_tools" / "messages.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

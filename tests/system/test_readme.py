@@ -67,7 +67,7 @@ def test_the_quick_start_is_two_commands_that_install_and_run(folder: Path) -> N
 
 
 def test_the_study_is_run_at_its_smallest_size(folder: Path) -> None:
-    (study,) = blocks((ROOT / "docs" / "studies.md").read_text(encoding="utf-8"), "toml")
+    (study,) = blocks((ROOT / "docs" / "how-to" / "studies.md").read_text(encoding="utf-8"), "toml")
     assert tomllib.loads(study)["scatterers"] == 500
     (folder / "mine.toml").write_text(study, encoding="utf-8")
     said = invoked("study mine.toml --scatterers 2 --noise 2 --workers 1")

@@ -303,7 +303,7 @@ def test_a_heavy_import_of_the_package_is_noticed(tree: Path, library: str) -> N
 
 def draw(root: Path, output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw the picture of the packages in ``root`` with the script beside them."""
-    script = root / "scripts" / "draw_architecture.py"
+    script = root / "scripts" / "figures" / "draw_architecture.py"
     spec = importlib.util.spec_from_file_location("draw_architecture", script)
     assert spec is not None
     assert spec.loader is not None
@@ -324,7 +324,7 @@ def test_the_picture_of_the_architecture_shows_the_rooms_that_there_are(
         for path in (ROOT / "docs" / "figures" / "architecture.svg", tmp_path / "now.svg")
     )
     assert {"scene", "cli", "measurement", "world", "alazar"} <= shown
-    assert shown == now, "try: python scripts/draw_architecture.py"
+    assert shown == now, "try: python scripts/figures/draw_architecture.py"
 
 
 @pytest.mark.parametrize(
@@ -346,7 +346,7 @@ def test_the_picture_refuses_an_arrow_upwards_and_a_room_without_a_place(
         draw(tree, tree / "wrong.svg", monkeypatch)
 
 
-SCRIPTS = sorted(file for file in (ROOT / "scripts").glob("*.py") if "__main__" in file.read_text(encoding="utf-8"))
+SCRIPTS = sorted(file for file in (ROOT / "scripts").rglob("*.py") if "__main__" in file.read_text(encoding="utf-8"))
 
 
 def test_no_script_reads_its_words_without_argparse() -> None:

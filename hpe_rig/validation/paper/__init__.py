@@ -1,6 +1,5 @@
-"""Paper: its figures on the twin, its numbers and trends against the studies.
+"""The paper's numbers and trends, compared with the results of a study.
 
-`experiments` runs scenes and writes the page of `twin` (Fig. 1, 14, interference, dose), `force_lines` (Fig. 15),
-`muscle` (Fig. 16 to 19, Table II) and `sphere` (calibration); `reproduction` lists the paper's statements, each judged
-by `claims` or `judgement` from a study's results.
+`reproduction` lists the statements of the paper; `claims` and `judgement` judge each from a study's results. The
+experiments of the paper on the twin are in scripts/validation/paper.
 """

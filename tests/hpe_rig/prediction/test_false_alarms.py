@@ -11,7 +11,7 @@ import pytest
 
 from hpe_rig.prediction.detection import FALSE_ALARMS
 
-SCRIPT = Path(__file__).parents[3] / "scripts" / "detection.py"
+SCRIPT = Path(__file__).parents[3] / "scripts" / "validation" / "detection.py"
 
 
 @pytest.fixture(scope="module")

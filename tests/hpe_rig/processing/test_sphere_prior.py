@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from sphere import sphere_phasors
 
 import hpe_rig as hpe
 from hpe_rig.bench.twin import contradictions
@@ -15,7 +16,6 @@ from hpe_rig.medium.ensemble import _even_sequence, _modulus
 from hpe_rig.moduli import push_of
 from hpe_rig.runs import Run
 from hpe_rig.scene import SettingsError
-from hpe_rig.validation.paper.sphere import sphere_phasors
 from sim_backend.motion.sphere import sphere_response
 from sim_backend.settings.simulation import Sphere
 

@@ -390,9 +390,9 @@ def test_settings_with_the_output_on_leave_the_memory_flat(settings: int) -> Non
 
 def test_the_page_of_the_commands_is_what_the_table_says() -> None:
     root = Path(__file__).parents[3]
-    page = runpy.run_path(str(root / "scripts" / "command_tree.py"))["page"]()
-    written = (root / "docs" / "command-tree.md").read_text(encoding="utf-8")
-    assert written == page, "run python scripts/command_tree.py"
+    page = runpy.run_path(str(root / "docs" / "_build_tools" / "command_tree.py"))["page"]()
+    written = (root / "docs" / "reference" / "command-tree.md").read_text(encoding="utf-8")
+    assert written == page, "run python docs/_build_tools/command_tree.py"
 
 
 # Fuzzing: every header with every kind of argument
