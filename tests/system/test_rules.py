@@ -1,7 +1,6 @@
-"""The rules of the architecture hold, and the machine that checks them notices when they do not."""
+"""The rules of the architecture hold, and each check fails on a copy of the packages that breaks its rule."""
 
 import ast
-import importlib.util
 import re
 import shutil
 import subprocess
@@ -9,7 +8,6 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -20,7 +18,7 @@ HEAVY = ("numpy", "scipy", "matplotlib", "pyvisa", "h5py", "sim_backend", "xarra
 
 @cache
 def parsed(text: str) -> ast.Module:
-    """Return the syntax tree of a file's text, which most copies of the tree share."""
+    """Return the syntax tree of a file's text; copies of the packages share most of them."""
     return ast.parse(text)
 
 
@@ -48,7 +46,7 @@ def test_the_light_core_imports_no_figures_no_signal_processing_and_no_visa() ->
     assert not loaded.intersection({"matplotlib", "scipy.signal", "xarray", "starlette", "pyvisa", "sim_backend"})
 
 
-def test_checking_a_scene_on_metal_loads_neither_twin_nor_visa(tmp_path: Path) -> None:
+def test_checking_a_scene_for_a_real_bench_loads_neither_twin_nor_visa(tmp_path: Path) -> None:
     bench = (ROOT / "hpe_rig" / "bench" / "shipped" / "simulated.toml").read_text(encoding="utf-8")
     for simulated, real in (
         ("simulated = true", "simulated = false"),
@@ -73,7 +71,7 @@ def lint(folder: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    """A copy of packages and scripts that a test may spoil."""
+    """Return a copy of packages and scripts that a test may change."""
     for name in (*PACKAGES, "scripts"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
@@ -85,7 +83,7 @@ def test_the_import_contracts_hold(tree: Path) -> None:
     assert done.returncode == 0, done.stdout
 
 
-def test_the_import_contracts_notice_every_violation(tree: Path) -> None:
+def test_the_import_contracts_detect_every_violation(tree: Path) -> None:
     violations = {
         "hpe_rig.plan.shots": "hpe_rig.measurement.run",
         "hpe_rig.measurement.sequencer": "drivers.alazar.digitizer",
@@ -104,19 +102,19 @@ def test_the_import_contracts_notice_every_violation(tree: Path) -> None:
         assert f"{importer} -> {imported} " in done.stdout
 
 
-def faces(root: Path) -> dict[str, Path]:
-    """Return the face, ``__init__.pyi``, of every room by the room's dotted name."""
-    files = sorted(face for package in PACKAGES for face in (root / package).rglob("__init__.pyi"))
-    return {".".join(file.parent.relative_to(root).parts): file for file in files}
+def public_interfaces(root: Path) -> dict[str, Path]:
+    """Return the public interface, ``__init__.pyi``, of every package by the package's dotted name."""
+    stubs = sorted(stub for package in PACKAGES for stub in (root / package).rglob("__init__.pyi"))
+    return {".".join(stub.parent.relative_to(root).parts): stub for stub in stubs}
 
 
-def offers(face: Path) -> dict[str, str]:
-    """Return each name that a face offers, and the file of the room that it comes from, dotted."""
-    statements = [item for item in parsed(face.read_text(encoding="utf-8")).body if isinstance(item, ast.ImportFrom)]
+def public_names(stub: Path) -> dict[str, str]:
+    """Return each name of a public interface, and the dotted module inside the package that defines it."""
+    statements = [item for item in parsed(stub.read_text(encoding="utf-8")).body if isinstance(item, ast.ImportFrom)]
     return {alias.asname or alias.name: item.module or "" for item in statements for alias in item.names}
 
 
-def defined(body: list[ast.stmt]) -> Iterator[str]:
+def defined_names(body: list[ast.stmt]) -> Iterator[str]:
     """Yield the names that a module's statements bind, also under ``if`` and ``try``."""
     for item in body:
         match item:
@@ -130,31 +128,31 @@ def defined(body: list[ast.stmt]) -> Iterator[str]:
                 yield from (alias.asname or alias.name for alias in names)
             case ast.If() | ast.Try():
                 handlers = [line for handler in getattr(item, "handlers", []) for line in handler.body]
-                yield from defined([*item.body, *item.orelse, *handlers])
+                yield from defined_names([*item.body, *item.orelse, *handlers])
 
 
-def face_mistakes(root: Path) -> list[str]:
-    """Return what is wrong with the rooms' faces: names that do not exist, names that are also files of the room."""
+def interface_mistakes(root: Path) -> list[str]:
+    """Return public names that do not exist, and public names that are modules of the package too."""
     mistakes = []
-    for room, face in faces(root).items():
-        for name, module in offers(face).items():
-            file = face.parent.joinpath(*module.split("."))
-            source = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
-            stub = source.with_suffix(".pyi")
-            known = set(offers(stub)) if stub.exists() else set()
+    for package, stub in public_interfaces(root).items():
+        for name, module in public_names(stub).items():
+            path = stub.parent.joinpath(*module.split("."))
+            source = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+            inner_stub = source.with_suffix(".pyi")
+            defined = set(public_names(inner_stub)) if inner_stub.exists() else set()
             if source.exists():
-                known |= set(defined(parsed(source.read_text(encoding="utf-8")).body))
-            if name not in known:
-                mistakes.append(f"{room} offers {name}, which {module} does not define")
-            shadow = face.parent / name
-            if "." in room and (shadow.is_dir() or shadow.with_suffix(".py").exists()):
-                mistakes.append(f"{room} offers {name}, which is also a file of it: importing that file hides the name")
+                defined |= set(defined_names(parsed(source.read_text(encoding="utf-8")).body))
+            if name not in defined:
+                mistakes.append(f"{package} offers {name}, which {module} does not define")
+            shadow = stub.parent / name
+            if shadow.is_dir() or shadow.with_suffix(".py").exists():
+                mistakes.append(f"{package} offers {name}, which is also a module of it: importing that hides the name")
     return mistakes
 
 
 @cache
 def imports(text: str) -> list[tuple[int, str, list[str]]]:
-    """Return line, module and names (none: the module itself) of every import, wherever in a file's text it stands."""
+    """Return line, module and names (none: the module itself) of every import in a file, in functions too."""
     return list(_imports(text))
 
 
@@ -171,73 +169,80 @@ def _imports(text: str) -> Iterator[tuple[int, str, list[str]]]:
                     yield node.lineno, str(name.value), []
 
 
-def room_of(module: str, rooms: dict[str, set[str]]) -> str:
-    """Return the innermost room that a dotted module lies in, "" where it lies in none."""
+def package_of(module: str, packages: dict[str, set[str]]) -> str:
+    """Return the innermost package with a public interface that holds a dotted module, "" if there is none."""
     parts = module.split(".")
-    inside = (".".join(parts[:length]) for length in range(len(parts), 1, -1))
-    return next((name for name in inside if name in rooms), "")
+    outward = (".".join(parts[:length]) for length in range(len(parts), 1, -1))
+    return next((name for name in outward if name in packages), "")
 
 
-def door_mistakes(root: Path) -> list[str]:
-    """Return every import that enters a room past its face, and every one inside a room that goes by its own face."""
-    rooms = {room: set(offers(face)) for room, face in faces(root).items()}
+def private_imports(root: Path) -> list[str]:
+    """Return every import that bypasses the public interface of a package, or uses it from inside the package."""
+    packages = {package: set(public_names(stub)) for package, stub in public_interfaces(root).items()}
     files = [file for folder in (*PACKAGES, "scripts") for file in sorted((root / folder).rglob("*.py"))]
     mistakes = []
     for file in files:
-        place = file.relative_to(root)
-        here = room_of(".".join(place.with_suffix("").parts), rooms)
+        path = file.relative_to(root)
+        importer = package_of(".".join(path.with_suffix("").parts), packages)
         for line, module, names in imports(file.read_text(encoding="utf-8")):
-            room = room_of(module, rooms)
-            if not room:
+            package = package_of(module, packages)
+            if not package:
                 continue
-            where = f"{place.as_posix()}:{line}"
-            if room == here:
-                # A file may import the file beside it as a whole; what the face offers it takes from where it is.
-                if module == room and (not names or rooms[room].intersection(names)):
-                    mistakes.append(f"{where} imports from its own room's face, {room}")
-            elif module != room:
-                mistakes.append(f"{where} imports {module} past the face of {room}")
+            location = f"{path.as_posix()}:{line}"
+            if package == importer:
+                # A module may import a neighbour as a whole; a public name is imported from the module that defines it.
+                if module == package and (not names or packages[package].intersection(names)):
+                    mistakes.append(f"{location} imports from the public interface of its own package, {package}")
+            elif module != package:
+                mistakes.append(f"{location} imports {module}, which bypasses the public interface of {package}")
             else:
-                mistakes += [
-                    f"{where} imports {name}, which {room} does not offer" for name in names if name not in rooms[room]
-                ]
+                private = [name for name in names if name not in packages[package]]
+                mistakes += [f"{location} imports {name}, which {package} does not offer" for name in private]
     return mistakes
 
 
 @pytest.fixture(scope="module")
-def mistakes_here() -> list[str]:
-    """Return the imports past a face of the tree as it is."""
-    return door_mistakes(ROOT)
+def mistakes_in_tree() -> list[str]:
+    """Return the private imports of the tree under test."""
+    return private_imports(ROOT)
 
 
-def test_rooms_are_entered_through_their_faces_alone(mistakes_here: list[str]) -> None:
-    assert mistakes_here == []
+def test_packages_import_only_public_names_of_each_other(mistakes_in_tree: list[str]) -> None:
+    assert mistakes_in_tree == []
 
 
-def test_faces_offer_what_exists_under_names_of_their_own() -> None:
-    assert len(faces(ROOT)) >= 15
-    assert face_mistakes(ROOT) == []
+def test_every_public_name_is_defined_and_no_module_hides_it() -> None:
+    assert len(public_interfaces(ROOT)) >= 15
+    assert interface_mistakes(ROOT) == []
 
 
 @pytest.mark.parametrize(
     ("file", "statement", "message"),
     [
-        ("hpe_rig/plan/shots.py", "from hpe_rig.scene.scene import Scene", "past the face of hpe_rig.scene"),
-        ("hpe_rig/plan/shots.py", "import hpe_rig.bench.opening", "past the face of hpe_rig.bench"),
+        (
+            "hpe_rig/plan/shots.py",
+            "from hpe_rig.scene.loading import Scene",
+            "bypasses the public interface of hpe_rig.s",
+        ),
+        ("hpe_rig/plan/shots.py", "import hpe_rig.bench.opening", "bypasses the public interface of hpe_rig.bench"),
         ("hpe_rig/plan/shots.py", "from hpe_rig.scene import nothing", "imports nothing, which hpe_rig.scene does"),
-        ("hpe_rig/plan/shots.py", "from hpe_rig.plan import make_plan", "imports from its own room's face"),
-        ("scripts/measure.py", "from hpe_rig.store.writer import RunWriter", "past the face of hpe_rig.store"),
-        ("sim_backend/world.py", "from sim_backend.echoes.engine import echoes", "past the face of sim_backend.echoes"),
-        ("hpe_rig/cli/app.py", "import_module(f'hpe_rig.report.{name}')", "past the face of hpe_rig.report"),
+        ("hpe_rig/plan/shots.py", "from hpe_rig.plan import make_plan", "imports from the public interface of its own"),
+        ("scripts/measure.py", "from hpe_rig.store.writer import RunWriter", "the public interface of hpe_rig.store"),
+        (
+            "sim_backend/world.py",
+            "from sim_backend.echoes.engine import x",
+            "the public interface of sim_backend.echoes",
+        ),
+        ("hpe_rig/cli/app.py", "import_module(f'hpe_rig.report.{name}')", "the public interface of hpe_rig.report"),
     ],
 )
-def test_an_import_past_a_face_is_noticed(
-    tree: Path, mistakes_here: list[str], file: str, statement: str, message: str
+def test_a_private_import_is_detected(
+    tree: Path, mistakes_in_tree: list[str], file: str, statement: str, message: str
 ) -> None:
     path = tree / file
     text = path.read_text(encoding="utf-8")
     path.write_text(f"{text}\n\ndef _violation() -> None:\n    {statement}\n", encoding="utf-8")
-    (mistake,) = set(door_mistakes(tree)) - set(mistakes_here)
+    (mistake,) = set(private_imports(tree)) - set(mistakes_in_tree)
     assert mistake.startswith(f"{file}:")
     assert message in mistake
 
@@ -247,39 +252,95 @@ def test_an_import_past_a_face_is_noticed(
     [
         ("from .format import nothing as nothing", "offers nothing, which format does not define"),
         ("from .nowhere import FORMAT as FORMAT", "offers FORMAT, which nowhere does not define"),
-        ("from .reader import read_run as writer", "offers writer, which is also a file of it"),
+        ("from .reader import read_run as writer", "offers writer, which is also a module of it"),
     ],
 )
-def test_a_face_that_is_wrong_is_noticed(tree: Path, line: str, message: str) -> None:
-    face = tree / "hpe_rig" / "store" / "__init__.pyi"
-    face.write_text(f"{face.read_text(encoding='utf-8')}{line}\n", encoding="utf-8")
-    assert any(message in mistake for mistake in face_mistakes(tree))
+def test_a_wrong_public_interface_is_detected(tree: Path, line: str, message: str) -> None:
+    stub = tree / "hpe_rig" / "store" / "__init__.pyi"
+    stub.write_text(f"{stub.read_text(encoding='utf-8')}{line}\n", encoding="utf-8")
+    assert any(message in mistake for mistake in interface_mistakes(tree))
 
 
-def unlisted(root: Path) -> list[str]:
-    """Return the files and folders that their room's docstring does not list, and those that it lists in vain."""
+def module_imports(root: Path) -> dict[str, set[str]]:
+    """Return the modules that each module of the packages imports, in functions and under TYPE_CHECKING too.
+
+    A name imported from a package counts as an import of the module that defines it.
+    """
+    paths = {path.relative_to(root): path for package in PACKAGES for path in sorted((root / package).rglob("*.py"))}
+    modules = {".".join(path.with_suffix("").parts).removesuffix(".__init__"): file for path, file in paths.items()}
+    stubs = {package: public_names(stub) for package, stub in public_interfaces(root).items()}
+
+    def definition(module: str, name: str) -> str:
+        if f"{module}.{name}" in modules:
+            return f"{module}.{name}"
+        inner = stubs.get(module, {}).get(name)
+        return definition(f"{module}.{inner}", name) if inner else module
+
+    graph: dict[str, set[str]] = {}
+    for module, file in modules.items():
+        imported = imports(file.read_text(encoding="utf-8"))
+        targets = {definition(source, name) for _, source, names in imported for name in names or [""]}
+        graph[module] = (targets & set(modules)) - {module}
+    return graph
+
+
+def import_circles(root: Path) -> list[list[str]]:
+    """Return the modules on import circles, or between two of them: they remain when all others are removed."""
+    graph = module_imports(root)
+    while removable := [module for module, imported in graph.items() if not imported & set(graph)]:
+        for module in removable:
+            del graph[module]
+    while removable := [module for module in graph if not any(module in imported for imported in graph.values())]:
+        for module in removable:
+            del graph[module]
+    return [sorted(graph)] if graph else []
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    assert import_circles(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "from hpe_rig.plan import make_plan",
+        "def late() -> None:\n    from hpe_rig.plan import make_plan",
+        "if TYPE_CHECKING:\n    from hpe_rig.plan import make_plan",
+    ],
+)
+def test_an_import_circle_is_detected(tree: Path, statement: str) -> None:
+    path = tree / "hpe_rig" / "plan" / "selection.py"
+    path.write_text(f"{path.read_text(encoding='utf-8')}\n\n{statement}\n", encoding="utf-8")
+    (circle,) = import_circles(tree)
+    assert {"hpe_rig.plan.selection", "hpe_rig.plan.shots"} <= set(circle)
+
+
+def unlisted_modules(root: Path) -> list[str]:
+    """Return modules missing from the docstring of their package, and listed modules that do not exist."""
     mistakes = []
-    for face in sorted(file for package in PACKAGES for file in (root / package).rglob("__init__.py")):
-        room, text = face.parent, ast.get_docstring(parsed(face.read_text(encoding="utf-8"))) or ""
-        # A file is listed as `name`, as name.py, or with others at the start of a line; a folder may be name/.
-        lists = re.findall(r"(\w+)\.py\b|(\w+)/|`(\w+)`|^ +(\w+(?:, \w+)*) {2}", text, flags=re.MULTILINE)
-        listed = {name for found in lists for name in ", ".join(found).split(", ")}
-        there = {file.stem for file in room.glob("*.py")} | {inner.parent.name for inner in room.glob("*/__init__.py")}
-        place = room.relative_to(root).as_posix()
-        mistakes += [f"{place} does not list {name}" for name in sorted(there - listed) if not name.startswith("__")]
-        anywhere = {file.name for file in room.rglob("*.py")}
-        mistakes += [f"{place} lists {name}" for name in re.findall(r"\w+\.py\b", text) if name not in anywhere]
+    for init in sorted(file for package in PACKAGES for file in (root / package).rglob("__init__.py")):
+        package, text = init.parent, ast.get_docstring(parsed(init.read_text(encoding="utf-8"))) or ""
+        # A module is listed as `name`, as name.py, or with others at the start of a line; a package may be name/.
+        groups = re.findall(r"(\w+)\.py\b|(\w+)/|`(\w+)`|^ +(\w+(?:, \w+)*) {2}", text, flags=re.MULTILINE)
+        listed = {name for group in groups for name in ", ".join(group).split(", ")}
+        modules = {file.stem for file in package.glob("*.py")}
+        modules |= {inner.parent.name for inner in package.glob("*/__init__.py")}
+        name = package.relative_to(root).as_posix()
+        unlisted = sorted(module for module in modules - listed if not module.startswith("__"))
+        mistakes += [f"{name} does not list {module}" for module in unlisted]
+        existing = {file.name for file in package.rglob("*.py")}
+        mistakes += [f"{name} lists {file}" for file in re.findall(r"\w+\.py\b", text) if file not in existing]
     return mistakes
 
 
-def test_a_rooms_docstring_lists_its_files() -> None:
-    assert unlisted(ROOT) == []
+def test_the_docstring_of_a_package_lists_its_modules() -> None:
+    assert unlisted_modules(ROOT) == []
 
 
-def test_a_file_that_is_not_listed_or_not_there_is_noticed(tree: Path) -> None:
+def test_an_unlisted_or_missing_module_is_detected(tree: Path) -> None:
     (tree / "hpe_rig" / "store" / "writer.py").rename(tree / "hpe_rig" / "store" / "scribe.py")
     (tree / "sim_backend" / "wiring.py").rename(tree / "sim_backend" / "cables.py")
-    assert unlisted(tree) == [
+    assert unlisted_modules(tree) == [
         "hpe_rig/store does not list scribe",
         "hpe_rig/store lists writer.py",
         "sim_backend does not list cables",
@@ -290,77 +351,68 @@ def test_a_file_that_is_not_listed_or_not_there_is_noticed(tree: Path) -> None:
 LIGHT = ("numpy", "pydantic", "h5py")
 
 
-def test_importing_the_package_loads_no_numerics_no_validation_and_no_files() -> None:
+def test_importing_the_package_loads_no_numpy_pydantic_or_h5py() -> None:
     assert not modules_after("import hpe_rig").intersection(LIGHT)
 
 
 @pytest.mark.parametrize("library", LIGHT)
-def test_a_heavy_import_of_the_package_is_noticed(tree: Path, library: str) -> None:
+def test_a_heavy_import_of_the_package_is_detected(tree: Path, library: str) -> None:
     package = tree / "hpe_rig" / "__init__.py"
     package.write_text(f"{package.read_text(encoding='utf-8')}\nimport {library}\n", encoding="utf-8")
     assert library in modules_after("import hpe_rig", tree)
 
 
-def draw(root: Path, output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw the picture of the packages in ``root`` with the script beside them."""
-    script = root / "scripts" / "figures" / "draw_architecture.py"
-    spec = importlib.util.spec_from_file_location("draw_architecture", script)
-    assert spec is not None
-    assert spec.loader is not None
-    program = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(program)
-    # Of the files that a copy shares with the tree the syntax trees are there.
-    monkeypatch.setattr(program, "ast", SimpleNamespace(**vars(ast) | {"parse": parsed}))
-    monkeypatch.setattr(sys, "argv", [str(script), str(output)])
-    program.main()
+def draw_architecture(root: Path, output: Path) -> subprocess.CompletedProcess[str]:
+    """Draw the picture of the packages in ``root`` with the script of that folder."""
+    command = [sys.executable, root / "scripts" / "figures" / "draw_architecture.py", output]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
-def test_the_picture_of_the_architecture_shows_the_rooms_that_there_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    draw(ROOT, tmp_path / "now.svg", monkeypatch)
-    shown, now = (
+def test_the_picture_of_the_architecture_shows_the_packages(tmp_path: Path) -> None:
+    done = draw_architecture(ROOT, tmp_path / "now.svg")
+    assert done.returncode == 0, done.stderr
+    committed, drawn = (
         set(re.findall(r"<text[^>]*>([^<]+)</text>", path.read_text(encoding="utf-8")))
         for path in (ROOT / "docs" / "figures" / "architecture.svg", tmp_path / "now.svg")
     )
-    assert {"scene", "cli", "measurement", "world", "alazar"} <= shown
-    assert shown == now, "try: python scripts/figures/draw_architecture.py"
+    assert {"scene", "cli", "measurement", "world", "alazar"} <= committed
+    assert committed == drawn, "try: python scripts/figures/draw_architecture.py"
 
 
 @pytest.mark.parametrize(
     ("file", "statement", "message"),
     [
         ("hpe_rig/plan/shots.py", "import hpe_rig.report", "hpe_rig.plan imports report, drawn no lower"),
-        ("hpe_rig/cellar/__init__.py", "import hpe_rig.scene", "hpe_rig.cellar has no place"),
+        ("hpe_rig/cellar/__init__.py", "import hpe_rig.scene", "hpe_rig.cellar has no box"),
     ],
 )
-def test_the_picture_refuses_an_arrow_upwards_and_a_room_without_a_place(
-    tree: Path, monkeypatch: pytest.MonkeyPatch, file: str, statement: str, message: str
+def test_the_picture_refuses_an_upward_import_and_an_unknown_package(
+    tree: Path, file: str, statement: str, message: str
 ) -> None:
     path = tree / file
     path.parent.mkdir(exist_ok=True)
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     path.write_text(f"{text}\n{statement}\n", encoding="utf-8")
-    # Ends the program with this message and a code that is not 0.
-    with pytest.raises(SystemExit, match=re.escape(message)):
-        draw(tree, tree / "wrong.svg", monkeypatch)
+    done = draw_architecture(tree, tree / "wrong.svg")
+    assert done.returncode == 1
+    assert message in done.stderr
 
 
-SCRIPTS = sorted(file for file in (ROOT / "scripts").rglob("*.py") if "__main__" in file.read_text(encoding="utf-8"))
+PROGRAMS = sorted(file for file in (ROOT / "scripts").rglob("*.py") if "__main__" in file.read_text(encoding="utf-8"))
 
 
-def test_no_script_reads_its_words_without_argparse() -> None:
-    by_itself = [file.name for file in SCRIPTS if not _asks_argparse(ast.parse(file.read_text(encoding="utf-8")))]
-    assert by_itself == []
+def test_every_script_reads_its_options_with_argparse() -> None:
+    without = [file.name for file in PROGRAMS if not _uses_argparse(ast.parse(file.read_text(encoding="utf-8")))]
+    assert without == []
 
 
-def _asks_argparse(script: ast.Module) -> bool:
+def _uses_argparse(script: ast.Module) -> bool:
     return any(isinstance(node, ast.Attribute) and node.attr == "ArgumentParser" for node in ast.walk(script))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda file: file.stem)
-def test_every_script_says_how_it_is_used_and_does_nothing_else(script: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("script", PROGRAMS, ids=lambda file: file.stem)
+def test_help_of_a_script_prints_its_usage_and_writes_nothing(script: Path, tmp_path: Path) -> None:
     answer = subprocess.run([sys.executable, script, "--help"], capture_output=True, text=True, cwd=tmp_path)
     assert (answer.returncode, answer.stderr, list(tmp_path.iterdir())) == (0, "", [])
     assert answer.stdout.startswith(f"usage: {script.name}")
