@@ -32,11 +32,11 @@ l_g  gate_length_m      F_s  sample_rate_hz    f_v    frequencies_hz    T_s  pro
 E, T excitation_width_m, tracking_width_m      D_0, phi_s  amplitude_m, phase_rad
 """
 
-from hpe_rig.startup import end_plainly, is_program
+from hpe_rig.startup import exit_on_interrupt, is_program
 
 if is_program():
-    # Before anything else is loaded, which takes as long as Python's own start.
-    end_plainly()
+    # First of all: the imports below take as long as the start of Python.
+    exit_on_interrupt()
 
 import lazy_loader
 

@@ -3,7 +3,6 @@
 Files, from what is typed to what is shown::
 
     entry.py    ``main``: what Ctrl-C does before a command begins
-    loading.py  of libraries only what is used
     app.py      commands that plan, measure, process and look at a bench
     studies.py  commands that study scenes and estimators by simulation
     keys.py     keys pressed while a run goes on

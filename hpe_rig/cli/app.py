@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 import sys
-from copy import copy
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -98,7 +97,7 @@ def main() -> None:
             stream.reconfigure(errors="replace")
     refuse_undecodable(sys.argv)
     try:
-        _asked_for(sys.argv[1:])()
+        app()
     except KeyboardInterrupt:
         # It came before the command began, and so before anything was opened.
         announce("hpe-rig: interrupted")
@@ -106,21 +105,6 @@ def main() -> None:
     finally:
         # All is said and every output is off: nothing may turn the exit code into another one.
         ignore_interrupts()
-
-
-def _asked_for(words: list[str]) -> typer.Typer:
-    """Return the command line with the command that is asked for alone; whole where none is, as for its help.
-
-    Typer would make the parameters of all the others too, which takes longer than many a command's own imports.
-    """
-    asked = next((word for word in words if not word.startswith("-")), None)
-    every = [*app.registered_commands, *studies.registered_commands]
-    found = [each for each in every if asked == (each.name or getattr(each.callback, "__name__", None))]
-    if asked is None or not found:
-        return app
-    alone = copy(app)
-    alone.registered_commands, alone.registered_groups = found, []
-    return alone
 
 
 @app.callback()
