@@ -30,12 +30,11 @@ from hpe_rig.processing import (
     Window,
     bounded_steepness,
     driven_spectrum,
-    fourth_moment,
     harmonic_range_hz,
-    lengthened,
     spec_of,
+    with_second_order_speckle,
 )
-from hpe_rig.result import NORMAL, Averaging
+from hpe_rig.result import Averaging
 from hpe_rig.scene import Scene
 
 Triple = tuple[float, float, float]
@@ -44,7 +43,7 @@ DIRECTIONS = 96
 OFF_AXIS_SHARE = 0.913
 """Of what obliquity takes on the axis, its mean over the focal plane, by energy of echoes, at any aperture."""
 SHAPE_RELATIVE = 0.004
-"""Between what beams of an aperture and Gaussians of the same echo energy track, besides (scripts/aperture.py)."""
+"""Between what beams of an aperture and Gaussians of the same echo energy track, besides (scripts/validation/aperture.py)."""
 SPECKLE_PER_CELL = 11.0
 """Scatterers per resolution cell where nothing says otherwise: fully developed speckle (paper, Table I)."""
 SPECKLE_DRAWS = 2000
@@ -75,25 +74,21 @@ def predicted_averaging(
     widths, window = (beams.force_width_m, beams.tracking_width_m), spec_of(estimator).gate_window
     lengths = resting.gate_length_m, resting.pulse_length_m
     gaussian = beam_averaging_factor(*widths, *lengths, gate_window=window, scatterers_per_m3=resting.scatterers_per_m3)
-    spread, carrier, tails = speckle_spread(resting, estimator)
+    spread, carrier = speckle_spread(resting, estimator)
     if scene.excitation is None:
-        alike = Averaging(gaussian, 0.0, spread, carrier_relative=carrier, speckle_kurtosis=(tails, NORMAL))
+        alike = Averaging(gaussian, 0.0, spread, carrier_relative=carrier)
         return tuple(_as_sensed(scene, alike) for _ in frequency_hz)
     many = gaussian_averaging(*widths, beams.axial_spread_m)
     # To first order in how far the motion changes over the beam, its loss is in proportion to the Gaussian's.
     loss_scale, area_spread = (1 - gaussian) / (1 - many), spread / -_gaussian_steepness(beams)
-    ratio, deviation, steepness, (steep_tails, ratio_tails) = _seen_through(scene, beams, frequency_hz)
+    ratio, deviation, steepness = _seen_through(scene, beams, frequency_hz)
     factor = 1 - loss_scale * (1 - np.abs(ratio))
     speckle, uncertain = area_spread * steepness, (factor * deviation.real, deviation.imag)
     columns = np.stack([factor, np.angle(ratio), speckle.real, *uncertain, speckle.imag], axis=-1).tolist()
-    rest = {"carrier_relative": carrier, "area_spread": area_spread, "loss_scale": loss_scale, "area_kurtosis": tails}
-    kurtoses = zip((tails * steep_tails).tolist(), ratio_tails.tolist(), strict=True)
-    found = [
-        replace(Averaging(*each), **rest, speckle_kurtosis=tuple(own), lost_kurtosis=tuple(lost))
-        for each, (own, lost) in zip(columns, kurtoses, strict=True)
-    ]
+    rest = {"carrier_relative": carrier, "area_spread": area_spread, "loss_scale": loss_scale}
+    found = [replace(Averaging(*each), **rest) for each in columns]
     return tuple(
-        _scaled(_as_sensed(scene, lengthened(each)), share)
+        _scaled(_as_sensed(scene, with_second_order_speckle(each)), share)
         for each, share in zip(found, _by_its_force(scene, beams, frequency_hz), strict=True)
     )
 
@@ -168,10 +163,10 @@ def resting_conditions(scene: Scene) -> Conditions | None:
 
 
 @functools.lru_cache(maxsize=16)
-def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float, float]:
+def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float]:
     """Return relative standard deviations over speckle of the tracked displacement, and of the carrier it is taken for.
 
-    And the kurtosis of the first. Of a Gaussian motion as wide as ``resting`` says, over scatterers drawn at random:
+    Of a Gaussian motion as wide as ``resting`` says, over scatterers drawn at random:
     speckle's dark spots give a heavy tail, and it repeats to about 2 / sqrt(``SPECKLE_DRAWS``). The second, in closed
     form, is 0 for an estimator that does not divide by the carrier.
     """
@@ -181,30 +176,28 @@ def speckle_spread(resting: Conditions, estimator: str) -> tuple[float, float, f
     ratio = tracked_over_peak(resting, name, speckle)
     lengths = resting.tracking_width_m[2], resting.gate_length_m, resting.pulse_length_m
     carrier = carrier_spread(*lengths, 1 / resting.metres_per_radian, spec.gate_window) if spec.by_carrier else 0.0
-    kurtosis = float(np.mean((ratio - ratio.mean()) ** 4) / ratio.var() ** 2)
-    return float(ratio.std() / ratio.mean()), carrier, kurtosis
+    return float(ratio.std() / ratio.mean()), carrier
 
 
 def _seen_through(
     scene: Scene, beams: BeamWidths, frequency_hz: FloatArray
-) -> tuple[ComplexArray, ComplexArray, ComplexArray, tuple[FloatArray, FloatArray]]:
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Return tracked over peak motion (frequency,), its uncertainty, and how steeply it falls with the beam's area.
 
-    Complex: relative amplitude and phase. And ``fourth_moment`` of steepness and ratio, each (frequency, 2). Of the
+    Complex: relative amplitude and phase. Of the
     declared medium, else of the whole ensemble: the mean of the ratio's logarithm, its standard deviation, and the
     root mean square of the steepness.
     """
     known = medium_of(scene, frequency_hz, simulated=False)
-    one_medium = np.ones((frequency_hz.size, 2)), np.full((frequency_hz.size, 2), NORMAL)
     if known is not None and beams.lateral_m:
         place_m = np.array([beams.lateral_m])
         tracked, peak, change = (each[:, 0] for each in seen_beside(*known, frequency_hz, beams, place_m))
-        return tracked / peak, np.zeros_like(tracked), change / tracked, one_medium
+        return tracked / peak, np.zeros_like(tracked), change / tracked
     if known is not None:
         widths = beams.force_width_m, beams.tracking_width_m
         tracked, peak, by_area = medium_motion(*known, frequency_hz, *widths, beams.axial_spread_m)
         steep = by_area / tracked
-        return tracked / peak, np.zeros_like(tracked), np.abs(steep.real) + 1j * np.abs(steep.imag), one_medium
+        return tracked / peak, np.zeros_like(tracked), np.abs(steep.real) + 1j * np.abs(steep.imag)
     ensemble = _ensemble(scene, beams, frequency_hz)
     to_wanted = ensemble.interpolation(frequency_hz).T
     tracked, peak, change = (each @ to_wanted for each in (ensemble.tracked, ensemble.peak, ensemble.steepness))
@@ -219,10 +212,7 @@ def _seen_through(
         return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
     deviation = ratio.real.std(axis=0) + 1j * ratio.imag.std(axis=0)
-    pairs = (np.stack([each.real, each.imag], axis=-1) for each in (steep, ratio - ratio.mean(axis=0)))
-    alike = np.full(len(ratio), 1 / len(ratio))
-    of_steep, of_ratio = (fourth_moment(alike, pair) for pair in pairs)
-    return np.exp(ratio.mean(axis=0)), deviation, rms(steep.real) + 1j * rms(steep.imag), (of_steep, of_ratio)
+    return np.exp(ratio.mean(axis=0)), deviation, rms(steep.real) + 1j * rms(steep.imag)
 
 
 def _ensemble(scene: Scene, beams: BeamWidths, frequency_hz: FloatArray) -> Ensemble:
@@ -337,7 +327,7 @@ def oblique_share(diameter_m: float, focal_length_m: float) -> float:
     """Return the delay that a displacement makes in a focused beam, over 2 u / c, weighted by the echoes' energy.
 
     The waves of a bowl reach the focus under all angles up to its half angle: their mean cosine is less than 1.
-    docs/theory/transducer.md, section 2.
+    docs/explanation/transducer.md, section 2.
     """
     sine = min(diameter_m / 2 / focal_length_m, 1.0)
     return float(1 - OFF_AXIS_SHARE * (1 - np.sqrt(1 - sine**2)) / 2)

@@ -92,8 +92,7 @@ class Conditions:
 class Expected:
     """Predicted for one estimator: all against the peak displacement and its phase; standard deviations.
 
-    ``quadrature_m``: noise of each quadrature, which the stated uncertainty is about (that is wider by ``by_residual``
-    of the pulses' residual); ``noise_jitter_m``: what it makes of the amplitude, less where that is small. ``tracked``:
+    ``quadrature_m``: noise of each quadrature, about the stated uncertainty; ``noise_jitter_m``: what it makes of the amplitude, less where that is small. ``tracked``:
     mean of tracked over peak displacement, without noise.
     ``relative_variances``: of the noise in groups of equally many media over its mean, where it differs among them.
     """

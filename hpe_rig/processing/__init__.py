@@ -11,7 +11,6 @@
     cross_correlation  u_k = c/2 argmax_tau <mean of others(t - tau), r_k>  correlation.py
                        all harmonics at once, with a prior of media         prior.py, of ensemble.py
                        or A_i, phi_i, background: least squares             harmonic.py, or kalman_filter.py
-    joint              A_i, phi_i that make all echoes one echo, delayed    maximum_likelihood.py
 
     cross_spectrum     v_n = -c dtheta_n(f_c) / (4 pi f_c T_prf)            spectral_peak.py, eqs. (5) (6)
                        compiled, where Numba is                             spectral_peak_numba.py
@@ -34,7 +33,7 @@
 
 Positive displacement is away from the transducer. Others use ``estimate`` on echoes (``EchoGate``), ``estimate_run`` on
 a stored run, and ask ``spec_of(name)`` for an estimator's properties, never for its name. Theory:
-docs/theory/estimation.md.
+docs/explanation/estimation.md.
 """
 
 import lazy_loader

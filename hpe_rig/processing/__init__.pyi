@@ -1,4 +1,9 @@
-from .budget import Known as Known, estimates_of as estimates_of, known_of as known_of, lengthened as lengthened
+from .budget import (
+    Known as Known,
+    estimates_of as estimates_of,
+    known_of as known_of,
+    with_second_order_speckle as with_second_order_speckle,
+)
 from .burst_period import burst_period_motion as burst_period_motion, residual_m as residual_m
 from .echo.band import Band as Band, band_grid as band_grid, band_of as band_of
 from .echo.conditioning import codes_to_volts as codes_to_volts, hann as hann, unlike_pulses as unlike_pulses
@@ -14,7 +19,6 @@ from .echo.echoes import (
 from .echo.gate_tracking import added as added, follow as follow
 from .estimators import (
     ESTIMATORS as ESTIMATORS,
-    WINDOW_NOISE as WINDOW_NOISE,
     Estimator as Estimator,
     EstimatorSpec as EstimatorSpec,
     Options as Options,
@@ -33,7 +37,6 @@ from .harmonics.harmonic_fit import (
     least_squares as least_squares,
 )
 from .harmonics.kalman_filter import kalman as kalman
-from .harmonics.maximum_likelihood import joint as joint
 from .harmonics.medium_prior import (
     WEIGHT as WEIGHT,
     Evidence as Evidence,
@@ -41,7 +44,6 @@ from .harmonics.medium_prior import (
     MediumPrior as MediumPrior,
     bounded_steepness as bounded_steepness,
     driven_spectrum as driven_spectrum,
-    fourth_moment as fourth_moment,
     harmonic_range_hz as harmonic_range_hz,
     medium_fit as medium_fit,
     medium_kalman as medium_kalman,

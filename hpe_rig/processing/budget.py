@@ -1,7 +1,7 @@
 """Uncertainty budget of an estimate: the independent sources of error, each as standard uncertainties.
 
 u^2 = sum_i u_i^2 for amplitude and phase alike (Guide to the expression of uncertainty in measurement, 5.1.2), every
-u_i being that of the value corrected to the peak displacement. docs/numbers.md says what each source is.
+u_i being that of the value corrected to the peak displacement. docs/explanation/numbers.md says what each source is.
 """
 
 from __future__ import annotations
@@ -15,22 +15,14 @@ import numpy as np
 from hpe_rig.arrays import FloatArray
 from hpe_rig.bench import twin_of
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
-from hpe_rig.result import (
-    NORMAL,
-    PHASE_VARIANCE_LIMIT,
-    RECTIFIED,
-    Averaging,
-    Component,
-    Estimate,
-    combined_kurtosis,
-    phase_kurtosis,
-    residual_kurtosis,
-)
+from hpe_rig.result import PHASE_VARIANCE_LIMIT, RECTIFIED, Averaging, Component, Estimate
 from hpe_rig.scene import Scene
 
 TINY_M = 1e-30
 TRACKED = Averaging(1.0, 0.0, 0.0)
 """Averaging where no beams are known: what is tracked is taken as it is."""
+SPECKLE_KURTOSIS = 6.0
+"""Kurtosis of the speckle error: fully developed speckle, gate of 1 mm (docs/theory/prediction.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,29 +119,29 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     shared = np.array([averaging.shared_relative, averaging.shared_phase_rad2]) * unit**2
     aliasing, lost = _with_shared(aliasing, lost**2, shared)
 
-    def fitted(source: str, variance: FloatArray, kurtosis: tuple[float, float] = (NORMAL, NORMAL)) -> Component:
+    def fitted(source: str, variance: FloatArray, degrees_of_freedom: float = math.inf) -> Component:
         u_m, u_rad = np.sqrt(variance).tolist()
-        return Component(source, u_m / averaging.factor, u_rad, *kurtosis)
+        return Component(source, u_m / averaging.factor, u_rad, degrees_of_freedom)
 
-    def relative(
-        source: str, amplitude: float, phase_rad: float = 0.0, kurtosis: tuple[float, float] = (NORMAL, NORMAL)
-    ) -> Component:
-        return Component(source, amplitude * peak_m, phase_rad, *kurtosis)
+    def relative(source: str, amplitude: float, phase_rad: float = 0.0) -> Component:
+        return Component(source, amplitude * peak_m, phase_rad)
 
-    few, unknown = residual_kurtosis(float(fit.freedom)), phase_kurtosis(float(random[1]))
-    noisy = few, unknown if unknown < NORMAL else few
+    # Jitter is stated, noise is the rest of the residual's variance. These degrees of freedom of noise make those of
+    # both together (Welch-Satterthwaite) equal to the residual's.
+    nu = float(fit.freedom)
+    noise_nu, jitter_nu = (nu * (1 - share) ** 2, math.inf) if share < 1 else (nu, nu)
     rounding = np.array(known.rounding_m[index] if known.rounding_m else (0.0, 0.0)) / (1.0, max(amplitude_m, TINY_M))
     off_carrier = averaging.carrier_relative or known.carrier_relative
     carrier = (relative("carrier", off_carrier),) if off_carrier else ()
     shape = (relative("beam shape", averaging.shape_relative),) if averaging.shape_relative else ()
     return (
-        fitted("noise", random * (1 - share), noisy),
-        fitted("trigger jitter", random * share, noisy),
-        Component(RECTIFIED, math.sqrt(fit.rectified_m2[index]) / averaging.factor, 0.0),
+        fitted("noise", random * (1 - share), noise_nu),
+        fitted("trigger jitter", random * share, jitter_nu),
+        Component(RECTIFIED, math.sqrt(fit.rectified_m2[index]) / averaging.factor, 0.0, nu),
         fitted("quantisation", np.minimum(rounding**2, (np.inf, PHASE_VARIANCE_LIMIT))),
         fitted("aliasing", aliasing),
-        relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad, averaging.speckle_kurtosis),
-        fitted("beam averaging", lost, averaging.lost_kurtosis),
+        relative("speckle", averaging.speckle_relative, averaging.speckle_phase_rad),
+        fitted("beam averaging", lost),
         relative("gate edge", known.gate_edge),
         relative("sound speed", known.sound_speed_uncertainty),
         relative("gate off focus", averaging.offset_relative),
@@ -158,18 +150,15 @@ def components(fit: HarmonicFit, index: int, known: Known, averaging: Averaging)
     )
 
 
-def lengthened(averaging: Averaging) -> Averaging:
-    """Return ``averaging``, of which speckle's amplitude is that of the first order, with the second order as well.
+def with_second_order_speckle(averaging: Averaging) -> Averaging:
+    """Return ``averaging`` with the second-order effect of speckle on the amplitude added to ``speckle_relative``.
 
-    What is tracked is linear in what weights the motion, so that a part t across the phasor makes it longer by t^2 / 2,
-    which has the mean square k u^4 / 4 where t has the standard deviation u and the kurtosis k. That of t^2 is (35 / 3)
-    (k / 3)^4 where t is a normal number of a log-normal scale. Both orders count as independent.
+    The tracked phasor is (1 + x + j t) times its mean. A relative error t across it also raises the amplitude by t^2/2.
+    Its root mean square is sqrt(k) u^2 / 2, with u the standard deviation and k the kurtosis of t. Both orders are
+    added as independent errors.
     """
-    amplitude, turn = averaging.speckle_kurtosis
-    second = math.sqrt(turn) / 2 * averaging.speckle_phase_rad**2
-    total = math.hypot(averaging.speckle_relative, second)
-    kurtosis = combined_kurtosis(total, ((averaging.speckle_relative, amplitude), (second, 35 / 3 * (turn / 3) ** 4)))
-    return replace(averaging, speckle_relative=total, speckle_kurtosis=(kurtosis, turn))
+    second_order = math.sqrt(SPECKLE_KURTOSIS) / 2 * averaging.speckle_phase_rad**2
+    return replace(averaging, speckle_relative=math.hypot(averaging.speckle_relative, second_order))
 
 
 def _with_shared(aliasing: FloatArray, lost: FloatArray, shared: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from hpe_rig.arrays import BoolArray, ByteArray, ComplexSingleArray, FloatArray, SingleArray
 from hpe_rig.processing.echo.band import BAND, compiled
 from hpe_rig.processing.harmonics.model import LinearModel, linear_model
-from hpe_rig.result import BadPixel, MotionMap, by_residual
+from hpe_rig.result import BadPixel, MotionMap
 
 RESULTS: Final = (
     "amplitude_m",
@@ -262,20 +262,14 @@ class _Pixels:
     def _frequency_noise(self) -> np.float32:
         """Relative variance of the echo's frequency over the variance of a pulse's phase."""
         per_sample = 2 * np.pi * self.mixed_hz / self.settings.sample_rate_hz * self.factor
-        return np.float32(2 * STRIDE / self.time_s.size / per_sample**2 * self._by_residual)
-
-    @property
-    def _by_residual(self) -> float:
-        """Factor on a variance that the residual of a pixel's pulses tells."""
-        pulses, states = self.model.matrix.shape
-        return float(by_residual(pulses - states))
+        return np.float32(2 * STRIDE / self.time_s.size / per_sample**2)
 
     def _estimates(
         self, state: SingleArray, noise_m2: SingleArray, metres: SingleArray, relative: SingleArray
     ) -> list[SingleArray]:
         """Return amplitude, phase (pixel, frequency) and velocity (pixel,), each with u, from ``state`` in rad."""
         count = self.frequency_hz.size
-        covariance = (self.model.root @ self.model.root.T * self._by_residual).astype(np.float32)
+        covariance = (self.model.root @ self.model.root.T).astype(np.float32)
         at = 2 * np.arange(count)
         own, other, crossed = covariance[at, at], covariance[at + 1, at + 1], covariance[at, at + 1]
         shares = np.stack([(own + other) / 2, (own - other) / 2, crossed])

@@ -12,7 +12,7 @@ import numpy as np
 from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.medium import BeamWidths, KnownMedium, RigidSphere
 from hpe_rig.plan import Plan, Selection, Shot, reference_gate, select
-from hpe_rig.processing.budget import Known, estimates_of, known_of, lengthened
+from hpe_rig.processing.budget import Known, estimates_of, known_of, with_second_order_speckle
 from hpe_rig.processing.echo.conditioning import (
     CodedVolts,
     GateStatistics,
@@ -24,7 +24,7 @@ from hpe_rig.processing.echo.conditioning import (
 )
 from hpe_rig.processing.echo.echoes import EchoGate, Motion, gate_edge_relative, margin_samples, relative_to
 from hpe_rig.processing.echo.gate_tracking import added, follow
-from hpe_rig.processing.estimators import EstimatorSpec, Harmonic, Options, estimate, fit_motion, spec_of
+from hpe_rig.processing.estimators import EstimatorSpec, Harmonic, Options, fit_motion, spec_of
 from hpe_rig.processing.harmonics.aliasing_error import with_unresolved
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior, medium_prior
@@ -137,9 +137,9 @@ def shot_fit(
     if gate is not None:
         still = stored.records.in_blocks(shot.index, gate, margin=margin)
         reference = coherent(shot_echoes(scene, shot, still, chosen))
-    motion = None if spec.motion is None else shot_motion(scene, shot, echoes, spec.motion)
+    motion = shot_motion(scene, shot, echoes, spec.motion)
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
-    return _fit(echoes, motion, reference, chosen, spec, options)[0]
+    return _fit(motion, reference, chosen, spec, options)[0]
 
 
 def options_of(processing: Processing, prior: MediumPrior | None = None) -> Options:
@@ -187,20 +187,16 @@ def _estimate_shot(
 ) -> ShotResult:
     chosen, media = select(scene, shot), shot_media(scene, shot, beams)
     options = options_of(scene.processing, shot_prior(scene, shot, spec.name, beams))
-    if spec.motion is None and scene.processing.follow_gate:
-        raise ValueError(f"{spec.name} has no displacements to add those of processing.follow_gate to: take coherent")
     full_scale = found.at_full_scale(records.code_limits)
     echoes = shot_echoes(scene, shot, records, chosen, found)
     recorded = records.valid[chosen.window]
     damaged = np.zeros_like(recorded) if records.damaged is None else records.damaged[chosen.window]
     reference = None if still is None else coherent(shot_echoes(scene, shot, still, chosen))
-    motion = None if spec.motion is None else shot_motion(scene, shot, echoes, spec.motion)
-    fit, largest_step = _fit(echoes, motion, reference, chosen, spec, options)
+    motion = shot_motion(scene, shot, echoes, spec.motion)
+    fit, largest_step = _fit(motion, reference, chosen, spec, options)
     # They tell of bench, motion and medium, not of the estimator: the one with the least noise looks.
     steady = _steady(scene, shot, echoes, motion if spec.motion is coherent else None)
     moved = steady if steady is None or reference is None else relative_to(steady, reference)
-    if motion is None and steady is not None:
-        largest_step = float(steady.largest_step)
     if fit.medium is None and media is not None and moved is not None:
         # Too few pulses say nothing of the medium.
         with suppress(ValueError):
@@ -217,9 +213,7 @@ def _estimate_shot(
     )
     drift = _drift(steady, chosen, options) if reference is None else None
     line = None if moved is None else _line(moved, chosen, options)
-    # A displacement of the estimator's own, else the coherent one.
-    tracked = motion if motion is None or reference is None else relative_to(motion, reference)
-    seen, tracked_by = (moved, "coherent") if tracked is None else (tracked, spec.name)
+    tracked = motion if reference is None else relative_to(motion, reference)
     return ShotResult(
         shot=shot.index,
         repeat=shot.repeat,
@@ -244,7 +238,7 @@ def _estimate_shot(
             *_line_warnings(line, shot.tracking_train.rate_hz, unlikely),
         ),
         complete=complete,
-        motion=None if seen is None else _stored_motion(seen, fit, chosen, options.background_order, tracked_by),
+        motion=_stored_motion(tracked, fit, chosen, options.background_order, spec.name),
     )
 
 
@@ -375,19 +369,14 @@ def shot_motion(scene: Scene, shot: Shot, echoes: EchoGate, motion: Callable[[Ec
 
 
 def _fit(
-    echoes: EchoGate,
-    motion: Motion | None,
+    motion: Motion,
     reference: Motion | None,
     chosen: Selection,
     spec: EstimatorSpec,
     options: Options,
 ) -> tuple[HarmonicFit, float]:
-    """Return the fit and the largest step between pulses in quarter wavelengths, 0 where it has no meaning."""
+    """Return the fit and the largest step between pulses in quarter wavelengths."""
     frequencies = chosen.wanted_hz, spec.name, chosen.driven_hz
-    if motion is None:
-        if reference is not None:
-            raise ValueError(f"{spec.name} has no displacements to subtract processing.reference_gate_depth_m's from")
-        return estimate(echoes, *frequencies, options), 0.0
     if reference is not None:
         motion = relative_to(motion, reference)
     return fit_motion(motion, *frequencies, options), float(motion.largest_step)
@@ -415,15 +404,8 @@ def averaging_seen(fit: HarmonicFit, index: int, predicted: Averaging | None) ->
         phase_uncertainty_rad=phase_rad,
         shared_relative=float(fit.medium.shared[index, 0]),
         shared_phase_rad2=float(fit.medium.shared[index, 1]),
-        speckle_kurtosis=_pair(predicted.area_kurtosis * fit.medium.steepness_kurtosis[index]),
-        lost_kurtosis=_pair(fit.medium.peak_kurtosis[index]),
     )
-    return lengthened(seen)
-
-
-def _pair(values: FloatArray) -> tuple[float, float]:
-    amplitude, phase = values.tolist()
-    return amplitude, phase
+    return with_second_order_speckle(seen)
 
 
 def _steady(scene: Scene, shot: Shot, echoes: EchoGate, motion: Motion | None) -> Motion | None:

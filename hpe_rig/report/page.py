@@ -213,7 +213,7 @@ def error_stages(shot: ShotResult, motion: MotionView | None) -> list[ErrorStage
     total = f"{whole.amplitude_uncertainty_m * 1e9:.3g} nm, {math.degrees(whole.phase_uncertainty_rad):.2g} degrees"
     rows.append(ErrorStage("combined", total, "standard uncertainty of the corrected values, all sources in squares"))
     within = f"{whole.interval_95_m * 1e9:.3g} nm, {math.degrees(whole.interval_95_rad):.2g} degrees"
-    rows.append(ErrorStage("interval of 95 %", within, "to either side, by u and kurtosis of all sources"))
+    rows.append(ErrorStage("interval of 95 %", within, "to either side, by u and its effective degrees of freedom"))
     if lead.corrected_amplitude_error is not None and lead.corrected_phase_error_rad is not None:
         error_deg = math.degrees(lead.corrected_phase_error_rad)
         error = f"{lead.corrected_amplitude_error * 100:+z.1f} %, {error_deg:+z.2f} degrees"

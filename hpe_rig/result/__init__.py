@@ -3,7 +3,7 @@
     estimates.py   Estimate (one frequency) -> ShotResult -> Result
     repeats.py     mean over repeats, tested against the stated uncertainties
     phase.py       uncertainty of a phase, also of an amplitude that may be noise
-    interval.py    how far from the truth with 68 and 95 %, by u and kurtosis
+    interval.py    half width of the 95 % interval, from u and degrees of freedom
     sentence.py    the result in one sentence
     rows.py        one row a shot and frequency: CSV, pandas, printed
     motion.py      displacement of a shot, pulse by pulse, with u and model

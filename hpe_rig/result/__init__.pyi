@@ -1,14 +1,6 @@
 from .figure import PALETTE as PALETTE
 from .grid import MOTION_UNITS as MOTION_UNITS, UNITS as UNITS, result_grid as result_grid
-from .interval import (
-    COVERED as COVERED,
-    NORMAL as NORMAL,
-    by_residual as by_residual,
-    combined_kurtosis as combined_kurtosis,
-    coverage_factor as coverage_factor,
-    phase_kurtosis as phase_kurtosis,
-    residual_kurtosis as residual_kurtosis,
-)
+from .interval import coverage_factor as coverage_factor, student_widening as student_widening
 from .json_schema import (
     dataclass_schema as dataclass_schema,
     object_schema as object_schema,

@@ -31,9 +31,7 @@ UNITS: Final = {
     "corrected_uncertainty_m": "m",
     "corrected_phase_rad": "rad",
     "corrected_phase_uncertainty_rad": "rad",
-    "interval_68_m": "m",
     "interval_95_m": "m",
-    "interval_68_rad": "rad",
     "interval_95_rad": "rad",
 }
 """Quantities of an estimate, each (shot, frequency), with their units."""

@@ -12,15 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
 
-from hpe_rig.result.interval import (
-    NORMAL,
-    by_residual,
-    combined_kurtosis,
-    half_widths,
-    phase_half_widths,
-    phase_kurtosis,
-    residual_kurtosis,
-)
+from hpe_rig.result.interval import interval_95, phase_interval_95_rad, student_widening
 from hpe_rig.result.phase import phase_variance_rad2, rectified_variance_m2
 from hpe_rig.result.values import RECTIFIED, Estimate, Headline, ShotResult
 
@@ -40,9 +32,8 @@ class RepeatMean:
     displacement where beams are known), with combined standard uncertainties. ``amplitude_sd_m`` and ``phase_sd_rad``
     are the standard deviations found between the repeats; ``chi_square`` compares them, both together, with what the
     independent components state, over ``degrees_of_freedom``; as large a one comes by chance with ``probability``.
-    Where that is below 1 %, ``agrees`` is False and the uncertainties are enlarged to the scatter found. The kurtoses
-    are those of the errors; ``interval_95_m`` says how far to either side of the mean the truth lies with 95 %, the
-    others alike.
+    Where that is below 1 %, ``agrees`` is False and the uncertainties are enlarged to the scatter found.
+    ``interval_95_m`` and ``interval_95_rad`` are the half widths of the 95 % intervals.
     """
 
     shots: tuple[int, ...]
@@ -66,11 +57,7 @@ class RepeatMean:
     true_phase_rad: float | None = None
     lateral_offset_m: float = 0.0
     axial_offset_m: float = 0.0
-    amplitude_kurtosis: float = NORMAL
-    phase_kurtosis: float = NORMAL
-    interval_68_m: float = math.nan
     interval_95_m: float = math.nan
-    interval_68_rad: float = math.nan
     interval_95_rad: float = math.nan
     swept: Mapping[str, float] = field(default_factory=dict)
 
@@ -105,25 +92,24 @@ def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
     along_m, turned_rad = _deviations(each, mean)
     independent = [_parts(item, independent=True) for item in estimates]
     chi_square = sum(
-        _squared_ratio(deviation, stated[axis])
+        _squared_ratio(deviation, stated[axis] * student_widening(item.noise_freedom))
         for axis, deviations in enumerate((along_m, turned_rad))
-        for deviation, stated in zip(deviations, independent, strict=True)
+        for deviation, stated, item in zip(deviations, independent, estimates, strict=True)
     )
     probability = float(gammaincc(freedom / 2, chi_square / 2))
     agrees = probability >= DISAGREE
     common = [_parts(item, independent=False) for item in estimates]
-    together = sum(item.noise_freedom for item in estimates)
-    stated = _of_the_mean(each, _with_freedom(estimates, independent, together), abs(mean))
-    own_m, own_rad = (
-        # Scatter beyond what is stated has a cause that nobody listed: then what was found counts.
-        max(stated[axis], 0.0 if agrees else _spread(deviations) / math.sqrt(count))
-        for axis, deviations in enumerate((along_m, turned_rad))
-    )
-    u_m, u_rad = (
-        math.hypot(own, sum(part[axis] for part in common) / count) for axis, own in enumerate((own_m, own_rad))
-    )
-    kurtosis_m, kurtosis_rad = _kurtoses(estimates, (u_m, u_rad), (own_m, own_rad), residual_kurtosis(together))
-    (narrow_m, wide_m), (narrow_rad, wide_rad) = half_widths(u_m, kurtosis_m), phase_half_widths(u_rad, kurtosis_rad)
+    stated = _of_the_mean(each, independent, abs(mean))
+    scatter = [_spread(deviations) / math.sqrt(count) for deviations in (along_m, turned_rad)]
+    # Scatter beyond the stated uncertainties has a cause that no component lists: the scatter then replaces them.
+    pooled = sum(item.noise_freedom for item in estimates)
+    independent_sources = [
+        (scatter[axis], count - 1.0) if not agrees and scatter[axis] > stated[axis] else (stated[axis], pooled)
+        for axis in (0, 1)
+    ]
+    # Common errors are fully correlated between the repeats, so that their standard uncertainties are averaged.
+    shared = [sum(part[axis] for part in common) / count for axis in (0, 1)]
+    sources_m, sources_rad = ([independent_sources[axis], (shared[axis], math.inf)] for axis in (0, 1))
     known = all(item.true_amplitude_m is not None for item in estimates)
     truth = sum(cmath.rect(i.true_amplitude_m or 0.0, i.true_phase_rad or 0.0) for i in estimates) / count
     first = shots[0]
@@ -139,15 +125,11 @@ def _mean(shots: Sequence[ShotResult], index: int) -> RepeatMean:
         frequency_hz=estimates[0].frequency_hz,
         corrected=all(item.corrected for item in each),
         amplitude_m=abs(mean),
-        amplitude_uncertainty_m=u_m,
+        amplitude_uncertainty_m=math.hypot(*(u_m for u_m, _ in sources_m)),
         phase_rad=cmath.phase(mean),
-        phase_uncertainty_rad=u_rad,
-        amplitude_kurtosis=kurtosis_m,
-        phase_kurtosis=kurtosis_rad,
-        interval_68_m=narrow_m,
-        interval_95_m=wide_m,
-        interval_68_rad=narrow_rad,
-        interval_95_rad=wide_rad,
+        phase_uncertainty_rad=math.hypot(*(u_rad for u_rad, _ in sources_rad)),
+        interval_95_m=interval_95(sources_m),
+        interval_95_rad=phase_interval_95_rad(sources_rad),
         amplitude_sd_m=_spread(along_m),
         phase_sd_rad=_spread(turned_rad),
         chi_square=chi_square,
@@ -179,41 +161,11 @@ def _of_the_mean(
     return math.hypot(u_m, rectified_m), math.sqrt(phase_variance_rad2(amplitude_m, u_m**2, u_m**2))
 
 
-def _with_freedom(
-    estimates: Sequence[Estimate], parts: Sequence[tuple[float, float]], freedom: float
-) -> list[tuple[float, float]]:
-    """Return the independent ``parts`` of u as they are where all repeats together, ``freedom``, tell their noise."""
-    factors = [math.sqrt(by_residual(freedom) / by_residual(item.noise_freedom)) for item in estimates]
-    return [(u_m * factor, u_rad * factor) for (u_m, u_rad), factor in zip(parts, factors, strict=True)]
-
-
 def _parts(estimate: Estimate, independent: bool) -> tuple[float, float]:
     """Return u of amplitude, m, and phase, rad, from the components that are independent between repeats, or not."""
     listed = [each for each in estimate.budget if each.source != RECTIFIED]
     parts = [each for each in listed if (each.source in INDEPENDENT) is independent]
     return math.hypot(*(each.amplitude_m for each in parts)), math.hypot(*(each.phase_rad for each in parts))
-
-
-def _kurtoses(
-    estimates: Sequence[Estimate], u: tuple[float, float], own: tuple[float, float], few: float
-) -> tuple[float, float]:
-    """Return the kurtoses of the mean's errors of amplitude and phase, of uncertainties ``u``.
-
-    What is common to all repeats has its kurtosis; what is the mean's ``own`` that of ``few`` degrees of freedom, or of
-    a phase that may be noise.
-    """
-    budgets = [[each for each in item.budget if each.source not in INDEPENDENT] for item in estimates]
-    unknown = phase_kurtosis(own[1] ** 2)
-    noise_m, noise_rad = (own[0], few), (own[1], unknown if unknown < NORMAL else few)
-    along = [
-        combined_kurtosis(u[0], [noise_m, *((each.amplitude_m, each.amplitude_kurtosis) for each in common)])
-        for common in budgets
-    ]
-    turned = [
-        combined_kurtosis(u[1], [noise_rad, *((each.phase_rad, each.phase_kurtosis) for each in common)])
-        for common in budgets
-    ]
-    return fmean(along), fmean(turned)
 
 
 def _squared_ratio(deviation: float, stated: float) -> float:

@@ -94,5 +94,12 @@ def scale_of(length_m: float) -> tuple[float, str]:
 def _headline(row: RepeatMean | Estimate) -> Headline:
     if isinstance(row, Estimate):
         return row.headline
-    amplitude, phase = (row.amplitude_m, row.amplitude_uncertainty_m), (row.phase_rad, row.phase_uncertainty_rad)
-    return Headline(*amplitude, *phase, row.corrected, row.amplitude_kurtosis, row.phase_kurtosis)
+    return Headline(
+        amplitude_m=row.amplitude_m,
+        amplitude_uncertainty_m=row.amplitude_uncertainty_m,
+        phase_rad=row.phase_rad,
+        phase_uncertainty_rad=row.phase_uncertainty_rad,
+        corrected=row.corrected,
+        interval_95_m=row.interval_95_m,
+        interval_95_rad=row.interval_95_rad,
+    )

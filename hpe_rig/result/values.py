@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from hpe_rig.result.interval import NORMAL, combined_kurtosis, half_widths, phase_half_widths
+from hpe_rig.result.interval import interval_95, phase_interval_95_rad
 from hpe_rig.result.motion import ShotMotion
 from hpe_rig.result.provenance import UNKNOWN, Provenance
 from hpe_rig.scene import Estimator
@@ -26,9 +26,7 @@ DERIVED = (
     "corrected_uncertainty_m",
     "corrected_phase_rad",
     "corrected_phase_uncertainty_rad",
-    "interval_68_m",
     "interval_95_m",
-    "interval_68_rad",
     "interval_95_rad",
     "corrected_amplitude_error",
     "corrected_phase_error_rad",
@@ -54,8 +52,7 @@ class Averaging:
     ``offset_factor`` and ``offset_phase_rad`` are what of ``factor`` and phase a gate off the focus, oblique waves and
     a force that is no Gaussian make, ``shape_relative`` what beams that are no Gaussians leave uncertain. For other
     media: speckle changes the logarithm of the tracking beam's area by ``area_spread``, and few speckles and scatterers
-    make what is lost ``loss_scale`` times that of many. ``area_kurtosis`` is that of speckle's change of area,
-    ``speckle_kurtosis`` and ``lost_kurtosis`` those of what speckle and the unknown medium make of amplitude and phase.
+    make what is lost ``loss_scale`` times that of many.
     """
 
     factor: float
@@ -73,9 +70,6 @@ class Averaging:
     loss_scale: float = 1.0
     shared_relative: float = 0.0
     shared_phase_rad2: float = 0.0
-    area_kurtosis: float = NORMAL
-    speckle_kurtosis: tuple[float, float] = (NORMAL, NORMAL)
-    lost_kurtosis: tuple[float, float] = (NORMAL, NORMAL)
 
 
 RECTIFIED = "rectified noise"
@@ -84,25 +78,23 @@ RECTIFIED = "rectified noise"
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """One source of uncertainty: the standard uncertainties of amplitude and phase that it alone would leave.
+    """One source of uncertainty: the standard uncertainties of amplitude and phase from this source alone.
 
-    And the kurtoses of these errors, 3 where they are normal.
+    ``degrees_of_freedom`` is infinite (null in JSON) for a source that is not estimated from the scatter of the pulses.
     """
 
     source: str
     amplitude_m: float
     phase_rad: float
-    amplitude_kurtosis: float = NORMAL
-    phase_kurtosis: float = NORMAL
+    degrees_of_freedom: float = math.inf
 
 
 @dataclass(frozen=True, slots=True)
 class Headline:
     """Amplitude and phase that a result leads with, and their combined standard uncertainties.
 
-    Those of the peak displacement where ``corrected``, else, where no beams are known, the tracked ones. The kurtoses
-    are those of their errors. ``interval_95_m``: how far to either side the interval reaches that holds the truth with
-    95 %; the others alike.
+    They describe the peak displacement if ``corrected``, otherwise (no beams declared) the tracked displacement.
+    ``interval_95_m`` and ``interval_95_rad`` are the half widths of the 95 % intervals.
     """
 
     amplitude_m: float
@@ -110,24 +102,8 @@ class Headline:
     phase_rad: float
     phase_uncertainty_rad: float
     corrected: bool
-    amplitude_kurtosis: float = NORMAL
-    phase_kurtosis: float = NORMAL
-
-    @property
-    def interval_68_m(self) -> float:
-        return half_widths(self.amplitude_uncertainty_m, self.amplitude_kurtosis)[0]
-
-    @property
-    def interval_95_m(self) -> float:
-        return half_widths(self.amplitude_uncertainty_m, self.amplitude_kurtosis)[1]
-
-    @property
-    def interval_68_rad(self) -> float:
-        return phase_half_widths(self.phase_uncertainty_rad, self.phase_kurtosis)[0]
-
-    @property
-    def interval_95_rad(self) -> float:
-        return phase_half_widths(self.phase_uncertainty_rad, self.phase_kurtosis)[1]
+    interval_95_m: float = math.nan
+    interval_95_rad: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,26 +140,23 @@ class Estimate:
         """The corrected amplitude and phase where beams are known, else the tracked ones; u of all components."""
         amplitude_m, phase_rad = self.corrected_amplitude_m, self.corrected_phase_rad
         corrected = amplitude_m is not None and phase_rad is not None
-        budget = self.budget
-        u_m, u_rad = (
-            math.hypot(*(each.amplitude_m for each in budget)),
-            math.hypot(*(each.phase_rad for each in budget)),
-        )
+        sources_m = [(source.amplitude_m, source.degrees_of_freedom) for source in self.budget]
+        sources_rad = [(source.phase_rad, source.degrees_of_freedom) for source in self.budget]
         return Headline(
             amplitude_m=amplitude_m if amplitude_m is not None else self.amplitude_m,
-            amplitude_uncertainty_m=u_m,
+            amplitude_uncertainty_m=math.hypot(*(u_m for u_m, _ in sources_m)),
             phase_rad=phase_rad if phase_rad is not None else self.phase_rad,
-            phase_uncertainty_rad=u_rad,
+            phase_uncertainty_rad=math.hypot(*(u_rad for u_rad, _ in sources_rad)),
             corrected=corrected,
-            amplitude_kurtosis=combined_kurtosis(u_m, ((each.amplitude_m, each.amplitude_kurtosis) for each in budget)),
-            phase_kurtosis=combined_kurtosis(u_rad, ((each.phase_rad, each.phase_kurtosis) for each in budget)),
+            interval_95_m=interval_95(sources_m),
+            interval_95_rad=phase_interval_95_rad(sources_rad),
         )
 
     @property
     def budget(self) -> tuple[Component, ...]:
         """The components of the headline's uncertainty; noise, as the fit states it, where none are listed."""
         noise_m = self.amplitude_uncertainty_m / (self.averaging_factor or 1.0)
-        return self.components or (Component("noise", noise_m, self.phase_uncertainty_rad),)
+        return self.components or (Component("noise", noise_m, self.phase_uncertainty_rad, self.noise_freedom),)
 
     @property
     def snr_db(self) -> float:
@@ -224,23 +197,13 @@ class Estimate:
         return self.headline.phase_uncertainty_rad if self.averaging_factor else None
 
     @property
-    def interval_68_m(self) -> float:
-        """Half width of the interval about the headline's amplitude that holds the truth with 68 %."""
-        return self.headline.interval_68_m
-
-    @property
     def interval_95_m(self) -> float:
-        """The same with 95 %."""
+        """Half width of the 95 % interval about the headline amplitude."""
         return self.headline.interval_95_m
 
     @property
-    def interval_68_rad(self) -> float:
-        """Half width of the interval about the headline's phase that holds the truth with 68 %."""
-        return self.headline.interval_68_rad
-
-    @property
     def interval_95_rad(self) -> float:
-        """The same with 95 %."""
+        """Half width of the 95 % interval about the headline phase."""
         return self.headline.interval_95_rad
 
     @property

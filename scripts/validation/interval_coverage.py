@@ -5,7 +5,7 @@ about the scene's, with the gate on the focus as an operator puts it there; and,
 the scene does not declare, the medium and the widths of the force, from the distributions that the prior of media has
 (docs/explanation/medium-prior.md). The drive is set so that the first harmonic stays as large as in the scene. What each
 headline estimate says, amplitude and phase of the peak displacement with combined standard uncertainties u and
-intervals of 68 and 95 %, is compared with the twin's truth: share of errors within each, and NEV, the mean of (error
+95 % intervals, is compared with the twin's truth: share of errors within the intervals, and NEV, the mean of (error
 / u)^2. A run's frequencies and shots share their speckle, so that the Monte Carlo error of a row is that of its
 seeds, not of its errors.
 
@@ -90,7 +90,6 @@ class Row:
     seeds: int
     refused: int
     warned: int
-    within_68: tuple[float, float]
     within_95: tuple[float, float]
     nev: tuple[float, float]
     nev_error: tuple[float, float]
@@ -170,7 +169,7 @@ def _rows(folder: Path, name: str) -> Iterator[Row]:
         for path in folder.glob(f"{name}.{estimator}.*.{_key(name)}.json"):
             runs |= json.loads(path.read_text(encoding="utf-8"))
         if runs:
-            errors = [None if run is None else np.reshape(run, (-1, 2, 3)) for run in runs.values()]
+            errors = [None if run is None else np.reshape(run, (-1, 2, 2)) for run in runs.values()]
             yield _row(name, estimator, errors)
 
 
@@ -270,7 +269,7 @@ def drawn_medium(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def _ratios(run: hpe.Run, estimator: str) -> FloatArray | None:
-    """Return error over u and over the half widths of 68 and 95 %, (estimate, 2, 3).
+    """Return error over u and over the half width of the 95 % interval, (estimate, 2, 2).
 
     None where records are refused, no estimate where a warning rules it out.
     """
@@ -279,7 +278,7 @@ def _ratios(run: hpe.Run, estimator: str) -> FloatArray | None:
     except StoreError:
         return None
     if any(WRAPS in text for shot in result.shots for text in shot.warnings):
-        return np.zeros((0, 2, 3))
+        return np.zeros((0, 2, 2))
     return np.array(list(_each_ratio(result)))
 
 
@@ -289,8 +288,8 @@ def _each_ratio(result: Result) -> Iterator[FloatArray]:
             stated = item.headline
             error_m = (item.corrected_amplitude_error or 0.0) * (item.true_amplitude_m or 0.0)
             error_rad = item.corrected_phase_error_rad or 0.0
-            widths_m = stated.amplitude_uncertainty_m, stated.interval_68_m, stated.interval_95_m
-            widths_rad = stated.phase_uncertainty_rad, stated.interval_68_rad, stated.interval_95_rad
+            widths_m = stated.amplitude_uncertainty_m, stated.interval_95_m
+            widths_rad = stated.phase_uncertainty_rad, stated.interval_95_rad
             yield np.stack([error_m / np.array(widths_m), error_rad / np.array(widths_rad)])
 
 
@@ -298,11 +297,11 @@ def _row(name: str, estimator: str, runs: Sequence[FloatArray | None]) -> Row:
     """Return the coverage over ``runs``, what ``_ratios`` has of each."""
     answered = [run for run in runs if run is not None]
     found = [run for run in answered if len(run)]
-    ratio = np.concatenate(found) if found else np.full((1, 2, 3), np.nan)
-    within = (np.abs(ratio[..., 1:]) < 1).mean(axis=0).T
+    ratio = np.concatenate(found) if found else np.full((1, 2, 2), np.nan)
+    within = (np.abs(ratio[..., 1]) < 1).mean(axis=0)
     nev, each = (ratio[..., 0] ** 2).mean(axis=0), [(run[..., 0] ** 2).mean(axis=0) for run in found]
     error = np.std(each, axis=0) / np.sqrt(max(len(each), 1)) if each else np.full(2, np.nan)
-    pairs = [(float(pair[0]), float(pair[1])) for pair in (*within, nev, error)]
+    pairs = [(float(pair[0]), float(pair[1])) for pair in (within, nev, error)]
     return Row(name, estimator, len(found), len(runs) - len(answered), len(answered) - len(found), *pairs)
 
 
@@ -315,8 +314,8 @@ def page(rows: Sequence[Row]) -> str:
             HEAD,
             "Made by `python scripts/validation/interval_coverage.py`; the last column has the number of runs.",
             "",
-            "| scene | estimator | amplitude 68 % | 95 % | NEV | phase 68 % | 95 % | NEV | runs |",
-            "|---|---|---:|---:|---:|---:|---:|---:|---:|",
+            "| scene | estimator | amplitude 95 % | NEV | phase 95 % | NEV | runs |",
+            "|---|---|---:|---:|---:|---:|---:|",
             *(_line(row) for row in rows),
             "",
             NOTES,
@@ -329,7 +328,6 @@ def _line(row: Row) -> str:
         text
         for axis in (0, 1)
         for text in (
-            f"{100 * row.within_68[axis]:.0f}",
             f"{100 * row.within_95[axis]:.0f}",
             f"{row.nev[axis]:.2f} ± {row.nev_error[axis]:.2f}",
         )
@@ -341,10 +339,10 @@ def _line(row: Row) -> str:
 
 
 HEAD = """\
-How often the stated 68 and 95 % intervals of the headline amplitude and phase (corrected to the peak displacement;
+How often the stated 95 % intervals of the headline amplitude and phase (corrected to the peak displacement;
 [what they mean](numbers.md)) hold the twin's truth, and NEV, the mean of (error / u)^2, which is 1 where u is true,
 with its standard error over the seeds. Frequencies and shots of a run share their speckle: with n runs, shares are
-known to about 47 and 22 percentage points over the root of n, 3.3 and 1.5 for 200.
+known to about 22 percentage points over the root of n, 1.5 for 200.
 
 What a seed draws is what the uncertainty says is not known, and nothing else:
 
@@ -366,28 +364,26 @@ NOTES = """\
 ## Errors that are not normal
 
 u is a standard deviation, whatever the distribution of an error: NEV is 1 where it is true. The shares within u and
-1.96 u are those of a normal error only where the error is one, and speckle's is not.
-[Intervals](theory/estimation.md#intervals) by u and kurtosis hold more nearly what they say
-(`python scripts/validation/error_distributions.py`):
+1.96 u are those of a normal error only where the error is one, and speckle's is not: u holds more than 68 %, 1.96 u
+still holds 95 % (`python scripts/validation/error_distributions.py`):
 
-| error | within u | within 1.96 u | NEV | kurtosis | within the 68 % interval | the 95 % one |
-|---|---:|---:|---:|---:|---:|---:|
-| speckle, `table-1` | 73 % | 95 % | 1.00 | 5.7 | 68 % | 95 % |
-| speckle, gate with Hann window (`cross_spectrum`) | 77 % | 95 % | 1.00 | 9.3 | 71 % | 95 % |
-| speckle, force of unknown width (phase of `bovine-muscle`) | 81 % | 94 % | 1.00 | 14.9 | 76 % | 95 % |
+| error | within u | within 1.96 u | NEV | kurtosis |
+|---|---:|---:|---:|---:|
+| speckle, `table-1` | 73 % | 95 % | 1.00 | 5.7 |
+| speckle, gate with Hann window (`cross_spectrum`) | 77 % | 95 % | 1.00 | 9.3 |
+| speckle, force of unknown width (phase of `bovine-muscle`) | 81 % | 94 % | 1.00 | 14.9 |
 
 ![Densities of these errors over u beside a normal one](figures/error-distributions.svg)
 
 * Speckle has dark spots, where its error is far larger than elsewhere. How dark the spot is that a gate holds, its
   echoes do not say: nothing tells how bright they would be elsewhere.
-* Over 400 seeds of `bovine-muscle` (`coherent`) the intervals hold 70 and 96 % of the amplitudes and 75 and 96 % of the
-  phases, where u and 1.96 u hold 74 and 96, and 80 and 96 %. NEV is 1.06 ± 0.15 and 0.95 ± 0.18: a few runs in dark
-  spots decide it.
+* Over 400 seeds of `bovine-muscle` (`coherent`) u and 1.96 u hold 74 and 96 % of the amplitudes, 80 and 96 % of the
+  phases. NEV is 1.06 ± 0.15 and 0.95 ± 0.18: a few runs in dark spots decide it.
 * The phase's error by speckle goes with the inverse square of the force's width, which the motion at one spot cannot
   tell from the medium: with a width known to 30 %, the mean of its square is twice the median. Ten times the media in
   the prior, at ten times the cost, narrow what is said of the averaging by a tenth.
 * Of a phase about which nothing is known u is 104 degrees, the standard deviation of a phase even over the circle,
-  and its intervals are 123 and 171 degrees: 58 % of those lie within u, all of them within 1.96 u. In `limits-muscle`
+  and its interval is the whole circle. In `limits-muscle`
   that is most of what `cross_spectrum` has: 1 ns of trigger jitter moves the echo by a hundred times the motion, and
   where the peak of its spectrum jumps from bin to bin the reference gate does not take it off. The pulses that are
   skipped about every toneburst let the noise along one direction of the phasors grow to 9 to 110 nm, while across it
@@ -419,9 +415,7 @@ beyond 2 kHz fall, as 1 / f^2: what aliases is the same in every run, -12 nm at 
 noise and jitter the error of least squares is that of the closed form at the pulses' instants and nothing else. The
 scene therefore declares its `[sphere]`, and the prior is that of a sphere in the media.
 
-`joint` finds no displacement of single pulses: it cannot follow tissue that moves by millimetres
-(`cardiac-background`), nor subtract a reference gate's motion (`limits-gelatin-8`, `limits-muscle`), and is refused
-there. In `bovine-muscle-aperture` the bowl's focal length is drawn with the sound speed, so that its focus is in the
+In `bovine-muscle-aperture` the bowl's focal length is drawn with the sound speed, so that its focus is in the
 gate, and in place of the twin's force the widths that `[beams]` says it has. These err less than u allows: the declared
 aperture, from which the force is computed, corrects them, while u keeps their 30 % for what the specimen does to
 the beam.

@@ -13,7 +13,6 @@ import pytest
 
 from hpe_rig.measurement import prepare, prepare_rest, record_run, resume
 from hpe_rig.report import write_report
-from hpe_rig.result import by_residual
 from hpe_rig.runs import open_run, process
 from hpe_rig.scene import SettingsError, parse_scene
 from hpe_rig.store import read_run, read_snapshots
@@ -42,16 +41,6 @@ def copied(tmp_path: Path) -> Path:
 def shots_of(name: str) -> list[dict[str, Any]]:
     """Return the shots of a result as the earlier version printed them."""
     shots: list[dict[str, Any]] = json.loads((FIXTURES / f"{name}.json").read_text(encoding="utf-8"))["shots"]
-    return shots
-
-
-def as_stated_then(shots: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return ``shots`` with u as earlier versions stated it: they took noise for known that few pulses tell."""
-    for estimate in (estimate for shot in shots for estimate in shot["estimates"]):
-        wider = float(np.sqrt(by_residual(estimate["noise_freedom"])))
-        estimate["amplitude_uncertainty_m"] /= wider
-        estimate["phase_uncertainty_rad"] /= wider
-        estimate["snr_db"] += 20 * np.log10(wider)
     return shots
 
 
@@ -113,11 +102,11 @@ def test_an_old_run_file_gives_the_numbers_that_its_version_gave(copied: Path, n
     expected = json.loads((FIXTURES / f"{name}.json").read_text(encoding="utf-8"))
     for key in ("title", "status", "simulated", "estimator"):
         assert result[key] == expected[key]
-    assert_alike(as_stated_then(result["shots"]), expected["shots"], SINGLE)
+    assert_alike(result["shots"], expected["shots"], SINGLE)
 
 
 def test_the_comparison_notices_a_number_that_differs(copied: Path) -> None:
-    shots = as_stated_then(process(copied / "specimen.h5", CHAIN).as_dict()["shots"])
+    shots = process(copied / "specimen.h5", CHAIN).as_dict()["shots"]
     shots[1]["estimates"][0]["phase_rad"] += 1e-4
     with pytest.raises(AssertionError, match=r"\[1\].estimates\[0\].phase_rad"):
         assert_alike(shots, shots_of("specimen"), SINGLE)
@@ -130,7 +119,7 @@ def test_an_old_run_is_resumed_and_equals_one_that_was_not_interrupted(copied: P
     resumed = read_run(done)
     assert (resumed.status, resumed.predecessor) == ("complete", "aborted.h5")
     assert resumed.shot_complete.all()
-    assert_alike(as_stated_then(process(done, CHAIN).as_dict()["shots"]), shots_of("aborted-resumed"), ENGINE)
+    assert_alike(process(done, CHAIN).as_dict()["shots"], shots_of("aborted-resumed"), ENGINE)
     whole = read_run(record_run(prepare(str(copied / "aborted.toml")), copied / "whole.h5"))
     for shot in range(1, 4):
         # The first shot is the old version's; the others this version has measured in both files.
@@ -162,6 +151,20 @@ def test_a_run_opens_whose_settings_a_younger_rule_would_refuse(copied: Path, se
     run = open_run(path)
     assert run.stored.scene_toml == younger
     assert len(run.estimate(CHAIN).shots) == 2
+
+
+def test_a_run_that_names_the_removed_estimator_joint_is_read_as_coherent(copied: Path) -> None:
+    path = copied / "aborted.h5"
+    with h5py.File(path, "r+") as file:
+        text = bytes(file["scene"][()]).decode().replace("[processing]", '[processing]\nestimator = "joint"')
+        del file["scene"]
+        file["scene"] = np.bytes_(text.encode())
+    with pytest.raises(SettingsError, match="joint.* was removed, use coherent"):
+        parse_scene("new", text)
+    run = open_run(path)
+    assert run.estimate().as_dict()["estimator"] == "coherent"
+    assert len(run.estimate("kasai").shots) == 2
+    assert np.isfinite(run.displacement_m(0)).any()
 
 
 def test_a_run_is_resumed_whose_settings_a_younger_rule_would_refuse(copied: Path) -> None:

@@ -7,7 +7,7 @@ analytic signal at sample t is E S_k, E[t, f] = exp(2 pi j f t) / sqrt(bins), an
     <S_k, S_l> = S_k^H G S_l,    G = E^H W E = 1 - B B^H,
 
 W one in the gate and zero in its margins. The margins hold few independent samples of the band, so that B has few
-columns, none where the record ends with the gate. Derivation: docs/theory/estimation.md.
+columns, none where the record ends with the gate. Derivation: docs/explanation/estimation.md.
 """
 
 from __future__ import annotations

@@ -131,18 +131,6 @@ class EchoGate:
             pulses = slice(first, min(first + step, self.valid.size))
             yield pulses, self.volts.block(pulses)[..., samples]
 
-    def of_trains(self, at_once: int) -> Iterator[EchoGate]:
-        """Yield some of the trains at a time, their volts (train, pulse, sample); a single train as it is."""
-        if not isinstance(self.volts, np.ndarray) or self.volts.ndim == 2:
-            yield self
-            return
-        volts, energy = self.volts.reshape(-1, *self.volts.shape[-2:]), self.energy.reshape(-1, self.valid.size)
-        for first in range(0, len(volts), at_once):
-            some = copy(self)
-            object.__setattr__(some, "volts", volts[first : first + at_once])
-            object.__setattr__(some, "energy", energy[first : first + at_once])
-            yield some
-
     def without(self, pulses: BoolArray) -> EchoGate:
         """Return the same gate, its ``pulses`` (pulse,) no longer valid."""
         fewer = copy(self)
@@ -224,7 +212,7 @@ def gate_edge_relative(echoes: EchoGate, gate_window: str = "none") -> float:
 
     Measured on rigid motion of 1 um at 6.5 % bandwidth over 1000 draws of scatterers; it falls with the gate's length.
     A ``gate_window`` is cut before the echoes are aligned, as the paper does, whatever margins there are.
-    Source: the table "The gate's edge" in docs/theory/estimation.md.
+    Source: the table "The gate's edge" in docs/explanation/estimation.md.
     """
     periods = echoes.gate_samples / echoes.sample_rate_hz * echoes.carrier_hz
     if gate_window != "none":

@@ -6,7 +6,6 @@ kalman_filter.py        the same by a Kalman filter
 velocity_chain.py       velocity to harmonics as in the paper: band-pass, Hann window, Kalman filter
 medium_prior.py         all harmonics at once, with a prior of media
 aliasing_error.py       aliasing error of a fit without a medium prior
-maximum_likelihood.py   the estimator joint
 stationarity.py         drift of the amplitude between the halves of a record
 residual_line.py        spectral lines in the residual
 quantisation.py         error by the rounding of codes

@@ -14,7 +14,7 @@ import numpy as np
 from hpe_rig.arrays import BoolArray, ComplexArray, FloatArray
 from hpe_rig.processing.echo.echoes import Motion
 from hpe_rig.processing.harmonics.model import LARGEST_CONDITION, linear_model
-from hpe_rig.result import by_residual, phase_variance_at_rad2, phase_variance_rad2, rectified_variance_m2
+from hpe_rig.result import phase_variance_at_rad2, phase_variance_rad2, rectified_variance_m2
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,7 @@ class MediumPosterior:
     ``peak_covariance`` (..., frequency, 2, 2) of its relative amplitude and its phase. ``steepness`` (..., frequency,
     2): root mean square of the changes of tracked amplitude, relative, and phase with the logarithm of the beam's area.
     ``shared``, the same shape: covariance of the error of ``peak_over_tracked`` with that of aliasing, relative
-    amplitude and phase: both hang on which medium it is. ``steepness_kurtosis`` and ``peak_kurtosis``, the same shape:
-    mean fourth power over mean square squared, of the steepness and of the deviations of ``peak_over_tracked``.
+    amplitude and phase: both depend on the medium.
     """
 
     significance: FloatArray
@@ -54,8 +53,6 @@ class MediumPosterior:
     peak_covariance: FloatArray
     steepness: FloatArray
     shared: FloatArray
-    steepness_kurtosis: FloatArray
-    peak_kurtosis: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +68,7 @@ class HarmonicFit:
     them. Where there is a prior of media ``aliasing`` (..., frequency, 2, 2) is the part of ``covariance`` that
     harmonics which the fit does not tell apart and shrinkage leave, and ``medium`` what is known of the medium
     afterwards. ``unaliased``, where a fit without the prior is beside it: without the aliasing that the prior tells.
-    ``freedom`` (...): degrees of freedom of the residual that tells the noise, whose ``by_residual`` the covariances
-    have.
+    ``freedom`` (...): degrees of freedom of the residual from which the noise is estimated.
     """
 
     frequency_hz: FloatArray
@@ -121,7 +117,6 @@ def least_squares(
         variance, covariance = step_covariance(residual, walk, model.root[wanted] @ q.T, energy)
     else:
         covariance = variance[..., None, None] * (model.root[wanted] @ model.root[wanted].T)
-    covariance = by_residual(freedom)[..., None, None] * covariance
     return fit_from_state(
         frequency_hz, state[..., wanted], covariance, variance, pulses, model.condition, freedom=freedom
     )
@@ -186,8 +181,7 @@ def fit_from_state(
 ) -> HarmonicFit:
     """Return amplitude and phase with their covariance, from in-phase, quadrature and (if there) the constant.
 
-    ``aliasing_m2``: the part of ``state_covariance`` that is aliasing; ``freedom``: as of ``HarmonicFit``, the factor
-    of which ``state_covariance`` has.
+    ``aliasing_m2``: the part of ``state_covariance`` that is aliasing; ``freedom``: as of ``HarmonicFit``.
     """
     count = frequency_hz.size
     in_phase, quadrature = state[..., 0 : 2 * count : 2], state[..., 1 : 2 * count : 2]

@@ -3,7 +3,7 @@
 x = (in-phase, quadrature of each frequency, background polynomial), constant but for process noise; y_k = h_k x + n_k.
 Two forms of one filter: without process noise information adds up and many pulses are taken at a time
 (``filter_constant``); with it the states move between pulses, one pulse at a time (``filter_changing``). Both in units
-of the measurement noise, docs/theory/estimation.md.
+of the measurement noise, docs/explanation/estimation.md.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from hpe_rig.arrays import FloatArray
 from hpe_rig.processing.echo.echoes import Motion
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, Innovations, fit_from_state
 from hpe_rig.processing.harmonics.model import LARGEST_CONDITION, SURE_CONDITION, linear_model, scaled_time
-from hpe_rig.result import by_residual
 
 PRIOR = 1e10
 """Prior variance over measurement variance: nothing known."""
@@ -78,7 +77,7 @@ def kalman(
         )
     freedom = model.matrix.shape[0] - model.matrix.shape[1]
     variance = found.fitness / freedom
-    covariance = variance[..., None, None] * (found.root @ found.root.T) * by_residual(freedom)
+    covariance = variance[..., None, None] * (found.root @ found.root.T)
     wanted = model.wanted
     state, covariance = found.state[..., wanted], covariance[..., wanted, wanted]
     report = None if not found.innovations.size else innovation_test(motion, found.innovations, model.matrix.shape[1])

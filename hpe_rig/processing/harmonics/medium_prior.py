@@ -9,7 +9,7 @@ few directions of x: its covariance over an ensemble of media is s^2 F F', F (st
 
 s maximises the evidence; k = 3 leaves the weights to the data where s is a little off. The mean goes over the members
 x_m of the ensemble, each as large and as likely as the data have it. The singular value decomposition A F = U L V'
-turns all of it into sums over the rank. See docs/theory/medium-prior.md.
+turns all of it into sums over the rank. See docs/explanation/medium-prior.md.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from hpe_rig.processing.harmonics.harmonic_fit import (
 )
 from hpe_rig.processing.harmonics.kalman_filter import filter_constant, innovation_test
 from hpe_rig.processing.harmonics.model import background_columns, harmonic_columns
-from hpe_rig.result import by_residual
 
 HIGHEST_HZ = 4e4
 """Frequency up to which the bursts' harmonics are part of the model."""
@@ -290,7 +289,6 @@ def medium_fit(
         drifts = evidence.variance_m2 > UNEXPLAINED * explained
         untold = (evidence.total_m2 - evidence.variance_m2)[..., None, None] * white
         noise = of_steps + np.where(drifts[..., None, None], noise, untold)
-    noise = by_residual(freedom)[..., None, None] * noise
     aliasing, missed = _aliasing(seen, weights, evidence)
     state = (gain * along) @ seen.rows.T
     variance, used = evidence.variance_m2, len(seen.left)
@@ -329,8 +327,7 @@ def likely_states(
     free[: prior.misfit.size] = prior.misfit[:, None] * directions.T
     gain = _gain(seen, evidence)
     weights = rows * gain[..., None, :]
-    variance = by_residual(evidence.freedom) * evidence.total_m2
-    noise = variance[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
+    noise = evidence.total_m2[..., None, None] * (weights @ np.swapaxes(weights, -1, -2))
     of_these = replace(seen, wanted_members=prior.members @ directions.T, wanted_free=free)
     left, missed = _aliasing(of_these, weights, evidence)
     return (gain * (_without_background(motion, seen) @ seen.left)) @ rows.T, noise + left, missed
@@ -402,8 +399,6 @@ def medium_posterior(prior: MediumPrior, evidence: Evidence, fit: HarmonicFit, m
         np.einsum("...m,...mfi,...mfj->...fij", likelihood, off, off),
         np.sqrt(np.einsum("...m,...mfi->...fi", likelihood, steepness**2)),
         np.einsum("...m,...mfi,...mfi->...fi", likelihood * np.sqrt(evidence.square_m2), short, off),
-        fourth_moment(likelihood, steepness),
-        fourth_moment(likelihood, off),
     )
 
 
@@ -414,17 +409,6 @@ def bounded_steepness(steepness: ComplexArray, power: FloatArray) -> ComplexArra
     and frequencies of which two waves leave nothing: what then changes is small, though without bound in proportion.
     """
     return np.asarray(steepness * np.minimum(1.0, np.sqrt(power) / LEAST_SHARE))
-
-
-def fourth_moment(share: FloatArray, values: FloatArray) -> FloatArray:
-    """Return mean fourth power over mean square squared of ``values`` (..., member, frequency, 2); 1 where they are 0.
-
-    ``share`` (..., member), of sum 1. About a mean of zero that is the kurtosis; an independent factor's multiplies it.
-    """
-    squares = values**2
-    square = np.einsum("...m,...mfi->...fi", share, squares)
-    fourth = np.einsum("...m,...mfi->...fi", share, squares**2)
-    return np.asarray(np.where(square > 0, fourth / np.where(square > 0, square, 1.0) ** 2, 1.0))
 
 
 def _parts(values: ComplexArray) -> FloatArray:

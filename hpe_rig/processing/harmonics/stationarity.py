@@ -11,7 +11,7 @@ from hpe_rig.arrays import BoolArray, FloatArray
 from hpe_rig.processing.echo.echoes import Motion
 from hpe_rig.processing.harmonics.medium_prior import MediumPrior, medium_fit, seen_by
 from hpe_rig.processing.harmonics.model import LARGEST_CONDITION, harmonic_columns, linear_model
-from hpe_rig.result import by_residual
+from hpe_rig.result import student_widening
 
 TAKEN = 0.01
 """Share of the data along a direction from which on a fit with a prior has taken it."""
@@ -83,8 +83,9 @@ def _drift(motion: Motion, frequency_hz: FloatArray, columns: FloatArray, q: Flo
     first, second = (np.hypot(half[..., ::2], half[..., 1::2]) for half in (mean - change, mean + change))
     # of a difference of lengths, each uncertain by the mean of its quadratures
     quadratures = np.diag(covariance).reshape(-1, 2).sum(axis=-1) / 2
-    variance = np.einsum("...i,...i->...", rest, rest)[..., None] / free * by_residual(free)
+    variance = np.einsum("...i,...i->...", rest, rest)[..., None] / free
     sigma = 2 * np.sqrt(variance * quadratures)
     middle, difference, tiny = (first + second) / 2, second - first, np.finfo(np.float64).tiny
-    suspicious = np.abs(difference) > np.maximum(5 * sigma, 0.1 * middle)
+    limit = 5 * sigma * student_widening(free)
+    suspicious = np.abs(difference) > np.maximum(limit, 0.1 * middle)
     return Drift(frequency_hz, difference / middle.clip(min=tiny), difference / sigma.clip(min=tiny), suspicious)

@@ -2,7 +2,7 @@
 
 Every step is linear in the velocities, so the same chain applied to a unit sinusoid gives the factor by which it
 scales amplitude and turns phase. For whole cycles that factor is the Hann window's mean, 1/2, and dividing by it is the
-paper's "times 2"; for any other length it is still exact. docs/theory/estimation.md.
+paper's "times 2"; for any other length it is still exact. docs/explanation/estimation.md.
 
 What noise velocities have is told from the spectrum of what a fit leaves of the displacement steps: pulse noise
 (2 sin(pi f T_prf))^2 + interval noise.
@@ -21,7 +21,6 @@ from hpe_rig.processing.echo.echoes import Velocity
 from hpe_rig.processing.harmonics.harmonic_fit import HarmonicFit, fit_from_state
 from hpe_rig.processing.harmonics.kalman_filter import PRIOR, filter_constant
 from hpe_rig.processing.harmonics.model import LARGEST_CONDITION, LinearModel, harmonic_columns, linear_model
-from hpe_rig.result import by_residual
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +87,6 @@ def velocity_to_harmonics(
     over_pulses = per_pulse(over_intervals, interval_s)
     covariance = pulse_variance[..., None, None] * (over_pulses @ over_pulses.T)
     covariance = covariance + interval_variance[..., None, None] * (over_intervals @ over_intervals.T)
-    covariance *= by_residual(freedom)
     used = int(np.count_nonzero(np.append(velocity.valid, False) | np.insert(velocity.valid, 0, False)))
     state = np.concatenate(states, axis=-1)
     return fit_from_state(frequency_hz, state, covariance, pulse_variance, used, model.condition, freedom=freedom)

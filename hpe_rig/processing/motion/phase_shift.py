@@ -1,7 +1,7 @@
 """Displacement from the phase of echoes, against their mean or from pulse to pulse: one function an estimator.
 
 Positive displacement is away from the transducer: the echo's delay tau = 2 u / c grows, its phase at frequency f
-changes by -2 pi f tau. Derivations and sources: docs/theory/estimation.md.
+changes by -2 pi f tau. Derivations and sources: docs/explanation/estimation.md.
 """
 
 from __future__ import annotations

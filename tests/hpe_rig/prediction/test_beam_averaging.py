@@ -212,10 +212,8 @@ def test_speckle_spread_predicts_the_monte_carlo_spreads(estimator: str, expecte
     resting = resting_conditions(load_scene("table-1"))
     assert resting is not None
     # both are heavy-tailed: 2 / sqrt(2000) on either side give 6.3 %; three of these
-    spread, carrier, kurtosis = speckle_spread(resting, estimator)
+    spread, carrier = speckle_spread(resting, estimator)
     assert (spread, carrier) == (pytest.approx(expected, rel=0.19), 0.0)
-    # 5.7 and 9.3 over 20 000 draws (docs/coverage.md); few draws miss the darkest spots
-    assert 3.5 < kurtosis < 12
 
 
 def test_a_gate_holding_many_speckles_spreads_less() -> None:
@@ -364,7 +362,7 @@ def test_a_declared_aperture_lowers_what_is_tracked_and_widens_its_uncertainty()
     assert (plain.shape_relative, oblique.shape_relative) == (0.0, SHAPE_RELATIVE)
 
 
-@pytest.mark.parametrize("estimator", ["coherent", "joint", "kasai"])
+@pytest.mark.parametrize("estimator", ["coherent", "kasai"])
 def test_gates_without_an_echo_say_nothing_of_speckle(estimator: str) -> None:
     """Two scatterers a gate on the mean: one gate in eight holds none, and has neither phase nor peak."""
     scene = load_scene("bovine-muscle").with_(

@@ -8,24 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from hpe_rig.processing import ESTIMATORS, WINDOW_NOISE, hann, spec_of
-from hpe_rig.scene.scene import BUILT_IN_ESTIMATORS
+from hpe_rig.processing import ESTIMATORS, hann, spec_of
+from hpe_rig.scene import BUILT_IN_ESTIMATORS, WINDOW_NOISE
 
 if TYPE_CHECKING:
     from conftest import TableOne
 
 
 def test_every_estimator_a_scene_may_name_has_a_row() -> None:
-    assert BUILT_IN_ESTIMATORS == ESTIMATORS
+    assert tuple(BUILT_IN_ESTIMATORS) == ESTIMATORS
     assert [spec_of(name).name for name in ESTIMATORS] == list(ESTIMATORS)
-    with pytest.raises(ValueError, match="'best' does not exist"):
+    with pytest.raises(ValueError, match="'best' is not one of the choices"):
         spec_of("best")
-
-
-@pytest.mark.parametrize("name", ESTIMATORS)
-def test_an_estimator_takes_echoes_or_displacements_and_not_both(name: str) -> None:
-    spec = spec_of(name)
-    assert (spec.motion is None) == (spec.fit_echoes is not None)
 
 
 @pytest.mark.parametrize("name", ["coherent", "cross_correlation", "kasai", "loupas"])
@@ -34,9 +28,7 @@ def test_displacements_walk_off_where_steps_from_pulse_to_pulse_are_added_up(tab
     still = replace(table_one, pulses=600)
     echoes = still.rigid(np.zeros(600))
     noisy = echoes + np.sqrt(np.mean(echoes**2)) * np.random.default_rng(3).normal(size=(8, *echoes.shape))
-    motion = spec_of(name).motion
-    assert motion is not None
-    found = motion(still.gate(noisy)).displacement_m
+    found = spec_of(name).motion(still.gate(noisy)).displacement_m
     apart = (found[:, 300:] - found[:, :300]).std() / (found[:, 1:] - found[:, :-1]).std()
     assert spec_of(name).steps_add_up == (apart > 1.5), apart
 

@@ -26,7 +26,6 @@ from hpe_rig.processing import (
     relative_to,
     unlike_pulses,
 )
-from hpe_rig.processing.harmonics import maximum_likelihood
 
 if TYPE_CHECKING:
     from conftest import TableOne
@@ -34,7 +33,7 @@ if TYPE_CHECKING:
 FloatArray = NDArray[np.float64]
 
 PAIRWISE: list[Estimator] = ["kasai", "loupas"]
-MEAN_ECHO: list[Estimator] = ["coherent", "joint", "cross_correlation"]
+MEAN_ECHO: list[Estimator] = ["coherent", "cross_correlation"]
 
 
 def _sine(table_one: TableOne, amplitude_m: float = 1e-6) -> FloatArray:
@@ -45,36 +44,6 @@ def _noisy(echo: FloatArray, draws: int, snr_db: float, seed: int = 24) -> Float
     noise_v = np.sqrt(np.mean(echo**2) / 10 ** (snr_db / 10))
     noisy: FloatArray = echo + noise_v * np.random.default_rng(seed).standard_normal((draws, *echo.shape))
     return noisy
-
-
-@pytest.mark.parametrize("amplitude_m", [1e-13, 1e-11, 1e-9, 1e-7, 1e-5])
-def test_joint_is_unbiased_to_a_millionth_on_a_rigid_target(table_one: TableOne, amplitude_m: float) -> None:
-    # rounding: 1e-13 m turns the phase by 7e-9 rad, known to 1e-16 / sqrt(bins x pulses): 1e-8 of it
-    fit = estimate(table_one.gate(table_one.rigid(_sine(table_one, amplitude_m))), [200.0], "joint")
-    assert fit.amplitude_m[0] == pytest.approx(amplitude_m, rel=1e-6, abs=0)
-    assert fit.phase_rad[0] == pytest.approx(table_one.phase_rad, abs=1e-6)
-
-
-def test_joint_follows_a_motion_of_many_wavelengths(table_one: TableOne) -> None:
-    # the pulse leaves the 1 mm gate by 10 %: what is cut off costs 1e-3
-    fit = estimate(table_one.gate(table_one.rigid(_sine(table_one, 100e-6))), [200.0], "joint")
-    assert fit.amplitude_m[0] == pytest.approx(100e-6, rel=1e-3, abs=0)
-
-
-def test_joint_takes_trains_in_parts_and_says_of_none_that_it_is_all(
-    table_one: TableOne, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(maximum_likelihood, "TRAINS_AT_ONCE", 2)
-    trains = _noisy(table_one.rigid(_sine(table_one)), 5, 20.0)
-    noise = np.random.default_rng(7).standard_normal(trains[:3].shape)
-    # the second part has no train with an echo, the last is a single train
-    trains[2:4] = noise[:2]
-    together = estimate(table_one.gate(trains), [200.0], "joint").amplitude_m[:, 0]
-    alone = [estimate(table_one.gate(trains[index]), [200.0], "joint").amplitude_m[0] for index in (0, 1, 4)]
-    assert np.isnan(together[2:4]).all()
-    assert together[[0, 1, 4]] == pytest.approx(alone, rel=1e-9, abs=0)
-    with pytest.raises(ValueError, match="the echoes have nothing in common that noise alone would not have"):
-        estimate(table_one.gate(noise), [200.0], "joint")
 
 
 # kasai divides by the carrier: the mean frequency of a Hann pulse of 20 % is off by (0.2)^2/12 of it at most
@@ -298,9 +267,9 @@ def test_kasai_divided_by_the_centre_is_the_mean_frequencys(table_one: TableOne,
     np.testing.assert_allclose(carrier, ratio[:, None] * centre, rtol=1e-9)
 
 
-def test_what_has_no_displacement_and_what_does_not_exist_is_refused(table_one: TableOne) -> None:
+def test_an_estimator_that_does_not_exist_is_refused(table_one: TableOne) -> None:
     echoes = table_one.gate(table_one.rigid(_sine(table_one)))
-    with pytest.raises(ValueError, match="does not exist"):
+    with pytest.raises(ValueError, match="is not one of the choices"):
         estimate(echoes, [200.0], "best")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="no displacement per pulse"):
+    with pytest.raises(ValueError, match=r"joint.*was removed, use coherent"):
         motion_of(echoes, "joint")

@@ -69,7 +69,7 @@ def test_all_harmonics_cost_hardly_more_than_one_sinusoid() -> None:
     sinusoid_m = float(fit.residual_rms_m) * np.sqrt(2 / fit.pulses)
     stated = quadratures_m(fit) / sinusoid_m
     assert np.sqrt(np.mean(stated**2)) < 1.12
-    # 1.07 of noise and 0.12 of aliasing make 1.08 (docs/theory/medium-prior.md), of the same residual
+    # 1.07 of noise and 0.12 of aliasing make 1.08 (docs/explanation/medium-prior.md), of the same residual
     assert stated.max() < 1.12
     assert quadratures_m(plain).max() > 10 * sinusoid_m
     assert fit.aliasing is not None
@@ -168,8 +168,8 @@ def test_where_no_prior_holds_least_squares_fit_and_check_says_why(scene: Scene,
 
 def test_estimators_with_a_fit_of_their_own_take_none() -> None:
     shot = run().plan.shots[0]
-    taking = {each: prior_of(run().scene, shot, each) is not None for each in ("kasai", "joint", "cross_spectrum")}
-    assert taking == {"kasai": True, "joint": True, "cross_spectrum": False}
+    taking = {each: prior_of(run().scene, shot, each) is not None for each in ("kasai", "cross_spectrum")}
+    assert taking == {"kasai": True, "cross_spectrum": False}
     for each, takes in taking.items():
         scene = run().scene.with_({"processing.estimator": each})
         reasons = [item.why for item in omissions(scene, run().bench) if item.what == "prior of media"]

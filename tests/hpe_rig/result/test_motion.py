@@ -73,11 +73,10 @@ def test_xarray_reads_the_file_with_axes_and_units(run: hpe.Run, result: Result)
     assert dataset.attrs["note_operator"] == "A. B."
 
 
-@pytest.mark.parametrize("estimator", ["joint", "cross_spectrum"])
-def test_an_estimator_without_displacements_gives_the_coherent_ones(run: hpe.Run, estimator: str) -> None:
-    motion = run.estimate(estimator).shots[0].motion
+def test_motion_is_by_the_estimator_of_the_result(run: hpe.Run) -> None:
+    motion = run.estimate("cross_spectrum").shots[0].motion
     assert motion is not None
-    assert motion.tracked_by == ("coherent" if estimator == "joint" else estimator)
+    assert motion.tracked_by == "cross_spectrum"
     assert np.isfinite(motion.displacement_m).all()
 
 

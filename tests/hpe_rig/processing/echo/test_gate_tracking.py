@@ -81,18 +81,6 @@ def test_check_says_that_a_gate_at_rest_loses_moving_tissue() -> None:
     assert found["background"].remedy == "processing.follow_gate = true"
 
 
-@pytest.mark.parametrize(
-    "values",
-    [{"processing.estimator": "joint"}, {"processing.reference_gate_depth_m": 60e-3}],
-    ids=["joint", "reference"],
-)
-def test_what_cannot_follow_is_refused(values: dict[str, object]) -> None:
+def test_a_reference_gate_cannot_follow() -> None:
     with pytest.raises(SettingsError, match="follow"):
-        load_scene("cardiac-background").with_(values)
-
-
-def test_an_estimator_without_displacements_is_refused_by_name(tmp_path: Path) -> None:
-    scene = moving([HEART], 1, **{"tracking.pulse_count": 100, "processing.background_order": 5})
-    run = hpe.measure(scene, path=tmp_path / "run.h5")
-    with pytest.raises(Exception, match="joint has no displacements"):
-        run.estimate("joint")
+        load_scene("cardiac-background").with_({"processing.reference_gate_depth_m": 60e-3})

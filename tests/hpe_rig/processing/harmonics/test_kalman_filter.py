@@ -14,7 +14,6 @@ from hpe_rig.processing import Motion, kalman, least_squares
 from hpe_rig.processing.harmonics import kalman_filter
 from hpe_rig.processing.harmonics.kalman_filter import filter_changing, filter_constant
 from hpe_rig.processing.harmonics.model import linear_model
-from hpe_rig.result import by_residual
 
 FloatArray = NDArray[np.float64]
 RATE_HZ = 4000.0
@@ -174,7 +173,7 @@ def test_background_noise_is_that_of_the_highest_derivative(order: int) -> None:
     state = covariance @ weighted.T @ data
     np.testing.assert_allclose(found.state[:2], state[:2], rtol=1e-6)
     rest = data - matrix.matrix @ state
-    variance = rest @ np.linalg.solve(noise, rest) / (pulses - 3 - order) * by_residual(pulses - 3 - order)
+    variance = rest @ np.linalg.solve(noise, rest) / (pulses - 3 - order)
     np.testing.assert_allclose(found.state_covariance[:2, :2], variance * covariance[:2, :2], rtol=1e-6)
 
 

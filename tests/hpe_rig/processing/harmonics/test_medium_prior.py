@@ -34,7 +34,6 @@ from hpe_rig.processing.harmonics.medium_prior import (
     medium_prior,
     seen_by,
 )
-from hpe_rig.result import by_residual
 from sim_backend.motion.specimen import frequency_response
 from sim_backend.settings import Specimen
 
@@ -223,8 +222,7 @@ def test_the_estimate_is_the_textbook_formula_and_the_kalman_filters(watched: Pu
         largest = np.abs(estimate).max()
         np.testing.assert_allclose(found.fit.state[index], estimate, atol=1e-9 * largest)
         np.testing.assert_allclose(filtered.fit.state[index], found.fit.state[index], atol=1e-9 * largest)
-        stated = by_residual(found.evidence.freedom[index]) * variance
-        np.testing.assert_allclose(found.noise_m2[index], stated * gain @ gain.T, atol=1e-8 * variance)
+        np.testing.assert_allclose(found.noise_m2[index], variance * gain @ gain.T, atol=1e-8 * variance)
     np.testing.assert_allclose(found.noise_m2 + found.aliasing_m2, found.fit.state_covariance)
     # white and of unit variance but for the sharper start that weights of three times the scale deserve
     test = filtered.fit.innovations
