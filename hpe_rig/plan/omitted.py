@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from hpe_rig.bench import BenchFile, TwinDeclaration, declares_twin, twin_of
-from hpe_rig.scene import Scene
+from hpe_rig.scene import Scene, properties_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +41,8 @@ def omissions(scene: Scene, bench: BenchFile) -> list[Omission]:
 def _without_prior(scene: Scene) -> str | None:
     """Return why other harmonics than the wanted are free instead of the prior's; None where the prior holds them."""
     processing = scene.processing
-    if processing.estimator == "cross_spectrum":
-        return 'processing.estimator = "cross_spectrum", which takes none'
+    if properties_of(processing.estimator).velocity_chain:
+        return f'processing.estimator = "{processing.estimator}", which takes none'
     if processing.harmonic == "least_squares":
         return 'processing.harmonic = "least_squares"'
     return "process_noise is not 0" if processing.process_noise else scene.without_prior

@@ -19,7 +19,7 @@ class ShotMotion:
     ``uncertainty_m``: standard uncertainty of a pulse against the others, what the scatter of its echo states, enlarged
     to what the fit leaves where that is more: the sources that all pulses share are in the estimates' budgets;
     ``model_m``: the result's harmonics, and the other driven harmonics and the background fitted to what they leave,
-    NaN where no model is fitted. ``tracked_by``: the motion estimator, "coherent" for one that has no displacements.
+    NaN where no model is fitted. ``tracked_by``: the motion estimator.
     """
 
     pulse: Int64Array

@@ -97,7 +97,7 @@ class Run:
     def displacement_m(self, shot: int = 0) -> FloatArray:
         """Return the displacement of every tracking pulse of ``shot``, counted from 0, up to a constant; (pulse,), m.
 
-        By the scene's estimator, "coherent" where that one has no displacements; positive away from the transducer,
+        By the scene's estimator; positive away from the transducer,
         sensed at ``plan.shots[shot].timeline.sensing_s``; of the whole train, whatever the processing window. NaN where
         the record is missing or the pulse is omitted. Raises ``IndexError`` for a shot that is none, ``ValueError``
         where the echoes carry no displacement.
@@ -108,8 +108,8 @@ class Run:
         if not -count <= shot < count:
             raise IndexError(f"shot {shot} does not exist: the run has {count}, counted from 0")
         scene = scene_of(self.scene, self.plan.shots[shot])
-        chosen = spec_of(scene.processing.estimator).motion or coherent
-        motion = shot_motion(scene, self.plan.shots[shot], self._echoes(shot), chosen)
+        estimator = spec_of(scene.processing.estimator)
+        motion = shot_motion(scene, self.plan.shots[shot], self._echoes(shot), estimator.motion)
         reference = reference_gate(scene, self.plan.shots[shot])
         if reference is not None:
             motion = relative_to(motion, coherent(self._echoes(shot, reference)))

@@ -6,6 +6,15 @@ from .description import (
     settings_schema as settings_schema,
 )
 from .editing import edited_text as edited_text
+from .estimator_table import (
+    BUILT_IN_ESTIMATORS as BUILT_IN_ESTIMATORS,
+    WINDOW_NOISE as WINDOW_NOISE,
+    EstimatorProperties as EstimatorProperties,
+    Window as Window,
+    checked_estimator as checked_estimator,
+    estimator_names as estimator_names,
+    properties_of as properties_of,
+)
 from .keys import (
     Key as Key,
     Number as Number,
@@ -34,7 +43,6 @@ from .quantities import (
     Widths as Widths,
 )
 from .scene import (
-    BUILT_IN_ESTIMATORS as BUILT_IN_ESTIMATORS,
     DEFAULT_SPECIMEN as DEFAULT_SPECIMEN,
     Estimator as Estimator,
     Excitation as Excitation,
@@ -45,7 +53,6 @@ from .scene import (
     SceneText as SceneText,
     Section as Section,
     Title as Title,
-    estimator_names as estimator_names,
     load_scene as load_scene,
     parse_scene as parse_scene,
     plain_tables as plain_tables,

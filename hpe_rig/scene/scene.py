@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import math
 import os
@@ -24,7 +23,7 @@ from pydantic import (
     model_validator,
 )
 
-from hpe_rig.extensions import ESTIMATORS, installed
+from hpe_rig.scene.estimator_table import BUILT_IN_ESTIMATORS, checked_estimator, properties_of
 from hpe_rig.scene.notes import Notes
 from hpe_rig.scene.quantities import (
     AmplitudeM,
@@ -57,21 +56,10 @@ if TYPE_CHECKING:
     from hpe_rig.scene.points import ScenePoint
 
 Offset = Annotated[float, Field(ge=-0.1, le=0.1, strict=True)]
-BUILT_IN_ESTIMATORS: Final = ("coherent", "joint", "cross_correlation", "kasai", "loupas", "cross_spectrum")
 
 
-def estimator_names() -> tuple[str, ...]:
-    """Return the names of all estimators: ours, then those that other packages bring."""
-    return (*BUILT_IN_ESTIMATORS, *(name for name in installed(ESTIMATORS) if name not in BUILT_IN_ESTIMATORS))
-
-
-def _known_estimator(name: str) -> str:
-    if name not in BUILT_IN_ESTIMATORS and name not in estimator_names():
-        close = difflib.get_close_matches(name, estimator_names(), n=1)
-        also = f"did you mean {close[0]}? " if close else ""
-        names = ", ".join(map(repr, estimator_names()))
-        raise ValueError(f"{name[:80]!r} is not one of the choices: {also}one of {names}")
-    return name
+def _known_estimator(name: str, info: ValidationInfo) -> str:
+    return checked_estimator(name, stored=info.context == STORED)
 
 
 Estimator = Annotated[
@@ -79,7 +67,7 @@ Estimator = Annotated[
     Field(strict=True, json_schema_extra={"examples": list(BUILT_IN_ESTIMATORS)}),
     AfterValidator(_known_estimator),
 ]
-"""Name of an estimator, one of ours or of an installed package's."""
+"""Name of an estimator, of this package or of an installed one."""
 
 
 def _as_list(value: Any) -> Any:
@@ -266,7 +254,7 @@ class Processing(Section):
     """How records become amplitude and phase."""
 
     estimator: Estimator = "coherent"
-    """Motion estimator; cross_spectrum is the paper's chain, joint the maximum likelihood over all pulses."""
+    """Motion estimator; cross_spectrum is the paper's chain."""
     harmonic: Literal["medium_prior", "least_squares", "kalman"] | None = None
     """How displacement becomes amplitude and phase; cross_spectrum has its own way. Absent: medium_prior,
     all harmonics of the tonebursts with a prior of media, where there is a train of them, [beams], and the wanted
@@ -280,10 +268,10 @@ class Processing(Section):
     """Leave pulses out whose gate holds an energy unlike the others': leaked tonebursts, spikes, lost echoes."""
     follow_gate: Annotated[bool, Field(strict=True)] = False
     """Let the gate follow background motion longer than itself, such as heart beat or breathing, through the record;
-    fit the background with background_order. Not with joint or a reference gate."""
+    fit the background with background_order. Not with a reference gate."""
     reference_gate_depth_m: LengthM | None = None
     """Middle of a second gate, inside the record, whose echoes do not move: its apparent motion, the trigger jitter, is
-    subtracted. Not with joint."""
+    subtracted."""
     reference_gate_length_m: LengthM | None = None
     """Length of that gate; absent: acquisition.gate_length_m."""
     gates: Annotated[tuple[Gate, ...], Field(max_length=1000)] = ()
@@ -307,8 +295,6 @@ class Processing(Section):
     def _one_that_follows(self, info: ValidationInfo) -> Processing:
         if info.context == STORED:
             return self
-        if self.follow_gate and self.estimator == "joint":
-            raise ValueError('joint has no displacements to follow: set estimator = "coherent", or follow_gate = false')
         if self.follow_gate and self.reference_gate_depth_m is not None:
             raise ValueError("a reference gate stands still where follow_gate moves: remove one of them")
         return self
@@ -327,9 +313,9 @@ class Processing(Section):
     def _harmonic_that_is_used(self, info: ValidationInfo) -> Processing:
         if info.context == STORED:
             return self
-        if self.harmonic == "medium_prior" and self.estimator == "cross_spectrum":
+        if self.harmonic == "medium_prior" and properties_of(self.estimator).velocity_chain:
             raise ValueError(
-                'cross_spectrum has its own way to amplitude and phase and takes no harmonic = "medium_prior": '
+                f'{self.estimator} has its own way to amplitude and phase and takes no harmonic = "medium_prior": '
                 'remove it, or set estimator = "coherent"'
             )
         if self.process_noise and self.harmonic != "kalman":

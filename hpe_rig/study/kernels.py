@@ -28,7 +28,6 @@ from hpe_rig.processing import (
     Options,
     band_grid,
     band_of,
-    estimate,
     fit_motion,
     fourier_columns,
     hann,
@@ -155,9 +154,6 @@ def states(
 
 def _states(train: Train, estimator: Estimator, noisy: FloatArray) -> FloatArray:
     spec = spec_of(estimator)
-    if spec.motion is None:
-        fit = estimate(train.gate(noisy), train.frequencies_hz, estimator, options=train.options)
-        return fit.state[..., : 2 * len(train.frequencies_hz)]
     if spec.band_phase is not None:
         phase, _, mean_hz = spec.band_phase(_complex(noisy), spectral_kernels(train).band, True)
         return np.asarray((phase * _metres(train) / mean_hz[..., None]) @ functional(train, estimator))

@@ -19,7 +19,7 @@ from hpe_rig.plan.selection import (
     window_pulse_count,
 )
 from hpe_rig.plan.shots import Plan
-from hpe_rig.scene import Scene
+from hpe_rig.scene import Scene, properties_of
 
 MOST_DRIVEN, MOST_VALUES = 5000, 50_000_000
 """Harmonics of a fit, and values of its matrix: 0.4 GB, of which the fit holds about four copies."""
@@ -128,7 +128,7 @@ def _has_prior(scene: Scene) -> bool:
     """Return whether a prior of media stands for the harmonics in the fit of displacements."""
     processing = scene.processing
     return not (
-        processing.estimator in ("cross_spectrum", "joint")
+        properties_of(processing.estimator).velocity_chain
         or processing.harmonic == "least_squares"
         or processing.process_noise
         or scene.without_prior is not None

@@ -38,7 +38,7 @@ def test_noise_jitter_of_the_best_estimators_is_the_bound(table_one: Conditions,
     conditions = replace(table_one, snr=10 ** (snr_db / 10))
     bound_m, _ = harmonic_bound(1e-6, 130, 100, conditions.snr, 9e6, 1540.0)
     found = expected(
-        conditions, "joint", draw_speckle(conditions, np.random.default_rng(1), 400), np.random.default_rng(2)
+        conditions, "coherent", draw_speckle(conditions, np.random.default_rng(1), 400), np.random.default_rng(2)
     )
     # Echo and noise outside the gate belong to the same band: of the noise along an echo in the gate 1.4 % lies outside
     # the band, 0.7 % of jitter, and the whole echo is there; 1 mm is 129.87 samples, 0.05 %.
@@ -153,7 +153,7 @@ def test_trigger_jitter_adds_to_the_noise_and_no_snr_takes_it_away(table_one: Co
 def test_check_prints_every_estimator_and_what_reaches_the_target() -> None:
     setup = prepare("table-1")
     text = "\n".join(prediction_text(setup.scene.scene, setup.plan.shots[0], 1e-9))
-    for word in ("joint", "cross_spectrum", "target 1 nm with coherent: not reached", "N_c = 14", "beyond c/2z"):
+    for word in ("loupas", "cross_spectrum", "target 1 nm with coherent: not reached", "N_c = 14", "beyond c/2z"):
         assert word in text
 
 

@@ -1,4 +1,4 @@
-"""Error against run time on one's own scene: through the real run, one thing varied at a time, the front marked."""
+"""Error against run time of the variants of a scene, measured by the functions of a run."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from hpe_rig.processing import ESTIMATORS
 from hpe_rig.scene.scene import Scene, load_scene
 from hpe_rig.study import one_shot
 from hpe_rig.validation.accuracy.own_scene import (
-    OWN,
+    UNCHANGED,
     SceneRow,
-    Way,
+    Variant,
     _beats,
     _Trial,
     scene_rows,
     scene_text,
-    ways,
+    variants,
 )
 
 
@@ -34,20 +34,20 @@ def tiny() -> Scene:
 
 @pytest.fixture(scope="module")
 def rows(tiny: Scene) -> list[SceneRow]:
-    told: list[str] = []
+    messages: list[str] = []
     chosen = [
-        Way(OWN, "coherent", {}),
-        Way("estimator", "cross_spectrum", {"processing.estimator": "cross_spectrum"}),
-        Way("gate", "half", {"acquisition.gate_length_m": 0.5e-3}),
-        Way("echo tolerance", "coarse", {"simulation.scatterers.echo_tolerance": 0.1}, True),
-        Way("estimator", "none such", {"processing.frequencies_hz": [200.0, 201.0]}),
+        Variant(UNCHANGED, "coherent", {}),
+        Variant("estimator", "cross_spectrum", {"processing.estimator": "cross_spectrum"}),
+        Variant("gate", "half", {"acquisition.gate_length_m": 0.5e-3}),
+        Variant("echo tolerance", "coarse", {"simulation.scatterers.echo_tolerance": 0.1}, True),
+        Variant("estimator", "none such", {"processing.frequencies_hz": [200.0, 201.0]}),
     ]
-    found = scene_rows(one_shot(tiny), None, chosen, 3, tell=told.append)
-    assert len(told) == 3 * len(chosen)
+    found = scene_rows(one_shot(tiny), None, chosen, 3, report_progress=messages.append)
+    assert len(messages) == 3 * len(chosen)
     return found
 
 
-def test_a_way_is_as_wrong_as_its_runs_say(rows: list[SceneRow], tiny: Scene, tmp_path: Path) -> None:
+def test_the_errors_of_a_variant_are_those_of_its_runs(rows: list[SceneRow], tiny: Scene, tmp_path: Path) -> None:
     from hpe_rig.runs import measure
 
     errors = []
@@ -61,20 +61,20 @@ def test_a_way_is_as_wrong_as_its_runs_say(rows: list[SceneRow], tiny: Scene, tm
     assert own.error == pytest.approx(math.sqrt(sum(e**2 for e in errors) / 3), rel=1e-9)
 
 
-def test_what_is_varied_changes_the_error_and_what_gives_up_says_so(rows: list[SceneRow]) -> None:
+def test_every_variant_changes_the_error_and_a_failing_fit_is_reported(rows: list[SceneRow]) -> None:
     assert len({row.error for row in rows[:4]}) == 4
     assert math.isnan(rows[4].error)
     assert not rows[4].on_front
-    assert "gave up" in scene_text(rows)
+    assert "no estimate" in scene_text(rows)
     assert [row.own for row in rows] == [True, False, False, False, False]
     assert all(row.time_s > row.estimation_s > 0 for row in rows[:4])
 
 
-def test_the_page_says_what_the_scene_buys_where_something_beats_it(rows: list[SceneRow]) -> None:
+def test_the_text_states_the_benefit_of_a_setting_that_is_beaten(rows: list[SceneRow]) -> None:
     own = replace(rows[0], on_front=False, error=0.02, time_s=1.0)
     faster = replace(rows[2], on_front=True, beats_own=True, error=0.005, time_s=0.5)
     text = scene_text([own, faster])
-    assert "gate half beats the scene's own settings: rms error 0.5 instead of 2 %, 0.5 instead of 1 s" in text
+    assert "gate half beats the scene's settings: rms error 0.5 instead of 2 %, 0.5 instead of 1 s" in text
     assert "resolution in depth" in text
     assert "lie on the Pareto front" in scene_text([replace(own, on_front=True), replace(faster, beats_own=False)])
 
@@ -86,7 +86,7 @@ def trials(errors_m: list[float], times_s: list[float]) -> list[_Trial]:
     ]
 
 
-def test_a_way_beats_another_by_more_than_chance_and_is_worse_in_nothing() -> None:
+def test_a_variant_beats_another_only_by_a_significant_difference() -> None:
     own = trials([1.0, -2.0, 3.0, -1.5], [1.0, 1.01, 0.99, 1.0])
     halves = trials([0.5, -1.0, 1.5, -0.75], [1.0, 1.0, 1.0, 1.0])
     assert _beats(halves, own)
@@ -106,16 +106,23 @@ def test_a_way_beats_another_by_more_than_chance_and_is_worse_in_nothing() -> No
     assert not _beats(gave_up, own)
 
 
-def test_what_a_scene_cannot_have_is_not_tried() -> None:
-    tried = ways(one_shot(load_scene("cardiac-background")))
-    assert {way.setting for way in tried if way.varied == "estimator"} == {*ESTIMATORS} - {"coherent", "joint"}
+def test_variants_that_are_invalid_for_the_scene_are_not_tried() -> None:
+    tried = variants(one_shot(load_scene("cardiac-background")))
+    assert {variant.setting for variant in tried if variant.varied == "estimator"} == {*ESTIMATORS} - {"coherent"}
 
 
-def test_everything_that_a_scene_leaves_open_is_varied() -> None:
-    tried = ways(one_shot(load_scene("muscle-force")))
-    assert {way.varied for way in tried} == {OWN, "estimator", "harmonic", "gate", "echo tolerance", "field"}
-    assert {way.setting for way in tried if way.varied == "estimator"} == {*ESTIMATORS} - {"coherent"}
-    assert "field" not in {way.varied for way in ways(one_shot(load_scene("table-1")))}
+def test_every_free_setting_of_a_scene_is_varied() -> None:
+    tried = variants(one_shot(load_scene("muscle-force")))
+    assert {variant.varied for variant in tried} == {
+        UNCHANGED,
+        "estimator",
+        "harmonic",
+        "gate",
+        "echo tolerance",
+        "field",
+    }
+    assert {variant.setting for variant in tried if variant.varied == "estimator"} == {*ESTIMATORS} - {"coherent"}
+    assert "field" not in {variant.varied for variant in variants(one_shot(load_scene("table-1")))}
 
 
 def test_one_shot_of_a_long_scene_is_measured() -> None:
@@ -125,7 +132,7 @@ def test_one_shot_of_a_long_scene_is_measured() -> None:
     assert len(one_shot(load_scene("muscle-force")).excitation.force_fraction) == 1  # type: ignore[union-attr]
 
 
-def test_the_command_writes_the_table_and_tells_its_progress(tmp_path: Path) -> None:
+def test_the_command_writes_the_table_and_reports_its_progress(tmp_path: Path) -> None:
     table, scene = tmp_path / "mine.csv", tmp_path / "mine.toml"
     from hpe_rig.scene.scene import scene_text as text_of
 
@@ -141,12 +148,12 @@ def test_the_command_writes_the_table_and_tells_its_progress(tmp_path: Path) -> 
     assert any(row["on_front"] == "True" for row in read)
 
 
-def test_names_of_files_that_cannot_be_are_refused_before_anything_is_measured() -> None:
+def test_invalid_file_names_are_refused_before_anything_is_measured() -> None:
     words = ["accuracy", "--scene", "table-1", "--output", "mine.foo", "--figure", "nowhere/mine.svg"]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 2
-    assert "mine.foo is no format it has" in result.output
-    assert "there is no folder nowhere" in result.output
+    assert "mine.foo: unknown format" in result.output
+    assert "the folder nowhere does not exist" in result.output
     assert "seed 1" not in result.output
 
 
