@@ -56,19 +56,19 @@ class Connection(Protocol):
 
 
 @runtime_checkable
-class Line(Protocol):
-    """What a connection over a real line can do besides; one in the same process needs none of it."""
+class RemoteConnection(Protocol):
+    """Additional interface of a connection to another device; one within the process does not have it."""
 
     timeout_s: float
-    """How long ``read`` waits."""
+    """The time that ``read`` waits for a reply."""
 
     @property
-    def shared(self) -> str:
-        """What several connections may share; those that do are used one after the other."""
+    def bus(self) -> str:
+        """Name of the bus or adapter; connections on the same bus are used one after the other."""
         ...
 
     def reopen(self) -> None:
-        """Open a dropped connection again; raise ``ConnectionError`` where nobody is there."""
+        """Open a lost connection again; raise ``ConnectionError`` if there is no answer."""
         ...
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from drivers.agilent.read_back import Register, argument
-from drivers.interfaces import Connection, InstrumentError, Line
+from drivers.interfaces import Connection, InstrumentError, RemoteConnection
 
 _LOG: Final = logging.getLogger("drivers")
 # A 33250A queues 20 errors; a few reads more, so that the final "no error" is seen as well.
@@ -85,13 +85,13 @@ class ScpiSession:
     @property
     def line(self) -> str:
         """Name of the line that leads to the instrument; empty where it is in the same process."""
-        return self._connection.shared if isinstance(self._connection, Line) else ""
+        return self._connection.bus if isinstance(self._connection, RemoteConnection) else ""
 
     @contextmanager
     def haste(self) -> Iterator[None]:
         """Wait no longer than ``HASTE_S`` for each reply in the block."""
         line = self._connection
-        if not isinstance(line, Line):
+        if not isinstance(line, RemoteConnection):
             yield
             return
         with self._lock:
@@ -103,7 +103,7 @@ class ScpiSession:
 
     def reopen(self) -> bool:
         """Open a dropped connection again; return whether that is possible and somebody is there."""
-        if not isinstance(self._connection, Line):
+        if not isinstance(self._connection, RemoteConnection):
             return False
         try:
             self._connection.reopen()

@@ -1,9 +1,11 @@
-"""VISA connections: a text line to an instrument over GPIB, RS-232, TCP socket, HiSLIP, VXI-11 or Prologix.
+"""Text connections to instruments by VISA resource name.
 
-    connection           one connection, and the adapter that it may go through
-    protocol_comsocket   what pyserial needs for a serial line over TCP on Windows
+    connection   one connection to one instrument, whatever its resource name
+    resources    GPIB, USB, RS-232, HiSLIP and VXI-11, by pyvisa
+    sockets      raw TCP sockets, by the standard library
+    prologix     instruments behind a Prologix GPIB adapter
 
-Others use ``VisaConnection``, and ``VisaInterface`` where an adapter comes first.
+Other packages use ``VisaConnection``, ``PrologixAdapter`` and ``NoVisaError``.
 """
 
 import lazy_loader

@@ -1,1 +1,3 @@
-from .connection import NoVisaError as NoVisaError, VisaConnection as VisaConnection, VisaInterface as VisaInterface
+from .connection import VisaConnection as VisaConnection
+from .prologix import PrologixAdapter as PrologixAdapter
+from .resources import NoVisaError as NoVisaError

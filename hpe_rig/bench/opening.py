@@ -211,18 +211,18 @@ def _visa_connections(
     addresses: Mapping[str, tuple[str, str | None]], backend: str, stack: ExitStack, lock: bool = False
 ) -> Callable[[str], Connection]:
     """Return what opens the connection of a role; an adapter that several share is opened once."""
-    from drivers.visa import NoVisaError, VisaConnection, VisaInterface
+    from drivers.visa import NoVisaError, PrologixAdapter, VisaConnection
 
-    interfaces: dict[str, VisaInterface] = {}
+    interfaces: dict[str, PrologixAdapter] = {}
 
     def connect(role: str) -> Connection:
         address, before = addresses[role]
         try:
             if before and before not in interfaces:
-                interfaces[before] = VisaInterface(before, backend=backend)
+                interfaces[before] = PrologixAdapter(before, backend=backend)
                 stack.callback(interfaces[before].close)
             interface = interfaces[before] if before else None
-            opened = VisaConnection(address, backend=backend, interface=interface, lock=lock)
+            opened = VisaConnection(address, backend=backend, adapter=interface, lock=lock)
         except NoVisaError as error:
             why = "this computer lacks the driver for such an address, which may be right"
             raise InstrumentError(role, str(error), why, error.remedy) from error

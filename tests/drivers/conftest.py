@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import pytest
 
 from drivers.interfaces import Connection
-from drivers.visa.connection import VisaConnection, VisaInterface
+from drivers.visa import PrologixAdapter, VisaConnection
 from sim_backend.generator.instrument import Generator33250A
 from sim_backend.transports.emulator import TRANSPORTS, Emulator
 from sim_backend.wiring import SimulatedClock
@@ -95,7 +95,7 @@ def reaching(transport: str, instrument: Generator33250A) -> Iterator[Connection
 
     with ExitStack() as stack:
         served = stack.enter_context(Emulator(transport, seen, ("instrument",))).served["instrument"]
-        interface = VisaInterface(served.interface, TIMEOUT_S) if served.interface else None
+        interface = PrologixAdapter(served.interface, TIMEOUT_S) if served.interface else None
         if interface:
             stack.callback(interface.close)
         connection = VisaConnection(served.address, TIMEOUT_S, "@py", interface)

@@ -178,7 +178,7 @@ class TappedWire:
 class TappedLine(TappedWire):
     """A connection over a real transport: it can be opened again, unless its peer has gone for good."""
 
-    shared = property(lambda line: line._wire.shared)
+    bus = property(lambda line: line._wire.bus)
     timeout_s = property(lambda line: line._wire.timeout_s, lambda line, value: setattr(line._wire, "timeout_s", value))
 
     def reopen(self) -> None:

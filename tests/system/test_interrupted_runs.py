@@ -73,7 +73,7 @@ class Both:
         self.there.close()
     def reopen(self):
         self.there.reopen()
-    shared = property(lambda self: self.there.shared)
+    bus = property(lambda self: self.there.bus)
     timeout_s = property(lambda self: self.there.timeout_s, lambda self, value: setattr(self.there, "timeout_s", value))
 
 reach = opening._reach

@@ -99,8 +99,6 @@ def test_those_that_are_there_are_made_safe_where_another_cannot_be_reached(
 
 
 def test_a_missing_driver_is_named_as_what_it_is(tmp_path: Path, metal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # pyvisa-py takes an adapter that was opened before in this process for GPIB board 0.
-    monkeypatch.setattr("pyvisa_py.prologix._PrologixIntfcSession.boards", {})
     with pytest.raises(NoVisaError, match="no VISA driver for GPIB is installed") as caught:
         VisaConnection("GPIB0::10::INSTR", backend="@py")
     assert "NI-VISA or Keysight IO Libraries, or linux-gpib" in caught.value.remedy

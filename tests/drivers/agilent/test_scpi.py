@@ -195,7 +195,7 @@ def test_the_twins_own_errors_are_told_with_their_cause(sent: str, times: int, c
 def test_a_line_that_instruments_share_is_known_by_its_name(scripted) -> None:
     connection = scripted()
     assert ScpiSession(connection, "master").line == ""
-    connection.timeout_s, connection.shared, connection.reopen = 1.0, "GPIB0", lambda: None
+    connection.timeout_s, connection.bus, connection.reopen = 1.0, "GPIB0", lambda: None
     assert ScpiSession(connection, "master").line == "GPIB0"
 
 

@@ -10,15 +10,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import IO
 
 import pytest
 
 from drivers.agilent.generator import Agilent33250A
 from drivers.agilent.scpi import ScpiSession
 from drivers.interfaces import InstrumentError, PulseTrain
-from drivers.visa.connection import VisaConnection
+from drivers.visa import PrologixAdapter, VisaConnection
 from sim_backend.generator.instrument import Generator33250A
+from sim_backend.transports import Emulator
 from sim_backend.wiring import SimulatedClock
+from sim_backend.world import GeneratorConnection
 
 TRAIN = PulseTrain(rate_hz=5e3, count=1000, delay_s=10e-3, width_s=10e-6, high_v=4.0, load_ohm=math.inf)
 TIMEOUT_S = 0.15
@@ -164,9 +167,10 @@ def test_a_connection_closed_by_the_instrument_is_an_error_not_a_reply(scripted,
             session.query("*IDN?")
 
 
-def test_without_a_vendor_library_the_free_one_is_taken(scripted) -> None:
-    with served(scripted()) as address:
-        connection = VisaConnection(address, TIMEOUT_S, backend="/no/such/libvisa.so")
+def test_without_a_vendor_library_pyvisa_py_opens_the_address() -> None:
+    generator = GeneratorConnection(Generator33250A(SimulatedClock(), 100e-9), SimulatedClock(), 0.0)
+    with Emulator("hislip", lambda role, over_serial: generator, ("master",)) as emulator:
+        connection = VisaConnection(emulator.served["master"].address, TIMEOUT_S, backend="/no/such/libvisa.so")
         connection.write("*IDN?")
         assert "33250A" in connection.read()
         connection.close()
@@ -179,34 +183,69 @@ def test_closing_twice_is_no_error(scripted) -> None:
         connection.close()
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
-def test_a_serial_address_sets_the_instruments_line_and_takes_remote_control_first(scripted) -> None:
+@contextmanager
+def terminal(converse: Callable[[IO[bytes]], None]) -> Iterator[str]:
+    """Yield the device name of a pseudo terminal; ``converse`` has the other end, in a thread."""
     import tty
 
-    instrument = scripted()
-    ours, theirs = os.openpty()
-    tty.setraw(theirs)
+    server, client = os.openpty()
+    tty.setraw(client)
 
     def serve() -> None:
-        with open(ours, "rb", buffering=0, closefd=False) as lines:
-            instrument.write(read_line(lines))
-            instrument.write(read_line(lines))
-            os.write(ours, instrument.read().encode() + b"\n")
+        with open(server, "r+b", buffering=0, closefd=False) as line:
+            converse(line)
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
-    connection = VisaConnection(f"ASRL{os.ttyname(theirs)}::INSTR", 1.0, backend="@py")
-    connection.write("*IDN?")
-    assert "33250A" in connection.read()
-    connection.close()
+    yield os.ttyname(client)
     thread.join(timeout=5)
-    os.close(ours)
-    os.close(theirs)
+    os.close(server)
+    os.close(client)
+
+
+def read_line(line: IO[bytes]) -> str:
+    received = b""
+    while not received.endswith(b"\n"):
+        received += line.read(1)
+    return received.decode().strip()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
+def test_a_serial_address_ends_the_instruments_local_mode_first(scripted) -> None:
+    instrument = scripted()
+
+    def converse(line: IO[bytes]) -> None:
+        instrument.write(read_line(line))
+        instrument.write(read_line(line))
+        line.write(instrument.read().encode() + b"\n")
+
+    with terminal(converse) as device:
+        connection = VisaConnection(f"ASRL{device}::INSTR", 1.0, backend="@py")
+        connection.write("*IDN?")
+        assert "33250A" in connection.read()
+        connection.close()
     assert instrument.messages == ["SYST:REM", "*IDN?"]
 
 
-def read_line(lines) -> str:
-    received = b""
-    while not received.endswith(b"\n"):
-        received += lines.read(1)
-    return received.decode().strip()
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a pseudo terminal")
+def test_a_prologix_adapter_on_a_serial_line_reaches_its_instruments() -> None:
+    received: list[str] = []
+
+    def converse(line: IO[bytes]) -> None:
+        while "++read eoi" not in received:
+            received.append(read_line(line))
+        line.write(b"33250A\n")
+
+    with terminal(converse) as device:
+        adapter = PrologixAdapter(f"PRLGX-ASRL::{device}::INTFC", 1.0, backend="@py")
+        connection = VisaConnection("GPIB0::10::INSTR", 1.0, adapter=adapter)
+        connection.write("*IDN?")
+        assert connection.read() == "33250A"
+        adapter.close()
+    assert received[-3:] == ["++addr 10", "*IDN?", "++read eoi"]
+
+
+@pytest.mark.parametrize("address", ["GPIB0::10::INSTR", "PRLGX-TCPIP0::10.0.0.1::INTFC"])
+def test_an_adapter_address_that_is_none_is_refused_with_an_example(address: str) -> None:
+    with pytest.raises(ConnectionError, match="such as PRLGX-TCPIP0::192.168.1.20::1234::INTFC"):
+        PrologixAdapter(address)

@@ -1,0 +1,154 @@
+"""VISA resources of pyvisa, by a vendor's VISA library or by pyvisa-py.
+
+Two facts of pyvisa-py 0.7 to 0.8 are relied upon, which its documentation does not promise. A missing bus package is
+a ``ValueError`` with the text 'Please install'. A failed transport raises any exception (``OSError``,
+``RuntimeError``, ``EOFError``, bare ``Exception``), not ``VisaIOError`` alone.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from contextlib import suppress
+from typing import TYPE_CHECKING, Final, final
+
+if TYPE_CHECKING:
+    from pyvisa import ResourceManager
+    from pyvisa.resources import MessageBasedResource
+
+# The default of pyvisa, 0, is 0.1 s for VXI-11 in pyvisa-py before 0.9 (its issue 578).
+OPEN_TIMEOUT_MS: Final = 5000
+LOCK_TIMEOUT_MS: Final = 200
+# Factory setting of the 33250A's RS-232 interface; 8 data bits, no parity and 1 stop bit are VISA's own default.
+SERIAL_BAUD: Final = 57600
+BUS_PACKAGES: Final = {
+    "GPIB": ", or linux-gpib and pip install gpib-ctypes",
+    "USB": ", or pip install pyusb and a libusb",
+}
+"""Remedies without a vendor's VISA, by kind of address."""
+
+
+class NoVisaError(ConnectionError):
+    """This computer has no driver for this kind of address; ``remedy`` says which one to install."""
+
+    def __init__(self, address: str, detail: str) -> None:
+        bus = next((name for name in BUS_PACKAGES if address.upper().startswith(name)), "")
+        super().__init__(f"cannot open {address!r}: no VISA driver for {bus or 'this kind of address'} is installed")
+        self.remedy = f"install NI-VISA or Keysight IO Libraries{BUS_PACKAGES.get(bus, '')}"
+        self.detail = detail
+
+
+@final
+class VisaLine:
+    """Line of text over a VISA resource that carries messages.
+
+    ``backend`` is pyvisa's library choice: "" is the vendor's if there is one, else "@py". With ``lock`` the resource
+    is locked against other programs, if library and transport can do that. Raises ``NoVisaError`` or any exception of
+    the library when the resource cannot be opened.
+    """
+
+    def __init__(self, address: str, timeout_s: float, backend: str, lock: bool) -> None:
+        import pyvisa
+
+        self._resource = _message_resource(address, backend)
+        try:
+            self.timeout_s = timeout_s
+            self._resource.read_termination = "\n"
+            self.is_rs232 = isinstance(self._resource, pyvisa.resources.SerialInstrument)
+            if isinstance(self._resource, pyvisa.resources.SerialInstrument):
+                self._resource.baud_rate = SERIAL_BAUD
+                self._resource.flow_control = pyvisa.constants.ControlFlow.dtr_dsr
+            if lock:
+                self._lock()
+        except Exception:
+            self.close()
+            raise
+
+    @property
+    def timeout_s(self) -> float:
+        """The time that ``read`` waits for a reply."""
+        return float(self._resource.timeout) / 1e3
+
+    @timeout_s.setter
+    def timeout_s(self, timeout_s: float) -> None:
+        self._resource.timeout = timeout_s * 1e3
+
+    def write(self, message: bytes) -> None:
+        """Send ``message``."""
+        self._resource.write_raw(message)
+
+    def read(self) -> bytes:
+        """Return one reply with its line end; raise ``TimeoutError`` if there is none."""
+        import pyvisa
+
+        try:
+            reply = bytes(self._resource.read_raw())
+        except pyvisa.VisaIOError as error:
+            if error.error_code == pyvisa.constants.StatusCode.error_timeout:
+                raise TimeoutError from error
+            raise
+        if not reply:
+            # Over HiSLIP pyvisa-py returns at once if no query followed the last reply.
+            raise TimeoutError
+        return reply
+
+    def discard_replies(self) -> None:
+        """Drop what has arrived and was not read."""
+        import pyvisa
+
+        self._resource.flush(pyvisa.constants.BufferOperation.discard_read_buffer)
+
+    def close(self) -> None:
+        """Close the resource; a lost or closed one is no error."""
+        with suppress(Exception):
+            self._resource.close()
+
+    def _lock(self) -> None:
+        """Lock the resource exclusively; raise ``OSError`` if another program holds the lock."""
+        import pyvisa
+
+        try:
+            self._resource.lock_excl(LOCK_TIMEOUT_MS)
+        except pyvisa.VisaIOError as error:
+            if error.error_code == pyvisa.constants.StatusCode.error_resource_locked:
+                raise OSError("another program holds its lock") from error
+        except (NotImplementedError, AttributeError):
+            # pyvisa-py has no locks on this transport.
+            return
+
+
+def _message_resource(address: str, backend: str) -> MessageBasedResource:
+    """Return the open resource; raise ``NoVisaError``, or ``ValueError`` if it carries no messages."""
+    import pyvisa
+
+    try:
+        resource = _resource_manager(backend).open_resource(address, open_timeout=OPEN_TIMEOUT_MS)
+    except ValueError as error:
+        if "Please install" in str(error):
+            raise NoVisaError(address, str(error)) from error
+        raise
+    if isinstance(resource, pyvisa.resources.MessageBasedResource):
+        return resource
+    resource.close()
+    raise ValueError(f"{type(resource).__name__} carries no text messages")
+
+
+def _resource_manager(backend: str) -> ResourceManager:
+    import pyvisa
+
+    return pyvisa.ResourceManager(_library(backend or os.environ.get("PYVISA_LIBRARY", "")))
+
+
+@functools.cache
+def _library(backend: str) -> str:
+    """Return the pyvisa library specification for ``backend``: the vendor's library if there is one, else "@py".
+
+    Cached: pyvisa asks the linker and the compiler for the library, which takes a third of a second an instrument.
+    """
+    import pyvisa
+
+    try:
+        library_path = pyvisa.ResourceManager(backend).visalib.library_path
+    except (ValueError, OSError):
+        return "@py"
+    return backend or ("@py" if library_path == "py" else f"{library_path}@ivi")
