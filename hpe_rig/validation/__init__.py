@@ -1,7 +1,6 @@
-"""Validation: the twin and the estimators against exact references, and against the statements of the paper.
+"""Validation: the twin and the estimators compared with exact references and with the statements of the paper.
 
-`accuracy` measures error against run time, `paper` repeats the paper's figures and judges its statements. The command
-line writes their tables and pages; scripts take the experiments and the estimators' cases.
+`accuracy` measures error against run time; `paper` judges the paper's statements from the results of studies.
 """
 
 import lazy_loader

@@ -62,7 +62,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Any:
         from hpe_rig.cli.listing import extension_lines
         from hpe_rig.report import write_report
         from hpe_rig.study import one_shot
-        from hpe_rig.validation.accuracy.own_scene import OWN, scene_rows, ways
+        from hpe_rig.validation.accuracy.own_scene import UNCHANGED, scene_rows, variants
 
         law = {"shear_modulus_pa": 5e3, "springpot_modulus_pa": 2e3, "power": 0.5}
         scene = hpe.load_scene("bovine-muscle").with_({
@@ -72,9 +72,9 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Any:
             "simulation.specimen.parameters": law,
         })
         seen = {"lines": extension_lines()[0], "check": str(hpe.check(scene))}
-        seen["ways"] = [str(way) for way in ways(hpe.load_scene("table-1")) if way.values.get("processing.estimator")]
-        chosen = [way for way in ways(scene) if way.varied == OWN or way.setting == "coherent"]
-        seen["rows"] = [(row.setting, row.error) for row in scene_rows(one_shot(scene), None, chosen, 2)]
+        seen["variants"] = [str(item) for item in variants(hpe.load_scene("table-1")) if item.values.get("processing.estimator")]
+        tried = [item for item in variants(scene) if item.varied == UNCHANGED or item.setting == "coherent"]
+        seen["rows"] = [(row.setting, row.error) for row in scene_rows(one_shot(scene), None, tried, 2)]
         measured = hpe.measure(scene, path="run.h5")
         result = measured.estimate()
         strongest = max(result.shots[0].estimates, key=lambda each: each.amplitude_m)

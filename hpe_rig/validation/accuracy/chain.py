@@ -1,4 +1,4 @@
-"""Error against run time of the receive chain: where to cut the filters' tails, how finely to sample."""
+"""Error against run time of the receive chain over the truncation of its filters and over the oversampling."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RECORDS, SAMPLES = 100, 512
 
 
 def points() -> Iterator[Point]:
-    """Yield the linear and the logarithmic chain of the paper, at tails of 1e-2 to 1e-12 and finer sampling."""
+    """Yield points of the linear and the logarithmic chain of the paper, for several truncations and oversamplings."""
     from sim_backend.acoustics import with_reception
     from sim_backend.settings import ReceiveChain, SimulationSettings
     from sim_backend.wiring import Capture, no_bursts
@@ -31,15 +31,15 @@ def points() -> Iterator[Point]:
     for case, chain in (("linear chain", linear), ("logarithmic chain", paper)):
         exact = received(chain.model_copy(update={"oversampling": 10, "tail_tolerance": 1e-14}))
         for tolerance in (1e-2, 1e-4, 1e-6, 1e-8, 1e-12):
-            cut = chain.model_copy(update={"tail_tolerance": tolerance, "oversampling": 5})
-            yield measured(case, "5 samples for one", f"tail {tolerance:g}", partial(received, cut), exact)
-        for finer in (1, 2, 5, 10):
-            fine = chain.model_copy(update={"tail_tolerance": 1e-10, "oversampling": finer})
-            yield measured(case, f"{finer} for one", "tail 1e-10", partial(received, fine), exact)
+            truncated = chain.model_copy(update={"tail_tolerance": tolerance, "oversampling": 5})
+            yield measured(case, "oversampling 5", f"tail {tolerance:g}", partial(received, truncated), exact)
+        for factor in (1, 2, 5, 10):
+            oversampled = chain.model_copy(update={"tail_tolerance": 1e-10, "oversampling": factor})
+            yield measured(case, f"oversampling {factor}", "tail 1e-10", partial(received, oversampled), exact)
 
 
 class _Speckle:
-    """Echoes of 60 point scatterers, Hann pulses of 1.7 us at 9 MHz, at whatever instants are asked for."""
+    """Echoes of 60 point scatterers, Hann pulses of 1.7 us at 9 MHz, at any sample times."""
 
     def __init__(self) -> None:
         rng = np.random.default_rng(1)

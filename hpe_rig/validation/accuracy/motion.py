@@ -1,4 +1,4 @@
-"""Motion estimators, error against run time: the paper's parameters one at a time, the twin's echoes, many draws."""
+"""Errors and run times of the motion estimators on echoes of the twin; the paper's parameters are varied one by one."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PARAMETERS: dict[str, tuple[float, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class MotionCase:
-    """Table I with what a study changes; ``margin``: samples of the record before and behind the gate."""
+    """Settings of one case, by default Table I. ``margin``: samples of the record on each side of the gate."""
 
     snr_db: float = 20.0
     amplitude_m: float = 1e-6
@@ -48,19 +48,19 @@ class MotionCase:
 
     @property
     def pulse_time_s(self) -> FloatArray:
-        """When each pulse senses the motion, (pulse,)."""
+        """Times at which the pulses sample the motion, s, (pulse,)."""
         return np.arange(round(self.cycles * self.points)) / (self.points * self.frequency_hz)
 
     @property
     def gate_s(self) -> FloatArray:
-        """Sample times relative to the echo of the focus, margins included, (sample,)."""
+        """Sample times relative to the echo of the focus, margins included, s, (sample,)."""
         samples = round(2 * self.gate_length_m / self.sound_speed_m_per_s * self.sample_rate_hz) + 2 * self.margin
         return np.asarray((np.arange(samples) - (samples - 1) / 2) / self.sample_rate_hz, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
 class MotionRow:
-    """One estimator in one case: bias, jitters (standard deviations), efficiency, truth of the uncertainty, time."""
+    """Bias, jitters (standard deviations), efficiency and run time of one estimator in one case."""
 
     parameter: str
     value: float
@@ -74,9 +74,9 @@ class MotionRow:
     phase_jitter_rad: float
     bound_m: float
     efficiency: float
-    """Bound over noise jitter, the latter half the width of the middle 68 % of errors: rare jumps count little."""
+    """Bound over noise jitter; the jitter is half the width of the central 68 % of errors, robust against jumps."""
     normalised_error: float
-    """Mean square of the noise error over its stated variance: 1 where the stated uncertainty is true."""
+    """Mean square noise error over the stated variance: 1 if the stated uncertainty is right."""
     predicted_bias_m: float
     predicted_noise_m: float
     predicted_speckle_m: float
@@ -91,23 +91,23 @@ def rows(
     snr_db: Sequence[float] = (10.0, 40.0),
     seed: int = 0,
 ) -> Iterator[MotionRow]:
-    """Yield a row for every parameter's every value, SNR and estimator; the parameter ``snr_db`` is its own SNR."""
+    """Yield a row for every value of each parameter, SNR and estimator. For ``snr_db`` the value replaces the SNR."""
     for name in parameters:
         for value in PARAMETERS[name]:
             for level in (value,) if name == "snr_db" else snr_db:
-                changed: dict[str, Any] = {name: value}
-                case = replace(MotionCase(snr_db=level), **changed)
+                change: dict[str, Any] = {name: value}
+                case = replace(MotionCase(snr_db=level), **change)
                 yield from case_rows(case, name, value, estimators, draws, seed)
 
 
 def draw_motion(rows: Sequence[MotionRow], path: Path) -> None:
-    """Draw noise jitter over its bound against time per pulse, a panel a parameter."""
+    """Draw noise jitter over its bound against time per pulse, one panel per parameter."""
     panels = {
         name: {
-            estimator: [(row.us_per_pulse, row.noise_jitter_m / row.bound_m) for row in some]
-            for estimator, some in grouped(own, lambda row: row.estimator).items()
+            estimator: [(row.us_per_pulse, row.noise_jitter_m / row.bound_m) for row in estimator_rows]
+            for estimator, estimator_rows in grouped(parameter_rows, lambda row: row.estimator).items()
         }
-        for name, own in grouped(rows, lambda row: row.parameter).items()
+        for name, parameter_rows in grouped(rows, lambda row: row.parameter).items()
     }
     draw_panels(panels, path, "time per pulse (us)", "noise jitter / bound", over_bound=True)
 
@@ -115,23 +115,23 @@ def draw_motion(rows: Sequence[MotionRow], path: Path) -> None:
 def case_rows(
     case: MotionCase, parameter: str, value: float, estimators: Sequence[Estimator], draws: int, seed: int
 ) -> Iterator[MotionRow]:
-    """Yield a row for every estimator, all from the same echoes and noise, with the margins that a record has."""
+    """Yield a row for every estimator, from the same echoes and noise and with the margins of a record."""
     case = replace(case, margin=margin_samples(case.sample_rate_hz, case.carrier_hz))
     clean = twin_echoes(case, draws, np.random.default_rng([seed, 0]))
-    held = clean[..., case.margin : -case.margin]
-    noise_v = np.sqrt(np.mean(held**2, axis=(-2, -1), keepdims=True) / 10 ** (case.snr_db / 10))
+    gated = clean[..., case.margin : -case.margin]
+    noise_v = np.sqrt(np.mean(gated**2, axis=(-2, -1), keepdims=True) / 10 ** (case.snr_db / 10))
     noisy = clean + noise_v * np.random.default_rng([seed, 1]).standard_normal(clean.shape)
     columns = harmonic_columns(case.pulse_time_s, np.array([case.frequency_hz]))
-    bound = echo_bound(held[:, 0], case.sample_rate_hz, noise_v[:, 0, 0], columns, case.sound_speed_m_per_s)
-    setting = conditions_of(case)
-    speckle = draw_speckle(setting, np.random.default_rng([seed, 2]))
+    bound = echo_bound(gated[:, 0], case.sample_rate_hz, noise_v[:, 0, 0], columns, case.sound_speed_m_per_s)
+    conditions = conditions_of(case)
+    speckle = draw_speckle(conditions, np.random.default_rng([seed, 2]))
     for name in estimators:
-        model = expected(setting, name, speckle, np.random.default_rng([seed, 3]))
+        model = expected(conditions, name, speckle, np.random.default_rng([seed, 3]))
         yield _row(case, parameter, value, name, clean, noisy, np.sqrt(bound[:, 0, 0]), model)
 
 
 def twin_echoes(case: MotionCase, draws: int, generator: np.random.Generator) -> FloatArray:
-    """Return noise-free echoes of the twin, (draw, pulse, sample), moved by D_0 sin(2 pi f t)."""
+    """Return noise-free echoes of the twin (draw, pulse, sample) from scatterers that move by D_0 sin(2 pi f t)."""
     from sim_backend.echoes import drawn_echoes, hann_pulse
     from sim_backend.settings import Scatterers, SimulationSettings
 
@@ -139,13 +139,13 @@ def twin_echoes(case: MotionCase, draws: int, generator: np.random.Generator) ->
         scatterers=Scatterers(per_cell=case.per_cell, bandwidth=case.bandwidth),
         sound_speed_m_per_s=case.sound_speed_m_per_s,
     )
-    moved = case.amplitude_m * np.sin(2 * np.pi * case.frequency_hz * case.pulse_time_s)
+    displacement_m = case.amplitude_m * np.sin(2 * np.pi * case.frequency_hz * case.pulse_time_s)
     pulse = hann_pulse(case.carrier_hz, case.bandwidth)
-    return np.concatenate(list(drawn_echoes(settings, moved, pulse, case.gate_s, generator, draws, 1e-7)))
+    return np.concatenate(list(drawn_echoes(settings, displacement_m, pulse, case.gate_s, generator, draws, 1e-7)))
 
 
 def conditions_of(case: MotionCase) -> Conditions:
-    """Return the case in the words of the analytic model."""
+    """Return the case as input of the analytic error model."""
     tracking = (0.078e-3, 0.078e-3, 0.83e-3)
     return Conditions(
         excitation_width_m=(0.17e-3, 0.17e-3, 1.80e-3),
@@ -165,15 +165,15 @@ def conditions_of(case: MotionCase) -> Conditions:
 
 
 def gate(case: MotionCase, volts: FloatArray) -> EchoGate:
-    """Return echoes (..., pulse, sample) as the estimators take them."""
-    everything = np.ones(volts.shape[-2], dtype=bool)
+    """Return echoes (..., pulse, sample) as input of the estimators."""
+    valid = np.ones(volts.shape[-2], dtype=bool)
     return EchoGate(
         volts,
         case.sample_rate_hz,
         case.pulse_time_s,
         case.carrier_hz,
         case.sound_speed_m_per_s,
-        everything,
+        valid,
         (case.margin, case.margin),
     )
 
@@ -188,12 +188,12 @@ def _row(
     bound_m: FloatArray,
     model: Expected,
 ) -> MotionRow:
-    resting = estimate(gate(case, clean), [case.frequency_hz], name)
+    noise_free = estimate(gate(case, clean), [case.frequency_hz], name)
     start_s = time.perf_counter()
     fit = estimate(gate(case, noisy), [case.frequency_hz], name)
     time_s = time.perf_counter() - start_s
     amplitude_m, phase_rad = fit.amplitude_m[:, 0], fit.phase_rad[:, 0]
-    error_m = amplitude_m - resting.amplitude_m[:, 0]
+    error_m = amplitude_m - noise_free.amplitude_m[:, 0]
     low, high = np.quantile(error_m / bound_m, [0.1587, 0.8413])
     return MotionRow(
         parameter=parameter,
@@ -203,7 +203,7 @@ def _row(
         draws=len(clean),
         bias_m=float(amplitude_m.mean() - case.amplitude_m),
         noise_jitter_m=float(np.sqrt(np.mean((error_m - error_m.mean()) ** 2))),
-        speckle_jitter_m=float(resting.amplitude_m[:, 0].std()),
+        speckle_jitter_m=float(noise_free.amplitude_m[:, 0].std()),
         phase_bias_rad=float(phase_rad.mean()),
         phase_jitter_rad=float(phase_rad.std()),
         bound_m=float(np.sqrt(np.mean(bound_m**2))),

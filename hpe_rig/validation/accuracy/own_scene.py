@@ -1,10 +1,9 @@
-"""Error against run time on one's own scene: estimators, harmonic fits, gates, echo tolerances and fields.
+"""Error against run time on a scene: estimators, harmonic fits, gates, echo tolerances and fields.
 
-One thing is varied at a time; all else, field, chain and jitter among it, is as the scene has it. Every seed draws new
-scatterers and new noise, the same for all ways, so that their differences are better known than each. Ways that differ
-in the estimation alone share the records: they are measured once a seed, through the same functions as
-``hpe-rig run``. Everything is done twice, and the second time is timed: what is imported, compiled or kept for later is
-so by then, for all ways alike.
+A *variant* changes one setting of the scene and keeps all others. Every seed draws new scatterers and new noise, the
+same for all variants, so that differences between variants have less scatter than the errors themselves. Variants that
+change the estimation alone share the records, which are measured once per seed by the functions of ``hpe-rig run``.
+Every measurement is made twice and the second is timed: imports, compilation and caches are then complete.
 """
 
 from __future__ import annotations
@@ -14,8 +13,9 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 
@@ -30,108 +30,116 @@ from hpe_rig.store import StoreError
 from hpe_rig.study import one_shot
 from hpe_rig.validation.accuracy.work_precision import draw_panels, file_mistakes, grouped, write_rows
 
+Value = TypeVar("Value")
+
 SEEDS, QUICK_SEEDS = 20, 8
 QUICK_S = 50.0
-"""Processor time after which no further seed is begun, at the pace of those before, where it has to be quick."""
+"""Processor time of a quick run, s: a further seed starts only if it is expected to end within it."""
 TOLERANCES = (1e-3, 1e-5, 1e-10)
-GATES = (0.5, 1.5, 2.0)
-"""Gate lengths over the scene's own."""
-OWN = "own settings"
-ALIKE = 0.05
-"""Times and errors that differ by less than this share are taken for the same."""
-SURE = 3.0
-"""Standard errors, over the seeds, by which one way must be better than another."""
-BUYS: Mapping[str, str] = {
-    "estimator": "least noise at any SNR, and motion of many wavelengths is followed",
-    "harmonic": "a fit that stays true for media, noise and gaps other than this scene's",
+RELATIVE_GATE_LENGTHS = (0.5, 1.5, 2.0)
+"""Gate lengths relative to that of the scene."""
+UNCHANGED = "own settings"
+EQUALITY_TOLERANCE = 0.05
+"""Relative difference below which two times or two errors count as equal."""
+SIGNIFICANT_STANDARD_ERRORS = 3.0
+"""Standard errors over the seeds by which the errors of two variants must differ to be called different."""
+BENEFITS: Mapping[str, str] = {
+    "estimator": "the lowest noise at any SNR, and motion of many wavelengths can be tracked",
+    "harmonic": "a fit that remains valid for other media, noise levels and gaps than those of this scene",
     "gate": "resolution in depth: a longer gate averages over more of the medium",
-    "echo tolerance": "echoes good to a thousandth of a code of the digitizer, whatever is compared on them",
-    "field": "the medium's own field in the twin, which the Gaussian of eq. (12) replaces by an assumption",
+    "echo tolerance": "echoes exact to a thousandth of a code of the digitizer",
+    "field": "the shear field of the medium, which the Gaussian of eq. (12) only approximates",
 }
-"""What the scene's own choice is good for besides error and run time, by what is varied."""
+"""Benefit of the scene's setting that neither error nor run time shows, by the setting that is varied."""
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
-    """One change of the scene; ``acquired``: of what is simulated, so that it needs records of its own."""
+class Variant:
+    """One change of the scene: ``values`` by key path. ``new_records``: it changes the simulation, not only the fit."""
 
     varied: str
     setting: str
     values: Mapping[str, Any]
-    acquired: bool = False
+    new_records: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class SceneRow:
-    """One way: errors of the amplitudes of all wanted frequencies together, relative to the true ones.
+    """Errors and times of one variant.
 
-    Of the amplitude corrected for the beams' averaging, where it is predicted. NaN where the way gives no estimate.
+    Errors are norms over all wanted frequencies, relative to the norm of the true amplitudes. They are errors of the
+    amplitude corrected for beam averaging where that is predicted. NaN: the variant gives no estimate.
     """
 
     varied: str
     setting: str
     bias: float
-    """Length of the mean error over the seeds; known to ``sd`` over the root of their number."""
+    """Norm of the mean error over the seeds; its standard error is ``sd`` over the root of the number of seeds."""
     sd: float
     """Standard deviation over the seeds."""
     error: float
-    """Root mean square: bias and standard deviation together."""
+    """Root mean square error: bias and standard deviation combined."""
     time_s: float
-    """Processor time from scene to result, the least over the seeds: the work is the same, what comes on top is not."""
+    """Processor time from scene to result, s: the minimum over the seeds, because disturbances only add to it."""
     estimation_s: float
-    """Of it, from records to result."""
+    """Part of ``time_s`` from records to result, s."""
     seeds: int
     own: bool
-    """Whether this is the scene as it is."""
+    """Whether this is the scene without a change."""
     on_front: bool = False
-    """Whether no other way beats it: by more than chance better in time or error, and worse in neither."""
+    """Whether no other variant beats it (see ``_beats``)."""
     beats_own: bool = False
-    """Whether it beats the scene as it is."""
+    """Whether it beats the scene without a change."""
 
 
 def write_own_scene(
     source: str, bench: Path | None, seeds: int | None, quick: bool, output: Path | None, figure: Path | None,
-    show: Callable[[str], None], tell: Callable[[str], None],
+    show: Callable[[str], None], report_progress: Callable[[str], None],
 ) -> None:  # fmt: skip
-    """Measure every way on the scene ``source`` and write or show the table; ``tell`` gets the progress.
+    """Measure every variant of the scene ``source``, and write the table or pass it to ``show``.
 
-    Raises ``SettingsError`` for a scene with mistakes, for names of files that cannot be and a bench that is none of
-    the simulated ones, all before anything is measured.
+    Raises ``SettingsError``, before anything is measured, for mistakes in the scene, for file names that cannot be
+    written, and for a real bench, where the truth is unknown.
     """
     if mistakes := file_mistakes(output, figure):
         raise SettingsError("command line", mistakes)
     setup = prepare(source, bench)
     if not setup.bench.bench.simulated:
-        what = "errors are known where the truth is: on a simulated bench"
-        raise SettingsError("command line", [Mistake("--bench", what, "none, or another")])
+        what = "the errors need the true motion, which only a simulated bench knows"
+        raise SettingsError("command line", [Mistake("--bench", what, "a simulated bench, or omit --bench")])
     scene = one_shot(setup.scene.scene)
-    most = seeds or (QUICK_SEEDS if quick else SEEDS)
-    rows = scene_rows(scene, bench, ways(scene), most, QUICK_S if quick else math.inf, tell)
+    max_seeds = seeds or (QUICK_SEEDS if quick else SEEDS)
+    rows = scene_rows(scene, bench, variants(scene), max_seeds, QUICK_S if quick else math.inf, report_progress)
     write_rows(rows, output, figure, draw_scene, show, scene_text)
 
 
-def ways(scene: Scene) -> list[Way]:
-    """Return what is varied on ``scene``, itself first; without what the scene cannot have."""
+def variants(scene: Scene) -> list[Variant]:
+    """Return the variants of ``scene``: first the scene without a change, then every change that is valid for it."""
     twin, processing, gate_m = twin_of(scene), scene.processing, scene.acquisition.gate_length_m
-    found = [Way(OWN, processing.estimator, {})]
-    found += [Way("estimator", n, {"processing.estimator": n}) for n in ESTIMATORS if n != processing.estimator]
-    found += [Way("harmonic", name, {"processing.harmonic": name}) for name in _other_fits(scene)]
-    found += [
-        Way("gate", f"{gate_m * share * 1e3:g} mm", {"acquisition.gate_length_m": gate_m * share}) for share in GATES
+    candidates = [Variant(UNCHANGED, processing.estimator, {})]
+    candidates += [
+        Variant("estimator", name, {"processing.estimator": name})
+        for name in ESTIMATORS
+        if name != processing.estimator
     ]
-    found += [
-        Way("echo tolerance", f"{value:g}", {"simulation.scatterers.echo_tolerance": value}, True)
+    candidates += [Variant("harmonic", name, {"processing.harmonic": name}) for name in _alternative_fits(scene)]
+    candidates += [
+        Variant("gate", f"{gate_m * factor * 1e3:g} mm", {"acquisition.gate_length_m": gate_m * factor})
+        for factor in RELATIVE_GATE_LENGTHS
+    ]
+    candidates += [
+        Variant("echo tolerance", f"{value:g}", {"simulation.scatterers.echo_tolerance": value}, new_records=True)
         for value in TOLERANCES
     ]
     if twin is not None and twin.settings.specimen is not None:
-        other = "gaussian" if twin.settings.specimen.field == "medium" else "medium"
-        found.append(Way("field", other, {"simulation.specimen.field": other}, True))
-    return [way for way in found if _possible(scene, way)]
+        field = "gaussian" if twin.settings.specimen.field == "medium" else "medium"
+        candidates.append(Variant("field", field, {"simulation.specimen.field": field}, new_records=True))
+    return [variant for variant in candidates if _is_valid(scene, variant)]
 
 
-def _possible(scene: Scene, way: Way) -> bool:
+def _is_valid(scene: Scene, variant: Variant) -> bool:
     try:
-        scene.with_(way.values)
+        scene.with_(variant.values)
     except SettingsError:
         return False
     return True
@@ -140,31 +148,42 @@ def _possible(scene: Scene, way: Way) -> bool:
 def scene_rows(
     scene: Scene,
     bench: Path | None,
-    chosen: Sequence[Way],
+    tried: Sequence[Variant],
     seeds: int,
-    longest_s: float = math.inf,
-    tell: Callable[[str], None] = lambda _: None,
+    max_time_s: float = math.inf,
+    report_progress: Callable[[str], None] = lambda _: None,
 ) -> list[SceneRow]:
-    """Return a row for every way over at most ``seeds`` seeds, at least two; fewer where ``longest_s`` would pass."""
-    found: list[list[_Trial]] = []
+    """Return a row for every variant, from two to ``seeds`` seeds: as many as ``max_time_s`` is expected to allow."""
+    trials_by_seed: list[list[_Trial]] = []
     start_s = time.process_time()
     for seed in range(1, seeds + 1):
-        pace_s = (time.process_time() - start_s) / max(len(found), 1)
-        if len(found) >= 2 and time.process_time() - start_s + pace_s > longest_s:
-            tell(f"no time for more than {len(found)} of {seeds} seeds")
+        elapsed_s = time.process_time() - start_s
+        time_per_seed_s = elapsed_s / max(len(trials_by_seed), 1)
+        if len(trials_by_seed) >= 2 and elapsed_s + time_per_seed_s > max_time_s:
+            report_progress(f"no time for more than {len(trials_by_seed)} of {seeds} seeds")
             break
-        found.append(list(_of_seed(scene, bench, chosen, seed, f"seed {seed} of {seeds}", tell)))
-    trials = [[each[k] for each in found] for k in range(len(chosen))]
-    own = next((trials[k] for k, way in enumerate(chosen) if way.varied == OWN), trials[0])
+        trials_by_seed.append(
+            list(
+                _trials_of_seed(
+                    scene, bench, tried, seed, partial(_report_seed, report_progress, f"seed {seed} of {seeds}")
+                )
+            )
+        )
+    trials = [list(of_variant) for of_variant in zip(*trials_by_seed, strict=True)]
+    unchanged = next((trials[i] for i, variant in enumerate(tried) if variant.varied == UNCHANGED), trials[0])
     return [
-        replace(_row(way, mine), on_front=not any(_beats(other, mine) for other in trials), beats_own=_beats(mine, own))
-        for way, mine in zip(chosen, trials, strict=True)
+        replace(
+            _row(variant, variant_trials),
+            on_front=not any(_beats(competitor, variant_trials) for competitor in trials),
+            beats_own=_beats(variant_trials, unchanged),
+        )
+        for variant, variant_trials in zip(tried, trials, strict=True)
     ]
 
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    """One way at one seed: errors and true amplitudes (frequency,), m, and processor times."""
+    """One variant at one seed: errors and true amplitudes (frequency,), m, and processor times."""
 
     error_m: FloatArray
     true_m: FloatArray
@@ -172,31 +191,34 @@ class _Trial:
     estimation_s: float
 
 
-def _of_seed(
-    scene: Scene, bench: Path | None, chosen: Sequence[Way], seed: int, name: str, tell: Callable[[str], None]
+def _trials_of_seed(
+    scene: Scene, bench: Path | None, tried: Sequence[Variant], seed: int, report_progress: Callable[[str], None]
 ) -> Iterator[_Trial]:
     seeded = scene.with_({"simulation.seed": seed})
     with tempfile.TemporaryDirectory() as folder:
-        shared, shared_s = _measured(seeded, bench, Path(folder), "shared")
-        for number, way in enumerate(chosen):
-            tell(f"{name}: {way.varied} {way.setting}")
-            run, run_s = shared, shared_s
-            if way.acquired:
-                run, run_s = _measured(seeded.with_(way.values), bench, Path(folder), str(number))
-            elif way.values:
-                run = _changed(shared, seeded.with_(way.values))
+        shared_run, shared_s = _measure_twice(seeded, bench, Path(folder), "shared")
+        for number, variant in enumerate(tried):
+            report_progress(f"{variant.varied} {variant.setting}")
+            run, run_s = shared_run, shared_s
+            if variant.new_records:
+                run, run_s = _measure_twice(seeded.with_(variant.values), bench, Path(folder), str(number))
+            elif variant.values:
+                run = _with_scene(shared_run, seeded.with_(variant.values))
             yield _trial(run, run_s)
 
 
-def _measured(scene: Scene, bench: Path | None, folder: Path, name: str) -> tuple[Run, float]:
-    """Return the run of ``scene`` in a new file, and the processor time of the second of two."""
+def _report_seed(report_progress: Callable[[str], None], seed: str, text: str) -> None:
+    report_progress(f"{seed}: {text}")
+
+
+def _measure_twice(scene: Scene, bench: Path | None, folder: Path, name: str) -> tuple[Run, float]:
+    """Return the run of ``scene`` in a new file, and the processor time of the second of two measurements, s."""
     paths = iter([folder / f"{name}-first.h5", folder / f"{name}.h5"])
-    run, run_s = _timed(lambda: measure(scene, bench, next(paths)))
-    return run, run_s
+    return _timed(lambda: measure(scene, bench, next(paths)))
 
 
-def _changed(run: Run, scene: Scene) -> Run:
-    """Return the run as if ``scene`` had asked for it: the same records, estimated in another way."""
+def _with_scene(run: Run, scene: Scene) -> Run:
+    """Return the records of ``run`` with the plan and the processing settings of ``scene``."""
     plan, findings = planned(scene, run.bench)
     return replace(run, scene=scene, plan=plan, findings=findings)
 
@@ -205,119 +227,129 @@ def _trial(run: Run, run_s: float) -> _Trial:
     try:
         result, estimation_s = _timed(run.estimate)
     except StoreError:
-        nothing = np.full(len(run.scene.wanted_frequencies_hz), np.nan)
-        return _Trial(nothing, nothing, run_s, math.nan)
-    found_m, true_m = _amplitudes_m(result)
-    return _Trial(found_m - true_m, true_m, run_s + estimation_s, estimation_s)
+        missing = np.full(len(run.scene.wanted_frequencies_hz), np.nan)
+        return _Trial(missing, missing, run_s, math.nan)
+    estimated_m, true_m = _amplitudes_m(result)
+    return _Trial(estimated_m - true_m, true_m, run_s + estimation_s, estimation_s)
 
 
 def _amplitudes_m(result: Result) -> tuple[FloatArray, FloatArray]:
-    """Return found, corrected where that is predicted, and true amplitudes (frequency,)."""
-    each = result.shots[0].estimates
-    found = [e.amplitude_m if e.corrected_amplitude_m is None else e.corrected_amplitude_m for e in each]
-    return np.array(found), np.array([e.true_amplitude_m or 0.0 for e in each])
+    """Return the estimated amplitudes, corrected where a correction is predicted, and the true ones (frequency,), m."""
+    estimates = result.shots[0].estimates
+    estimated = [e.amplitude_m if e.corrected_amplitude_m is None else e.corrected_amplitude_m for e in estimates]
+    return np.array(estimated), np.array([e.true_amplitude_m or 0.0 for e in estimates])
 
 
-def _beats(one: Sequence[_Trial], other: Sequence[_Trial]) -> bool:
-    """Return whether ``one`` is better than ``other`` in time or error by more than chance, and worse in neither.
+def _beats(trials: Sequence[_Trial], competitor: Sequence[_Trial]) -> bool:
+    """Return whether ``trials`` are better than ``competitor`` in time or in error, and not worse in the other.
 
-    An error is that of all wanted frequencies together, its length at each seed; a time is the least of the seeds.
+    The error of a seed is the norm over all wanted frequencies; the time is the minimum over the seeds. Times must
+    differ by ``EQUALITY_TOLERANCE``, errors by that and by ``SIGNIFICANT_STANDARD_ERRORS``. A variant without an
+    estimate is beaten by every variant with one.
     """
-    time_s, other_s = (min(trial.time_s for trial in trials) for trials in (one, other))
-    error_m = [np.array([np.linalg.norm(trial.error_m) for trial in trials]) for trials in (one, other)]
-    if np.isnan(error_m).any():
-        return bool(np.isnan(error_m[1]).any() and not np.isnan(error_m[0]).any())
-    faster, no_slower = time_s < (1 - ALIKE) * other_s, time_s <= (1 + ALIKE) * other_s
-    no_worse = error_m[0].mean() <= (1 + ALIKE) * error_m[1].mean()
-    return bool((faster and no_worse) or (no_slower and _less(*error_m)))
+    time_s, competitor_s = (min(trial.time_s for trial in group) for group in (trials, competitor))
+    error_m, competitor_m = (np.array([np.linalg.norm(t.error_m) for t in group]) for group in (trials, competitor))
+    if np.isnan(error_m).any() or np.isnan(competitor_m).any():
+        return bool(np.isnan(competitor_m).any() and not np.isnan(error_m).any())
+    faster = time_s < (1 - EQUALITY_TOLERANCE) * competitor_s
+    not_slower = time_s <= (1 + EQUALITY_TOLERANCE) * competitor_s
+    not_worse = error_m.mean() <= (1 + EQUALITY_TOLERANCE) * competitor_m.mean()
+    return bool((faster and not_worse) or (not_slower and _is_significantly_less(error_m, competitor_m)))
 
 
-def _less(one: FloatArray, other: FloatArray) -> bool:
-    """Return whether ``one`` (seed,) is less than ``other`` by more than chance and by more than counts."""
-    gain = other - one
-    chance = SURE * gain.std(ddof=1) / math.sqrt(gain.size)
-    return bool(gain.mean() > max(chance, ALIKE * other.mean()))
+def _is_significantly_less(error_m: FloatArray, competitor_m: FloatArray) -> bool:
+    """Return whether the mean of ``error_m`` (seed,) is below that of ``competitor_m`` by more than chance allows."""
+    # Both share scatterers and noise at each seed, so the difference per seed is tested.
+    gain_m = competitor_m - error_m
+    chance_m = SIGNIFICANT_STANDARD_ERRORS * gain_m.std(ddof=1) / math.sqrt(gain_m.size)
+    return bool(gain_m.mean() > max(chance_m, EQUALITY_TOLERANCE * competitor_m.mean()))
 
 
-def _row(way: Way, trials: Sequence[_Trial]) -> SceneRow:
+def _row(variant: Variant, trials: Sequence[_Trial]) -> SceneRow:
     error_m, scale_m = np.array([t.error_m for t in trials]), np.linalg.norm(trials[0].true_m)
-    bias, sd = np.linalg.norm(error_m.mean(axis=0)), np.linalg.norm(error_m.std(axis=0, ddof=1))
+    bias_m, sd_m = np.linalg.norm(error_m.mean(axis=0)), np.linalg.norm(error_m.std(axis=0, ddof=1))
     return SceneRow(
-        varied=way.varied,
-        setting=way.setting,
-        bias=float(bias / scale_m),
-        sd=float(sd / scale_m),
+        varied=variant.varied,
+        setting=variant.setting,
+        bias=float(bias_m / scale_m),
+        sd=float(sd_m / scale_m),
         error=float(np.sqrt(np.mean(np.sum(error_m**2, axis=1))) / scale_m),
         time_s=min(t.time_s for t in trials),
         estimation_s=min(t.estimation_s for t in trials),
         seeds=len(trials),
-        own=way.varied == OWN,
+        own=variant.varied == UNCHANGED,
     )
 
 
 def scene_text(rows: Sequence[SceneRow]) -> str:
-    """Return the table, and what the scene's own settings buy where they are not on the front."""
+    """Return the table, and the variants that beat the scene's settings with the benefit of those settings."""
     cells = (
         (row.varied, row.setting, *_percents(row), f"{row.time_s:.3f}", f"{row.estimation_s:.3f}", _mark(row))
         for row in rows
     )
     headers = ("varied", "setting", "bias %", "sd %", "rms error %", "time s", "estimation s", "")
-    return "\n".join([text_table(headers, cells, words=2), "", *_verdict(rows)])
+    return "\n".join([text_table(headers, cells, words=2), "", *_conclusions(rows)])
 
 
 def _percents(row: SceneRow) -> tuple[str, ...]:
-    return tuple("gave up" if math.isnan(each) else f"{100 * each:.3g}" for each in (row.bias, row.sd, row.error))
+    return tuple("no estimate" if math.isnan(x) else f"{100 * x:.3g}" for x in (row.bias, row.sd, row.error))
 
 
 def _mark(row: SceneRow) -> str:
-    return ", ".join(word for word, true in (("own", row.own), ("front", row.on_front)) if true)
+    return ", ".join(word for word, applies in (("this scene", row.own), ("Pareto front", row.on_front)) if applies)
 
 
-def _verdict(rows: Sequence[SceneRow]) -> Iterator[str]:
-    own = next(row for row in rows if row.own)
-    # Of n seeds and Gaussian errors a root mean square is known to one part in sqrt(2 n).
+def _conclusions(rows: Sequence[SceneRow]) -> Iterator[str]:
+    unchanged = next(row for row in rows if row.own)
+    # The relative standard error of a root mean square of n Gaussian errors is 1 / sqrt(2 n).
     yield (
-        f"{own.seeds} seeds; rms errors are known to {100 / math.sqrt(2 * own.seeds):.2g} % of themselves, their "
-        "differences better; times are of the processor"
+        f"{unchanged.seeds} seeds: the relative standard error of an rms error is "
+        f"{100 / math.sqrt(2 * unchanged.seeds):.2g} %, that of a difference is smaller; times are processor times"
     )
-    if own.on_front:
-        yield "the scene's own settings lie on the Pareto front: nothing tried is better in one and worse in neither"
-    for row in (each for each in rows if each.beats_own):
+    if unchanged.on_front:
         yield (
-            f"{row.varied} {row.setting} beats the scene's own settings: rms error {100 * row.error:.3g} instead of "
-            f"{100 * own.error:.3g} %, {row.time_s:.3g} instead of {own.time_s:.3g} s; what they buy: "
-            f"{BUYS[row.varied]}"
+            "the scene's settings lie on the Pareto front: no variant is better in time or error without being worse "
+            "in the other"
         )
+    for row in rows:
+        if row.beats_own:
+            yield (
+                f"{row.varied} {row.setting} beats the scene's settings: rms error {100 * row.error:.3g} instead of "
+                f"{100 * unchanged.error:.3g} %, {row.time_s:.3g} instead of {unchanged.time_s:.3g} s; the benefit of "
+                f"the scene's setting: {BENEFITS[row.varied]}"
+            )
 
 
 def draw_scene(rows: Sequence[SceneRow], path: Path) -> None:
-    """Draw error against run time, a panel a thing varied, the scene's own settings in each."""
-    own, known = next(row for row in rows if row.own), [row for row in rows if row.error > 0]
+    """Draw error against run time: one panel for each setting varied, with the unchanged scene in each."""
+    unchanged = next(row for row in rows if row.own)
+    drawable = (row for row in rows if row.error > 0 and not row.own)
     panels = {
-        varied: {row.setting: [(row.time_s, row.error)] for row in (own, *some)}
-        for varied, some in grouped((row for row in known if not row.own), lambda row: row.varied).items()
+        varied: {row.setting: [(row.time_s, row.error)] for row in (unchanged, *group)}
+        for varied, group in grouped(drawable, lambda row: row.varied).items()
     }
     draw_panels(panels, path, "processor time (s)", "rms error / true amplitude")
 
 
-def _timed(run: Callable[[], Any]) -> tuple[Any, float]:
+def _timed(run: Callable[[], Value]) -> tuple[Value, float]:
+    """Call ``run`` twice; return the second value and its processor time, s."""
     run()
     start_s = time.process_time()
-    found = run()
-    return found, time.process_time() - start_s
+    value = run()
+    return value, time.process_time() - start_s
 
 
-def _other_fits(scene: Scene) -> list[str]:
-    """Return the fits of the harmonics that the scene could have and has not."""
+def _alternative_fits(scene: Scene) -> list[str]:
+    """Return the harmonic fits that the scene could use instead of its present one."""
     default, impossible = "medium_prior", set()
     if scene.without_prior is not None:
         default, impossible = "least_squares", {"medium_prior"}
-    own = scene.processing.harmonic or default
-    return [n for n in _choices(Processing.model_fields["harmonic"].annotation) if n not in {own, *impossible}]
+    excluded = {scene.processing.harmonic or default, *impossible}
+    return [name for name in _literals(Processing.model_fields["harmonic"].annotation) if name not in excluded]
 
 
-def _choices(annotation: Any) -> list[str]:
-    """Return the words that an annotation of literals, optional or not, takes."""
+def _literals(annotation: Any) -> list[str]:
+    """Return the strings in an annotation of literals, optional or not."""
     if isinstance(annotation, str):
         return [annotation]
-    return [word for part in get_args(annotation) for word in _choices(part)]
+    return [word for argument in get_args(annotation) for word in _literals(argument)]

@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 
 from matplotlib import rc_context
 
+from hpe_rig.report import PageSection, PageTable, cell_text, page_table, render_sections, write_text
 from hpe_rig.result import STYLE, Picture, inline
 from hpe_rig.scene import Mistake, SettingsError
 from hpe_rig.store import unwritable, versions
-from hpe_rig.study import PageTable, Part, cell, render, table, write_whole
 from hpe_rig.validation.accuracy import (
     chain as accuracy_chain,
     echo as accuracy_echo,
@@ -23,7 +23,13 @@ from hpe_rig.validation.accuracy import (
     motion as accuracy_motion,
     specimen as accuracy_specimen,
 )
-from hpe_rig.validation.accuracy.end_to_end import EndToEnd, beating, draw_end_to_end, rows as end_to_end_rows, ways
+from hpe_rig.validation.accuracy.end_to_end import (
+    EndToEnd,
+    draw_end_to_end,
+    faster_than_shipped,
+    rows as end_to_end_rows,
+    variants,
+)
 from hpe_rig.validation.accuracy.extremes import Extreme, extremes
 from hpe_rig.validation.accuracy.work_precision import Point, draw_points, grouped, points_text, write_rows
 
@@ -82,7 +88,7 @@ def write_accuracy_report(
     ``step`` hears of every row, ``tell`` of every part.
     """
     refuse(path, figure, effort)
-    parts: list[Part] = []
+    parts: list[PageSection] = []
     seconds: dict[str, float] = {}
     medium: list[Point] = []
 
@@ -91,8 +97,8 @@ def write_accuracy_report(
             yield row
             step(len(seconds), len(studies), f"{name}, {count} tried")
 
-    studies: dict[str, Callable[[], Part]] = {
-        "end to end": lambda: end_to_end_part(end_to_end_rows(effort.realisations, watched(ways()))),
+    studies: dict[str, Callable[[], PageSection]] = {
+        "end to end": lambda: end_to_end_part(end_to_end_rows(effort.realisations, watched(variants()))),
         "specimen": lambda: specimen_part(medium, list(watched(accuracy_specimen.points()))),
         "stiff and extreme": lambda: extremes_part(list(watched(extremes(medium)))),
         "echo": lambda: echo_part(list(watched(echo_rows(effort)))),
@@ -112,7 +118,7 @@ def write_accuracy_report(
         told = ", ".join(f"{part} {value:.0f}" for part, value in seconds.items())
         # After every part, so that an interruption costs that part alone.
         facts = {**versions(), "seconds by part": told}
-        write_whole(path, render("Error against run time", lead(parts[0].tables[0]), parts, facts))
+        write_text(path, render_sections("Error against run time", lead(parts[0].tables[0]), parts, facts))
         tell(f"{name}: {seconds[name]:.1f} s, in {path}")
     tell(f"{path}: open it in any browser")
 
@@ -144,7 +150,7 @@ def lead(end_to_end: PageTable) -> list[str]:
     ]
 
 
-def end_to_end_part(rows: Sequence[EndToEnd]) -> Part:
+def end_to_end_part(rows: Sequence[EndToEnd]) -> PageSection:
     """Return the end-to-end section."""
     front = [row for row in rows if row.on_front]
     alt = "; ".join(
@@ -169,7 +175,7 @@ def _bought(rows: Sequence[EndToEnd]) -> str:
     each = "; ".join(
         f"{_changed(row, shipped)} in {100 * share:.0f} % of its time, numerical error "
         f"{row.numerical_error:.1g} in place of {shipped.numerical_error:.1g}"
-        for row, share in beating(rows)
+        for row, share in faster_than_shipped(rows)
     )
     if not each:
         return "Nothing is as right as the shipped default in less time, beyond what times and draws leave open."
@@ -191,19 +197,21 @@ def _settings(row: EndToEnd) -> tuple[str, ...]:
     return row.estimator, f"gate of {1e3 * row.gate_length_m:g} mm", *numbers
 
 
-def specimen_part(found: list[Point], points: Sequence[Point]) -> Part:
+def specimen_part(found: list[Point], points: Sequence[Point]) -> PageSection:
     """Return the medium's section; its ``points`` are added to ``found``."""
     found += points
     return _points_part("specimen", "Medium: response to a burst train", found)
 
 
-def extremes_part(cases: Sequence[Extreme]) -> Part:
+def extremes_part(cases: Sequence[Extreme]) -> PageSection:
     """Return the table of stiff and extreme cases."""
     words = (
         "Cases chosen to break a method, noise-free, shipped settings; stages whose result is exact in closed form are "
         "compared with it. A dash: the method gave up.",
     )
-    return Part("stiff", "Stiff and extreme cases", words, (), (table("extremes", "Error by case.", cases, False),))
+    return PageSection(
+        "stiff", "Stiff and extreme cases", words, (), (page_table("extremes", "Error by case.", cases, folded=False),)
+    )
 
 
 def echo_rows(effort: Effort) -> Iterator[accuracy_echo.Measurement]:
@@ -213,7 +221,7 @@ def echo_rows(effort: Effort) -> Iterator[accuracy_echo.Measurement]:
     return accuracy_echo.measurements(scatterers, echoes, longest_s=effort.longest_s)
 
 
-def echo_part(rows: Sequence[accuracy_echo.Measurement]) -> Part:
+def echo_part(rows: Sequence[accuracy_echo.Measurement]) -> PageSection:
     """Return the echo engine's section."""
     least, most = (bound(row.scatterers for row in rows) for bound in (min, max))
     alt = f"Relative error against run time, {least} to {most} scatterers: the table has the numbers."
@@ -222,12 +230,12 @@ def echo_part(rows: Sequence[accuracy_echo.Measurement]) -> Part:
     return _part("echo", "Echo engine", rows, accuracy_echo.write_figure, title, alt, caption)
 
 
-def chain_part(points: Sequence[Point]) -> Part:
+def chain_part(points: Sequence[Point]) -> PageSection:
     """Return the receive chain's section."""
     return _points_part("chain", "Receive chain: tails and oversampling", points)
 
 
-def motion_part(rows: list[accuracy_motion.MotionRow], draws: int) -> Part:
+def motion_part(rows: list[accuracy_motion.MotionRow], draws: int) -> PageSection:
     """Return the section of the estimators of displacement."""
     alt = "; ".join(_best(rows, name) for name in dict.fromkeys(row.estimator for row in rows))
     title = "Estimators: noise jitter over its bound against time"
@@ -236,7 +244,7 @@ def motion_part(rows: list[accuracy_motion.MotionRow], draws: int) -> Part:
     return _part("motion", "Echoes to amplitude and phase", rows, draw, title, f"{alt}.", caption)
 
 
-def harmonic_part(rows: Sequence[accuracy_harmonic.HarmonicRow]) -> Part:
+def harmonic_part(rows: Sequence[accuracy_harmonic.HarmonicRow]) -> PageSection:
     """Return the section of the fits."""
     alt = "; ".join(
         f"{row.method}, {row.pulses} pulses: {row.jitter_m / row.bound_m:.2f} in {row.time_s:.2g} s" for row in rows
@@ -247,10 +255,10 @@ def harmonic_part(rows: Sequence[accuracy_harmonic.HarmonicRow]) -> Part:
     return _part("harmonic", "Displacement to harmonics", rows, draw, title, f"{alt}.", caption)
 
 
-def _points_part(key: str, title: str, points: Sequence[Point]) -> Part:
+def _points_part(key: str, title: str, points: Sequence[Point]) -> PageSection:
     known = grouped((point for point in points if not math.isnan(point.error)), lambda point: point.case)
     best = [min(own, key=lambda point: point.error) for own in known.values()]
-    alt = "; ".join(f"{p.case}: {cell(p.error)} by {p.method}, {p.setting}" for p in best)
+    alt = "; ".join(f"{p.case}: {cell_text(p.error)} by {p.method}, {p.setting}" for p in best)
     drawn = f"{title}: error against run time"
     return _part(key, title, points, draw_points, drawn, f"Least errors: {alt}.", "Largest error over largest value.")
 
@@ -264,14 +272,14 @@ def _part(
     alt: str,
     caption: str,
     words: tuple[str, ...] = (),
-) -> Part:
+) -> PageSection:
     """Return a section with the picture that ``draw`` writes of ``rows``, entitled ``drawn``, and their table."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "drawn.svg"
         with rc_context(STYLE):
             draw(rows, path)
         svg = inline(path.read_text(encoding="utf-8"), key, drawn, alt)
-    return Part(f"{key}-part", title, words, (Picture(key, drawn, alt, svg),), (table(key, caption, rows),))
+    return PageSection(f"{key}-part", title, words, (Picture(key, drawn, alt, svg),), (page_table(key, caption, rows),))
 
 
 def _best(rows: Sequence[accuracy_motion.MotionRow], name: str) -> str:

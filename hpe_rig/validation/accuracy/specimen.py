@@ -1,4 +1,4 @@
-"""Error against run time of the specimen's response to a burst train, and of a stiff lumped model."""
+"""Error against run time of the response of the specimen to a burst train, and of a stiff lumped model."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hpe_rig.arrays import FloatArray, Int64Array
 from hpe_rig.validation.accuracy.work_precision import Point, measured
 
 WIDTH_M = (0.17e-3, 0.17e-3, 1.80e-3)
-BLOWN_UP = 1e6
-"""Where an error that overflows is drawn."""
+MAX_VALUE = 1e6
+"""Values of a diverging solver are limited to this."""
 BURSTS, PERIOD_PS, BURST_PS = 20, 10_000_000_000, 100_000_000
 
 
 def points() -> Iterator[Point]:
-    """Yield the transient of 20 bursts at 800 instants in each medium, then the lumped model."""
+    """Yield points of the response to 20 bursts at 800 times in each medium, then of the lumped model."""
     from sim_backend.settings import Specimen
 
     for case, medium in {
@@ -30,11 +30,11 @@ def points() -> Iterator[Point]:
         "Maxwell 10 kPa, 1 mPa s": {"medium": "maxwell", "shear_modulus_pa": 1e4, "shear_viscosity_pa_s": 1e-3},
         "Zener 1 kPa, 10 MPa": {"medium": "zener", "shear_modulus_pa": 1e3, "branch_modulus_pa": 1e7},
     }.items():
-        yield from _transients(case, Specimen.model_validate(medium))
-    yield from _lumped()
+        yield from _transient_points(case, Specimen.model_validate(medium))
+    yield from _lumped_points()
 
 
-def _transients(case: str, specimen: object) -> Iterator[Point]:
+def _transient_points(case: str, specimen: object) -> Iterator[Point]:
     from sim_backend.motion import (
         Contour,
         ForcePulses,
@@ -74,24 +74,24 @@ def _transients(case: str, specimen: object) -> Iterator[Point]:
 
 
 def _fourier(specimen: object, time_ps: Int64Array, period_s: float, highest_hz: float) -> FloatArray:
-    """Return the periodic response to the whole train from its Fourier series; the mean of a period is set by rest."""
+    """Return the response to the train, repeated with ``period_s``, from its Fourier series up to ``highest_hz``."""
     from sim_backend.motion import frequency_response
     from sim_backend.settings import Specimen
 
     assert isinstance(specimen, Specimen)  # noqa: S101
     frequency_hz = np.arange(1, int(highest_hz * period_s) + 1) / period_s
     burst_s = BURST_PS * 1e-12
-    one = burst_s * np.sinc(frequency_hz * burst_s) * np.exp(-1j * np.pi * frequency_hz * burst_s)
-    train = one * np.exp(-2j * np.pi * np.outer(np.arange(BURSTS) * PERIOD_PS * 1e-12, frequency_hz)).sum(axis=0)
+    burst = burst_s * np.sinc(frequency_hz * burst_s) * np.exp(-1j * np.pi * frequency_hz * burst_s)
+    train = burst * np.exp(-2j * np.pi * np.outer(np.arange(BURSTS) * PERIOD_PS * 1e-12, frequency_hz)).sum(axis=0)
     coefficient = 2 / period_s * train * frequency_response(specimen, WIDTH_M, frequency_hz)
-    # At the end of the period the medium has come to rest, as before the first burst.
+    # The series has no mean: the medium is at rest at time 0, which fixes it.
     time_s = np.append(time_ps * 1e-12, 0.0)
     value = np.array([(coefficient * np.exp(2j * np.pi * frequency_hz * t)).sum().real for t in time_s])
     return np.asarray(value[:-1] - value[-1])
 
 
-def _lumped() -> Iterator[Point]:
-    """Yield thirteen springs and dashpots, time constants 1e-9 to 1e3 s, under a unit step, at 60 instants to 1e3 s."""
+def _lumped_points() -> Iterator[Point]:
+    """Yield points of thirteen spring-dashpot pairs under a unit step: time constants 1e-9 to 1e3 s, 60 times."""
     from scipy.integrate import DOP853, solve_ivp
 
     from sim_backend.motion import AXIS_CONTOUR, panels_of
@@ -111,13 +111,13 @@ def _lumped() -> Iterator[Point]:
     def slope(_t: float, y: FloatArray) -> FloatArray:
         return (1 - y) / constants_s
 
-    def solved(method: Literal["Radau", "BDF"], tolerance: float) -> FloatArray:
+    def implicit_solution(method: Literal["Radau", "BDF"], tolerance: float) -> FloatArray:
         start = np.zeros(constants_s.size)
         solution = solve_ivp(slope, (0, 1e3), start, method, time_s, rtol=tolerance, atol=tolerance * 1e-3)
         return np.asarray(solution.y.T)
 
-    def crawled(evaluations: int) -> FloatArray:
-        """Stop an explicit solver, stable only at steps of some ns, after so many evaluations: the rest stays."""
+    def explicit_solution(evaluations: int) -> FloatArray:
+        """Stop an explicit solver, which is stable only for steps of a few ns, after a number of evaluations."""
         solver = DOP853(slope, 0, np.zeros(constants_s.size), 1e3, rtol=1e-4, atol=1e-7)
         value = np.zeros(exact.shape)
         while solver.nfev < evaluations:
@@ -125,28 +125,28 @@ def _lumped() -> Iterator[Point]:
             value[time_s > (solver.t_old or 0.0)] = solver.y
         return value
 
-    def blown_up(steps: int) -> FloatArray:
-        """Take equal explicit steps, far longer than the shortest time constant."""
-        length_s, left = 1e3 / steps, np.ones(constants_s.size)
+    def runge_kutta_solution(steps: int) -> FloatArray:
+        """Solve by the classical Runge-Kutta method with equal steps far longer than the shortest time constant."""
+        step_s, deviation = 1e3 / steps, np.ones(constants_s.size)
         course = np.empty((steps + 1, constants_s.size))
         with np.errstate(over="ignore", invalid="ignore"):
             for step in range(steps + 1):
-                course[step] = 1 - left
-                one = -left / constants_s
-                two = -(left + length_s / 2 * one) / constants_s
-                three = -(left + length_s / 2 * two) / constants_s
-                four = -(left + length_s * three) / constants_s
-                left = left + length_s / 6 * (one + 2 * two + 2 * three + four)
-        found = course[np.round(time_s / length_s).astype(np.int64)]
-        return np.nan_to_num(np.clip(found, -BLOWN_UP, BLOWN_UP), nan=BLOWN_UP)
+                course[step] = 1 - deviation
+                k1 = -deviation / constants_s
+                k2 = -(deviation + step_s / 2 * k1) / constants_s
+                k3 = -(deviation + step_s / 2 * k2) / constants_s
+                k4 = -(deviation + step_s * k3) / constants_s
+                deviation = deviation + step_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        values = course[np.round(time_s / step_s).astype(np.int64)]
+        return np.nan_to_num(np.clip(values, -MAX_VALUE, MAX_VALUE), nan=MAX_VALUE)
 
     implicit: tuple[Literal["Radau"], Literal["BDF"]] = ("Radau", "BDF")
     for method in implicit:
         for tolerance in (1e-4, 1e-7):
             setting = f"rtol {tolerance:g}"
-            yield measured(case, f"scipy {method}", setting, partial(solved, method, tolerance), exact, 1)
+            yield measured(case, f"scipy {method}", setting, partial(implicit_solution, method, tolerance), exact, 1)
     for evaluations in (2_000, 20_000, 100_000):
         setting = f"{evaluations} evaluations"
-        yield measured(case, "DOP853, crawls", setting, partial(crawled, evaluations), exact, 1)
+        yield measured(case, "DOP853 (explicit)", setting, partial(explicit_solution, evaluations), exact, 1)
     for steps in (1_000, 30_000):
-        yield measured(case, "RK4, blows up", f"{steps} steps", partial(blown_up, steps), exact, 1)
+        yield measured(case, "RK4 (explicit)", f"{steps} steps", partial(runge_kutta_solution, steps), exact, 1)

@@ -1,4 +1,4 @@
-"""Work precision: error against run time, one row a method and setting, as table and as figure."""
+"""Work-precision diagrams: error against run time of every method and setting, as a table and as a figure."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ if TYPE_CHECKING:
 Row = TypeVar("Row")
 Group = TypeVar("Group", bound=Hashable)
 
-PANELS_A_ROW = 4
-LEAST_ERROR = 1e-17
-"""Where an error of zero is drawn."""
+PANELS_PER_ROW = 4
+MIN_DRAWN_ERROR = 1e-17
+"""Errors below this, zero included, are drawn here."""
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One way to compute one case: how wrong, how long."""
+    """Error and run time of one method and setting on one case."""
 
     case: str
     method: str
     setting: str
     error: float
-    """Largest error over the largest value; NaN where the method gave up."""
+    """Largest error relative to the largest value; NaN if the method failed."""
     time_s: float
-    """Median wall time."""
+    """Median wall time, s."""
 
 
 def measured(
     case: str, method: str, setting: str, compute: Callable[[], FloatArray], exact: FloatArray, repeats: int = 3
 ) -> Point:
-    """Return the point of ``compute``, timed ``repeats`` times, against ``exact``; NaN error where it raises."""
+    """Compare ``compute()`` with ``exact`` and time it ``repeats`` times; the error is NaN if it raises."""
     times_s = []
     error = float("nan")
     for _ in range(repeats):
@@ -60,15 +60,15 @@ def measured(
 
 
 def grouped(rows: Iterable[Row], key: Callable[[Row], Group]) -> dict[Group, list[Row]]:
-    """Return the rows by ``key``, groups and rows in the order of the rows."""
-    found: dict[Group, list[Row]] = {}
+    """Group the rows by ``key`` in the order in which they come."""
+    groups: dict[Group, list[Row]] = {}
     for row in rows:
-        found.setdefault(key(row), []).append(row)
-    return found
+        groups.setdefault(key(row), []).append(row)
+    return groups
 
 
 def pareto(times_s: Sequence[float], errors: Sequence[float]) -> list[int]:
-    """Return the indices, by ascending time, of the points that no other beats in both time and error."""
+    """Return the indices of the Pareto front: no other point is better in both time and error. Sorted by time."""
     front: list[int] = []
     for index in sorted(range(len(times_s)), key=lambda k: (times_s[k], errors[k])):
         if not math.isnan(errors[index]) and (not front or errors[index] < errors[front[-1]]):
@@ -77,23 +77,25 @@ def pareto(times_s: Sequence[float], errors: Sequence[float]) -> list[int]:
 
 
 def file_mistakes(output: Path | None, figure: Path | None) -> list[Mistake]:
-    """Return what is wrong with the names of a table, ``.csv`` or ``.json``, and of a figure; absent ones are right."""
-    found = []
+    """Return the mistakes in the file names of a table (``.csv``, ``.json``) and of a figure; None is valid."""
+    mistakes = []
     files = (("--output", output, (".csv", ".json")), ("--figure", figure, (".svg", ".png", ".pdf")))
     for option, path, suffixes in files:
         if path is not None and path.suffix not in suffixes:
-            found.append(Mistake(option, f"{path} is no format it has", f"a name in {' or '.join(suffixes)}"))
+            mistakes.append(
+                Mistake(option, f"{path}: unknown format", f"a file name that ends in {' or '.join(suffixes)}")
+            )
         if path is not None and not path.parent.is_dir():
-            found.append(Mistake(option, f"there is no folder {path.parent}", "make it, or another one"))
+            mistakes.append(Mistake(option, f"the folder {path.parent} does not exist", "create it, or choose another"))
         elif path is not None and (why := unwritable(path)):
-            found.append(Mistake(option, f"{path} cannot be written ({why})", "another name or folder"))
-    return found
+            mistakes.append(Mistake(option, f"{path} cannot be written ({why})", "another name or folder"))
+    return mistakes
 
 
 def points_text(points: Sequence[Point]) -> str:
     """Return the points as a table for the terminal."""
     cells = (
-        (p.case, p.method, p.setting, "gave up" if np.isnan(p.error) else f"{p.error:.1e}", f"{p.time_s * 1e3:.2f} ms")
+        (p.case, p.method, p.setting, "failed" if np.isnan(p.error) else f"{p.error:.1e}", f"{p.time_s * 1e3:.2f} ms")
         for p in points
     )
     return text_table(("case", "method", "setting", "error", "time"), cells, words=3)
@@ -107,37 +109,38 @@ def write_rows(
     show: Callable[[str], None],
     as_text: Callable[[list[Any]], str] = csv_text,
 ) -> None:
-    """Measure ``rows``, write table and figure; without a file for the table ``show`` gets it ``as_text``.
+    """Compute ``rows``; write them to ``output`` and ``figure``, or pass the table ``as_text`` to ``show``.
 
-    What was measured until an interruption is written. Raises ``SettingsError`` for wrong names before any row.
+    After an interruption the rows computed so far are written. Raises ``SettingsError`` for invalid file names before
+    the first row.
     """
     mistakes = file_mistakes(output, figure)
     if mistakes:
         raise SettingsError("command line", mistakes)
-    found: list[Any] = []
+    computed: list[Any] = []
     try:
-        found.extend(rows)
+        computed.extend(rows)
     finally:
         if output is None:
-            show(as_text(found).rstrip("\n"))
+            show(as_text(computed).rstrip("\n"))
         else:
-            text = json.dumps(mappings(found), indent=1) + "\n" if output.suffix == ".json" else csv_text(found)
+            text = json.dumps(mappings(computed), indent=1) + "\n" if output.suffix == ".json" else csv_text(computed)
             output.write_text(text, encoding="utf-8")
-            show(f"{output}: {len(found)} rows")
+            show(f"{output}: {len(computed)} rows")
     if figure is not None:
-        draw(found, figure)
+        draw(computed, figure)
         show(f"{figure}: error against run time")
 
 
 def draw_points(points: Sequence[Point], path: Path) -> None:
-    """Draw error against run time, a panel a case, a line a method."""
-    known = [point for point in points if not np.isnan(point.error)]
+    """Draw error against run time: one panel per case, one line per method."""
+    finite = [point for point in points if not np.isnan(point.error)]
     panels = {
         case: {
-            method: [(point.time_s, max(point.error, LEAST_ERROR)) for point in some]
-            for method, some in grouped(own, lambda point: point.method).items()
+            method: [(point.time_s, max(point.error, MIN_DRAWN_ERROR)) for point in method_points]
+            for method, method_points in grouped(case_points, lambda point: point.method).items()
         }
-        for case, own in grouped(known, lambda point: point.case).items()
+        for case, case_points in grouped(finite, lambda point: point.case).items()
     }
     draw_panels(panels, path, "run time (s)", "relative error")
 
@@ -149,42 +152,45 @@ def draw_panels(
     y_label: str,
     over_bound: bool = False,
 ) -> None:
-    """Draw panels by title, in each (time, error) by method, on logarithmic axes: the best is low and to the left.
+    """Draw one panel per title with the (time, error) points of each method, on logarithmic axes.
 
-    A method has the same mark in every panel; one legend above them all.
-
-    ``over_bound``: errors are ratios to a bound, so that all panels share an axis, with a line at 1 and no others.
+    A method has the same mark in every panel, and one legend stands above all panels. ``over_bound``: errors are ratios
+    to a bound; all panels then share the error axis, and a line is drawn at 1.
     """
     from matplotlib.figure import Figure
 
-    columns = min(PANELS_A_ROW, len(panels))
-    lines = math.ceil(len(panels) / columns)
-    marks = {method: mark(place) for place, method in enumerate(dict.fromkeys(itertools.chain(*panels.values())))}
-    # A letter takes less than 0.09 inch, the mark beside a name 0.5, a row of names 0.22.
-    names_a_row = max(1, min(2 * columns, int(3.4 * columns / (0.5 + 0.09 * max(map(len, marks), default=1)))))
-    legend_in = 0.22 * max(0, math.ceil(len(marks) / names_a_row) - 2)
-    figure = Figure(figsize=(3.4 * columns, 3.2 * lines + legend_in), layout="constrained")
-    axes = figure.subplots(lines, columns, squeeze=False, sharey=over_bound).ravel()
-    for spare in axes[len(panels) :]:
-        spare.set_axis_off()
-    drawn: dict[str, Artist] = {}
-    for one, (title, methods) in zip(axes, panels.items(), strict=False):
+    columns = min(PANELS_PER_ROW, len(panels))
+    rows = math.ceil(len(panels) / columns)
+    marks = {method: mark(index) for index, method in enumerate(dict.fromkeys(itertools.chain(*panels.values())))}
+    # Widths in inches: a letter 0.09 at most, a mark 0.5. A row of the legend is 0.22 high.
+    names_per_row = max(1, min(2 * columns, int(3.4 * columns / (0.5 + 0.09 * max(map(len, marks), default=1)))))
+    legend_in = 0.22 * max(0, math.ceil(len(marks) / names_per_row) - 2)
+    figure = Figure(figsize=(3.4 * columns, 3.2 * rows + legend_in), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharey=over_bound).ravel()
+    for unused in axes[len(panels) :]:
+        unused.set_axis_off()
+    lines_by_method: dict[str, Artist] = {}
+    for panel, (title, methods) in zip(axes, panels.items(), strict=False):
         for method, points in methods.items():
             marker, colour = marks[method]
             line = "" if over_bound else "-"
-            (drawn[method],) = one.plot(
+            (lines_by_method[method],) = panel.plot(
                 *zip(*points, strict=True), marker=marker, ls=line, lw=0.8, ms=4, color=colour, label=method
             )
-        one.set(xscale="log", yscale="log", xlabel=x_label)
-        one.set_title(title, fontsize=9)
-        label_decades(one.xaxis)
-        label_decades(one.yaxis)
-        one.grid(alpha=0.3)
+        panel.set(xscale="log", yscale="log", xlabel=x_label)
+        panel.set_title(title, fontsize=9)
+        label_decades(panel.xaxis)
+        label_decades(panel.yaxis)
+        panel.grid(alpha=0.3)
         if over_bound:
-            one.axhline(1, color="0.6", lw=0.8)
-    for one in axes[::columns]:
-        one.set_ylabel(y_label)
+            panel.axhline(1, color="0.6", lw=0.8)
+    for panel in axes[::columns]:
+        panel.set_ylabel(y_label)
     figure.legend(
-        [drawn[method] for method in marks], list(marks), loc="outside upper center", ncols=names_a_row, frameon=False
+        [lines_by_method[method] for method in marks],
+        list(marks),
+        loc="outside upper center",
+        ncols=names_per_row,
+        frameon=False,
     )
     figure.savefig(path)

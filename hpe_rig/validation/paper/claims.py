@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from hpe_rig.study import OURS, StudyResult, lateral_average, with_error
+from hpe_rig.study import PAPER_WIDTH_RATIO, StudyResult, lateral_average, with_error
 from hpe_rig.validation.paper.judgement import (
     AGREES,
     DIFFERS,
@@ -86,8 +86,8 @@ def map_ratio(result: StudyResult, reading: str) -> Judgement:
     """Judge the normalised displacement at W_x = W_y = 2.19, 0.82."""
     _, x, y, table = map_of(result, reading)[-1]
     truth = table["amplitude_true_m"]
-    value = at_point(x, y, 1 + table["amplitude_bias_m"] / truth, OURS)
-    return number(value, at_point(x, y, table["amplitude_bias_se_m"] / truth, OURS), 0.82, 0.005)
+    value = at_point(x, y, 1 + table["amplitude_bias_m"] / truth, PAPER_WIDTH_RATIO)
+    return number(value, at_point(x, y, table["amplitude_bias_se_m"] / truth, PAPER_WIDTH_RATIO), 0.82, 0.005)
 
 
 @judge_of
@@ -159,7 +159,7 @@ def wider_axially(result: StudyResult, reading: str) -> Judgement:
 def phase_over_w_z(result: StudyResult, reading: str) -> Judgement:
     """Judge whether the phase jitter at W_x = W_y = 2.19 is constant to a tenth from W_z = 0.5 on."""
     found = [
-        (w_z, *(at_point(x, y, table[f"phase_jitter{of}_rad"], OURS) * DEGREES for of in ("", "_se")))
+        (w_z, *(at_point(x, y, table[f"phase_jitter{of}_rad"], PAPER_WIDTH_RATIO) * DEGREES for of in ("", "_se")))
         for w_z, x, y, table in map_of(result, reading)
     ]
     words = "phase jitter " + ", ".join(f"{with_error(value, se)} deg at {w_z:g}" for w_z, value, se in found)

@@ -11,7 +11,7 @@ from typing import Concatenate, ParamSpec
 import numpy as np
 
 from hpe_rig.arrays import BoolArray, FloatArray
-from hpe_rig.study import Curve, StudyResult, View, curves, maps, view, with_error
+from hpe_rig.study import Curve, StudyResult, View, curves, maps, paper_view, with_error
 
 Columns = dict[str, FloatArray]
 P = ParamSpec("P")
@@ -53,7 +53,7 @@ def judge_of(rule: Callable[Concatenate[StudyResult, str, P], Judgement]) -> Cal
 def judged(results: Mapping[str, StudyResult], study: str, reading: str, judge: Judge) -> Judgement:
     """Return the finding, or that the study was not run in this reading."""
     result = results.get(study)
-    if result is None or view(result, reading) is None:
+    if result is None or paper_view(result, reading) is None:
         return Judgement(f"needs hpe-rig study {study}", ABSENT)
     return judge(result, reading)
 
@@ -147,7 +147,8 @@ def slight(result: StudyResult, reading: str, quantity: str, share: float) -> Ju
 
 def map_of(result: StudyResult, reading: str) -> list[tuple[float, FloatArray, FloatArray, Columns]]:
     """Return W_z, W_x, W_y and the columns (y, x) of every map of the paper's chain."""
-    return [(float(values[0]), x, y, table) for values, x, y, table in maps(result, _seen(result, reading))]
+    tables = maps(result, _seen(result, reading))
+    return [(float(table.outer_values[0]), table.x, table.y, table.columns) for table in tables]
 
 
 def at_point(x: FloatArray, y: FloatArray, values: FloatArray, place: float) -> float:
@@ -163,7 +164,7 @@ def in_units(curve: Curve, quantity: str) -> tuple[FloatArray, FloatArray]:
 
 
 def _seen(result: StudyResult, reading: str) -> View:
-    one = view(result, reading)
+    one = paper_view(result, reading)
     assert one is not None  # noqa: S101
     return one
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from hpe_rig.study import Part, StudyResult, table
+from hpe_rig.report import PageSection, page_table
+from hpe_rig.study import StudyResult
 from hpe_rig.validation.paper import claims
 from hpe_rig.validation.paper.judgement import ABSENT, AGREES, Judge, flat, judged, slight, trend
 
@@ -46,7 +47,7 @@ def rows(results: Mapping[str, StudyResult]) -> list[dict[str, str]]:
     return out
 
 
-def reproduction_part(results: Sequence[StudyResult]) -> Part | None:
+def reproduction_part(results: Sequence[StudyResult]) -> PageSection | None:
     """Return the paper's statements against these studies; None where they tell nothing about any."""
     found = rows({one.name: one for one in results})
     told = [row for row in found if not all(row[f"verdict, {name}"] == ABSENT for name in READINGS)]
@@ -63,8 +64,8 @@ def reproduction_part(results: Sequence[StudyResult]) -> Part | None:
     if len(told) < len(found):
         rest = len(found) - len(told)
         words.append(f"{rest} statements need other studies: hpe-rig study reproduction has them all.")
-    shown = table("reproduction", "Reproduction of the paper.", told, folded=False)
-    return Part("reproduction-part", "Reproduction", tuple(words), (), (shown,), _headline(told))
+    shown = page_table("reproduction", "Reproduction of the paper.", told, folded=False)
+    return PageSection("reproduction-section", "Reproduction", tuple(words), (), (shown,), _headline(told))
 
 
 def _not_run(told: Sequence[Mapping[str, str]]) -> set[str]:

@@ -73,14 +73,14 @@ def test_every_wrong_option_is_named_before_anything_is_measured(tmp_path: Path)
 
 
 @pytest.mark.parametrize("part", ["specimen", "chain"])
-def test_wrong_file_names_of_specimen_and_chain_are_told_before_anything_is_measured(
+def test_invalid_file_names_are_refused_before_anything_is_measured(
     tmp_path: Path, part: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("time.perf_counter", lambda: pytest.fail("a measurement began"))
     wrong = ["--output", str(tmp_path / "no" / "a.txt"), "--figure", str(tmp_path / "b.bmp")]
     done = CliRunner().invoke(app, ["accuracy", part, *wrong])
     assert done.exit_code == 2, done.output
-    for words in ("a.txt is no format", "no folder", "b.bmp is no format"):
+    for words in ("a.txt: unknown format", "does not exist", "b.bmp: unknown format"):
         assert words in done.output
 
 

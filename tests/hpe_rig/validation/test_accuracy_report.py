@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from hpe_rig import validation
 from hpe_rig.cli.app import app
 from hpe_rig.validation.accuracy import end_to_end, report as accuracy_report
-from hpe_rig.validation.accuracy.end_to_end import EndToEnd, Way, pareto
+from hpe_rig.validation.accuracy.end_to_end import EndToEnd, Variant, pareto
 from hpe_rig.validation.accuracy.extremes import extremes
 from hpe_rig.validation.accuracy.report import FULL, Effort, end_to_end_part, lead, write_accuracy_report
 from hpe_rig.validation.accuracy.work_precision import Point
@@ -31,14 +31,14 @@ def test_the_truth_in_closed_form_is_the_fit_of_the_tabulated_displacement() -> 
 
 
 def test_shipped_tolerance_and_nodes_cost_nothing_and_fewer_cost_what_they_say() -> None:
-    shipped = end_to_end.numerical_error(Way())
-    assert shipped < Way().tolerance
-    assert end_to_end.numerical_error(replace(Way(), nodes=6, degrees=6)) > 1e3 * shipped
-    assert shipped < end_to_end.numerical_error(replace(Way(), tolerance=1e-2)) < 1e-2
+    shipped = end_to_end.numerical_error(Variant())
+    assert shipped < Variant().tolerance
+    assert end_to_end.numerical_error(replace(Variant(), nodes=6, degrees=6)) > 1e3 * shipped
+    assert shipped < end_to_end.numerical_error(replace(Variant(), tolerance=1e-2)) < 1e-2
 
 
 def test_the_final_amplitude_is_true_within_its_own_error() -> None:
-    found = end_to_end.amplitudes(Way(), 64, 5) / end_to_end.true_amplitude_m()
+    found = end_to_end.amplitudes(Variant(), 64, 5) / end_to_end.true_amplitude_m()
     # averaging factor in closed form to 0.5 %, and three standard errors of 64 realisations
     assert found.mean() == pytest.approx(1.0, abs=0.005 + 3 * found.std(ddof=1) / 8)
     assert found.std(ddof=1) == pytest.approx(0.07, abs=3 * 0.07 / math.sqrt(2 * 63))
