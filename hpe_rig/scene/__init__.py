@@ -7,6 +7,7 @@
     notation.py     numbers with units as people read them
     keys.py         the numbers of a scene: found by a short name, set to a value
     description.py  every key of a settings file in words, from the schema; a file that names them all
+    axis.py         axes of a sweep and the points that they span
     points.py       the points of a sweep over any numbers
     editing.py      a scene's text with some of its numbers changed, comments kept
 

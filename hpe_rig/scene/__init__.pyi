@@ -1,3 +1,4 @@
+from .axis import Axis as Axis, parse_axes as parse_axes, settings_at_points as settings_at_points
 from .description import (
     DescribedKey as DescribedKey,
     DescribedTable as DescribedTable,
@@ -20,7 +21,6 @@ from .keys import (
     Number as Number,
     forgotten_units as forgotten_units,
     number_keys as number_keys,
-    path_of as path_of,
     resolve as resolve,
     with_values as with_values,
 )
@@ -71,6 +71,7 @@ from .validation import (
     mistakes_of as mistakes_of,
     named_text as named_text,
     parse_toml as parse_toml,
+    path_of as path_of,
     printable as printable,
     read_remedy as read_remedy,
     read_settings_text as read_settings_text,

@@ -34,11 +34,6 @@ class Key:
         return dotted(self.path)
 
 
-def path_of(key: str) -> KeyPath:
-    """Return the path of a key such as ``simulation.motion[0].amplitude_m``, as `dotted` writes it."""
-    return tuple(int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", key))
-
-
 def number_keys(tables: Mapping[str, Any]) -> list[Key]:
     """Return every number that the scene in ``tables`` has or could have; entries of lists one by one."""
     return keys_of(Scene.model_validate(tables), tables)

@@ -9,9 +9,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
-from hpe_rig.scene.keys import Key, Number, keys_of, path_of, resolve, with_values
+from hpe_rig.scene.keys import Key, Number, keys_of, resolve, with_values
 from hpe_rig.scene.scene import Scene, Sweep, plain_tables
-from hpe_rig.scene.validation import STORED, KeyPath, Mistake, SettingsError, mistakes_of
+from hpe_rig.scene.validation import STORED, KeyPath, Mistake, SettingsError, mistakes_of, path_of
 
 MOST_POINTS = 1000
 IN_TURN: Mapping[str, str] = {

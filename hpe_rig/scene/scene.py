@@ -49,6 +49,7 @@ from hpe_rig.scene.validation import (
     mistakes_of,
     named_text,
     parse_toml,
+    path_of,
     validated,
 )
 
@@ -413,7 +414,7 @@ class Scene(Section):
         mapping from text to values.
         """
         # keys.py describes a scene and so imports this file.
-        from hpe_rig.scene.keys import path_of, with_values
+        from hpe_rig.scene.keys import with_values
 
         if not isinstance(values, Mapping):
             raise TypeError(f"settings are taken as a mapping from path to value, not as {type(values).__name__}")

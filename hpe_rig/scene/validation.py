@@ -247,6 +247,11 @@ def dotted(path: KeyPath) -> str:
     return text
 
 
+def path_of(key: str) -> KeyPath:
+    """Return the path of a key such as ``simulation.motion[0].amplitude_m``, the inverse of `dotted`."""
+    return tuple(int(part) if part.isdigit() else part for part in re.findall(r"[^.\[\]]+", key))
+
+
 MOST_SHOWN = 80
 """Characters of a value or key that a message shows."""
 
