@@ -15,14 +15,14 @@ from hpe_rig.cli.terminal import told
 from hpe_rig.result import text_table
 from hpe_rig.study import (
     NO_TLS,
-    SUMMARY,
+    SUMMARY_FILE,
     OnProgress,
     StudyResult,
     TlsFiles,
     cluster,
     error_figures,
     processes,
-    refused_words,
+    refused_text,
     run_study,
     spans,
     untrusted_network,
@@ -52,7 +52,7 @@ def study_command(
         results = run_study(name, output, open_pool, ahead, replaced, watch, announce)
     for result in results:
         show(f"{result.name}: {result.definition.title}\n{physics(result)}\n")
-        if words := refused_words(result.rows):
+        if words := refused_text(result.rows):
             show(f"{words}\n")
     show(table(results, output))
     if report:
@@ -69,7 +69,7 @@ def table(results: list[StudyResult], output: Path) -> str:
     headers = ("study", "results", "cases", "realisations", "processor time", "peak memory")
     rows = (
         (
-            *(result.name, str(output / result.name / SUMMARY), f"{len(result.cases)}", f"{result.realisations}"),
+            *(result.name, str(output / result.name / SUMMARY_FILE), f"{len(result.cases)}", f"{result.realisations}"),
             *(f"{result.seconds:.1f} s", f"{result.peak_memory_mib:.0f} MiB"),
         )
         for result in results

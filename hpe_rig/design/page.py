@@ -12,9 +12,9 @@ import numpy as np
 from hpe_rig.design.problem import OUTSIDE, Goal
 from hpe_rig.design.search import DesignResult
 from hpe_rig.design.variables import Variable
+from hpe_rig.report import PageSection, page_table, render_sections, write_text
 from hpe_rig.result import BLUE, GREY, ORANGE, Picture, label_decades, legend_above, panel, picture
 from hpe_rig.store import versions
-from hpe_rig.study import Part, render, table, write_whole
 
 if TYPE_CHECKING:
     from hpe_rig.design.command import Comparison
@@ -39,9 +39,14 @@ def write_page(found: DesignResult, comparison: Comparison, name: str, command: 
     scene = found.best.scene
     assert scene is not None  # noqa: S101
     path = Path(f"{Path(name).name.removesuffix('.toml')}-design.html")
-    parts = (_before_and_after(comparison), Part("over-part", "Over each number", _WORDS, tuple(_pictures(found))))
-    page = render(f"A better scene: {scene.title}", _lead(found, comparison), parts, {"made by": command, **versions()})
-    write_whole(path, page)
+    parts = (
+        _before_and_after(comparison),
+        PageSection("over-part", "Over each number", _WORDS, tuple(_pictures(found))),
+    )
+    page = render_sections(
+        f"A better scene: {scene.title}", _lead(found, comparison), parts, {"made by": command, **versions()}
+    )
+    write_text(path, page)
     return path
 
 
@@ -59,17 +64,17 @@ def _lead(found: DesignResult, comparison: Comparison) -> tuple[str, ...]:
     return first, f"{comparison.asked}.", *(f"{remark[0].upper()}{remark[1:]}." for remark in comparison.remarks)
 
 
-def _before_and_after(comparison: Comparison) -> Part:
+def _before_and_after(comparison: Comparison) -> PageSection:
     tables = (
-        table("varied", "Numbers that may change.", _rows(comparison.varied), False),
-        table(
+        page_table("varied", "Numbers that may change.", _rows(comparison.varied), folded=False),
+        page_table(
             "outcome",
             "What comes of it: predicted, and simulated with standard errors.",
             _rows(comparison.outcome),
-            False,
+            folded=False,
         ),
     )
-    return Part("before-part", "Before and after", (), (), tables)
+    return PageSection("before-part", "Before and after", (), (), tables)
 
 
 def _rows(rows: Sequence[tuple[str, str, str]]) -> list[dict[str, str]]:

@@ -5,6 +5,14 @@ from .comparison import (
     comparison_schema as comparison_schema,
 )
 from .page import StoredAxes as StoredAxes, write_report as write_report
+from .page_writer import (
+    PageSection as PageSection,
+    PageTable as PageTable,
+    cell_text as cell_text,
+    page_table as page_table,
+    render_sections as render_sections,
+    write_text as write_text,
+)
 from .sweep import Line as Line, fit_line as fit_line
 from .views import (
     EchoView as EchoView,

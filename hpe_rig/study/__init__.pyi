@@ -5,11 +5,10 @@ from .executor import (
     processes as processes,
     untrusted_network as untrusted_network,
 )
-from .map_figures import OURS as OURS, lateral_average as lateral_average
+from .map_figures import PAPER_WIDTH_RATIO as PAPER_WIDTH_RATIO, lateral_average as lateral_average
 from .measured_case import one_shot as one_shot
-from .page import PageTable as PageTable, Part as Part, cell as cell, render as render, table as table
 from .report import write_study_report as write_study_report
-from .results import SUMMARY as SUMMARY, StudyResult as StudyResult, write_whole as write_whole
+from .results import SUMMARY_FILE as SUMMARY_FILE, StudyResult as StudyResult
 from .run import OnProgress as OnProgress, run_study as run_study
 from .series import (
     Curve as Curve,
@@ -17,9 +16,9 @@ from .series import (
     curves as curves,
     error_figures as error_figures,
     maps as maps,
-    refused_words as refused_words,
+    paper_view as paper_view,
+    refused_text as refused_text,
     spans as spans,
-    view as view,
     with_error as with_error,
 )
 from .statistics import Errors as Errors, errors as errors

@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -17,6 +17,7 @@ from hpe_rig.plan import PlanError
 from hpe_rig.processing import Estimator, Options, spec_of
 from hpe_rig.scene import (
     IN_TURN,
+    Axis,
     Mistake,
     Scene,
     SettingsError,
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from sim_backend.settings import SimulationSettings
 
 ENGINE = 2
-"""Raised whenever the same case gives other numbers: cases stored before are then not taken for finished."""
+"""Version of the numbers: it increases whenever a case gives other numbers, which invalidates stored cases."""
 
 USED = {
     "tracking": ("pulse_rate_hz", "pulse_count", "delay_s", "carrier_hz"),
@@ -44,14 +45,16 @@ USED = {
     "processing": ("frequencies_hz", "harmonic", "process_noise", "background_order"),
     "simulation": ("sound_speed_m_per_s", "motion", "beams", "scatterers"),
 }
-"""The scene keys that a study's echoes and estimates depend on, by section, and the SNR."""
+"""The scene keys, by section, that the gate's echoes and estimates depend on; the SNR is another."""
 USED_KEYS = (*(f"{section}.{key}" for section, keys in USED.items() for key in keys), "simulation.receiver.snr_db")
 
 SET_BY_STUDY = ("simulation.seed", "acquisition.repeats")
-"""Keys that whole measurements set for every realisation, beside [sweep]."""
-_MEASURES = "which measures all of the scene"
+"""Keys that whole measurements set for every realisation, in addition to [sweep]."""
+_USE_BENCH = 'simulate = "bench", which measures the whole scene'
 
 Tables = dict[str, Any]
+Indices = tuple[int, ...]
+"""Index of a point along every axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,17 +62,17 @@ class Case:
     """One scene under one reading, with its realisations; equal cases of several studies have equal keys."""
 
     key: str
-    """Hash of all that its numbers depend on; the name of its file."""
+    """Hash of everything that its numbers depend on; the name of its file."""
     echoes_key: str
-    """Equal where the noise-free echoes are the same."""
+    """Equal for cases with the same noise-free echoes."""
     noise_key: str
-    """Equal where the noise is the same, but for its level."""
+    """Equal for cases with the same unit noise."""
     stream: int
     """Entropy of its random numbers."""
     train: Train
     twin: SimulationSettings
     gate_offset_s: float
-    """Middle of the gate after the echo of the resting focus."""
+    """Centre of the gate after the echo of the focus at rest."""
     estimators: tuple[Estimator, ...]
     scatterers: int
     noise: int
@@ -77,13 +80,13 @@ class Case:
     reading: Reading = "physical"
 
     @property
-    def sharing(self) -> tuple[str, ...]:
-        """What cases have in common that are computed together, first of all the noise."""
+    def batch_key(self) -> tuple[str, ...]:
+        """Sort key of batches: noise, then echoes."""
         return self.noise_key, self.echoes_key
 
     @property
     def cost(self) -> float:
-        """How long it takes beside others of its kind."""
+        """Computing time relative to other cases of the gate."""
         return float(self.scatterers * self.noise * self.train.pulses)
 
 
@@ -92,7 +95,7 @@ AnyCase = Case | MeasuredCase
 
 @dataclass(frozen=True, slots=True)
 class GridPoint:
-    """Where a case stands in a study: the shown value of every axis, and the reading of eq. (11)."""
+    """One case of a study: the displayed value of every axis, and the reading of eq. (11)."""
 
     coordinates: dict[str, Any]
     reading: Reading
@@ -101,16 +104,32 @@ class GridPoint:
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
-    """A definition with its base scene and, for every axis, values by key."""
+    """A definition with its base scene, its axes, and the random streams so far."""
 
     base: Tables
     definition: Definition
-    columns: list[dict[str, list[Any]]]
+    axes: tuple[Axis, ...]
+    streams: dict[str, int]
 
-    def common_place(self, place: tuple[int, ...]) -> tuple[int, ...]:
-        """Return where the random numbers of ``place`` are taken from: along a common axis from its first value."""
-        axes = self.definition.axes
-        return tuple(0 if axis.name in self.definition.common else n for axis, n in zip(axes, place, strict=True))
+    @property
+    def keys(self) -> list[str]:
+        """Every scene key that the study sets or varies."""
+        return list(dict.fromkeys((*self.definition.set, *(key for axis in self.axes for key in axis.columns))))
+
+    def stream_indices(self, indices: Indices) -> Indices:
+        """Return the point that provides the random numbers of ``indices``: the first along each common axis."""
+        common = self.definition.common
+        return tuple(0 if axis.name in common else index for axis, index in zip(self.axes, indices, strict=True))
+
+    def tables_at(self, indices: Indices) -> Tables:
+        """Return the scene's tables at a point."""
+        fixed = {path_of(key): value for key, value in self.definition.set.items()}
+        varied = {
+            path_of(key): value
+            for axis, index in zip(self.axes, indices, strict=True)
+            for key, value in axis.settings(index).items()
+        }
+        return with_values(with_values(self.base, fixed), varied)
 
 
 def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[GridPoint]:
@@ -118,29 +137,27 @@ def points_of(name: str, definition: Definition, folder: Path = Path()) -> list[
     shipped = definition.scene in shipped_scenes()
     base_name, text = scene_text(definition.scene if shipped else folder / definition.scene)
     base = parse_toml(text, f"scene {base_name}")
-    grid = _Grid(base, definition, [axis.columns() for axis in definition.axes])
-    shown = [axis.values() for axis in definition.axes]
-    whole = _is_measured(grid)
-    make, wrong = (_measured_case, _wrong_for_bench) if whole else (_case, _wrong_for_gate)
-    found: dict[str, Mistake] = {str(mistake): mistake for mistake in (*wrong(definition), *_repeated(definition))}
-    out: list[GridPoint] = []
-    streams: dict[str, int] = {}
+    axes = definition.sweep_axes
+    grid = _Grid(base, definition, axes, {})
+    make_case, mistakes_in = (_measured_case, _bench_mistakes) if _needs_bench(grid) else (_gate_case, _gate_mistakes)
+    mistakes = {str(mistake): mistake for mistake in (*mistakes_in(grid), *_repeated_keys(axes))}
+    points: list[GridPoint] = []
     for reading in definition.readings:
-        for place in itertools.product(*(range(len(each)) for each in shown)):
+        for indices in itertools.product(*(range(len(axis)) for axis in axes)):
             try:
-                case = make(grid, reading, place, streams)
+                case = make_case(grid, reading, indices)
             except SettingsError as error:
-                found |= {str(mistake): mistake for mistake in error.mistakes}
+                mistakes |= {str(mistake): mistake for mistake in error.mistakes}
                 continue
-            values = zip(definition.axes, shown, place, strict=True)
-            out.append(GridPoint({axis.name: each[n] for axis, each, n in values}, reading, case))
-    if found:
-        raise SettingsError(f"study {name}", list(found.values()))
-    return out
+            coordinates = {axis.name: axis.labels[index] for axis, index in zip(axes, indices, strict=True)}
+            points.append(GridPoint(coordinates, reading, case))
+    if mistakes:
+        raise SettingsError(f"study {name}", list(mistakes.values()))
+    return points
 
 
-def _is_measured(grid: _Grid) -> bool:
-    """Return whether every realisation is a whole measurement: as told, else where the base scene needs it."""
+def _needs_bench(grid: _Grid) -> bool:
+    """Return whether every realisation is a whole measurement: by the key simulate, else by the base scene."""
     if grid.definition.simulate is not None:
         return grid.definition.simulate == "bench"
     try:
@@ -148,107 +165,103 @@ def _is_measured(grid: _Grid) -> bool:
         scene = Scene.model_validate(tables)
         return any(_beyond_gate(scene, twin_settings(scene)))
     except ValueError:
-        # What is wrong with it is told with the mistakes of all points.
+        # The checks of all points report the mistakes of the base scene.
         return False
 
 
-def _wrong_for_gate(definition: Definition) -> Iterator[Mistake]:
-    """Yield what a study of the gate alone does not depend on."""
-    for key in dict.fromkeys((*definition.set, *(key for axis in definition.axes for key in axis.keys))):
+def _gate_mistakes(grid: _Grid) -> Iterator[Mistake]:
+    """Yield the settings of a definition that a study of the gate alone cannot use."""
+    for key in grid.keys:
         if not any(key == used or key.startswith((f"{used}.", f"{used}[")) for used in USED_KEYS):
             what = "a study of the gate alone does not depend on it"
-            yield Mistake(key, what, f'simulate = "bench", which measures all of the scene, or {", ".join(USED_KEYS)}')
-    for name in definition.readings.get("as_printed", ()):
+            yield Mistake(key, what, f"{_USE_BENCH}, or {', '.join(USED_KEYS)}")
+    for name in grid.definition.readings.get("as_printed", ()):
         if not spec_of(name).published:
-            what = f"{name} has no gain of a difference of pulses to leave in"
+            what = f"the amplitude of {name} has no gain of a difference of pulses"
             yield Mistake("readings.as_printed", what, '["cross_spectrum"]')
-    if definition.corrected:
-        yield Mistake("corrected", "a study of the gate alone corrects nothing", f'simulate = "bench", {_MEASURES}')
+    if grid.definition.corrected:
+        yield Mistake("corrected", "a study of the gate alone corrects nothing", _USE_BENCH)
 
 
-def _wrong_for_bench(definition: Definition) -> Iterator[Mistake]:
-    """Yield what a study by whole measurements sets by itself, and readings that it does not know."""
-    for key in dict.fromkeys((*definition.set, *(key for axis in definition.axes for key in axis.keys))):
+def _bench_mistakes(grid: _Grid) -> Iterator[Mistake]:
+    """Yield the settings that a study by whole measurements sets itself, and the readings that it does not support."""
+    for key in grid.keys:
         if key.partition(".")[0] == "sweep" or key in SET_BY_STUDY:
-            yield Mistake(key, "a study says by itself what it repeats and varies", "its axes, scatterers and noise")
-    for reading in sorted(definition.readings.keys() - {"physical"}):
-        what = "the paper is read otherwise by the gate alone, and this study measures whole scenes"
-        yield Mistake(
-            f"readings.{reading}", what, 'the reading "physical", or simulate = "gate" with prescribed motion'
-        )
+            yield Mistake(key, "a study sets repeats and varied values itself", "its axes, scatterers and noise")
+    for reading in sorted(grid.definition.readings.keys() - {"physical"}):
+        what = "only a study of the gate alone supports it, and this study measures whole scenes"
+        remedy = 'the reading "physical", or simulate = "gate" with prescribed motion'
+        yield Mistake(f"readings.{reading}", what, remedy)
 
 
-def _repeated(definition: Definition) -> Iterator[Mistake]:
-    varied = Counter(itertools.chain(*(axis.keys for axis in definition.axes)))
-    for key, count in varied.items():
+def _repeated_keys(axes: Sequence[Axis]) -> Iterator[Mistake]:
+    counts = Counter(itertools.chain(*(axis.columns for axis in axes)))
+    for key, count in counts.items():
         if count > 1:
-            yield Mistake(key, f"{count} axes vary it, and the last one alone would count", "one axis for it")
+            yield Mistake(key, f"{count} axes vary it, and only the last one would apply", "one axis for it")
 
 
-def _measured_case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[str, int]) -> MeasuredCase:
+def _measured_case(grid: _Grid, reading: Reading, indices: Indices) -> MeasuredCase:
     definition, estimators = grid.definition, grid.definition.readings[reading]
-    scene = _whole_scene(grid, place, definition.corrected)
-    own = plain_tables(scene)
-    stream = _stream(grid, reading, place, own, streams, lambda at: plain_tables(_whole_scene(grid, at)))
+    scene = _whole_scene(grid, indices, definition.corrected)
+    tables = plain_tables(scene)
+    stream = _stream(grid, reading, indices, tables, lambda point: plain_tables(_whole_scene(grid, point)))
     sizes = definition.scatterers, definition.noise, definition.standard_error_m
-    # All of the program has a part in its numbers, and so has the bench on which it is measured.
+    # The numbers depend on the whole program and on the bench.
     program = version("hpe-rig"), read_bench().text
-    key = _hash([ENGINE, "bench", program, own, list(estimators), sizes, stream, definition.corrected])
+    key = _hash([ENGINE, "bench", program, tables, list(estimators), sizes, stream, definition.corrected])
     case = MeasuredCase(key, stream, scene, estimators, *sizes, definition.corrected)
     try:
         first_setup(case)
     except PlanError as error:
-        raise SettingsError(
-            "study", [Mistake(each.check, each.text, each.remedy) for each in error.conflicts]
-        ) from None
+        mistakes = [Mistake(conflict.check, conflict.text, conflict.remedy) for conflict in error.conflicts]
+        raise SettingsError("study", mistakes) from None
     return case
 
 
-def _whole_scene(grid: _Grid, place: tuple[int, ...], corrected: bool = False) -> Scene:
-    """Return the scene at a place of the axes, one shot of it; raise with every mistake."""
-    tables = _tables_at(grid, place)
-    # what the study says counts, and not what the scene takes in turn in its place
-    said = {*grid.definition.set, *(key for columns in grid.columns for key in columns)}
-    turns = {name for key, name in IN_TURN.items() if key in said}
-    if turns and isinstance(sweep := tables.get("sweep"), dict):
-        tables["sweep"] = {name: values for name, values in sweep.items() if name not in turns}
-    mistakes = mistakes_of(Scene, tables) + check_simulation(tables)
-    if not mistakes:
-        scene = Scene.model_validate(tables)
-        mistakes = check_declared(scene)
-    if not mistakes and corrected and scene.beams is None:
-        mistakes = [Mistake("corrected", "without [beams] nothing is corrected", "a scene with [beams], or false")]
-    if not mistakes and not scene.wanted_frequencies_hz:
-        what = "no vibration frequency is wanted, so that there is no amplitude"
+def _whole_scene(grid: _Grid, indices: Indices, corrected: bool = False) -> Scene:
+    """Return one shot of the scene at a point; raise ``SettingsError`` with every mistake."""
+    tables = grid.tables_at(indices)
+    # A key of the study overrides the scene's sweep of the same quantity.
+    overridden = {name for key, name in IN_TURN.items() if key in grid.keys}
+    if overridden and isinstance(sweep := tables.get("sweep"), dict):
+        tables["sweep"] = {name: values for name, values in sweep.items() if name not in overridden}
+    scene, mistakes = _validated(tables)
+    if scene is not None and corrected and scene.beams is None:
+        mistakes = [Mistake("corrected", "without [beams] there is no correction", "a scene with [beams], or false")]
+    elif scene is not None and not scene.wanted_frequencies_hz:
+        what = "there is no vibration frequency to estimate an amplitude at"
         mistakes = [Mistake("processing.frequencies_hz", what, "frequencies_hz = [200.0]")]
-    if mistakes:
+    if scene is None or mistakes:
         raise SettingsError("study", mistakes)
     return one_shot(scene)
 
 
-def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[str, int]) -> Case:
+def _gate_case(grid: _Grid, reading: Reading, indices: Indices) -> Case:
     definition, estimators = grid.definition, grid.definition.readings[reading]
-    scene, twin = _checked(_tables_at(grid, place), reading)
+    scene, twin = _checked(grid.tables_at(indices), reading)
     train = _train(scene)
     try:
         refuse_unusable(train, estimators)
     except ValueError as error:
         what, _, remedy = str(error).rpartition("; ")
         raise SettingsError("study", [Mistake("", what or remedy, remedy.removeprefix("try "))]) from None
-    own = _dump(scene, twin)
-    silent = own | {"simulation": {key: value for key, value in own["simulation"].items() if key != "snr_db"}}
-    stream = _stream(grid, reading, place, own, streams, lambda at: _dump(*_checked(_tables_at(grid, at), reading)))
-    # Without noise one realisation of it says all.
+    used = _used_values(scene, twin)
+    noise_free = used | {"simulation": {key: value for key, value in used["simulation"].items() if key != "snr_db"}}
+    stream = _stream(
+        grid, reading, indices, used, lambda point: _used_values(*_checked(grid.tables_at(point), reading))
+    )
+    # Without noise all its realisations are equal.
     scatterers, noise = definition.scatterers, definition.noise if twin.receiver.snr_db is not None else 1
     if reading == "one_draw":
         scatterers, noise = 1, scatterers * noise
     sizes = [scatterers, noise, definition.standard_error_m]
-    # "physical" and "literal" differ in the settings already; what these two make of equal echoes differs besides.
-    told_apart = [reading] if reading in ("as_printed", "one_draw") else []
+    # "physical" and "literal" differ in their settings; the other two process equal echoes differently.
+    reading_in_key = [reading] if reading in ("as_printed", "one_draw") else []
     return Case(
-        key=_hash([ENGINE, own, list(estimators), sizes, stream, *told_apart]),
-        echoes_key=_hash([silent, stream]),
-        noise_key=_hash([own["tracking"], own["acquisition"], sizes, list(estimators), stream]),
+        key=_hash([ENGINE, used, list(estimators), sizes, stream, *reading_in_key]),
+        echoes_key=_hash([noise_free, stream]),
+        noise_key=_hash([used["tracking"], used["acquisition"], sizes, list(estimators), stream]),
         stream=stream,
         train=train,
         twin=twin,
@@ -262,76 +275,67 @@ def _case(grid: _Grid, reading: Reading, place: tuple[int, ...], streams: dict[s
 
 
 def _stream(
-    grid: _Grid,
-    reading: Reading,
-    place: tuple[int, ...],
-    own: Tables,
-    known: dict[str, int],
-    tables_at: Callable[[tuple[int, ...]], Tables],
+    grid: _Grid, reading: Reading, indices: Indices, tables: Tables, tables_at: Callable[[Indices], Tables]
 ) -> int:
-    """Return the entropy of a case's random numbers, from its definition or from what it has in common."""
+    """Return the entropy of a case's random numbers, from its tables or from those of its stream's point."""
     seed = grid.definition.seed
     if grid.definition.common == "all":
         return int(_hash([seed]), 16)
-    shared = grid.common_place(place)
-    if (name := f"{reading} {shared}") not in known:
-        known[name] = int(_hash([seed, own if shared == place else tables_at(shared)]), 16)
-    return known[name]
+    point = grid.stream_indices(indices)
+    if (name := f"{reading} {point}") not in grid.streams:
+        grid.streams[name] = int(_hash([seed, tables if point == indices else tables_at(point)]), 16)
+    return grid.streams[name]
 
 
-def _tables_at(grid: _Grid, place: tuple[int, ...]) -> Tables:
-    everywhere = {path_of(key): value for key, value in grid.definition.set.items()}
-    here = {
-        path_of(key): values[n]
-        for columns, n in zip(grid.columns, place, strict=True)
-        for key, values in columns.items()
-    }
-    return with_values(with_values(grid.base, everywhere), here)
+def _validated(tables: Tables) -> tuple[Scene | None, list[Mistake]]:
+    """Return the scene, None with mistakes in its tables; all mistakes of tables and declared values."""
+    if mistakes := mistakes_of(Scene, tables) + check_simulation(tables):
+        return None, mistakes
+    scene = Scene.model_validate(tables)
+    mistakes = check_declared(scene)
+    return (None if mistakes else scene), mistakes
 
 
 def _checked(tables: Tables, reading: Reading) -> tuple[Scene, SimulationSettings]:
     """Return the scene and the twin's settings under a reading of eq. (11); raise with every mistake."""
-    mistakes = mistakes_of(Scene, tables) + check_simulation(tables)
-    if not mistakes:
-        scene = Scene.model_validate(tables)
-        mistakes = check_declared(scene)
-    if not mistakes:
+    scene, mistakes = _validated(tables)
+    if scene is not None:
         twin = twin_settings(scene)
-        mistakes = list(_unfit(scene, twin))
-    if not mistakes:
-        return scene, _literal(scene, twin) if reading in ("literal", "as_printed") else twin
+        mistakes = list(_unsuitable(scene, twin))
+        if not mistakes:
+            return scene, _literal(scene, twin) if reading in ("literal", "as_printed") else twin
     raise SettingsError("study", mistakes)
 
 
 def _beyond_gate(scene: Scene, twin: SimulationSettings) -> Iterator[tuple[str, str]]:
-    """Yield what the scene has beyond the echoes of a gate under prescribed motion, by key and in words."""
+    """Yield the key of each part of the scene beyond a gate under prescribed motion, and the reason in words."""
     if not twin.motion:
         yield "simulation.motion", "its true motion must be prescribed, and this scene prescribes none"
     beyond = {
-        "excitation": (scene.excitation is not None, "it knows no tonebursts"),
-        "simulation.background": (bool(twin.background), "it knows no motion of the whole specimen"),
-        "simulation.scatterers.reflectors": (bool(twin.scatterers.reflectors), "it draws scatterers alone"),
-        "simulation.receive_chain": (twin.receive_chain is not None, "its noise is white, as snr_db says"),
-        "simulation.instruments.trigger_jitter_s": (twin.instruments.trigger_jitter_s > 0, "it knows no jitter"),
-        "processing.follow_gate": (scene.processing.follow_gate, "its gate stands still"),
+        "excitation": (scene.excitation is not None, "it has no tonebursts"),
+        "simulation.background": (bool(twin.background), "it has no motion of the whole specimen"),
+        "simulation.scatterers.reflectors": (bool(twin.scatterers.reflectors), "it draws only scatterers"),
+        "simulation.receive_chain": (twin.receive_chain is not None, "its noise is white, with the given snr_db"),
+        "simulation.instruments.trigger_jitter_s": (twin.instruments.trigger_jitter_s > 0, "it has no jitter"),
+        "processing.follow_gate": (scene.processing.follow_gate, "its gate is fixed"),
     }
-    yield from ((key, why) for key, (there, why) in beyond.items() if there)
+    yield from ((key, reason) for key, (applies, reason) in beyond.items() if applies)
 
 
-def _unfit(scene: Scene, twin: SimulationSettings) -> Iterator[Mistake]:
-    for key, why in _beyond_gate(scene, twin):
-        yield Mistake(key, f"of a study of the gate alone {why}", f'simulate = "bench", {_MEASURES}, or table-1')
+def _unsuitable(scene: Scene, twin: SimulationSettings) -> Iterator[Mistake]:
+    for key, reason in _beyond_gate(scene, twin):
+        yield Mistake(key, f"in a study of the gate alone {reason}", f"{_USE_BENCH}, or table-1")
     if scene.tracking.pulse_count is None:
         yield Mistake("tracking.pulse_count", "a study needs it, and it is absent", 'set."tracking.pulse_count" = 100')
-    known_hz = [part.frequency_hz for part in twin.motion or ()]
+    true_hz = [motion.frequency_hz for motion in twin.motion or ()]
     for hz in scene.processing.frequencies_hz or ():
-        if hz not in known_hz and known_hz:
-            what = f"{hz:g} Hz is wanted and no part of the motion, so its phase has no true value"
-            yield Mistake("processing.frequencies_hz", what, f"from {', '.join(f'{each:g}' for each in known_hz)}")
+        if hz not in true_hz and true_hz:
+            what = f"the motion has no component at {hz:g} Hz, so its phase has no true value"
+            yield Mistake("processing.frequencies_hz", what, f"from {', '.join(f'{value:g}' for value in true_hz)}")
 
 
 def _literal(scene: Scene, twin: SimulationSettings) -> SimulationSettings:
-    """Return eq. (11) read literally: no delay of depth, so that what lies in the gate must be said: its scatterers."""
+    """Return the twin for eq. (11) read literally: no axial delay, and scatterers within the gate only."""
     x_m, y_m, z_m = twin.scatterers.volume_m
     volume_m = (x_m, y_m, min(z_m, scene.acquisition.gate_length_m))
     scatterers = twin.scatterers.model_copy(update={"axial_delay": "none", "volume_m": volume_m})
@@ -355,11 +359,11 @@ def _train(scene: Scene) -> Train:
     )
 
 
-def _dump(scene: Scene, twin: SimulationSettings) -> Tables:
-    """Return the values that `USED` names, as JSON knows them."""
-    own = {section: set(keys) for section, keys in USED.items()}
-    simulation = twin.model_dump(include=own.pop("simulation")) | {"snr_db": twin.receiver.snr_db}
-    return {**scene.model_dump(include=own), "simulation": simulation}
+def _used_values(scene: Scene, twin: SimulationSettings) -> Tables:
+    """Return the values of `USED` and the SNR as JSON values."""
+    keys = {section: set(names) for section, names in USED.items()}
+    simulation = twin.model_dump(include=keys.pop("simulation")) | {"snr_db": twin.receiver.snr_db}
+    return {**scene.model_dump(include=keys), "simulation": simulation}
 
 
 def _hash(value: Any) -> str:

@@ -1,11 +1,11 @@
-"""Engine of a study, from cases to bias and jitter: equal draws and noise are shared, a block of draws at a time.
+"""Engine of a study of the gate, from cases to bias and jitter, one block of draws at a time.
 
     draws of scatterers (stream, block) -> echoes                            once for equal echoes
-    noise (stream, block) -> numbers in the band                             once a batch
+    noise (stream, block) -> coefficients in the band                        once a batch
     echoes + level * noise -> displacement -> amplitude and phase            every case and estimator
 
-Random numbers belong to the case's stream and the block's number: neither batch nor order nor how many draws follow
-changes them. Memory is that of one block, whatever the number of realisations, and the estimates.
+The random numbers depend on the case's stream and the block's number alone: not on the batch, the order or the number
+of draws. Memory is that of one block and of the estimates, for any number of realisations.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from hpe_rig.study.results import CaseRecord
 from hpe_rig.study.statistics import errors, phase_errors
 
 TOLERANCE = 1e-7
-"""Of the echoes, rms over rms: 1 pm of motion."""
-LEAST_DRAWS = 64
-"""Draws before a standard error is believed."""
+"""Error of the echoes, rms relative to rms: 1 pm of motion."""
+MIN_DRAWS = 64
+"""Draws from which on a standard error is reliable."""
 _NOISE_VALUES = 200_000
-"""Noise values made at once: what fits the cache."""
+"""Noise values drawn at once; they fit the processor's cache."""
 _DRAWS, _NOISE, _TAPERED_NOISE = 0, 1, 2
 
 
 @dataclass(slots=True)
-class _Running:
-    """A case while it runs: states (draw, noise, 2 * frequency) by estimator, of which ``draws`` are there."""
+class _RunningCase:
+    """A case during its computation: states (draw, noise, state) by estimator; the first ``draws`` are filled."""
 
     case: Case
     states: dict[str, FloatArray] = field(init=False)
@@ -50,174 +50,182 @@ class _Running:
     finished: bool = False
 
     def __post_init__(self) -> None:
-        shape = (self.case.scatterers, self.case.noise, 2 * len(self.case.train.frequencies_hz))
+        shape = (self.case.scatterers, self.case.noise, self.case.train.state_count)
         self.states = {name: np.full(shape, np.nan) for name in self.case.estimators}
 
 
 @dataclass(frozen=True, slots=True)
 class _Echoes:
-    """Noise-free echoes (draw, distinct displacement, sample) and which of them every pulse gets (pulse,)."""
+    """Noise-free echoes (draw, distinct displacement, sample), and the echo of every pulse (pulse,)."""
 
-    cases: list[_Running]
+    cases: list[_RunningCase]
     volts: FloatArray
-    which: IndexArray
+    echo_index: IndexArray
+
+
+@dataclass(frozen=True, slots=True)
+class _NoiseBlock:
+    """Unit noise of some draws and repeats, by form, and its position in the states (draw, noise)."""
+
+    draws: slice
+    """Draws within the block of echoes."""
+    position: tuple[slice, slice]
+    values: dict[Form, FloatArray]
 
 
 def run_batch(cases: Sequence[Case]) -> list[CaseRecord]:
-    """Return one record a case, in their order; the cases must have the same ``noise_key``."""
+    """Return one record for each case, in order; the cases must have the same ``noise_key``."""
     from sim_backend.echoes import DRAWS_AT_ONCE
 
-    running = [_Running(case) for case in cases]
-    # In blocks, so that memory does not grow with the draws and a case that is precise enough stops early.
+    running = [_RunningCase(case) for case in cases]
+    # Blocks bound the memory, and a case that is precise enough stops early.
     for first in range(0, cases[0].scatterers, DRAWS_AT_ONCE):
-        active = [one for one in running if not one.finished]
+        active = [item for item in running if not item.finished]
         if not active:
             break
         draws = slice(first, min(first + DRAWS_AT_ONCE, cases[0].scatterers))
         _run_block(active, first // DRAWS_AT_ONCE, draws)
-        for one in active:
-            one.draws = draws.stop
-            one.finished = settled(one.draws, one.case.standard_error_m, partial(_rows, one))
-    common = {"peak_memory_bytes": peak_memory_bytes(), "version": version("hpe-rig")}
+        for item in active:
+            item.draws = draws.stop
+            item.finished = is_precise(item.draws, item.case.standard_error_m, partial(_rows, item))
     return [
         {
-            "case": one.case.key,
-            "estimates": _rows(one),
-            "draws": one.draws,
-            "noise": one.case.noise,
-            "seconds": one.seconds,
-            **common,
+            "case": item.case.key,
+            "estimates": _rows(item),
+            "draws": item.draws,
+            "noise": item.case.noise,
+            "seconds": item.seconds,
+            "peak_memory_bytes": peak_memory_bytes(),
+            "version": version("hpe-rig"),
         }
-        for one in running
+        for item in running
     ]
 
 
-def settled(draws: int, standard_error_m: float | None, rows: Callable[[], list[CaseRecord]]) -> bool:
-    """Return whether after so many draws the means of all ``rows`` are known as well as wanted; None: never."""
-    if standard_error_m is None or draws < LEAST_DRAWS:
+def is_precise(draws: int, standard_error_m: float | None, rows: Callable[[], list[CaseRecord]]) -> bool:
+    """Return whether the mean amplitudes of all ``rows`` have at most this standard error; None: never."""
+    if standard_error_m is None or draws < MIN_DRAWS:
         return False
     return all(row["amplitude_bias_se_m"] <= standard_error_m for row in rows())
 
 
-def _run_block(active: list[_Running], block: int, draws: slice) -> None:
-    """Fill in the states of every case for ``draws``."""
+def _run_block(active: list[_RunningCase], block: int, draws: slice) -> None:
+    """Fill the states of every case for ``draws``."""
     since = time.process_time()
-    # Cases that differ in the noise's level alone, or in the estimators, have the same echoes: they are made once.
+    # Cases that differ only in noise level or estimators have the same echoes, which are computed once.
     echoes = []
     key = operator.attrgetter("case.echoes_key")
     for _, group in itertools.groupby(sorted(active, key=key), key):
-        own = list(group)
-        echoes.append(_echoes(own, block, draws.stop - draws.start))
-        since = _charge(own, since)
-    # All cases of a batch have the same noise but for its level: drawn once, at unit level, in parts that fit a cache.
+        cases = list(group)
+        echoes.append(_echoes(cases, block, draws.stop - draws.start))
+        since = _charge(cases, since)
+    # All cases of a batch have the same unit noise: drawn once, in pieces that fit the cache.
     case = active[0].case
-    rngs = [
+    generators = [
         np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(stream, block)))
         for stream in (_NOISE, _TAPERED_NOISE)
     ]
-    for some, repeats in _parts(case, draws.stop - draws.start):
-        shape = (some.stop - some.start, repeats.stop - repeats.start, case.train.pulses)
-        noise = _in_forms(active, shape, *rngs)
+    for piece, repeats in _pieces(case, draws.stop - draws.start):
+        shape = (piece.stop - piece.start, repeats.stop - repeats.start, case.train.pulses)
+        position = (slice(draws.start + piece.start, draws.start + piece.stop), repeats)
+        noise = _NoiseBlock(piece, position, _unit_noise(active, shape, *generators))
         since = _charge(active, since)
-        place = (slice(draws.start + some.start, draws.start + some.stop), repeats)
-        for made in echoes:
-            since = _estimate(made, some, place, noise, since)
+        for item in echoes:
+            since = _estimate(item, noise, since)
 
 
-def _echoes(cases: list[_Running], block: int, draws: int) -> _Echoes:
+def _echoes(cases: list[_RunningCase], block: int, draws: int) -> _Echoes:
     from sim_backend.echoes import drawn_echoes, echo_pulse
 
     case = cases[0].case
     train, twin = case.train, case.twin
     displacement_m = np.zeros(train.pulses)
-    for part in twin.motion or ():
-        angle = 2 * np.pi * part.frequency_hz * train.pulse_time_s + part.phase_rad
-        displacement_m += part.amplitude_m * np.sin(angle)
-    # Pulses that meet the same displacement, but for rounding, get the same echo.
+    for motion in twin.motion or ():
+        angle = 2 * np.pi * motion.frequency_hz * train.pulse_time_s + motion.phase_rad
+        displacement_m += motion.amplitude_m * np.sin(angle)
+    # Pulses at the same displacement, up to rounding, have the same echo.
     largest_m = float(np.abs(displacement_m).max(initial=0.0)) or 1.0
-    _, first, which = np.unique(np.round(displacement_m / largest_m, 12), return_index=True, return_inverse=True)
-    # The gate's samples in time after the echo of the resting focus.
-    middle = (train.samples - 1) / 2
-    gate_s: FloatArray = np.asarray((np.arange(train.samples) - middle) / train.sample_rate_hz + case.gate_offset_s)
+    _, first, echo_index = np.unique(np.round(displacement_m / largest_m, 12), return_index=True, return_inverse=True)
+    # Time of the gate's samples after the echo of the focus at rest.
+    centre = (train.samples - 1) / 2
+    gate_s: FloatArray = np.asarray((np.arange(train.samples) - centre) / train.sample_rate_hz + case.gate_offset_s)
     rng = np.random.default_rng(np.random.SeedSequence(case.stream, spawn_key=(_DRAWS, block)))
     pulse = echo_pulse(twin, train.carrier_hz)
     chunks = list(drawn_echoes(twin, displacement_m[first], pulse, gate_s, rng, draws, TOLERANCE))
-    return _Echoes(cases, np.asarray(np.concatenate(chunks), dtype=np.float64), which)
+    return _Echoes(cases, np.asarray(np.concatenate(chunks), dtype=np.float64), echo_index)
 
 
-def _parts(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
-    """Yield draws and noise realisations that are done together: few, and by the case's own numbers alone."""
+def _pieces(case: Case, draws: int) -> Iterator[tuple[slice, slice]]:
+    """Yield draws and noise realisations to be computed together; they depend on the case's sizes alone."""
     at_once = max(1, _NOISE_VALUES // (case.train.pulses * len(spectral_kernels(case.train).grid_hz["peak"])))
     for draw in range(0, draws, step := max(1, at_once // case.noise)):
         for first in range(0, case.noise, at_once):
             yield slice(draw, min(draw + step, draws)), slice(first, min(first + at_once, case.noise))
 
 
-def _in_forms(
-    active: list[_Running], shape: tuple[int, ...], peak: np.random.Generator, others: np.random.Generator
+def _unit_noise(
+    active: list[_RunningCase], shape: tuple[int, ...], peak: np.random.Generator, tapered: np.random.Generator
 ) -> dict[Form, FloatArray]:
-    """Return unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch takes.
+    """Return unit noise (draw, noise, pulse, ...) in every form that an estimator of the batch needs.
 
-    Drawn by ``peak`` for the paper's chain and by ``others`` for all that see the tapered gate, where there are any.
+    ``peak`` draws it for the paper's chain, ``tapered`` for all estimators of the tapered gate.
     """
-    wanted = {form_of(name) for one in active for name in one.case.estimators}
-    seen = spectral_kernels(active[0].case.train)
-    out: dict[Form, FloatArray] = {}
-    for rng, forms in ((peak, wanted & {"peak"}), (others, wanted - {"peak"})):
-        if forms:
-            numbers = rng.standard_normal((*shape, len(seen.basis[min(forms)])))
-            out |= {form: numbers @ seen.of_numbers[form] for form in forms}
-    return out
+    forms = {form_of(name) for item in active for name in item.case.estimators}
+    kernels = spectral_kernels(active[0].case.train)
+    noise: dict[Form, FloatArray] = {}
+    for rng, group in ((peak, forms & {"peak"}), (tapered, forms - {"peak"})):
+        if group:
+            coefficients = rng.standard_normal((*shape, len(kernels.basis[min(group)])))
+            noise |= {form: coefficients @ kernels.of_coefficients[form] for form in group}
+    return noise
 
 
-def _estimate(
-    made: _Echoes, some: slice, place: tuple[slice, slice], noise: dict[Form, FloatArray], since: float
-) -> float:
-    """Write the states of every case of these echoes at ``place`` (draw, noise); return the time it is."""
-    train = made.cases[0].case.train
-    volts = made.volts[some]
-    # Mean echo power of each draw over the train, in the gate: noise is set draw by draw, as the paper's SNR is.
-    power = np.square(volts).mean(axis=2)[:, made.which].mean(axis=1)
-    clean = {form: volts @ columns for form, columns in spectral_kernels(train).of_volts.items() if form in noise}
+def _estimate(echoes: _Echoes, noise: _NoiseBlock, since: float) -> float:
+    """Write the states of every case of these echoes for one block of noise; return the current processor time."""
+    train = echoes.cases[0].case.train
+    volts = echoes.volts[noise.draws]
+    # Mean echo power of each draw over train and gate: as in the paper, the SNR holds for each draw.
+    power = np.square(volts).mean(axis=2)[:, echoes.echo_index].mean(axis=1)
+    clean = {form: volts @ matrix for form, matrix in spectral_kernels(train).of_volts.items() if form in noise.values}
     clean["volts"] = volts
-    since = _charge(made.cases, since)
-    # Readings that differ in what is made of an estimate alone, "literal" and "as_printed", share estimates and time.
-    sharing: dict[tuple[float | None, Estimator], list[_Running]] = {}
-    for one in made.cases:
-        for name in one.case.estimators:
-            sharing.setdefault((one.case.twin.receiver.snr_db, name), []).append(one)
-    for (snr_db, name), alike in sharing.items():
+    since = _charge(echoes.cases, since)
+    # "literal" and "as_printed" differ in the scaling of an estimate alone: they share estimates and time.
+    groups: dict[tuple[float | None, Estimator], list[_RunningCase]] = {}
+    for item in echoes.cases:
+        for name in item.case.estimators:
+            groups.setdefault((item.case.twin.receiver.snr_db, name), []).append(item)
+    for (snr_db, name), group in groups.items():
         level = np.zeros_like(power) if snr_db is None else np.sqrt(power / 10 ** (snr_db / 10))
         form = form_of(name)
-        found = states(train, name, clean[form], made.which, level, noise[form])
-        for one in alike:
-            one.states[name][place] = found
-        since = _charge(alike, since)
+        values = states(train, name, clean[form], echoes.echo_index, level, noise.values[form])
+        for item in group:
+            item.states[name][noise.position] = values
+        since = _charge(group, since)
     return since
 
 
-def _charge(cases: list[_Running], since: float) -> float:
-    """Share the processor time since ``since`` among ``cases``; return the time it is."""
+def _charge(cases: list[_RunningCase], since: float) -> float:
+    """Divide the processor time since ``since`` among ``cases``; return the current processor time."""
     now = time.process_time()
-    for one in cases:
-        one.seconds += (now - since) / len(cases)
+    for item in cases:
+        item.seconds += (now - since) / len(cases)
     return now
 
 
-def _rows(one: _Running) -> list[CaseRecord]:
-    """Return bias and jitter of amplitude and phase, a row an estimator and frequency."""
+def _rows(running: _RunningCase) -> list[CaseRecord]:
+    """Return bias and jitter of amplitude and phase, a row for each estimator and frequency."""
     rows = []
-    for name, every in one.states.items():
-        found = every[: one.draws]
-        if one.case.reading == "one_draw":
-            # Its realisations are those of the noise: they are what is independent, and what errors are told from.
-            found = found.swapaxes(0, 1)
-        for index, hz in enumerate(one.case.train.frequencies_hz):
-            amplitude_m, phase_rad = _true(one.case, hz)
-            in_phase, quadrature = found[..., 2 * index], found[..., 2 * index + 1]
-            if one.case.reading == "as_printed":
-                # A difference of pulses over their interval is a mean velocity; the chain takes its gain off.
-                gain = np.sinc(hz / one.case.train.pulse_rate_hz)
+    for name, all_states in running.states.items():
+        values = all_states[: running.draws]
+        if running.case.reading == "one_draw":
+            # The noise realisations are the independent ones: they take the place of the draws.
+            values = values.swapaxes(0, 1)
+        for index, hz in enumerate(running.case.train.frequencies_hz):
+            amplitude_m, phase_rad = _true_phasor(running.case, hz)
+            in_phase, quadrature = values[..., 2 * index], values[..., 2 * index + 1]
+            if running.case.reading == "as_printed":
+                # A difference of pulses over their interval is a mean velocity. The chain divides by its gain.
+                gain = np.sinc(hz / running.case.train.pulse_rate_hz)
                 in_phase, quadrature = gain * in_phase, gain * quadrature
             row: CaseRecord = {"estimator": name, "frequency_hz": hz, "amplitude_true_m": amplitude_m}
             row |= errors(np.hypot(in_phase, quadrature) - amplitude_m).named("amplitude", "m")
@@ -228,33 +236,39 @@ def _rows(one: _Running) -> list[CaseRecord]:
     return rows
 
 
-def _true(case: Case, hz: float) -> tuple[float, float]:
-    """Return amplitude and phase of the prescribed motion at a frequency; equal frequencies add up."""
-    parts = [part for part in case.twin.motion or () if part.frequency_hz == hz]
-    phasor = sum(part.amplitude_m * np.exp(1j * part.phase_rad) for part in parts)
+def _true_phasor(case: Case, hz: float) -> tuple[float, float]:
+    """Return amplitude and phase of the prescribed motion at a frequency; motions of equal frequency add."""
+    motions = [motion for motion in case.twin.motion or () if motion.frequency_hz == hz]
+    phasor = sum(motion.amplitude_m * np.exp(1j * motion.phase_rad) for motion in motions)
     return float(np.abs(phasor)), float(np.angle(phasor))
 
 
 def peak_memory_bytes() -> int:
     """Return the largest resident size of this process so far."""
     if sys.platform == "win32":
-        import ctypes
-        from ctypes import wintypes
-
-        class Counters(ctypes.Structure):
-            _fields_ = [("size", wintypes.DWORD), ("faults", wintypes.DWORD), ("peak", ctypes.c_size_t)] + [
-                (f"other_{n}", ctypes.c_size_t) for n in range(7)
-            ]
-
-        counters = Counters(size=ctypes.sizeof(Counters))
-        this = wintypes.HANDLE(-1)
-        ctypes.windll.kernel32.K32GetProcessMemoryInfo(this, ctypes.byref(counters), counters.size)
-        return int(counters.peak)
-    # On Linux the counter of `resource` is inherited: a worker would have its parent's peak.
+        return _peak_memory_windows()
+    # On Linux `resource` inherits the counter of the parent process, so it is read from /proc.
     with suppress(OSError, StopIteration):
         lines = Path("/proc/self/status").read_text(encoding="utf-8").splitlines()
         return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) * 1024
     import resource
 
-    # Kibibytes, bytes on macOS.
+    # Bytes on macOS, kibibytes elsewhere.
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+
+
+def _peak_memory_windows() -> int:
+    if sys.platform != "win32":  # the type checker skips the rest on other systems
+        return 0
+    import ctypes
+    from ctypes import wintypes
+
+    class Counters(ctypes.Structure):
+        _fields_ = [("size", wintypes.DWORD), ("faults", wintypes.DWORD), ("peak", ctypes.c_size_t)] + [
+            (f"other_{n}", ctypes.c_size_t) for n in range(7)
+        ]
+
+    counters = Counters(size=ctypes.sizeof(Counters))
+    process = wintypes.HANDLE(-1)
+    ctypes.windll.kernel32.K32GetProcessMemoryInfo(process, ctypes.byref(counters), counters.size)
+    return int(counters.peak)

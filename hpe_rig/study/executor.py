@@ -1,4 +1,4 @@
-"""Executors of `concurrent.futures`: a few batches ahead, and the batch of a lost worker computed again."""
+"""Executors of `concurrent.futures`: a few batches ahead; the batch of a lost worker is computed again."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from typing import Any, TypeVar
 
 from hpe_rig.scene import Mistake, SettingsError
 
-Piece = TypeVar("Piece")
+Task = TypeVar("Task")
 Result = TypeVar("Result")
 OpenPool = Callable[[], AbstractContextManager[Executor]]
 
-MOST_LOSSES = 5
-"""Losses of a worker in a row, without a piece finished between, that end a study."""
-WORKER_S = 10.0
-"""How long a scheduler may have no worker, such as right after a cluster has started."""
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+MAX_LOSSES = 5
+"""Consecutive losses of a worker, without a completed task between them, that end a study."""
+WORKER_TIMEOUT_S = 10.0
+"""Time that a scheduler may have no worker, such as right after the start of a cluster."""
+_THREAD_COUNTS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def completed(
-    open_pool: OpenPool, run: Callable[[Piece], Result], pieces: Sequence[Piece], ahead: int
+    open_pool: OpenPool, run: Callable[[Task], Result], tasks: Sequence[Task], ahead: int
 ) -> Generator[Result, None, None]:
-    """Yield the result of every piece as it is done, in any order, with at most ``ahead`` handed out at once.
+    """Yield the result of every task on completion, in any order, with at most ``ahead`` tasks submitted at once.
 
-    Where a worker dies the pool is opened anew and what it had not finished is done again. Raises ``SettingsError``
-    when that does not help, and whatever ``run`` raises. On leaving early what is not begun is cancelled.
+    After the death of a worker the pool is opened again and its pending tasks are repeated. Raises ``SettingsError``
+    after ``MAX_LOSSES`` deaths, and any exception of ``run``. Closing the generator cancels the pending tasks.
     """
-    waiting = deque(pieces)
+    waiting = deque(tasks)
     losses = 0
     while waiting:
         with open_pool() as pool:
-            running: dict[Future[Result], Piece] = {}
+            running: dict[Future[Result], Task] = {}
             try:
                 while waiting or running:
                     while waiting and len(running) < ahead:
@@ -52,42 +52,42 @@ def completed(
                         del running[future]
                         losses = 0
             except Exception as error:
-                if not _lost(error):
+                if not _is_worker_death(error):
                     raise
                 losses += 1
                 waiting.extendleft(running.values())
-                if losses >= MOST_LOSSES:
-                    what = f"workers died {losses} times in a row ({type(error).__name__}), so something kills them"
-                    remedy = "fewer workers or fewer realisations where memory is short; finished cases are kept"
+                if losses >= MAX_LOSSES:
+                    what = f"workers died {losses} times in succession ({type(error).__name__})"
+                    remedy = "fewer workers, or fewer realisations if memory is short; completed cases are stored"
                     raise SettingsError("study", [Mistake("", what, remedy)]) from None
             finally:
                 for future in running:
                     future.cancel()
 
 
-def _lost(error: Exception) -> bool:
-    """Return whether a worker died rather than its work failed; by name, for dask is not imported where not used."""
+def _is_worker_death(error: Exception) -> bool:
+    """Return whether a worker died; dask's errors are compared by name, since dask may not be imported."""
     return isinstance(error, BrokenExecutor) or type(error).__name__ in ("KilledWorker", "CommClosedError")
 
 
 @contextmanager
 def processes(workers: int) -> Iterator[Executor]:
-    """Open ``workers`` processes of one thread each; on an exception they are ended at once, whatever they do."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
-    others = multiprocessing.active_children()
-    # Started anew on every system alike: a fork would copy the locks of the progress display's thread.
+    """Open ``workers`` processes of one thread each; an exception terminates them at once."""
+    before = {name: os.environ.get(name) for name in _THREAD_COUNTS}
+    os.environ.update(dict.fromkeys(_THREAD_COUNTS, "1"))
+    other_children = multiprocessing.active_children()
+    # "spawn" on every system: a fork would copy the locks of the progress display's thread.
     context = multiprocessing.get_context("spawn")
-    # Ctrl-C is left to this process.
+    # Only this process handles Ctrl-C.
     pool = ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
     try:
-        with _interrupts_held():
+        with _interrupts_blocked():
             for _ in range(workers):
                 pool.submit(os.getpid)
         yield pool
     except BaseException:
         for child in multiprocessing.active_children():
-            if child not in others:
+            if child not in other_children:
                 child.terminate()
         raise
     finally:
@@ -99,8 +99,8 @@ def processes(workers: int) -> Iterator[Executor]:
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Hold Ctrl-C back while processes are started, which inherit that: none is interrupted while it imports."""
+def _interrupts_blocked() -> Iterator[None]:
+    """Block Ctrl-C while processes start. They inherit the mask, so that none is interrupted during its imports."""
     if sys.platform == "win32":
         yield
         return
@@ -113,14 +113,14 @@ def _interrupts_held() -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class TlsFiles:
-    """Files with which a client and a scheduler know each other: authority, own certificate, own key; PEM."""
+    """PEM files with which client and scheduler authenticate: authority, client certificate, client key."""
 
     ca: Path | None = None
     cert: Path | None = None
     key: Path | None = None
 
     def mistakes(self) -> list[Mistake]:
-        """Return which of the files are missing; all or none are needed."""
+        """Return the missing files; all or none are needed."""
         options = {"--tls-ca": self.ca, "--tls-cert": self.cert, "--tls-key": self.key}
         if not any(options.values()):
             return []
@@ -136,35 +136,37 @@ NO_TLS = TlsFiles()
 
 
 def untrusted_network(address: str) -> str:
-    """Return what must be known of a scheduler that is reached without TLS; empty where there is no danger."""
+    """Return the warning for a scheduler that is reached without TLS; empty if the connection is safe."""
     host = address.partition("://")[2].rpartition(":")[0].strip("[]")
     if address == "local" or address.startswith("tls://") or host in ("localhost", "127.0.0.1", "::1"):
         return ""
     return (
-        f"{address} is reached without TLS: whoever is on that network can read the cases and run code on the workers "
-        "and here. For trusted networks only; else tls://HOST:8786 with --tls-ca, --tls-cert and --tls-key"
+        f"{address} is reached without TLS: anyone on that network can read the cases and run code on the workers and "
+        "on this machine. Use it in trusted networks only, else tls://HOST:8786 with --tls-ca, --tls-cert and --tls-key"
     )
 
 
 @contextmanager
 def cluster(address: str, workers: int, tls: TlsFiles = NO_TLS) -> Iterator[Executor]:
-    """Open the dask cluster at ``address``, or one of ``workers`` processes on this machine for "local".
+    """Open the dask cluster at ``address``; for "local" start one of ``workers`` processes on this machine.
 
-    ``tls`` makes the client and the scheduler prove who they are, and refuses a connection that is not encrypted;
-    without it dask's own configuration holds. Raises ``SettingsError`` where nothing answers or files are missing.
+    ``tls`` authenticates client and scheduler and refuses an unencrypted connection; without it dask's configuration
+    applies. Raises ``SettingsError`` if nothing answers or files are missing.
     """
-    # By name: whether the package is installed, with types or without, is nobody's business who does not use it.
+    # By name: type checking and imports then work without the package.
     distributed: Any = importlib.import_module("distributed")
     if mistakes := tls.mistakes():
         raise SettingsError("command line", mistakes)
 
-    quiet = _quiet()
+    level = _set_log_level()
     if address == "local":
         with (
-            distributed.LocalCluster(workers, threads_per_worker=1, silence_logs=quiet, dashboard_address=None) as own,
-            distributed.Client(own) as client,
+            distributed.LocalCluster(
+                workers, threads_per_worker=1, silence_logs=level, dashboard_address=None
+            ) as local,
+            distributed.Client(local) as client,
         ):
-            yield client.get_executor(pure=False, retries=MOST_LOSSES)
+            yield client.get_executor(pure=False, retries=MAX_LOSSES)
         return
     try:
         client = distributed.Client(address, timeout="10s", security=_security(distributed.Security, tls))
@@ -174,13 +176,13 @@ def cluster(address: str, workers: int, tls: TlsFiles = NO_TLS) -> Iterator[Exec
         raise SettingsError("command line", [mistake]) from None
     with client:
         _require_worker(client, address)
-        yield client.get_executor(pure=False, retries=MOST_LOSSES)
+        yield client.get_executor(pure=False, retries=MAX_LOSSES)
 
 
-def _quiet() -> int:
-    """Let dask's loggers be heard where details are asked for, else in nothing: return the level from which on.
+def _set_log_level() -> int:
+    """Silence dask's loggers unless this package logs details; return the level.
 
-    Its processes tell at length of every interrupt, which they all get. Importing it has set their levels.
+    Its processes log every interrupt at length, and all of them receive it. The import of dask sets their levels.
     """
     if logging.getLogger("hpe_rig").isEnabledFor(logging.INFO):
         return logging.INFO
@@ -191,16 +193,16 @@ def _quiet() -> int:
 
 
 def _require_worker(client: Any, address: str) -> None:
-    """Raise ``SettingsError`` where the scheduler has no worker, and gets none in ``WORKER_S``: nothing would begin."""
+    """Raise ``SettingsError`` if the scheduler has no worker within ``WORKER_TIMEOUT_S``: no case would start."""
     try:
-        client.wait_for_workers(1, timeout=WORKER_S)
+        client.wait_for_workers(1, timeout=WORKER_TIMEOUT_S)
     except TimeoutError:
-        what = f"{address} has no workers, so that no case would ever begin"
+        what = f"{address} has no workers, so that no case would ever start"
         raise SettingsError("command line", [Mistake("--scheduler", what, f"dask worker {address}, first")]) from None
 
 
 def _security(security: Callable[..., Any], tls: TlsFiles) -> Any:
-    """Return dask's own settings of TLS with the given files, None for those of its configuration."""
+    """Return dask's TLS settings with the given files; None keeps dask's configuration."""
     if tls == NO_TLS:
         return None
     ca, cert, key = str(tls.ca), str(tls.cert), str(tls.key)

@@ -1,4 +1,4 @@
-"""Case of a study that is measured whole: a scene with one shot, and the seeds of its realisations."""
+"""Case of a study by whole measurements: a scene with one shot, and the seeds of its realisations."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from hpe_rig.scene import Scene, with_default_specimen
 
 @dataclass(frozen=True, slots=True)
 class MeasuredCase:
-    """One scene with one setting, its seeds left open, and the realisations of it."""
+    """One scene with one setting, without its seed, and its number of realisations."""
 
     key: str
-    """Hash of all that its numbers depend on; the name of its file."""
+    """Hash of everything that its numbers depend on; the name of its file."""
     stream: int
     """Entropy of its seeds."""
     scene: Scene
@@ -26,26 +26,26 @@ class MeasuredCase:
     noise: int
     standard_error_m: float | None
     corrected: bool
-    """Whether the amplitude is the one corrected for the averaging of the beams."""
+    """Whether the amplitude is corrected for beam averaging."""
 
     @property
-    def sharing(self) -> tuple[str, ...]:
-        """What cases have in common that are computed together: these have nothing."""
+    def batch_key(self) -> tuple[str, ...]:
+        """Sort key of batches; measured cases share no computation."""
         return (self.key,)
 
     @property
     def cost(self) -> float:
-        """How long it takes beside others of its kind."""
+        """Computing time relative to other measured cases."""
         return float(self.scatterers * self.noise)
 
     def seeded(self, draw: int) -> Scene:
-        """Return the scene of a draw, each of its shots a realisation of the noise."""
+        """Return the scene of a draw; each of its shots is one realisation of the noise."""
         seed = int(np.random.SeedSequence(self.stream, spawn_key=(draw,)).generate_state(1)[0])
         return self.scene.with_({"simulation.seed": seed, "acquisition.repeats": self.noise})
 
 
 def one_shot(scene: Scene) -> Scene:
-    """Return the scene with its first force, burst length, pulse rate and window alone, once."""
+    """Return the scene with only its first force, burst length, pulse rate and window, measured once."""
     scene = with_default_specimen(scene).rates[0].windows[0].model_copy(update={"sweep": type(scene.sweep)()})
     values: dict[str, Any] = {"acquisition.repeats": 1}
     if scene.excitation is not None:
@@ -55,5 +55,5 @@ def one_shot(scene: Scene) -> Scene:
 
 
 def first_setup(case: MeasuredCase) -> Setup:
-    """Return the first draw's measurement, planned; raise as ``prepare`` for what cannot be measured."""
+    """Return the planned measurement of the first draw; raise as ``prepare`` if it is impossible."""
     return prepare(case.seeded(0))

@@ -1,4 +1,4 @@
-"""Report of finished studies, ``hpe-rig study NAME --report``: one self-contained page, every figure as SVG and PNG."""
+"""Page of completed studies, ``hpe-rig study NAME --report``; every figure is also written as SVG and PNG."""
 
 from __future__ import annotations
 
@@ -11,218 +11,245 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from hpe_rig.arrays import FloatArray
 from hpe_rig.processing import spec_of
+from hpe_rig.report import PageSection, page_table, render_sections, write_text
 from hpe_rig.result import STYLE, Picture, inline, label_decades, mark, picture
 from hpe_rig.store import versions
 from hpe_rig.study.curve_figures import NM, curve_alt, curve_figure
 from hpe_rig.study.map_figures import map_alt, map_figure
-from hpe_rig.study.page import Part, render, table
-from hpe_rig.study.results import SUMMARY, StudyResult, write_whole
+from hpe_rig.study.results import SUMMARY_FILE, StudyResult
 from hpe_rig.study.series import (
     View,
     error_figures,
     is_map,
-    refused_words,
-    shown,
+    refused_text,
     spans,
+    value_text,
     views,
-    warned_words,
+    warned_text,
     with_error,
 )
 
 PNG_DPI = 150
-FIGURES = ("amplitude bias (%)", "amplitude jitter (%)", "phase bias (°)", "phase jitter (°)")
-LEAD = (
-    "Bias and jitter of eq. (14) and (15): mean and standard deviation of the error of amplitude and phase. Bands: two "
-    "Monte Carlo standard errors to each side. Physical: every scatterer echoes from its own depth; literal: eq. (11) "
-    "as printed, all echoes start at once, scatterers fill the gate; as printed: the same, and the amplitude keeps the "
-    "gain of a difference of pulses; one draw: physical, one draw of scatterers for all realisations of noise.",
+ERROR_COLUMNS = ("amplitude bias (%)", "amplitude jitter (%)", "phase bias (°)", "phase jitter (°)")
+INTRODUCTION = (
+    "Bias and jitter, eq. (14) and (15), are mean and standard deviation of the error of amplitude and phase. Bands "
+    "span two Monte Carlo standard errors to each side.",
+    "Readings of the paper. Physical: every scatterer echoes from its own depth. Literal: eq. (11) as printed; all "
+    "echoes start at once, and scatterers fill the gate. As printed: literal, and the amplitude keeps the gain of a "
+    "difference of pulses. One draw: physical, with one draw of scatterers for all realisations of noise.",
 )
 
 
-def write_study_report(name: str, results: Sequence[StudyResult], output: Path, lead: Iterable[Part] = ()) -> Path:
-    """Write ``output``/NAME.html, ``lead`` first, and the figures beside each study's results; return the page's path.
+def write_study_report(
+    name: str, results: Sequence[StudyResult], output: Path, leading_sections: Iterable[PageSection] = ()
+) -> Path:
+    """Write ``output``/NAME.html, and the figures into each study's folder; return the page's path.
 
-    Raises ``SettingsError`` where the page cannot be written.
+    ``leading_sections`` precede the others. Raises ``SettingsError`` if the page cannot be written.
     """
     path = output / f"{name}.html"
-    leading = list(lead)
+    leading = list(leading_sections)
     headline = leading[0].headline if leading else _headline(results)
-    parts = [*leading, found_part(results), *(study_part(one, output / one.name) for one in results)]
-    parts.append(run_time_part(results))
-    facts = {**versions(), "cases computed with": ", ".join(sorted({v for one in results for v in one.versions}))}
+    sections = [
+        *leading,
+        overview_section(results),
+        *(study_section(result, output / result.name) for result in results),
+        run_time_section(results),
+    ]
+    computed_with = sorted({version for result in results for version in result.versions})
+    facts = {**versions(), "cases computed with": ", ".join(computed_with)}
     title = results[0].definition.title if len(results) == 1 else f"Parameter studies: {name}"
-    write_whole(path, render(title, (headline, *LEAD), parts, facts))
+    write_text(path, render_sections(title, (headline, *INTRODUCTION), sections, facts))
     return path
 
 
 def _headline(results: Sequence[StudyResult]) -> str:
-    """Return what the first study found, by the paper's chain if that took part, in one sentence."""
-    one = _first_of_each(results[0])[0]
-    bias, jitter, _, phase_jitter = spans(one.rows)
+    """Return the first study's bias and jitter in one sentence."""
+    view = _main_views(results[0])[0]
+    bias, jitter, _, phase_jitter = spans(view.rows)
     return (
-        f"{one.title}: the amplitude's bias is {bias} %, its jitter {jitter} %, the phase's jitter {phase_jitter} deg "
-        f"over {len(one.rows)} cases."
+        f"{view.title}: over {len(view.rows)} cases the amplitude has a bias of {bias} % and a jitter of {jitter} %, "
+        f"and the phase a jitter of {phase_jitter} deg."
     )
 
 
-def found_part(results: Sequence[StudyResult]) -> Part:
-    """Return bias and jitter of every study, reading and estimator, least to largest over the cases."""
+def overview_section(results: Sequence[StudyResult]) -> PageSection:
+    """Return the ranges of bias and jitter over the cases, by study, reading and estimator."""
     rows: list[dict[str, Any]] = [
-        {"study": result.definition.title, "reading": spelt(one.reading), "estimator": spec_of(one.estimator).label}
-        | ({"frequency (Hz)": one.frequency_hz} if len({other.frequency_hz for other in views(result)}) > 1 else {})
-        | dict(zip(FIGURES, spans(one.rows), strict=True))
+        ({"study": result.definition.title} if len(results) > 1 else {})
+        | {"reading": reading_text(view.reading), "estimator": spec_of(view.estimator).label}
+        | ({"frequency (Hz)": view.frequency_hz} if len({other.frequency_hz for other in views(result)}) > 1 else {})
+        | dict(zip(ERROR_COLUMNS, spans(view.rows), strict=True))
         for result in results
-        for one in views(result)
+        for view in views(result)
     ]
     columns = dict.fromkeys(name for row in rows for name in row)
-    if len(results) == 1:
-        del columns["study"]
     rows = [{name: row.get(name) for name in columns} for row in rows]
-    caption = "Least to largest over the cases of a study, in % of the true amplitude and in degrees."
-    return Part("found-part", "What was found", (), (), (table("found", caption, rows, False),))
+    caption = "Smallest to largest value over the cases of a study, in % of the true amplitude and in degrees."
+    return PageSection("overview-section", "Overview", tables=(page_table("overview", caption, rows, folded=False),))
 
 
-def study_part(result: StudyResult, folder: Path) -> Part:
+def study_section(result: StudyResult, folder: Path) -> PageSection:
     """Return a study's section; its figures are also written to ``folder`` as SVG and PNG."""
-    found = views(result)
-    estimators = [one.estimator for one in found]
-    # Readings of the same estimator side by side.
-    side_by_side = sorted(found, key=lambda one: estimators.index(one.estimator))
-    pictures = tuple(_picture(result, one, folder) for one in side_by_side)
-    caption = f"{result.definition.title}: every case, with Monte Carlo standard errors."
-    every = table(result.name, caption, result.rows, beside=f"{folder.name}/{SUMMARY}", shown=_shown(result))
-    return Part(f"{result.name}-part", result.definition.title, _precision(result), pictures, (every,))
+    study_views = views(result)
+    estimators = [view.estimator for view in study_views]
+    # Readings of the same estimator are neighbours.
+    by_estimator = sorted(study_views, key=lambda view: estimators.index(view.estimator))
+    table = page_table(
+        result.name,
+        f"{result.definition.title}: every case, with Monte Carlo standard errors.",
+        result.rows,
+        csv_path=f"{folder.name}/{SUMMARY_FILE}",
+        display_rows=_display_rows(result),
+    )
+    return PageSection(
+        key=f"{result.name}-section",
+        title=result.definition.title,
+        paragraphs=_precision(result),
+        pictures=tuple(_picture(result, view, folder) for view in by_estimator),
+        tables=(table,),
+    )
 
 
-def _shown(result: StudyResult) -> list[dict[str, Any]]:
-    """Return the cases as a person reads them: axes with their units, bias and jitter in % and degrees."""
-    axes = result.definition.axes
+def _display_rows(result: StudyResult) -> list[dict[str, Any]]:
+    """Return the cases for display: axes with their units, bias and jitter in % and degrees."""
     return [
-        {axis.name: shown(row[axis.name], axis.unit) for axis in axes}
+        {axis.name: value_text(row[axis.name], axis.unit) for axis in result.definition.sweep_axes}
         | {
-            "reading": spelt(row["reading"]),
+            "reading": reading_text(row["reading"]),
             "estimator": spec_of(row["estimator"]).label,
             "f (Hz)": row["frequency_hz"],
         }
-        | {name: with_error(*found) for name, found in zip(FIGURES, error_figures(row), strict=True)}
+        | {name: with_error(*value) for name, value in zip(ERROR_COLUMNS, error_figures(row), strict=True)}
         for row in result.rows
     ]
 
 
-def run_time_part(results: Sequence[StudyResult]) -> Part:
-    """Return error against run time: what was reached in what time, and what 100 or 1000 realisations buy."""
-    rows = [row for one in results for row in run_times(one)]
+def run_time_section(results: Sequence[StudyResult]) -> PageSection:
+    """Return error against run time: each case's, and those of 100 and 1000 realisations."""
+    rows = [row for result in results for row in run_times(result)]
     alt = "; ".join(
         f"{row['study']}, {row['reading']}, {row['estimator']}: {row['s.e. of mean from 1000 (nm)']:.2g} nm "
         f"in {row['seconds for 1000']:.3g} s a case"
         for row in rows
     )
-    drawn = picture(_run_time_figure(results), "run-time", "Standard error of the mean displacement by case", f"{alt}.")
-    words = (
-        "Each mark is a case: the standard error of its mean displacement and the processor time it took. The table "
-        "scales them to 100 and 1000 realisations: errors with the root of their number, times with it. The mean of "
-        "1000 is known 3.2 times better than that of 100, for ten times the time.",
+    title = "Standard error of the mean displacement by case"
+    figure = picture(_run_time_figure(results), "run-time", title, f"{alt}.")
+    paragraphs = (
+        "Each mark is a case: the standard error of its mean displacement, and its processor time. The table scales "
+        "them to 100 and 1000 realisations: the error falls with the root of their number, the time grows with the "
+        "number. The mean of 1000 has a 3.2 times smaller error than that of 100, at ten times the time.",
     )
-    taken = [
+    times = [
         {
-            "study": one.name,
-            "cases": len(one.cases),
-            "realisations": one.realisations,
-            "processor time (s)": one.seconds,
-            "peak memory (MiB)": one.peak_memory_mib,
+            "study": result.name,
+            "cases": len(result.cases),
+            "realisations": result.realisations,
+            "processor time (s)": result.seconds,
+            "peak memory (MiB)": result.peak_memory_mib,
         }
-        for one in results
+        for result in results
     ]
     tables = (
-        table("time-by-study", "Time by study.", taken, False),
-        table("realisations", "What realisations buy, medians over a study's cases.", rows, False),
+        page_table("time-by-study", "Time by study.", times, folded=False),
+        page_table(
+            "realisations", "Error and time by number of realisations, medians over the cases.", rows, folded=False
+        ),
     )
-    return Part("run-time-part", "Error against run time", words, (drawn,), tables)
+    return PageSection("run-time-section", "Error against run time", paragraphs, (figure,), tables)
 
 
 def run_times(result: StudyResult) -> list[dict[str, Any]]:
-    """Return medians over cases of errors and seconds for 100 and 1000 realisations, by reading and estimator."""
-    out = []
-    for one in views(result):
-        count = one.values("draws") * one.values("noise")
-        seconds = one.values("seconds") / count
-        mean_nm, jitter_nm = (one.values(f"amplitude_{name}_se_m") * np.sqrt(count) * NM for name in ("bias", "jitter"))
-        row: dict[str, Any] = {"study": result.name, "reading": spelt(one.reading), "estimator": one.estimator}
-        for wanted in (100, 1000):
-            row[f"s.e. of mean from {wanted} (nm)"] = _median(mean_nm) / math.sqrt(wanted)
-            row[f"s.e. of jitter from {wanted} (nm)"] = _median(jitter_nm) / math.sqrt(wanted)
-            row[f"seconds for {wanted}"] = float(np.median(seconds)) * wanted
-        out.append(row)
-    return out
+    """Return median errors and seconds for 100 and 1000 realisations, by reading and estimator."""
+    rows = []
+    for view in views(result):
+        count = view.values("draws") * view.values("noise")
+        seconds = view.values("seconds") / count
+        # The standard error of one realisation.
+        mean_nm, jitter_nm = (
+            view.values(f"amplitude_{name}_se_m") * np.sqrt(count) * NM for name in ("bias", "jitter")
+        )
+        row: dict[str, Any] = {
+            "study": result.name,
+            "reading": reading_text(view.reading),
+            "estimator": view.estimator,
+        }
+        for realisations in (100, 1000):
+            row[f"s.e. of mean from {realisations} (nm)"] = _finite_median(mean_nm) / math.sqrt(realisations)
+            row[f"s.e. of jitter from {realisations} (nm)"] = _finite_median(jitter_nm) / math.sqrt(realisations)
+            row[f"seconds for {realisations}"] = float(np.median(seconds)) * realisations
+        rows.append(row)
+    return rows
 
 
-def _picture(result: StudyResult, one: View, folder: Path) -> Picture:
-    draw, words = (map_figure, map_alt) if is_map(result) else (curve_figure, curve_alt)
-    figure, key = draw(result, one), f"{result.name}-{one.key}"
+def _picture(result: StudyResult, view: View, folder: Path) -> Picture:
+    draw, alt_text = (map_figure, map_alt) if is_map(result) else (curve_figure, curve_alt)
+    figure, key = draw(result, view), f"{result.name}-{view.key}"
     folder.mkdir(parents=True, exist_ok=True)
     with rc_context(STYLE):
         figure.savefig(folder / f"{key}.png", dpi=PNG_DPI)
         figure.savefig(folder / f"{key}.svg", dpi=PNG_DPI, metadata={"Date": None})
     svg = (folder / f"{key}.svg").read_text(encoding="utf-8")
-    alt = words(result, one)
-    return Picture(key, one.title, alt, inline(svg, key, one.title, alt))
+    alt = alt_text(result, view)
+    return Picture(key, view.title, alt, inline(svg, key, view.title, alt))
 
 
 def _precision(result: StudyResult) -> tuple[str, ...]:
-    """Return how well the study knows its means, in words, and which estimates were refused."""
+    """Return the standard errors of the study's means in words, and the numbers of refused and warned estimates."""
     relative = np.array([row["amplitude_bias_se_m"] / row["amplitude_true_m"] for row in result.rows])
-    known = "one draw has no standard error."
+    precision = "one draw has no standard error."
     if np.isfinite(relative).any():
-        known = (
-            f"standard error of the mean displacement {_median(relative) * 100:.2g} % of D_0 (median), at most "
-            f"{np.nanmax(relative) * 100:.2g} %."
+        precision = (
+            f"the standard error of the mean displacement is {_finite_median(relative) * 100:.2g} % of D_0 (median), "
+            f"at most {np.nanmax(relative) * 100:.2g} %."
         )
-    words = [
-        f"{result.realisations} realisations, {result.rows[0]['draws']} scatterer draws a case with "
-        f"{result.rows[0]['noise']} of noise each; {known}"
-    ]
-    return tuple(filter(None, (*words, refused_words(result.rows), warned_words(result.rows))))
+    first = result.rows[0]
+    text = (
+        f"{result.realisations} realisations, {first['draws']} scatterer draws a case with {first['noise']} of noise "
+        f"each; {precision}"
+    )
+    return tuple(filter(None, (text, refused_text(result.rows), warned_text(result.rows))))
 
 
-def _median(values: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-    """Return the median of what is known; NaN where nothing is: one draw has no standard error."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else math.nan
+def _finite_median(values: FloatArray) -> float:
+    """Return the median of the finite values, NaN without any: one draw has no standard error."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else math.nan
 
 
 def _run_time_figure(results: Sequence[StudyResult]) -> Figure:
-    found = [(place, result.name, one) for place, result in enumerate(results) for one in _first_of_each(result)]
-    readings = list(dict.fromkeys(one.reading for _, _, one in found))
+    points = [(index, result.name, view) for index, result in enumerate(results) for view in _main_views(result)]
+    readings = list(dict.fromkeys(view.reading for _, _, view in points))
     with rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.2), layout="constrained")
         panels = dict(zip(readings, figure.subplots(1, len(readings), sharey=True, squeeze=False)[0], strict=True))
-        for place, name, one in found:
-            marker, colour = mark(place)
-            panels[one.reading].loglog(
-                one.values("seconds"), one.values("amplitude_bias_se_m") * NM, marker,
+        for index, name, view in points:
+            marker, colour = mark(index)
+            panels[view.reading].loglog(
+                view.values("seconds"), view.values("amplitude_bias_se_m") * NM, marker,
                 ms=4, alpha=0.6, rasterized=True, color=colour, label=name,
             )  # fmt: skip
         for reading, axes in panels.items():
-            axes.set(xlabel="processor time (s)", title=spelt(reading))
+            axes.set(xlabel="processor time (s)", title=reading_text(reading))
             label_decades(axes.xaxis, most=4)
             label_decades(axes.yaxis)
-        panels[readings[0]].set_ylabel("standard error of the mean displacement (nm)")
-        figure.legend(
-            *panels[readings[0]].get_legend_handles_labels(), loc="outside upper center", ncols=6, frameon=False
-        )
+        first_panel = panels[readings[0]]
+        first_panel.set_ylabel("standard error of the mean displacement (nm)")
+        figure.legend(*first_panel.get_legend_handles_labels(), loc="outside upper center", ncols=6, frameon=False)
         return figure
 
 
-def spelt(reading: str) -> str:
-    """Return the name of a reading as it stands in a sentence."""
+def reading_text(reading: str) -> str:
+    """Return the name of a reading within a sentence."""
     return reading.replace("_", " ")
 
 
-def _first_of_each(result: StudyResult) -> list[View]:
-    """Return one view a reading: of the paper's chain, else of the first estimator."""
-    found: dict[str, View] = {}
-    for one in views(result):
-        if one.reading not in found or spec_of(one.estimator).published:
-            found[one.reading] = one
-    return list(found.values())
+def _main_views(result: StudyResult) -> list[View]:
+    """Return one view for each reading: of the paper's chain, else of the first estimator."""
+    by_reading: dict[str, View] = {}
+    for view in views(result):
+        if view.reading not in by_reading or spec_of(view.estimator).published:
+            by_reading[view.reading] = view
+    return list(by_reading.values())

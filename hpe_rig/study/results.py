@@ -1,4 +1,4 @@
-"""Results on disk: a file for each finished case, so that a study can continue, and a table for each finished one."""
+"""Results on disk: one file for each completed case, so that a study can continue, and one table for each study."""
 
 from __future__ import annotations
 
@@ -8,28 +8,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hpe_rig.report import write_text
 from hpe_rig.result import csv_text
 from hpe_rig.scene import Mistake, SettingsError
-from hpe_rig.store import atomic_file, unwritable
+from hpe_rig.store import unwritable
 from hpe_rig.study.cases import GridPoint
 from hpe_rig.study.definition import Definition
 
 CaseRecord = dict[str, Any]
-"""One finished case: ``estimates``, a row an estimator and frequency, and what else `FIELDS` names."""
+"""One completed case: ``estimates``, a row for each estimator and frequency, and the other `FIELDS`."""
 
 FIELDS = frozenset({"case", "estimates", "draws", "noise", "seconds", "peak_memory_bytes", "version"})
-STUDY, SUMMARY = "study.json", "summary.csv"
-OF_CASE = ("draws", "noise", "seconds", "peak_memory_bytes", "case")
+STUDY_FILE, SUMMARY_FILE = "study.json", "summary.csv"
+CASE_COLUMNS = ("draws", "noise", "seconds", "peak_memory_bytes", "case")
 
 
 @dataclass(frozen=True, slots=True)
 class CaseStore:
-    """The finished cases below a folder, each named by the hash of its definition; several studies may share one."""
+    """The completed cases below a folder, each named by the hash of its definition; several studies may share one."""
 
     folder: Path
 
     def read(self, key: str) -> CaseRecord | None:
-        """Return the record of a finished case; None where it is absent or its file is not as it was written."""
+        """Return the record of a completed case; None if it is absent or its file fails its checksum."""
         try:
             stored = json.loads(self._path(key).read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError):
@@ -40,35 +41,40 @@ class CaseStore:
         return record if record.keys() >= FIELDS and record["case"] == key else None
 
     def is_damaged(self, key: str) -> bool:
-        """Return whether there is a file of that case that ``read`` does not trust."""
+        """Return whether the case has a file that ``read`` rejects."""
         return self._path(key).exists() and self.read(key) is None
 
     def write(self, record: CaseRecord) -> None:
-        """Write a record and its hash, whole or not at all; raises ``SettingsError`` where that is impossible."""
-        write_whole(self._path(record["case"]), json.dumps({"sha256": _digest(record), "record": record}))
+        """Write a record and its hash atomically; raise ``SettingsError`` if that is impossible."""
+        write_text(self._path(record["case"]), json.dumps({"sha256": _digest(record), "record": record}))
 
     def prepare(self) -> None:
-        """Make the folder; raise ``SettingsError`` where nothing can be written there, before anything is computed."""
+        """Make the folder; raise ``SettingsError``, before any computation, if it is not writable."""
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
+            reason = unwritable(self.folder / STUDY_FILE)
         except OSError as error:
-            raise _unwritable(self.folder, error.strerror) from None
-        if why := unwritable(self.folder / STUDY):
-            raise _unwritable(self.folder, why)
+            reason = str(error.strerror)
+        if reason:
+            mistake = Mistake(str(self.folder), f"cannot be written ({reason})", "another folder, by --output")
+            raise SettingsError("command line", [mistake])
 
     def _path(self, key: str) -> Path:
-        # A folder for every 256th case: file managers take long over 1e5 files in one.
+        # 256 subfolders: file managers are slow with 1e5 files in one folder.
         return self.folder / key[:2] / f"{key}.json"
 
 
 def _digest(record: CaseRecord) -> str:
-    """Return the hash of a record, the same before and after JSON: numbers survive that to the last bit."""
+    """Return the hash of a record. JSON round-trips every bit of a number, so the hash survives it."""
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
 class StudyResult:
-    """A finished study. A row holds the axes by name, ``reading``, and what the engine's record says of an estimate."""
+    """A completed study.
+
+    A row holds the value of each axis by its name, ``reading``, and the engine's record of one estimate.
+    """
 
     name: str
     definition: Definition
@@ -83,7 +89,7 @@ class StudyResult:
 
     @property
     def seconds(self) -> float:
-        """Processor time of all its cases, those taken over from another study included."""
+        """Processor time of all its cases, including those that another study computed."""
         return sum(float(row["seconds"]) for row in self.cases.values())
 
     @property
@@ -105,8 +111,9 @@ def result_of(
     for point in points:
         record = records[point.case.key]
         versions.add(record["version"])
-        start = {**point.coordinates, "reading": point.reading}
-        rows += [{**start, **estimate, **{key: record[key] for key in OF_CASE}} for estimate in record["estimates"]]
+        coordinates = {**point.coordinates, "reading": point.reading}
+        case_values = {key: record[key] for key in CASE_COLUMNS}
+        rows += [{**coordinates, **estimate, **case_values} for estimate in record["estimates"]]
     return StudyResult(name, definition, rows, tuple(sorted(versions)))
 
 
@@ -119,20 +126,5 @@ def write_study(result: StudyResult, folder: Path) -> None:
         "seconds": result.seconds,
         "rows": result.rows,
     }
-    write_whole(folder / STUDY, json.dumps(tables) + "\n")
-    write_whole(folder / SUMMARY, csv_text(result.rows))
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write ``text`` whole or not at all, its folder too; raises ``SettingsError`` where that is impossible."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path) as draft:
-            draft.write_text(text, encoding="utf-8", newline="")
-    except OSError as error:
-        raise _unwritable(path, error.strerror) from None
-
-
-def _unwritable(path: Path, why: str | None) -> SettingsError:
-    mistake = Mistake(str(path), f"cannot be written ({why})", "another folder, by --output")
-    return SettingsError("command line", [mistake])
+    write_text(folder / STUDY_FILE, json.dumps(tables) + "\n")
+    write_text(folder / SUMMARY_FILE, csv_text(result.rows))

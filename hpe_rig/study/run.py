@@ -1,4 +1,4 @@
-"""Run of a study from its name to its results: expand, leave out what is finished, compute the rest, write."""
+"""Run of a study from its name to its results: expand it, skip completed cases, compute the others, write."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from hpe_rig.study.measured import measure_case
 from hpe_rig.study.measured_case import MeasuredCase
 from hpe_rig.study.results import CaseRecord, CaseStore, StudyResult, result_of, write_study
 
-MOST_CASES = 24
-"""Cases of a batch: enough to share draws and noise, few enough that a lost worker costs little."""
+BATCH_SIZE = 24
+"""Cases of a batch: enough to share draws and noise, few enough that the loss of a worker costs little."""
 
 OnProgress = Callable[[int, int], None]
-"""Told the realisations done and to do."""
+"""Receives the number of completed realisations and of all realisations."""
 
 
 def run_study(
@@ -36,33 +36,34 @@ def run_study(
 ) -> list[StudyResult]:
     """Run a study or a collection, write it below ``output`` and return its results.
 
-    ``output``/cases holds a file a finished case, ``output``/NAME the results; cases finished before, by whichever
-    study, are not computed again unless their files are damaged, of which ``tell`` is told.
-    ``open_pool`` opens the workers, one a processor of this machine by default. Raises
-    ``SettingsError`` with every mistake before anything is computed, and ``TypeError`` for a wrong type.
+    ``output``/cases holds one file for each completed case, ``output``/NAME the results. Completed cases of any study
+    are not computed again, except damaged ones, which ``tell`` reports. ``open_pool`` opens the workers, by
+    default one for each processor of this machine. Raises ``SettingsError`` with every mistake before any computation,
+    and ``TypeError`` for a wrong type.
 
     >>> (result,) = run_study("fig-7", "results")
     """
     if not isinstance(output, str | os.PathLike):
-        raise TypeError(f"a study's output is taken as the path of a folder, not as {type(output).__name__}")
+        raise TypeError(f"a study's output must be the path of a folder, not {type(output).__name__}")
     output = Path(output)
     open_pool = open_pool or partial(processes, os.cpu_count() or 1)
     studies = {
-        own: (definition, points_of(own, definition, folder))
-        for own, (definition, folder) in read_studies(name, replaced).items()
+        study: (definition, points_of(study, definition, folder))
+        for study, (definition, folder) in read_studies(name, replaced).items()
     }
     store = CaseStore(output / "cases")
     store.prepare()
     cases = {point.case.key: point.case for _, points in studies.values() for point in points}
     records = {key: record for key in cases if (record := store.read(key)) is not None}
     if damaged := sum(store.is_damaged(key) for key in cases if key not in records):
-        tell(f"{damaged} case files in {store.folder} are damaged or older than their hashes: computed again")
+        tell(f"{damaged} case files in {store.folder} are damaged or have no checksum: computing them again")
+    pending = [case for key, case in cases.items() if key not in records]
     try:
-        _compute([case for key, case in cases.items() if key not in records], store, records, open_pool, ahead, watch)
+        _compute(pending, store, records, open_pool, ahead, watch)
     except BaseException as error:
-        error.add_note(f"{len(records)} of {len(cases)} cases are kept in {output}: the same command continues")
+        error.add_note(f"{len(records)} of {len(cases)} cases are stored in {output}: the same command continues")
         raise
-    results = [result_of(own, definition, points, records) for own, (definition, points) in studies.items()]
+    results = [result_of(study, definition, points, records) for study, (definition, points) in studies.items()]
     for result in results:
         write_study(result, output / result.name)
     return results
@@ -80,8 +81,8 @@ def _compute(
     done, total = 0, sum(size.values())
     watch(done, total)
     ahead = ahead or 2 * (os.cpu_count() or 1) + 2
-    with closing(completed(open_pool, compute, batches(cases), ahead)) as finished:
-        for batch in finished:
+    with closing(completed(open_pool, compute, batches(cases), ahead)) as finished_batches:
+        for batch in finished_batches:
             for record in batch:
                 store.write(record)
                 records[record["case"]] = record
@@ -90,17 +91,16 @@ def _compute(
 
 
 def compute(cases: Sequence[AnyCase]) -> list[CaseRecord]:
-    """Return one record a case of a batch, in their order."""
-    # Of a definition all cases are of one kind, and no batch holds those of two.
+    """Return one record for each case of a batch, in order; a batch never mixes the two kinds of cases."""
     measured = [case for case in cases if isinstance(case, MeasuredCase)]
     return [measure_case(case) for case in measured] or run_batch([c for c in cases if not isinstance(c, MeasuredCase)])
 
 
 def batches(cases: Sequence[AnyCase]) -> list[list[AnyCase]]:
-    """Return cases that share noise together, those that share echoes side by side, longest batches first."""
-    ordered = sorted(cases, key=lambda case: (case.sharing, case.key))
-    out = []
-    for _, group in itertools.groupby(ordered, lambda case: case.sharing[0]):
-        own = list(group)
-        out += [own[first : first + MOST_CASES] for first in range(0, len(own), MOST_CASES)]
-    return sorted(out, key=lambda batch: -sum(case.cost for case in batch))
+    """Return batches of cases with the same noise, sorted by echoes within, the longest batches first."""
+    ordered = sorted(cases, key=lambda case: (case.batch_key, case.key))
+    result = []
+    for _, group in itertools.groupby(ordered, lambda case: case.batch_key[0]):
+        members = list(group)
+        result += [members[first : first + BATCH_SIZE] for first in range(0, len(members), BATCH_SIZE)]
+    return sorted(result, key=lambda batch: -sum(case.cost for case in batch))

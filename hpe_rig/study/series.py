@@ -1,4 +1,4 @@
-"""Series of a study's rows, curves and maps: which axis runs along, which ones tell them apart, and in what unit."""
+"""Series of a study's rows: views, curves over the last axis, maps over the last two, and their texts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from hpe_rig.arrays import FloatArray
 from hpe_rig.processing import spec_of
-from hpe_rig.study.definition import Axis
+from hpe_rig.scene import Axis
 from hpe_rig.study.results import StudyResult
 
 StudyRow = dict[str, Any]
@@ -20,17 +20,17 @@ StudyRow = dict[str, Any]
 READINGS = {
     "physical": "physical",
     "literal": "eq. (11) read literally",
-    "as_printed": "eq. (11) literally, gain of the difference left in",
+    "as_printed": "eq. (11) literally, with the gain of the difference",
     "one_draw": "one draw of scatterers",
 }
-"""What a reader calls the readings of the paper."""
-LEAST_OF_A_MAP = 5
-"""Values of an axis from which two axes make a map."""
+"""Names of the readings in titles."""
+MIN_MAP_VALUES = 5
+"""Values of each of the last two axes from which on they make a map."""
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """One reading, estimator and frequency of a study."""
+    """The rows of one reading, estimator and frequency."""
 
     reading: str
     estimator: str
@@ -39,12 +39,12 @@ class View:
 
     @property
     def key(self) -> str:
-        """The view's name in an id."""
+        """Id of the view in file names and pages."""
         return f"{self.reading}-{self.estimator}-{self.frequency_hz:g}"
 
     @property
     def title(self) -> str:
-        """What a reader calls it."""
+        """Title of the view's figure."""
         return f"{READINGS[self.reading]}, {spec_of(self.estimator).label}"
 
     def values(self, column: str) -> FloatArray:
@@ -54,82 +54,94 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Rows along one axis, the values of the others fixed."""
+    """Rows along the last axis, at fixed values of the outer axes."""
 
     label: str
     x: FloatArray
     rows: tuple[StudyRow, ...]
 
     def values(self, column: str) -> FloatArray:
-        """Return a column, (point,)."""
+        """Return a column, (row,)."""
         return np.array([row[column] for row in self.rows], dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class MapTable:
+    """Every numeric column (y, x) over the last two axes, at fixed values of the outer axes."""
+
+    outer_values: tuple[Any, ...]
+    x: FloatArray
+    y: FloatArray
+    columns: dict[str, FloatArray]
 
 
 def views(result: StudyResult) -> list[View]:
     """Return every reading, estimator and frequency, in the order of the rows."""
-    found: dict[tuple[str, str, float], list[StudyRow]] = {}
+    groups: dict[tuple[str, str, float], list[StudyRow]] = {}
     for row in result.rows:
-        found.setdefault((row["reading"], row["estimator"], row["frequency_hz"]), []).append(row)
-    return [View(*key, tuple(rows)) for key, rows in found.items()]
+        groups.setdefault((row["reading"], row["estimator"], row["frequency_hz"]), []).append(row)
+    return [View(*key, tuple(rows)) for key, rows in groups.items()]
 
 
-def view(result: StudyResult, reading: str) -> View | None:
-    """Return the first view of the paper's chain in that reading; None where the study has none."""
-    ours = (one for one in views(result) if one.reading == reading and spec_of(one.estimator).published)
-    return next(ours, None)
+def paper_view(result: StudyResult, reading: str) -> View | None:
+    """Return the first view of the paper's chain in that reading; None if the study has none."""
+    candidates = (item for item in views(result) if item.reading == reading and spec_of(item.estimator).published)
+    return next(candidates, None)
 
 
 def axis_label(axis: Axis) -> str:
-    """Return what stands at an axis of a figure."""
+    """Return the label of a figure's axis: name and unit."""
     return f"{axis.name} ({axis.unit})" if axis.unit else axis.name
 
 
 def is_map(result: StudyResult) -> bool:
-    """Return whether the last two axes have numbers enough for a map."""
-    last = result.definition.axes[-2:]
-    return len(last) == 2 and all(
-        len(axis.values()) >= LEAST_OF_A_MAP and axis.name != "SNR" and numbers(axis.values()) for axis in last
+    """Return whether the last two axes have enough numbers for a map."""
+    last_axes = result.definition.sweep_axes[-2:]
+    return len(last_axes) == 2 and all(
+        len(axis) >= MIN_MAP_VALUES and axis.name != "SNR" and are_numbers(axis.labels) for axis in last_axes
     )
 
 
-def numbers(values: Sequence[Any]) -> bool:
+def are_numbers(values: Sequence[Any]) -> bool:
     """Return whether all values are numbers."""
     return all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
 
 
-def curves(result: StudyResult, one: View) -> list[Curve]:
-    """Return the curves of a view over the last axis; over its places where that axis holds no numbers."""
-    *outer, along = result.definition.axes
-    given = along.values()
-    x = np.array(given if numbers(given) else range(len(given)), dtype=np.float64)
-    found = []
-    for values in itertools.product(*(axis.values() for axis in outer)):
-        rows = _rows_at(one, outer, values)
-        label = ", ".join(f"{a.name} = {shown(v, a.unit)}" for a, v in zip(outer, values, strict=True))
+def curves(result: StudyResult, view: View) -> list[Curve]:
+    """Return the curves of a view over the last axis; over the index if its values are no numbers."""
+    *outer_axes, last_axis = result.definition.sweep_axes
+    values = last_axis.labels
+    x = np.array(values if are_numbers(values) else range(len(values)), dtype=np.float64)
+    view_curves = []
+    for outer_values in itertools.product(*(axis.labels for axis in outer_axes)):
+        rows = _rows_at(view, outer_axes, outer_values)
         if len(rows) == len(x):
-            found.append(Curve(label, x, tuple(rows)))
-    return found
+            view_curves.append(Curve(coordinates_text(outer_axes, outer_values), x, tuple(rows)))
+    return view_curves
 
 
-def maps(
-    result: StudyResult, one: View
-) -> Iterator[tuple[tuple[Any, ...], FloatArray, FloatArray, dict[str, FloatArray]]]:
-    """Yield (outer values, x (x,), y (y,), every numeric column (y, x)) for each value of the outer axes."""
-    *outer, across, up = result.definition.axes
-    x, y = (np.array(axis.values(), dtype=np.float64) for axis in (across, up))
-    columns = [name for name, value in one.rows[0].items() if isinstance(value, float)]
-    for values in itertools.product(*(axis.values() for axis in outer)):
-        rows = _rows_at(one, outer, values)
-        tables = {name: np.array([row[name] for row in rows]).reshape(len(x), len(y)).T for name in columns}
-        yield values, x, y, tables
+def maps(result: StudyResult, view: View) -> Iterator[MapTable]:
+    """Yield the map of a view over the last two axes for each combination of the outer axes."""
+    *outer_axes, x_axis, y_axis = result.definition.sweep_axes
+    x, y = (np.array(axis.labels, dtype=np.float64) for axis in (x_axis, y_axis))
+    names = [name for name, value in view.rows[0].items() if isinstance(value, float)]
+    for outer_values in itertools.product(*(axis.labels for axis in outer_axes)):
+        rows = _rows_at(view, outer_axes, outer_values)
+        columns = {name: np.array([row[name] for row in rows]).reshape(len(x), len(y)).T for name in names}
+        yield MapTable(outer_values, x, y, columns)
 
 
-def _rows_at(one: View, axes: Sequence[Axis], values: Sequence[Any]) -> list[StudyRow]:
-    return [row for row in one.rows if all(row[axis.name] == v for axis, v in zip(axes, values, strict=True))]
+def _rows_at(view: View, axes: Sequence[Axis], values: Sequence[Any]) -> list[StudyRow]:
+    return [row for row in view.rows if all(row[axis.name] == v for axis, v in zip(axes, values, strict=True))]
 
 
-def shown(value: Any, unit: str) -> str:
-    """Return a value with its unit as a person writes it."""
+def coordinates_text(axes: Sequence[Axis], values: Sequence[Any]) -> str:
+    """Return the values of ``axes`` in words: D_0 = 500 nm, SNR = 20 dB."""
+    return ", ".join(f"{axis.name} = {value_text(v, axis.unit)}" for axis, v in zip(axes, values, strict=True))
+
+
+def value_text(value: Any, unit: str) -> str:
+    """Return a value with its unit and a prefix."""
     if not isinstance(value, int | float):
         return str(value)
     if unit == "m":
@@ -142,49 +154,51 @@ def shown(value: Any, unit: str) -> str:
 def error_figures(row: Mapping[str, Any]) -> list[tuple[float, float]]:
     """Return bias and jitter of amplitude, in %, and of phase, in degrees, each with its Monte Carlo standard error."""
     percent, degrees = 100 / (row["amplitude_true_m"] or math.nan), math.degrees(1)
-    names = (("amplitude", "m", percent), ("phase", "rad", degrees))
+    quantities = (("amplitude", "m", percent), ("phase", "rad", degrees))
     return [
-        (row[f"{of}_{name}_{unit}"] * scale, row[f"{of}_{name}_se_{unit}"] * scale)
-        for of, unit, scale in names
+        (row[f"{quantity}_{name}_{unit}"] * scale, row[f"{quantity}_{name}_se_{unit}"] * scale)
+        for quantity, unit, scale in quantities
         for name in ("bias", "jitter")
     ]
 
 
-def refused_words(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Return how many estimates were refused, and what that leaves out of bias and jitter; "" where none was."""
+def refused_text(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return the number of refused estimates and its consequence for bias and jitter; "" if there are none."""
     refused = sum(row["refused"] for row in rows)
     if not refused:
         return ""
-    return f"{refused} estimates were refused: they are left out, with all others of the same scatterers and case."
+    return (
+        f"{refused} estimates were refused. Bias and jitter exclude them and all others of the same draw of scatterers."
+    )
 
 
-def warned_words(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return how many estimates are of shots that the result warns of, and where; "" where none is."""
-    counts = [(row.get("warned", 0), row) for row in rows]
-    warned, (most, worst) = sum(count for count, _ in counts), max(counts, key=lambda each: each[0], default=(0, {}))
+def warned_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return how many estimates are of shots with warnings, and the worst case; "" if there are none."""
+    worst = max(rows, key=lambda row: row.get("warned", 0), default={})
+    warned = sum(row.get("warned", 0) for row in rows)
     if not warned:
         return ""
-    of = sum(row["draws"] * row["noise"] for row in rows)
-    share = f"{most} of {worst['draws'] * worst['noise']} at {worst['frequency_hz']:g} Hz with {worst['estimator']}"
+    total = sum(row["draws"] * row["noise"] for row in rows)
     return (
-        f"{warned} of {of} estimates are of shots with warnings, at most {share} in one case: they count, and a run of "
-        "that case says which warnings."
+        f"{warned} of {total} estimates are of shots with warnings. The worst case has {worst['warned']} of "
+        f"{worst['draws'] * worst['noise']}, at {worst['frequency_hz']:g} Hz with {worst['estimator']}. Bias and "
+        "jitter include them; run that case to read the warnings."
     )
 
 
 def spans(rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Return the least and the largest of each of `error_figures` over ``rows``; a dash where none is known."""
-    found = []
+    """Return the range of each of `error_figures` over ``rows``; a dash if no value is finite."""
+    texts = []
     for values in zip(*([value for value, _ in error_figures(row)] for row in rows), strict=True):
-        known = [value for value in values if math.isfinite(value)]
-        low, high = (f"{edge(known):.3g}" if known else "–" for edge in (min, max))
-        found.append(low if low == high else f"{low} to {high}")
-    return found
+        finite = [value for value in values if math.isfinite(value)]
+        low, high = (f"{edge(finite):.3g}" if finite else "–" for edge in (min, max))
+        texts.append(low if low == high else f"{low} to {high}")
+    return texts
 
 
-def with_error(value: float, se: float) -> str:
+def with_error(value: float, standard_error: float) -> str:
     """Return a value and its standard error, both to the error's second digit."""
-    if not 0 < se < math.inf:
+    if not 0 < standard_error < math.inf:
         return f"{value:.4g}"
-    digits = max(0, 1 - math.floor(math.log10(se)))
-    return f"{value:.{digits}f} ± {se:.{digits}f}"
+    digits = max(0, 1 - math.floor(math.log10(standard_error)))
+    return f"{value:.{digits}f} ± {standard_error:.{digits}f}"

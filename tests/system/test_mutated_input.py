@@ -348,7 +348,7 @@ def test_mutated_studies_end_in_cases_or_a_message(tmp_path: Path, cases: int) -
         path.write_text(text, encoding="utf-8")
         for name, (definition, folder) in read_studies(path).items():
             # What is large is no mistake, but takes its time.
-            if math.prod(len(axis.values()) for axis in definition.axes) <= 100:
+            if math.prod(len(axis) for axis in definition.sweep_axes) <= 100:
                 points_of(name, definition, folder)
 
     def calls() -> Iterator[tuple[str, Callable[[], object]]]:

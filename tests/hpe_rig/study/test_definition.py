@@ -10,7 +10,7 @@ import pytest
 from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.scene.validation import SettingsError
 from hpe_rig.study.cases import GridPoint, points_of
-from hpe_rig.study.definition import Axis, AxisRange, Definition, read_studies, shipped_studies
+from hpe_rig.study.definition import AxisRange, AxisTable, Definition, read_studies, shipped_studies
 from hpe_rig.study.measured_case import MeasuredCase
 
 SIZES = {"fig-4": 1, "fig-5": 5, "fig-6": 5, "fig-7": 6, "fig-8": 5, "fig-9": 3, "fig-10": 3, "fig-11": 4}
@@ -41,7 +41,7 @@ def _mistakes(text: str, tmp_path: Path) -> str:
 def test_the_shipped_studies_are_the_paper_s_figures_at_its_sizes() -> None:
     studies = {name: definition for name, (definition, _) in read_studies("paper").items()}
     assert list(studies) == [f"fig-{n}" for n in range(4, 14)]
-    counts = {name: [len(axis.values()) for axis in one.axes] for name, one in studies.items()}
+    counts = {name: [len(axis) for axis in one.sweep_axes] for name, one in studies.items()}
     assert {name: int(np.prod(counts[name])) for name in SIZES} == {name: 7 * size for name, size in SIZES.items()}
     assert (counts["fig-12"], counts["fig-13"]) == ([1, 11, 11], [4, 11, 11])
     assert {one.scatterers for one in studies.values()} == {800}
@@ -58,9 +58,9 @@ def test_figures_share_the_cases_they_have_in_common() -> None:
 
 def test_points_refine_every_range_and_nothing_else() -> None:
     (definition, _) = read_studies("fig-12", {"points": 101})["fig-12"]
-    assert [len(axis.values()) for axis in definition.axes] == [1, 101, 101]
-    coarse = read_studies("fig-12")["fig-12"][0].axes[1].values()
-    assert set(coarse) <= set(definition.axes[1].values())
+    assert [len(axis) for axis in definition.sweep_axes] == [1, 101, 101]
+    coarse = read_studies("fig-12")["fig-12"][0].sweep_axes[1].labels
+    assert set(coarse) <= set(definition.sweep_axes[1].labels)
     np.testing.assert_allclose(coarse, np.geomspace(0.1, 10, 11), rtol=1e-11)
 
 
@@ -192,8 +192,8 @@ def test_a_collection_tells_the_mistakes_of_all_its_studies_and_loses_none(tmp_p
         ("simulation.receiver.snr_db.x", "[1e-6]", "no such entry"),
         ("processing.frequencies_hz", "[[300.0]]", "no true value"),
         ("acquisition.gate_length_m", "[20e-6]", "gate is too short"),
-        ("simulation.scatterers.reflectors", "[[{}]]", "draws scatterers alone"),
-        ("simulation.receiver.snr_db", "{ start = 0, stop = 10, count = 3, spacing = 'log' }", "never pass zero"),
+        ("simulation.scatterers.reflectors", "[[{}]]", "draws only scatterers"),
+        ("simulation.receiver.snr_db", "{ start = 0, stop = 10, count = 3, spacing = 'log' }", "cannot cross zero"),
     ],
 )
 def test_what_a_study_cannot_vary_is_refused(key: str, values: str, told: str, tmp_path: Path) -> None:
@@ -214,9 +214,18 @@ def test_what_a_study_cannot_vary_is_refused(key: str, values: str, told: str, t
         (PLAIN.replace("[10.0, 20.0]", "[]"), "at least 1"),
         ('common = ["depth"]\n' + PLAIN, "which is no axis"),
         (PLAIN + '[readings]\nphysical = ["coherant"]\n', "is not one of the choices"),
-        ('simulate = "bench"\n' + PLAIN + '[readings]\nliteral = ["coherent"]\n', "by the gate alone"),
-        ('simulate = "bench"\n' + PLAIN.replace("tracking.pulse_count", "acquisition.repeats"), "says by itself"),
-        ('simulate = "bench"\n' + PLAIN.replace("simulation.receiver.snr_db", "sweep.pulse_rate_hz"), "says by itself"),
+        (
+            'simulate = "bench"\n' + PLAIN + '[readings]\nliteral = ["coherent"]\n',
+            "a study of the gate alone supports it",
+        ),
+        (
+            'simulate = "bench"\n' + PLAIN.replace("tracking.pulse_count", "acquisition.repeats"),
+            "sets repeats and varied values itself",
+        ),
+        (
+            'simulate = "bench"\n' + PLAIN.replace("simulation.receiver.snr_db", "sweep.pulse_rate_hz"),
+            "sets repeats and varied values itself",
+        ),
         (
             'simulate = "bench"\n' + PLAIN.replace('"tracking.pulse_count" = 40', '"processing.window_length_s" = 1.0'),
             "window:",
@@ -232,7 +241,7 @@ def test_a_wrong_definition_says_what_to_do(text: str, told: str, tmp_path: Path
 
 @pytest.mark.parametrize("scene", shipped_scenes())
 def test_every_shipped_scene_may_be_studied_and_all_but_the_gate_alone_is_measured_whole(scene: str) -> None:
-    axis = Axis(name="gate", unit="m", keys={"acquisition.gate_length_m": [1e-3, 1.5e-3]})
+    axis = AxisTable(name="gate", unit="m", keys={"acquisition.gate_length_m": [1e-3, 1.5e-3]})
     cases = [point.case for point in points_of("own", Definition(title="own", scene=scene, axes=(axis,)))]
     assert {isinstance(case, MeasuredCase) for case in cases} == {scene != "table-1"}
     assert len({case.key for case in cases}) == 2

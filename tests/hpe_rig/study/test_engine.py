@@ -17,7 +17,7 @@ from hpe_rig.scene.scene import shipped_scenes
 from hpe_rig.study import engine
 from hpe_rig.study.cases import Case, points_of
 from hpe_rig.study.definition import Definition
-from hpe_rig.study.engine import CaseRecord, _echoes, _Running, run_batch
+from hpe_rig.study.engine import CaseRecord, _echoes, _RunningCase, run_batch
 from hpe_rig.study.run import batches
 from sim_backend.settings.simulation import Reflector
 
@@ -115,9 +115,9 @@ def test_the_echo_of_the_focus_comes_earlier_in_a_gate_beyond_it() -> None:
     (case,) = cases_of(axes=[gate])
     alone = {"per_cell": 0.0, "reflectors": (Reflector(),)}
     twin = case.twin.model_copy(update={"scatterers": case.twin.scatterers.model_copy(update=alone)})
-    made = _echoes([_Running(replace(case, twin=twin))], 0, 1)
+    made = _echoes([_RunningCase(replace(case, twin=twin))], 0, 1)
     # At rest, as the first pulse finds it: a cosine under an even window, 30 samples of 130 before the middle, 64.5.
-    about = made.volts[0, made.which[0], :70]
+    about = made.volts[0, made.echo_index[0], :70]
     np.testing.assert_allclose(about, about[::-1], rtol=0, atol=1e-5 * np.abs(about).max())
 
 
@@ -240,7 +240,7 @@ def test_as_printed_keeps_the_gain_of_the_difference_and_one_draw_has_the_noise_
 
 
 def test_an_estimator_without_a_difference_has_no_gain_to_leave_in() -> None:
-    with pytest.raises(SettingsError, match="coherent has no gain of a difference of pulses"):
+    with pytest.raises(SettingsError, match="the amplitude of coherent has no gain of a difference of pulses"):
         cases_of(readings={"as_printed": ["coherent"]})
 
 

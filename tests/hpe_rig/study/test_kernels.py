@@ -29,16 +29,18 @@ def _echoes(train: Train, draws: int) -> np.ndarray:
 @pytest.mark.parametrize("train", [TRAIN, *OTHERS])
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_an_estimator_sees_of_white_noise_what_the_band_holds(train: Train, estimator: Estimator) -> None:
-    seen, echoes = spectral_kernels(train), _echoes(train, 1)
+    kernels, echoes = spectral_kernels(train), _echoes(train, 1)
     noise = np.random.default_rng(6).standard_normal((1, 2, train.pulses, train.samples))
     fit = estimate(train.gate(echoes[:, None] + 0.3 * noise), train.frequencies_hz, estimator, options=train.options)
     form = form_of(estimator)
-    numbers = noise @ seen.basis[form].T
-    clean = echoes @ seen.of_volts[form] if form in seen.of_volts else echoes
-    found = states(train, estimator, clean, np.arange(train.pulses), np.array([0.3]), numbers @ seen.of_numbers[form])
+    numbers = noise @ kernels.basis[form].T
+    clean = echoes @ kernels.of_volts[form] if form in kernels.of_volts else echoes
+    estimated = states(
+        train, estimator, clean, np.arange(train.pulses), np.array([0.3]), numbers @ kernels.of_coefficients[form]
+    )
     # Rounding (7e-15 measured) and the band's cut at 1e-13, tenfold.
     wanted = fit.state[..., : 2 * len(train.frequencies_hz)]
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
+    np.testing.assert_allclose(estimated, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("train", [TRAIN, *OTHERS])
@@ -50,22 +52,22 @@ def test_the_band_is_far_smaller_than_the_gate_and_its_numbers_are_white(train: 
 
 @pytest.mark.parametrize("train", [TRAIN, *OTHERS])
 def test_what_multiplies_the_random_numbers_does_not_hang_on_rounding(train: Train) -> None:
-    seen = spectral_kernels(train)
-    angle = 2 * np.pi * np.outer(np.arange(train.samples) / train.sample_rate_hz, seen.grid_hz["plain"])
-    columns = np.hstack([np.cos(angle), -np.sin(angle), seen.of_volts["peak"]])
+    kernels = spectral_kernels(train)
+    angle = 2 * np.pi * np.outer(np.arange(train.samples) / train.sample_rate_hz, kernels.grid_hz["plain"])
+    columns = np.hstack([np.cos(angle), -np.sin(angle), kernels.of_volts["peak"]])
     rounded = columns * (1 + 1e-15 * np.random.default_rng(8).standard_normal(columns.shape))
     basis = orthonormal_rows(rounded)
-    np.testing.assert_allclose(basis @ seen.of_volts["peak"], seen.of_numbers["peak"], rtol=0, atol=1e-13)
-    tapered = seen.of_volts["plain"]
+    np.testing.assert_allclose(basis @ kernels.of_volts["peak"], kernels.of_coefficients["peak"], rtol=0, atol=1e-13)
+    tapered = kernels.of_volts["plain"]
     basis = orthonormal_rows(tapered * (1 + 1e-15 * np.random.default_rng(8).standard_normal(tapered.shape)))
-    np.testing.assert_allclose(basis @ tapered, seen.of_numbers["plain"], rtol=0, atol=1e-13)
+    np.testing.assert_allclose(basis @ tapered, kernels.of_coefficients["plain"], rtol=0, atol=1e-13)
 
 
 def test_the_compiled_peak_search_is_that_of_the_paper_s_chain() -> None:
     pytest.importorskip("numba")
-    seen, rng = spectral_kernels(TRAIN), np.random.default_rng(7)
-    clean = _echoes(TRAIN, 3) @ seen.of_volts["peak"]
-    noise = rng.standard_normal((3, 4, TRAIN.pulses, len(seen.basis["peak"]))) @ seen.of_numbers["peak"]
+    kernels, rng = spectral_kernels(TRAIN), np.random.default_rng(7)
+    clean = _echoes(TRAIN, 3) @ kernels.of_volts["peak"]
+    noise = rng.standard_normal((3, 4, TRAIN.pulses, len(kernels.basis["peak"]))) @ kernels.of_coefficients["peak"]
     which, level = rng.integers(0, TRAIN.pulses, TRAIN.pulses), np.array([0.0, 0.3, 3.0])
     spectra = clean[:, None, which] + level[:, None, None, None] * noise
     fast, plain = peak_steps(spectra, fast=True), peak_steps(spectra, fast=False)
@@ -83,17 +85,17 @@ def test_the_compiled_peak_search_is_that_of_the_paper_s_chain() -> None:
 def test_the_compiled_peak_search_finds_weak_and_strong_echoes_alike(volts: float) -> None:
     pytest.importorskip("numba")
     spectra = _echoes(TRAIN, 3) @ spectral_kernels(TRAIN).of_volts["peak"]
-    found, wanted = peak_steps(volts * spectra, fast=True), peak_steps(spectra, fast=False)
-    np.testing.assert_array_equal(found.peak, wanted.peak)
-    np.testing.assert_allclose(found.step, wanted.step, rtol=0, atol=1e-13)
+    estimated, wanted = peak_steps(volts * spectra, fast=True), peak_steps(spectra, fast=False)
+    np.testing.assert_array_equal(estimated.peak, wanted.peak)
+    np.testing.assert_allclose(estimated.step, wanted.step, rtol=0, atol=1e-13)
 
 
 def test_a_refused_realisation_is_no_number_and_the_others_are() -> None:
-    seen, echoes = spectral_kernels(TRAIN), _echoes(TRAIN, 2)
-    volts = echoes @ seen.of_volts["plain"]
+    kernels, echoes = spectral_kernels(TRAIN), _echoes(TRAIN, 2)
+    volts = echoes @ kernels.of_volts["plain"]
     volts[1] = 0.0
-    found = states(
+    estimated = states(
         TRAIN, "coherent", volts, np.arange(TRAIN.pulses), np.zeros(2), np.zeros((2, 1, TRAIN.pulses, volts.shape[-1]))
     )
-    assert np.isfinite(found[0]).all()
-    assert np.isnan(found[1]).all()
+    assert np.isfinite(estimated[0]).all()
+    assert np.isnan(estimated[1]).all()

@@ -18,7 +18,7 @@ from hpe_rig.study.measured import measure_case
 from hpe_rig.study.measured_case import MeasuredCase
 from hpe_rig.study.results import CaseRecord
 from hpe_rig.study.run import compute
-from hpe_rig.study.series import warned_words
+from hpe_rig.study.series import warned_text
 
 FORCES = [[1.0], [0.25]]
 
@@ -78,9 +78,11 @@ def test_realisations_that_their_result_warns_of_are_counted() -> None:
     (case,) = cases_of(axes=[{"name": "force", "keys": {"excitation.force_fraction": [[1e-3]]}, "shown": [1e-3]}])
     row = estimate(measure_case(case))
     assert (row["refused"], row["warned"]) == (0, 4)
-    told = warned_words([{**row, "draws": 2, "noise": 2}, {**row, "warned": 0, "draws": 2, "noise": 2}])
-    assert told.startswith("4 of 8 estimates are of shots with warnings, at most 4 of 4 at 200 Hz with coherent")
-    assert warned_words([{**row, "warned": 0}, {"refused": 0}]) == ""
+    text = warned_text([{**row, "draws": 2, "noise": 2}, {**row, "warned": 0, "draws": 2, "noise": 2}])
+    assert text.startswith(
+        "4 of 8 estimates are of shots with warnings. The worst case has 4 of 4, at 200 Hz with coherent."
+    )
+    assert warned_text([{**row, "warned": 0}, {"refused": 0}]) == ""
 
 
 def test_a_case_measured_by_another_version_or_on_another_bench_is_another(monkeypatch: pytest.MonkeyPatch) -> None:

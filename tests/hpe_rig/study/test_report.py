@@ -19,16 +19,24 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection, QuadMesh
 
+from hpe_rig.report.page_writer import (
+    MAX_EMBEDDED_ROWS,
+    MAX_ROWS,
+    PageSection,
+    cell_text,
+    page_table,
+    render_sections,
+    write_text,
+)
 from hpe_rig.result import Picture
 from hpe_rig.scene.validation import SettingsError
 from hpe_rig.study.curve_figures import BAND, curve_alt, curve_figure
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.map_figures import map_figure
-from hpe_rig.study.page import MOST_INSIDE, MOST_ROWS, Part, cell, render, table
-from hpe_rig.study.report import study_part, write_study_report
-from hpe_rig.study.results import StudyResult, write_whole
+from hpe_rig.study.report import study_section, write_study_report
+from hpe_rig.study.results import StudyResult
 from hpe_rig.study.run import run_study
-from hpe_rig.study.series import is_map, refused_words, shown, views
+from hpe_rig.study.series import is_map, refused_text, value_text, views
 from hpe_rig.validation.paper.reproduction import reproduction_part
 
 TINY = """
@@ -112,7 +120,7 @@ def test_every_picture_is_named_and_told_in_words(page: str) -> None:
 
 def test_the_table_behind_a_study_downloads_in_full_precision(page: str, tiny: StudyResult) -> None:
     links = {a["download"]: a["href"] for tag, a in Outline(page).elements if tag == "a" and "download" in a}
-    assert set(links) == {"reproduction.csv", "found.csv", "fig-5.csv", "time-by-study.csv", "realisations.csv"}
+    assert set(links) == {"reproduction.csv", "overview.csv", "fig-5.csv", "time-by-study.csv", "realisations.csv"}
     text = base64.b64decode((links["fig-5.csv"] or "").partition("base64,")[2]).decode()
     rows = list(csv.DictReader(io.StringIO(text)))
     assert [float(row["amplitude_bias_m"]) for row in rows] == [row["amplitude_bias_m"] for row in tiny.rows]
@@ -145,17 +153,19 @@ def test_the_page_counts_the_verdicts_and_a_link_shows_those_rows_alone(page: st
 
 def test_the_page_begins_with_what_was_found_and_ends_with_how_long_it_took(page: str) -> None:
     heads = re.findall(r'<h2 id="([^"]*)"', page)
-    assert heads == ["reproduction-part", "found-part", "fig-5-part", "run-time-part", "made"]
+    assert heads == ["reproduction-section", "overview-section", "fig-5-section", "run-time-section", "made"]
     first = page[page.index('class="headline"') :].partition("</p>")[0]
     assert "Statements of the paper" in first
 
 
 def test_what_refused_estimates_leave_out_is_said(tiny: StudyResult, tmp_path: Path) -> None:
-    assert refused_words(tiny.rows) == ""
-    words = refused_words([{**row, "refused": 3} for row in tiny.rows[:2]])
-    assert words == "6 estimates were refused: they are left out, with all others of the same scatterers and case."
+    assert refused_text(tiny.rows) == ""
+    words = refused_text([{**row, "refused": 3} for row in tiny.rows[:2]])
+    assert words == (
+        "6 estimates were refused. Bias and jitter exclude them and all others of the same draw of scatterers."
+    )
     holed = replace(tiny, rows=[{**row, "refused": 3} for row in views(tiny)[0].rows])
-    assert refused_words(holed.rows) in study_part(holed, tmp_path).words
+    assert refused_text(holed.rows) in study_section(holed, tmp_path).paragraphs
 
 
 def test_the_four_panels_have_units_and_bands_of_two_errors(tiny: StudyResult) -> None:
@@ -215,7 +225,7 @@ def test_a_map_shows_every_computed_point_and_no_other(tiny: StudyResult) -> Non
 
 
 def test_numbers_and_long_tables_are_shown_as_a_person_reads_them() -> None:
-    assert [cell(value) for value in (float("nan"), None, True, 3, 0.81453, 2.5e-9)] == [
+    assert [cell_text(value) for value in (float("nan"), None, True, 3, 0.81453, 2.5e-9)] == [
         "–",
         "–",
         "yes",
@@ -223,24 +233,32 @@ def test_numbers_and_long_tables_are_shown_as_a_person_reads_them() -> None:
         "0.8145",
         "2.50e-09",
     ]
-    assert [shown(v, u) for v, u in ((1e-6, "m"), (5e-4, "m"), (1e8, "Hz"), (0.065, ""))] == [
+    assert [value_text(v, u) for v, u in ((1e-6, "m"), (5e-4, "m"), (1e8, "Hz"), (0.065, ""))] == [
         "1000 nm",
         "0.5 mm",
         "100 MHz",
         "0.065",
     ]
-    rows = [{"a": k} for k in range(MOST_ROWS + 5)]
-    text = render(
-        "t", [], [Part("p", "P", (), (Picture("k", "t", "a", "<svg></svg>"),), (table("rows", "Many.", rows),))]
+    rows = [{"a": k} for k in range(MAX_ROWS + 5)]
+    text = render_sections(
+        "t",
+        [],
+        [PageSection("p", "P", (), (Picture("k", "t", "a", "<svg></svg>"),), (page_table("rows", "Many.", rows),))],
     )
-    assert text.count("<tr>") == MOST_ROWS + 1
-    assert f"of {MOST_ROWS + 5} rows" in text
+    assert text.count("<tr>") == MAX_ROWS + 1
+    assert f"of {MAX_ROWS + 5} rows" in text
 
 
 def test_a_table_too_long_for_the_page_is_the_file_beside_it() -> None:
-    few, many = ([{"a": k} for k in range(count)] for count in (MOST_INSIDE, MOST_INSIDE + 1))
-    text = render(
-        "t", [], [Part("p", "P", (), (), tuple(table("x", "X", rows, beside="my study/s.csv") for rows in (few, many)))]
+    few, many = ([{"a": k} for k in range(count)] for count in (MAX_EMBEDDED_ROWS, MAX_EMBEDDED_ROWS + 1))
+    text = render_sections(
+        "t",
+        [],
+        [
+            PageSection(
+                "p", "P", (), (), tuple(page_table("x", "X", rows, csv_path="my study/s.csv") for rows in (few, many))
+            )
+        ],
     )
     assert text.count("data:text/csv") == 1
     assert 'href="my%20study/s.csv"' in text
@@ -249,4 +267,4 @@ def test_a_table_too_long_for_the_page_is_the_file_beside_it() -> None:
 def test_a_page_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(SettingsError, match="cannot be written"):
-        write_whole(tmp_path / "file" / "page.html", "")
+        write_text(tmp_path / "file" / "page.html", "")

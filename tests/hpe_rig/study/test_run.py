@@ -22,7 +22,7 @@ from hpe_rig.cli.app import app
 from hpe_rig.scene.validation import SettingsError
 from hpe_rig.study.definition import Definition
 from hpe_rig.study.executor import (
-    MOST_LOSSES,
+    MAX_LOSSES,
     NO_TLS,
     TlsFiles,
     cluster,
@@ -105,7 +105,7 @@ def test_an_interrupted_study_continues_where_it_stopped(study: str, tmp_path: P
         run_study(study, tmp_path / "out", threads, ahead=1, watch=interrupt)
     kept = len(list((tmp_path / "out" / "cases").rglob("*.json")))
     assert 3 <= kept < 6
-    assert f"{kept} of 6 cases are kept" in caught.value.__notes__[0]
+    assert f"{kept} of 6 cases are stored" in caught.value.__notes__[0]
     told: list[tuple[int, int]] = []
     rest = run_study(study, tmp_path / "out", threads, watch=lambda done, total: told.append((done, total)))
     assert told[0] == (0, (6 - kept) * 32)
@@ -132,7 +132,7 @@ def test_a_single_changed_digit_of_a_case_is_found_told_of_and_computed_again(st
     again = run_study(study, tmp_path / "out", threads, tell=told.append)
     assert numbers(again) == numbers(whole)
     assert told == [
-        f"3 case files in {tmp_path / 'out' / 'cases'} are damaged or older than their hashes: computed again"
+        f"3 case files in {tmp_path / 'out' / 'cases'} are damaged or have no checksum: computing them again"
     ]
     assert run_study(study, tmp_path / "out", threads, tell=told.append)
     assert len(told) == 1
@@ -196,13 +196,13 @@ def test_a_lost_worker_costs_its_piece_alone() -> None:
 
 
 def test_losses_with_pieces_finished_between_end_nothing() -> None:
-    deaths = iter([True, False] * (MOST_LOSSES + 1))
+    deaths = iter([True, False] * (MAX_LOSSES + 1))
 
     @contextmanager
     def pool() -> Iterator[Executor]:
         yield Dying(lambda: next(deaths))
 
-    assert list(completed(pool, abs, range(MOST_LOSSES + 1), 1)) == list(range(MOST_LOSSES + 1))
+    assert list(completed(pool, abs, range(MAX_LOSSES + 1), 1)) == list(range(MAX_LOSSES + 1))
 
 
 def test_workers_that_always_die_end_the_study_with_a_word(study: str, tmp_path: Path) -> None:
@@ -213,9 +213,9 @@ def test_workers_that_always_die_end_the_study_with_a_word(study: str, tmp_path:
         opened.append(1)
         yield Dying(lambda: True)
 
-    with pytest.raises(SettingsError, match=f"died {MOST_LOSSES} times in a row"):
+    with pytest.raises(SettingsError, match=f"died {MAX_LOSSES} times in succession"):
         run_study(study, tmp_path / "out", pool)
-    assert len(opened) == MOST_LOSSES
+    assert len(opened) == MAX_LOSSES
 
 
 def test_a_fault_of_the_work_is_not_taken_for_a_lost_worker() -> None:
@@ -335,7 +335,7 @@ def test_ctrl_c_ends_cleanly_and_the_same_command_continues(sent: signal.Signals
     os.killpg(running.pid, sent) if sent == signal.SIGINT else running.send_signal(sent)
     _, told = running.communicate(timeout=60)
     assert running.returncode == {signal.SIGINT: 130, signal.SIGTERM: 143}[sent], told
-    assert "of 6 cases are kept" in told
+    assert "of 6 cases are stored" in told
     assert "Traceback" not in told
     again = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert again.returncode == 0, again.stderr
