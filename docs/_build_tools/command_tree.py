@@ -1,4 +1,4 @@
-"""Print docs/reference/command-tree.md: every command of the simulated generators with what it takes and the example tested.
+"""Write docs/reference/command-tree.md: the commands of the simulated generators, their arguments and tested examples.
 
 Usage: python docs/_build_tools/command_tree.py
 

@@ -1,20 +1,19 @@
-"""Pages of the reference that are written anew with every build, from the program itself.
+"""Pages of the reference that every build generates from the program.
 
-Settings come from the schemas that validate them, commands from their own ``--help``, names from their docstrings,
-messages from provoking them (`docs/_build_tools/messages.py`). `pages` returns them, `write_pages` puts them into a folder.
+Settings come from the schemas that validate them, commands from their ``--help``, names from their docstrings, and
+messages from provoking them (``messages.py``).
 """
 
 from __future__ import annotations
 
 import importlib
 import inspect
-import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from snippets import counts_page
+from hpe_rig.scene import DescribedKey
 
 EXAMPLES = {
     "sweep.axes": '{"tracking.delay_s" = [0.0, 1e-4]}',
@@ -75,116 +74,122 @@ EXAMPLES = {
     "tracking.pulse_count": "800",
     "transport": '"socket"',
 }
-"""Examples of keys that no shipped file sets and that have no default."""
+"""Examples of keys that have no default and are set in no shipped file."""
 PURPOSE = {
-    "scene": "A scene says what is measured and on which specimen. `hpe-rig new my-scene --full` writes one with every "
-    "key below in a comment.",
-    "bench": "A bench file says which instruments there are, where they answer, how they are wired and what they must "
-    "never exceed. `hpe-rig new my-bench --like bench --full` writes one with every key below in a comment.",
-    "simulation": "What the twin simulates: the section `[simulation]` of a scene. A real bench never reads it.",
+    "scene": "A scene states what is measured and on which specimen. `hpe-rig new my-scene --full` writes one with "
+    "every key below as a comment.",
+    "bench": "A bench file states the instruments, their addresses, their wiring and the limits that must not be "
+    "exceeded. `hpe-rig new my-bench --like bench --full` writes one with every key below as a comment.",
+    "simulation": "Settings of the digital twin: the section `[simulation]` of a scene. A real bench ignores them.",
 }
 ROOT = Path(__file__).parents[2]
-ROOMS = tuple(
+PACKAGES = tuple(
     ".".join(stub.parent.relative_to(ROOT).parts)
     for package in ("hpe_rig", "drivers", "sim_backend")
     for stub in sorted((ROOT / package).glob("*/__init__.pyi"))
 )
-"""Folders that offer names to others."""
+"""Packages with a public interface."""
 
 
 def pages() -> dict[str, str]:
     """Return the generated pages, Markdown by file name."""
-    settings = {f"{of}.md": settings_page(of) for of in PURPOSE}
-    found = {
+    settings = {f"{subject}.md": settings_page(subject) for subject in PURPOSE}
+    return {
+        **settings,
         "commands.md": commands_page(),
         "api.md": api_page(),
-        "rooms.md": rooms_page(),
-        "snippets.md": counts_page(),
+        "packages.md": packages_page(),
+        "messages.md": messages_page(),
     }
-    return {**settings, **found}
 
 
 def write_pages(folder: Path) -> None:
-    """Write the generated pages into ``folder``; a page that has not changed is left alone, and not built again."""
+    """Write the generated pages into ``folder``; unchanged pages keep their time stamp and are not rebuilt."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in {**pages(), **messages_pages()}.items():
+    for name, text in pages().items():
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             path.write_text(text, encoding="utf-8")
 
 
-def settings_page(of: str) -> str:
-    """Return the page of a ``"scene"``, a ``"bench"`` file or ``"simulation"``: every key, from the schema."""
+def settings_page(subject: str) -> str:
+    """Return the page with every key of a ``"scene"``, a ``"bench"`` file or ``"simulation"``, from the schema."""
     from hpe_rig.runs import settings_tables
-    from hpe_rig.scene.description import toml_value
 
-    lines = [f"# Keys of {'[simulation]' if of == 'simulation' else f'a {of}'}", "", PURPOSE[of], ""]
+    title = "[simulation]" if subject == "simulation" else f"a {subject}"
+    lines = [f"# Keys of {title}", "", PURPOSE[subject], ""]
     lines += [
-        "Every number is in the SI unit that ends its key. A key that is out of its bounds, or that nothing knows, "
+        "Every number is in the SI unit that ends its key. Unknown keys and values outside their bounds are refused "
     ]
-    lines += ["is refused before anything is opened, with its name and what to try.", ""]
-    set_in_shipped = _examples(of)
-    for table in settings_tables(of):
+    lines += ["before anything is opened; the message names the key and a remedy.", ""]
+    shipped = _shipped_values(subject)
+    for table in settings_tables(subject):
         name = ".".join(table.path)
         if name:
-            presence = "required" if table.required else "may be absent"
-            lines += [f"## {table.header}", "", f"{table.text} *({presence})*", ""]
-        if not table.keys:
-            continue
-        lines += ["| key | what it says | value | default | example |", "|---|---|---|---|---|"]
-        for key in table.keys:
-            path = f"{name}.{key.name}" if name else key.name
-            found = set_in_shipped.get(path)
-            known = _any_generator(path)
-            found = None if path == "title" else found
-            example = toml_value(found) if found is not None else key.default or EXAMPLES.get(known)
-            if example in (None, "[]"):
-                example = EXAMPLES.get(known)
-            default = "**required**" if key.required else f"`{key.default}`" if key.default else "absent"
-            if example is None and key.default is not None:
-                # An empty list or table is what may stand there, if nothing better is known.
-                example = key.default
-            shown = f"`{example}`" if example else ""
-            value = f"{key.kind}{f' in {key.unit}' if key.unit else ''}{f', {key.bounds}' if key.bounds else ''}"
-            row = (f"`{key.name}`", key.text, value, default, shown)
-            lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |")
-        lines.append("")
+            lines += [f"## {table.header}", "", f"{table.text} *({'required' if table.required else 'optional'})*", ""]
+        if table.keys:
+            lines += ["| key | meaning | value | default | example |", "|---|---|---|---|---|"]
+            lines += [_key_row(key, f"{name}.{key.name}" if name else key.name, shipped) for key in table.keys]
+            lines.append("")
     return "\n".join(lines)
 
 
-def _any_generator(path: str) -> str:
-    """Return the path of a key with the role of a generator left out: they all have the same keys."""
-    first, *rest = path.split(".")
-    return f"generators.{rest[-1]}" if first == "generators" else path
+def _key_row(key: DescribedKey, path: str, shipped: Mapping[str, Any]) -> str:
+    """Return the row of one key in the table of its section."""
+    default = "**required**" if key.required else f"`{key.default}`" if key.default else "absent"
+    unit, bounds = f" in {key.unit}" if key.unit else "", f", {key.bounds}" if key.bounds else ""
+    example = _example_value(key, path, shipped)
+    row = (f"`{key.name}`", key.text, f"{key.kind}{unit}{bounds}", default, f"`{example}`" if example else "")
+    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |"
 
 
-def _examples(of: str) -> dict[str, Any]:
-    """Return the value that a shipped file sets, by path; the first file in the alphabet that does."""
+def _example_value(key: DescribedKey, path: str, shipped: Mapping[str, Any]) -> str | None:
+    """Return an example in TOML: from a shipped file, else the default, else from ``EXAMPLES``."""
+    from hpe_rig.scene.description import toml_value
+
+    listed = EXAMPLES.get(_without_role(path))
+    value = None if path == "title" else shipped.get(path)
+    example = toml_value(value) if value is not None else key.default or listed
+    if example in (None, "[]"):
+        # An empty list shows no syntax, but it is better than no example.
+        example = listed if listed is not None else key.default
+    return example
+
+
+def _without_role(path: str) -> str:
+    """Return the path of a generator's key without the role of the generator: all generators have the same keys."""
+    first, *inner = path.split(".")
+    return f"generators.{inner[-1]}" if first == "generators" else path
+
+
+def _shipped_values(subject: str) -> dict[str, Any]:
+    """Return the values set in shipped files, by path; the first file in alphabetical order determines a value."""
     from hpe_rig.bench import read_bench
     from hpe_rig.scene import shipped_scenes
 
-    texts = [read_bench().text] if of == "bench" else list(shipped_scenes().values())
-    found: dict[str, Any] = {}
+    texts = [read_bench().text] if subject == "bench" else list(shipped_scenes().values())
+    values: dict[str, Any] = {}
     for text in texts:
-        for path, value in _flat(tomllib.loads(text)):
-            found.setdefault(path, value)
-    return found
+        for path, value in _flattened(tomllib.loads(text)):
+            values.setdefault(path, value)
+    return values
 
 
-def _flat(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+def _flattened(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield (dotted path, value) of every key in nested tables; of an array of tables only the first is used."""
     for key, value in table.items():
-        here = f"{path}.{key}" if path else key
+        key_path = f"{path}.{key}" if path else key
         if isinstance(value, Mapping):
-            yield from _flat(value, here)
+            yield from _flattened(value, key_path)
         elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-            yield from _flat(value[0], here)
+            yield from _flattened(value[0], key_path)
         else:
-            yield here, value
+            yield key_path, value
 
 
 def commands_page() -> str:
-    """Return the page of the commands: the help of each, as it prints it."""
-    lines = ["# Commands", "", "`hpe-rig COMMAND --help` prints what stands here.", ""]
+    """Return the page with the help of every command."""
+    lines = ["# Commands", "", "`hpe-rig COMMAND --help` prints the same.", ""]
     for words in command_names():
         lines += [f"## hpe-rig {' '.join(words)}".rstrip(), "", "```text", _help(words), "```", ""]
     lines += EXIT_CODES.splitlines()
@@ -201,8 +206,8 @@ EXIT_CODES = """## Exit codes
 | 3 | an output may still be on |
 | 4 | `verify`: the file is damaged |
 | 5 | `verify`: the file holds no checksums |
-| 70 | an error of the program itself |
-| 130 | interrupted by Ctrl-C; 128 plus its number for any other signal |
+| 70 | an error in the program |
+| 130 | interrupted by Ctrl-C; 128 plus the number for any other signal |
 """
 
 
@@ -212,14 +217,14 @@ def command_names() -> list[tuple[str, ...]]:
 
     from hpe_rig.cli import commands
 
-    return list(_commands(typer.main.get_command(commands)))
+    return list(_command_words(typer.main.get_command(commands)))
 
 
-def _commands(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+def _command_words(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
     yield words
     for name, inner in getattr(command, "commands", {}).items():
         if not inner.hidden:
-            yield from _commands(inner, (*words, name))
+            yield from _command_words(inner, (*words, name))
 
 
 def _help(words: tuple[str, ...]) -> str:
@@ -233,60 +238,60 @@ def _help(words: tuple[str, ...]) -> str:
 
 
 def api_page() -> str:
-    """Return the page of the public API: what ``import hpe_rig`` offers, from the docstrings."""
+    """Return the page of the public API, from the docstrings."""
     import hpe_rig
 
     lines = ["# Python API", "", "`import hpe_rig as hpe` offers the names on this page, each loaded on first use.", ""]
-    lines += ["```python", *_example(hpe_rig.__doc__ or ""), "```", ""]
-    lines += ["A scene is a name, a path or a `Scene` wherever one is taken.", "", "```{eval-rst}"]
+    lines += ["```python", *_example_code(hpe_rig.__doc__ or ""), "```", ""]
+    lines += ["A scene may be given as a name, a path or a `Scene`.", "", "```{eval-rst}"]
     for name in sorted(hpe_rig.__all__, key=lambda name: (inspect.isclass(getattr(hpe_rig, name)), name)):
-        offered = getattr(hpe_rig, name)
-        if inspect.isclass(offered):
+        if inspect.isclass(getattr(hpe_rig, name)):
             lines += [f".. autoclass:: hpe_rig.{name}", "   :members:", "   :exclude-members: model_config", ""]
         else:
             lines += [f".. autofunction:: hpe_rig.{name}", ""]
     return "\n".join([*lines, "```", ""])
 
 
-def _example(docstring: str) -> list[str]:
+def _example_code(docstring: str) -> list[str]:
     from doctest import DocTestParser
 
     return [example.source.rstrip() for example in DocTestParser().get_examples(docstring)]
 
 
-def rooms_page() -> str:
-    """Return the page of the rooms: what each offers to the others, with the first sentence of its docstring."""
-    lines = ["# Inside the rooms", "", "What each folder offers to the others. Scripts need "]
-    lines += ["[the public API](api.md) alone; these names may change from one release to the next.", ""]
-    for room in ROOMS:
-        module = importlib.import_module(room)
-        lines += [f"## {room}", "", _sentence(module.__doc__ or ""), "", "| name | what it is |", "|---|---|"]
-        lines += [f"| `{name}` | {about} |" for name, about in offered_names(module)]
+def packages_page() -> str:
+    """Return the page with the public names of every package and the first sentence of their docstrings."""
+    lines = [
+        "# Public names of the packages",
+        "",
+        "The names that each package offers to the others. Scripts need only ",
+    ]
+    lines += ["[the public API](api.md); the names below may change from one release to the next.", ""]
+    for package in PACKAGES:
+        module = importlib.import_module(package)
+        lines += [f"## {package}", "", _first_sentence(module.__doc__ or ""), "", "| name | meaning |", "|---|---|"]
+        lines += [f"| `{name}` | {text} |" for name, text in described_names(module)]
         lines.append("")
     return "\n".join(lines)
 
 
-def offered_names(module: Any) -> list[tuple[str, str]]:
-    """Return the names that a room offers, each with the first sentence of its docstring; a constant with its type."""
-    found = []
+def described_names(module: Any) -> list[tuple[str, str]]:
+    """Return the public names of a package, each with the first sentence of its docstring; a constant with its type."""
+    names = []
     for name in sorted(module.__all__):
-        offered = getattr(module, name)
-        own = inspect.isclass(offered) or inspect.isroutine(offered)
-        about = _sentence(inspect.getdoc(offered) or "") if own else f"constant, {type(offered).__name__}"
-        found.append((name, about))
-    return found
+        value = getattr(module, name)
+        has_docstring = inspect.isclass(value) or inspect.isroutine(value)
+        text = _first_sentence(inspect.getdoc(value) or "") if has_docstring else f"constant, {type(value).__name__}"
+        names.append((name, text))
+    return names
 
 
-def _sentence(text: str) -> str:
-    first = " ".join(text.split("\n\n")[0].split()).replace("``", "`").replace("|", "\\|")
-    return first.partition(". ")[0].removesuffix(".") + "."
+def _first_sentence(text: str) -> str:
+    paragraph = " ".join(text.split("\n\n")[0].split()).replace("``", "`").replace("|", "\\|")
+    return paragraph.partition(". ")[0].removesuffix(".") + "."
 
 
-def messages_pages() -> dict[str, str]:
-    """Return the pages of the error messages, each provoked in an empty folder, and of what was answered before."""
-    import sys
+def messages_page() -> str:
+    """Return the page of the error messages, each provoked in an empty folder."""
+    from messages import markdown
 
-    sys.path.insert(0, os.fspath(Path(__file__).parent))
-    from messages import beside, markdown
-
-    return {"messages.md": markdown(), "messages-before.md": beside()}
+    return markdown()

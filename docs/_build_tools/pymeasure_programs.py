@@ -1,9 +1,9 @@
-"""Print docs/reference/pymeasure.md: PyMeasure's drivers on the simulated generators, every property over every transport.
+"""Write docs/reference/pymeasure.md: PyMeasure's drivers on the simulated generators, over every transport.
 
 Usage: python docs/_build_tools/pymeasure_programs.py
 
-Needs PyMeasure, a package of drivers that nobody here wrote. Each property is set to each of its values from the state
-after *RST and read back, and the error queue is asked.
+Needs PyMeasure, an independent package of drivers. Each property is set to each of its values from the state after
+*RST and read back, and the error queue is read.
 """
 
 import argparse
@@ -242,10 +242,10 @@ def run(model: str, transport: str, remote: bool = True) -> Outcome:
 HEAD = """\
 # PyMeasure on the twin
 
-PyMeasure's drivers `Keysight33250A`, `Agilent33220A` and `Agilent33500`, programs that nobody here wrote, on the
+The drivers `Keysight33250A`, `Agilent33220A` and `Agilent33500` of PyMeasure, an independent package, on the
 simulated generators. Each property is set to every value of a list from the state after `*RST` and read back, and the
-error queue is asked; of the 33500 both channels as well. Written by `python docs/_build_tools/pymeasure_programs.py`; a test with
-the marker `external` runs the same and compares.
+error queue is read; both channels of the 33500 are tested. `python docs/_build_tools/pymeasure_programs.py` writes this
+page; a test with the marker `external` runs the same and compares.
 
 *Kept*: read back as set, no error. *Not simulated*: arbitrary waveforms and bit sequences, refused with -241. *In
 local*: refused with 550, since PyMeasure sends no `SYST:REM` over RS-232, as an instrument in local mode refuses it.

@@ -1,4 +1,4 @@
-"""The documentation works: its commands and Python run, its contents are whole, every name and key is in it."""
+"""The commands and Python of the documentation run, its links lead somewhere, and every name and key is in it."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ FAST = (
     "docs/how-to/hook-up.md",
     "docs/tutorials/own-data.md",
 )
-"""Pages whose blocks run by default; the others take minutes together."""
-FIRST = {
+"""Pages that run by default; together the others take minutes."""
+PREPARATION = {
     "docs/reference/run-file.md": "hpe-rig run bovine-muscle",
     "docs/how-to/bench-safety.md": "hpe-rig new my-bench --like bench",
 }
-"""Commands that a page supposes to have been run."""
+"""Commands that the text of a page assumes to have been run."""
 
 
 def program(name: str) -> ModuleType:
-    """Return a program of the documentation, which is no part of a package."""
+    """Import a module of ``docs/_build_tools``, which is not part of a package."""
     sys.path.insert(0, str(DOCS / "_build_tools"))
     try:
         return importlib.import_module(name)
@@ -46,52 +46,40 @@ PAGES: dict[str, Path] = SNIPPETS.PAGES
 
 
 def invoke(command: str, code: int) -> None:
-    """Run ``hpe-rig ...`` in the current folder; fail where it ends with another exit code."""
+    """Run ``hpe-rig ...`` in the current folder and assert its exit code."""
     program, *words = shlex.split(command)
     assert program == "hpe-rig", f"{command}: neither run nor named in NOT_RUN"
     done = CliRunner().invoke(app, words)
     assert done.exit_code == code, f"{command}: exit code {done.exit_code}\n{done.output}"
 
 
-def pages_with_blocks() -> list[object]:
-    """Return the pages that show something to run, those that are not `FAST` marked as slow."""
-    counted = {name: SNIPPETS.shown(page) for name, page in PAGES.items()}
-    names = [name for name, found in counted.items() if found.commands or found.python]
+def pages_to_run() -> list[object]:
+    """Return the pages with commands or Python; those not in `FAST` are marked as slow."""
+    blocks = {name: list(SNIPPETS.blocks(page)) for name, page in PAGES.items()}
+    names = [name for name in PAGES if any(block.runs or list(SNIPPETS.commands(block)) for block in blocks[name])]
     return [pytest.param(name, id=name, marks=() if name in FAST else pytest.mark.slow) for name in names]
 
 
-@pytest.mark.parametrize("name", pages_with_blocks())
-def test_what_a_page_shows_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", pages_to_run())
+def test_commands_and_python_of_a_page_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
-    ran = {"commands": 0, "python": 0, "files": 0}
-    if name in FIRST:
-        invoke(FIRST[name], 0)
+    namespace: dict[str, object] = {}
+    if name in PREPARATION:
+        invoke(PREPARATION[name], 0)
     for block in SNIPPETS.blocks(PAGES[name]):
         for command, code in SNIPPETS.commands(block):
             invoke(command, code)
-            ran["commands"] += 1
         if block.runs:
-            # Compiled with its line, so that a failure says where it stands on the page.
-            exec(compile("\n" * block.line + block.text, PAGES[name], "exec"), names)
-            ran["python"] += 1
+            # Blank lines before the code make line numbers in a traceback those of the page.
+            exec(compile("\n" * block.line + block.text, PAGES[name], "exec"), namespace)
         if block.file_name:
             (tmp_path / block.file_name).write_text(block.text, encoding="utf-8")
-            ran["files"] += 1
-    # What the site's page of counts says of it.
-    counted = SNIPPETS.shown(PAGES[name])
-    assert ran == {kind: getattr(counted, kind) for kind in ran}
 
 
-def test_the_site_says_how_much_of_it_is_run_and_that_no_link_is_broken() -> None:
-    page = SNIPPETS.counts_page()
-    found = re.search(r"(\d+) pages show (\d+) commands, (\d+) blocks of Python and (\d+) settings files", page)
-    assert found
-    assert int(found[1]) == len(PAGES)
-    assert int(found[2]) > 50
-    assert int(found[3]) > 12
-    assert re.search(r"and (\d+) links, of which 0 are broken", page)
-    assert page.count("\n| `") > 30
+def test_the_documentation_shows_many_commands_and_blocks_of_python() -> None:
+    blocks = [block for page in PAGES.values() for block in SNIPPETS.blocks(page)]
+    assert sum(len(list(SNIPPETS.commands(block))) for block in blocks) > 50
+    assert sum(block.runs for block in blocks) > 12
 
 
 @pytest.mark.parametrize("name", PAGES)
@@ -99,16 +87,16 @@ def test_a_link_leads_somewhere(name: str) -> None:
     assert [link for link in SNIPPETS.links(PAGES[name]) if SNIPPETS.is_broken(PAGES[name], link)] == []
 
 
-ELSEWHERE = {
+RUN_ELSEWHERE = {
     "README.md": "test_readme.py",
     "docs/how-to/cluster.md": "a cluster is needed; hpe_rig/study/test_run.py has a scheduler of its own",
     "docs/how-to/import.md": "test_import_of_simulations.py, which needs the simulators",
 }
-"""Pages with a command in a block that is not run here, and what runs it."""
+"""Pages with a command in a block that these tests do not run, and the test that runs it."""
 
 
-def test_no_command_is_shown_where_nothing_runs_it() -> None:
-    """An indented or unnamed block with a command is one that nobody tries."""
+def test_every_command_shown_is_run_by_a_test() -> None:
+    """Commands in indented or unnamed blocks would not be run."""
     untried = set()
     for name, page in PAGES.items():
         text = page.read_text(encoding="utf-8")
@@ -116,12 +104,12 @@ def test_no_command_is_shown_where_nothing_runs_it() -> None:
         assert not re.findall(r"^    (?:\$ )?hpe-rig .*", outside, flags=re.MULTILINE), name
         named = [block for block in SNIPPETS.blocks(page) if block.language != "console"]
         untried |= {name for block in named if re.search(r"^(\$ |.*&& )?hpe-rig ", block.text, flags=re.MULTILINE)}
-    assert untried == set(ELSEWHERE)
+    assert untried == set(RUN_ELSEWHERE)
 
 
 @pytest.fixture(scope="module")
 def generate() -> ModuleType:
-    """Return the program that writes the generated pages."""
+    """Return the module that generates pages."""
     return program("generate")
 
 
@@ -130,7 +118,7 @@ def generated(generate: ModuleType) -> dict[str, str]:
     return dict(generate.pages())
 
 
-def test_the_reference_holds_every_command_with_its_options(generated: dict[str, str], generate: ModuleType) -> None:
+def test_the_reference_lists_every_command_with_its_options(generated: dict[str, str], generate: ModuleType) -> None:
     page = generated["commands.md"]
     names = generate.command_names()
     assert ("run",) in names
@@ -141,12 +129,12 @@ def test_the_reference_holds_every_command_with_its_options(generated: dict[str,
     assert "--estimator" in page
 
 
-def test_the_reference_holds_every_key_of_the_schemas_with_an_example(generated: dict[str, str]) -> None:
+def test_the_reference_lists_every_key_with_an_example(generated: dict[str, str]) -> None:
     from hpe_rig.runs import settings_tables
 
-    for of in ("scene", "bench", "simulation"):
-        rows = [line for line in generated[f"{of}.md"].splitlines() if line.startswith("| `")]
-        keys = [key.name for table in settings_tables(of) for key in table.keys]
+    for subject in ("scene", "bench", "simulation"):
+        rows = [line for line in generated[f"{subject}.md"].splitlines() if line.startswith("| `")]
+        keys = [key.name for table in settings_tables(subject) for key in table.keys]
         assert [re.match(r"\| `([^`]+)`", row)[1] for row in rows] == keys  # type: ignore[index]
         assert [row for row in rows if row.endswith("|  |")] == []
 
@@ -160,17 +148,19 @@ def test_every_public_name_is_documented(generated: dict[str, str], generate: Mo
             if not member.startswith("_") and (inspect.isroutine(value) or isinstance(value, property)):
                 assert inspect.getdoc(value), f"{name}.{member}"
     bare = [
-        f"{room}.{name}"
-        for room in generate.ROOMS
-        for name, about in generate.offered_names(importlib.import_module(room))
-        if about in ("", ".")
+        f"{package}.{name}"
+        for package in generate.PACKAGES
+        for name, text in generate.described_names(importlib.import_module(package))
+        if text in ("", ".")
     ]
     assert bare == []
-    assert {"hpe_rig.recordings", "hpe_rig.extensions", "drivers.alazar", "sim_backend.echoes"} <= set(generate.ROOMS)
+    assert {"hpe_rig.recordings", "hpe_rig.extensions", "drivers.alazar", "sim_backend.echoes"} <= set(
+        generate.PACKAGES
+    )
 
 
 def test_every_page_is_in_the_contents() -> None:
-    """Sphinx would warn of a page that no table of contents leads to; this says so without Sphinx."""
+    """Sphinx warns of a page that is in no table of contents; this test needs no Sphinx."""
     listed = {"docs/index.md"}
     for page in PAGES.values():
         if page.is_relative_to(DOCS):
