@@ -1,6 +1,6 @@
 """Interfaces of the bench's instruments: tasks in, records out; SI units, the unit in every name.
 
-In ``hpe_rig`` all but ``hpe_rig.bench`` and ``hpe_rig.plan.checks`` know the instruments by this file alone.
+In ``hpe_rig`` only ``hpe_rig.bench`` and ``hpe_rig.plan.checks`` import more of the drivers than this module.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Setting = str | int | float | bool
-"""Value of one setting as an instrument states it."""
+"""Value of one setting as reported by an instrument."""
 
 
 class InstrumentError(Exception):
-    """An instrument refused, changed or did not answer something; says what, why and what to try."""
+    """Failure of an instrument: what happened, the likely cause (``why``) and what to try (``remedy``)."""
 
     def __init__(self, role: str, what: str, why: str, remedy: str) -> None:
         super().__init__(f"{role}: {what}. {why[:1].upper()}{why[1:]}. Try: {remedy}.")
@@ -27,16 +27,16 @@ class InstrumentError(Exception):
         self.remedy = remedy
 
     def __reduce__(self) -> tuple[type[InstrumentError], tuple[str, str, str, str]]:
-        """Return how it is made again: an error comes back from another process as it left."""
+        """Return the constructor call for pickle, which cannot restore the four arguments on its own."""
         return type(self), (self.role, self.what, self.why, self.remedy)
 
 
 class DeadlineError(InstrumentError):
-    """The records that were expected did not arrive in time."""
+    """Expected records did not arrive in time."""
 
 
 class Clock(Protocol):
-    """Time as the bench knows it: the wall clock on metal, the world's clock on the twin."""
+    """Time of the bench: the wall clock, or the clock of the simulated world."""
 
     def now_s(self) -> float: ...
 
@@ -49,7 +49,7 @@ class Connection(Protocol):
     def write(self, message: str) -> None: ...
 
     def read(self) -> str:
-        """Return one reply line; raise ``TimeoutError`` when none comes."""
+        """Return one reply line; raise ``TimeoutError`` if none arrives."""
         ...
 
     def close(self) -> None: ...
@@ -74,7 +74,7 @@ class RemoteConnection(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who answered: vendor, model, serial number and firmware as the instrument states them."""
+    """Vendor, model, serial number and firmware as reported by the instrument."""
 
     vendor: str
     model: str
@@ -84,7 +84,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class TriggerPulse:
-    """The single pulse of the master trigger."""
+    """A single pulse, started by software: the master trigger."""
 
     width_s: float
     high_v: float
@@ -116,7 +116,7 @@ class Toneburst:
 
 @dataclass(frozen=True, slots=True)
 class ContinuousSine:
-    """A sine without beginning or end, whatever is triggered."""
+    """A continuous sine, independent of triggers."""
 
     frequency_hz: float
     amplitude_vpp: float
@@ -128,9 +128,9 @@ GeneratorTask = TriggerPulse | PulseTrain | Toneburst | ContinuousSine
 
 @dataclass(frozen=True, slots=True)
 class Capture:
-    """One record a trigger, ``record_count`` of them; sample 0 comes ``trigger_delay_samples`` after the trigger.
+    """``record_count`` records, one a trigger; sample 0 comes ``trigger_delay_samples`` after the trigger.
 
-    ``monitor_range_v`` is the range of the second input, which is recorded along with the echoes where it is given.
+    ``monitor_range_v`` is the range of the second input; None: only the first input, the echoes, is recorded.
     """
 
     sample_rate_hz: float
@@ -143,13 +143,13 @@ class Capture:
 
     @property
     def channels(self) -> int:
-        """How many inputs are recorded."""
+        """Number of recorded inputs."""
         return 1 if self.monitor_range_v is None else 2
 
 
 @dataclass(frozen=True, slots=True)
 class MonitorRecords:
-    """Records of the second input: ``codes`` int16 (record, sample), in volts as those of ``RecordBlock``."""
+    """Records of the second input: ``codes`` int16 (record, sample), scaled as in ``RecordBlock``."""
 
     codes: NDArray[np.int16]
     volts_per_code: float
@@ -160,10 +160,12 @@ class MonitorRecords:
 class RecordBlock:
     """Consecutive records of one capture.
 
-    ``codes`` int16 (record, sample), zero-centred; volts = ``codes * volts_per_code + volts_offset``. ``code_limits``
-    are the lowest and the highest code of the digitizer: a sample at either is clipped.
-    ``trigger_time_s`` float64 (record,), from the board's own counter, relative to its reset at arming; NaN where the
-    way to capture states none. ``monitor`` holds the same records of the second input, where that is recorded.
+    Attributes:
+        codes: int16 (record, sample), zero-centred; volts = ``codes * volts_per_code + volts_offset``.
+        trigger_time_s: float64 (record,), by the board's counter, which starts at zero when the board is armed; NaN
+            if the acquisition mode does not provide it.
+        code_limits: the lowest and the highest code of the digitizer; a sample at either is clipped.
+        monitor: the same records of the second input, None if it is not recorded.
     """
 
     first_record: int
@@ -176,7 +178,7 @@ class RecordBlock:
 
 
 class Instrument(Protocol):
-    """What every instrument of the bench can do."""
+    """Methods of every instrument of the bench."""
 
     @property
     def role(self) -> str: ...
@@ -184,39 +186,39 @@ class Instrument(Protocol):
     def identify(self) -> Identity: ...
 
     def snapshot(self) -> Mapping[str, Setting]:
-        """Return the settings as read back from the instrument."""
+        """Return the settings, read back from the instrument."""
         ...
 
     def verify(self) -> Mapping[str, Setting]:
-        """Return the settings as read back; raise ``InstrumentError`` where one is not as programmed."""
+        """Return the settings, read back; raise ``InstrumentError`` if one differs from the programmed value."""
         ...
 
     def self_test(self) -> bool | None:
-        """Return whether the instrument's own test passes, with its output off; None where it has none."""
+        """Return whether the instrument's self-test passes, with the output off; None if it has no self-test."""
         ...
 
     @property
-    def line(self) -> str:
-        """Name of the line that leads there; instruments of different lines may be spoken to at the same time."""
+    def bus(self) -> str:
+        """Name of its bus; instruments on different buses may be addressed at the same time."""
         ...
 
     def switch_off(self) -> None:
-        """Send what switches the output off or aborts the capture, and wait for no answer."""
+        """Send the command that switches the output off or aborts the capture, without waiting for a reply."""
         ...
 
     def prove_off(self) -> str:
-        """Return how the output is known to be off, after ``switch_off``; raise ``InstrumentError`` if it is not."""
+        """After ``switch_off``, return how the output is proven to be off; raise ``InstrumentError`` if it is not."""
         ...
 
     def make_safe(self) -> str:
-        """Do both, stubbornly: in whatever state the instrument and the line to it are; return and raise likewise."""
+        """Do ``switch_off`` and ``prove_off`` in any state of instrument and connection, with the same result."""
         ...
 
     def close(self) -> None: ...
 
 
 class MasterTrigger(Instrument, Protocol):
-    """Starts everything: one pulse on software command."""
+    """Source of the first edge: one pulse on software command."""
 
     def configure(self, task: TriggerPulse, /) -> None: ...
 
@@ -225,7 +227,7 @@ class MasterTrigger(Instrument, Protocol):
     def fire(self) -> None: ...
 
     def recheck(self) -> None:
-        """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified."""
+        """Raise ``InstrumentError`` if output or settings differ from the verified ones."""
         ...
 
 
@@ -237,7 +239,7 @@ class PulseGenerator(Instrument, Protocol):
     def enable_output(self) -> None: ...
 
     def recheck(self) -> None:
-        """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified."""
+        """Raise ``InstrumentError`` if output or settings differ from the verified ones."""
         ...
 
 
@@ -249,19 +251,19 @@ class ToneburstGenerator(Instrument, Protocol):
     def enable_output(self) -> None: ...
 
     def recheck(self) -> None:
-        """Raise ``InstrumentError`` where output or settings are no longer as they were programmed and verified."""
+        """Raise ``InstrumentError`` if output or settings differ from the verified ones."""
         ...
 
 
 class Digitizer(Instrument, Protocol):
-    """A triggered multi-record digitizer whose trigger output fires the tracking pulser."""
+    """A triggered multi-record digitizer; its trigger output fires the tracking pulser."""
 
     def configure(self, capture: Capture) -> None: ...
 
     def arm(self) -> None: ...
 
     def records(self, deadline_s: float) -> Iterator[RecordBlock]:
-        """Yield what was captured, in order; raise ``DeadlineError`` when the clock passes ``deadline_s``."""
+        """Yield the records in order; raise ``DeadlineError`` when the clock passes ``deadline_s``."""
         ...
 
     def clipped(self) -> bool:

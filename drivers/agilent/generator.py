@@ -67,9 +67,9 @@ class Agilent33250A:
         return self._role
 
     @property
-    def line(self) -> str:
+    def bus(self) -> str:
         """Name of the line that leads to the instrument; empty where it is in the same process."""
-        return self._session.line
+        return self._session.bus
 
     def identify(self) -> Identity:
         """Return who answers ``*IDN?``; raise ``InstrumentError`` if it is no 33250A or sibling, or the wrong one.

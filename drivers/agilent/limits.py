@@ -12,7 +12,7 @@ LOAD_OHM: Final = (1.0, 10_000.0)
 SOURCE_OHM: Final = 50.0
 OPEN_CIRCUIT_PEAK_V: Final = 10.0
 OPEN_CIRCUIT_LEAST_VPP: Final = 2e-3
-# A pulse's edges take 1.6 edge times off the period (docs/theory/instruments.md, 1.4).
+# A pulse's edges take 1.6 edge times off the period (docs/explanation/instruments.md, 1.4).
 EDGE_SHARE: Final = 1.6
 
 

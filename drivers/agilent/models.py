@@ -1,6 +1,6 @@
 """Models of the 33250A family, told apart by ``*IDN?``: limits, channel number, spelling of the pulse headers.
 
-Sources: 33250A from docs/theory/instruments.md, 1.4. 33500 series: its manual's burst and pulse pages (count, 6 MHz
+Sources: 33250A from docs/explanation/instruments.md, 1.4. 33500 series: its manual's burst and pulse pages (count, 6 MHz
 ceiling of counted sine bursts, least width). The 33600A shares that manual's commands, its ceiling is taken to be the
 same. The 33250A's resolution is its manual's (amplitude 0.1 mV or 4 digits, frequency 1 uHz or 9 digits); that offset
 and levels resolve as the amplitude does is assumed. Assumed, from memory of the data sheets: the siblings' sine and

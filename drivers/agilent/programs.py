@@ -1,6 +1,6 @@
 """Programs of a 33250A: the registers of a task, in groups and in the order that avoids conflicts on the way.
 
-Headers are the 33250A's (docs/theory/instruments.md, 1.4; the order is 1.6's); a sibling's spelling is put in when they
+Headers are the 33250A's (docs/explanation/instruments.md, 1.4; the order is 1.6's); a sibling's spelling is put in when they
 are sent.
 """
 

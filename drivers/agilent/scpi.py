@@ -83,7 +83,7 @@ class ScpiSession:
         self._token = 0
 
     @property
-    def line(self) -> str:
+    def bus(self) -> str:
         """Name of the line that leads to the instrument; empty where it is in the same process."""
         return self._connection.bus if isinstance(self._connection, RemoteConnection) else ""
 

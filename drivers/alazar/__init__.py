@@ -1,18 +1,16 @@
-"""AlazarTech digitizer over the vendor's ATSApi: trigger in, records out.
+"""AlazarTech digitizers over the vendor's ATSApi library: trigger in, records out.
 
-In the order of the flow:
-    models         what each board accepts, and how its codes are made
-    limits         what a board cannot do of a capture, and sizes of records and buffers
+    models         what each board accepts, one row a board
+    limits         what a board cannot do of a capture; sizes of records and buffers
     api            the library's functions, signatures and constants
-    return_codes   the library's return codes, and how one becomes an error
-    board          one board's handle; every call checked
+    return_codes   the library's return codes as errors
+    board          one board's handle, every call checked
     page_buffer    page-aligned memory that a board writes into
-    captures       the two ways to capture
-    samples        from memory layout to codes, volts and trigger times
+    samples        memory layout -> codes, volts and trigger times
+    captures       single-port and dual-port captures
     digitizer      the driver
 
-Others use ``AlazarDigitizer`` and ``load_library`` to measure, ``model_named`` and ``mistakes`` to ask what a board can
-do.
+``AlazarDigitizer(AlazarBoard(load_library()), clock)`` measures; ``model_named`` and ``mistakes`` need no board.
 """
 
 import lazy_loader

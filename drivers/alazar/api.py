@@ -1,4 +1,4 @@
-"""ATSApi, the digitizer vendor's library: functions used, C signatures, constants (docs/theory/instruments.md, 2)."""
+"""ATSApi, the digitizer vendor's library: functions, C signatures, constants (docs/explanation/instruments.md, 2)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, Final
 from drivers.interfaces import InstrumentError
 
 AlazarLibrary = Any
-"""The vendor's library with the functions of ``SIGNATURES``; out-parameters are ``ctypes.byref``, buffers addresses."""
+"""The vendor's library with the functions of ``SIGNATURES``; buffers are addresses, outputs ``ctypes.byref``."""
 
 CLOCK_INTERNAL: Final = 1
 COUPLING_DC: Final = 2
@@ -19,10 +19,9 @@ TRIGGER_OPERATION_J: Final = 0
 ENGINE_J, ENGINE_K = 0, 1
 SOURCE_EXTERNAL, SOURCE_DISABLE = 2, 3
 SLOPE_POSITIVE: Final = 1
-EXTERNAL_TRIGGER_5V: Final = 0
 AUX_OUT_TRIGGER: Final = 0
 TIMESTAMP_RESET_ALWAYS: Final = 1
-# Flags of ``AlazarBeforeAsyncRead``; traditional mode is their absence.
+# Flags of ``AlazarBeforeAsyncRead``; without ADMA_NPT the mode is traditional.
 ADMA_EXTERNAL_STARTCAPTURE, ADMA_RECORD_HEADERS, ADMA_NPT = 0x001, 0x008, 0x200
 # A bit of ``Capability.BOARD_OPTIONS_LOW``.
 OPTION_DUAL_PORT_MEMORY: Final = 1 << 2
@@ -94,11 +93,11 @@ SIGNATURES: Final[dict[str, tuple[Any, tuple[Any, ...]]]] = {
 
 
 def bind(library: Any, role: str) -> AlazarLibrary:
-    """Return ``library`` (a ``ctypes.CDLL``) with all signatures set; ``InstrumentError`` names absent functions."""
-    absent = [name for name in SIGNATURES if not hasattr(library, name)]
-    if absent:
+    """Set all signatures of ``library`` (a ``ctypes.CDLL``); raise ``InstrumentError`` with every missing function."""
+    missing = [name for name in SIGNATURES if not hasattr(library, name)]
+    if missing:
         why = "the installed ATSApi is older than the functions this bench needs"
-        raise InstrumentError(role, f"no {', '.join(absent)} in the library", why, "install ATS-SDK 5.8 or newer")
+        raise InstrumentError(role, f"no {', '.join(missing)} in the library", why, "install ATS-SDK 5.8 or newer")
     for name, (result, arguments) in SIGNATURES.items():
         function = getattr(library, name)
         function.restype, function.argtypes = result, arguments
@@ -106,16 +105,16 @@ def bind(library: Any, role: str) -> AlazarLibrary:
 
 
 def load_library(role: str = "digitizer", name: str | None = None) -> AlazarLibrary:
-    """Return the vendor's library; loading it resets every board in the machine."""
-    wanted = name or ("ATSApi.dll" if sys.platform == "win32" else "libATSApi.so")
+    """Load the vendor's library and return it; this resets every board in the machine."""
+    file_name = name or ("ATSApi.dll" if sys.platform == "win32" else "libATSApi.so")
     try:
-        library = ctypes.CDLL(wanted)
+        library = ctypes.CDLL(file_name)
     except OSError as error:
         bits = 8 * ctypes.sizeof(ctypes.c_void_p)
         raise InstrumentError(
             role,
-            f"cannot load {wanted}",
-            f"the board's driver and SDK are not installed, or not for {bits} bit: {error}",
+            f"cannot load {file_name}",
+            f"the board's driver and SDK are missing, or not for {bits} bit: {error}",
             "install the AlazarTech driver and ATS-SDK for the board, or run on the simulated bench",
         ) from error
     return bind(library, role)

@@ -1,6 +1,6 @@
-"""Return codes of the vendor's ATSApi: names, meanings, and the one place where a code becomes an error.
+"""Return codes of the vendor's ATSApi: names, meanings, and their conversion to errors.
 
-Source: docs/theory/instruments.md, 2.8.
+Source: docs/explanation/instruments.md, 2.8.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ FAILED: Final = 513
 UNSUPPORTED_FUNCTION: Final = 533
 WAIT_TIMEOUT: Final = 579
 RECORD_TOO_HIGH: Final = 604
-"""Of ``AlazarGetTriggerTimestamp``, whatever the SDK's version: the record's trigger time is not to be had."""
+"""Of ``AlazarGetTriggerTimestamp``, in every SDK version: the record's trigger time is not available."""
 OLD_SDK: Final = 5
-"""Last major version whose 604 and 607 are those of the old guide."""
+"""Last major version that uses the old guide's meanings of 604 and 607."""
 
 # One line a code, in the vendor's order: the first block from 512 without a gap, the second from 608.
 _FROM_512: Final = """
@@ -136,7 +136,7 @@ MEANINGS: Final[Mapping[int, tuple[str, str]]] = {
     **dict(_entries(_FROM_608, 608)),
 }
 
-# Their meaning changed between SDK versions, so that they have a name only where the version is known.
+# The meaning of these depends on the SDK version; they are named only if it is known.
 AMBIGUOUS: Final = frozenset({603, 604, 607})
 _OLD_NAMES: Final[Mapping[int, tuple[str, str]]] = {
     604: ("ApiRecordTooHigh", "a record above 1000 has no time stamp"),
@@ -148,7 +148,7 @@ _NEW_NAMES: Final[Mapping[int, tuple[str, str]]] = {
     607: ("ApiNetworkError", "the connection to the board's server failed"),
 }
 
-# What to suspect first: (cause, remedy).
+# The likely cause and its remedy.
 _BY_CODE: Final[Mapping[int, tuple[str, str]]] = {
     513: ("the board refused an argument or combination", "compare the setting with the board's data sheet"),
     514: ("another program holds the board", "end the other program"),
@@ -174,7 +174,7 @@ _BY_CALL: Final[Mapping[str, tuple[str, str]]] = {
     ),
     "AlazarInputControl": ("the board has no such input range at 50 ohm", "choose another input_range_v"),
 }
-_UNSUSPECTED: Final = (
+_UNKNOWN_CAUSE: Final = (
     "no cause is known for this code",
     "run again, restart the machine if it stays, and see the error list of your SDK version",
 )
@@ -185,7 +185,7 @@ def check(code: int, call: str, role: str, sdk_major: int | None = None) -> None
     if code == SUCCESS:
         return
     name, meaning = _entry(code, sdk_major)
-    why, remedy = _BY_CALL.get(call) or _BY_CODE.get(code) or _UNSUSPECTED
+    why, remedy = _BY_CALL.get(call) or _BY_CODE.get(code) or _UNKNOWN_CAUSE
     raise InstrumentError(role, f"{call} returned {code} ({name}), {meaning}", why, remedy)
 
 

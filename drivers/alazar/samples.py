@@ -1,6 +1,6 @@
-"""Samples: from the board's memory layout to codes, volts and trigger times; pure functions.
+"""Samples in the board's memory layout -> codes, volts and trigger times; pure functions.
 
-Layout and scale: docs/theory/instruments.md, 2.5 and 2.6.
+Layout and scale: docs/explanation/instruments.md, 2.5 and 2.6.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ TIMESTAMP_HIGH_MASK: Final = 0xFF
 HEADER_BYTES: Final = 16
 
 Words = NDArray[np.uint8] | NDArray[np.uint16]
-"""Samples as they lie in memory: codes in the upper bits of a byte or of two."""
+"""Samples in memory: codes in the upper bits of one or two bytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class RawRecords:
-    """Consecutive records as the board delivers them.
+    """Consecutive records in the board's format.
 
-    ``words`` (channel, record, sample); ``trigger_samples`` float64 (record,), when each trigger came in periods of the
-    sample clock, NaN where the board states no time.
+    ``words`` (channel, record, sample); ``trigger_samples`` float64 (record,), trigger times in periods of the sample
+    clock, NaN if the board does not state them.
     """
 
     first_record: int
@@ -35,7 +35,7 @@ class RawRecords:
 
 @dataclass(frozen=True, slots=True)
 class BufferLayout:
-    """What one AutoDMA buffer of a board holds."""
+    """Layout of one AutoDMA buffer."""
 
     channels: int
     record_samples: int
@@ -49,24 +49,24 @@ def word_dtype(model: BoardModel) -> np.dtype[Any]:
 
 
 def native(words: NDArray[Any]) -> Words:
-    """Return little-endian ``words`` in the machine's own byte order, without a copy where that is the same."""
+    """Return little-endian ``words`` in the machine's byte order, without a copy if that is little-endian too."""
     return words.astype(words.dtype.newbyteorder("="), copy=False)
 
 
 def header_record_dtype(record_samples: int, model: BoardModel = ATS460_BOARD) -> np.dtype[Any]:
-    """Return the layout of one record of one channel behind its header, as traditional AutoDMA writes it."""
+    """Return the layout of one record of one channel with its header, as traditional AutoDMA writes it."""
     return np.dtype([("header", "<u4", (4,)), ("words", word_dtype(model), (record_samples,))])
 
 
 def buffer_bytes(record_samples: int, records: int, headers: bool, model: BoardModel = ATS460_BOARD) -> int:
-    """Return the size of an AutoDMA buffer of ``records``, those of all channels counted."""
+    """Return the size of an AutoDMA buffer; ``records`` counts those of all channels."""
     return (model.sample_bytes * record_samples + (HEADER_BYTES if headers else 0)) * records
 
 
 def unpacked(data: NDArray[np.uint8], layout: BufferLayout) -> tuple[Words, NDArray[np.float64]]:
-    """Return words (channel, record, sample) and trigger counts (record,) of one AutoDMA buffer; NPT has no counts.
+    """Return words (channel, record, sample) and trigger counts (record,) of one AutoDMA buffer; NPT counts are NaN.
 
-    R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
+    The order in the buffer is R1A R1B R2A R2B ..., in NPT mode R1A R2A ... R1B R2B ...
     """
     if layout.npt:
         words = native(data.view(word_dtype(layout.model)).reshape(layout.channels, -1, layout.record_samples))
@@ -85,27 +85,26 @@ def timestamp_counts(headers: NDArray[np.uint32]) -> NDArray[np.int64]:
 def codes(words: Words, model: BoardModel = ATS460_BOARD) -> NDArray[np.int16]:
     """Return zero-centred codes, within the model's ``code_limits``, from left-justified words of any shape."""
     code = (words >> (8 * model.sample_bytes - model.code_bits)).astype(np.uint16, copy=False)
-    # Modulo 2^16, which two's complement undoes.
+    # The difference is modulo 2^16; read as two's complement it is the signed code.
     code -= np.uint16(1 << (model.code_bits - 1))
-    centred = code.view(np.int16)
+    signed = code.view(np.int16)
     if model.code_limits[0] > -(1 << (model.code_bits - 1)):
-        np.maximum(centred, model.code_limits[0], out=centred)
-    return centred
+        np.maximum(signed, model.code_limits[0], out=signed)
+    return signed
 
 
 def any_at_full_scale(values: NDArray[np.int16], model: BoardModel = ATS460_BOARD) -> bool:
-    """Return whether any code is the lowest or the highest."""
+    """Return whether any code is the lowest or the highest one."""
     lowest, highest = model.code_limits
     return bool(np.any(values == lowest) or np.any(values == highest))
 
 
 def volts_per_code(input_range_v: float, model: BoardModel = ATS460_BOARD) -> float:
-    """Return the volts of one code when the input spans +-``input_range_v``."""
-    # Zero volts lies between two codes, so that a range of +-R spans 2^bits - 1 steps.
-    lowest_to_highest = (1 << model.code_bits) - 1
-    return 2 * input_range_v / lowest_to_highest
+    """Return the step of one code (V) for an input of +-``input_range_v``."""
+    # 0 V lies between two codes, so a range of +-R spans 2^bits - 1 steps.
+    return 2 * input_range_v / ((1 << model.code_bits) - 1)
 
 
 def volts_offset(input_range_v: float, model: BoardModel = ATS460_BOARD) -> float:
-    """Return the volts of zero-centred code 0: half a code, since zero volts lies between two codes."""
+    """Return the voltage of zero-centred code 0: half a step, because 0 V lies between two codes."""
     return 0.5 * volts_per_code(input_range_v, model)

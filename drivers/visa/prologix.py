@@ -8,7 +8,6 @@ for ever when the adapter closes the connection, and give the instrument 50 ms t
 from __future__ import annotations
 
 import re
-from contextlib import suppress
 from typing import Final, final
 
 from drivers.visa.resources import VisaLine
@@ -136,4 +135,5 @@ class PrologixInstrument:
 
 def _read_timeout(timeout_s: float) -> bytes:
     """Return the command that limits the adapter's wait for an instrument's reply."""
-    return f"++read_tmo_ms {max(1, min(round(READ_TIMEOUT_FRACTION * timeout_s * 1e3), MAX_READ_TIMEOUT_MS))}\n".encode()
+    limit_ms = round(READ_TIMEOUT_FRACTION * timeout_s * 1e3)
+    return f"++read_tmo_ms {max(1, min(limit_ms, MAX_READ_TIMEOUT_MS))}\n".encode()

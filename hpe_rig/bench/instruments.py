@@ -139,7 +139,7 @@ def _each(
     """
     lines: dict[str, list[AnInstrument]] = {}
     for item in instruments:
-        lines.setdefault(item.line, []).append(item)
+        lines.setdefault(item.bus, []).append(item)
     within = lines.pop("", [])
     told = {role: answer for line in (*_at_once(ask, list(lines.values())), ask(within)) for role, answer in line}
     return {item.role: told[item.role] for item in instruments}

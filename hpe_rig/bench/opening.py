@@ -146,13 +146,13 @@ class Reach:
     def instrument(self, role: str, bench: BenchFile) -> Any:
         """Return the driver of ``role`` on its connection."""
         from drivers.agilent import Agilent33250A
-        from drivers.alazar import AlazarDigitizer
+        from drivers.alazar import AlazarBoard, AlazarDigitizer
 
         if role == "digitizer":
-            board, library = bench.digitizer, self.library()
-            ids = board.system_id, board.board_id
-            mode, model = board.acquisition_mode, board.board_model
-            return AlazarDigitizer(library, self.clock, role, *ids, mode=mode, model=model)
+            settings = bench.digitizer
+            ids = {"system_id": settings.system_id, "board_id": settings.board_id}
+            board = AlazarBoard(self.library(), role, settings.board_model, **ids)
+            return AlazarDigitizer(board, self.clock, settings.acquisition_mode)
         generator = getattr(bench.generators, role)
         most_vpp = generator.max_vpp or math.inf
         if role in ("toneburst", "tracking_pulser"):

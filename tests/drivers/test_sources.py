@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PAGE = "docs/theory/instruments.md"
+PAGE = "docs/explanation/instruments.md"
 CITATION = re.compile(rf"{re.escape(PAGE)},\s+(\d(?:\.\d)?(?:(?:,| and| to)\s+\d\.\d)*)")
 
 

@@ -121,7 +121,7 @@ def test_every_changed_setting_is_read_back_with_the_error_queue(scripted, role_
 
 @pytest.mark.parametrize("width_s", [1e-6, 100e-6, 150e-6])
 def test_no_intermediate_state_has_a_pulse_wider_than_its_period(scripted, width_s: float) -> None:
-    """After a reset the width is 100 us and the period 1 ms (docs/theory/instruments.md, 1.3)."""
+    """After a reset the width is 100 us and the period 1 ms (docs/explanation/instruments.md, 1.3)."""
     connection = scripted()
     rate_hz = 0.9 / width_s if width_s < 100e-6 else 5e3
     Agilent33250A(connection, "x").configure(dataclasses.replace(TRAIN, rate_hz=rate_hz, width_s=width_s))

@@ -194,9 +194,9 @@ def test_the_twins_own_errors_are_told_with_their_cause(sent: str, times: int, c
 
 def test_a_line_that_instruments_share_is_known_by_its_name(scripted) -> None:
     connection = scripted()
-    assert ScpiSession(connection, "master").line == ""
+    assert ScpiSession(connection, "master").bus == ""
     connection.timeout_s, connection.bus, connection.reopen = 1.0, "GPIB0", lambda: None
-    assert ScpiSession(connection, "master").line == "GPIB0"
+    assert ScpiSession(connection, "master").bus == "GPIB0"
 
 
 def test_every_difference_of_a_group_is_in_one_error(scripted) -> None:

@@ -83,7 +83,7 @@ def test_success_passes() -> None:
     check(512, "AlazarStartCapture", "digitizer")
 
 
-# Picked over the whole table of docs/theory/instruments.md, 2.8, so that a name too many or too few shifts one.
+# Picked over the whole table of docs/explanation/instruments.md, 2.8, so that a name too many or too few shifts one.
 NAMED = {
     512: "ApiSuccess",
     513: "ApiFailed",

@@ -18,6 +18,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from drivers.alazar.api import SIGNATURES, load_library
+from drivers.alazar.board import AlazarBoard
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.return_codes import MEANINGS, SUCCESS
 from drivers.interfaces import Capture, DeadlineError, InstrumentError
@@ -101,7 +102,7 @@ def script(library_path: Path) -> Script:
 def acquire(
     script: Script, mode: str, monitor_range_v: float | None = None, capture: Capture = CAPTURE, **options: Any
 ) -> SimpleNamespace:
-    digitizer = AlazarDigitizer(script.library, Ticking(), mode=mode, **options)
+    digitizer = AlazarDigitizer(AlazarBoard(script.library), Ticking(), mode=mode, **options)
     digitizer.configure(dataclasses.replace(capture, monitor_range_v=monitor_range_v))
     digitizer.verify()
     digitizer.arm()
@@ -182,7 +183,7 @@ def test_records_that_came_before_missing_triggers_are_kept_and_counted(
     script: Script, mode: str, arrived: int
 ) -> None:
     script.options(triggers=700)
-    digitizer = AlazarDigitizer(script.library, Ticking(), mode=mode)
+    digitizer = AlazarDigitizer(AlazarBoard(script.library), Ticking(), mode=mode)
     digitizer.configure(CAPTURE)
     digitizer.arm()
     blocks = []
@@ -202,7 +203,7 @@ def test_the_boards_clipped_flags_are_seen(script: Script, bits: int) -> None:
 def test_an_old_fpga_takes_a_thousand_single_port_records_and_not_one_more(script: Script) -> None:
     script.options(fpga=18)
     assert len(acquire(script, "single_port").codes) == 1000
-    digitizer = AlazarDigitizer(script.library, Ticking(), mode="single_port")
+    digitizer = AlazarDigitizer(AlazarBoard(script.library), Ticking(), mode="single_port")
     with pytest.raises(InstrumentError, match=r"1001.*FPGA version 18.*1000"):
         digitizer.configure(Capture(100e6, SAMPLES, 9000, 1001, 0.8, 1.5))
 
@@ -280,7 +281,9 @@ for mode in tests.MODES:
         assert got.codes.tobytes() == script.codes(0).tobytes()
     script.options(triggers=700)
     try:
-        digitizer = tests.AlazarDigitizer(script.library, tests.Ticking(), mode=mode, allocate=Exact)
+        digitizer = tests.AlazarDigitizer(
+            tests.AlazarBoard(script.library), tests.Ticking(), mode=mode, allocate=Exact
+        )
         digitizer.configure(tests.CAPTURE)
         digitizer.arm()
         list(digitizer.records(5.0))

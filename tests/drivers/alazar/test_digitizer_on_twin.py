@@ -15,6 +15,7 @@ import pytest
 
 from drivers.agilent.generator import Agilent33250A
 from drivers.alazar.api import SIGNATURES
+from drivers.alazar.board import AlazarBoard
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.page_buffer import PageBuffer
 from drivers.interfaces import Capture, DeadlineError, Digitizer, InstrumentError, PulseTrain, TriggerPulse
@@ -101,7 +102,7 @@ class Rig:
         self.memory = Memory()
         self.master = Agilent33250A(self.world.connect("master"), "master")
         self.train = Agilent33250A(self.world.connect("tracking_train"), "tracking_train")
-        self.digitizer = AlazarDigitizer(self.library, self.world.clock, allocate=self.memory)
+        self.digitizer = AlazarDigitizer(AlazarBoard(self.library), self.world.clock, allocate=self.memory)
 
     def fire(self, capture: Capture, pulses: int | None = None) -> None:
         """Program everything, arm and fire; ``pulses`` other than the record count starve the digitizer."""
@@ -438,13 +439,13 @@ def test_the_trigger_output_is_set_up_also_where_another_program_used_it_otherwi
 def test_an_absent_board_is_named_by_its_ids() -> None:
     rig = Rig(dual=True)
     with pytest.raises(InstrumentError, match="system_id 1 and board_id 2"):
-        AlazarDigitizer(rig.library, rig.world.clock, board_id=2)
+        AlazarBoard(rig.library, board_id=2)
 
 
 def test_another_kind_of_board_is_refused() -> None:
     rig = Rig(dual=True)
     with pytest.raises(InstrumentError, match=r"kind 13 \(ATS9870\), expected 7 \(ATS460\)"):
-        AlazarDigitizer(Spy(rig.library, {"AlazarGetBoardKind": 13}), rig.world.clock)
+        AlazarBoard(Spy(rig.library, {"AlazarGetBoardKind": 13}))
 
 
 def test_the_snapshot_holds_what_was_programmed_and_what_the_board_reports(rig: Rig) -> None:
@@ -466,7 +467,7 @@ def test_the_snapshot_holds_what_was_programmed_and_what_the_board_reports(rig: 
 def test_every_mode_with_one_channel_or_two_gives_the_same_echoes(mode: str, monitor_range_v: float | None) -> None:
     expected, _ = Rig(dual=False).shot(LONG_CAPTURE)
     rig = Rig(dual=True)
-    rig.digitizer = AlazarDigitizer(rig.library, rig.world.clock, allocate=rig.memory, mode=mode)
+    rig.digitizer = AlazarDigitizer(AlazarBoard(rig.library), rig.world.clock, allocate=rig.memory, mode=mode)
     rig.fire(dataclasses.replace(LONG_CAPTURE, monitor_range_v=monitor_range_v))
     blocks = list(rig.digitizer.records(rig.deadline_s()))
     np.testing.assert_array_equal(np.concatenate([block.codes for block in blocks]), expected)
@@ -485,7 +486,7 @@ def test_every_mode_with_one_channel_or_two_gives_the_same_echoes(mode: str, mon
 
 def test_autodma_without_dual_port_memory_is_refused_with_the_remedy() -> None:
     rig = Rig(dual=False)
-    digitizer = AlazarDigitizer(rig.library, rig.world.clock, mode="npt")
+    digitizer = AlazarDigitizer(AlazarBoard(rig.library), rig.world.clock, mode="npt")
     with pytest.raises(InstrumentError, match=r'npt needs dual-port memory.*"single_port"'):
         digitizer.configure(CAPTURE)
 
@@ -511,7 +512,7 @@ def test_a_code_that_changed_its_meaning_is_read_by_the_installed_sdks_version(m
         return 512
 
     rig.library.AlazarGetSDKVersion = version
-    rig.digitizer = AlazarDigitizer(rig.library, rig.world.clock)
+    rig.digitizer = AlazarDigitizer(AlazarBoard(rig.library), rig.world.clock)
     rig.digitizer.configure(CAPTURE)
     with pytest.raises(InstrumentError, match=rf"AlazarStartCapture returned 607 \({name}\)"):
         rig.digitizer.arm()
@@ -529,7 +530,7 @@ def through_c(library) -> SimpleNamespace:
 @BOTH
 def test_through_the_c_calling_convention_the_records_are_the_same(dual: bool) -> None:
     direct, in_c = Rig(dual), Rig(dual)
-    in_c.digitizer = AlazarDigitizer(through_c(in_c.library), in_c.world.clock)
+    in_c.digitizer = AlazarDigitizer(AlazarBoard(through_c(in_c.library)), in_c.world.clock)
     for expected, read in zip(direct.shot(CAPTURE), in_c.shot(CAPTURE), strict=True):
         np.testing.assert_array_equal(expected, read)
     assert {**in_c.digitizer.snapshot()} == {**direct.digitizer.snapshot()}

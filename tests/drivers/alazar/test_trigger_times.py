@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from drivers.agilent.generator import Agilent33250A
+from drivers.alazar.board import AlazarBoard
 from drivers.alazar.digitizer import AlazarDigitizer
 from drivers.alazar.return_codes import SUCCESS
 from drivers.interfaces import Capture, PulseTrain, TriggerPulse
@@ -118,7 +119,7 @@ class Still:
 
 
 def captured(pulses: int) -> np.ndarray:
-    digitizer = AlazarDigitizer(Board(), Still(), mode="single_port")
+    digitizer = AlazarDigitizer(AlazarBoard(Board()), Still(), mode="single_port")
     digitizer.configure(dataclasses.replace(CAPTURE, record_count=pulses))
     digitizer.arm()
     blocks = list(digitizer.records(1.0))
